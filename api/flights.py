@@ -13,7 +13,6 @@ from maxq.sim.log.reader import Log, read_log
 from maxq.sim.run import fly as flying
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import FlightRun
-from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.run.record import LOG_NAME, record
 from maxq.sim.scenario.loader import LoadedScenario, is_campaign, load_scenario
 
@@ -22,7 +21,7 @@ def load(path: str | Path, *overrides: str) -> LoadedScenario | LoadedCampaign:
     """A scenario or campaign: a file, or the name of a built-in one; `overrides` as "run.duration_s=10"."""
     if is_campaign(path):
         return load_campaign(path, overrides)
-    return load_scenario(path, overrides, METRIC_NAMES).telling(overrides)
+    return load_scenario(path, overrides).telling(overrides)
 
 
 def fly(scenario: LoadedScenario | str | Path, *overrides: str, folder: str | Path | None = None) -> Flight:
@@ -32,7 +31,7 @@ def fly(scenario: LoadedScenario | str | Path, *overrides: str, folder: str | Pa
     """
     if isinstance(scenario, LoadedScenario) and overrides:
         raise ValueError("overrides go with a scenario's name; load(name, *overrides) takes them")
-    loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario, overrides, METRIC_NAMES)
+    loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario, overrides)
     loaded = loaded.telling(overrides)
     return flying.fly(loaded) if folder is None else record(FlightRun(loaded), folder)
 

@@ -13,7 +13,7 @@
     scenario = load_scenario("nominal")                      # pitch, yaw and roll together
     multiloop_margins(api.multiloops(scenario, scenario.design, [40.0])[0])
 
-Wrong input is a ValueError of one line, in scenario and design files a `maxq.sim.api.ScenarioError`.
+Wrong input is a ValueError of one line, in scenario and design files a `maxq.api.ScenarioError`.
 """
 
 from __future__ import annotations

@@ -27,7 +27,6 @@ from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.schemas import json_schema
@@ -430,7 +429,7 @@ def broken(kind: str) -> st.SearchStrategy[tuple[str, bytes]]:
 
 
 def _flown(path: str) -> None:
-    pack_flight(load_scenario(path, (), METRIC_NAMES).scenario)
+    pack_flight(load_scenario(path).scenario)
 
 
 def _campaign(path: str) -> None:

@@ -120,7 +120,7 @@ amplitude_deg = 0.5
 start_s = 10.0
 stop_s = 12.0
 [[requirement]]
-metric = "max_q_alpha_Pa_deg"
+metric = "max_q_alpha_Padeg"
 limit = 300000.0
 """
 

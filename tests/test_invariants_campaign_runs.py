@@ -9,14 +9,14 @@ import campaignkit
 import numpy as np
 import pytest
 
-from maxq.sim.api import fly
 from maxq.sim.campaign import runner
 from maxq.sim.campaign.investigation import refly
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.campaign.store import campaign_in
-from maxq.sim.run.metrics import METRIC_NAMES
+from maxq.sim.flight.metric_table import METRIC_NAMES
+from maxq.sim.run.fly import fly
 
 
 @pytest.fixture(scope="module")

@@ -9,22 +9,24 @@ import numpy as np
 import pytest
 
 from maxq.control.kernel.records import Array
-from maxq.sim.api import FlightRun, LoadedScenario, load_scenario, read_log, record
 from maxq.sim.flight.channels import unit_suffix
-from maxq.sim.flight.metrics import MetricIndex
-from maxq.sim.flight.telemetry import SLOW
-from maxq.sim.run.fly import fly
-from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
-from maxq.sim.run.metrics import (
+from maxq.sim.flight.metric_table import (
     METRIC_NAMES,
     METRICS,
     EndMetrics,
+    MetricIndex,
     OrbitMetrics,
     SectionMetrics,
     StepMetrics,
     WaveMetrics,
     unit_of,
 )
+from maxq.sim.flight.telemetry import SLOW
+from maxq.sim.log.reader import read_log
+from maxq.sim.run.fly import FlightRun, fly
+from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
+from maxq.sim.run.record import record
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 
 
 def loaded(*overrides: str) -> LoadedScenario:

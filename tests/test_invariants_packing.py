@@ -14,7 +14,8 @@ import pytest
 
 PACK = """
 import hashlib
-from maxq.sim.api import builtin_names, load_scenario
+from maxq.sim.scenario.files import builtin_names
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.packing.flight import pack_flight
 cases = [(name, []) for name in builtin_names()]
 cases += [("nominal", ["wind.profile=winds/anheung-november.csv", "initial={euler_deg=[10,70,3],earth_mps=[1,2,3]}"])]

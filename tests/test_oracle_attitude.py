@@ -22,7 +22,8 @@ from maxq.control.computer import ComputerState, build_computer, computer_tick, 
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
-from maxq.sim.api import fly, load_scenario
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import load_scenario
 
 turn_py, start_py = from_python(turn), from_python(start_strapdown)
 SAMPLE_S = 0.01

@@ -19,11 +19,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from maxq.sim.api import fly, load_scenario
 from maxq.sim.campaign import rare
 from maxq.sim.campaign.rare import Rare, subset_simulation
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 
 STATES: dict[str, tuple[int, float, Callable[[np.ndarray, np.ndarray], np.ndarray]]] = {

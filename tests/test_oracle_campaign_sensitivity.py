@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from maxq.sim.api import Flight, LoadedScenario, fly, load_scenario
 from maxq.sim.campaign import investigation
 from maxq.sim.campaign.analysis import (
     DataSet,
@@ -29,6 +28,9 @@ from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.investigation import search_worst, shrink_run
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.tools import simrun
 from maxq.tools.campaign_report import how_judged
 

@@ -14,8 +14,8 @@ import scipy.spatial.transform
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import blank, pack
 from maxq.control.kernel.tables import Pool
-from maxq.sim.api import load_scenario, load_scenario_text
 from maxq.sim.packing.flight import pack_flight
+from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.sim.vehicle import environment as surroundings
 from maxq.sim.vehicle.workspace import AUX_SIZE, FLOW, WORK_SIZE
 from maxq.sim.world.turbulence import (

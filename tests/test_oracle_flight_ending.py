@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from maxq.sim.api import fly, load_scenario
+from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import geodesic_m
+from maxq.sim.scenario.loader import load_scenario
 
 WGS84 = (6378137.0, 1.0 / 298.257223563)
 

@@ -12,10 +12,10 @@ import scipy.signal
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import NO_TABLE, Pool, TableRef, fit
-from maxq.sim.api import load_scenario
 from maxq.sim.flight import injection
 from maxq.sim.flight.injection import MAX_INJECTIONS, MAX_TONES, Injections
 from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import CAUSES, FINITE, N_FIXED, Q_BI, R_I, V_I, W_BI_B, divergence_cause
 
 SIGNAL, TOTAL, SWITCH = (

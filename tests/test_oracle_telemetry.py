@@ -15,9 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array
-from maxq.sim.api import Flight, FlightRun, load_scenario
 from maxq.sim.flight.metrics import METRIC, _gather_incidence
-from maxq.sim.run.fly import fly
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import FlightRun, fly
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.workspace import AUX_SIZE, FLOW
 
 START = [

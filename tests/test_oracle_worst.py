@@ -36,7 +36,6 @@ from maxq.design.verify.linear import vehicles
 from maxq.design.verify.suite import LinearMargins, WorstWanted, read_suite
 from maxq.design.verify.worst import WorstVehicle, distance, search_node, slope, worst_requirements
 from maxq.sim.campaign.read import load_campaign
-from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 
@@ -195,7 +194,7 @@ def test_the_scenario_written_is_the_vehicle_measured() -> None:
     )  # fmt: skip  # nine more lines otherwise
     scenario, missing = scenario_of(base, node, by)
     assert missing == []
-    again = load_scenario_text(scenario.as_flown, (), METRIC_NAMES, "worst")
+    again = load_scenario_text(scenario.as_flown, (), "worst")
     (flown,) = api.nodes(again, [40.0])
     wanted, nominal = exact(node, by), exact(node, NOMINAL)
     assert abs(wanted - nominal) > 0.02

@@ -10,8 +10,8 @@ import pytest
 
 from maxq.design.model.node import Node, nodes_along
 from maxq.design.model.vehicle_at import stability_derivatives
-from maxq.sim.api import fly, load_scenario
-from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.tools import simdesign
 
 TOTAL_DEG = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0, 30.0, 45.0, 60.0, 90.0, 135.0, 180.0)

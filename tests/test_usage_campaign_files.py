@@ -7,10 +7,10 @@ from pathlib import Path
 import campaignkit
 import pytest
 
-from maxq.sim.api import fly
 from maxq.sim.campaign.investigation import refly
 from maxq.sim.campaign.read import ACCURACY
 from maxq.sim.campaign.runner import run_campaign
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 

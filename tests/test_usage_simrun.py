@@ -13,9 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maxq.sim.api import Flight, FlightRun, LogError, fly, load_scenario, read_log, record
+from maxq.sim.log.head import LogError
 from maxq.sim.log.messages import Level
+from maxq.sim.log.reader import read_log
 from maxq.sim.run import record as recording
+from maxq.sim.run.flight import Flight
+from maxq.sim.run.fly import FlightRun, fly
+from maxq.sim.run.record import record
+from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 from maxq.tools.cli.frame import TRACEBACK
 from maxq.tools.cli.terminal import Progress

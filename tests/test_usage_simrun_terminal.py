@@ -16,7 +16,9 @@ from pathlib import Path
 
 import pytest
 
-from maxq.sim.api import fly, load_scenario, read_log
+from maxq.sim.log.reader import read_log
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import load_scenario
 
 SIMRUN = [sys.executable, "-m", "maxq.tools.simrun"]
 SHORT = ["nominal", "--set", "run.duration_s=1.5", "--set", "requirement="]

@@ -10,9 +10,10 @@ import pytest
 
 from maxq.control.kernel.records import pack
 from maxq.control.kernel.tables import Pool
-from maxq.sim.api import ScenarioError, load_scenario
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.packing.environment import pack_wind
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.world.atmosphere import pressure_altitude
 from maxq.sim.world.wind import wind_ned

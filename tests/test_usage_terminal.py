@@ -22,7 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from maxq.sim.run.metrics import figures
+from maxq.sim.flight.metric_table import figures
 from maxq.tools import simdesign, simreplay, simrun, simvehicle, simverify
 from maxq.tools.cli import terminal
 from maxq.tools.cli.terminal import aligned, folded, painted

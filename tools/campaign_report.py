@@ -25,7 +25,7 @@ from maxq.sim.campaign.statistics import ANY_TIME, MET, NOT_MET
 from maxq.sim.campaign.store import read_manifest, write_json
 from maxq.sim.campaign.tails import Tail, tail_of
 from maxq.sim.files import write_whole
-from maxq.sim.run.metrics import figures
+from maxq.sim.flight.metric_table import figures
 from maxq.tools.cli import terminal
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.plots import campaign as plots

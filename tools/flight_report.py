@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from maxq.sim.flight.metric_table import figures, title_of, unit_of
 from maxq.sim.packing.integration import worst_error
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import DIVERGED_NAME
-from maxq.sim.run.metrics import Verdict, figures, title_of, unit_of
+from maxq.sim.run.metrics import Verdict
 from maxq.tools.cli.terminal import aligned, printable
 
 _FINAL = (

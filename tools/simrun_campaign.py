@@ -25,7 +25,7 @@ from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.campaign.store import RUNS, campaign_in
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.files import plain_name, write_whole
-from maxq.sim.run.metrics import METRIC_NAMES, figures, title_of, unit_of
+from maxq.sim.flight.metric_table import METRIC_NAMES, figures, title_of, unit_of
 from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
 from maxq.sim.scenario.errors import suggestion
 from maxq.tools import campaign_report as text

@@ -18,7 +18,6 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run import record
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import FlightRun
-from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, tell
@@ -114,10 +113,10 @@ def viewer_needed() -> Iterator[None]:
 
 def _load(order: Order) -> tuple[LoadedScenario, Comparison]:
     if order.log is None:
-        loaded = load_scenario(order.scenario or "", order.overrides, METRIC_NAMES)
+        loaded = load_scenario(order.scenario or "", order.overrides)
         return loaded.telling(order.overrides), Comparison(None)
     logged = read_run(order.log)
-    loaded = load_scenario_text(_scenario_text(logged), order.overrides, METRIC_NAMES, f"scenario in {order.log}")
+    loaded = load_scenario_text(_scenario_text(logged), order.overrides, f"scenario in {order.log}")
     return loaded.telling(order.overrides), Comparison(logged, changed=bool(order.overrides))
 
 

@@ -32,8 +32,9 @@ from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
 from maxq.sim.campaign.runner import Progress, run_campaign
 from maxq.sim.campaign.statistics import Shown
 from maxq.sim.files import plain_name
+from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.run.fly import fly
-from maxq.sim.run.metrics import METRIC_NAMES, Verdict, unit_of
+from maxq.sim.run.metrics import Verdict
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import Log
@@ -97,9 +98,9 @@ def load_flight(
 ) -> tuple[LoadedScenario, list[str]]:
     """The scenario of one flight with the design in it, and what is changed in it. Raises ScenarioError."""
     name, changes = flown.scenario or loaded_suite.suite.scenario, [*design_changes(design, vehicle), *flown.set]
-    loaded = load_scenario(name, changes, METRIC_NAMES)
+    loaded = load_scenario(name, changes)
     more = limit_changes(loaded_suite, flown.limits, loaded.scenario)
-    return (load_scenario(name, [*changes, *more], METRIC_NAMES) if more else loaded), [*changes, *more]
+    return (load_scenario(name, [*changes, *more]) if more else loaded), [*changes, *more]
 
 
 def fly_suite(

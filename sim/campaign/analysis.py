@@ -32,7 +32,7 @@ from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runs import TIME_OF, VOID, input_types, schema_of
 from maxq.sim.campaign.statistics import Shown, judge_failures, tolerance_bound
 from maxq.sim.campaign.store import HISTORIES, parts_in, read_manifest, read_part
-from maxq.sim.run.metrics import unit_of
+from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.scenario.schema_scenario import Requirement
 
 if TYPE_CHECKING:

@@ -25,7 +25,6 @@ from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import MOST_ATTEMPTS, SEED_KEY, WIND_KEY, Draw, Drawn, Ensemble, Plan, VectorWind
 from maxq.sim.campaign.schema import Campaign, CampaignFile, Disperse
 from maxq.sim.campaign.targets import Change, Dispersed, Refused, Target, find_target
-from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.documents import plain, source_of
 from maxq.sim.scenario.errors import Path as KeyPath
 from maxq.sim.scenario.errors import refuse
@@ -197,7 +196,7 @@ class LoadedCampaign:
 
 def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCampaign:
     """The campaign in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError."""
-    loaded, tree, reading = load_with_sections(path, CAMPAIGN_SECTIONS, overrides, METRIC_NAMES)
+    loaded, tree, reading = load_with_sections(path, CAMPAIGN_SECTIONS, overrides)
     run = loaded.scenario.run
     if run.accuracy is None and "step_s" not in run.model_fields_set:
         run = run.model_copy(update={"accuracy": ACCURACY})
@@ -221,7 +220,7 @@ def description_of(campaign: LoadedCampaign) -> dict[str, Any]:
 
 def campaign_from(description: Mapping[str, Any], label: str = "campaign") -> LoadedCampaign:
     """The campaign of a description. Raises ScenarioError or ValidationError where it was tampered with."""
-    loaded = load_scenario_text(description["scenario"], (), METRIC_NAMES, label)
+    loaded = load_scenario_text(description["scenario"], (), label)
     parts = {name: description[name] for name in CAMPAIGN_SECTIONS if description.get(name) is not None}
     file = CampaignFile.model_validate(plain(parts))
     return made_of(loaded, file, given=plain(description.get("tables", {})))

@@ -17,11 +17,11 @@ from maxq.sim.campaign.plan import SEED_KEY, Drawn
 from maxq.sim.campaign.read import Inputs, LoadedCampaign
 from maxq.sim.campaign.schema import Envelope
 from maxq.sim.campaign.targets import Refused
+from maxq.sim.flight.metric_table import METRIC_NAMES
 from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
 from maxq.sim.run.flight import Flight, Rows
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME, FlightRun
-from maxq.sim.run.metrics import METRIC_NAMES
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import NS_PER_S

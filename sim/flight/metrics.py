@@ -1,19 +1,20 @@
 """Flight metrics: maxima and totals gathered in the kernel at every step.
 
-A metric is declared as a field of `MetricIndex` (name, unit, meaning) and updated in `gather`; `Extremes` holds the
-value and the time of each. The metrics of a flight's end are declared in sim/run/metrics.py.
+A metric is declared as a field of `MetricIndex` (sim/flight/metric_table.py) and updated in `gather`; `Extremes` holds
+the value and the time of each.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 from maxq.control.computer import ComputerState
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_PENDULUMS, MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.flight.metric_table import MetricIndex
 from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.derivative import Held, Vehicle
 from maxq.sim.vehicle.schedule import TOTAL_MASS
@@ -23,38 +24,6 @@ from maxq.sim.world.earth import Earth
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 SIGNIFICANT_PRESSURE_PA = 1000.0  # incidence below this dynamic pressure is of no consequence
-
-
-class MetricIndex(NamedTuple):
-    """Index of each metric in `Extremes`, with its unit and its meaning."""
-
-    max_speed_mps: Annotated[int, "m/s", "largest speed relative to the Earth"]
-    max_altitude_m: Annotated[int, "m", "largest altitude"]
-    max_mach: Annotated[int, "1", "largest Mach number"]
-    max_dynamic_pressure_Pa: Annotated[int, "Pa", "largest dynamic pressure"]
-    max_powered_dynamic_pressure_Pa: Annotated[int, "Pa", "largest dynamic pressure under thrust"]
-    max_alpha_deg: Annotated[
-        int, "deg", "largest total angle of attack under thrust while the dynamic pressure exceeds 1 kPa"
-    ]
-    max_q_alpha_Padeg: Annotated[
-        int, "Pa deg", "largest product of dynamic pressure (above 1 kPa) and total angle of attack under thrust"
-    ]
-    max_attitude_error_deg: Annotated[
-        int, "deg", "largest angle of pitch or yaw from the commanded to the true attitude under thrust"
-    ]
-    max_roll_error_deg: Annotated[int, "deg", "the same of roll"]
-    max_computer_attitude_error_deg: Annotated[
-        int, "deg", "largest attitude error of pitch or yaw in the computer under thrust"
-    ]
-    max_computer_roll_error_deg: Annotated[int, "deg", "the same of roll"]
-    max_gimbal_deg: Annotated[int, "deg", "largest engine angle of either axis under thrust"]
-    max_gimbal_rate_degps: Annotated[int, "deg/s", "largest engine rate of either axis under thrust"]
-    max_bending_m: Annotated[int, "m", "largest displacement of the gimbal by bending, either plane"]
-    max_slosh_deg: Annotated[int, "deg", "largest angle of a slosh pendulum from the body axis under thrust"]
-    max_thrust_over_weight_g: Annotated[int, "g", "largest thrust over mass"]
-    max_axial_load_g: Annotated[int, "g", "largest sensed axial specific force at the vehicle's CG"]
-    max_lateral_load_g: Annotated[int, "g", "largest sensed lateral specific force at the core CG under thrust"]
-    saturation_time_s: Annotated[int, "s", "time during which a gimbal command is at its limit"]
 
 
 N_METRICS = len(MetricIndex._fields)

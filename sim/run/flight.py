@@ -9,8 +9,9 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
+from maxq.sim.flight.metric_table import figures, title_of, unit_of
 from maxq.sim.log.tabular import Tabular, html_table
-from maxq.sim.run.metrics import SectionExtreme, Verdict, figures, title_of, unit_of
+from maxq.sim.run.metrics import SectionExtreme, Verdict
 from maxq.sim.scenario.loader import LoadedScenario
 
 WAVE_BREAKING_NAME = "wave_breaking"

@@ -18,7 +18,7 @@ from maxq.control.kernel.records import Array, IntArray, Records, pack
 from maxq.control.orbit_guidance import CUT_OFF, STEERING
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import Logged, advance, begin
-from maxq.sim.flight.metrics import MetricIndex
+from maxq.sim.flight.metric_table import METRIC_NAMES, MetricIndex, StepMetrics, WaveMetrics
 from maxq.sim.flight.parameters import (
     BURNOUT,
     CONTROL_LOST,
@@ -34,17 +34,7 @@ from maxq.sim.flight.step import ARENA_SIZE
 from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, KeptRows, Rows, copied
-from maxq.sim.run.metrics import (
-    METRIC_NAMES,
-    StepMetrics,
-    WaveMetrics,
-    end_metrics,
-    judge,
-    orbit_metrics,
-    section_extremes,
-    section_metrics,
-    step_failure,
-)
+from maxq.sim.run.metrics import end_metrics, judge, orbit_metrics, section_extremes, section_metrics, step_failure
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import to_ns

@@ -1,21 +1,14 @@
-"""Metrics of a flight by name, those of its end included, and the verdicts on a scenario's requirements.
-
-A metric is declared once: as a field of `MetricIndex` (sim/flight/metrics.py) where the kernel gathers it, or of
-`SectionMetrics`, `WaveMetrics`, `StepMetrics` or `EndMetrics` where it follows from the extremes of sections and waves,
-the integration, or the flight's last instant.
-"""
+"""Metrics that follow from a flight's end and from its extremes, and the verdicts on a scenario's requirements."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.records import Records
 from maxq.control.kernel.vectors import Vector, add, cross, dot, norm, scaled
-from maxq.sim.flight.channels import declared_channels
-from maxq.sim.flight.metrics import MetricIndex
+from maxq.sim.flight.metric_table import EndMetrics, OrbitMetrics, SectionMetrics, title_of, unit_of
 from maxq.sim.scenario.schema_environment import Site
 from maxq.sim.scenario.schema_scenario import Requirement
 from maxq.sim.vehicle.loads import BENDING, COMPRESSION, KINDS, SHEAR, TENSILE, SectionLoads, extreme_index
@@ -23,55 +16,6 @@ from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, Earth
 
 _ITERATIONS = 200
 _CONVERGED_RAD = 1e-13
-
-
-class EndMetrics(NamedTuple):
-    """On a flat Earth latitude and longitude are nan; the site is its origin."""
-
-    flight_time_s: Annotated[
-        float, "s", "time to the end from lift-off, or from the start where nothing held the vehicle"
-    ]
-    range_m: Annotated[float, "m", "distance along the ground from the launch site to where the flight ended"]
-    final_latitude_deg: Annotated[float, "deg", "geodetic latitude at the end"]
-    final_longitude_deg: Annotated[float, "deg", "longitude at the end, east positive"]
-    final_altitude_m: Annotated[float, "m", "altitude at the end"]
-    final_speed_mps: Annotated[float, "m/s", "speed relative to the Earth at the end"]
-
-
-class SectionMetrics(NamedTuple):
-    """Of the section loads, under thrust and on the pad (with loads.coast always); nan without them."""
-
-    max_section_bending_moment_Nm: Annotated[float, "N m", "largest bending moment of a section, both planes together"]
-    max_section_bending_moment_station_m: Annotated[float, "m", "its station, aft of the nose"]
-    max_section_shear_N: Annotated[float, "N", "largest shear of a section, both planes together"]
-    max_section_compression_N: Annotated[float, "N", "largest axial compression of a section"]
-    max_section_tension_N: Annotated[float, "N", "largest axial tension of a section"]
-    max_section_load_ratio: Annotated[float, "1", "largest ratio of a section's load to its limit (loads.limits)"]
-    max_section_load_ratio_station_m: Annotated[float, "m", "its station, aft of the nose"]
-    max_section_mass_mismatch: Annotated[
-        float, "1", "largest relative difference between line mass and core: of the mass, of the CG over the length"
-    ]
-
-
-class WaveMetrics(NamedTuple):
-    """Over all tanks; nan for a vehicle that says nothing about the shape of any."""
-
-    max_wave_share: Annotated[
-        float, "1", "largest height of a wave in a tank under thrust, over that at which it counts as breaking"
-    ]
-
-
-class StepMetrics(NamedTuple):
-    """Estimated errors of the integration: those of single steps every half second, as often as there are steps, added
-    as if they never cancelled or died away (as their squares where an engine starts or stops within the step); that of
-    the position holds what those of attitude and speed become, none what becomes of it in the control loop. nan with
-    steps of a fixed length.
-    """
-
-    step_error_attitude_deg: Annotated[float, "deg", "estimated error of the attitude by the integration"]
-    step_error_bending_m: Annotated[float, "m", "the same of the worst mode"]
-    step_error_slosh_deg: Annotated[float, "deg", "the same of the worst pendulum"]
-    step_error_position_m: Annotated[float, "m", "the same of the position"]
 
 
 _OF_ERRORS = {
@@ -96,71 +40,6 @@ def step_failure(accuracy: float, metrics: Mapping[str, float], requirements: Se
                 f"{title_of(of)}, {allowed:.2g} {unit}"
             )
     return ""
-
-
-class OrbitMetrics(NamedTuple):
-    """Kepler's orbit that the flight is on at its end (osculating); nan without gravitation towards a centre."""
-
-    perigee_altitude_m: Annotated[float, "m", "lowest point above the equatorial radius, at the end"]
-    apogee_altitude_m: Annotated[float, "m", "highest point above the equatorial radius, at the end; inf: escapes"]
-    orbit_semimajor_m: Annotated[float, "m", "semi-major axis of the orbit, at the end; negative: escapes"]
-    orbit_eccentricity: Annotated[float, "1", "eccentricity of the orbit, at the end"]
-    orbit_inclination_deg: Annotated[float, "deg", "inclination of the orbit to the equator, at the end"]
-    orbit_ascending_node_deg: Annotated[float, "deg", "right ascension of the ascending node in I, at the end"]
-    orbit_argument_of_perigee_deg: Annotated[float, "deg", "angle from ascending node to perigee, at the end"]
-    orbit_true_anomaly_deg: Annotated[float, "deg", "angle from perigee to the vehicle, at the end"]
-
-
-METRICS = {
-    metric.name: metric
-    for kind in (MetricIndex, SectionMetrics, EndMetrics, WaveMetrics, StepMetrics, OrbitMetrics)
-    for metric in declared_channels(kind)
-}
-METRIC_NAMES = tuple(METRICS)
-"""Names that a requirement may use."""
-
-
-_SHORT = {  # where a name without its unit says less than it should
-    "max_alpha_deg": "largest angle of attack",
-    "max_q_alpha_Padeg": "largest q alpha",
-    "max_powered_dynamic_pressure_Pa": "largest dynamic pressure under thrust",
-    "max_bending_m": "largest bending at the gimbal",
-    "max_slosh_deg": "largest slosh angle",
-    "max_thrust_over_weight_g": "largest thrust over weight",
-    "max_section_bending_moment_station_m": "station of the largest bending moment",
-    "max_section_load_ratio": "largest section load over its limit",
-    "max_section_load_ratio_station_m": "its station",
-    "orbit_semimajor_m": "semi-major axis",
-    "max_wave_share": "largest wave over the breaking one",
-    "saturation_time_s": "gimbal command at its limit",
-}
-
-
-def title_of(metric: str) -> str:
-    """A metric's name for people, without its unit: "largest gimbal rate" for max_gimbal_rate_degps. A name that is no
-    metric's is returned as it is.
-    """
-    if metric in _SHORT or metric not in METRICS:
-        return _SHORT.get(metric, metric)
-    name = metric if unit_of(metric) == "1" else metric.rpartition("_")[0]
-    return name.replace("max_", "largest ", 1).replace("_", " ").replace(" mach", " Mach number")
-
-
-def figures(value: float, digits: int = 4) -> str:
-    """A value with so many significant digits, without exponent from 1e-4 to 1e7; what is below 1e-6 is 0."""
-    if not math.isfinite(value):
-        return "-" if math.isnan(value) else f"{value}"
-    if abs(value) < 1e-6:
-        return "0"
-    text = f"{value:.{digits}g}"
-    if "e" not in text or not 1e-4 <= abs(value) < 1e7:
-        return text
-    return f"{float(text):.0f}"
-
-
-def unit_of(metric: str) -> str:
-    """Unit of a metric; KeyError for an unknown name."""
-    return METRICS[metric].unit
 
 
 def end_metrics(final: Mapping[str, float], earth: Earth, site: Site, flight_time_s: float) -> EndMetrics:

@@ -19,6 +19,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from maxq.sim.files import cannot_write, write_whole
+from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.log import messages
 from maxq.sim.log.head import Attachment, LogError, RunHead
@@ -27,7 +28,6 @@ from maxq.sim.packing.integration import MethodError, worst_error
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, Rows, copied
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, FAULT_NAME, SOFTWARE_NAME, FlightRun
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
-from maxq.sim.run.metrics import unit_of
 from maxq.sim.scenario.loader import LoadedScenario, to_toml
 from maxq.sim.scenario.schema_values import period_ns
 

@@ -178,7 +178,6 @@ def locate(name: str, role: str) -> tuple[Path, str]:
 class Reading:
     """Files read so far; also the validation context, through which the schema reads its tables."""
 
-    known_metrics: tuple[str, ...] | None = None
     files: dict[Path, ReadFile] = field(default_factory=dict)
     soundings: dict[str, Any] = field(default_factory=dict)  # of wind files that hold them, see soundings.py
 

@@ -107,15 +107,12 @@ class LoadedScenario:
         return replace(self, scenario=changed)
 
 
-def load_scenario(
-    path: str | Path, overrides: Iterable[str] = (), known_metrics: tuple[str, ...] | None = None
-) -> LoadedScenario:
+def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> LoadedScenario:
     """The scenario in the file `path`, or the built-in one of that name, with `key=value` overrides applied.
 
-    `known_metrics`: names that a requirement may use; None accepts any. Raises ScenarioError.
+    Raises ScenarioError.
     """
-    loaded, _, _ = load_with_sections(path, (), overrides, known_metrics)
-    return loaded
+    return load_with_sections(path, (), overrides)[0]
 
 
 def is_campaign(path: str | Path) -> bool:
@@ -127,10 +124,7 @@ def is_campaign(path: str | Path) -> bool:
 
 
 def load_with_sections(
-    path: str | Path,
-    sections: tuple[str, ...],
-    overrides: Iterable[str] = (),
-    known_metrics: tuple[str, ...] | None = None,
+    path: str | Path, sections: tuple[str, ...], overrides: Iterable[str] = ()
 ) -> tuple[LoadedScenario, Table, Reading]:
     """As `load_scenario`, for a file with further top-level keys: those of `sections` that it has, unchecked.
 
@@ -138,7 +132,7 @@ def load_with_sections(
     """
     parsed = [parse_override(text) for text in overrides]
     file, label = locate(str(path), "scenario")
-    reading = Reading(known_metrics)
+    reading = Reading()
     tree = reading.document(file, label, "scenario")
     _assemble(reading, tree, parsed, (file.parent,))
     extra = Table(tree.source)
@@ -151,9 +145,7 @@ def load_with_sections(
     return _scenario(reading, tree, label, file.stem), extra, reading
 
 
-def load_scenario_text(
-    text: str, overrides: Iterable[str] = (), known_metrics: tuple[str, ...] | None = None, label: str = AS_FLOWN
-) -> LoadedScenario:
+def load_scenario_text(text: str, overrides: Iterable[str] = (), label: str = AS_FLOWN) -> LoadedScenario:
     """The scenario that a self-contained TOML `text` holds, e.g. one from a log. Raises ScenarioError.
 
     `label` names it in errors. Files that the text names are not read; overrides may name some.
@@ -163,7 +155,7 @@ def load_scenario_text(
     for key in ("extends", "unset"):
         if key in tree:
             raise ScenarioError(label, "a scenario given as text must be self-contained", key, value=tree[key])
-    reading = Reading(known_metrics)
+    reading = Reading()
     _assemble(reading, tree, parsed, ())
     return _scenario(reading, tree, label, "scenario")
 

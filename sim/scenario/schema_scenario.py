@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_FAULTS, MAX_INJECTIONS, MAX_TONES
 from maxq.control.structures import RELIEF
+from maxq.sim.flight.metric_table import METRIC_NAMES
 from maxq.sim.scenario.burn import check_coverage
 from maxq.sim.scenario.errors import refuse, suggestion
 from maxq.sim.scenario.schema_design import Design
@@ -299,15 +300,14 @@ class Requirement(Section):
         return ("limit", self.limit) if self.limit is not None else ("minimum", self.minimum or 0.0)
 
     @model_validator(mode="after")
-    def _judges(self, info: ValidationInfo) -> Requirement:
+    def _judges(self) -> Requirement:
         self.at_most_one("limit", "minimum")
         if self.limit is None and self.minimum is None:
             raise refuse("required key is missing: a requirement needs a bound", "limit or minimum", "limit")
-        known: tuple[str, ...] | None = getattr(info.context, "known_metrics", None)
-        if known is not None and self.metric not in known:
-            hint = suggestion(self.metric, known)
+        if self.metric not in METRIC_NAMES:
+            hint = suggestion(self.metric, METRIC_NAMES)
             problem = "unknown metric" + (f"; {hint}" if hint else "")
-            raise refuse(problem, "" if hint else ", ".join(known), "metric")
+            raise refuse(problem, "" if hint else ", ".join(METRIC_NAMES), "metric")
         return self
 
 

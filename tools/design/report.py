@@ -19,7 +19,7 @@ from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.optimise.solution import Certificate, Solution
 from maxq.design.verify.judging import LIMITS, Check, Judged, Outcome, RigidBody
 from maxq.sim.files import write_whole
-from maxq.sim.run.metrics import figures
+from maxq.sim.flight.metric_table import figures
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.terminal import aligned, printable
 

@@ -22,7 +22,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from maxq.sim.run.metrics import figures
+from maxq.sim.flight.metric_table import figures
 from maxq.tools.plots.figures import Plot, as_json
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from maxq.control.kernel.records import Array
 from maxq.sim.campaign.analysis import Band, DataSet, Driver, Judged
 from maxq.sim.campaign.tails import Tail
-from maxq.sim.run.metrics import title_of
+from maxq.sim.flight.metric_table import title_of
 from maxq.tools.plots.figures import Panel, Plot, Series, at, band, limit, line, points
 
 Found = Sequence[tuple[Judged, Sequence[Driver]]]

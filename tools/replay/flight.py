@@ -24,13 +24,13 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
+from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.log.head import LogError
 from maxq.sim.log.messages import FramePath, Level
 from maxq.sim.log.reader import Log, read_log
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.run import launch_frames
 from maxq.sim.run.launch_frames import ENU_NED, LaunchFrames, plain
-from maxq.sim.run.metrics import unit_of
 from maxq.sim.run.record import LOG_NAME, SCENARIO_ATTACHMENT, SUMMARY_NAME
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario_text

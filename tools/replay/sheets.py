@@ -20,7 +20,7 @@ from matplotlib.lines import Line2D
 from scipy.signal import detrend, spectrogram
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.sim.run.metrics import figures
+from maxq.sim.flight.metric_table import figures
 from maxq.sim.scenario.schema_loads import Loads
 from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, LIMIT, ON_LIGHT, RED, VERDICT, WHITE
 from maxq.tools.plots.style import curve as look_of

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.flight.metric_table import figures
 from maxq.sim.log.messages import Level
-from maxq.sim.run.metrics import figures
 from maxq.tools.plots.palette import ON_DARK
 from maxq.tools.replay.flight import LaunchSite, ReplayFlight, Requirement
 from maxq.tools.replay.plots import Curve, Plot, tabs_of

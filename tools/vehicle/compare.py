@@ -11,8 +11,8 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.vehicle_at import vehicle_at
+from maxq.sim.flight.metric_table import figures
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.run.metrics import figures
 from maxq.sim.scenario.files import scenarios_folder
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.tools.cli.terminal import aligned

@@ -22,7 +22,8 @@ from maxq.design.verify.verify import Verification, tank_name
 from maxq.design.verify.worst import WorstVehicle
 from maxq.sim.campaign.statistics import MET
 from maxq.sim.files import plain_name, write_whole
-from maxq.sim.run.metrics import Verdict, unit_of
+from maxq.sim.flight.metric_table import unit_of
+from maxq.sim.run.metrics import Verdict
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.report import write_record
 from maxq.tools.pages.render import render

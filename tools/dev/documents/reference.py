@@ -16,12 +16,12 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from maxq.sim.flight.channels import ChannelTable
+from maxq.sim.flight.metric_table import METRICS
 from maxq.sim.flight.parameters import EVENT_NAMES
 from maxq.sim.flight.telemetry import channel_table
 from maxq.sim.packing.schedule import stage_sizes
 from maxq.sim.run.flight import WAVE_BREAKING_NAME
 from maxq.sim.run.fly import CONTROL_LOST_CAUSE, FAULT_END_NAME, FAULT_NAME, IGNITION_NAME, SOFTWARE_NAME
-from maxq.sim.run.metrics import METRICS
 from maxq.sim.scenario.errors import show_value
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.messages import describe, section_of, unwrap
