@@ -194,11 +194,11 @@ def test_extends_merges_tables_and_replaces_lists(ascent: Path) -> None:
     sub.mkdir()
     (sub / "calm.toml").write_text(
         'extends = "../ascent.toml"\nunset = ["wind.profile"]\n[run]\nstep_s = 0.002\n'
-        '[[requirement]]\nmetric = "m"\nminimum = 1.0\n'
+        '[[requirement]]\nmetric = "range_m"\nminimum = 1.0\n'
     )
     parent, child = load_scenario(ascent).scenario, load_scenario(sub / "calm.toml").scenario
     assert (child.run.duration_s, child.run.step_s) == (300.0, 0.002)
-    assert [r.metric for r in child.requirement] == ["m"]
+    assert [r.metric for r in child.requirement] == ["range_m"]
     assert (parent.name, child.name) == ("ascent", "calm")
     assert parent.wind.profile is not None
     assert child.wind.profile is None
