@@ -51,7 +51,7 @@ def test_a_vehicle_names_such_a_file(name: str, tmp_path: Path) -> None:
     given = loaded.vehicle.stage[0].spatial_modes
     assert given is not None
     modes = given.modes
-    assert loaded.doubts == (
+    assert loaded.warnings == (
         "vehicle.stage.0.spatial_modes.table: mass_forward_kg is 0 everywhere: the axial load does not soften these "
         "modes, and their generalised masses and orthogonality are unchecked",
     )
@@ -157,7 +157,7 @@ def flown_with(file: Path) -> LoadedScenario:
 def test_lumped_masses_soften_the_modes_and_are_checked(tmp_path: Path) -> None:
     """A uniform beam of 4200 kg in lumps: 300 kg/m forward of a station, and softening as the integral has it."""
     loaded = flown_with(beside(tmp_path, GRIDS + conm2()))
-    assert loaded.doubts == ()
+    assert loaded.warnings == ()
     given = loaded.vehicle.stage[0].spatial_modes
     assert given is not None
     modes = given.modes
@@ -179,16 +179,16 @@ def test_lumped_masses_soften_the_modes_and_are_checked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("bulk", [GRIDS, GRIDS + conm2(0.3)], ids=["none", "a part"])
-def test_masses_that_are_not_all_are_doubted(bulk: str, tmp_path: Path) -> None:
+def test_masses_that_are_not_all_are_warned_of(bulk: str, tmp_path: Path) -> None:
     assert (
         "mass_forward_kg is 0 everywhere: the axial load does not soften"
-        in flown_with(beside(tmp_path, bulk)).doubts[0]
+        in flown_with(beside(tmp_path, bulk)).warnings[0]
     )
 
 
-def test_masses_that_fit_badly_are_doubted(tmp_path: Path) -> None:
-    doubted = flown_with(beside(tmp_path, GRIDS + conm2(1.3))).doubts
-    assert "with the masses at the stations the shapes' products are 1.3" in doubted[0]
+def test_masses_that_fit_badly_are_warned_of(tmp_path: Path) -> None:
+    warned_of = flown_with(beside(tmp_path, GRIDS + conm2(1.3))).warnings
+    assert "with the masses at the stations the shapes' products are 1.3" in warned_of[0]
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.vehicle.build import build
-from maxq.tools.vehicle.build import warnings as doubts
+from maxq.tools.vehicle.build import warnings as warnings_of
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout
 from maxq.tools.vehicle.report import report
@@ -124,7 +124,7 @@ def built_and_flown(document: dict[str, Any], folder: Path, whole: bool) -> str:
     except (ScenarioError, ValueError) as error:
         return str(error)
     assert "nan" not in report(built)
-    assert all("nan" not in word for word in doubts(built))
+    assert all("nan" not in word for word in warnings_of(built))
     separation = [built.flight.begins_s[n] for n in range(1, len(built.stacks))]
     until = 6.0 if not whole else (separation[0] + 5.0 if separation else 60.0)
     loaded = load_scenario(folder / "out" / "scenario.toml", [f"run.duration_s={until}", "run.accuracy=0.05"])

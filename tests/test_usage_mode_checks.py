@@ -1,4 +1,4 @@
-"""Mode tables that cannot be right are refused, those that are unlikely are doubted; good ones pass in silence."""
+"""Mode tables that cannot be right are refused, those that are unlikely are warned of; good ones pass in silence."""
 
 from __future__ import annotations
 
@@ -61,10 +61,10 @@ def spatial(table: list[Tree], weight: float = 1.0) -> Tree:
     return with_stage(scenario_of(Parts()), spatial_modes={"table": turned, "damping_ratio": [0.005] * 3})
 
 
-def test_the_modes_of_a_beam_are_not_doubted() -> None:
+def test_the_modes_of_a_beam_are_not_warned_of() -> None:
     for tree in (planar(rows()), spatial(rows())):
-        assert load(tree).doubts == ()
-    assert load_scenario("nominal").doubts == ()
+        assert load(tree).warnings == ()
+    assert load_scenario("nominal").warnings == ()
 
 
 def flip_slope(row: dict[str, float]) -> None:
@@ -120,7 +120,7 @@ def test_modes_that_twist_need_no_inertia_about_the_axis() -> None:
         if row["mode"] == 3:
             twist = np.cos(np.pi * row["station_m"] / LENGTH_M)
             row.update(dict.fromkeys(("phi_y", "phi_z", "theta_y_pm", "theta_z_pm"), 0.0) | {"theta_x_pm": twist})
-    assert load(tree).doubts == ()
+    assert load(tree).warnings == ()
     for row in table:
         row["roll_inertia_kgm2"] = row["mass_kg"] * 1e-4
     with pytest.raises(ScenarioError, match="of the generalised masses"):
@@ -130,7 +130,7 @@ def test_modes_that_twist_need_no_inertia_about_the_axis() -> None:
 def test_masses_at_the_stations_must_fit() -> None:
     with pytest.raises(ScenarioError, match=r"are 3\.02 to 3\.06 of the generalised masses"):
         load(spatial(rows(), weight=3.0))
-    assert "are 1.21 to 1.22 of the generalised masses" in load(spatial(rows(), weight=1.2)).doubts[0]
+    assert "are 1.21 to 1.22 of the generalised masses" in load(spatial(rows(), weight=1.2)).warnings[0]
 
 
 def halve(key: str, factor: float) -> Callable[[dict[str, float]], None]:
@@ -149,7 +149,7 @@ def falling(row: dict[str, float]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "doubt"),
+    ("change", "warning"),
     [
         (halve("slope_pm", 0.5), "deviates by 50 % from the shape's derivative"),
         (halve("generalized_mass_kg", 1e-3), "at 0 s is 1.05 kg, where shape and mass_forward_kg give"),
@@ -157,8 +157,8 @@ def falling(row: dict[str, float]) -> None:
         (falling, "frequencies of modes 1 and 2 at 0 s are not in rising order"),
     ],
 )
-def test_unlikely_tables_are_doubted(change: Callable[[dict[str, float]], None], doubt: str) -> None:
-    assert any(doubt in text for text in load(planar(rows(change))).doubts)
+def test_unlikely_tables_are_warned_of(change: Callable[[dict[str, float]], None], warning: str) -> None:
+    assert any(warning in text for text in load(planar(rows(change))).warnings)
 
 
 MASSES = {"time_s": [0.0, 20.0, 50.0], "mass_kg": [5000.0, 4000.0, 2600.0], "x_cg_m": [7.0, 6.8, 6.5]}
@@ -190,7 +190,7 @@ def test_modes_over_mass_are_those_over_time(make: Callable[[list[Tree]], Tree],
         assert a.frequency_hz.tobytes() == b.frequency_hz.tobytes()
         assert a.moved.tobytes() == b.moved.tobytes()
     assert given["total_mass_kg"].as_flown == given["time_s"].as_flown
-    assert given["total_mass_kg"].doubts == given["time_s"].doubts
+    assert given["total_mass_kg"].warnings == given["time_s"].warnings
 
 
 def test_a_mass_between_the_rows_is_met_on_the_joined_curve() -> None:
@@ -235,8 +235,8 @@ def test_the_second_vehicle_is_checked_likewise(tmp_path: Path) -> None:
     flipped.write_text("\n".join(lines) + "\n")
     with pytest.raises(ScenarioError, match=r"slope of mode 1 .* has the opposite sign"):
         petrel.scenario(f"vehicle.stage.0.bending.pitch='{flipped}'")
-    doubts = petrel.scenario("vehicle.reference.length_m=180.0").doubts
-    assert any("reference.length_m = 180" in str(doubt) for doubt in doubts)
+    found = petrel.scenario("vehicle.reference.length_m=180.0").warnings
+    assert any("reference.length_m = 180" in str(warning) for warning in found)
     with pytest.raises(
         ValueError, match=r"node at 0 s: the vehicle is held down; allowed are times under thrust: lift-off to "
     ):

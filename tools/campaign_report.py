@@ -185,7 +185,7 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], ta
     table = aligned([heads(data), *map(cells, verdicts)], "  ", right=range(3, 11), drop=(11, 6, 10, 9, 8, 7, 4))
     lines = [
         title,
-        *(f"warning: {printable(doubt)}" for doubt in data.campaign.doubts),
+        *(f"warning: {printable(warning)}" for warning in data.campaign.warnings),
         "",
         f"{len(data.runs)} runs: {ends or 'none'}; {len(failed_runs(data))} failed",
         "",

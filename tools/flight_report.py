@@ -24,7 +24,7 @@ def report(flight: Flight, files: list[Path], total_s: float) -> str:
     """All that is said about a flight, in plain text."""
     scenario = flight.scenario.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
-    head = [title, *(f"warning: {printable(doubt)}" for doubt in flight.scenario.doubts)]
+    head = [title, *(f"warning: {printable(warning)}" for warning in flight.scenario.warnings)]
     parts = [head, _requirements(flight.verdicts), _events(flight), _metrics(flight)]
     if flight.outcome == DIVERGED_NAME:
         parts.append(_state(flight))

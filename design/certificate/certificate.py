@@ -208,10 +208,10 @@ def certify_node(
         return NodeCertificate(node.time_s, node.plane, of_flown.stable, nothing, (), cycle, total_gain_db)
     responses = measured_response(held, loop, pade[0], bands, at_half=fault is None)
     rows = [_margin_row(measure_margin(held, loop, of_held, name), of_pade, of_flown) for name in names]
-    doubted = [k for k, row in enumerate(rows) if row.reason in (UNEXPLAINED, NOT_SETTLED)]
-    if doubted and loaded.scenario.switches.converter == "full":
+    open_rows = [k for k, row in enumerate(rows) if row.reason in (UNEXPLAINED, NOT_SETTLED)]
+    if open_rows and loaded.scenario.switches.converter == "full":
         fine = hold(with_ideal_converters(loaded), node, fault, along_body=along_body)
-        for k in doubted:
+        for k in open_rows:
             again = _margin_row(measure_margin(fine, loop, of_held, names[k]), of_pade, of_flown)
             rows[k] = _with_noise(rows[k], again)
     if drifts is not None:

@@ -112,10 +112,10 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
             for i in range(len(lines))
         )
         out.append(InFlightResponse(time_s, plane, lines, frozen, measured, error, reasons))
-    doubted = [k for k, found in enumerate(out) if UNEXPLAINED in found.reason]
-    if doubted and loaded.scenario.switches.converter == "full":
-        again = in_flight_response(with_ideal_converters(loaded), [times_s[k] for k in doubted], plane)
-        for k, fine in zip(doubted, again, strict=True):
+    unexplained = [k for k, found in enumerate(out) if UNEXPLAINED in found.reason]
+    if unexplained and loaded.scenario.switches.converter == "full":
+        again = in_flight_response(with_ideal_converters(loaded), [times_s[k] for k in unexplained], plane)
+        for k, fine in zip(unexplained, again, strict=True):
             out[k] = dataclasses.replace(out[k], reason=converters_share(out[k].reason, fine.reason))
     return out
 

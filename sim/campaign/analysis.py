@@ -265,7 +265,7 @@ def summary_of(
         "outcomes": dict(sorted(Counter(data.outcomes).items())),
         "failed_runs": len(failed_runs(data)),
         "redraws": {"draws": drawn, "runs": in_runs},
-        "warnings": data.campaign.doubts,
+        "warnings": data.campaign.warnings,
         "requirements": verdicts,
         "lost": losses,
         **further,

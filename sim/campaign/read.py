@@ -38,7 +38,7 @@ Place = tuple[str, int]
 """Name of a draw, and number of its target."""
 ACCURACY = 0.05
 """run.accuracy of campaigns that give neither it nor a step (docs/performance.md)."""
-_DOUBTED_SIGMAS = 3.0
+_PLAUSIBLE_SIGMAS = 3.0
 _JOINT = 1 << 20  # attempts of a run whose values exclude each other begin here, apart from those of single keys
 
 
@@ -174,9 +174,9 @@ class LoadedCampaign:
         return out
 
     @cached_property
-    def doubts(self) -> tuple[str, ...]:
-        """What scenario and dispersions hold and is hardly meant, a line each."""
-        boxes, found = self.boxes(_DOUBTED_SIGMAS), []
+    def warnings(self) -> tuple[str, ...]:
+        """What scenario and dispersions hold and is implausible, a line each."""
+        boxes, found = self.boxes(_PLAUSIBLE_SIGMAS), []
         for d in self.plan.draws:
             if d.name not in boxes or d.targets[0].is_angle:
                 continue
@@ -188,10 +188,10 @@ class LoadedCampaign:
             centre = 1.0 if of_factor else d.nominal
             if (of_factor or d.targets[0].kind == "number") and low * centre < 0.0 < high * centre:
                 found.append(
-                    f"{d.name} is hardly meant to change its sign, as it does between {low:.4g} and {high:.4g} "
-                    f"({_DOUBTED_SIGMAS:g} sigma); usual: a smaller spread, or at_least and at_most"
+                    f"{d.name} is not expected to change its sign, as it does between {low:.4g} and {high:.4g} "
+                    f"({_PLAUSIBLE_SIGMAS:g} sigma); usual: a smaller spread, or at_least and at_most"
                 )
-        return (*self.base.doubts, *found)
+        return (*self.base.warnings, *found)
 
 
 def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCampaign:

@@ -215,7 +215,7 @@ def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str,
         "cause": flight.cause,
         "passed": flight.passed,
         "failures": flight.failures,
-        "warnings": flight.scenario.doubts,
+        "warnings": flight.scenario.warnings,
         "beyond_model": flight.beyond_model,
         "end_s": flight.end_s,
         "events": [

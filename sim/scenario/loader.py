@@ -34,7 +34,6 @@ from maxq.sim.scenario.documents import (
     source_of,
     walk,
 )
-from maxq.sim.scenario.doubts import doubts
 from maxq.sim.scenario.errors import ScenarioError, suggestion
 from maxq.sim.scenario.files import (
     FOLDERS,
@@ -48,6 +47,7 @@ from maxq.sim.scenario.files import (
     scenarios_folder,
 )
 from maxq.sim.scenario.messages import explain
+from maxq.sim.scenario.plausibility import warnings
 from maxq.sim.scenario.ranges import LARGEST_NUMBER
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -88,9 +88,9 @@ class LoadedScenario:
         return self.scenario.design
 
     @cached_property
-    def doubts(self) -> tuple[str, ...]:
-        """What it holds and is hardly meant, a line each."""
-        return doubts(self.scenario)
+    def warnings(self) -> tuple[str, ...]:
+        """What it holds and is implausible, a line each."""
+        return warnings(self.scenario)
 
     @cached_property
     def as_flown(self) -> str:

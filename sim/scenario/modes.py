@@ -1,6 +1,6 @@
 """Mode tables: from the long format (one row per time, mode and station) to arrays, and whether they are mode shapes.
 
-What cannot be a mode shape is refused, what is unlikely is doubted, within limits set by what a good table shows.
+What cannot be a mode shape is refused, what is unlikely is warned of, within limits set by what a good table shows.
 KSR-III's (44 stations, 3 modes, 25 times, from a finite-element beam): slopes deviate from the shapes' derivative by
 0.8 % at most, successive times agree to a modal assurance criterion of 0.997 and frequencies to 2 %, and the mass
 forward gives 0.77 to 0.88 of the generalised masses, because the engine's inertia is not in it.
@@ -22,7 +22,7 @@ from maxq.sim.scenario.tables_csv import Columns, CsvTable
 Floats = NDArray[np.float64]
 
 SLOPE_DEVIATION, ASSURANCE, FREQUENCY_STEP, MASS_RATIO, ORTHOGONALITY = 0.2, 0.8, 0.3, 3.0, 0.1
-"""Beyond these a table is doubted; see `mode_doubts`."""
+"""Beyond these a table is warned of; see `mode_warnings`."""
 
 OVER_MASS = "total_mass_kg"
 """In place of time_s: the vehicle's total mass while the stage flies, falling."""
@@ -268,7 +268,7 @@ def refuse_impossible(table: CsvTable, modes: ModeTable | SpatialModeTable, at: 
             )
 
 
-def mode_doubts(modes: ModeTable | SpatialModeTable) -> list[str]:
+def mode_warnings(modes: ModeTable | SpatialModeTable) -> list[str]:
     """What is unlikely in a table, a sentence each."""
     out = []
     slope, deviation = _slopes(modes)
@@ -297,10 +297,10 @@ def mode_doubts(modes: ModeTable | SpatialModeTable) -> list[str]:
                 f"(modal assurance criterion {own[m]:.2f})"
             )
             break
-    return out + _mass_doubts(modes)
+    return out + _mass_warnings(modes)
 
 
-def _mass_doubts(modes: ModeTable | SpatialModeTable) -> list[str]:
+def _mass_warnings(modes: ModeTable | SpatialModeTable) -> list[str]:
     if not modes.mass_forward_kg.any():
         return [
             "mass_forward_kg is 0 everywhere: the axial load does not soften these modes"

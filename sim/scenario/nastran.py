@@ -289,7 +289,7 @@ def spatial_columns(modes: Mapping[float, NastranModes], count: int = MAX_MODES)
 
     `mass_forward_kg` is that of the CONM2 cards; zero where they are not all of the mass of each time: when there are
     none, or when the shapes under them give less than half or more than twice a generalised mass. The axial load then
-    does not soften the modes, which reading the table doubts. Where they are, `mass_kg` (and `roll_inertia_kgm2`) are
+    does not soften the modes, which reading the table warns of. Where they are, `mass_kg` (and `roll_inertia_kgm2`) are
     lumped at the stations. Raises the schema's refusal where fewer than two grid points lie on the axis.
     """
     out: dict[str, list[float]] = {}

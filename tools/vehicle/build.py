@@ -1,4 +1,4 @@
-"""A layout worked out: masses, modes, aerodynamics, ascent and first gains; what was assumed, what is doubtful.
+"""A layout worked out: masses, modes, aerodynamics, ascent and first gains; what was assumed, what is implausible.
 
 Every number is an estimate to begin with. What was assumed beyond the layout is listed in `Built.assumed`.
 """

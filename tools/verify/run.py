@@ -93,8 +93,8 @@ def execute(order: Order) -> int:
             tell(*report.report(one, f"{name} by the suite {one.suite.name}"), *report.reasons(one))
             for left in one.left_out:
                 tell(f"left out: {printable(left)}")
-            for doubt in one.scenario.doubts:
-                tell(f"warning: {printable(doubt)}")
+            for warning in one.scenario.warnings:
+                tell(f"warning: {printable(warning)}")
             tell(
                 f"\n{len(files)} file{'s' * (len(files) > 1)} in {folder}/; {time.perf_counter() - begun:.1f} s, "
                 f"{one.recalled} results reused from earlier runs\n{report.headline(one)}\n"

@@ -1,4 +1,4 @@
-"""What a scenario may hold and is hardly meant: said as warnings, and flown as it is.
+"""What a scenario may hold and is implausible: said as warnings, and flown as it is.
 
 The bounds are those of launch vehicles that exist, with room. What no vehicle can have is refused (`ranges.py`).
 """
@@ -11,13 +11,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.sim.scenario.modes import mode_doubts
+from maxq.sim.scenario.modes import mode_warnings
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_tank import Tank
 from maxq.sim.scenario.schema_vehicle import Reference, Stage
 
 Floats = NDArray[np.float64]
-Doubt = tuple[str, float, str]
+Implausible = tuple[str, float, str]
 """Key, value, and what it should be like."""
 
 _LONG_RUN = 1e9  # steps or log rows: hours, and hundreds of gigabytes
@@ -30,9 +30,9 @@ _DAMPED = 0.01  # damping ratio of what baffles damp
 _ROOT = 1.8412  # first zero of J1'
 
 
-def doubts(scenario: Scenario) -> tuple[str, ...]:
+def warnings(scenario: Scenario) -> tuple[str, ...]:
     """A line for each: key, value and what is usual, or what is odd about a mode table."""
-    found: list[Doubt] = [*_run(scenario), *_surroundings(scenario)]
+    found: list[Implausible] = [*_run(scenario), *_surroundings(scenario)]
     reference = scenario.vehicle.reference
     for n, stage in enumerate(scenario.vehicle.stage):
         of_stage = [*_stage(stage, reference), *_control(stage, reference, first=n == 0), *_liquids(stage)]
@@ -40,11 +40,11 @@ def doubts(scenario: Scenario) -> tuple[str, ...]:
     found += _sampling(scenario)
     if any(stage.aero is not None for stage in scenario.vehicle.stage):
         tails = [tail for stage in scenario.vehicle.stage for tail in _tails(stage)]
-        doubted = _reference(reference, max(tails, default=0.0))
-        found += [(f"vehicle.reference.{key}", value, usual) for key, value, usual in doubted]
+        unusual = _reference(reference, max(tails, default=0.0))
+        found += [(f"vehicle.reference.{key}", value, usual) for key, value, usual in unusual]
     if scenario.held and scenario.holddown.release == "thrust":
         found += _lift_off(scenario.vehicle.stage[0])
-    said = [f"{key} = {value:.6g} is hardly meant; usual: {usual}" for key, value, usual in found]
+    said = [f"{key} = {value:.6g} is implausible; usual: {usual}" for key, value, usual in found]
     for n, stage in enumerate(scenario.vehicle.stage):
         said += [
             f"vehicle.stage.{n}.tank.{k}.radius_m is not given: breaking waves of this tank are not reported"
@@ -52,11 +52,11 @@ def doubts(scenario: Scenario) -> tuple[str, ...]:
             if tank.radius_m is None and scenario.switches.slosh
         ]
         for key, table in stage.mode_tables():
-            said += [f"vehicle.stage.{n}.{key}: {doubt}" for doubt in mode_doubts(table)]
+            said += [f"vehicle.stage.{n}.{key}: {warning}" for warning in mode_warnings(table)]
     return tuple(said)
 
 
-def _reference(reference: Reference, tail_m: float) -> Iterator[Doubt]:
+def _reference(reference: Reference, tail_m: float) -> Iterator[Implausible]:
     """Lengths against each other; `tail_m`: the hindmost station that the files name, 0 where there is none."""
     length, diameter, area = reference.length_m, reference.diameter_m, reference.area_m2
     if tail_m > 0.0 and not 0.9 * tail_m <= length <= 2.0 * tail_m:
@@ -82,7 +82,7 @@ def _tails(stage: Stage) -> Iterator[float]:
                 yield float(table["station_m"].max())
 
 
-def _stage(stage: Stage, reference: Reference) -> Iterator[Doubt]:
+def _stage(stage: Stage, reference: Reference) -> Iterator[Implausible]:
     mass, table, length = stage.mass, stage.mass.table, reference.length_m
     if table is not None:
         kg, cg_m, lateral = table["mass_kg"], table["x_cg_m"], np.maximum(table["Iyy_kgm2"], table["Izz_kgm2"])
@@ -122,7 +122,7 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Doubt]:
         yield key, float(lateral[at]), f"at most {most[at]:.3g} kg m2, all of the mass at the ends of {length:g} m"
 
 
-def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Doubt]:
+def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Implausible]:
     """Gimbals against CG, centre of pressure against body and CG, and what incidence the first stage can hold."""
     mass, engines = stage.mass.table, [e for e in stage.engines if e.gimbal != "fixed"]
     if mass is None or stage.aero is None:
@@ -188,7 +188,7 @@ def _lift(stage: Stage) -> tuple[Floats, Floats] | None:
     return (slope[lifts], moment[lifts] / slope[lifts] + aero.centre_shift_m) if lifts.any() else None
 
 
-def _liquids(stage: Stage) -> Iterator[Doubt]:
+def _liquids(stage: Stage) -> Iterator[Implausible]:
     """Hardly damped liquid between CG and centre of percussion, where a loop about the attitude excites it.
 
     (Greensite, Analysis and Design of Space Vehicle Flight Control Systems, vol. 1, section 3: of a body turned at its
@@ -222,7 +222,7 @@ def _bob(tank: Tank) -> tuple[Floats, Floats, Floats]:
     return table["time_s"], (tank.bottom_station_m or 0.0) - radius * depth + below, share * kg
 
 
-def _sampling(scenario: Scenario) -> Iterator[Doubt]:
+def _sampling(scenario: Scenario) -> Iterator[Implausible]:
     """The first bending mode against the computer's sample rate."""
     computer = scenario.vehicle.computer
     if computer is None:
@@ -237,7 +237,7 @@ def _sampling(scenario: Scenario) -> Iterator[Doubt]:
                 return
 
 
-def _lift_off(stage: Stage) -> Iterator[Doubt]:
+def _lift_off(stage: Stage) -> Iterator[Implausible]:
     """A vehicle that is held down until thrust exceeds weight, and never is let go."""
     thrust = sum(engine.thrust_factor * float(engine.table["thrust_vacuum_N"].max()) for engine in stage.engines)
     kg = stage.mass.mass_kg if stage.mass.table is None else float(stage.mass.table["mass_kg"].min())
@@ -246,7 +246,7 @@ def _lift_off(stage: Stage) -> Iterator[Doubt]:
         yield "vehicle.stage.0.engine", thrust, usual
 
 
-def _run(scenario: Scenario) -> Iterator[Doubt]:
+def _run(scenario: Scenario) -> Iterator[Implausible]:
     run, fastest = scenario.run, scenario.log.fast_hz
     if run.duration_s / run.step_s > _LONG_RUN:
         yield "run.step_s", run.step_s, f"fewer than {_LONG_RUN:g} steps in duration_s = {run.duration_s:g} s"
@@ -254,7 +254,7 @@ def _run(scenario: Scenario) -> Iterator[Doubt]:
         yield "log.fast_hz", fastest, f"fewer than {_LONG_RUN:g} rows in duration_s = {run.duration_s:g} s"
 
 
-def _surroundings(scenario: Scenario) -> Iterator[Doubt]:
+def _surroundings(scenario: Scenario) -> Iterator[Implausible]:
     site, wind = scenario.site, scenario.wind
     if scenario.initial is None and not -500.0 <= site.altitude_m <= 9000.0:
         yield "site.altitude_m", site.altitude_m, "a place on the ground, -500 .. 9000 m"

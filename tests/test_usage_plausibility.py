@@ -1,4 +1,4 @@
-"""What is possible and hardly meant is flown, with a warning that names key, value and what is usual."""
+"""What is possible but implausible is flown, with a warning that names key, value and what is usual."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from maxq.tools.vehicle.build import build
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout
 
-SPHERE = "vehicle.stage.0.mass.inertia_kgm2 = 4.88094 is hardly meant; usual: at most 0.169 kg m2"
+SPHERE = "vehicle.stage.0.mass.inertia_kgm2 = 4.88094 is implausible; usual: at most 0.169 kg m2"
 
 
 @pytest.fixture
@@ -31,43 +31,43 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def meant(doubts: tuple[str, ...]) -> list[str]:
+def implausible(warnings: tuple[str, ...]) -> list[str]:
     """Without those about the mode tables, which are made up."""
-    return [doubt for doubt in doubts if "hardly meant" in doubt]
+    return [warning for warning in warnings if "implausible" in warning or "not expected" in warning]
 
 
-def test_what_is_usual_is_not_doubted() -> None:
-    assert load_scenario("nominal").doubts == ()
-    assert load_campaign("campaigns/ksr3").doubts == ()
-    assert load_campaign("campaigns/first").doubts == ()
+def test_what_is_usual_is_not_warned_of() -> None:
+    assert load_scenario("nominal").warnings == ()
+    assert load_campaign("campaigns/ksr3").warnings == ()
+    assert load_campaign("campaigns/first").warnings == ()
 
 
 def test_the_sphere_of_the_check_cases_is_none() -> None:
     """NESC's sphere of 6 inches and 1 slug has the inertia of one of 13 feet: as published, and said."""
-    assert [doubt[: len(SPHERE)] for doubt in load_scenario("checkcases/nesc-01").doubts] == [SPHERE]
+    assert [warning[: len(SPHERE)] for warning in load_scenario("checkcases/nesc-01").warnings] == [SPHERE]
 
 
 @pytest.mark.parametrize(
     ("overrides", "says"),
     [
-        (["reference.length_m=180.0"], "reference.length_m = 180 is hardly meant; usual: the hindmost station, 14"),
+        (["reference.length_m=180.0"], "reference.length_m = 180 is implausible; usual: the hindmost station, 14"),
         (["reference.length_m=1.4"], "vehicle.reference.length_m = 1.4 is"),
-        (["reference.diameter_m=100.0"], "diameter_m = 100 is hardly meant; usual: less than the length"),
-        (["reference.area_m2=78.5"], "area_m2 = 78.5 is hardly meant; usual: about that of the diameter"),
+        (["reference.diameter_m=100.0"], "diameter_m = 100 is implausible; usual: less than the length"),
+        (["reference.area_m2=78.5"], "area_m2 = 78.5 is implausible; usual: about that of the diameter"),
         (["reference.chord_m=140.0"], "vehicle.reference.chord_m = 140 is"),
-        (["stage.0.mass.table.mass_kg=[6e7,5e7,4e7]"], "vehicle.stage.0.mass.table.mass_kg = 6e+07 is hardly meant"),
-        (["stage.0.mass.table.x_cg_m=[76.0,7.5,7.2]"], "mass.table.x_cg_m = 76 is hardly meant; usual: inside"),
+        (["stage.0.mass.table.mass_kg=[6e7,5e7,4e7]"], "vehicle.stage.0.mass.table.mass_kg = 6e+07 is implausible"),
+        (["stage.0.mass.table.x_cg_m=[76.0,7.5,7.2]"], "mass.table.x_cg_m = 76 is implausible; usual: inside"),
         ([f"stage.0.mass.table.I{axis}_kgm2=[65893e3,60000e3,50000e3]" for axis in ("yy", "zz")],
-         "vehicle.stage.0.mass.table.Iyy_kgm2 = 6.5893e+07 is hardly meant; usual: at most 3e+05"),
-        (["stage.0.engine.thrust_factor=100.0"], "engine.table.thrust_vacuum_N = 1.5e+07 is hardly meant"),
+         "vehicle.stage.0.mass.table.Iyy_kgm2 = 6.5893e+07 is implausible; usual: at most 3e+05"),
+        (["stage.0.engine.thrust_factor=100.0"], "engine.table.thrust_vacuum_N = 1.5e+07 is implausible"),
         (["stage.0.engine.thrust_factor=0.1"], "usual: more than the weight of 2.627e+04 N, or it is never"),
     ],
 )  # fmt: skip  # twice as many lines otherwise
-def test_vehicles_that_are_hardly_meant(here: Path, overrides: list[str], says: str) -> None:
+def test_vehicles_that_are_implausible(here: Path, overrides: list[str], says: str) -> None:
     text = load_scenario("ascent.toml").as_flown
     (here / "whole.toml").write_text(text)
-    found = load_scenario("whole.toml", [f"vehicle.{override}" for override in overrides]).doubts
-    assert any(says in doubt for doubt in found), found
+    found = load_scenario("whole.toml", [f"vehicle.{override}" for override in overrides]).warnings
+    assert any(says in warning for warning in found), found
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def from_layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 FAST = (
-    "computer.sample_s = 0.01 is hardly meant; usual: below 0.00627 s: the first mode of second, fairing off reaches 79"
+    "computer.sample_s = 0.01 is implausible; usual: below 0.00627 s: the first mode of second, fairing off reaches 79"
 )
 
 
@@ -133,14 +133,14 @@ def test_more_than_an_engine_has_is_refused(override: str, says: str) -> None:
 
 def test_a_tank_without_radius_is_said_to_report_no_breaking_waves(here: Path) -> None:
     said = "vehicle.stage.0.tank.0.radius_m is not given: breaking waves of this tank are not reported"
-    assert said in load_scenario("ascent.toml").doubts
-    assert said not in load_scenario("ascent.toml", ["vehicle.stage.0.tank.0.radius_m=0.49"]).doubts
-    assert said not in load_scenario("ascent.toml", ["switches.slosh=false"]).doubts
+    assert said in load_scenario("ascent.toml").warnings
+    assert said not in load_scenario("ascent.toml", ["vehicle.stage.0.tank.0.radius_m=0.49"]).warnings
+    assert said not in load_scenario("ascent.toml", ["switches.slosh=false"]).warnings
 
 
-def test_a_vehicle_from_a_layout_is_doubted_only_for_its_sample_rate(from_layout: Path) -> None:
+def test_a_vehicle_from_a_layout_is_warned_of_only_for_its_sample_rate(from_layout: Path) -> None:
     assert [
-        doubt.removeprefix("vehicle.")[: len(FAST)] for doubt in load_scenario(from_layout / "whole.toml").doubts
+        warning.removeprefix("vehicle.")[: len(FAST)] for warning in load_scenario(from_layout / "whole.toml").warnings
     ] == [FAST]
 
 
@@ -165,8 +165,8 @@ def test_broken_copies_of_both_vehicles(
     tree = tomllib.loads(text)
     break_it(tree["vehicle"]["stage"][0])
     (tmp_path / "broken.toml").write_text(tomli_w.dumps(tree))
-    found = load_scenario(tmp_path / "broken.toml").doubts
-    assert any(re.search(says, doubt) for doubt in found), found
+    found = load_scenario(tmp_path / "broken.toml").warnings
+    assert any(re.search(says, warning) for warning in found), found
 
 
 def scaled(table: dict[str, Any], factor: float, *columns: str) -> None:
@@ -183,20 +183,14 @@ def engines(stage: dict[str, Any], **change: float) -> None:
 @pytest.mark.parametrize(
     ("overrides", "says"),
     [
-        (["site.altitude_m=3e5"], "site.altitude_m = 300000 is hardly meant; usual: a place on the ground"),
-        (["wind.factor=-5.0"], "wind.profile = 200 is hardly meant; usual: less than 150 m/s below 30000 m"),
-        (
-            ["run.step_s=1e-6", "run.duration_s=1e4"],
-            "run.step_s = 1e-06 is hardly meant; usual: fewer than 1e+09 steps",
-        ),
-        (
-            ["log.fast_hz=1e6", "run.duration_s=1e4"],
-            "log.fast_hz = 1e+06 is hardly meant; usual: fewer than 1e+09 rows",
-        ),
+        (["site.altitude_m=3e5"], "site.altitude_m = 300000 is implausible; usual: a place on the ground"),
+        (["wind.factor=-5.0"], "wind.profile = 200 is implausible; usual: less than 150 m/s below 30000 m"),
+        (["run.step_s=1e-6", "run.duration_s=1e4"], "run.step_s = 1e-06 is implausible; usual: fewer than 1e+09 steps"),
+        (["log.fast_hz=1e6", "run.duration_s=1e4"], "log.fast_hz = 1e+06 is implausible; usual: fewer than 1e+09 rows"),
     ],
 )
-def test_flights_that_are_hardly_meant(here: Path, overrides: list[str], says: str) -> None:
-    found = meant(load_scenario("ascent.toml", overrides).doubts)
+def test_flights_that_are_implausible(here: Path, overrides: list[str], says: str) -> None:
+    found = implausible(load_scenario("ascent.toml", overrides).warnings)
     assert len(found) == 1
     assert says in found[0]
 
@@ -214,7 +208,7 @@ key = "{key}"
 
 
 @pytest.mark.parametrize(
-    ("key", "rest", "doubted"),
+    ("key", "rest", "warned_of"),
     [
         ("vehicle.stage.0.engine.thrust_factor", 'distribution = "normal"\nthree_sigma = 1.2', True),
         ("vehicle.stage.0.engine.thrust_factor", 'distribution = "normal"\nthree_sigma = 1.2\nat_least = 0.5', False),
@@ -227,10 +221,10 @@ key = "{key}"
         ("site.azimuth_deg", 'apply = "add"\ndistribution = "normal"\nsigma = 50.0', False),  # an angle
     ],
 )  # fmt: skip  # more lines otherwise
-def test_dispersions_that_turn_a_sign(here: Path, key: str, rest: str, doubted: bool) -> None:
+def test_dispersions_that_turn_a_sign(here: Path, key: str, rest: str, warned_of: bool) -> None:
     (here / "campaign.toml").write_text(DISPERSED.format(key=key, rest=rest))
-    found = meant(load_campaign("campaign.toml").doubts)
-    assert [doubt.startswith(f"{key} is hardly meant to change its sign") for doubt in found] == [True] * doubted
+    found = implausible(load_campaign("campaign.toml").warnings)
+    assert [warning.startswith(f"{key} is not expected to change its sign") for warning in found] == [True] * warned_of
 
 
 @pytest.mark.slow
@@ -238,12 +232,12 @@ def test_warnings_in_summary_and_report(here: Path, capsys: pytest.CaptureFixtur
     overrides = ["vehicle.reference.length_m=180.0", "run.duration_s=0.1", "requirement="]
     code = simrun.main(["ascent.toml", "--no-log", "--out", "out", *(x for o in overrides for x in ("--set", o))])
     assert code == 0
-    line = "vehicle.reference.length_m = 180 is hardly meant; usual: the hindmost station, 14 m, or a little more"
+    line = "vehicle.reference.length_m = 180 is implausible; usual: the hindmost station, 14 m, or a little more"
     assert f"warning: {line}\n" in capsys.readouterr().out
     assert line in json.loads((here / "out" / "summary.json").read_text())["warnings"]
     sign = 'distribution = "normal"\nthree_sigma = 1.2\n[run]\nduration_s = 0.1'
     (here / "campaign.toml").write_text(DISPERSED.format(key="vehicle.stage.0.engine.thrust_factor", rest=sign))
     simrun.main(["campaign.toml", "--out", "flown"])
-    assert "warning: vehicle.stage.0.engine.thrust_factor is hardly meant to" in capsys.readouterr().out
-    assert "is hardly meant to change its sign" in (here / "flown" / "report.html").read_text()
-    assert len(meant(json.loads((here / "flown" / "summary.json").read_text())["warnings"])) == 1
+    assert "warning: vehicle.stage.0.engine.thrust_factor is not expected to" in capsys.readouterr().out
+    assert "is not expected to change its sign" in (here / "flown" / "report.html").read_text()
+    assert len(implausible(json.loads((here / "flown" / "summary.json").read_text())["warnings"])) == 1
