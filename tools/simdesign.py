@@ -5,10 +5,8 @@ from __future__ import annotations
 
 import difflib
 import os
-import sys
-from typing import NoReturn
 
-from maxq.tools.cli.frame import Exit, process, run, show_list
+from maxq.tools.cli.frame import Command, Exit, show_list
 from maxq.tools.cli.parser import Parser, count_from_1, filled, positive, seconds
 
 _USAGE = """\
@@ -48,108 +46,48 @@ _EXITS = {
 _CASE, _VERIFY, _ANALYSE, _ERRATA, _EXPORT, _BIAS = "CASE", "CASE --verify", "analyse", "errata", "export", "bias"
 _CASES, _JUDGED = (_CASE, _VERIFY), (_ANALYSE, _ERRATA)
 _ON_A_DESIGN = (*_JUDGED, _EXPORT)
+_COMMANDS = (*_ON_A_DESIGN, _BIAS)
+_EVERY = (*_CASES, *_COMMANDS)
 
 
 def _parser() -> Parser:
     about = "Optimise gain schedules and bending filter; judge designs in the frequency domain."
     parser = Parser("simdesign", _USAGE, about, _EXAMPLES, _EXITS)
     add = parser.option
-    add(
-        "words",
-        nargs="*",
-        metavar="CASE",
-        default=[],
-        help="case file (.toml), or name of a built-in case; or a command as above",
-    )
-    add(
-        "--out",
-        modes=(*_CASES, *_ON_A_DESIGN, _BIAS),
-        metavar="DIR",
-        help="where to write (default: runs/<name of the case>, or runs/analyse-<name>)",
-    )
-    add("--starts", modes=_CASES, type=count_from_1, metavar="N", help="starts of the optimiser instead of the case's")
-    add("--seed", modes=_CASES, type=int, metavar="N", help="seed of the starts instead of the case's")
-    add(
-        "--set", modes=_CASES, metavar="KEY=VALUE", action="append", default=[], dest="overrides",
-        help="override a value of the case, e.g. limits.gain_margin_db=7; repeatable",
-    )  # fmt: skip  # five more lines otherwise
-    add(
-        "--orders",
-        modes=_CASES,
-        action="store_true",
-        help="also F2 to F6 with all three gain schedules: the paper's Fig. 9",
-    )
-    add(
-        "--verify",
-        modes=_CASES,
-        action="store_true",
-        help="then try what was designed, best first, until simverify accepts one",
-    )
-    add("--suite", modes=(_VERIFY,), metavar="SUITE", help="what has to be passed (default: standard)")
-    add("--at", modes=_ON_A_DESIGN, type=seconds, metavar="T", action="append", dest="times_s", help="vehicle time, s")
-    add(
-        "--every", modes=(_ANALYSE,), type=positive, metavar="S", dest="every_s",
-        help="seconds between the nodes, where no --at is given (default: 5); 0.25 finds what lies between",
-    )  # fmt: skip  # four more lines otherwise
-    add("--scenario", modes=_ON_A_DESIGN, metavar="S", help="scenario whose flight gives the nodes (default: nominal)")
-    add("--vehicle", modes=_ON_A_DESIGN, metavar="V", help="vehicle folder instead of the scenario's")
-    add(
-        "--kind",
-        modes=(_ANALYSE,),
-        choices=("sampled", "pade", "exact"),
-        help="model of the computer (default: sampled, as it flies)",
-    )
-    add(
-        "--axis", modes=(_ANALYSE, _EXPORT), choices=("pitch", "yaw"), help="plane (default: pitch; of an export: both)"
-    )
-    add("--c", modes=(_EXPORT,), metavar="DIR", help="the law as C99 sources with tables, unit test and CMake file")
-    add(
-        "--format",
-        modes=(_EXPORT,),
-        choices=("mat", "npz", "json"),
-        help="plant, law and loop at the nodes as A, B, C, D for MATLAB, NumPy or any reader",
-    )
-    add(
-        "--errata",
-        modes=(_ANALYSE,),
-        choices=("corrected", "paper"),
-        help="equations corrected (default) or as the paper prints them",
-    )
-    add(
-        "--plant",
-        modes=_JUDGED,
-        choices=("flown", "table2"),
-        help="vehicle as flown (default), or with the ranges of Table 2",
-    )
-    add(
-        "--wind", modes=(_BIAS,), metavar="PROFILE", help="measured wind over altitude (.csv) instead of the scenario's"
-    )
-    add(
-        "--share", modes=(_BIAS,), type=positive, metavar="X",
-        help="of the incidence that the wind adds, to be taken away: 0 to 1 (default: 1)",
-    )  # fmt: skip  # four more lines otherwise
-    add("--faults", modes=(_ANALYSE,), action="store_true", help="nodes of the flight with the scenario's faults")
-    add("--no-pictures", modes=(*_CASES, _ANALYSE), action="store_true", help="tables and files only")
-    add("--list", action="store_true", help="name the built-in cases and designs")
+    add("CASE...", "case file (.toml), or name of a built-in case; or a command as above", dest="words")
+    add("--out DIR", "where to write (default: runs/<name of the case>, or runs/analyse-<name>)", _EVERY)
+    add("--starts N", "starts of the optimiser instead of the case's", _CASES, type=count_from_1)
+    add("--seed N", "seed of the starts instead of the case's", _CASES, type=int)
+    parser.overrides("the case, e.g. limits.gain_margin_db=7", _CASES)
+    add("--orders", "also F2 to F6 with all three gain schedules: the paper's Fig. 9", _CASES)
+    add("--verify", "then try what was designed, best first, until simverify accepts one", _CASES)
+    add("--suite SUITE", "what has to be passed (default: standard)", [_VERIFY])
+    add("--at T...", "vehicle time, s", _ON_A_DESIGN, type=seconds, dest="times_s")
+    about = "seconds between the nodes, where no --at is given (default: 5); 0.25 finds what lies between"
+    add("--every S", about, [_ANALYSE], type=positive, dest="every_s")
+    add("--scenario S", "scenario whose flight gives the nodes (default: nominal)", _ON_A_DESIGN)
+    add("--vehicle V", "vehicle folder instead of the scenario's", _ON_A_DESIGN)
+    add("--kind sampled|pade|exact", "model of the computer (default: sampled, as it flies)", [_ANALYSE])
+    add("--axis pitch|yaw", "plane (default: pitch; of an export: both)", [_ANALYSE, _EXPORT])
+    add("--c DIR", "the law as C99 sources with tables, unit test and CMake file", [_EXPORT])
+    about = "plant, law and loop at the nodes as A, B, C, D for MATLAB, NumPy or any reader"
+    add("--format mat|npz|json", about, [_EXPORT])
+    add("--errata corrected|paper", "equations corrected (default) or as the paper prints them", [_ANALYSE])
+    add("--plant flown|table2", "vehicle as flown (default), or with the ranges of Table 2", _JUDGED)
+    add("--wind PROFILE", "measured wind over altitude (.csv) instead of the scenario's", [_BIAS])
+    about = "of the incidence that the wind adds, to be taken away: 0 to 1 (default: 1)"
+    add("--share X", about, [_BIAS], type=positive)
+    add("--faults", "nodes of the flight with the scenario's faults", [_ANALYSE])
+    add("--no-pictures", "tables and files only", [*_CASES, _ANALYSE])
+    add("--list", "name the built-in cases and designs")
     parser.version_and_help()
     return parser
-
-
-def command() -> NoReturn:
-    """`simdesign` as a process."""
-    process(main)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
-    given = sys.argv[1:] if arguments is None else arguments
-    return run("simdesign", lambda: _run(given), "interrupted; nothing written")
 
 
 def _run(arguments: list[str]) -> int:
     parser = _parser()
     options = parser.read(arguments)
-    if options.words and options.words[0] in (*_ON_A_DESIGN, _BIAS):
+    if options.words and options.words[0] in _COMMANDS:
         mode, names = options.words[0], options.words[1:]
     else:
         mode, names = _VERIFY if options.verify else _CASE, options.words
@@ -161,8 +99,6 @@ def _run(arguments: list[str]) -> int:
     _check_names(names, mode, parser)
     if options.every_s is not None and options.every_s < 0.01:
         parser.error("--every takes 0.01 s or more")
-    if options.out == "":
-        parser.error("--out needs the name of a folder")
     if options.list:
         return show_list({"case": "cases (simdesign CASE)", "design": "designs (simdesign analyse DESIGN)"})
     pictures = not options.no_pictures
@@ -203,7 +139,7 @@ def _run(arguments: list[str]) -> int:
 
 def _check_names(names: list[str], mode: str, parser: Parser) -> None:
     if len(names) > 1 and mode != _VERIFY:
-        close = difflib.get_close_matches(names[0], (*_ON_A_DESIGN, _BIAS, "analyze"), 1, 0.7)
+        close = difflib.get_close_matches(names[0], (*_COMMANDS, "analyze"), 1, 0.7)
         hint = f"did you mean {_ANALYSE if close[0] == 'analyze' else close[0]}?" if close else "one at a time"
         parser.error(f"what is {names[0 if close else 1]!r}? {hint}")
     if mode in (_ANALYSE, _EXPORT) and not names:
@@ -220,6 +156,9 @@ def _folder(out: str | None, case: str, cases: int) -> str | None:
         return out
     return os.path.join(out, os.path.basename(case).removesuffix(".toml"))
 
+
+command = Command("simdesign", _run, "interrupted; nothing written")
+main = command.main
 
 if __name__ == "__main__":
     command()

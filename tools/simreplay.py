@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from typing import NoReturn
 
-from maxq.tools.cli.frame import Exit, process, run
+from maxq.tools.cli.frame import Command, Exit
 from maxq.tools.cli.parser import Parser, positive, seconds
 
 _USAGE = """\
@@ -49,40 +47,23 @@ def _parser() -> Parser:
     about = "Look at flights: logs (.mcap), folders that hold one, folders of campaigns."
     parser = Parser("simreplay", _USAGE, about, _EXAMPLES, _EXITS)
     add = parser.option
-    add("logs", nargs="*", metavar="LOG", default=[], help="a log, a folder with flight.mcap, or a campaign's folder")
-    add("--web", action="store_true", help="serve it to a browser on this machine (127.0.0.1)")
-    add("--save", metavar="FILE.rrd", help="write a file that `rerun` opens")
-    add("--screenshot", metavar="FILE.png", help="write a picture; no display is needed")
-    add("--plots", metavar="DIR", help="write the standard set of plots as SVG and PNG")
-    add("--summary", action="store_true", help="print a glance at the flight")
-    picture = ("--screenshot",)
-    add("--at", modes=picture, metavar="S", type=seconds, action="append", default=[], help="time of the picture, s")
-    add("--size", modes=picture, metavar="WxH", type=_size, help="of the picture (default 1920x1080)")
-    add("--port", modes=("--web",), metavar="N", type=int, help="of --web (default 9090)")
-    add("--tab", modes=_SCENES, metavar="NAME", help="the tab of plots that is in front, e.g. Bending")
-    add(
-        "--rate",
-        modes=_SCENES,
-        metavar="HZ",
-        type=positive,
-        help="plots keep the smallest and the largest sample of each 1/HZ s (default 50; 10 for more than 4 flights)",
-    )
-    add("--bend-factor", modes=_SCENES, metavar="X", type=positive, help="how much larger bending is drawn")
-    add("--slosh-factor", modes=_SCENES, metavar="X", type=positive, help="how much larger slosh angles are drawn")
-    add("--side-by-side", modes=_SCENES, action="store_true", help="vehicles of several flights beside each other")
+    add("LOG...", "a log, a folder with flight.mcap, or a campaign's folder", dest="logs")
+    add("--web", "serve it to a browser on this machine (127.0.0.1)")
+    add("--save FILE.rrd", "write a file that `rerun` opens")
+    add("--screenshot FILE.png", "write a picture; no display is needed")
+    add("--plots DIR", "write the standard set of plots as SVG and PNG")
+    add("--summary", "print a glance at the flight")
+    add("--at S...", "time of the picture, s", ["--screenshot"], type=seconds)
+    add("--size WxH", "of the picture (default 1920x1080)", ["--screenshot"], type=_size)
+    add("--port N", "of --web (default 9090)", ["--web"], type=int)
+    add("--tab NAME", "the tab of plots that is in front, e.g. Bending", _SCENES)
+    about = "plots keep the smallest and the largest sample of each 1/HZ s (default 50; 10 for more than 4 flights)"
+    add("--rate HZ", about, _SCENES, type=positive)
+    add("--bend-factor X", "how much larger bending is drawn", _SCENES, type=positive)
+    add("--slosh-factor X", "how much larger slosh angles are drawn", _SCENES, type=positive)
+    add("--side-by-side", "vehicles of several flights beside each other", _SCENES)
     parser.version_and_help()
     return parser
-
-
-def command() -> NoReturn:
-    """`simreplay` as a process."""
-    process(main)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
-    given = sys.argv[1:] if arguments is None else arguments
-    return run("simreplay", lambda: show(given), memory="show fewer flights, or fewer samples (--rate 10)")
 
 
 def show(arguments: list[str]) -> int:
@@ -98,6 +79,9 @@ def show(arguments: list[str]) -> int:
 
     return execute(options)
 
+
+command = Command("simreplay", show, memory="show fewer flights, or fewer samples (--rate 10)")
+main = command.main
 
 if __name__ == "__main__":
     command()

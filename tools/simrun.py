@@ -6,9 +6,9 @@ import argparse
 import os
 import sys
 import time
-from typing import NoReturn
+from functools import partial
 
-from maxq.tools.cli.frame import Exit, process, run, show_list
+from maxq.tools.cli.frame import Command, Exit, show_list
 from maxq.tools.cli.parser import Parser, count, count_of_runs, filled
 
 _USAGE = """\
@@ -45,6 +45,7 @@ _SCENARIO, _CAMPAIGN, _LOG, _FOLDER = "SCENARIO", "CAMPAIGN", "--from LOG", "--f
 _RUN, _SHRINK, _SEARCH = "--from DIR --run N", "--from DIR --run N --shrink", "--from DIR --search METRIC"
 _RARE = "--from DIR --rare METRIC"
 _FLIGHTS = (_SCENARIO, _LOG)
+_SHOWN = (*_FLIGHTS, _RUN)
 _KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "flight-software")
 
 
@@ -52,94 +53,41 @@ def _parser() -> Parser:
     about = "Fly a scenario, or a campaign of dispersed flights: leave log or data set, print a verdict."
     parser = Parser("simrun", _USAGE, about, _EXAMPLES, _EXITS)
     add = parser.option
-    add("scenario", nargs="?", metavar="SCENARIO", help="scenario or campaign file (.toml), or name of a built-in one")
-    add(
-        "--out",
-        modes=(*_FLIGHTS, _CAMPAIGN, _RUN),
-        metavar="DIR",
-        help="where to write (default: runs/<name of the scenario>)",
+    add("SCENARIO", "scenario or campaign file (.toml), or name of a built-in one", dest="scenario")
+    add("--out DIR", "where to write (default: runs/<name of the scenario>)", [*_FLIGHTS, _CAMPAIGN, _RUN])
+    parser.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key", [*_FLIGHTS, _CAMPAIGN])
+    add("--no-log", "no flight.mcap: only the summary", _SHOWN)
+    about = (
+        "fly the scenario in a log again and compare the final states; writes nothing without --out; "
+        "or the folder of a campaign: report on it again, or fly one --run"
     )
-    add(
-        "--set", modes=(*_FLIGHTS, _CAMPAIGN), metavar="KEY=VALUE", action="append", default=[], dest="overrides",
-        help="override a value of the scenario, e.g. run.step_s=0.0005; KEY= removes the key; repeatable",
-    )  # fmt: skip  # five more lines otherwise
-    add("--no-log", modes=(*_FLIGHTS, _RUN), action="store_true", help="no flight.mcap: only the summary")
-    add(
-        "--from",
-        metavar="LOG",
-        dest="log",
-        help="fly the scenario in a log again and compare the final states; writes nothing without --out; "
-        "or the folder of a campaign: report on it again, or fly one --run",
-    )
-    shown = (*_FLIGHTS, _RUN)
-    add("--view", modes=shown, action="store_true", help="show the flight in the Rerun viewer while it flies")
-    add("--view-port", modes=shown, type=int, metavar="N", help="show it in a viewer that listens on this port already")
-    add(
-        "--realtime", modes=_FLIGHTS, nargs="?", const="1", metavar="X",
-        help="with --view: X seconds of flight in a second (default 1)",
-    )  # fmt: skip  # four more lines otherwise
-    group = parser.add_argument_group("campaigns")
-
-    def campaign(*names: str, modes: tuple[str, ...] = (_CAMPAIGN,), **how: object) -> None:
-        add(*names, modes=modes, group=group, **how)
-
-    campaign(
-        "--runs",
-        modes=(_CAMPAIGN, _SEARCH, _RARE),
-        metavar="N",
-        type=count_of_runs,
-        help="number of runs instead of the file's",
-    )
-    campaign("--seed", metavar="S", type=count, help="seed of all draws instead of the file's")
-    campaign(
-        "--workers", modes=(_CAMPAIGN, _SHRINK, _SEARCH, _RARE), metavar="K", type=count,
-        help="threads (default: all cores)",
-    )  # fmt: skip  # three more lines otherwise
-    campaign(
-        "--keep", modes=(_CAMPAIGN, _FOLDER), metavar="WHICH", action="append", default=[],
-        help="keep full logs of: worst:5 (of each requirement), worst:5:METRIC, failed, failed:20, 0,17; repeatable",
-    )  # fmt: skip  # four more lines otherwise
-    campaign("--until-settled", action="store_true", help="stop when every verdict is settled")
-    campaign("--dask", metavar="ADDRESS", help="fly on the workers of a dask.distributed scheduler")
-    campaign(
-        "--no-report", modes=(_CAMPAIGN, _FOLDER), action="store_true", help="no pictures, no page: summary.json only"
-    )
-    campaign("--run", modes=(_RUN, _SHRINK), metavar="N", type=count, help="with --from DIR: fly this run again")
-    campaign("--shrink", modes=(_SHRINK,), action="store_true", help="with --run: the fewest dispersions that fail")
-    campaign("--search", modes=(_SEARCH,), metavar="METRIC", help="with --from DIR: the worst flight within 3 sigma")
-    campaign("--rare", modes=(_RARE,), metavar="METRIC", help="with --from DIR: how rarely its limit is missed")
-    add("--list", action="store_true", help="name the built-in scenarios")
-    add(
-        "--schema",
-        choices=_KINDS,
-        metavar="KIND",
-        help=f"print the JSON Schema of a file: {', '.join(_KINDS[:-1])}; or flight-software: the C header maxq_fsw.h",
-    )
-    add("--copy", nargs=2, metavar=("NAME", "DIR"), help="copy a built-in scenario with all it refers to")
+    add("--from LOG", about, dest="log")
+    add("--view", "show the flight in the Rerun viewer while it flies", _SHOWN)
+    add("--view-port N", "show it in a viewer that listens on this port already", _SHOWN, type=int)
+    about = "with --view: X seconds of flight in a second (default 1)"
+    add("--realtime X", about, _FLIGHTS, nargs="?", const="1")
+    campaign = partial(add, group=parser.add_argument_group("campaigns"))
+    campaign("--runs N", "number of runs instead of the file's", [_CAMPAIGN, _SEARCH, _RARE], type=count_of_runs)
+    campaign("--seed S", "seed of all draws instead of the file's", [_CAMPAIGN], type=count)
+    campaign("--workers K", "threads (default: all cores)", [_CAMPAIGN, _SHRINK, _SEARCH, _RARE], type=count)
+    about = "keep full logs of: worst:5 (of each requirement), worst:5:METRIC, failed, failed:20, 0,17; repeatable"
+    campaign("--keep WHICH...", about, [_CAMPAIGN, _FOLDER])
+    campaign("--until-settled", "stop when every verdict is settled", [_CAMPAIGN])
+    campaign("--dask ADDRESS", "fly on the workers of a dask.distributed scheduler", [_CAMPAIGN])
+    campaign("--no-report", "no pictures, no page: summary.json only", [_CAMPAIGN, _FOLDER])
+    campaign("--run N", "with --from DIR: fly this run again", [_RUN, _SHRINK], type=count)
+    campaign("--shrink", "with --run: the fewest dispersions that fail", [_SHRINK])
+    campaign("--search METRIC", "with --from DIR: the worst flight within 3 sigma", [_SEARCH])
+    campaign("--rare METRIC", "with --from DIR: how rarely its limit is missed", [_RARE])
+    add("--list", "name the built-in scenarios")
+    kinds = f"{', '.join(_KINDS[:-1])}; or flight-software: the C header maxq_fsw.h"
+    add("--schema KIND", f"print the JSON Schema of a file: {kinds}", choices=_KINDS)
+    add("--copy NAME DIR", "copy a built-in scenario with all it refers to")
     parser.version_and_help()
     return parser
 
 
-def command() -> NoReturn:
-    """`simrun` as a process."""
-    process(lambda: main(alone=True))
-
-
-def main(arguments: list[str] | None = None, *, alone: bool = False) -> int:
-    """Run the command; returns the exit code.
-
-    `alone`: the process ends with it, so that nothing needs to be loaded or kept for others.
-    """
-    given = sys.argv[1:] if arguments is None else arguments
-    return run(
-        "simrun",
-        lambda: _run(given, alone),
-        interrupted="interrupted before the flight began; nothing written",
-        memory="shorten the flight, log less often, or use fewer --workers",
-    )
-
-
-def _run(arguments: list[str], alone: bool) -> int:
+def _run(arguments: list[str]) -> int:
     parser = _parser()
     options = parser.read(arguments, extra="one scenario at a time: what is {!r}?")
     options.realtime = _real_time(options, parser)
@@ -150,8 +98,6 @@ def _run(arguments: list[str], alone: bool) -> int:
     if mode in _FLIGHTS and parser.stray(options, mode):
         parser.check(options, mode, _shown(options))
     parser.check(options, mode)
-    if options.out == "":
-        parser.error("--out needs the name of a folder")
     if options.schema:
         return _print_schema(options.schema)
     if options.list:
@@ -168,7 +114,7 @@ def _run(arguments: list[str], alone: bool) -> int:
         parser.error("--realtime goes with --view")
     if mode in _FLIGHTS:
         start_s = time.perf_counter()  # before the heavy imports
-        if alone:
+        if command.alone:
             _load_numba_without_blas()
         from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
 
@@ -264,6 +210,14 @@ def _real_time(options: argparse.Namespace, parser: Parser) -> float | None:
         parser.error(f"--realtime {given}: a factor is above 0")
     return factor
 
+
+command = Command(
+    "simrun",
+    _run,
+    interrupted="interrupted before the flight began; nothing written",
+    memory="shorten the flight, log less often, or use fewer --workers",
+)
+main = command.main
 
 if __name__ == "__main__":
     command()

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
-from typing import NoReturn
 
-from maxq.tools.cli.frame import Exit, process, run, show_list
+from maxq.tools.cli.frame import Command, Exit, show_list
 from maxq.tools.cli.parser import Parser
 from maxq.tools.cli.terminal import Progress, tell
 
@@ -30,23 +28,12 @@ _EXITS = {
 def _parser() -> Parser:
     about = "Work out a vehicle from a layout: masses, modes, slosh, aerodynamics, pitch programme, first gains."
     parser = Parser("simvehicle", _USAGE, about, _EXAMPLES, _EXITS)
-    parser.option("layout", nargs="?", metavar="LAYOUT", help="layout file, or a built-in one (docs/simvehicle.md)")
-    parser.option("--out", metavar="DIR", help="where to write (default: runs/<name of the layout>)")
-    parser.option("--compare", metavar="VEHICLE", help="folder of a vehicle, or a built-in one: print differences")
-    parser.option("--list", action="store_true", help="name the built-in layouts")
+    parser.option("LAYOUT", "layout file, or a built-in one (docs/simvehicle.md)", dest="layout")
+    parser.option("--out DIR", "where to write (default: runs/<name of the layout>)")
+    parser.option("--compare VEHICLE", "folder of a vehicle, or a built-in one: print differences")
+    parser.option("--list", "name the built-in layouts")
     parser.version_and_help()
     return parser
-
-
-def command() -> NoReturn:
-    """`simvehicle` as a process."""
-    process(main)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
-    given = sys.argv[1:] if arguments is None else arguments
-    return run("simvehicle", lambda: _run(given), "interrupted; nothing written")
 
 
 def _run(arguments: list[str]) -> int:
@@ -56,8 +43,7 @@ def _run(arguments: list[str]) -> int:
         return show_list({"layout": "layouts (simvehicle LAYOUT)"})
     if options.layout is None:
         parser.error("give a layout, e.g. simvehicle petrel")
-    if options.out == "":
-        parser.error("--out needs the name of a folder")
+    parser.check(options, "LAYOUT")
     from maxq.sim.files import check_writable, write_whole  # noqa: PLC0415  # lazy, as all imports here: --help is quick
     from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.build import build, too_weak  # noqa: PLC0415  # lazy
@@ -94,6 +80,9 @@ def _run(arguments: list[str]) -> int:
     tell(f"BUILT: {layout.name}; fly it with: simrun {folder}/scenario.toml")
     return Exit.OK
 
+
+command = Command("simvehicle", _run, "interrupted; nothing written")
+main = command.main
 
 if __name__ == "__main__":
     command()

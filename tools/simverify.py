@@ -4,10 +4,8 @@ what to do."""
 from __future__ import annotations
 
 import datetime
-import sys
-from typing import NoReturn
 
-from maxq.tools.cli.frame import Exit, process, run, show_list
+from maxq.tools.cli.frame import Command, Exit, show_list
 from maxq.tools.cli.parser import Parser, filled
 
 _USAGE = """\
@@ -36,40 +34,21 @@ def _parser() -> Parser:
     about = "Judge control designs by flights, margins, certificates and campaigns; write review packs."
     parser = Parser("simverify", _USAGE, about, _EXAMPLES, _EXITS)
     add = parser.option
-    add(
-        "designs",
-        nargs="*",
-        metavar="DESIGN",
-        default=[],
-        help="design file, folder with a design.toml, or a built-in design; or flight code: libfsw.so, my_fsw.py:Class",
-    )
-    add("--suite", modes=_DESIGN, metavar="SUITE", help="suite file or name of a built-in one (default: standard)")
-    add("--vehicle", modes=_DESIGN, metavar="V", help="vehicle folder instead of the scenario's")
-    add(
-        "--set", modes=_DESIGN, metavar="KEY=VALUE", action="append", default=[], dest="overrides",
-        help="override a value of the suite, e.g. margins.cases=1000; repeatable",
-    )  # fmt: skip  # five more lines otherwise
-    add("--only", modes=_DESIGN, metavar="PART", help="repeat one part: a flight's name, 'vehicle 15', 'corner 3', ...")
-    add("--out", modes=_DESIGN, metavar="DIR", help="where to write (default: runs/verify-<name of the design>)")
-    add("--author", modes=_DESIGN, metavar="A", default="", help="who answers for the review, for its title block")
-    add("--revision", modes=_DESIGN, metavar="R", default="", help="of the review, for its title block")
-    add("--date", modes=_DESIGN, metavar="YYYY-MM-DD", default="", help="of the review (default: today)")
-    add("--no-pack", modes=_DESIGN, action="store_true", help="verdict.json only, no review pack")
-    add("--afresh", modes=_DESIGN, action="store_true", help="work out everything anew, and keep nothing")
-    add("--list", action="store_true", help="name the built-in suites and designs")
+    about = "design file, folder with a design.toml, or a built-in design; or flight code: libfsw.so, my_fsw.py:Class"
+    add("DESIGN...", about, dest="designs")
+    add("--suite SUITE", "suite file or name of a built-in one (default: standard)", _DESIGN)
+    add("--vehicle V", "vehicle folder instead of the scenario's", _DESIGN)
+    parser.overrides("the suite, e.g. margins.cases=1000", _DESIGN)
+    add("--only PART", "repeat one part: a flight's name, 'vehicle 15', 'corner 3', ...", _DESIGN)
+    add("--out DIR", "where to write (default: runs/verify-<name of the design>)", _DESIGN)
+    add("--author A", "who answers for the review, for its title block", _DESIGN, default="")
+    add("--revision R", "of the review, for its title block", _DESIGN, default="")
+    add("--date YYYY-MM-DD", "of the review (default: today)", _DESIGN, default="")
+    add("--no-pack", "verdict.json only, no review pack", _DESIGN)
+    add("--afresh", "work out everything anew, and keep nothing", _DESIGN)
+    add("--list", "name the built-in suites and designs")
     parser.version_and_help()
     return parser
-
-
-def command() -> NoReturn:
-    """`simverify` as a process."""
-    process(main)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
-    given = sys.argv[1:] if arguments is None else arguments
-    return run("simverify", lambda: _run(given), "interrupted; what was worked out is kept, the same command resumes")
 
 
 def _run(arguments: list[str]) -> int:
@@ -80,8 +59,6 @@ def _run(arguments: list[str]) -> int:
         return show_list({"suite": "suites (simverify --suite SUITE)", "design": "designs (simverify DESIGN)"})
     if len(set(options.designs)) < len(options.designs):
         parser.error("a design is named twice")
-    if options.out == "":
-        parser.error("--out needs the name of a folder")
     if options.date:
         try:
             datetime.date.fromisoformat(options.date)
@@ -91,6 +68,9 @@ def _run(arguments: list[str]) -> int:
 
     return execute(filled(Order, options, pack=not options.no_pack, memory=not options.afresh))
 
+
+command = Command("simverify", _run, "interrupted; what was worked out is kept, the same command resumes")
+main = command.main
 
 if __name__ == "__main__":
     command()

@@ -134,6 +134,29 @@ class Interruption:
         self.requested = True
 
 
+class Command:
+    """A command: called without arguments it is the process, `main` does the same within another one.
+
+    `body` takes the words of the command line and returns the exit code; the rest is for `run`.
+    """
+
+    def __init__(
+        self, name: str, body: Callable[[list[str]], int], interrupted: str = "interrupted", memory: str = ""
+    ) -> None:
+        self.alone = False
+        """Whether the process ends with the command, so that nothing needs to be loaded or kept for others."""
+        self._name, self._body, self._interrupted, self._memory = name, body, interrupted, memory
+
+    def __call__(self) -> NoReturn:
+        self.alone = True
+        process(self.main)
+
+    def main(self, arguments: list[str] | None = None) -> int:
+        """Run the command with these arguments (None: those of the process); returns the exit code."""
+        given = sys.argv[1:] if arguments is None else arguments
+        return run(self._name, lambda: self._body(given), self._interrupted, self._memory)
+
+
 def process(main: Callable[[], int]) -> NoReturn:
     """A command as a process: `main`, then the end of the process without taking it apart.
 

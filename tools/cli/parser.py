@@ -44,12 +44,39 @@ class Parser(argparse.ArgumentParser):
         self._modes: dict[str, tuple[str, ...]] = {}
 
     def option(
-        self, *names: str, modes: Sequence[str] = (), group: argparse._ActionsContainer | None = None, **how: Any
+        self,
+        usage: str,
+        text: str,
+        modes: Sequence[str] = (),
+        group: argparse._ActionsContainer | None = None,
+        **how: Any,
     ) -> None:
-        """As add_argument. `modes`: where the option has a meaning; empty: everywhere."""
-        action = (group or self).add_argument(*names, **how)
-        if modes:
-            self._modes[action.dest] = tuple(modes)
+        """An option as the usage has it, and its help: "--out DIR", "--axis pitch|yaw", a flag "--orders", "--at T..."
+        for one that may be repeated, "SCENARIO" or "LOG..." for what stands alone (`dest` says where it goes).
+
+        `modes`: where it has a meaning; empty: everywhere. `how`: what else add_argument is to know.
+        """
+        name, *values = usage.removesuffix("...").split()
+        repeated = usage.endswith("...")
+        if repeated:
+            how["default"] = []
+        if not name.startswith("-"):
+            how |= {"metavar": name, "nargs": "*" if repeated else "?"}
+            name = how.pop("dest")
+        elif not values:
+            how["action"] = "store_true"
+        elif "|" in values[0]:
+            how["choices"] = values[0].split("|")
+        else:
+            how |= {"metavar": values[0]} if len(values) == 1 else {"metavar": tuple(values), "nargs": len(values)}
+            if repeated:
+                how["action"] = "append"
+        action = (group or self).add_argument(name, help=text, **how)
+        self._modes |= {action.dest: tuple(modes)} if modes else {}
+
+    def overrides(self, of: str, modes: Sequence[str]) -> None:
+        """The option --set; `of`: of what it overrides a value, with an example."""
+        self.option("--set KEY=VALUE...", f"override a value of {of}; repeatable", modes, dest="overrides")
 
     def version_and_help(self) -> None:
         """The options that every command has, last in its list."""
@@ -95,9 +122,12 @@ class Parser(argparse.ArgumentParser):
         return ""
 
     def check(self, options: argparse.Namespace, mode: str, shown: str = "") -> None:
-        """An error where an option was given that means nothing in this mode; `shown` names the mode in particular."""
+        """An error where an option was given that means nothing in this mode (`shown` names the mode in particular), or
+        an --out without a name."""
         if text := self.stray(options, mode):
             self.error(f"{text}, not with {shown or mode}")
+        if getattr(options, "out", None) == "":
+            self.error("--out needs the name of a folder")
 
     def error(self, message: str) -> NoReturn:
         self.exit(
