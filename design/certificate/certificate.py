@@ -3,41 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 from maxq.design import api
+from maxq.design.certificate import measured_margins, response
 from maxq.design.certificate.excitation import Band, below
-from maxq.design.certificate.held_flight import Change, hold, with_ideal_converters
-from maxq.design.certificate.measured_margins import (
-    DRIFT_HZ,
-    MARGIN_NAMES,
-    NOT_SETTLED,
-    TOO_LONG,
-    TOO_SLOW,
-    TOO_SMALL,
-    UNBOUNDED,
-    Drift,
-    LimitCycle,
-    MarginName,
-    MeasuredMargin,
-    bound_of,
-    drift,
-    limit_cycle,
-    measure_margin,
-)
-from maxq.design.certificate.response import (
-    BANDS,
-    FAULTY,
-    NOISE,
-    UNEXPLAINED,
-    ResponseTable,
-    RingLine,
-    measured_response,
-    ring_lines,
-)
+from maxq.design.certificate.held_flight import Change, HeldFlight, hold, with_ideal_converters
+from maxq.design.certificate.measured_margins import MARGIN_NAMES, LimitCycle, MarginName, MeasuredMargin, bound_of
+from maxq.design.certificate.response import BANDS, FAULTY, NOISE, UNEXPLAINED, ResponseTable, RingLine
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.node import Node, node_times
 from maxq.design.model.vehicle_at import Plane
@@ -80,7 +58,7 @@ class MarginRow:
 
     @property
     def agrees(self) -> bool:
-        return self.reason in ("", HELD_GRAVITY, NOISE, TOO_LONG, TOO_SLOW, TOO_SMALL, UNBOUNDED)
+        return self.reason in ("", HELD_GRAVITY, NOISE, *measured_margins.NOT_MEASURED)
 
 
 @dataclass(frozen=True)
@@ -143,29 +121,18 @@ def certify(
     planes: Iterable[Plane] = PLANES,
     *,
     workers: int = 2,
-    watch: Callable[[NodeCertificate], None] | None = None,
     one: Callable[[LoadedScenario, Node], NodeCertificate] | None = None,
     along: LoadedScenario | None = None,
 ) -> list[NodeCertificate]:
     """Certificates of the scenario's design, planes within nodes, whatever the number of workers.
 
-    `times_s`: vehicle times; None for such as suit the flight (`api.nodes`).
-
-    `one` certifies a node, by default `certify_node` (design/verify/verify.py gives one that remembers). `along`: the
-    scenario whose flight gives the nodes their speed and air, by default the same.
+    `times_s`: vehicle times; None for such as suit the flight (`api.nodes`). `one` certifies a node, by default
+    `certify_node`. `along`: the scenario whose flight gives the nodes their speed and air, by default the same.
     """
     times = node_times(along or loaded) if times_s is None else tuple(times_s)
-    found = {plane: api.nodes(along or loaded, times, plane=plane) for plane in planes}
-    jobs = [node for each in zip(*found.values(), strict=True) for node in each]
-
-    def done(node: Node) -> NodeCertificate:
-        certificate = (one or certify_node)(loaded, node)
-        if watch is not None:
-            watch(certificate)
-        return certificate
-
+    found = [api.nodes(along or loaded, times, plane=plane) for plane in planes]
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        return list(pool.map(done, jobs))
+        return list(pool.map(partial(one or certify_node, loaded), itertools.chain(*zip(*found, strict=True))))
 
 
 def certify_node(
@@ -191,7 +158,7 @@ def certify_node(
     loop = api.loops([held.node], loaded.design)[0]
     of_held, drifts, along_body = margins(loop), None, False
     if not of_held.stable:
-        drifts = drift(held, loop, of_held)
+        drifts = measured_margins.drift(held, loop, of_held)
         along_body = drifts is None and of_flown.stable
         if along_body:
             held = hold(loaded, node, fault, along_body=True)
@@ -203,22 +170,25 @@ def certify_node(
     if drifts is not None:
         of_held = drifts.others
     elif not of_held.stable:
-        cycle = limit_cycle(held, of_held.growth_hz)
-        nothing = measured_response(held, loop, pade[0], ())
+        cycle = measured_margins.limit_cycle(held, of_held.growth_hz)
+        nothing = response.measured_response(held, loop, pade[0], ())
         return NodeCertificate(node.time_s, node.plane, of_flown.stable, nothing, (), cycle, total_gain_db)
-    responses = measured_response(held, loop, pade[0], bands, at_half=fault is None)
-    rows = [_margin_row(measure_margin(held, loop, of_held, name), of_pade, of_flown) for name in names]
-    open_rows = [k for k, row in enumerate(rows) if row.reason in (UNEXPLAINED, NOT_SETTLED)]
+
+    def row_of(held: HeldFlight, name: MarginName) -> MarginRow:
+        return _margin_row(measured_margins.measure_margin(held, loop, of_held, name), of_pade, of_flown)
+
+    responses = response.measured_response(held, loop, pade[0], bands, at_half=fault is None)
+    rows = [row_of(held, name) for name in names]
+    open_rows = [k for k, row in enumerate(rows) if row.reason in (UNEXPLAINED, measured_margins.NOT_SETTLED)]
     if open_rows and loaded.scenario.switches.converter == "full":
         fine = hold(with_ideal_converters(loaded), node, fault, along_body=along_body)
         for k in open_rows:
-            again = _margin_row(measure_margin(fine, loop, of_held, names[k]), of_pade, of_flown)
-            rows[k] = _with_noise(rows[k], again)
+            rows[k] = _with_noise(rows[k], row_of(fine, names[k]))
     if drifts is not None:
         rows.append(_drift_row(drifts, of_pade, of_flown))
     rings: tuple[RingLine, ...] = ()
     if bands and node.vehicle.pendulums.ring.any():
-        rings = ring_lines(hold(loaded, node, fault, along_body=along_body, rings_by_law=True), loop)
+        rings = response.ring_lines(hold(loaded, node, fault, along_body=along_body, rings_by_law=True), loop)
     return NodeCertificate(node.time_s, node.plane, of_flown.stable, responses, tuple(rows), None, total_gain_db, rings)
 
 
@@ -233,7 +203,7 @@ def _margin_row(found: MeasuredMargin, pade: Margins, flown: Margins) -> MarginR
     within = MARGIN_WITHIN_DB if found.unit == "dB" else DELAY_WITHIN * found.linear
     reason, bound = found.reason, bound_of(flown, found.what)
     sampled = bound.value
-    if reason == UNBOUNDED and bound.frequency_hz < DRIFT_HZ:
+    if reason == measured_margins.UNBOUNDED and bound.frequency_hz < measured_margins.DRIFT_HZ:
         reason = HELD_GRAVITY
     if not reason and not abs(found.difference) <= within:
         reason = UNEXPLAINED
@@ -245,6 +215,6 @@ def _margin_row(found: MeasuredMargin, pade: Margins, flown: Margins) -> MarginR
     )
 
 
-def _drift_row(of: Drift, pade: Margins, flown: Margins) -> MarginRow:
+def _drift_row(of: measured_margins.Drift, pade: Margins, flown: Margins) -> MarginRow:
     reason = HELD_GRAVITY if abs(of.measured_1ps - of.linear_1ps) <= of.per_db_1ps * MARGIN_WITHIN_DB else UNEXPLAINED
     return MarginRow("drift", "1/s", 0.0, pade.growth_1ps, flown.growth_1ps, of.linear_1ps, of.measured_1ps, reason)

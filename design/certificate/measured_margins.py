@@ -52,6 +52,7 @@ TOO_LONG = "longer than can be inserted"  # reason for a delay margin that is no
 UNBOUNDED = "nothing bounds it"
 TOO_SMALL = "commands less than a step of the converter"  # reason for a margin of so little gain: not measured
 TOO_SLOW = "grows too slowly to be seen"  # reason for a margin that a slow root bounds, and a flight cannot show
+NOT_MEASURED = UNBOUNDED, TOO_LONG, TOO_SMALL, TOO_SLOW
 NOT_SETTLED = "not settled"
 SATURATED = math.inf  # growth rate where limits are met before it can be measured
 DECAYED = -math.inf  # where the response has decayed before

@@ -18,23 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.design.certificate import measured_margins
 from maxq.design.certificate.excitation import Band, burst_rad, excitation_level, gimbal_injection
 from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits, unchanged
-from maxq.design.certificate.measured_margins import (
-    MARGIN_NAMES,
-    MOST_FLIGHTS,
-    UNBOUNDED,
-    UNITS,
-    LimitCycle,
-    MarginName,
-    MeasuredMargin,
-    alter,
-    burst_test,
-    following_trial,
-    limit_cycle,
-    longest_delay_s,
-    measured_growth,
-)
+from maxq.design.certificate.measured_margins import MARGIN_NAMES, UNBOUNDED, UNITS, MarginName, MeasuredMargin
 from maxq.design.certificate.response import BANDS, measure
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.model.node import Node
@@ -86,7 +73,7 @@ class MeasuredNode:
     response: ComplexArray
     error: Array
     margins: tuple[MeasuredMargin, ...]
-    cycles: tuple[LimitCycle, ...]
+    cycles: tuple[measured_margins.LimitCycle, ...]
 
     def margin(self, what: MarginName) -> float:
         """In its unit; infinite where nothing bounds it as far as was tried, NaN where none was found."""
@@ -126,7 +113,7 @@ def measure_node(
     loop = _Loop(path, lines, response)
     margins = tuple(broken(held, loop, name, floor.level_deg) for name in names)
     slosh = [r.frequency_hz for r in path.resonances() if r.kind == "slosh"]
-    cycles = tuple(limit_cycle(held, hz) for hz in slosh)
+    cycles = tuple(measured_margins.limit_cycle(held, hz) for hz in slosh)
     return MeasuredNode(node.time_s, node.plane, True, lines, response, error, margins, cycles)
 
 
@@ -193,9 +180,9 @@ def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) ->
         return MeasuredMargin(what, UNITS[what], math.nan, measured, frequency_hz, tuple(tried), reason)
 
     def change(amount: float) -> Change:
-        return lambda packed: alter(packed, held, what, amount)
+        return lambda packed: measured_margins.alter(packed, held, what, amount)
 
-    most = longest_delay_s(held) if what == "delay" else math.inf
+    most = measured_margins.longest_delay_s(held) if what == "delay" else math.inf
     low, trial = 0.0, None
     for amount in (a for a in TRIALS[what] if a <= most):
         trial = _trial(held, change(amount), floor_deg)
@@ -230,14 +217,14 @@ def _boundary(
 
     `within`: alterations at which the loop decays, at which it grows, and the largest there can be.
     """
-    (low, high, most), test = within, burst_test(frequency_hz)
+    (low, high, most), test = within, measured_margins.burst_test(frequency_hz)
     tried: list[tuple[float, float]] = []
     slope, at = 0.05 * frequency_hz * (1.0 if tolerance > 1e-3 else 400.0), 0.5 * (low + high)
-    for _ in range(MOST_FLIGHTS + 4):
-        growth = measured_growth(held, loop, test, change(at))
+    for _ in range(measured_margins.MOST_FLIGHTS + 4):
+        growth = measured_margins.measured_growth(held, loop, test, change(at))
         tried.append((at, math.inf if math.isnan(growth) else growth))  # lost
         kept.append(tried[-1])
-        following = following_trial(tried, slope, 0.5 * (high - low), 5.0 * tolerance)
+        following = measured_margins.following_trial(tried, slope, 0.5 * (high - low), 5.0 * tolerance)
         following = min(max(following, 0.5 * low), 1.5 * high, most)
         step, at = following - at, following
         if abs(step) < tolerance:

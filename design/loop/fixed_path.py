@@ -3,7 +3,7 @@
     L(f) = sum of C_i(f) P_i(f),    P = fixed(f) (integrator(f), 1, integrator(f)^2)
 
 for the measurements (angle_rad, rate_radps, angle_integral_rads)
-with negative feedback (design/loop/open_loop.py). Three kinds with one interface:
+with negative feedback (`loop.OpenLoop`). Three kinds with one interface:
 
 | kind | class | converter, delay, hold | integrator |
 |---|---|---|---|

@@ -1,22 +1,51 @@
-"""A loop: fixed path and control law."""
+"""A loop: what margins and plots ask of one, and that of a fixed path and a control law."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maxq.control.kernel.records import Array
 from maxq.design.laws.bending_filter import FASTEST
 from maxq.design.laws.law import ANGLES, MEASUREMENTS, Controller
 from maxq.design.loop.fixed_path import ExactFixedPath, FixedPath, PadeFixedPath
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain, closed, zeros_and_poles
 
 
+class OpenLoop(Protocol):
+    """A single loop opened at one point, with negative feedback: it closes on 1 + L = 0.
+
+    L has positive sign: a stable rigid body under PD control has L = (k_p / s + k_d) times the rest. Poles are in
+    rad/s; those of a sampled loop at z are log(z) / T.
+    """
+
+    @property
+    def highest_hz(self) -> float:
+        """Where the response ends: the Nyquist frequency of a sampled loop, infinity of a continuous one."""
+
+    def response(self, frequencies_hz: Array) -> ComplexArray:
+        """L, same shape as `frequencies_hz` (each above 0 and at most `highest_hz`)."""
+
+    def open_poles(self) -> ComplexArray:
+        """Poles of L, those that a pure delay has left out."""
+
+    def closed_poles(self) -> ComplexArray:
+        """Zeros of 1 + L."""
+
+    @property
+    def sample_s(self) -> float | None:
+        """Period of a sampled loop."""
+
+    def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
+        """All zeros and all poles of L, in s or in z, by which no pair of crossings is missed; None: not known."""
+
+
 @dataclass(frozen=True)
 class Loop:
-    """Open loop L = sum of C_i P_i over the law's inputs, closed on 1 + L = 0 (design/loop/open_loop.py).
+    """Open loop L = sum of C_i P_i over the law's inputs (an `OpenLoop`).
 
     Raises ValueError where path and law do not fit: their sample periods differ, or the path lacks a
     measurement that the law needs.

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.loop.open_loop import OpenLoop
+from maxq.design.loop.loop import OpenLoop
 from maxq.design.margins.curve import FLOOR, Curve
 from maxq.design.margins.solving import TINY, from_minus_one_deg, sample
 from maxq.design.model.state_space import ComplexArray

@@ -228,16 +228,10 @@ def build_up(node: Node) -> list[tuple[str, Node]]:
         rate_slope_m=none, rate_moment_m2=none,
     )  # fmt: skip  # five more lines otherwise
     bare = dataclasses.replace(frozen, aerodynamics=air)
-    vehicles = (bare, frozen, light, stiff)
-    out = [(name, _with(node, vehicle)) for name, vehicle in zip(BUILD_UP, vehicles, strict=False)]
-    return [*out, (BUILD_UP[-1], node)]
-
-
-def _with(node: Node, vehicle: VehicleAt) -> Node:
-    liquids = node.liquids
-    if liquids is not None and not len(vehicle.pendulums.mass_kg):
-        liquids = _emptied(liquids)
-    return dataclasses.replace(node, vehicle=vehicle, liquids=liquids)
+    none_left = node.liquids and _emptied(node.liquids)
+    steps = ((bare, none_left), (frozen, none_left), (light, node.liquids), (stiff, node.liquids))
+    nodes = [dataclasses.replace(node, vehicle=vehicle, liquids=liquids) for vehicle, liquids in steps]
+    return list(zip(BUILD_UP, [*nodes, node], strict=True))
 
 
 def _frozen(vehicle: VehicleAt) -> VehicleAt:
@@ -262,6 +256,4 @@ def _emptied(record: _Arrays) -> _Arrays:
 def _nothing_of(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(_nothing_of(each) for each in value)
-    if isinstance(value, int):
-        return 0
-    return value[:0] if isinstance(value, np.ndarray) else None
+    return 0 if isinstance(value, int) else value[:0] if isinstance(value, np.ndarray) else None

@@ -20,25 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.loop.open_loop import OpenLoop
-from maxq.design.margins.solving import (
-    DB,
-    Objective,
-    along,
-    complementary,
-    from_minus_one_deg,
-    log_size,
-    minima,
-    minus_log_size,
-    minus_sine,
-    roots,
-    sample,
-    sensitivity,
-    sine,
-    symmetric,
-    vertex,
-    wrapped,
-)
+from maxq.design.loop.loop import OpenLoop
+from maxq.design.margins import solving
 from maxq.design.model.state_space import ComplexArray
 
 LOWEST_HZ = 1e-5  # a root slower than this (4 hours) is drift and not part of the loop's dynamics
@@ -57,7 +40,8 @@ OSCILLATING = 0.5  # damping ratio below which a pole gets points of its own
 LOWEST_PEAK = np.log(1e-3)  # peaks below -60 dB are not refined
 REACH = 4.0  # a minimum may lie lower than its parabola by this many times the parabola's drop
 
-_OBJECTIVES = (sensitivity, complementary, symmetric, minus_log_size, log_size, sine, minus_sine)
+_DISTANCES = (solving.sensitivity, solving.complementary, solving.symmetric)
+_OBJECTIVES = (*_DISTANCES, solving.minus_log_size, solving.log_size, solving.sine, solving.minus_sine)
 _STEPS = (1.0 + np.sqrt(2.0)) ** np.arange(-1.0, 24.0)
 _OFFSETS = np.concatenate([-_STEPS[::-1], [0.0], _STEPS])
 
@@ -105,16 +89,11 @@ class Curve:
         return {int(k): int(n) for k, n in zip(*np.unique(inside, return_counts=True), strict=True)}
 
     @property
-    def at_zero_limit(self) -> complex:
-        """L at zero frequency; 1e150 for an infinite one."""
-        return complex(self.at_zero if self.slope_at_zero == 0 else 0.0 if self.slope_at_zero > 0 else 1e150)
-
-    @property
-    def at_end_limit(self) -> complex | None:
-        """L at infinity; None for a sampled loop, whose end is a point of the curve."""
-        if self.finite_end:
-            return None
-        return complex(self.loop[-1].real if self.slope_at_end == 0 else 0.0)
+    def limits(self) -> list[tuple[complex, float]]:
+        """L at zero frequency, 1e150 for an infinite one, and of a continuous loop at infinity, with the frequency."""
+        at_zero = self.at_zero if self.slope_at_zero == 0 else 0.0 if self.slope_at_zero > 0 else 1e150
+        at_end = self.loop[-1].real if self.slope_at_end == 0 else 0.0
+        return [(complex(at_zero), 0.0), *([] if self.finite_end else [(complex(at_end), np.inf)])]
 
     @property
     def lowest_radps(self) -> float:
@@ -146,7 +125,7 @@ def trace(loop: OpenLoop, lowest_hz: float = LOWEST_HZ) -> Curve:
     finite_end = bool(np.isfinite(end))
     end, at_end = (end, 0) if finite_end else _end(loop, poles, lowest_hz)
     grid = _grid(poles, lowest_hz, end, finite_end)
-    f, values = _refine(loop, grid, sample(loop, grid))
+    f, values = _refine(loop, grid, solving.sample(loop, grid))
     return Curve(loop, f, values, open_poles, closed_poles, slope_at_zero, at_zero, at_end, finite_end)
 
 
@@ -161,7 +140,7 @@ def _finite(poles: ComplexArray, kind: str) -> ComplexArray:
 
 def _start(loop: OpenLoop, lowest_hz: float, end: float) -> tuple[int, float]:
     """Slope at the beginning, and the limit at zero frequency."""
-    values = sample(loop, np.minimum(lowest_hz * np.array([1.0, 2.0]), end))
+    values = solving.sample(loop, np.minimum(lowest_hz * np.array([1.0, 2.0]), end))
     size = np.abs(values)
     if size.min() == 0.0:
         return 0, float(values.real[0])
@@ -172,7 +151,7 @@ def _end(loop: OpenLoop, poles: ComplexArray, lowest_hz: float) -> tuple[float, 
     """Where a continuous loop has reached its asymptote or is too small to matter, and the asymptote's slope."""
     fastest = max(float(np.abs(poles).max()) / (2.0 * np.pi) if len(poles) else 1.0, 100.0 * lowest_hz)
     f = 30.0 * fastest * 10.0 ** np.arange(7.0)
-    values = sample(loop, np.concatenate([f, 1.1 * f]))
+    values = solving.sample(loop, np.concatenate([f, 1.1 * f]))
     size, later = np.abs(values[:7]), np.abs(values[7:])
     with np.errstate(all="ignore"):
         slope = np.log(later / size) / np.log(1.1)
@@ -238,7 +217,7 @@ def _refine(loop: OpenLoop, f: Array, values: ComplexArray) -> tuple[Array, Comp
         if len(f) + len(k) > MOST_POINTS:
             raise ValueError(f"the loop's phase turns too often to be followed: {len(f)} points up to {f[-1]:.3g} Hz")
         middle = 0.5 * (f[k] + f[k + 1])
-        f, values = np.insert(f, k + 1, middle), np.insert(values, k + 1, sample(loop, middle))
+        f, values = np.insert(f, k + 1, middle), np.insert(values, k + 1, solving.sample(loop, middle))
         fresh = np.zeros(len(f) - 1, bool)
         first = k + np.arange(len(k))
         fresh[first] = fresh[first + 1] = True
@@ -258,15 +237,17 @@ def refine_extremes(curve: Curve) -> Curve:
     return with_minima(curve, _OBJECTIVES, [_candidates(curve, k) for k in range(len(_OBJECTIVES))])
 
 
-def with_minima(curve: Curve, objectives: Sequence[Objective], found: Sequence[tuple[IntArray, Array]]) -> Curve:
+def with_minima(
+    curve: Curve, objectives: Sequence[solving.Objective], found: Sequence[tuple[IntArray, Array]]
+) -> Curve:
     """The curve with minima solved for and added, from `brackets` of each objective (their numbers, the values)."""
     kind = np.concatenate([np.full(len(middle), k) for k, (middle, _) in enumerate(found)])
     middle, values = (np.concatenate(parts) for parts in zip(*found, strict=True))
     if not len(middle):
         return curve
     points = curve.frequency_hz[middle[:, None] + np.arange(-1, 2)]
-    lowest = minima(along(curve.source, objectives, kind), points, values)
-    return curve.with_points(lowest, sample(curve.source, lowest))
+    lowest = solving.minima(solving.along(curve.source, objectives, kind), points, values)
+    return curve.with_points(lowest, solving.sample(curve.source, lowest))
 
 
 def _candidates(curve: Curve, k: int) -> tuple[IntArray, Array]:
@@ -275,13 +256,13 @@ def _candidates(curve: Curve, k: int) -> tuple[IntArray, Array]:
     value = objective(curve.loop)
     middle, around = brackets(value)
     here, f = around[:, 1], curve.frequency_hz
-    _, drop = vertex(f[middle - 1], f[middle], f[middle + 1], *around.T)
+    _, drop = solving.vertex(f[middle - 1], f[middle], f[middle + 1], *around.T)
     reachable = here - REACH * drop
-    if objective in (sensitivity, complementary, symmetric):
+    if objective in _DISTANCES:
         worth = reachable <= value.min()
-    elif objective is minus_log_size:
+    elif objective is solving.minus_log_size:
         worth = here < -LOWEST_PEAK
-    elif objective is log_size:
+    elif objective is solving.log_size:
         worth = (here > 0.0) & (reachable < 0.0)
     else:
         worth = (here > 0.0) & (reachable < 0.0) & (curve.loop.real[middle] < 0.0)
@@ -306,7 +287,7 @@ class GainCrossings:
     @property
     def phase_margin_deg(self) -> Array:
         """In (-180, 180]: above 0 the lag that reaches -1, below 0 (its size) the lead that does so sooner."""
-        return from_minus_one_deg(self.loop)
+        return solving.from_minus_one_deg(self.loop)
 
     @property
     def lag_deg(self) -> Array:
@@ -334,13 +315,13 @@ class PhaseCrossings:
     @property
     def gain_margin_db(self) -> Array:
         """Above 0 the increase of gain that reaches -1, below 0 (its size) the decrease that does."""
-        return np.asarray(-DB * log_size(self.loop))
+        return np.asarray(-solving.DB * solving.log_size(self.loop))
 
 
 def find_crossings(curve: Curve) -> tuple[GainCrossings, PhaseCrossings, Curve]:
     """All of them, and the curve with them added."""
     f, loop = curve.frequency_hz, curve.loop
-    size, angle = log_size(loop), sine(loop)
+    size, angle = solving.log_size(loop), solving.sine(loop)
     gain = np.flatnonzero((size[1:] >= 0.0) != (size[:-1] >= 0.0))
     change = (angle[1:] >= 0.0) != (angle[:-1] >= 0.0)
     if curve.finite_end and abs(angle[-1]) < REAL:  # at Nyquist the sign of Im L is rounding
@@ -351,8 +332,9 @@ def find_crossings(curve: Curve) -> tuple[GainCrossings, PhaseCrossings, Curve]:
     k = np.concatenate([gain, phase])
     kind = np.concatenate([np.zeros(len(gain), int), np.ones(len(phase), int)])
     ends = np.stack([np.where(kind == 0, size[k + j], angle[k + j]) for j in (0, 1)])
-    found = roots(along(curve.source, (log_size, sine), kind), f[k], f[k + 1], ends[0], ends[1])
-    values = sample(curve.source, found)
+    along = solving.along(curve.source, (solving.log_size, solving.sine), kind)
+    found = solving.roots(along, f[k], f[k + 1], ends[0], ends[1])
+    values = solving.sample(curve.source, found)
     at_gain, from_above = kind == 0, angle[k] >= 0.0
     magnitude = np.abs(values)
     at_phase = ~at_gain & (values.real < 0.0) & (magnitude > 1.0 / FARTHEST) & (magnitude < FARTHEST)
@@ -400,7 +382,7 @@ def encirclement_count(curve: Curve, crossings: PhaseCrossings) -> int:
     last = -2 if curve.finite_end else -1
     turn = _first_turn(curve) + np.angle(distance[last]) - np.angle(distance[0]) + 2.0 * np.pi * branches
     end = np.angle(complex((1.0 + curve.loop[-1]).real))
-    turn += wrapped(float(end - np.angle(distance[last])), np.pi)
+    turn += solving.wrapped(float(end - np.angle(distance[last])), np.pi)
     return round(float(right.sum() - turn / np.pi))
 
 
@@ -410,11 +392,11 @@ def _first_turn(curve: Curve) -> float:
     order = -curve.slope_at_zero if abs(first) > 1.0 else 0
     if order == 0:
         begin = float(np.angle(complex((1.0 + first).real)))
-        return wrapped(float(np.angle(1.0 + first)) - begin, np.pi)
+        return solving.wrapped(float(np.angle(1.0 + first)) - begin, np.pi)
     # L = K / s^n is real at the beginning, and large against 1; with n < 0 it has zeros, and 1 + L drift, below
     begin = float(np.angle(complex((first * 1j**order).real)))
     arrived = begin - order * np.pi / 2.0
-    return arrived - begin + wrapped(float(np.angle(1.0 + first)) - arrived, np.pi)
+    return arrived - begin + solving.wrapped(float(np.angle(1.0 + first)) - arrived, np.pi)
 
 
 def _past_axis_poles(curve: Curve) -> int:
@@ -422,6 +404,6 @@ def _past_axis_poles(curve: Curve) -> int:
     count = 0
     for k, order in curve.steps_past_poles():
         before, after = (float(np.angle(1.0 + curve.loop[j])) for j in (k, k + 1))
-        clockwise = order * np.pi + wrapped(before - after - order * np.pi, np.pi)
+        clockwise = order * np.pi + solving.wrapped(before - after - order * np.pi, np.pi)
         count += round((clockwise - (before - after)) / (2.0 * np.pi))
     return count

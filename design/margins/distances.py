@@ -21,19 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.design.margins import solving
 from maxq.design.margins.curve import Curve, GainCrossings, PhaseCrossings, brackets, with_minima
-from maxq.design.margins.solving import (
-    DB,
-    Objective,
-    along,
-    complementary,
-    from_minus_one_deg,
-    log_size,
-    roots,
-    sample,
-    sensitivity,
-    symmetric,
-)
+from maxq.design.margins.solving import DB, along, from_minus_one_deg, log_size, roots, sample
 from maxq.design.model.state_space import ComplexArray
 
 Shape = Literal["diamond", "rectangle", "ellipse"]
@@ -68,11 +58,11 @@ NO_DISKS = Disks(_NO_DISK, _NO_DISK, _NO_DISK)
 
 def find_disks(curve: Curve) -> Disks:
     """Least distances over a curve whose turning points have been solved for."""
-    size, f = _least_distance(curve, sensitivity)
+    size, f = _least_distance(curve, solving.sensitivity)
     from_s = Disk(size, f, _db(1.0 + size), -_db(1.0 - size), _phase_deg(size))
-    size, f = _least_distance(curve, complementary)
+    size, f = _least_distance(curve, solving.complementary)
     from_t = Disk(size, f, -_db(1.0 - size), _db(1.0 + size), _phase_deg(size))
-    return Disks(from_s, from_t, symmetric_disk(*_least_distance(curve, symmetric)))
+    return Disks(from_s, from_t, symmetric_disk(*_least_distance(curve, solving.symmetric)))
 
 
 def symmetric_disk(half: float, frequency_hz: float) -> Disk:
@@ -83,14 +73,12 @@ def symmetric_disk(half: float, frequency_hz: float) -> Disk:
     return Disk(2.0 * half, frequency_hz, both, both, float(np.degrees(2.0 * np.arctan(half))))
 
 
-def _least_distance(curve: Curve, objective: Objective) -> tuple[float, float]:
+def _least_distance(curve: Curve, objective: solving.Objective) -> tuple[float, float]:
     """The least distance and its frequency: 0 and infinity are limits."""
     value: Array = objective(curve.loop)
     k = int(np.argmin(value))
     found = [(float(value[k]), float(curve.frequency_hz[k]))]
-    for limit, f in ((curve.at_zero_limit, 0.0), (curve.at_end_limit, np.inf)):
-        if limit is not None:
-            found.append((float(objective(np.array([limit]))[0]), f))
+    found += [(float(objective(np.array([limit]))[0]), f) for limit, f in curve.limits]
     least, f = min(found)
     return float(np.exp(least)) if least < 300.0 else np.inf, f
 
@@ -158,7 +146,9 @@ def find_clearances(
     kinks = {"diamond": axes, "rectangle": corners, "ellipse": np.zeros(0)}
     found = [_candidates(zone.clearance(curve.loop), np.isin(curve.frequency_hz, kinks[zone.shape])) for zone in zones]
     curve = with_minima(curve, [zone.clearance for zone in zones], found)
-    return tuple(_least(curve, zone) for zone in zones)
+    least = [(zone, value := zone.clearance(curve.loop), int(np.argmin(value))) for zone in zones]
+    at, loop = curve.frequency_hz, curve.loop
+    return tuple(Clearance(zone, float(value[k]), float(at[k]), complex(loop[k])) for zone, value, k in least)
 
 
 def _candidates(value: Array, sharp: NDArray[np.bool_]) -> tuple[IntArray, Array]:
@@ -196,9 +186,3 @@ def _beside(curve: Curve, kinks_hz: Array) -> Curve:
         return curve
     close = np.concatenate([f[k] - 0.02 * (f[k] - f[k - 1]), f[k] + 0.02 * (f[k + 1] - f[k])])
     return curve.with_points(close, sample(curve.source, close))
-
-
-def _least(curve: Curve, zone: Zone) -> Clearance:
-    value = zone.clearance(curve.loop)
-    k = int(np.argmin(value))
-    return Clearance(zone, float(value[k]), float(curve.frequency_hz[k]), complex(curve.loop[k]))

@@ -85,7 +85,7 @@ def find_lobes(
     shown = np.array([k for k in range(len(poles)) if resonances is not None or share[k] > VISIBLE], int)
     terms = (strength[shown], centre[shown], width[shown])
     inside = _inside(f, loop, *terms)
-    runs = [_run(f, inside[j], _valleys(loop, f, centre[k]), centre[k]) for j, k in enumerate(shown)]
+    runs = [_run(f, loop, inside[j], centre[k]) for j, k in enumerate(shown)]
     ends = _solved_ends(curve, runs, *terms)
     reach = LEAST * width[shown]
     low, high = np.minimum(ends[:, 0], centre[shown] - reach), np.maximum(ends[:, 1], centre[shown] + reach)
@@ -126,21 +126,15 @@ def _strengths(curve: Curve, centre: Array, width: Array) -> tuple[ComplexArray,
     return np.asarray(2.0 * here - above - below), here
 
 
-def _valleys(loop: ComplexArray, f: Array, centre: float) -> NDArray[np.bool_]:
-    """Deep minima of |L|."""
-    size = np.abs(loop)
-    k = int(np.argmin(np.abs(f - centre)))
-    low = np.append(True, size[1:] <= size[:-1]) & np.append(size[:-1] <= size[1:], True)
-    return np.asarray(low & (size < VALLEY * size[k]))
-
-
 def _run(
-    f: Array, inside: NDArray[np.bool_], valley: NDArray[np.bool_], centre: float
+    f: Array, loop: ComplexArray, inside: NDArray[np.bool_], centre: float
 ) -> tuple[tuple[int, bool] | None, tuple[int, bool] | None] | None:
     """The points before and after the run of `inside` between valleys that holds the centre, and whether they are
-    valleys; None where the curve ends, and for no run.
+    valleys, deep minima of |L|; None where the curve ends, and for no run.
     """
-    k = int(np.argmin(np.abs(f - centre)))
+    k, size = int(np.argmin(np.abs(f - centre))), np.abs(loop)
+    low = np.append(True, size[1:] <= size[:-1]) & np.append(size[:-1] <= size[1:], True)
+    valley = low & (size < VALLEY * size[k])
     outside = np.flatnonzero(~inside | valley)
     if k in outside:
         return None

@@ -11,7 +11,7 @@ import numpy as np
 
 from maxq.control.kernel.jit import entry, routine
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.margins import many_curve
+from maxq.design.margins import curve, lobes, many_curve, solving
 from maxq.design.model.state_space import ComplexArray
 
 DONE, UNSTABLE, HANDED_BACK = 0, 1, 2
@@ -20,16 +20,7 @@ MARGINS, DELAY, MINIMA, COUNT = 7, 3, 8, 23
 phase (deg), phase of the first mode (deg), peak of the others (dB); NaN of an unstable loop. Then, of that too, the
 MINIMA lowest |1 + L| and where each is (Hz), NaN behind the last."""
 
-_LOWEST_HZ = 1e-5
-_FARTHEST = 1e9
-_ASYMPTOTIC = 4.0
-_DRIFT_UP_TO_HZ = 1e-3
-_SHARE = 0.5
-_VALLEY = 0.5
-_LEAST = 2.0
-_ROUNDING_DB = 1e-9
-_LIGHT = 0.3
-_DB = 8.685889638065037
+_LIGHT = 0.3  # damping ratio of what `FixedPath.resonances` names
 
 
 @routine
@@ -125,16 +116,16 @@ def _one(
     open_[n:] = law_hz
 
     # where the curve begins
-    low = _LOWEST_HZ
+    low = curve.LOWEST_HZ
     for size in np.sort(np.abs(open_)) / many_curve.TWO_PI:
-        if low / _ASYMPTOTIC < size < _ASYMPTOTIC * low:
-            low = _ASYMPTOTIC * size
-    if low > _DRIFT_UP_TO_HZ:
-        low = _LOWEST_HZ
+        if low / curve.ASYMPTOTIC < size < curve.ASYMPTOTIC * low:
+            low = curve.ASYMPTOTIC * size
+    if low > curve.DRIFT_UP_TO_HZ:
+        low = curve.LOWEST_HZ
     end = 0.5 / sample_s
     growing = 0
     for p in closed:
-        if abs(p) > many_curve.TWO_PI * low and p.real >= -many_curve.ON_AXIS * abs(p):
+        if abs(p) > many_curve.TWO_PI * low and p.real >= -curve.ON_AXIS * abs(p):
             growing += 1
     first = many_curve.value_at(low, at)
     second = many_curve.value_at(2.0 * low, at)
@@ -164,10 +155,10 @@ def _one(
     # encirclements
     right = 0
     for p in open_:
-        right += 1 if abs(p) > many_curve.TWO_PI * low and p.real > many_curve.ON_AXIS * abs(p) else 0
+        right += 1 if abs(p) > many_curve.TWO_PI * low and p.real > curve.ON_AXIS * abs(p) else 0
     branches = 0
     for k in range(len(places)):
-        if kinds[k] == 1 and values[k].real < 0.0 and 1.0 < abs(values[k]) < _FARTHEST:
+        if kinds[k] == 1 and values[k].real < 0.0 and 1.0 < abs(values[k]) < curve.FARTHEST:
             branches += ways[k]
     start_loop = loop[0]
     order = -slope_at_zero if abs(start_loop) > 1.0 else 0
@@ -199,8 +190,8 @@ def _judged(
     m, end = len(f), f[-1]
     up = down = phase = delay = np.inf
     for k in range(len(places)):
-        if kinds[k] == 1 and values[k].real < 0.0 and 1.0 / _FARTHEST < abs(values[k]) < _FARTHEST:
-            db = -_DB * many_curve.log_size(values[k])
+        if kinds[k] == 1 and values[k].real < 0.0 and 1.0 / curve.FARTHEST < abs(values[k]) < curve.FARTHEST:
+            db = -solving.DB * many_curve.log_size(values[k])
             if db >= 0.0:
                 up = min(up, db)
             else:
@@ -209,11 +200,11 @@ def _judged(
             lag = np.degrees(many_curve.angle(-values[k])) % 360.0
             delay = min(delay, lag / (360.0 * places[k]))
     if slope_at_zero == 0 and at_zero < 0.0 and abs(loop[0].imag) < 0.1 * abs(loop[0]):
-        db = -_DB * np.log(abs(at_zero))
+        db = -solving.DB * np.log(abs(at_zero))
         up, down = (min(up, db), down) if db >= 0.0 else (up, min(down, -db))
     last = loop[m - 1]
-    if last.real < 0.0 and abs(last.imag) < many_curve.REAL * abs(last):
-        db = -_DB * np.log(abs(last.real))
+    if last.real < 0.0 and abs(last.imag) < curve.REAL * abs(last):
+        db = -solving.DB * np.log(abs(last.real))
         up, down = (min(up, db), down) if db >= 0.0 else (up, min(down, -db))
 
     # lobes, in rising order of frequency
@@ -246,13 +237,13 @@ def _judged(
         for k in range(m):
             if abs(f[k] - centre[j]) < abs(f[nearest] - centre[j]):
                 nearest = k
-        deep = _VALLEY * abs(loop[nearest])
+        deep = lobes.VALLEY * abs(loop[nearest])
         low = high = centre[j]
         if _in_lobe(f[nearest], loop[nearest], strength, centre, width, j) and not _valley(loop, nearest, deep):
             low = _end_of_lobe(f, loop, strength, centre, width, j, nearest, deep, -1, at)
             high = _end_of_lobe(f, loop, strength, centre, width, j, nearest, deep, 1, at)
-        low = max(min(low, centre[j] - _LEAST * width[j]), f[0])
-        high = min(max(high, centre[j] + _LEAST * width[j]), f[m - 1])
+        low = max(min(low, centre[j] - lobes.LEAST * width[j]), f[0])
+        high = min(max(high, centre[j] + lobes.LEAST * width[j]), f[m - 1])
         low_loop = many_curve.value_at(low, at)
         high_loop = many_curve.value_at(high, at)
         begin = np.searchsorted(f, low)
@@ -268,10 +259,10 @@ def _judged(
             for k in range(begin, stop):
                 if abs(f[k] - centre[j]) < abs(f[top] - centre[j]):
                     top = k
-        level = _DB * np.log(max(greatest, 1e-300))
-        shown = _DB * many_curve.log_size(loop[top])
+        level = solving.DB * np.log(max(greatest, 1e-300))
+        shown = solving.DB * many_curve.log_size(loop[top])
         lag = lead = np.inf
-        if level > _ROUNDING_DB:
+        if level > lobes.ROUNDING_DB:
             crossed = False
             for k in range(len(places)):
                 if kinds[k] == 0 and low <= places[k] <= high:
@@ -342,7 +333,7 @@ def _in_lobe(hz: float, value: complex, strength: ComplexArray, centre: Array, w
     """Whether a point belongs to a lobe: its term is large against the rest, and the largest of all."""
     term = strength[j] * many_curve.over(complex(1.0, (hz - centre[j]) / width[j]))
     size = abs(term)
-    if size <= _SHARE * abs(value - term):
+    if size <= lobes.SHARE * abs(value - term):
         return False
     for other in range(len(strength)):
         if abs(strength[other] * many_curve.over(complex(1.0, (hz - centre[other]) / width[other]))) > size:

@@ -9,8 +9,8 @@ the continuous path answers a command that is held over a period T and acts t la
 
 for a delay of m periods and t: what sampling.py finds by matrix exponentials. Everything is a function of w = z - 1,
 since slow poles differ from 1 by little. Zeros of 1 + L are all found at once, from those of the nominal vehicle
-(O. Aberth, Math. Comput. 27, 1973). Grid, refinement and solvers are those of curve.py and solving.py; what is made of
-the curve stands in many.py.
+(O. Aberth, Math. Comput. 27, 1973). Grid, refinement and solvers are those of curve.py and solving.py, and so are their
+constants; what is made of the curve stands in many.py.
 """
 
 from __future__ import annotations
@@ -21,23 +21,13 @@ import numpy as np
 
 from maxq.control.kernel.jit import routine
 from maxq.control.kernel.records import Array, IntArray
+from maxq.design.margins import curve, solving
 from maxq.design.model.state_space import ComplexArray
 
 At = Any
 """What L depends on: period, terms of pairs and single poles, what passes directly, law, periods of delay."""
 
-_PER_DECADE = 16
-_PER_DECADE_FLAT = 6
-_TURN_RAD = 0.6
-_FLOOR = 1e-4
-_NARROW = 1e-12
-REAL = 1e-6
-ON_AXIS = 1e-9
-_OSCILLATING = 0.5
 _NEAR = 0.7
-_GOLDEN = 0.3819660112501051
-_STEP = 8.9e-16
-_LOWEST_PEAK = -6.907755278982137
 FASTEST = 1e-6
 _MOST_POINTS = 6000
 _MOST_ROUNDS = 60
@@ -236,12 +226,12 @@ def least_of(kind: int, a: float, c: float, b: float, fa: float, fc: float, fb: 
         slope = (right * (c - a) - left * (b - c)) / (b - a)
         x, promised = c - slope / (2.0 * curvature), slope * slope / (4.0 * curvature)
         to_right = b - c > c - a
-        golden = c + _GOLDEN * (b - c if to_right else a - c)
+        golden = c + solving.GOLDEN * (b - c if to_right else a - c)
         stalled = False
         if step % 3 == 2:
             stalled = b - a > 0.5 * wide
             wide = b - a
-        nudge = max(1e-6 * (b - a), _STEP * abs(c))
+        nudge = max(1e-6 * (b - a), solving.STEP * abs(c))
         if not np.isfinite(x):
             x = golden
         if abs(x - c) < nudge:
@@ -257,7 +247,7 @@ def least_of(kind: int, a: float, c: float, b: float, fa: float, fc: float, fb: 
             b, fb = x_end, f_end
         if better:
             c, fc = x, f
-        if (not promised >= 1e-12 and step >= 3) or b - a < 8.0 * _STEP * abs(c):
+        if (not promised >= 1e-12 and step >= 3) or b - a < 8.0 * solving.STEP * abs(c):
             break
     return c
 
@@ -279,7 +269,7 @@ def _root_of(kind: int, x1: float, x2: float, f1: float, f2: float, at: At) -> f
         x1, f1 = x, f
         best = x1 if abs(f1) < abs(f2) else x2
         width = abs(x2 - x1)
-        shortest = _STEP * abs(x1) / width if width > 0.0 else 1.0
+        shortest = solving.STEP * abs(x1) / width if width > 0.0 else 1.0
         xi, phi = (x1 - x2) / (x3 - x2), (f1 - f2) / (f3 - f2)
         share = 0.5
         if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
@@ -324,9 +314,9 @@ def grid(open_: ComplexArray, closed: ComplexArray, lowest: float, end: float) -
             if p.imag < 0.0 or size <= TWO_PI * lowest:
                 continue
             slow, fast = min(slow, size / TWO_PI), max(fast, size / TWO_PI)
-            if p.imag > 0.0 and abs(p.real) < _OSCILLATING * size:
+            if p.imag > 0.0 and abs(p.real) < curve.OSCILLATING * size:
                 width = abs(p.real)
-                if width <= ON_AXIS * size:
+                if width <= curve.ON_AXIS * size:
                     return out[:0]
                 step = 1.0 / (1.0 + np.sqrt(2.0))
                 out[n] = p.imag / TWO_PI
@@ -339,14 +329,14 @@ def grid(open_: ComplexArray, closed: ComplexArray, lowest: float, end: float) -
                     step *= 1.0 + np.sqrt(2.0)
     slow = min(max(0.3 * slow, 2.0 * lowest), 0.5 * end)
     fast = min(max(3.0 * fast, 2.0 * lowest), 0.5 * end)
-    n = _decades(lowest, slow, _PER_DECADE_FLAT, out, n)
-    n = _decades(slow, fast, _PER_DECADE, out, n)
-    n = _decades(fast, end, _PER_DECADE_FLAT, out, n)
+    n = _decades(lowest, slow, curve.PER_DECADE_FLAT, out, n)
+    n = _decades(slow, fast, curve.PER_DECADE, out, n)
+    n = _decades(fast, end, curve.PER_DECADE_FLAT, out, n)
     out[n], out[n + 1], out[n + 2] = lowest, end, end * (1.0 - 1e-6)
     f = np.sort(out[: n + 3])
     m = 0
     for x in f:
-        if lowest <= x <= end and (m == 0 or x - f[m - 1] > _NARROW * x):
+        if lowest <= x <= end and (m == 0 or x - f[m - 1] > curve.NARROW * x):
             f[m] = x
             m += 1
     return f[:m]
@@ -360,10 +350,11 @@ def refined(f: Array, loop: ComplexArray, at: At) -> tuple[Array, ComplexArray]:
     for _ in range(40):
         coarse, any_ = np.zeros(n, np.bool_), False
         for k in range(n - 1):
-            if not fresh[k] or f[k + 1] - f[k] <= 1e3 * _NARROW * f[k + 1]:
+            if not fresh[k] or f[k + 1] - f[k] <= 1e3 * curve.NARROW * f[k + 1]:
                 continue
             a, b = loop[k], loop[k + 1]
-            if (_turned(b, a) > _TURN_RAD and max(abs(a), abs(b)) > _FLOOR) or _turned(1.0 + b, 1.0 + a) > _TURN_RAD:
+            turned = _turned(b, a) if max(abs(a), abs(b)) > curve.FLOOR else 0.0
+            if max(turned, _turned(1.0 + b, 1.0 + a)) > curve.TURN_RAD:
                 coarse[k] = any_ = True
         if not any_:
             break
@@ -406,7 +397,7 @@ def extremes(f: Array, loop: ComplexArray, at: At) -> Array:
             if not (here <= left and here <= right and (here < left or here < right)) or m >= n:
                 continue
             if kind == 1:
-                worth = here < -_LOWEST_PEAK
+                worth = here < -curve.LOWEST_PEAK
             else:
                 worth = 0.0 < here < _NEAR and (kind == 0 or loop[k].real < 0.0)
             if worth:
@@ -428,7 +419,7 @@ def crossings(f: Array, loop: ComplexArray, at: At) -> tuple[Array, IntArray, In
             m += 1
     for k in range(n - 1):
         a, b = _objective(2, loop[k]), _objective(2, loop[k + 1])
-        if k == n - 2 and abs(b) < REAL:
+        if k == n - 2 and abs(b) < curve.REAL:
             continue
         if (a >= 0.0) != (b >= 0.0) and (loop[k].real < 0.0 or loop[k + 1].real < 0.0) and m < n:
             places[m] = _root_of(2, f[k], f[k + 1], a, b, at)

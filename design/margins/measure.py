@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
-from maxq.design.loop.open_loop import OpenLoop
+from maxq.design.loop.loop import OpenLoop
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins.bounds import separated
 from maxq.design.margins.curve import (
@@ -138,12 +138,13 @@ def margins(
     crossover = float(gain.frequency_hz[rigid & ~gain.rising].max(initial=0.0))
     db, f = phase.gain_margin_db, phase.frequency_hz
     turn = np.abs(gain.phase_margin_deg)
+    stays_above_1 = not curve.finite_end and curve.slope_at_end == 0 and abs(curve.loop[-1]) >= 1.0
     return Margins(
         **facts,
         gain_up_db=least(db, f, db >= 0.0),
         gain_down_db=least(-db, f, db < 0.0),
         phase_deg=least(turn, gain.frequency_hz),
-        delay_s=_delay(gain, curve),
+        delay_s=Bound(0.0, np.inf) if stays_above_1 else least(gain.delay_s, gain.frequency_hz),
         aero_gain_db=least(-db, f, (db < 0.0) & free & (f <= crossover)),
         rigid_gain_db=least(db, f, (db >= 0.0) & free & (f >= crossover)),
         rigid_phase_deg=least(turn, gain.frequency_hz, rigid),
@@ -167,12 +168,6 @@ def _inside(f: Array, lobes: Sequence[Lobe]) -> NDArray[np.bool_]:
     for lobe in lobes:
         out |= (f >= lobe.low_hz) & (f <= lobe.high_hz)
     return out
-
-
-def _delay(gain: GainCrossings, curve: Curve) -> Bound:
-    if not curve.finite_end and curve.slope_at_end == 0 and abs(curve.loop[-1]) >= 1.0:
-        return Bound(0.0, np.inf)
-    return least(gain.delay_s, gain.frequency_hz)
 
 
 def least(values: Array, frequency_hz: Array, among: NDArray[np.bool_] | None = None) -> Bound:

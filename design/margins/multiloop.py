@@ -64,7 +64,9 @@ def _begin_hz(open_poles: ComplexArray) -> float:
 def _least_disk(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float]:
     """alpha / 2 and its frequency: exact mu where its bound by balancing is not below the greatest found."""
     matrices = _half(loop, frequencies_hz)
-    bounds, best, at = _balanced(matrices), 0.0, 0
+    d = np.exp(log_scales(matrices))
+    bounds = np.linalg.norm(matrices * (d[:, :, None] / d[:, None, :]), 2, axis=(1, 2))
+    best, at = 0.0, 0
     for k in np.argsort(-bounds):
         if bounds[k] <= best:
             break
@@ -100,11 +102,6 @@ def structured_singular_value(matrix: ComplexArray) -> float:
                 break
             best, start = float(found.fun), found.x
     return best
-
-
-def _balanced(matrices: ComplexArray) -> Array:
-    d = np.exp(log_scales(matrices))
-    return np.asarray(np.linalg.norm(matrices * (d[:, :, None] / d[:, None, :]), 2, axis=(1, 2)))
 
 
 def log_scales(matrices: ComplexArray) -> Array:

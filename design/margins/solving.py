@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.loop.open_loop import OpenLoop
+from maxq.design.loop.loop import OpenLoop
 from maxq.design.model.state_space import ComplexArray
 
 Objective = Callable[[ComplexArray], Array]
@@ -118,18 +118,14 @@ def roots(function: Function, low: Array, high: Array, f_low: Array, f_high: Arr
             best[open_] = np.where(np.abs(f) < np.abs(fb), x, b)
             width = np.abs(b - x)
             shortest = STEP * np.abs(x) / width
-            t[open_] = np.clip(_chandrupatla(x, b, x3, f, fb, f3), shortest, 1.0 - shortest)
+            xi, phi = (x - b) / (x3 - b), (f - fb) / (f3 - fb)
+            safe = (phi**2 < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
+            share = f / (fb - f) * f3 / (fb - f3) + (x3 - x) / (b - x) * f / (f3 - f) * fb / (f3 - fb)
+            share = np.where(safe & np.isfinite(share), share, 0.5)
+            t[open_] = np.clip(share, shortest, 1.0 - shortest)
             done = (np.minimum(np.abs(f), np.abs(fb)) < ROOT_TOLERANCE) | (shortest > 0.25)
             open_ = open_[~done]
     return best
-
-
-def _chandrupatla(x1: Array, x2: Array, x3: Array, f1: Array, f2: Array, f3: Array) -> Array:
-    """The next point, as a share of [x1, x2]."""
-    xi, phi = (x1 - x2) / (x3 - x2), (f1 - f2) / (f3 - f2)
-    safe = (phi**2 < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
-    share = f1 / (f2 - f1) * f3 / (f2 - f3) + (x3 - x1) / (x2 - x1) * f1 / (f3 - f1) * f2 / (f3 - f2)
-    return np.where(safe & np.isfinite(share), share, 0.5)
 
 
 def minima(function: Function, points: Array, values: Array) -> Array:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.verify.memory import Memory, code_hash, content_hash
+from maxq.design.verify.memory import Memory, code_hash, content_hash, counted
 from maxq.design.verify.suite import (
     ACCEPTED,
     REJECTED,
@@ -114,22 +114,16 @@ def fly_suite(
     """All flights, in the suite's order. Raises ScenarioError before any is flown where one cannot be."""
     suite = loaded_suite.suite
     loaded = [load_flight(loaded_suite, flown, design, vehicle) for flown in suite.flight]
-    done = [0]
-    watch(0, len(loaded))
 
-    def one(job: tuple[Flown, tuple[LoadedScenario, list[str]]]) -> FlownResult:
-        flown, (scenario, changes) = job
+    def one(flown: Flown, job: tuple[LoadedScenario, list[str]]) -> FlownResult:
+        scenario, changes = job
         text = (scenario.as_flown, flown.name, flown.why, flown.design_must_keep)
-        command = ["simrun", flown.scenario or suite.scenario]
-        command += [x for change in changes for x in ("--set", change)]
-        again = shlex.join(command)
-        result = memory.recall("flight", (*text, again), lambda: _fly(flown, scenario, again))
-        done[0] += 1
-        watch(done[0], len(loaded))
-        return result
+        sets = (x for change in changes for x in ("--set", change))
+        again = shlex.join(["simrun", flown.scenario or suite.scenario, *sets])
+        return memory.recall("flight", (*text, again), lambda: _fly(flown, scenario, again))
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        return list(pool.map(one, zip(suite.flight, loaded, strict=True)))
+        return list(pool.map(counted(one, watch, len(loaded)), suite.flight, loaded))
 
 
 def _fly(flown: Flown, loaded: LoadedScenario, again: str) -> FlownResult:

@@ -36,7 +36,7 @@ from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.node import Node, at_same_propellant_s, flown_run, flown_to, met_by, node_of
 from maxq.design.model.spread import correlation, places_of, root_of_correlation, vehicle_at_places
 from maxq.design.model.vehicle_at import stability_derivatives
-from maxq.design.verify.memory import Memory
+from maxq.design.verify.memory import Memory, counted
 from maxq.design.verify.suite import (
     ACCEPTED,
     AS_DESIGNED,
@@ -261,8 +261,7 @@ def study(
     """
     corners, drawn = vehicles(wanted, nodes[0])
     first = int(drawn[0].label.removeprefix("vehicle ")) if drawn else 1
-    done, total = [0], (1 + len(corners) + len(drawn)) * len(nodes)
-    watch(0, total)
+    loops = 1 + len(corners) + len(drawn)
 
     def at_node(k: int) -> tuple[Measured, Array, int]:
         node, law = nodes[k], api.law_at(design, nodes[k])
@@ -271,23 +270,20 @@ def study(
 
         def work_out() -> tuple[Measured, Array, int]:
             nominal = measured(Loop(fixed_path(node), law), peak_db)
-            loops = _Dispersed(node, design, wanted.dispersed)
+            dispersed = _Dispersed(node, design, wanted.dispersed)
             table, exact = np.full((len(corners) + len(drawn), len(MEASURES)), math.nan), 0
             for j, flight in enumerate(flown):
                 mine = np.arange((j - first + 1) % len(flown), len(drawn), len(flown)) + len(corners)
-                exact += loops.measure(flight, [drawn[i - len(corners)] for i in mine], table, mine)
-            exact += loops.measure(node, corners, table, np.arange(len(corners)))
+                exact += dispersed.measure(flight, [drawn[i - len(corners)] for i in mine], table, mine)
+            exact += dispersed.measure(node, corners, table, np.arange(len(corners)))
             return nominal, table, exact
 
         depends = (node, law, flown, wanted.seed, first, len(drawn), [c.label for c in corners], wanted.corner_sigmas)
         limits = (told(wanted.three_sigma), told(wanted.dispersed))
-        found = memory.recall("margins", (*depends, *limits), work_out)
-        done[0] += 1 + len(corners) + len(drawn)
-        watch(done[0], total)
-        return found
+        return memory.recall("margins", (*depends, *limits), work_out)
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        table = list(pool.map(at_node, range(len(nodes))))
+        table = list(pool.map(counted(at_node, watch, loops * len(nodes), loops), range(len(nodes))))
     values = np.stack([row for _, row, _ in table], axis=1)
     every = MarginStudy(
         stage, nodes[0].plane, tuple(n.time_s for n in nodes), MarginCase("", tuple(row for row, _, _ in table)), (),

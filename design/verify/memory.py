@@ -14,6 +14,7 @@ import contextlib
 import dataclasses
 import hashlib
 import importlib
+import itertools
 import json
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -142,6 +143,19 @@ def from_plain(plain: Any) -> Any:
 def _fields(kind: Any) -> list[str]:
     """Of a dataclass or a section of a file. Raises TypeError for other types."""
     return list(kind.model_fields) if issubclass(kind, Section) else [f.name for f in dataclasses.fields(kind)]
+
+
+def counted(work: Callable[..., T], watch: Callable[[int, int], None], of: int, each: int = 1) -> Callable[..., T]:
+    """`work` for threads, which tells `watch` after every job how much of all is done; a job counts `each`."""
+    done = itertools.count(each, each)
+    watch(0, of)
+
+    def one(*job: Any) -> T:
+        found = work(*job)
+        watch(next(done), of)
+        return found
+
+    return one
 
 
 class Memory:

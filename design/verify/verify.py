@@ -27,28 +27,9 @@ from maxq.design.certificate.measured_only import MeasuredNode, measure_node
 from maxq.design.model.node import EDGES, Node, node_times, powered_spans
 from maxq.design.model.spread import resolved
 from maxq.design.model.vehicle_at import Plane
+from maxq.design.verify import flown, linear
 from maxq.design.verify.fitted import fit
-from maxq.design.verify.flown import (
-    CampaignResult,
-    FlownResult,
-    campaign_requirements,
-    design_changes,
-    flight_requirements,
-    fly_campaign,
-    fly_suite,
-    load_wanted,
-)
-from maxq.design.verify.linear import (
-    Authority,
-    MarginStudy,
-    authority,
-    authority_requirement,
-    margin_requirements,
-    study,
-    trajectories_of,
-    worst_instants,
-)
-from maxq.design.verify.memory import Memory, code_hash, content_hash
+from maxq.design.verify.memory import Memory, code_hash, content_hash, counted
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
 from maxq.design.verify.suite import (
     ACCEPTED,
@@ -88,12 +69,12 @@ class Verification:
     suite: Suite
     scenario: LoadedScenario = field(repr=False)
     requirements: tuple[Requirement, ...]
-    flights: tuple[FlownResult, ...] = field(repr=False)
-    margins: tuple[MarginStudy, ...] = field(repr=False)
+    flights: tuple[flown.FlownResult, ...] = field(repr=False)
+    margins: tuple[linear.MarginStudy, ...] = field(repr=False)
     certificates: tuple[NodeCertificate, ...] = field(repr=False)
     in_flight: tuple[InFlightResponse, ...] = field(repr=False)
-    campaigns: tuple[CampaignResult, ...] = field(repr=False)
-    authority: tuple[Authority, ...] = field(repr=False)
+    campaigns: tuple[flown.CampaignResult, ...] = field(repr=False)
+    authority: tuple[linear.Authority, ...] = field(repr=False)
     slosh: tuple[SloshAdvice, ...] = field(repr=False)
     worst: tuple[WorstVehicle, ...] = field(repr=False)
     measured: tuple[MeasuredNode, ...] = field(repr=False)  # of flight code without a linear model
@@ -163,18 +144,18 @@ def verify(
             raise KeyboardInterrupt
 
     suite, kept = loaded.suite, Memory(memory)
-    scenario = load_scenario(suite.scenario, design_changes(design, vehicle))
+    scenario = load_scenario(suite.scenario, flown.design_changes(design, vehicle))
     along = flight_of(suite, design, vehicle)
     loaded = fit(loaded, along, kept)
     suite = loaded.suite
     campaigns_loaded = [
-        load_wanted(loaded, wanted, design, vehicle) for wanted in suite.campaign or filter(None, [loaded.along])
+        flown.load_wanted(loaded, wanted, design, vehicle) for wanted in suite.campaign or filter(None, [loaded.along])
     ]
     job = _Job(
         suite, scenario, scenario.design, along, kept, interruptible, workers, next(iter(campaigns_loaded), None)
     )
     with timed("scenarios"):
-        flights = fly_suite(loaded, design, vehicle, kept, partial(interruptible, "scenarios"), workers)
+        flights = flown.fly_suite(loaded, design, vehicle, kept, partial(interruptible, "scenarios"), workers)
     with timed("linear margins"):  # nothing but what was asked for, where a part alone is repeated
         alone = suite.margins is not None and suite.margins.only == WORST
         margin, limits, slosh = ([], [], []) if alone else (job.margins(), job.authority(), job.slosh())
@@ -190,20 +171,19 @@ def verify(
                 watch(f"campaign {k + 1}", progress.done, progress.total)
 
             parts, afresh = memory or Path("runs"), memory is None
-            campaigns.append(fly_campaign(loaded, asked, design, vehicle, parts, show, stop, afresh))
-    requirements = flight_requirements(flights)
+            campaigns.append(flown.fly_campaign(loaded, asked, design, vehicle, parts, show, stop, afresh))
+    requirements = flown.flight_requirements(flights)
 
     def again(label: str) -> str:
         return loaded.command(design, vehicle, "--only", label)
 
     if suite.margins is not None:
         for found in margin:
-            requirements += margin_requirements(found, suite.margins, again)
-        assert suite.margins.worst is not None or not worst
+            requirements += linear.margin_requirements(found, suite.margins, again)
         for vehicle_found in worst:
             requirements += worst_requirements(vehicle_found, suite.margins.worst or WorstWanted(), again(WORST))
     if suite.wind_limit_mps is not None:
-        requirements.append(authority_requirement(limits, suite.wind_limit_mps, again(AS_DESIGNED)))
+        requirements.append(linear.authority_requirement(limits, suite.wind_limit_mps, again(AS_DESIGNED)))
 
     def at_node(c: NodeCertificate | InFlightResponse) -> str:
         changes = [f"certificate.times_s=[{c.time_s!r}]", f"certificate.planes=['{c.plane}']"]
@@ -216,7 +196,7 @@ def verify(
     requirements += certificate_requirements(certificates, through, at_node)
     requirements += measured_requirements(measured, suite.margins.nominal if suite.margins else MarginLimits())
     for campaign in campaigns:
-        requirements += campaign_requirements(campaign)
+        requirements += flown.campaign_requirements(campaign)
     design_hash, scenario_hash = content_hash(repr(scenario.design)), content_hash(scenario.as_flown)
     hashes = {"design": design_hash, "scenario": scenario_hash, "code": code_hash()}
     return Verification(
@@ -231,7 +211,7 @@ def verify(
 def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:
     """What the nodes and marks of a suite lie on: its scenario with its own design, or with the one that is judged."""
     own = load_scenario(suite.scenario, [f'vehicle="{vehicle}"'] if vehicle is not None else [])
-    return own if own.design else load_scenario(suite.scenario, design_changes(design, vehicle))
+    return own if own.design else load_scenario(suite.scenario, flown.design_changes(design, vehicle))
 
 
 @dataclass(frozen=True)
@@ -274,14 +254,14 @@ class _Job:
             def between() -> tuple[float, ...]:
                 """Of every stage: its nodes lie in one powered span."""
                 spans = [[t for t in times_s if span.holds(t)] for span in powered_spans(self.along)]
-                return tuple(t for mine in spans for t in worst_instants(along, design, mine, wanted.nominal))
+                return tuple(t for mine in spans for t in linear.worst_instants(along, design, mine, wanted.nominal))
 
             limits = told(wanted.nominal)
             found = self.memory.recall("instants", (*depends, repr(design), limits), between)
             times_s = tuple(sorted({*times_s, *found}))
         return self.memory.recall("nodes", (self.along.as_flown, times_s, plane), lambda: along(times_s))
 
-    def margins(self) -> list[MarginStudy]:
+    def margins(self) -> list[linear.MarginStudy]:
         """Of every stage that has nodes, plane by plane."""
         wanted, design = self.suite.margins, self.design
         if wanted is None or design is None:
@@ -292,14 +272,14 @@ class _Job:
         flights: list[list[Node]] = []
         if wanted.trajectories and wanted.cases and self.campaign is not None:
             depends = (description_of(self.campaign), every, wanted.trajectories)
-            fly = partial(trajectories_of, self.campaign, every, wanted.trajectories, self.workers)
+            fly = partial(linear.trajectories_of, self.campaign, every, wanted.trajectories, self.workers)
             flights = self.memory.recall("trajectories", depends, fly)
         out, at = [], 0
         for nodes, stage, watch in parts:
             mine = [flight[at : at + len(nodes)] for flight in flights]
             spread = resolved(wanted.three_sigma, nodes[0])
             here = wanted.model_copy(update={"three_sigma": spread})
-            out.append(study(nodes, design, here, self.memory, watch, self.workers, stage, mine))
+            out.append(linear.study(nodes, design, here, self.memory, watch, self.workers, stage, mine))
             at += len(nodes)
         return out
 
@@ -329,7 +309,7 @@ class _Job:
             out.append(self.memory.recall("worst", depends, search))
         return out
 
-    def authority(self) -> list[Authority]:
+    def authority(self) -> list[linear.Authority]:
         """Every second between the first and the last time that the suite names in each stage."""
         asked = [part for part in (self.suite.margins, self.suite.certificate) if part is not None]
         named = {t for part in asked for t in self.times_s(part)} or set(node_times(self.along))
@@ -340,7 +320,7 @@ class _Job:
         computers = [self.scenario.vehicle.computer_of(n) for n in range(len(self.scenario.vehicle.stage))]
         self.watch("control authority", 0, 0)
         limits_rad = [math.inf if c is None else math.radians(c.command_limit_deg) for c in computers]
-        return authority(api.nodes(self.along, times), limits_rad)
+        return linear.authority(api.nodes(self.along, times), limits_rad)
 
     def slosh(self) -> list[SloshAdvice]:
         """Damping needed at every node; the worst case is flown."""
@@ -356,15 +336,14 @@ class _Job:
         if worst is None:
             return found
         node = next(n for n in nodes if n.time_s == worst.time_s)
-        flown = self.memory.recall("slosh-flown", (*depends, worst), lambda: confirm(self.scenario, node, worst))
-        return [flown if a is worst else a for a in found]
+        confirmed = self.memory.recall("slosh-flown", (*depends, worst), lambda: confirm(self.scenario, node, worst))
+        return [confirmed if a is worst else a for a in found]
 
     def certificates(self) -> tuple[list[NodeCertificate], list[InFlightResponse]]:
         wanted, scenario, memory, design = self.suite.certificate, self.scenario, self.memory, self.design
         if wanted is None or design is None:
             return [], []
-        times_s = self.times_s(wanted)
-        count, total = [0], len(times_s) * len(wanted.planes)
+        times_s, planes = self.times_s(wanted), wanted.planes
 
         def one(loaded: LoadedScenario, node: Node) -> NodeCertificate:
             held = hold(loaded, node)
@@ -372,18 +351,14 @@ class _Job:
             depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law, computer)
             return memory.recall("node", depends, lambda: certify_node(loaded, node))
 
-        def done(certificate: NodeCertificate) -> None:
-            count[0] += 1
-            self.watch("certificate", count[0], total)
-
-        self.watch("certificate", 0, total)
-        found = certify(scenario, times_s, wanted.planes, workers=self.workers, watch=done, one=one, along=self.along)
-        stable = [c.time_s for c in found if c.stable and c.plane == wanted.planes[0]]
+        one_told = counted(one, partial(self.watch, "certificate"), len(times_s) * len(planes))
+        found = certify(scenario, times_s, planes, workers=self.workers, one=one_told, along=self.along)
+        stable = [c.time_s for c in found if c.stable and c.plane == planes[0]]
         if wanted.times_s is None and wanted.in_flight:  # what the flight chooses may lie at the ends of thrust
             spans = powered_spans(scenario)
             stable = [t for t in stable if fits(t, spans)]
         through: list[InFlightResponse] = []
-        for plane in wanted.planes if wanted.in_flight and stable else ():
+        for plane in planes if wanted.in_flight and stable else ():
             fly = partial(in_flight_response, scenario, stable, plane)
             through += memory.recall("through", (scenario.as_flown, stable, plane), fly)
         return found, through
@@ -393,19 +368,15 @@ class _Job:
         wanted = self.suite.certificate
         if wanted is None or self.design is not None:
             return []
-        times_s, out = self.times_s(wanted), list[MeasuredNode]()
+        times_s = self.times_s(wanted)
         nodes = [node for plane in wanted.planes for node in api.nodes(self.along, times_s, plane=plane)]
 
         def one(node: Node) -> MeasuredNode:
             depends = (self.scenario.as_flown, node)
-            found = self.memory.recall("measured", depends, partial(measure_node, self.scenario, node))
-            out.append(found)
-            self.watch("measuring in flight", len(out), len(nodes))
-            return found
+            return self.memory.recall("measured", depends, partial(measure_node, self.scenario, node))
 
-        self.watch("measuring in flight", 0, len(nodes))
         with ThreadPoolExecutor(max_workers=self.workers) as pool:
-            return list(pool.map(one, nodes))
+            return list(pool.map(counted(one, partial(self.watch, "measuring in flight"), len(nodes)), nodes))
 
 
 def stage_name(vehicle: Vehicle, stage: int) -> str:
@@ -493,8 +464,8 @@ def certificate_requirements(
                 )
             )  # fmt: skip  # four more lines otherwise
     for plane in dict.fromkeys(f.plane for f in through):
-        flown = [f for f in through if f.plane == plane]
-        count, open_ = sum(len(f.lines_hz) for f in flown), sum(f.reason.count("unexplained") for f in flown)
-        off = [f for f in flown if "unexplained" in f.reason]
+        flights = [f for f in through if f.plane == plane]
+        count, open_ = sum(len(f.lines_hz) for f in flights), sum(f.reason.count("unexplained") for f in flights)
+        off = [f for f in flights if "unexplained" in f.reason]
         add(f"in-flight response, {plane}", f"{count - open_} of {count} lines", off)
     return out

@@ -14,6 +14,7 @@ it says is that no worse vehicle was found in so many searches.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -35,6 +36,7 @@ from maxq.design.model.node import Node
 from maxq.design.model.plant import per_command, vehicle_plants
 from maxq.design.model.spread import Place, Spread, places_of, root_of_correlation, scenario_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
+from maxq.design.verify.memory import counted
 from maxq.design.verify.named_mu import stable_together, stable_within
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
 from maxq.sim.run.fly import fly
@@ -256,18 +258,16 @@ def search_plane(
     workers: int = 2,
 ) -> WorstVehicle:
     """The worst vehicle over the nodes of a plane and stage, measured exactly there, and flown."""
-    done, further = [0], min(FURTHER, len(nodes)) if wanted.starts > 1 else 0
+    further = min(FURTHER, len(nodes)) if wanted.starts > 1 else 0
 
-    def one(node: Node, starts: Sequence[int]) -> tuple[float, Array, int]:
-        found = search_node(node, design, spread, wanted, starts)
-        done[0] += 1
-        watch(done[0], len(nodes) + further)
-        return found
+    def search(node: Node, starts: Sequence[int]) -> tuple[float, Array, int]:
+        return search_node(node, design, spread, wanted, starts)
 
+    one = counted(search, watch, len(nodes) + further)
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        results = list(pool.map(lambda node: one(node, [0]), nodes))
+        results = list(pool.map(one, nodes, itertools.repeat([0])))
         at = [*nodes, *(nodes[k] for k in np.argsort([value for value, _, _ in results])[:further])]
-        results += pool.map(lambda node: one(node, range(1, wanted.starts)), at[len(nodes) :])
+        results += pool.map(one, at[len(nodes) :], itertools.repeat(range(1, wanted.starts)))
     k = int(np.argmin([value for value, _, _ in results]))
     node, u, places = at[k], results[k][1], places_of(at[k])
     by = vehicle_at_places(spread, node, places, u, "worst")
