@@ -27,8 +27,8 @@ from maxq.tools.flight_report import report as flight_text
 from maxq.tools.pages import render
 from maxq.tools.plots.style import drawing, png, sheet
 from maxq.tools.vehicle.build import build
+from maxq.tools.vehicle.figures import page as layout_page
 from maxq.tools.vehicle.layout import read_layout
-from maxq.tools.vehicle.pictures import page as layout_page
 from maxq.tools.verify.figures import plots
 from maxq.tools.verify.report import Signed, page_of
 from maxq.tools.verify.report import report as review_text
@@ -114,9 +114,7 @@ class Page(HTMLParser):
         if tag in ("script", "iframe", "object", "link", "a") and not within:
             self.acts.append(tag)
         for name, value in attrs:
-            outside = name in ("src", "href") and not (value or "").startswith("data:image/png;base64,")
-            outside = outside and not within
-            if name.startswith("on") or outside:
+            if name.startswith("on") or (name in ("src", "href") and not within):
                 self.acts.append(f"{tag} {name}={value}")
 
     def handle_data(self, data: str) -> None:

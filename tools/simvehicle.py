@@ -47,9 +47,9 @@ def _run(arguments: list[str]) -> int:
     from maxq.sim.files import check_writable, write_whole  # noqa: PLC0415  # lazy, as all imports here: --help is quick
     from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.build import build, too_weak  # noqa: PLC0415  # lazy
+    from maxq.tools.vehicle.figures import page  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.files import write  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.layout import read_layout  # noqa: PLC0415  # lazy
-    from maxq.tools.vehicle.pictures import page  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.report import report  # noqa: PLC0415  # lazy
 
     layout = read_layout(options.layout)

@@ -3,13 +3,12 @@
     text = render("review.html.j2", plots=[Plot(...)], found=found)
 
 A page is one file with nothing outside it. Whatever a template prints is escaped. Templates extend `skeleton.html.j2`
-(blocks `title` and `body`) and share the macros of `elements.html.j2`: `table`, `picture` (a PNG), `plot` (a figure
-that `plots.js` draws), `title_block`.
+(blocks `title` and `body`) and share the macros of `elements.html.j2`: `table`, `plot` (a figure that `plots.js`
+draws), `title_block`.
 """
 
 from __future__ import annotations
 
-import base64
 import datetime
 import itertools
 import math
@@ -67,7 +66,6 @@ def _environment() -> Environment:
         finalize=_signs,
     )
     made.filters["number"] = number
-    made.filters["base64"] = lambda content: base64.b64encode(content).decode()
     made.filters["in_css"] = _in_css
     made.filters["figures"] = figures
     return made

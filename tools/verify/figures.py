@@ -22,6 +22,7 @@ from maxq.sim.packing.computer import bending_filter
 from maxq.tools.campaign_report import labels_of, nearest_limits, tails_of
 from maxq.tools.design.pictures_loop import LoopPicture, picture_of
 from maxq.tools.plots import campaign as campaign_plots
+from maxq.tools.plots import side_view
 from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, limit, line, look, points, shape, thinned
 from maxq.tools.replay.vehicle_shape import shape_of
 
@@ -61,50 +62,25 @@ def plots(found: Verification, command: str) -> list[Plot]:
 
 
 def _vehicle(found: Verification) -> Plot:
-    """From the side, nose at the left; widths drawn larger where the body is slender."""
-    vehicle = shape_of(found.scenario.vehicle)
-    tail = max(e.exit_station_m for s in vehicle.stages for _, e in s.nozzles) if vehicle.stages[0].nozzles else 0.0
-    tail = max(tail, *(s.end_m for s in vehicle.stages))
-    half, series = 0.5 * vehicle.diameter_m, list[Series]()
+    vehicle, bodies = shape_of(found.scenario.vehicle), list[Series]()
     for stage in reversed(vehicle.stages):
-        if stage.fins is not None:
-            f = stage.fins
-            half = max(half, f.tip_radius_m)
-            chord = (f.root_station_m, f.tip_station_m, f.tip_station_m + f.tip_chord_m,
-                     f.root_station_m + f.root_chord_m)  # fmt: skip  # two more lines otherwise
-            across = np.array([f.root_radius_m, f.tip_radius_m, f.tip_radius_m, f.root_radius_m])
-            series += [shape(np.stack([chord, side * across], 1), fill="grey") for side in (1.0, -1.0)]
+        if (f := stage.fins) is not None:
+            trailing = (f.tip_station_m + f.tip_chord_m, f.root_station_m + f.root_chord_m)
+            bodies += side_view.fins((f.root_station_m, f.tip_station_m, *trailing), f.root_radius_m, f.tip_radius_m)
         for _, e in stage.nozzles:
-            y, r = e.offset_m[0], e.exit_radius_m
-            half = max(half, abs(y) + r)
-            a, b = e.gimbal_station_m, e.exit_station_m
-            series.append(shape([(a, y + 0.3 * r), (b, y + r), (b, y - r), (a, y - 0.3 * r)], fill="grey", opacity=0.4))
-        x, r = stage.profile.T
-        outline = np.concatenate([np.stack([x, r], 1), np.stack([x, -r], 1)[::-1]])
-        series.append(shape(outline, fill="page", opacity=1.0))
-        for k, tank in enumerate(stage.tanks):
-            full = tank.bottom_station_m - float(tank.level[1][0])
-            for top, opacity, said in ((tank.top_station_m, 0.12, ""), (full, 0.5, f"{tank.name} at lift-off")):
-                bottom, r = tank.bottom_station_m, tank.radius_m
-                corners = [(top, r), (bottom, r), (bottom, -r), (top, -r)]
-                series.append(shape(corners, said, fill=COLOURS[k % 4], opacity=opacity, bare=True))
-    marks = [("gyro", s.gyro_station_m, "green") for s in vehicle.stages[:1] if s.gyro_station_m is not None]
-    marks += [("gimbal", s.engine.gimbal_station_m, "purple") for s in vehicle.stages[:1] if s.engine is not None]
+            bodies.append(side_view.nozzle(e.gimbal_station_m, e.exit_station_m, e.exit_radius_m, e.offset_m[0]))
+        bodies.append(side_view.revolved(*stage.profile.T, fill="page", opacity=1.0))
+        for k, t in enumerate(stage.tanks):
+            surface = t.bottom_station_m - float(t.level[1][0])
+            for top, said, full in ((t.top_station_m, "", False), (surface, f"{t.name} at lift-off", True)):
+                bodies.append(side_view.tank([top, t.bottom_station_m], t.radius_m, said, COLOURS[k % 4], full=full))
+    lowest = vehicle.stages[0]
+    marks = [("gyro", lowest.gyro_station_m, "green")] if lowest.gyro_station_m is not None else []
+    marks += [("gimbal", lowest.engine.gimbal_station_m, "purple")] if lowest.engine is not None else []
     first = [a for a in found.slosh if a.stage == 0]
-    if first:
-        marks += [(f"CG at {a.time_s:.3g} s", a.cg_station_m, "red") for a in (first[0], first[-1])]
-    for name, station, colour in marks:
-        series.append(points([station], [0.0], f"{name}: {station:.2f} m", colour=colour, labels=[name], size=4))
-    wider = max(1.0, round(0.1 * tail / vehicle.diameter_m))
-    height = int(min(max(60.0 + 760.0 * wider * 2.2 * half / tail, 120.0), 300.0))
-    panel = Panel(
-        "", series, "station, m aft of the nose", "m", (-0.02 * tail, 1.02 * tail), (-1.15 * half, 1.15 * half)
-    )
-    caption = (
-        "From the side, by the vehicle's file; what the file does not give (nose, fins) is drawn by custom. "
-        "Across not to the same scale as along."
-    )
-    return Plot("vehicle", found.scenario.vehicle.name, [panel], caption, 1, height)
+    marks += [(f"CG at {a.time_s:.3g} s", a.cg_station_m, "red") for a in (*first[:1], *first[-1:])]
+    caption = "By the vehicle's file; what the file does not give (nose, fins) is drawn by custom."
+    return side_view.figure(found.scenario.vehicle.name, bodies, marks, vehicle.diameter_m, caption)
 
 
 def _filter(found: Verification) -> Plot:

@@ -1,0 +1,51 @@
+"""A vehicle from the side as a figure: nose on the left, stations along the axis, to scale along and across apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.tools.plots.figures import Panel, Plot, Series, points, shape
+
+
+def revolved(station_m: Any, radius_m: Any, said: str = "", **more: Any) -> Series:
+    """A body of revolution: stations (n,) and radii, (n,) or one for all."""
+    x, r = np.asarray(station_m, float), np.broadcast_to(np.asarray(radius_m, float), np.shape(station_m))
+    return shape(np.concatenate([np.stack([x, r], 1), np.stack([x, -r], 1)[::-1]]), said, **more)
+
+
+def tank(station_m: Any, radius_m: Any, said: str, colour: str, *, full: bool) -> Series:
+    """The liquid of a tank (`full`), or the room for it."""
+    return revolved(station_m, radius_m, said, fill=colour, opacity=0.5 if full else 0.12, bare=True)
+
+
+def nozzle(gimbal_station_m: float, exit_station_m: float, exit_radius_m: float, y_m: float) -> Series:
+    r = exit_radius_m * np.array([0.3, 1.0, -1.0, -0.3])
+    x = [gimbal_station_m, exit_station_m, exit_station_m, gimbal_station_m]
+    return shape(np.stack([x, y_m + r], 1), fill="grey", opacity=0.4)
+
+
+def fins(chord_m: Sequence[float] | Array, root_radius_m: float, tip_radius_m: float) -> list[Series]:
+    """Stations `chord_m` of leading edge at root and tip, trailing edge at tip and root."""
+    across = np.array([root_radius_m, tip_radius_m, tip_radius_m, root_radius_m])
+    return [shape(np.stack([chord_m, side * across], 1), fill="grey") for side in (1.0, -1.0)]
+
+
+def figure(
+    title: str, bodies: Sequence[Series], marks: Iterable[tuple[str, float, str]], diameter_m: float, caption: str
+) -> Plot:
+    """The figure "vehicle"; `marks` on the axis: name, station (m) and colour."""
+    tail_m = max(float(np.max(s["x"])) for s in bodies)
+    half_m = max(float(np.max(np.abs(s["y"]))) for s in bodies)
+    marked = [
+        points([station], [0.0], f"{name}: {station:.2f} m", colour=colour, labels=[name], size=4)
+        for name, station, colour in marks
+    ]
+    wider = max(1.0, round(0.1 * tail_m / diameter_m))
+    height = int(min(max(60.0 + 760.0 * wider * 2.2 * half_m / tail_m, 120.0), 300.0))
+    along, across = (-0.02 * tail_m, 1.02 * tail_m), (-1.15 * half_m, 1.15 * half_m)
+    panel = Panel("", [*bodies, *marked], "station, m aft of the nose", "m", along, across)
+    return Plot("vehicle", title, [panel], f"{caption} Across not to the same scale as along.", 1, height)

@@ -1,0 +1,196 @@
+"""The page that `simvehicle` writes: side view, masses, modes, aerodynamics, control, ascent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.tools.pages.render import render
+from maxq.tools.plots import side_view
+from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, at, limit, line, look
+from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad
+from maxq.tools.vehicle.layout import Stage
+from maxq.tools.vehicle.report import notes, numbers, tables
+from maxq.tools.vehicle.trajectory import Point
+
+_AIR_Pa = 100.0  # below this dynamic pressure a centre of pressure is of no consequence
+_TIME, _STATION = "flight time, s", "station, m aft of the nose"
+
+
+def page(built: Built) -> str:
+    """One HTML file with all figures in it."""
+    plots = [_vehicle(built), _masses(built), _aerodynamics(built), _control(built), _ascent(built)]
+    if any(modes[0] for _, modes in built.modes):
+        plots.append(_modes(built))
+    return render(
+        "vehicle.html.j2", plots, layout=built.layout, tables=tables(built), notes=notes(built), numbers=numbers
+    )
+
+
+def _vehicle(built: Built) -> Plot:
+    layout, first, burn = built.layout, built.stacks[0], built.stacks[0].burn
+    bodies = list[Series]()
+    for stage in layout.stage:
+        bodies += _stage(stage, layout.nose_length_m if stage is layout.stage[-1] else 0.0, layout.nose)
+    if layout.fairing is not None:
+        rear, r = layout.fairing.rear_station_m, 0.5 * layout.stage[-1].diameter_m
+        bodies.append(line([rear, rear], [-r, r], "rear end of the fairing", colour="purple", dash="6 3"))
+    hardest = max((p for p in burning(built) if p.number == 0), key=lambda p: p.dynamic_pressure_Pa)
+    cg_m = [(name, first.mass_properties(t).x_cg_m) for name, t in (("lift-off", 0.0), ("burn-out", burn.end_s))]
+    marks = [("gyro", layout.control.gyro_station_m, "green")]
+    marks += [(f"CG at {name} of {first.name}", station, "ink") for name, station in cg_m]
+    marks.append((f"CP at Mach {hardest.mach:.1f}", built.aero[0].normal(hardest.mach)[1], "red"))
+    caption = "Full: propellant at lift-off; pale: the tanks. Nozzles as wide as their exits."
+    return side_view.figure(layout.name, bodies, marks, max(s.diameter_m for s in layout.stage), caption)
+
+
+def _stage(stage: Stage, nose_m: float, nose: str) -> list[Series]:
+    r, e, out = 0.5 * stage.diameter_m, stage.engine, list[Series]()
+    if (f := stage.fins) is not None:
+        chord = np.array([0.0, f.sweep_m, f.sweep_m + f.tip_chord_m, f.root_chord_m]) + f.leading_edge_station_m
+        out += side_view.fins(chord, r, r + f.semispan_m)
+    length = e.exit_station_m - e.gimbal_station_m
+    exit_r = max(math.sqrt(e.exit_area_m2 / math.pi), 0.12 * length)
+    out += [
+        side_view.nozzle(e.gimbal_station_m, e.exit_station_m, exit_r, y) for y in sorted({y for y, _ in e.positions_m})
+    ]
+    if nose_m:
+        x = np.linspace(0.0, 1.0, 41)
+        station = np.append(nose_m * x, stage.rear_station_m)
+        radius = r * np.append(np.sin(0.5 * math.pi * x) ** 0.9 if nose == "ogive" else x, 1.0)
+        out.append(side_view.revolved(station, radius, fill="page", opacity=1.0))
+    else:
+        out.append(side_view.revolved([stage.front_station_m, stage.rear_station_m], r, fill="page", opacity=1.0))
+    for k, t in enumerate(stage.tank):
+        profile = t.profile
+        depth = float(profile.depth(np.array(t.liquid_mass_kg / (t.density_kgpm3 * t.radius_m**3))))
+        for top, full in ((profile.height, False), (depth, True)):
+            z = np.linspace(0.0, top, 81)
+            place, radius = t.bottom_station_m - t.radius_m * z, t.radius_m * profile.surface_radius(z)
+            out.append(
+                side_view.tank(place, radius, f"{t.name} at lift-off" if full else "", COLOURS[k % 4], full=full)
+            )
+    for grain in stage.grain:
+        ends = [grain.front_station_m, grain.rear_station_m]
+        out.append(side_view.revolved(ends, grain.radius_m or r, "grain", fill="grey", opacity=0.5, bare=True))
+    return out
+
+
+def _of_stacks(built: Built, value: Callable[[int, float], float]) -> list[Series]:
+    """A quantity of each stack over flight time."""
+    out = list[Series]()
+    for n, stack in enumerate(built.stacks):
+        t = np.linspace(0.0, stack.burn.end_s, 61)
+        out.append(line(built.flight.begins_s[n] + t, [value(n, float(x)) for x in t], stack.name, **look(n)))
+    return out
+
+
+def _masses(built: Built) -> Plot:
+    stacks = built.stacks
+    mass = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).mass_kg / 1e3)
+    cg = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).x_cg_m)
+    inertia = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).pitch_kgm2 / 1e3)
+    for n, stack in enumerate(stacks):
+        times_s = np.array([0.0, stack.burn.end_s])
+        roll = [stack.mass_properties(t).roll_kgm2 / 1e3 for t in times_s]
+        inertia.append(line(built.flight.begins_s[n] + times_s, roll, "roll" * (n == 0), colour="grey", dash="2 2"))
+    panels = [
+        Panel("mass", mass, _TIME, "t", y_range=(0.0, None)),
+        Panel("centre of gravity", cg, _TIME, "m aft of the nose"),
+        Panel("moments of inertia", inertia, _TIME, "t m2", log_y=True),
+    ]
+    return Plot("masses", "Masses", panels, "Of all that flies; grey: the moment of inertia about the axis.", 3)
+
+
+def _modes(built: Built) -> Plot:
+    """Shapes at the beginning of each burn, and frequencies over flight time."""
+    shown = [n for n, (_, modes) in enumerate(built.modes) if modes[0]]
+    panels, frequencies = list[Panel](), list[Series]()
+    for n in shown:
+        times_s, modes = built.modes[n]
+        shapes = list[Series]()
+        for k, (mode, last) in enumerate(zip(modes[0], modes[-1], strict=True)):
+            name = f"{k + 1}: {mode.frequency_hz:.2f} to {last.frequency_hz:.2f} Hz"
+            shapes.append(line(mode.station_m, mode.phi, name, **look(k)))
+            hz = [now[k].frequency_hz for now in modes]
+            name = f"mode {k + 1}" if n == shown[0] else ""
+            frequencies.append(line(built.flight.begins_s[n] + times_s, hz, name, **look(k)))
+        for k, mode in enumerate(on_the_pad(built)[:2] if n == 0 else []):
+            name = f"held on the pad: {mode.frequency_hz:.2f} Hz"
+            shapes.append(line(mode.station_m, mode.phi, name, colour="grey", dash=("8 3 2 3", "2 2")[k]))
+        shapes.append(at(built.layout.control.gyro_station_m, "gyro", colour="green", dash="6 3"))
+        panels.append(Panel(f"{built.stacks[n].name}, beginning of its burn", shapes, _STATION, "phi"))
+    frequencies.append(limit(0.5 / built.layout.control.sample_s, "half the sample rate"))
+    panels.append(Panel("frequencies", frequencies, _TIME, "Hz", log_y=True))
+    caption = (
+        "Free-free, 1 at the gimbal, engine locked, sloshing masses removed; grey: held at the tail, 1 at the nose."
+    )
+    return Plot("modes", "Bending modes", panels, caption, 1)
+
+
+def _split(points: list[Point], values: list[float]) -> tuple[Array, Array]:
+    """Over flight time, apart where the stage changes."""
+    t, y = np.array([p.time_s for p in points]), np.array(values, dtype=float)
+    changes = np.flatnonzero(np.diff([p.number for p in points])) + 1
+    return np.insert(t, changes, np.nan), np.insert(y, changes, np.nan)
+
+
+def _aerodynamics(built: Built) -> Plot:
+    points = [p for p in burning(built) if p.dynamic_pressure_Pa > _AIR_Pa]
+    cg = [built.stacks[p.number].mass_properties(p.clock_s).x_cg_m for p in points]
+    cp = [built.aero[p.number].normal(p.mach)[1] for p in points]
+    margin = [(b - a) / built.aero[0].diameter_m for a, b in zip(cg, cp, strict=True)]
+    centres = [line(*_split(points, cg), "CG"), line(*_split(points, cp), "CP", colour="red", dash="6 3")]
+    static = [line(*_split(points, margin), colour="ink"), limit(0.0, "neutral")]
+    panels = [
+        Panel("centres, while q > 0.1 kPa", centres, _TIME, "m aft of the nose", down=True),
+        Panel("static margin (below 0: unstable)", static, _TIME, "diameters"),
+    ]
+    return Plot("aerodynamics", "Static stability", panels, "Static margin: CP behind CG, over the largest diameter.")
+
+
+def _control(built: Built) -> Plot:
+    points, gains = burning(built), np.array(built.gains)
+    alpha, delta = [m_alpha_1ps2(built, p) for p in points], [m_delta_1ps2(built, p) for p in points]
+    ratio = [abs(a) / d for a, d in zip(alpha, delta, strict=True)]
+    steepest = min(s.engine.angle_limit_deg for s in built.layout.stage) / 5.0
+    moments = [
+        line(*_split(points, alpha), "M_alpha", colour="red"), line(*_split(points, delta), "M_delta", dash="6 3"),
+    ]  # fmt: skip  # a line each otherwise
+    first = [
+        line(gains[:, 0], gains[:, 1], "k_p"), line(gains[:, 0], gains[:, 2], "k_d, s", colour="orange", dash="6 3"),
+    ]  # fmt: skip  # a line each otherwise
+    panels = [
+        Panel("moments over inertia", moments, _TIME, "1/s2"),
+        Panel("|M_alpha| / M_delta", [line(*_split(points, ratio), colour="ink"), limit(steepest)], _TIME,
+              "deg of gimbal per deg"),
+        Panel("first gains", first, _TIME),
+    ]  # fmt: skip  # three lines more otherwise
+    caption = "Middle: above the red line the gimbals cannot hold 5 deg of incidence."
+    return Plot("control", "Control", panels, caption, 3)
+
+
+def _ascent(built: Built) -> Plot:
+    points = built.flight.points
+    path = [math.degrees(p.path_rad) for p in points]
+    attitude = [math.degrees(p.path_rad + p.incidence_rad) for p in points]
+    shown = (
+        ("altitude", "km", {"": [p.altitude_m / 1e3 for p in points]}),
+        ("speed, relative", "m/s", {"": [p.speed_mps for p in points]}),
+        ("dynamic pressure", "kPa", {"": [p.dynamic_pressure_Pa / 1e3 for p in points]}),
+        ("above the local horizon", "deg", {"path": path, "attitude": attitude}),
+    )
+    times_s, changes = [p.time_s for p in points], [at(s, colour="grey", dash="2 2") for s in built.flight.begins_s[1:]]
+    panels = [
+        Panel(
+            title, [line(times_s, y, name, **look(k)) for k, (name, y) in enumerate(of.items())] + changes, _TIME, unit
+        )
+        for title, unit, of in shown
+    ]
+    caption = (
+        "Dotted: the next stage, or the fairing dropped. The attitude leaves the path where the upper stages steer."
+    )
+    return Plot("ascent", "Ascent", panels, caption)
