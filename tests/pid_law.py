@@ -173,4 +173,4 @@ class PidVariables:
         return None
 
 
-PID = LawKind(PidDesign.of, lambda design, _: design, PidVariables)
+PID = LawKind(PidVariables, INPUTS, PidDesign.of, lambda design, _: design)

@@ -29,9 +29,8 @@ from maxq.design.laws.pd import Pd
 from maxq.design.laws.pd_variables import least_gains
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
-from maxq.design.optimise.problem import Problem
+from maxq.design.optimise.problem import Problem, Rows
 from maxq.design.optimise.quadratic_programme import solve_quadratic
-from maxq.design.optimise.rows import Rows
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.sqp import Merit, model_step
 
@@ -131,7 +130,7 @@ def test_peaks_and_crossings_are_those_of_the_margins(loop: str) -> None:
     p = kit.problem(f"loop={loop}")
     x = kit.some_point(p)
     full = p.evaluate(x, complete=True)
-    y, u = kit.pd(p).split(x)
+    y, u, *_ = kit.pd(p).split(x)
     k_p, k_d = kit.pd(p).gains.at_plants(u)
     continuous = kit.pd(p).filter.filter(y)
     for i, plant in enumerate(kit.all_nodes(loop).each):
@@ -182,7 +181,7 @@ def test_unstable_poles_are_counted_as_they_are(loop: str) -> None:
     for _ in range(12):
         x = rng.uniform(p.lower, np.minimum(p.upper, 4.0))
         x[kit.pd(p).filter.size :] = np.log(rng.uniform(0.05, 3.0, kit.pd(p).gains.size))
-        y, u = kit.pd(p).split(x)
+        y, u, *_ = kit.pd(p).split(x)
         k_p, k_d = kit.pd(p).gains.at_plants(u)
         counted = p.loops.unstable_poles(p.loops.response(x))
         continuous = kit.pd(p).filter.filter(y)
@@ -285,7 +284,7 @@ def penalised(p: Problem) -> Callable[[Array], float]:
     m_delta = plants.rigid.m_delta
 
     def cost(x: Array) -> float:
-        y, u = kit.pd(p).split(x)
+        y, u, *_ = kit.pd(p).split(x)
         k_p, k_d = kit.pd(p).gains.at_plants(u)
         filter_ = kit.pd(p).filter.filter(y)
         peak, missing = -np.inf, max(0.0, float(kit.pd(p).filter.log_gain_at_infinity() @ y))

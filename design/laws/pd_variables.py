@@ -15,15 +15,8 @@ from maxq.control.filters import BendingFilter
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.laws.pd import GainSchedule
 from maxq.control.structures import Over
-from maxq.design.laws.bending_filter import (
-    AnyFilter,
-    FilterVariables,
-    Lag,
-    drawn_filters,
-    laplace_axis,
-    lifted,
-    random_ranges,
-)
+from maxq.design.laws import bending_filter
+from maxq.design.laws.bending_filter import AnyFilter, FilterVariables, Lag, lifted
 from maxq.design.laws.law import ANGLES, MEASUREMENTS, Axis, Controller, DesignedLaw, LawLimit, LimitValues, LogResponse
 from maxq.design.laws.pd import BANKS, LoopFilter, Pd, PdDesign, as_flown
 from maxq.design.laws.schedule import (
@@ -152,26 +145,16 @@ class PdVariables:
         loops = (f"{bank}.{name}" for bank, loop in zip(BANKS, self.loops, strict=True) for name in loop.names)
         return (*self.filter.names, *self.gains.names, *weights, *loops)
 
-    def split(self, variables: Array) -> tuple[Array, Array]:
-        """Variables of the filter, and of the gains."""
-        n = self.filter.size
-        return variables[:n], variables[n : n + self.gains.size]
-
-    def weights(self, variables: Array) -> Array:
-        """Of further rate gyros."""
-        first = self.filter.size + self.gains.size
-        return variables[first : first + self.further]
-
-    def of_loops(self, variables: Array) -> Array:
-        """Of the loops' own filters."""
-        return variables[self.filter.size + self.gains.size + self.further :]
+    def split(self, variables: Array) -> list[Array]:
+        """Variables of the filter, of the gains, weights of further rate gyros, and those of the loops' filters."""
+        return np.split(variables, np.cumsum([self.filter.size, self.gains.size, self.further]))
 
     # --- own parameters
     def own(self, variables: Array) -> Array:
-        y, u = self.split(variables)
-        gains, more = np.log(self.gains.at_plants(u)).T, variables[len(y) + self.gains.size :]
-        first, last = (np.broadcast_to(part, (len(gains), len(part))) for part in (y, more))
-        parts = [first, gains, last]
+        y, u, *more = self.split(variables)
+        gains = np.log(self.gains.at_plants(u)).T
+        first, *last = (np.broadcast_to(part, (len(gains), len(part))) for part in (y, *more))
+        parts = [first, gains, *last]
         if self.by_incidence:
             percussion_m, slope = self.air @ self.gains.weights.T
             parts.append(np.column_stack([1.0 / slope, -percussion_m / slope]))
@@ -196,7 +179,7 @@ class PdVariables:
     # --- response
     def axis(self, x: Array) -> Axis:
         sample_s = self.task.sample_s
-        axis = laplace_axis(x, sample_s, None if sample_s is None else self.prewarp_hz)
+        axis = bending_filter.laplace_axis(x, sample_s, None if sample_s is None else self.prewarp_hz)
         if self.lag is None:
             return axis
         change = self.lag.change_with_slopes(x) if self.by_incidence else ()
@@ -208,7 +191,7 @@ class PdVariables:
         return self.further == 0 and self.lag is None and self.in_loops == 0
 
     def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
-        y, u = self.split(variables)
+        y, u, *_ = self.split(variables)
         if self._plain:
             return self.filter.response(y, axis[0]), self.gains.at_plants(u).T[plant]
         return self.filter.response(y, axis[0]), self._on_measurements(self.own(variables)[plant], axis)[0][0]
@@ -249,7 +232,11 @@ class PdVariables:
                     terms.append((2, share * own[:, -1], change))
             else:
                 terms = [(2, own[:, -2] if self.by_incidence else -np.ones(points), lag)]
-            filter_ = self._of_loop(loop, y, axis) if loop.size > 0 else one
+            filter_ = one
+            if loop.size > 0:
+                f0, f1, f2 = loop.slopes(y, axis[0])
+                value, first, second = np.exp(f0), f1 * axis[1], f2 * axis[1] ** 2 + f1 * axis[2]
+                filter_ = value, value * first, value * (first * first + second)
             for j, factor, curve in terms:
                 whole = _product(curve, filter_)
                 for d in range(3):
@@ -270,13 +257,6 @@ class PdVariables:
     def _gyro(self, name: str) -> int:
         """Number of a further gyro among the weights."""
         return next(k for k in range(self.further) if further_rate(k + 2) == name)
-
-    @staticmethod
-    def _of_loop(loop: FilterVariables, y: Array, axis: Axis) -> Curve:
-        s, s1, s2 = axis[:3]
-        f0, f1, f2 = loop.slopes(y, s)
-        value, first = np.exp(f0), f1 * s1
-        return value, value * first, value * (first * first + f2 * s1 * s1 + f1 * s2)
 
     def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
         n = self.filter.size
@@ -360,7 +340,7 @@ class PdVariables:
 
     # --- laws
     def controllers(self, variables: Array) -> list[Controller]:
-        y, u = self.split(variables)
+        y, u, *_ = self.split(variables)
         flown: AnyFilter = self.filter.filter(y)
         if self.task.sample_s is not None:
             flown = self.filter.filter(y).discretize(self.task.sample_s, "prewarped", self.prewarp_hz)
@@ -373,15 +353,15 @@ class PdVariables:
 
     def _loop_filters(self, variables: Array) -> tuple[LoopFilter | None, ...]:
         ends = np.cumsum([loop.size for loop in self.loops])
-        parts = zip(self.loops, np.split(self.of_loops(variables), ends[:-1]), strict=True)
+        parts = zip(self.loops, np.split(self.split(variables)[3], ends[:-1]), strict=True)
         return tuple((loop.filter(y), "prewarped", self.prewarp_hz) if loop.size > 0 else None for loop, y in parts)
 
     def _blend(self, variables: Array) -> tuple[float, ...]:
-        weights = self.weights(variables).tolist()
+        weights = self.split(variables)[2].tolist()
         return (1.0 - sum(weights), *weights)
 
     def designed(self, variables: Array) -> PdDesign:
-        y, u = self.split(variables)
+        y, u, *_ = self.split(variables)
         of_key = dict(zip(self.keys, self.gains.at_nodes(u).tolist(), strict=True))
         of_key |= dict(zip(AIR, self.air.tolist(), strict=True)) if self.by_incidence else {}
         gains = GainSchedule(self.gains.nodes.tolist(), over=self.task.case.gains.over, **of_key)
@@ -426,11 +406,13 @@ class PdVariables:
     def starts(self, count: int, seed: int) -> list[Array]:
         """Drawn filters first, half of all at most, then Sobol points: every fourth in the bounds, others a notch."""
         mode_hz, gains, n = self.task.first_mode_hz, self._start_gains(), self.filter.size
-        filters = [self.filter.variables(f) for f in drawn_filters(self.filter, mode_hz)][: (count + 1) // 2]
+        filters = [self.filter.variables(f) for f in bending_filter.drawn_filters(self.filter, mode_hz)][
+            : (count + 1) // 2
+        ]
         count -= len(filters)
         if count > 0:
             lower, upper = self.lower[:n], self.upper[:n]
-            everywhere, likely = random_ranges(self.filter, lower, upper, mode_hz)
+            everywhere, likely = bending_filter.random_ranges(self.filter, lower, upper, mode_hz)
             points = qmc.Sobol(n, seed=seed).random_base2(max(1, math.ceil(math.log2(count))))[:count]
             fourth = (np.arange(count) % 4 == 3)[:, None]
             low, high = (np.where(fourth, everywhere[end], likely[end]) for end in (0, 1))
@@ -469,9 +451,8 @@ class PdVariables:
         small = type(self)(self.task, schedule="linear")
 
         def wider(x: Array) -> Array:
-            y, u = small.split(x)
-            gains = self.gains.from_nodes(small.gains.nodes, small.gains.at_nodes(u))
-            return np.concatenate([y, gains, small.weights(x), small.of_loops(x)])
+            y, u, *more = small.split(x)
+            return np.concatenate([y, self.gains.from_nodes(small.gains.nodes, small.gains.at_nodes(u)), *more])
 
         return small, wider
 

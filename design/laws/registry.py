@@ -17,25 +17,22 @@ from maxq.sim.scenario.schema_design import Design
 
 @dataclass(frozen=True)
 class LawKind:
-    """`of_design` reads the law from a design file; `frozen` gives the design with the gains of one instant, at a value
-    of what they are scheduled over (`DesignedLaw.at`).
-
-    `variables` are those of a task, like others of the same case. `inputs`: all measurements that it may take.
+    """`variables` are those of a task, like others of the same case. `of_design` reads the law from a design file;
+    `frozen` gives the design with the gains of one instant, at a value of what they are scheduled over
+    (`DesignedLaw.at`). `inputs`: all measurements that it may take.
     """
 
-    of_design: Callable[[Design], DesignedLaw]
-    frozen: Callable[[Design, float], Design]
     variables: Callable[[Task, Any], LawVariables]
     inputs: tuple[str, ...] = PdVariables.inputs
+    of_design: Callable[[Design], DesignedLaw] = PdDesign.of
+    frozen: Callable[[Design, float], Design] = PdDesign.frozen
 
 
 LAWS: dict[str, LawKind] = {
-    "pd": LawKind(PdDesign.of, PdDesign.frozen, PdVariables),
-    "pid": LawKind(PdDesign.of, PdDesign.frozen, PidVariables, PidVariables.inputs),
-    "load-relief": LawKind(PdDesign.of, PdDesign.frozen, LoadReliefVariables, LoadReliefVariables.inputs),
-    "incidence-relief": LawKind(
-        PdDesign.of, PdDesign.frozen, IncidenceReliefVariables, IncidenceReliefVariables.inputs
-    ),
+    "pd": LawKind(PdVariables),
+    "pid": LawKind(PidVariables, PidVariables.inputs),
+    "load-relief": LawKind(LoadReliefVariables, LoadReliefVariables.inputs),
+    "incidence-relief": LawKind(IncidenceReliefVariables, IncidenceReliefVariables.inputs),
 }
 
 

@@ -9,7 +9,7 @@ A phase counts in decibels as the gain margin for the phase margin: 6 dB for 30 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -81,7 +81,7 @@ class Criterion:
     text: str
     unit: str
     searches: tuple[Search, ...]
-    parts: Callable[[Seen], Iterator[Part]]
+    parts: Callable[[Seen], list[Part]]
     asked: Callable[[PlantLimits, Limits], bool] = lambda limits, common: True
 
 
@@ -100,18 +100,23 @@ class Objective:
     needs_mode: bool = False
 
 
-# --- objectives
-def _first_peak(seen: Seen) -> Iterator[Part]:
-    yield seen.mode == 1, seen.gain_db, seen.none, seen.gain_db
+def _peak(name: str, which: Callable[[Indices], Mask]) -> Callable[[Seen], list[Part]]:
+    """`name` of the limit; none: an objective."""
+
+    def parts(seen: Seen) -> list[Part]:
+        most = seen.limit(name) if name else seen.none
+        return [(which(seen.mode), seen.gain_db, most, seen.gain_db - (most if name else 0.0))]
+
+    return parts
 
 
-def _distance(seen: Seen) -> Iterator[Part]:
-    yield seen.kind == Kind.MODULUS, seen.distance_db, seen.none, -seen.distance_db
+def _distance(seen: Seen) -> list[Part]:
+    return [(seen.kind == Kind.MODULUS, seen.distance_db, seen.none, -seen.distance_db)]
 
 
 OBJECTIVES: dict[ObjectiveName, Objective] = {
     "first-mode-peak": Objective(
-        Criterion("peak of mode 1", "dB", (features.peaks,), _first_peak),
+        Criterion("peak of mode 1", "dB", (features.peaks,), _peak("", lambda mode: mode == 1)),
         about="largest peak of mode 1",
         reached=lambda db: f"largest peak of mode 1 {db:.2f} dB",
         needs_mode=True,
@@ -122,61 +127,54 @@ OBJECTIVES: dict[ObjectiveName, Objective] = {
         reached=lambda db: f"least |1 + L| {10.0 ** (-db / 20.0):.3f}",
     ),
     "load": Objective(
-        Criterion("load q alpha in wind, rms", "Pa deg", (), lambda _: iter(())),
+        Criterion("load q alpha in wind, rms", "Pa deg", (), lambda _: []),
         about="largest rms of q alpha, in dB over 1 Pa deg",
         reached=lambda db: f"largest rms of q alpha {10.0 ** (db / 20.0):.0f} Pa deg",
     ),
     "bending-moment": Objective(
-        Criterion("bending moment in wind, rms", "N m", (), lambda _: iter(())),
+        Criterion("bending moment in wind, rms", "N m", (), lambda _: []),
         about="largest rms of the bending moment, in dB over 1 N m",
         reached=lambda db: f"largest rms of the bending moment {10.0 ** (db / 20.0):.0f} N m",
     ),
 }
 
 
-# --- limits
-def _peak(name: str, which: Callable[[Indices], Mask]) -> Callable[[Seen], Iterator[Part]]:
-    def parts(seen: Seen) -> Iterator[Part]:
-        most = seen.limit(name)
-        yield which(seen.mode), seen.gain_db, most, seen.gain_db - most
-
-    return parts
-
-
-def _gain_margin(seen: Seen) -> Iterator[Part]:
+def _gain_margin(seen: Seen) -> list[Part]:
     """(44) at every crossing and end, and what approaches 180 deg within the margin without a crossing."""
     least = seen.limit("gain_margin_db")
     crossing = (seen.kind == Kind.GAIN_CROSSING) | (seen.kind == Kind.END)
-    yield crossing, seen.gain_db, least, least - np.abs(seen.gain_db)
     turn = (seen.kind == Kind.PHASE_TURN) & (np.abs(seen.gain_db) < least)
-    yield turn, seen.beside_deg, seen.none, -np.abs(seen.beside_deg) * seen.db_per_deg
+    return [
+        (crossing, seen.gain_db, least, least - np.abs(seen.gain_db)),
+        (turn, seen.beside_deg, seen.none, -np.abs(seen.beside_deg) * seen.db_per_deg),
+    ]
 
 
-def _phase_margin(seen: Seen) -> Iterator[Part]:
+def _phase_margin(seen: Seen) -> list[Part]:
     """(45) at every crossing of 0 dB but those of mode 1 with a limit of their own, and what approaches 0 dB."""
     least, own = seen.limit("phase_margin_deg"), ~np.isnan(seen.limit("first_mode_phase_deg"))
     crossing = (seen.kind == Kind.PHASE_CROSSING) & ~(own & seen.in_first_lobe)
-    yield crossing, seen.beside_deg, least, (least - np.abs(seen.beside_deg)) * seen.db_per_deg
     turn = (seen.kind == Kind.GAIN_TURN) & (np.abs(seen.beside_deg) < least)
-    yield turn, seen.gain_db, seen.none, -np.abs(seen.gain_db)
+    return [
+        (crossing, seen.beside_deg, least, (least - np.abs(seen.beside_deg)) * seen.db_per_deg),
+        (turn, seen.gain_db, seen.none, -np.abs(seen.gain_db)),
+    ]
 
 
-def _first_mode_phase(seen: Seen) -> Iterator[Part]:
-    least = seen.limit("first_mode_phase_deg")
-    inside = (seen.kind == Kind.PHASE_CROSSING) & seen.in_first_lobe
-    yield inside, seen.beside_deg, least, (least - np.abs(seen.beside_deg)) * seen.db_per_deg
+def _first_mode_phase(seen: Seen) -> list[Part]:
+    least, inside = seen.limit("first_mode_phase_deg"), (seen.kind == Kind.PHASE_CROSSING) & seen.in_first_lobe
+    return [(inside, seen.beside_deg, least, (least - np.abs(seen.beside_deg)) * seen.db_per_deg)]
 
 
-def _modulus(seen: Seen) -> Iterator[Part]:
+def _modulus(seen: Seen) -> list[Part]:
     least = seen.limit("modulus_db")
-    yield seen.kind == Kind.MODULUS, seen.distance_db, least, least - seen.distance_db
+    return [(seen.kind == Kind.MODULUS, seen.distance_db, least, least - seen.distance_db)]
 
 
-def _zone(seen: Seen) -> Iterator[Part]:
+def _zone(seen: Seen) -> list[Part]:
     near = (seen.kind == Kind.ZONE) | (seen.kind == Kind.ZONE_CORNER)
-    if near.any():
-        value = features.zone_value(seen.at.value.real, np.radians(seen.beside_deg), seen.cross)
-        yield near, value, np.ones(len(near)), (1.0 - value) * seen.limit("gain_margin_db")
+    value = features.zone_value(seen.at.value.real, np.radians(seen.beside_deg), seen.cross)
+    return [(near, value, np.ones(len(near)), (1.0 - value) * seen.limit("gain_margin_db"))]
 
 
 LIMITS: tuple[Criterion, ...] = (

@@ -13,11 +13,11 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.design.case.schema import Gains, LoadedCase
-from maxq.design.laws.law import LawVariables
+from maxq.design.laws.law import DesignedLaw, LawVariables
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.search import Progress
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import Start, make_problem, solve_at_nodes
+from maxq.design.optimise.solve import make_problem, solve_at_nodes
 
 INSTANTS_S = 0.25  # apart, all along
 FINE_S = 0.05  # apart, beside the worst of those
@@ -58,7 +58,7 @@ class Instants:
 
 
 def solve_over_time(
-    loaded: LoadedCase, nominal: Plants, also_from: Sequence[Start] = (), progress: Progress | None = None
+    loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: Progress | None = None
 ) -> Solution:
     """The best design found that no instant between the first and the last node makes worse by WORSE_DB.
 
@@ -88,7 +88,7 @@ def solve_over_time(
         times_s = sorted({*loaded.case.times_s, *new})
         loaded = replace(loaded, case=loaded.case.model_copy(update={"nodes_s": tuple(times_s)}))
         plants = make_plants(instants.plants(times_s))
-        solution = solve_at_nodes(loaded, plants, [solution], progress)
+        solution = solve_at_nodes(loaded, plants, [solution.law], progress)
         if solution.status == "interrupted":
             break
     certificate = replace(solution.certificate, instants=instants.tried, worst_instant_db=worst_db)

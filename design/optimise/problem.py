@@ -8,23 +8,64 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Limits
-from maxq.design.laws.law import LawLimit
+from maxq.design.laws.law import LawLimit, LimitValues
 from maxq.design.laws.task import DB, PlantLimits
-from maxq.design.model.state_space import ComplexArray
 from maxq.design.optimise import features
 from maxq.design.optimise.criteria import LIMITS, Criterion, Objective, Part, Seen
 from maxq.design.optimise.curves import Curves, Indices
-from maxq.design.optimise.features import Bands, Cross, Kind, Mesh, Places, Search, joined
+from maxq.design.optimise.features import Bands, Cross, Kind, Mask, Mesh, Places, Search, joined
 from maxq.design.optimise.loops import Loops
-from maxq.design.optimise.rows import Rows, law_rows
 
 FARTHEST_DB = 20.0  # rows that are met by more are left out
+
+
+@dataclass(frozen=True)
+class Rows:
+    """`excess_db` of a limit is 0 or less where it is met; that of an objective row is its value.
+
+    `what` is the row's number in `Problem.kinds`; `own` its gradient by the own parameters of its plant. Features carry
+    what it takes to find them again after a small change: `feature` is the kind (-1: none), `cell`, `x`, `fixed`.
+    """
+
+    what: NDArray[np.int8]
+    plant: Indices  # -1: of the law itself
+    value: Array  # in the limit's own unit: dB, deg, Hz, ratio
+    limit: Array  # nan: none of its own
+    excess_db: Array
+    objective: Mask
+    own: Array
+    feature: NDArray[np.int8]
+    cell: Indices
+    x: Array  # ln f
+    fixed: Mask
+
+    def __len__(self) -> int:
+        return len(self.what)
+
+    def taken(self, which: Indices | Mask) -> Rows:
+        return Rows(*(getattr(self, f.name)[which] for f in fields(self)))
+
+    @property
+    def frequency_hz(self) -> Array:
+        """nan where there is none."""
+        return np.where(self.feature >= 0, np.exp(self.x), np.nan)
+
+
+def law_rows(what: int, of: LimitValues, objective: bool = False) -> Rows:
+    """Limits of the law, which belong to no frequency, or the objective where it is one of them."""
+    n = len(of.value)
+    return Rows(
+        what=np.full(n, what, np.int8), plant=of.plant, value=of.value, limit=of.limit, excess_db=of.excess_db,
+        objective=np.full(n, objective), own=of.gradient, feature=np.full(n, -1, np.int8), cell=np.zeros(n, np.int64),
+        x=np.zeros(n), fixed=np.ones(n, bool),
+    )  # fmt: skip  # eight more lines otherwise
 
 
 @dataclass(frozen=True)
@@ -78,15 +119,16 @@ class Problem:
         if not np.isfinite(variables).all():
             raise ValueError("variables are not finite")
         self.evaluations += 1
-        own, loop = self.law.own(variables), self.loops.response(variables)
-        places = self._places(loop)
-        plant = self.loops.curves.plant[places.cell]
+        own, loop, curves = self.law.own(variables), self.loops.response(variables), self.loops.curves
+        mesh = Mesh(curves, self.bands, loop, self._mesh_cross, self.loops.poles_at_zero == 0)
+        places = features.in_intervals(curves, joined([search(mesh) for search in self._searches]))
+        plant = curves.plant[places.cell]
         x, at = self.loops.refined(own[plant], places, self.cross.of(plant))
         places = replace(places, x=x)
         low, high = self._first_lobes[plant].T
-        seen = Seen(
-            places.kind, plant, self._modes(places), at, self.cross.of(plant), self.limits, (low <= x) & (x <= high)
-        )
+        mode, peak = np.zeros(len(x), np.int64), places.kind == Kind.PEAK
+        mode[peak] = self.bands.mode[places.tag[peak]]
+        seen = Seen(places.kind, plant, mode, at, self.cross.of(plant), self.limits, (low <= x) & (x <= high))
         parts = [self._feature_rows(seen, places, math.inf if complete else FARTHEST_DB)]
         for values in self.law.limit_values(own):
             made_small = self.law.limits[values.number].objective
@@ -103,15 +145,6 @@ class Problem:
             float(limits.max(initial=0.0)),
             int(self.loops.unstable_poles(loop).sum()),
         )
-
-    def _places(self, loop: ComplexArray) -> Places:
-        mesh = Mesh(self.loops.curves, self.bands, loop, self._mesh_cross, self.loops.poles_at_zero == 0)
-        return features.in_intervals(mesh.curves, joined([search(mesh) for search in self._searches]))
-
-    def _modes(self, places: Places) -> Indices:
-        mode, peak = np.zeros(len(places.kind), np.int64), places.kind == Kind.PEAK
-        mode[peak] = self.bands.mode[places.tag[peak]]
-        return mode
 
     def _feature_rows(self, seen: Seen, places: Places, farthest_db: float) -> Rows:
         """Features judged by all criteria; those that are no limit or are met by far are left out."""

@@ -18,6 +18,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case, LoadedCase, Robust
+from maxq.design.laws.law import DesignedLaw
 from maxq.design.model.dispersion import disperse
 from maxq.design.model.node import Node
 from maxq.design.model.spread import places_of, resolved, root_of_correlation, vehicle_at_places
@@ -26,7 +27,7 @@ from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import Found, Progress, search
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import Start, finished, make_problem, search_best
+from maxq.design.optimise.solve import finished, make_problem, search_best
 
 WORSE_DB = 0.01  # plants that are worse by less are let be
 BEGINNINGS = 4
@@ -149,7 +150,7 @@ def corners_beside(time_s: float, taken: set[tuple[float, Ends]]) -> list[Ends]:
 
 
 def solve_robust(
-    loaded: LoadedCase, nominal: Plants, also_from: Sequence[Start] = (), progress: Progress | None = None
+    loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: Progress | None = None
 ) -> Solution:
     """The best design for the nominal plants and all that the case's ranges allow, as far as searched.
 

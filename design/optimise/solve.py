@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol, get_args
+from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -47,20 +47,6 @@ def each_stage(loaded: LoadedCase) -> list[LoadedCase]:
     return [replace(loaded, case=case.of_stage(n, tuple(by_stage[n]))) for n in chosen]
 
 
-class Start(Protocol):
-    """What a search may begin from."""
-
-    @property
-    def law(self) -> DesignedLaw: ...
-
-
-@dataclass(frozen=True)
-class GivenLaw:
-    """A law from elsewhere."""
-
-    law: DesignedLaw
-
-
 def nominal_plants(loaded: LoadedCase) -> Plants:
     """The plants at the nodes of a case of one stage. Raises ValueError, naming the node, where there is none."""
     return make_plants([make_plant(node, loaded.case) for node in nodes_of(loaded, loaded.case.times_s)])
@@ -78,11 +64,14 @@ def _problem_of(case: Case, plants: Plants, law: LawVariables) -> Problem:
 
 
 def solve(
-    loaded: LoadedCase, plants: Plants | None = None, also_from: Sequence[Start] = (), progress: Progress | None = None
+    loaded: LoadedCase,
+    plants: Plants | None = None,
+    also_from: Sequence[DesignedLaw] = (),
+    progress: Progress | None = None,
 ) -> Solution:
     """The best design found for a case.
 
-    `plants`: where they have been made already. `also_from`: solutions of like cases from which to start, too; with a
+    `plants`: where they have been made already. `also_from`: laws of like cases from which to start, too; with a
     filter of lower order, or less freedom in the gains, they guarantee a result that is no worse. Raises ValueError
     for a case without a problem (no such node, no first mode), KeyboardInterrupt where nothing is found yet.
     """
@@ -100,18 +89,18 @@ def solve(
         return method(loaded, plants, also_from, progress)
 
 
-def _named_start(case: Case, design: Design, plants: Plants) -> Start:
+def _named_start(case: Case, design: Design, plants: Plants) -> DesignedLaw:
     law = designed_law(design.of_stage(plants.each[0].node.stage))
     if make_problem(case, plants).law.variables_of(law) is None:
         raise ValueError(
             f"search.start_design = {case.search.start_design!r}: has another law, gains over another quantity, or "
             f"more filter than the case; allowed is a design of the law {case.law} over {case.gains.over}"
         )
-    return GivenLaw(law)
+    return law
 
 
 def solve_at_nodes(
-    loaded: LoadedCase, plants: Plants, also_from: Sequence[Start] = (), progress: Progress | None = None
+    loaded: LoadedCase, plants: Plants, also_from: Sequence[DesignedLaw] = (), progress: Progress | None = None
 ) -> Solution:
     """The best design found for the plants at the case's nodes.
 
@@ -139,9 +128,9 @@ def finished(case: Case, plants: Plants, problem: Problem, found: Found, begun: 
 
 
 def search_best(
-    case: Case, plants: Plants, also_from: Sequence[Start] = (), progress: Progress | None = None
+    case: Case, plants: Plants, also_from: Sequence[DesignedLaw] = (), progress: Progress | None = None
 ) -> tuple[Problem, Found]:
-    """Search from all starts: other solutions, and as many of the law's own as the case asks for.
+    """Search from all starts: other laws, and as many of the law's own as the case asks for.
 
     Where the limits cannot be met from these, once more from several times as many: how much they miss has valleys of
     its own, which starts that are good for the objective need not lie in.
@@ -156,11 +145,11 @@ def search_best(
 
 
 def _search_from(
-    case: Case, plants: Plants, also_from: Sequence[Start], progress: Progress | None
+    case: Case, plants: Plants, also_from: Sequence[DesignedLaw], progress: Progress | None
 ) -> tuple[Problem, Found]:
     problem = make_problem(case, plants)
     law, (count, leaps, seed) = problem.law, (case.search.starts, case.search.leaps, case.search.seed)
-    given = [x for x in (law.variables_of(solution.law) for solution in also_from) if x is not None]
+    given = [x for x in map(law.variables_of, also_from) if x is not None]
     simpler = law.simpler()
     if simpler is None:
         return problem, search(problem, [*given, *law.starts(count, seed)], progress=progress, leaps=leaps, seed=seed)

@@ -96,12 +96,6 @@ def model_step(
     return Step(change, merit.objective * at.objective_db + promised + 1e7 * at.unstable, found.rows)
 
 
-def positive_part(matrix: Array) -> Array:
-    """The matrix with its negative eigenvalues set to zero, and a small ridge."""
-    values, vectors = np.linalg.eigh(matrix)
-    return np.asarray((vectors * (np.maximum(values, 0.0) + RIDGE)) @ vectors.T)
-
-
 def descend(
     problem: Problem,
     start: Array,
@@ -123,10 +117,10 @@ def descend(
             break
         if limits_only and at.violation_db == 0.0 and at.unstable == 0:
             break
-        if multipliers is None:
-            curvature = RIDGE * np.eye(problem.size)
-        else:
-            curvature = positive_part(problem.curvature(at, multipliers))
+        curvature = RIDGE * np.eye(problem.size)
+        if multipliers is not None:
+            values, vectors = np.linalg.eigh(problem.curvature(at, multipliers))
+            curvature = (vectors * (np.maximum(values, 0.0) + RIDGE)) @ vectors.T
         moved = _step(problem, at, curvature, radius, merit, tolerance_db)
         if moved is None:
             if limits_only or at.violation_db <= MET_DB or merit.penalty >= LARGEST_PENALTY:

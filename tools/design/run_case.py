@@ -24,6 +24,7 @@ from maxq.control.structures import STRUCTURES as KNOWN
 from maxq.design import api
 from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.design_file import DESIGN_NAME, design_text, forget_pictures
+from maxq.design.laws.law import DesignedLaw
 from maxq.design.laws.schedule import UnsolvableError
 from maxq.design.model.node import Node
 from maxq.design.optimise.plants import Plants
@@ -273,7 +274,7 @@ def solve_orders(
                 waiting = [key for key in cases if key not in found and key not in under_way.values()]
                 for key in waiting:
                     if found.keys() >= set(contained[key]):
-                        under_way[pool.submit(_solve_order, key, [found[c] for c in contained[key]])] = key
+                        under_way[pool.submit(_solve_order, key, [found[c].law for c in contained[key]])] = key
                 watch(len(found), len(cases))
                 for done in wait(under_way, return_when=FIRST_COMPLETED).done:
                     found[under_way.pop(done)] = done.result()
@@ -292,7 +293,7 @@ def _begin_orders(cases: Mapping[tuple[str, str], LoadedCase], plants: Plants) -
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the command ends the others
 
 
-def _solve_order(key: tuple[str, str], contained: Sequence[Solution]) -> Solution:
+def _solve_order(key: tuple[str, str], contained: Sequence[DesignedLaw]) -> Solution:
     cases, plants = _orders
     return solve(cases[key], plants, contained)
 

@@ -73,7 +73,7 @@ class Rival:
     def __call__(self, x: Array) -> float:
         self.count += 1
         limits, law = self.case.limits, self.law
-        y, u = law.split(x)
+        y, u, *_ = law.split(x)
         k_p, k_d = law.gains.at_plants(u)
         filter_ = law.filter.filter(y)
         missing = max(0.0, float(law.filter.log_gain_at_infinity() @ y))
