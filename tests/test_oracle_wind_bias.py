@@ -82,7 +82,7 @@ def test_biased_flight_meets_the_air_as_in_still_air() -> None:
 def test_reported_bias_is_the_integral_of_what_the_programmes_differ_by() -> None:
     made, old = biased(), load_scenario("nominal", FLOWN).scenario.guidance.programme
     assert old is not None
-    t, n = made.time_s, made.bias_rad.shape[1]
+    t, n = made.table["time_s"], made.bias_rad.shape[1]
     for row, name in enumerate(("pitch_rate_degps", "yaw_rate_degps")):
         more = made.table[name] - np.interp(t, old["time_s"], old.get(name))
         turned = np.array([trapezoid(more[: k + 1], t[: k + 1]) for k in range(n)])

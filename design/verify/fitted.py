@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -29,41 +29,28 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Log
 from maxq.sim.scenario.schema_values import Section
 
-MARKS = {
-    "max_q": "of the largest dynamic pressure under thrust: s, altitude in m",
-    "before_max_q": "of four fifths of it, before: s, m",
-    "after_max_q": "of four fifths of it, after: s, m; the last burn-out where thrust ends sooner",
-    "mode_1_gust": "height climbed in a swing of mode 1 at one of these (max_q_mode_1_gust_m); mode_2, slosh: m",
-    "burnout": "of the last burn-out: s",
-    "sample": "of the first stage's computer: s",
-    "longer": "half of that, or what the computer's delay leaves of it: s",
-    "gimbal_limit": "least angle of all actuators and computers: deg",
-    "gimbal_rate_limit": "least rate of all actuators: deg/s",
-    "limit_wind": "the suite's key: a wind profile",
-    "stage": "number of the stage, from 0; this and the next only with each_stage",
-    "ignition": "of the stage, or lift-off: s",
-    "early": "a fifth of its burn: s",
-    "strongest": "of the largest dynamic pressure in its burn: s",
-    "late": "three quarters of its burn: s",
-    "stage_burnout": "end of its burn: s",
-    "gimbal_moment": "by one degree of all gimbals, at the strongest instant: N m",
-    "outer_engine": "number of the engine farthest from the axis, of several",
-}
-"""What a suite may name, by the first part of the name; the unit follows: max_q_s, max_q_altitude_m."""
-_UNITS = {"sample": ("s",), "gimbal_limit": ("deg",), "gimbal_rate_limit": ("degps",), "gimbal_moment": ("Nm",)}
-_PLACES = ("max_q", "before_max_q", "after_max_q")
-_BARE = ("limit_wind", "stage", "outer_engine")
 _TUNED = ("mode_1", "mode_2", "slosh")
-NAMES = [
-    *(f"{name}_{unit}" for name in _PLACES for unit in ("s", "altitude_m", *(f"{mode}_gust_m" for mode in _TUNED))),
-    *_BARE,
-    *(
-        f"{name}_{unit}"
-        for name in MARKS
-        if name not in (*_PLACES, *_BARE, "mode_1_gust")
-        for unit in _UNITS.get(name, ("s",))
-    ),
-]
+_PLACES = ("max_q", "before_max_q", "after_max_q")
+NAMES = (
+    # of the largest dynamic pressure under thrust, and of four fifths of it before and after (the last burn-out where
+    # thrust ends sooner); gusts: height climbed in a swing of mode or slosh
+    *(f"{at}_{what}" for at in _PLACES for what in ("s", "altitude_m", *(f"{x}_gust_m" for x in _TUNED))),
+    "limit_wind",  # the suite's key: a wind profile
+    "stage",  # its number, from 0; only with each_stage, as ignition and what follows it
+    "outer_engine",  # number of the engine farthest from the axis, of several; only with each_stage
+    "burnout_s",  # of the last stage
+    "sample_s",  # of the first stage's computer
+    "longer_s",  # half of that, or what the computer's delay leaves of it
+    "gimbal_limit_deg",  # the least angle of all actuators and computers
+    "gimbal_rate_limit_degps",  # the least rate of all actuators
+    "ignition_s",  # of the stage, or lift-off
+    "early_s",  # a fifth of its burn
+    "strongest_s",  # of the largest dynamic pressure in its burn
+    "late_s",  # three quarters of its burn
+    "stage_burnout_s",  # end of its burn
+    "gimbal_moment_Nm",  # by one degree of all gimbals, at the strongest instant
+)
+"""What a suite may name."""
 _MARK = re.compile(r"\$\{\s*([\w.]+)\s*(?:([+*-])\s*([0-9.eE+-]+)\s*)?\}|\$(\w+)")
 _LONGEST_M = 1000.0  # of a gust; beyond it is the wind profile
 _STRONG = 0.8  # of the largest dynamic pressure
@@ -83,7 +70,9 @@ def fit(loaded: LoadedSuite, base: LoadedScenario, memory: Memory) -> LoadedSuit
     Raises ScenarioError for an unknown mark, or one where it has no value for any vehicle.
     """
     suite = loaded.suite
-    texts = [*(t for f in suite.flight for t in _texts(f)), *(str(d.limit) for d in suite.dispersed_limit)]
+    texts = [str(d.limit) for d in suite.dispersed_limit]
+    for f in suite.flight:
+        texts += [f.name, *f.set, *map(str, f.scale.values()), *map(str, f.add.values())]
     plain = not any(f.each_stage or f.scale or f.add or "*" in "".join(f.set) for f in suite.flight)
     if plain and not suite.every and not any(_MARK.search(text) for text in texts):
         return loaded
@@ -122,10 +111,6 @@ def named(loaded: LoadedSuite, base: LoadedScenario) -> LoadedSuite:
 
 def _called(base: LoadedScenario, number: int) -> str:
     return base.vehicle.stage[number].name or f"stage {number + 1}"
-
-
-def _texts(flown: Flown) -> list[str]:
-    return [flown.name, *flown.set, *(str(v) for v in (*flown.scale.values(), *flown.add.values()))]
 
 
 def _fitted(flown: Flown, base: LoadedScenario, marks: Marks, label: str, stages: int) -> Flown:
@@ -211,7 +196,7 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
     flight, spans = fly(LoadedScenario(quiet, base.label, base.files)), powered_spans(base)
     t, q, altitude = flight.time_s("dynamic_pressure_Pa"), flight["dynamic_pressure_Pa"], flight["altitude_m"]
     altitude = np.interp(t, flight.time_s("altitude_m"), altitude)
-    out: Marks = {**_sampling(base), **_limits(base)}
+    out = _computers(base)
     stages: list[Marks] = []
     if not spans:
         return out, stages
@@ -260,24 +245,18 @@ def _tones_hz(node: Node) -> dict[str, float]:
     return out
 
 
-def _sampling(base: LoadedScenario) -> Mapping[str, float]:
-    """The first computer's sample, and half of it or as much as every computer's delay leaves of its own."""
-    found = [c for n in range(len(base.vehicle.stage)) if (c := base.vehicle.computer_of(n)) is not None]
-    sample_s = found[0].sample_s if found else 0.01
-    longer_s = min([0.5 * sample_s, *(round(c.sample_s - c.delay_s, 9) for c in found)])
-    return {"sample_s": sample_s, "longer_s": longer_s}
-
-
-def _limits(base: LoadedScenario) -> Mapping[str, float]:
-    vehicle, angles, rates = base.vehicle, list[float](), list[float]()
-    for n, stage in enumerate(vehicle.stage):
-        computer = vehicle.computer_of(n)
-        angles += [] if computer is None else [computer.command_limit_deg]
-        for actuator in stage.actuators:
-            angles.append(actuator.angle_limit_deg)
-            rates.append(actuator.rate_limit_degps)
-    return {
-        name: min(found)
-        for name, found in (("gimbal_limit_deg", angles), ("gimbal_rate_limit_degps", rates))
-        if found and math.isfinite(min(found))
+def _computers(base: LoadedScenario) -> Marks:
+    """The first computer's sample, and half of it or as much as every computer's delay leaves of its own; the least
+    limits of the gimbals, where there are any.
+    """
+    vehicle = base.vehicle
+    computers = [c for n in range(len(vehicle.stage)) if (c := vehicle.computer_of(n)) is not None]
+    actuators = [actuator for stage in vehicle.stage for actuator in stage.actuators]
+    sample_s = computers[0].sample_s if computers else 0.01
+    longer_s = min([0.5 * sample_s, *(round(c.sample_s - c.delay_s, 9) for c in computers)])
+    angles_deg = [*(c.command_limit_deg for c in computers), *(a.angle_limit_deg for a in actuators)]
+    limits = {
+        "gimbal_limit_deg": min(angles_deg, default=math.inf),
+        "gimbal_rate_limit_degps": min((a.rate_limit_degps for a in actuators), default=math.inf),
     }
+    return {"sample_s": sample_s, "longer_s": longer_s, **{k: x for k, x in limits.items() if math.isfinite(x)}}

@@ -19,6 +19,7 @@ from maxq.design.case.schema import Case, LoadedCase, MarginLimits
 from maxq.design.laws.design_file import design_of
 from maxq.design.laws.law import ANGLES
 from maxq.design.laws.task import limit_of
+from maxq.design.laws.wind import WIND_LIMITS, Key, quantity
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.budget import Budget, crossing_budgets
@@ -30,9 +31,9 @@ from maxq.design.model.instruments import ACCELERATION
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
+from maxq.design.optimise.plants import wind_of
 from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution
-from maxq.design.verify.in_wind import InWind, in_wind
 from maxq.design.verify.suite import beyond
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.errors import ScenarioError
@@ -141,10 +142,6 @@ class Check:
     time_s: Array  # NaN for the filter
     short: str = ""  # heading of a column, where `LIMITS` has none
 
-    @property
-    def _margin(self) -> Array:
-        return self.values - self.limit if self.sense == ">=" else self.limit - self.values
-
     def met(self) -> np.ndarray:
         """For each value. NaN of an unstable loop is not met; a peak that does not exist is."""
         absent = np.isnan(self.values) & (self.key in PEAKS)
@@ -157,7 +154,8 @@ class Check:
     @property
     def worst(self) -> int:
         """Index of the value nearest to, or farthest beyond, the limit; an unstable loop comes first."""
-        margin = self._margin / self.limit if np.ndim(self.limit) else self._margin
+        margin = self.values - self.limit if self.sense == ">=" else self.limit - self.values
+        margin = margin / self.limit if np.ndim(self.limit) else margin
         bad = np.isnan(self.values) & ~self.met()
         return int(np.argmax(bad)) if bad.any() else int(np.nanargmin(margin)) if np.isfinite(margin).any() else 0
 
@@ -206,7 +204,9 @@ LIMITS = {
     "gain_margin_db": Limit("gain margin", "gain dB", "dB", ">=", lambda j, _: j.gain_margin_db),
     "phase_margin_deg": Limit("phase margin", "phase deg", "deg", ">=", lambda j, _: j.margins.phase_deg.value),
     "zone": Limit(ZONE, "zone", "", ">=", lambda j, w: _clearance(j, w.zone)),
-    "modulus_db": Limit("least |1 + L|", "|1+L| dB", "dB", ">=", lambda j, _: _db(j.margins.modulus)),
+    "modulus_db": Limit(
+        "least |1 + L|", "|1+L| dB", "dB", ">=", lambda j, _: 20.0 * math.log10(j.margins.modulus or math.nan)
+    ),
     "first_mode_db": Limit("peak of mode 1", "mode 1 dB", "dB", "<=", lambda j, _: j.peak_db(1, 1)),
     "first_mode_phase_deg": Limit("phase margin at mode 1", "mode 1 deg", "deg", ">=", lambda j, _: _phase_deg(j)),
     "second_mode_db": Limit("peak of mode 2", "mode 2 dB", "dB", "<=", lambda j, _: j.peak_db(2, 2)),
@@ -228,15 +228,15 @@ def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Che
         if held:
             text = f"unstable at a total gain of {held[0][1]:g}"
             out.append(Check(f"total_{end}", text, "", "<=", 0.0, np.array(poles), np.array([t for t, _ in held])))
-    for key, quantity in LIMITS.items():
+    for key, about in LIMITS.items():
         asked = getattr(wanted, key)
         if asked is None:
             continue
         limit: float | Array = 0.0 if isinstance(asked, Zone) else asked
         limit = at_time(asked, time_s) if isinstance(asked, OverTime) else float(limit)
-        text = quantity.text.format(asked) if isinstance(asked, Zone) else quantity.text
-        values = np.array([quantity.value(j, wanted) for j in judged])
-        out.append(Check(key, text, quantity.unit, quantity.sense, limit, values, time_s))
+        text = about.text.format(asked) if isinstance(asked, Zone) else about.text
+        values = np.array([about.value(j, wanted) for j in judged])
+        out.append(Check(key, text, about.unit, about.sense, limit, values, time_s))
     if wanted.filter_gain_at_infinity is not None:
         limit, gains = float(wanted.filter_gain_at_infinity), []
         for flt in (bending_filter(design.of_stage(stage)) for stage in sorted({j.node.stage for j in judged})):
@@ -278,8 +278,22 @@ def _phase_deg(j: Judged) -> float:
     return j.bending[1].phase_deg if 1 in j.bending else math.nan
 
 
-def _db(ratio: float) -> float:
-    return 20.0 * math.log10(ratio) if ratio > 0.0 else math.nan
+@dataclass(frozen=True)
+class InWind:
+    """One quantity at the nodes: of a design, and of the one that the scenario flies by itself."""
+
+    key: Key
+    rms: Array  # (nodes,), nan where the loop is unstable
+    before: Array | None  # None: the scenario has no design
+
+    @property
+    def name(self) -> str:
+        return self.key if isinstance(self.key, str) else f"bending_moment_{self.key:g}_m"
+
+    @property
+    def about(self) -> tuple[str, str, str]:
+        """Text, heading of a column and unit."""
+        return quantity(self.key)
 
 
 @dataclass(frozen=True)
@@ -422,6 +436,29 @@ def judge_solution(loaded: LoadedCase, solution: Solution, design: Design | None
     if dispersed:
         off += wind_checks(in_wind(case, dispersed, design, None), case.robust.limits, dispersed)
     return Outcome(loaded, design, judged, found, flown, off, wanted, winds)
+
+
+def in_wind(case: Case, nodes: Sequence[Node], design: Design, before: Design | None) -> list[InWind]:
+    """All quantities that the case can limit, at its stations; nothing without a wind."""
+    if case.wind is None:
+        return []
+    keys, rms = _rms(case, nodes, design)
+    own = None if before is None else _rms(case, nodes, before)[1]
+    return [InWind(key, rms[k], None if own is None else own[k]) for k, key in enumerate(keys)]
+
+
+def _rms(case: Case, nodes: Sequence[Node], design: Design) -> tuple[list[Key], Array]:
+    """Quantities, and their values (quantities, nodes)."""
+    found, keys = [], list[Key](WIND_LIMITS)
+    for loop in api.loops(nodes, design, kind=case.loop):
+        path = loop.fixed
+        path.measurements = loop.law.inputs
+        wind = wind_of(path, case)
+        keys = [*WIND_LIMITS, *wind.stations_m]
+        law = loop.law.response(np.exp(wind.x))
+        values = wind.rms(range(len(keys)), law, np.zeros((*law.shape, 0)))[0]
+        found.append(values if margins(loop, resonances=()).stable else np.full(len(keys), np.nan))
+    return keys, np.array(found).T
 
 
 def wind_checks(found: Sequence[InWind], limits: MarginLimits, nodes: Sequence[Node]) -> list[Check]:

@@ -197,13 +197,13 @@ def verify(
     requirements += measured_requirements(measured, suite.margins.nominal if suite.margins else MarginLimits())
     for campaign in campaigns:
         requirements += flown.campaign_requirements(campaign)
-    design_hash, scenario_hash = content_hash(repr(scenario.design)), content_hash(scenario.as_flown)
-    hashes = {"design": design_hash, "scenario": scenario_hash, "code": code_hash()}
+    hashed = content_hash(repr(scenario.design)), content_hash(scenario.as_flown), code_hash()
+    hashes = {name: text[:16] for name, text in zip(("design", "scenario", "code"), hashed, strict=True)}
     return Verification(
         design, suite, scenario, tuple(requirements), tuple(flights), tuple(margin), tuple(certificates),
         tuple(through), tuple(campaigns), tuple(limits), tuple(slosh), tuple(worst),
         tuple(measured), loaded.left_out,
-        hashes={name: text[:16] for name, text in hashes.items()}, versions=versions(), recalled=kept.recalled,
+        hashes=hashes, versions=versions(), recalled=kept.recalled,
         worked_out=kept.worked_out, wall_s=time.perf_counter() - begun, walls_s=walls, cpus_s=cpus,
     )  # fmt: skip  # fourteen more lines otherwise
 

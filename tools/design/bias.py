@@ -75,22 +75,14 @@ class Incidence:
 
 @dataclass(frozen=True)
 class Biased:
-    """The programme's rates (deg/s) and bias (rad, pitch and yaw) over time, and what is met in still air, in the wind
-    with the old programme, and with this one."""
+    """The programme, its bias (rad, pitch and yaw) over time, and what is met in still air, in the wind with the old
+    programme, and with this one."""
 
-    time_s: Array
-    pitch_rate_degps: Array
-    yaw_rate_degps: Array
+    table: CsvTable  # time_s, pitch_rate_degps, yaw_rate_degps
     bias_rad: Array  # (2, times)
     still: Incidence
     before: Incidence
     after: Incidence
-
-    @property
-    def table(self) -> CsvTable:
-        columns = {"time_s": self.time_s}
-        columns |= {"pitch_rate_degps": self.pitch_rate_degps, "yaw_rate_degps": self.yaw_rate_degps}
-        return CsvTable("", columns)
 
 
 def execute(order: Order) -> int:
@@ -101,10 +93,11 @@ def execute(order: Order) -> int:
     check_writable(path.parent)
     found = wind_biased(loaded, order.share)
     name = loaded.scenario.name or order.scenario
-    said = [f"# Programme of {name}, biased by simdesign for the wind of {wind_name(loaded)}"]
-    names = list(found.table.columns)
-    rows = zip(*(found.table[name].tolist() for name in names), strict=True)
-    lines = [*said, ",".join(names), *(",".join(f"{x:.9g}" for x in row) for row in rows)]
+    profile = loaded.scenario.wind.profile
+    of = profile.file if profile is not None and profile.file else "the scenario"
+    rows = zip(*(column.tolist() for column in found.table.columns.values()), strict=True)
+    lines = [f"# Programme of {name}, biased by simdesign for the wind of {of}", ",".join(found.table.columns)]
+    lines += [",".join(f"{x:.9g}" for x in row) for row in rows]
     write_whole(path, "\n".join(lines) + "\n")
     largest = np.degrees(np.abs(found.bias_rad).max(axis=1))
     loads = [each.load_Padeg for each in (found.still, found.before, found.after)]
@@ -118,12 +111,6 @@ def execute(order: Order) -> int:
     )
     tell(path, "fly it with:", f"  simrun {order.scenario} --set guidance.programme={path}")
     return Exit.OK
-
-
-def wind_name(loaded: LoadedScenario) -> str:
-    """The profile's file, or what stands in its place."""
-    profile = loaded.scenario.wind.profile
-    return profile.file or "the scenario" if profile is not None else "the scenario"
 
 
 def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
@@ -166,7 +153,8 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
     time_s = np.unique(np.concatenate([time_s, [t for t in programme["time_s"] if time_s[0] < t < time_s[-1]]]))
     after_s = [t for t in programme["time_s"] if t > time_s[-1]]
     still, path = Incidence.of(calm, time_s), _path(loaded, calm, time_s)
-    fade = _fade(still.dynamic_pressure_Pa / still.dynamic_pressure_Pa.max())
+    strength = np.clip(still.dynamic_pressure_Pa / still.dynamic_pressure_Pa.max() / FULL_FROM, 0.0, 1.0)
+    fade = strength * strength * (3.0 - 2.0 * strength)  # from 0 to 1 without a corner between
     before = Incidence.of(flown(wind, programme, end_s), time_s)
     wanted = [
         share * a + (1.0 - share) * b
@@ -179,7 +167,7 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
         made = _programme(programme, time_s, after_s, bias)
         now = Incidence.of(flown(wind, made, end_s), time_s)
     assert made is not None
-    return Biased(made["time_s"], made["pitch_rate_degps"], made["yaw_rate_degps"], bias, still, before, now)
+    return Biased(made, bias, still, before, now)
 
 
 def _path(loaded: LoadedScenario, calm: Flight, time_s: Array) -> Array:
@@ -211,12 +199,6 @@ def _turned(time_s: Array, fade: Array, path: Array, lacks_rad: Array) -> Array:
             step = float(time_s[k + 1] - time_s[k])
             across += 0.5 * step * (rate + turn(k + 1, across + step * rate)[1])
     return turned
-
-
-def _fade(share: Array) -> Array:
-    """0 at no dynamic pressure, 1 from `FULL_FROM` of the largest one on, without a corner between."""
-    x = np.clip(share / FULL_FROM, 0.0, 1.0)
-    return np.asarray(x * x * (3.0 - 2.0 * x))
 
 
 def _smoothed(time_s: Array, values: Array) -> Array:
