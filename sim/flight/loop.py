@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from maxq.control.computer import start_computer, take_over
@@ -12,8 +11,8 @@ from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight import events, step
 from maxq.sim.flight.metrics import N_METRICS
 from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVENTS, NEVER, Memory, Parameters
-from maxq.sim.flight.telemetry import fill_fast, fill_slow
-from maxq.sim.vehicle.block import Q_BI, Sizes, counts
+from maxq.sim.flight.telemetry import Logged, fill_fast, fill_slow
+from maxq.sim.vehicle.block import Q_BI, counts
 from maxq.sim.vehicle.engine import group_angles
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
 from maxq.sim.vehicle.loads import evaluate_sections, gather_sections
@@ -22,19 +21,6 @@ from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
 from maxq.sim.vehicle.workspace import ALTITUDE, ANCHOR, Evaluation
 from maxq.sim.world.gust_history import history_start
 from maxq.sim.world.turbulence import turbulence_start
-
-
-@dataclass(frozen=True)
-class Logged:
-    """How wide a log's rows of bending, slosh and section loads are: the widest stage's; `on` = 0 for no log."""
-
-    on: int
-    sizes: Sizes
-    stations: int  # of section loads
-    waves: int  # 1: with the height of the waves
-    engines: int  # 0 for vehicles of one engine
-    external: int  # 1: with the monitors of flight code from outside
-    adaptive: int  # 1: with the total gain of adaptive augmenting control
 
 
 class LogRows(NamedTuple):
@@ -92,16 +78,16 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
 
 @entry
 def advance(
-    P: Records, pool: Array, state: Records, y: Array, arena: Array, until_ns: int, logged: Records,
+    P: Records, pool: Array, state: Records, y: Array, arena: Array, until_ns: int, log_of: Records,
     fast_ns: IntArray, fast: Array, slow_ns: IntArray, slow: Array, rows: IntArray,
 ) -> None:  # fmt: skip  # fourteen lines otherwise
     """Fly until `until_ns` or the end of the flight, whichever comes first.
 
-    `P` (stages,) of Parameters, `state` (1,) of Memory, `logged` (1,) of Logged. Log rows go to `fast`, `slow` with
+    `P` (stages,) of Parameters, `state` (1,) of Memory, `log_of` (1,) of Logged. Log rows go to `fast`, `slow` with
     their times (ns) and counts `rows` (2,). Where a call ends changes nothing in the flight, as long as `until_ns` is
     a multiple of the step; with steps of equal length it ends with the first step that reaches `until_ns`.
     """
-    memory = state[0]
+    memory, logged = state[0], log_of[0]
     clock = memory.clock
     pool, space = bare_pointer(pool), step.workspace_of(arena, y)
     now_at, log_rows = space.start, LogRows(fast_ns, fast, slow_ns, slow, rows)
@@ -118,15 +104,15 @@ def advance(
         step.read_schedule(p, pool, memory, clock.now_ns, 0.0, now_at.properties)
         evaluate_exactly(p, pool, memory, space)
         if p.loads.stations > 0:
-            track_sections(p, pool, memory, space, logged[0].on, 1)
+            track_sections(p, pool, memory, space, logged.on, 1)
         step.gather_at(p, memory, clock.now_ns, 0.0, now_at)
-        if logged[0].on == 1:
+        if logged.on == 1:
             log(p, memory, logged, now_at, log_rows, clock.now_ns, 1)
 
 
 @kernel
 def fly_step(
-    p: Parameters, pool: Array, memory: Memory, logged: Records, until_ns: int, space: step.Workspace, log_rows: LogRows
+    p: Parameters, pool: Array, memory: Memory, logged: Logged, until_ns: int, space: step.Workspace, log_rows: LogRows
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     """What is due now, a log row, and a step to the next instant or event, whichever comes first."""
     clock, now_at, now = memory.clock, space.start, memory.clock.now_ns
@@ -140,8 +126,8 @@ def fly_step(
             apply_event(p, memory, LIFTOFF)
             return
     if p.loads.stations > 0:
-        track_sections(p, pool, memory, space, logged[0].on, 0)
-    if logged[0].on == 1:
+        track_sections(p, pool, memory, space, logged.on, 0)
+    if logged.on == 1:
         log(p, memory, logged, now_at, log_rows, now, 0)
     step_ns = events.step_length(p, pool, memory, until_ns)
     step.gather_at(p, memory, now, 1e-9 * step_ns, now_at)
@@ -156,7 +142,7 @@ def fly_step(
     event = detect_crossing(p, memory, space)
     if event >= 0:
         step_ns = locate_event(p, pool, memory, event, step_ns, space)
-    if logged[0].on == 1 and p.timeline.even == 1:
+    if logged.on == 1 and p.timeline.even == 1:
         log_between(p, pool, memory, logged, space, log_rows, step_ns)
     if p.timeline.even == 1 and now >= clock.next_errors_ns and event < 0:
         clock.next_errors_ns = now + step.ERRORS_NS
@@ -289,36 +275,24 @@ def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns
 
 
 @routine_beside
-def log(p: Parameters, memory: Memory, logged: Records, at: Evaluation, out: LogRows, now: int, last: int) -> None:
+def log(p: Parameters, memory: Memory, logged: Logged, at: Evaluation, out: LogRows, now: int, last: int) -> None:
     """Write the rows that are due at this instant; at the flight's end both, whether due or not."""
     rows = out.counts
     if rows[0] > 0 and out.fast_ns[rows[0] - 1] == now and last == 1:
         return  # the flight ended at an instant that has been logged already
     if now % p.timeline.fast_ns == 0 or last == 1:
-        fill_fast(
-            p,
-            logged[0].sizes,
-            logged[0].waves,
-            logged[0].engines,
-            logged[0].external,
-            logged[0].adaptive,
-            memory,
-            at.properties,
-            at.y,
-            at.aux,
-            out.fast[rows[0]],
-        )
+        fill_fast(p, logged, memory, at, out.fast[rows[0]])
         out.fast_ns[rows[0]] = now
         rows[0] += 1
     if now % p.timeline.slow_ns == 0 or last == 1:
-        fill_slow(p, logged[0].stations, memory, at.properties, at.y, at.aux, out.slow[rows[1]])
+        fill_slow(p, logged.stations, memory, at, out.slow[rows[1]])
         out.slow_ns[rows[1]] = now
         rows[1] += 1
 
 
 @routine
 def log_between(
-    p: Parameters, pool: Array, memory: Memory, logged: Records, space: step.Workspace, out: LogRows, step_ns: int
+    p: Parameters, pool: Array, memory: Memory, logged: Logged, space: step.Workspace, out: LogRows, step_ns: int
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Write the rows that are due within the step that has just been taken."""
     clock, fast_ns, slow_ns = memory.clock, p.timeline.fast_ns, p.timeline.slow_ns

@@ -7,6 +7,7 @@ in the units of the log. See control/kernel/rows.py for how a row is declared.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 from maxq.control.computer import ControlRow, GuidanceRow, control_row, guidance_row
@@ -48,6 +49,19 @@ from maxq.sim.world.earth import FLAT, earth_rotation, geodetic, inertial_to_ear
 FAST, SLOW = "fast", "slow"
 
 
+@dataclass(frozen=True)
+class Logged:
+    """How wide a log's rows of bending, slosh and section loads are: the widest stage's; `on` = 0 for no log."""
+
+    on: int
+    sizes: Sizes
+    stations: int  # of section loads
+    waves: int  # 1: with the height of the waves
+    engines: int  # 0 for vehicles of one engine
+    external: int  # 1: with the monitors of flight code from outside
+    adaptive: int  # 1: with the total gain of adaptive augmenting control
+
+
 # --- fast group
 
 
@@ -60,13 +74,9 @@ class FastRow(NamedTuple):
 
 
 @routine
-def fill_fast(
-    p: Parameters, logged: Sizes, waves: int, engines: int, external: int, adaptive: int, memory: Memory, props: Array,
-    y: Array, aux: Array, row: Array,
-) -> None:  # fmt: skip  # ten lines otherwise
-    """One row of the fast group; `logged`: how many modes and pendulums the log has columns for; `waves` = 1: waves;
-    `engines`: how many of several engines; `external` = 1: what flight code from outside monitors;
-    `adaptive` = 1: the total gain."""
+def fill_fast(p: Parameters, out: Logged, memory: Memory, at: ws.Evaluation, row: Array) -> None:
+    """One row of the fast group."""
+    props, y, aux, logged = at.properties, at.y, at.aux, out.sizes
     sizes = p.vehicle.sizes
     column = put(
         row,
@@ -84,7 +94,7 @@ def fill_fast(
         column = put(row, column, bending_row(aux))
     for tank in range(logged.pendulums):
         column = put(row, column, slosh_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank), aux))
-    for tank in range(logged.pendulums * waves):
+    for tank in range(logged.pendulums * out.waves):
         column = put(row, column, wave_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank)))
     if logged.tvc_loads == 1:
         column = put(row, column, tvc_load_row(sizes, aux))
@@ -94,11 +104,11 @@ def fill_fast(
     if logged.further_groups > 0:
         for group in range(1 + logged.further_groups):
             column = put(row, column, group_row(sizes.further_groups, group, memory.held.command_rad, aux))
-    for number in range(engines):
+    for number in range(out.engines):
         column = put(row, column, engine_row(p.vehicle.engine, number, aux))
-    if external == 1:
+    if out.external == 1:
         column = put(row, column, monitor_row(memory.computer.external))
-    if adaptive == 1:
+    if out.adaptive == 1:
         column = put(row, column, adaptive_row(memory.computer.adaptive))
     for k in range(logged.sensors):
         first, counted = sensor_index(sizes, k), vector_at(memory.computer.sensors.value[k], 0)
@@ -266,12 +276,11 @@ class SlowRow(NamedTuple):
 
 
 @routine
-def fill_slow(
-    p: Parameters, stations: int, memory: Memory, props: Array, y: Array, aux: Array, row: Array
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+def fill_slow(p: Parameters, stations: int, memory: Memory, at: ws.Evaluation, row: Array) -> None:
     """One row of the slow group; `stations` is how many sections the log has columns for."""
+    props, aux = at.properties, at.aux
     values = SlowRow(
-        truth=motion_row(p, memory, y),
+        truth=motion_row(p, memory, at.y),
         air=air_row(aux),
         loads=loads_row(props, aux),
         vehicle=vehicle_row(memory, props, aux),

@@ -17,7 +17,7 @@ from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.records import Array, IntArray, Records, pack
 from maxq.control.orbit_guidance import CUT_OFF, STEERING
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.flight.loop import Logged, advance, begin
+from maxq.sim.flight.loop import advance, begin
 from maxq.sim.flight.metric_table import METRIC_NAMES, MetricIndex, StepMetrics, WaveMetrics
 from maxq.sim.flight.parameters import (
     BURNOUT,
@@ -31,7 +31,7 @@ from maxq.sim.flight.parameters import (
     Clock,
 )
 from maxq.sim.flight.step import ARENA_SIZE
-from maxq.sim.flight.telemetry import FAST, SLOW, channel_table
+from maxq.sim.flight.telemetry import FAST, SLOW, Logged, channel_table
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, KeptRows, Rows, copied
 from maxq.sim.run.metrics import end_metrics, judge, orbit_metrics, section_extremes, section_metrics, step_failure
