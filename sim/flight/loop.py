@@ -9,7 +9,8 @@ from maxq.control.kernel.jit import bare_pointer, entry, kernel, routine, routin
 from maxq.control.kernel.records import Array, IntArray, Records
 from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight import events, step
-from maxq.sim.flight.metrics import N_METRICS
+from maxq.sim.flight.metric_table import N_METRICS
+from maxq.sim.flight.metrics import gather
 from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVENTS, NEVER, Memory, Parameters
 from maxq.sim.flight.telemetry import Logged, fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, counts
@@ -105,7 +106,7 @@ def advance(
         evaluate_exactly(p, pool, memory, space)
         if p.loads.stations > 0:
             track_sections(p, pool, memory, space, logged.on, 1)
-        step.gather_at(p, memory, clock.now_ns, 0.0, now_at)
+        gather(p, memory, clock.now_ns, 0.0, now_at)
         if logged.on == 1:
             log(p, memory, logged, now_at, log_rows, clock.now_ns, 1)
 
@@ -130,7 +131,7 @@ def fly_step(
     if logged.on == 1:
         log(p, memory, logged, now_at, log_rows, now, 0)
     step_ns = events.step_length(p, pool, memory, until_ns)
-    step.gather_at(p, memory, now, 1e-9 * step_ns, now_at)
+    gather(p, memory, now, 1e-9 * step_ns, now_at)
     if clock.finished == 1:
         return
     step.take_step(p, pool, memory, now, step_ns, space)

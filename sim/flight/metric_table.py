@@ -45,6 +45,9 @@ class MetricIndex(NamedTuple):
     saturation_time_s: Annotated[int, "s", "time during which a gimbal command is at its limit"]
 
 
+N_METRICS = len(MetricIndex._fields)
+
+
 class EndMetrics(NamedTuple):
     """On a flat Earth latitude and longitude are nan; the site is its origin."""
 

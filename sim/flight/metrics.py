@@ -7,46 +7,23 @@ the value and the time of each.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated
 
-from maxq.control.computer import ComputerState
 from maxq.control.kernel.jit import kernel, routine
-from maxq.control.kernel.limits import MAX_PENDULUMS, MAX_STAGES
-from maxq.control.kernel.records import Array, IntArray
-from maxq.sim.flight.metric_table import MetricIndex
+from maxq.control.kernel.limits import MAX_PENDULUMS
+from maxq.control.kernel.records import Array
+from maxq.sim.flight.metric_table import N_METRICS, MetricIndex
+from maxq.sim.flight.parameters import Extremes, Memory, Parameters
 from maxq.sim.vehicle import workspace as ws
-from maxq.sim.vehicle.derivative import Held, Vehicle
+from maxq.sim.vehicle.derivative import Vehicle
 from maxq.sim.vehicle.schedule import TOTAL_MASS
 from maxq.sim.vehicle.slosh import bob_mass, wave_share
-from maxq.sim.vehicle.state import R_I, V_I, counts, pendulum_index
-from maxq.sim.world.earth import Earth
+from maxq.sim.vehicle.state import R_I, V_I, Sizes, counts, pendulum_index
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 SIGNIFICANT_PRESSURE_PA = 1000.0  # incidence below this dynamic pressure is of no consequence
 
 
-N_METRICS = len(MetricIndex._fields)
 METRIC = MetricIndex(*range(N_METRICS))
-
-
-@dataclass
-class Extremes:
-    """Value and time of each metric so far."""
-
-    value: Annotated[Array, (N_METRICS,)]
-    time_ns: Annotated[IntArray, (N_METRICS,)]
-
-
-@dataclass
-class Waves:
-    """Of each pendulum, stage by stage with room for MAX_PENDULUMS each: the largest wave under thrust over the height
-    at which it breaks, its time, and the first time at which it is as high (-1: none).
-    """
-
-    largest: Annotated[Array, (MAX_STAGES * MAX_PENDULUMS,)]
-    largest_ns: Annotated[IntArray, (MAX_STAGES * MAX_PENDULUMS,)]
-    broke_ns: Annotated[IntArray, (MAX_STAGES * MAX_PENDULUMS,)]
 
 
 @kernel
@@ -56,16 +33,6 @@ def raise_to(extremes: Extremes, metric: int, value: float, now_ns: int) -> None
         extremes.time_ns[metric] = now_ns
 
 
-@dataclass
-class Truth:
-    """`start_q_BI`: attitude at the start, which the computer knows exactly. `error_rad`: roll, and tilt
-    about body axes, from the commanded to the true attitude, at the computer's last sample.
-    """
-
-    start_q_BI: Annotated[Array, (4,)]
-    error_rad: Annotated[Array, (3,)]
-
-
 @kernel
 def largest_error(error_rad: Array) -> tuple[float, float]:
     """Of roll, and of pitch and yaw, deg."""
@@ -73,12 +40,10 @@ def largest_error(error_rad: Array) -> tuple[float, float]:
 
 
 @routine
-def gather(
-    extremes: Extremes, waves: Waves, stage: int, vehicle: Vehicle, earth: Earth, held: Held,
-    computer: ComputerState, truth: Truth, now_ns: int, step_s: float, props: Array, y: Array, aux: Array,
-) -> None:  # fmt: skip  # eight more lines otherwise
-    """Update all metrics at the start of a step of `step_s`."""
-    turning = earth.rate_radps
+def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: ws.Evaluation) -> None:
+    """Update all metrics at an evaluation, from which a step of `step_s` begins."""
+    props, y, aux, extremes = at.properties, at.y, at.aux, memory.extremes
+    turning = p.environment.earth.rate_radps
     vx, vy, vz = y[V_I] + turning * y[R_I + 1], y[V_I + 1] - turning * y[R_I], y[V_I + 2]
     raise_to(extremes, METRIC.max_speed_mps, math.sqrt(vx * vx + vy * vy + vz * vz), now_ns)
     raise_to(extremes, METRIC.max_altitude_m, aux[ws.ALTITUDE], now_ns)
@@ -90,8 +55,8 @@ def gather(
     )
     sensed = (aux[ws.AERO_FORCE] + aux[ws.THRUST]) / props[TOTAL_MASS]
     raise_to(extremes, METRIC.max_axial_load_g, abs(sensed) / STANDARD_GRAVITY_MPS2, now_ns)
-    _gather_bending(extremes, vehicle, now_ns, aux)
-    if held.burning == 0 or held.on_pad == 1:
+    _gather_bending(extremes, p.vehicle.sizes, now_ns, aux)
+    if memory.held.burning == 0 or memory.held.on_pad == 1:
         return
     raise_to(extremes, METRIC.max_powered_dynamic_pressure_Pa, q, now_ns)
     _gather_incidence(extremes, q, aux, now_ns)
@@ -100,18 +65,19 @@ def gather(
         + aux[ws.SPECIFIC_FORCE + 2] * aux[ws.SPECIFIC_FORCE + 2]
     )
     raise_to(extremes, METRIC.max_lateral_load_g, lateral_mps2 / STANDARD_GRAVITY_MPS2, now_ns)
-    roll_deg, lateral_deg = largest_error(truth.error_rad)
+    roll_deg, lateral_deg = largest_error(memory.truth.error_rad)
     raise_to(extremes, METRIC.max_attitude_error_deg, lateral_deg, now_ns)
     raise_to(extremes, METRIC.max_roll_error_deg, roll_deg, now_ns)
-    roll_deg, lateral_deg = largest_error(computer.attitude.error_rad)
+    roll_deg, lateral_deg = largest_error(memory.computer.attitude.error_rad)
     raise_to(extremes, METRIC.max_computer_attitude_error_deg, lateral_deg, now_ns)
     raise_to(extremes, METRIC.max_computer_roll_error_deg, roll_deg, now_ns)
     gimbal = max(abs(aux[ws.ENGINE_PITCH]), abs(aux[ws.ENGINE_YAW]))
     raise_to(extremes, METRIC.max_gimbal_deg, math.degrees(gimbal), now_ns)
     gimbal_rate = max(abs(aux[ws.ENGINE_PITCH + 1]), abs(aux[ws.ENGINE_YAW + 1]))
     raise_to(extremes, METRIC.max_gimbal_rate_degps, math.degrees(gimbal_rate), now_ns)
-    _gather_slosh(extremes, waves, stage, vehicle, now_ns, props, y)
-    if computer.command_limited[0] == 1 or computer.command_limited[1] == 1:
+    _gather_slosh(p.vehicle, memory, now_ns, props, y)
+    limited = memory.computer.command_limited
+    if limited[0] == 1 or limited[1] == 1:
         extremes.value[METRIC.saturation_time_s] += step_s
         extremes.time_ns[METRIC.saturation_time_s] = now_ns
 
@@ -135,30 +101,23 @@ def _gather_incidence(extremes: Extremes, q: float, aux: Array, now_ns: int) -> 
 
 
 @kernel
-def _gather_bending(extremes: Extremes, vehicle: Vehicle, now_ns: int, aux: Array) -> None:
-    sizes = counts(vehicle.sizes)
+def _gather_bending(extremes: Extremes, sizes: Sizes, now_ns: int, aux: Array) -> None:
     if sizes.pitch_modes + sizes.yaw_modes + sizes.spatial_modes > 0:
         move_y, move_z = aux[ws.GIMBAL_BEND], aux[ws.GIMBAL_BEND + 1]
         raise_to(extremes, METRIC.max_bending_m, math.sqrt(move_y * move_y + move_z * move_z), now_ns)
 
 
 @kernel
-def _gather_slosh(
-    extremes: Extremes, waves: Waves, stage: int, vehicle: Vehicle, now_ns: int, props: Array, y: Array
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
-    sizes = counts(vehicle.sizes)
+def _gather_slosh(vehicle: Vehicle, memory: Memory, now_ns: int, props: Array, y: Array) -> None:
+    sizes, extremes, waves = counts(vehicle.sizes), memory.extremes, memory.waves
     for tank in range(sizes.pendulums):
         if bob_mass(props, tank) > 0.0:
             i = pendulum_index(sizes, tank)
             lateral = math.sqrt(y[i + 1] * y[i + 1] + y[i + 2] * y[i + 2])
-            raise_to(
-                extremes,
-                METRIC.max_slosh_deg,
-                angle_above(lateral, -y[i], extremes.value[METRIC.max_slosh_deg]),
-                now_ns,
-            )
+            angle_deg = angle_above(lateral, -y[i], extremes.value[METRIC.max_slosh_deg])
+            raise_to(extremes, METRIC.max_slosh_deg, angle_deg, now_ns)
             share = wave_share(vehicle.slosh, tank, props, lateral)
-            k = stage * MAX_PENDULUMS + tank
+            k = memory.clock.stage * MAX_PENDULUMS + tank
             if share > waves.largest[k]:
                 waves.largest[k], waves.largest_ns[k] = share, now_ns
                 if share >= 1.0 and waves.broke_ns[k] < 0:

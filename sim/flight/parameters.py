@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.computer import Computer, ComputerState
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_STAGES
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.faults import FaultMemory, Faults
 from maxq.sim.flight.injection import Injections
-from maxq.sim.flight.metrics import Extremes, Truth, Waves
+from maxq.sim.flight.metric_table import N_METRICS
 from maxq.sim.vehicle.derivative import Held, StageInputs, Vehicle
 from maxq.sim.vehicle.environment import Environment
 from maxq.sim.vehicle.loads import Loads, SectionLoads
@@ -92,6 +92,35 @@ class Clock:
     event_ns: Annotated[IntArray, (N_EVENTS,)]  # -1: has not happened
     stage_burnout_ns: Annotated[IntArray, (MAX_STAGES,)]
     stage_separation_ns: Annotated[IntArray, (MAX_STAGES,)]
+
+
+@dataclass
+class Extremes:
+    """Value and time of each metric so far."""
+
+    value: Annotated[Array, (N_METRICS,)]
+    time_ns: Annotated[IntArray, (N_METRICS,)]
+
+
+@dataclass
+class Waves:
+    """Of each pendulum, stage by stage with room for MAX_PENDULUMS each: the largest wave under thrust over the height
+    at which it breaks, its time, and the first time at which it is as high (-1: none).
+    """
+
+    largest: Annotated[Array, (MAX_STAGES * MAX_PENDULUMS,)]
+    largest_ns: Annotated[IntArray, (MAX_STAGES * MAX_PENDULUMS,)]
+    broke_ns: Annotated[IntArray, (MAX_STAGES * MAX_PENDULUMS,)]
+
+
+@dataclass
+class Truth:
+    """`start_q_BI`: attitude at the start, which the computer knows exactly. `error_rad`: roll, and tilt
+    about body axes, from the commanded to the true attitude, at the computer's last sample.
+    """
+
+    start_q_BI: Annotated[Array, (4,)]
+    error_rad: Annotated[Array, (3,)]
 
 
 ERRORS_SQUARED = 5

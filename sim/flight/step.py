@@ -233,7 +233,7 @@ def exponential_runge_kutta(
     for b in range(blocks):
         _block_stage(kept, slot + HEAD + BLOCK_WIDTH * b, moved, MOVED_WIDTH * b, 3, y, k_1, k, y_stage)
     evaluate(p, pool, memory, now_ns, 0.5 * h, space.middle, space.work)
-    gather_at(p, memory, now_ns + step_ns // 2, 0.0, space.middle)  # long steps would miss peaks
+    gather(p, memory, now_ns + step_ns // 2, 0.0, space.middle)  # long steps would miss peaks
     for i in range(n):
         y_stage[i] = y[i] + h * k[i]
         y_end[i] += h / 3.0 * k[i]
@@ -293,15 +293,6 @@ def _block_of(
             moved[last + j] = moved[end + j] + row_times(kept, matrices + MIDDLE * size, j, n, moved, total)
             moved[last + j] += row_times(kept, matrices + LAST * size, j, n, moved, now)
         out[i] = y[i] + moved[last + j]
-
-
-@kernel
-def gather_at(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: ws.Evaluation) -> None:
-    """Update all metrics at an evaluation, from which a step of `step_s` begins."""
-    gather(
-        memory.extremes, memory.waves, memory.clock.stage, p.vehicle, p.environment.earth, memory.held,
-        memory.computer, memory.truth, now_ns, step_s, at.properties, at.y, at.aux,
-    )  # fmt: skip  # twelve lines otherwise
 
 
 @routine
