@@ -41,7 +41,6 @@ from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.flight import KeptRows
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Wind
 from maxq.sim.scenario.schema_scenario import Geodetic, Guidance, Initial, Injection, Log, Run, Scenario
 from maxq.sim.scenario.schema_values import to_ns
@@ -90,14 +89,8 @@ class HeldFlight:
         """
         run = self.loaded.scenario.run.model_copy(update={"duration_s": duration_s})
         scenario = self.loaded.scenario.model_copy(update={"injection": injections, "run": run})
-        kept = self.packed
-        packed = dataclasses.replace(
-            kept,
-            parameters=kept.parameters.copy(),
-            pool=kept.pool.copy(),
-            memory=kept.memory.copy(),
-            state=kept.state.copy(),
-        )
+        kept = {name: getattr(self.packed, name).copy() for name in ("parameters", "pool", "memory", "state")}
+        packed = dataclasses.replace(self.packed, **kept)
         row = packed.parameters[0]
         row.injections = pack([pack_injections(scenario, Pool())])[0]
         row.timeline.stop_ns = int(packed.memory[0].clock.now_ns) + to_ns(duration_s)
@@ -170,11 +163,11 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
     air = node.condition
     temperature = (air.airspeed_mps / air.mach) ** 2 / (HEAT_RATIO * GAS_CONSTANT_Jpkg_K) if air.mach > 0 else 288.15
     fast = 1.0 / node.instruments.sample_s
-    vehicle, design = scenario.vehicle, scenario.design
+    vehicle, design = scenario.vehicle, scenario.design and scenario.design.of_stage(node.stage)
     alone = vehicle.stage[node.stage].model_copy(update={"separation_s": None, "separation_after_burnout_s": None})
     return {
         "vehicle": vehicle.model_copy(update={"stage": (alone,)}),
-        "design": design and _frozen(design.of_stage(node.stage), node),
+        "design": design and law_kind(design.law).frozen(design, node.scheduled(design.gains.over)),
         "earth": Earth(shape="flat", rotating=False, gravity="uniform", uniform_mps2=load_mps2),
         "atmosphere": Atmosphere(
             model="constant", density_kgpm3=air.density_kgpm3, temperature_K=temperature, pressure_Pa=air.pressure_Pa
@@ -209,11 +202,6 @@ def _step_s(scenario: Scenario, node: Node) -> float:
     most_s = min(((120.0 * DETUNED * zeta) ** 0.25 / omega for omega, zeta in modes if zeta > 0.0), default=math.inf)
     given_s = scenario.run.step_s
     return given_s if most_s >= given_s else round(given_s / math.ceil(given_s / most_s), 9)
-
-
-def _frozen(design: Design, node: Node) -> Design:
-    """The design with the gains of the node's instant."""
-    return law_kind(design.law).frozen(design, node.scheduled(design.gains.over))
 
 
 def linear_limits(held: HeldFlight) -> tuple[float, float]:

@@ -364,14 +364,12 @@ class LimitCycle:
 
     @property
     def text(self) -> str:
-        if self.kind == "limit cycle":
-            return (
-                f"limit cycle at {self.frequency_hz:.3g} Hz: gimbal {self.gimbal_deg:.2g} deg, "
-                f"slosh {self.slosh_deg:.2g} deg"
-            )
-        return {"decays": "decays", "grows": f"still grows after {self.after_s:g} s"}.get(
-            self.kind, f"lost after {self.after_s:.0f} s"
-        )
+        swings = f"gimbal {self.gimbal_deg:.2g} deg, slosh {self.slosh_deg:.2g} deg"
+        return {
+            "limit cycle": f"limit cycle at {self.frequency_hz:.3g} Hz: {swings}",
+            "decays": "decays",
+            "grows": f"still grows after {self.after_s:g} s",
+        }.get(self.kind, f"lost after {self.after_s:.0f} s")
 
 
 def limit_cycle(
@@ -392,8 +390,9 @@ def limit_cycle(
         kind = "limit cycle"
     else:
         kind = "grows" if level > earlier else "decays"
-    hz, swing = _frequency(after, held.sample_s), _largest(rows, slosh, 3 * quarter)
-    return LimitCycle(kind, hz, level, swing, run.now_s)
+    spectrum = np.abs(np.fft.rfft((after - after.mean()) * np.hanning(len(after))))
+    strongest_hz = float(np.argmax(spectrum) / (len(after) * held.sample_s))
+    return LimitCycle(kind, strongest_hz, level, _largest(rows, slosh, 3 * quarter), run.now_s)
 
 
 def amplitude(samples: Array) -> float:
@@ -403,9 +402,3 @@ def amplitude(samples: Array) -> float:
 
 def _largest(rows: Array, columns: list[int], first: int) -> float:
     return max((amplitude(rows[first:, c]) for c in columns), default=0.0)
-
-
-def _frequency(samples: Array, sample_s: float) -> float:
-    """Of the strongest line, Hz."""
-    spectrum = np.abs(np.fft.rfft((samples - samples.mean()) * np.hanning(len(samples))))
-    return float(np.argmax(spectrum) / (len(samples) * sample_s))

@@ -148,7 +148,8 @@ def _trial(held: HeldFlight, change: Change, floor_deg: float = 0.0) -> _Trial:
     quarter = round(0.25 * WATCHED_S / held.sample_s)
     if len(samples) < 4 * quarter:
         return _Trial(True, _strongest(samples[-quarter:], held.sample_s), math.inf)
-    second, last = (_swing(samples[k * quarter : (k + 1) * quarter]) for k in (1, 3))
+    parts = (_without_trend(samples[k * quarter : (k + 1) * quarter]) for k in (1, 3))
+    second, last = (math.sqrt(2.0 * float(np.mean(part**2))) for part in parts)  # of sines of equal power
     limit = math.degrees(linear_limits(held)[0])
     grows = last > _ACROSS * limit or (last > GROWS * second and last > 2.0 * floor_deg)
     return _Trial(grows, _strongest(samples[3 * quarter :], held.sample_s), last)
@@ -157,11 +158,6 @@ def _trial(held: HeldFlight, change: Change, floor_deg: float = 0.0) -> _Trial:
 def _without_trend(samples: Array) -> Array:
     x = np.linspace(-1.0, 1.0, len(samples))
     return np.asarray(samples - np.polyval(np.polyfit(x, samples, 1), x))
-
-
-def _swing(samples: Array) -> float:
-    """Amplitude of a sine of equal power, without a linear trend."""
-    return float(np.sqrt(2.0 * np.mean(_without_trend(samples) ** 2)))
 
 
 def _strongest(samples: Array, sample_s: float) -> float:

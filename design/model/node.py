@@ -380,12 +380,6 @@ def _allowed(run: FlightRun) -> str:
     return f"allowed are times under thrust: {', '.join(spans) or 'there are none'}"
 
 
-def _trim(flow: Array) -> Trim:
-    """Angles of attack and sideslip, rad, of the velocity relative to the air in B."""
-    u, v, w = (float(x) for x in flow)
-    return math.atan2(w, u), math.atan2(v, math.hypot(u, w))
-
-
 def _liquids(stage: Stage, clock_s: float, node: Node) -> Liquids | None:
     """Radius and depth of the liquid, if the vehicle's tables give them."""
     tanks = stage.tank[: len(node.vehicle.pendulums.mass_kg)]
@@ -416,7 +410,8 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
     gravity = float(np.linalg.norm(gravitation))
     forward = rotation(packed.state[Q_BI : Q_BI + 4])[:, 0]
     pitch = math.asin(max(-1.0, min(1.0, float(-forward @ gravitation) / gravity))) if gravity > 0.0 else 0.0
-    row, trim = packed.parameters[stage], _trim(air[FLOW : FLOW + 3])
+    u, v, w = (float(x) for x in air[FLOW : FLOW + 3])
+    row, trim = packed.parameters[stage], (math.atan2(w, u), math.atan2(v, math.hypot(u, w)))
     flies = air[AIRSPEED] >= row.vehicle.aero.airspeed_floor_mps  # below it no air acts, and its pressure does
     carried = ground_velocity(row.environment.earth, *packed.state[R_I : R_I + 2])
     condition = FlightCondition(

@@ -195,7 +195,7 @@ def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: boo
     in_tank = pendulums.mass_kg / _mass_ratio(r, h)
     counted = in_tank if liquid else np.full_like(in_tank, in_tank.sum())
     centre = pendulums.hinge_station_m + _hinge_above(r, h, pendulums.length_m)
-    length = pendulums.length_m if radius else _length(used, h)
+    length = pendulums.length_m if radius else used / (XI * np.tanh(XI * h / used))
     mass = counted * _mass_ratio(used, h)
     there = pendulums.mass_kg > 0.0
     grown = np.divide(mass, pendulums.mass_kg, out=np.ones_like(mass), where=there)
@@ -206,10 +206,6 @@ def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: boo
         length_m=length,
         hinge_station_m=centre - _hinge_above(used, h, length),
     )
-
-
-def _length(radius: Array, height: Array) -> Array:
-    return np.asarray(radius / (XI * np.tanh(XI * height / radius)))
 
 
 def _mass_ratio(radius: Array, height: Array) -> Array:

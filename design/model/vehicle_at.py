@@ -213,17 +213,17 @@ def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: i
     table = table_in(packed.pool, vehicle.schedule)
     clock_s = table_clock_s(row, time_s)
     props = table(clock_s)
-    inertia = schedule.CORE_INERTIA + (1 if plane == "pitch" else 2)
-    turn = schedule.INERTIA_RATE + (1 if plane == "pitch" else 2)
+    about = 1 if plane == "pitch" else 2
+    damped = vehicle.rate_damping.n_columns > 0
     body = Body(
         core_mass_kg=float(props[schedule.CORE_MASS]),
         core_cg_station_m=float(props[schedule.CORE_CG]),
         core_cg_rate_mps=float(props[schedule.CG_RATE]),
-        core_inertia_kgm2=float(props[inertia]),
-        core_inertia_rate_kgm2ps=float(props[turn]),
+        core_inertia_kgm2=float(props[schedule.CORE_INERTIA + about]),
+        core_inertia_rate_kgm2ps=float(props[schedule.INERTIA_RATE + about]),
         total_mass_kg=float(props[schedule.TOTAL_MASS]),
         mass_flow_kgps=float(props[schedule.MASS_FLOW]),
-        rate_damping_Nms=_rate_damping(packed.pool, vehicle, clock_s, plane),
+        rate_damping_Nms=float(table_in(packed.pool, vehicle.rate_damping)(clock_s)[about]) if damped else 0.0,
     )
     return VehicleAt(
         body=body,
@@ -355,6 +355,8 @@ def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane
         mass, arm = float(e.gimballed_mass_kg[k]), float(e.cg_from_gimbal_m[k])
         side, cg = ("z", props[schedule.CORE_CG + 2]) if pitch else ("y", props[schedule.CORE_CG + 1])
         beside, nozzle = float(e[f"gimbal_offset_{side}_m"][k]), float(e[f"exit_{side}_m"][k]) - float(cg)
+        swing, compliance = int(e.swings[k]), vehicle.tvc_load
+        load = TvcLoad(float(compliance.stiffness_Nmprad[swing]), float(compliance.damping_Nmsprad[swing]))
         follows, others = (float(e[f"follows_{name}"][k]) for name in (("pitch", "yaw") if pitch else ("yaw", "pitch")))
         out.append(
             GimballedEngine(
@@ -370,7 +372,7 @@ def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane
                 drive=drives[int(e.group[k])] if follows else 0,
                 group=int(e.group[k]),
                 numbers=tuple(n for n, parts in enumerate(e.parts) if parts > 0.0 and int(e.taken_as[n]) == k),
-                tvc_load=_tvc_load(vehicle, k) if follows else None,
+                tvc_load=load if follows and swing >= 0 else None,
                 gimbal=int(e.gimbal[k]),
                 beside_m=beside,
                 from_cg_m=beside - float(cg),
@@ -392,17 +394,6 @@ def _gains(packed: Packed, row: Any, time_s: float, plane: Plane) -> list[float]
     now_s = time_s + 1e-9 * int(row.timeline.stage_start_ns)
     matrix = table_in(packed.pool, a.matrix)(now_s).reshape(-1, 3)
     return [float(matrix[2 * group + axis, axis]) for group in range(int(a.groups))]
-
-
-def _tvc_load(vehicle: Any, engine: int) -> TvcLoad | None:
-    load, n = vehicle.tvc_load, int(vehicle.engine.swings[engine])
-    return None if n < 0 else TvcLoad(float(load.stiffness_Nmprad[n]), float(load.damping_Nmsprad[n]))
-
-
-def _rate_damping(pool: Array, vehicle: Any, clock_s: float, plane: Plane) -> float:
-    if vehicle.rate_damping.n_columns == 0:
-        return 0.0
-    return float(table_in(pool, vehicle.rate_damping)(clock_s)[1 if plane == "pitch" else 2])
 
 
 def with_pendulums(vehicle: VehicleAt, pendulums: Pendulums) -> VehicleAt:

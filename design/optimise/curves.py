@@ -72,14 +72,8 @@ class Curves:
         value = ((((c[0] * t + c[1]) * t + c[2]) * t + c[3]) * t + c[4]) * t + c[5]
         first = (((5 * c[0] * t + 4 * c[1]) * t + 3 * c[2]) * t + 2 * c[3]) * t + c[4]
         second = ((20 * c[0] * t + 12 * c[1]) * t + 6 * c[2]) * t + 2 * c[3]
-        path, *ratios = (
-            (
-                value[:, k] + 1j * value[:, k + 1],
-                first[:, k] + 1j * first[:, k + 1],
-                second[:, k] + 1j * second[:, k + 1],
-            )
-            for k in range(0, value.shape[1], 2)
-        )
+        orders = [part[:, ::2] + 1j * part[:, 1::2] for part in (value, first, second)]
+        path, *ratios = zip(*(part.T for part in orders), strict=True)
         return Points(path, {BASE: None, **dict(zip(self.ratio, ratios, strict=True))})
 
 

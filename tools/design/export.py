@@ -128,24 +128,17 @@ def further_gyros(computer: Any) -> int:
 
 def _declared(packed: Packed, said: str) -> Iterator[str]:
     """flight_law_tables.h."""
-    first = packed.parameters[0].computer
+    each = [row.computer for row in packed.parameters]
+    first, filters = each[0], int(any(int(one.loops.on) or int(one.loops.fade_ticks) for one in each))
     numbers = (
         ("STAGES", len(packed.parameters), ""),
         ("COUNT_RAD", float(first.converter.count_rad), "angle per gyro pulse; 0: angles are given"),
         ("RATE_INTEGRAL", int(int(first.attitude) != QUATERNION), "1: the error is the angle less the commanded angle"),
         ("GAINS", table_in(packed.pool, first.law.gains).n_columns // 2, "of an axis"),
         ("LOAD_RELIEF", int(first.relief.on), "1: the third gain is of the acceleration; 2: of the incidence"),
-        (
-            "LOOP_FILTERS",
-            int(any(int(row.computer.loops.on) or int(row.computer.loops.fade_ticks) for row in packed.parameters)),
-            "1: loops have filters of their own, or filters fade out behind a separation",
-        ),
-        ("ADAPTIVE", int(any(int(row.computer.adaptive.on) for row in packed.parameters)), "1: a total gain adapts"),
-        (
-            "FURTHER_GYROS",
-            max(further_gyros(row.computer) for row in packed.parameters),
-            "rate gyros beyond the first in the rate",
-        ),
+        ("LOOP_FILTERS", filters, "1: loops have filters of their own, or filters fade out behind a separation"),
+        ("ADAPTIVE", int(any(int(one.adaptive.on) for one in each)), "1: a total gain adapts"),
+        ("FURTHER_GYROS", max(map(further_gyros, each)), "rate gyros beyond the first in the rate"),
     )
     yield from (f"/* {said} */", "#ifndef FLIGHT_LAW_TABLES_H", "#define FLIGHT_LAW_TABLES_H", "")
     yield from ('#include "flight_law.h"', "")
@@ -209,7 +202,8 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
         yield from _array(
             f"static const law_real gain_{n}[{breaks - 1}][4][2 * LAW_GAINS]", np.asarray(gains.coefficients)
         )
-        by_gimbals = int(allocation.groups) > 1
+        by_gimbals, adaptive = int(allocation.groups) > 1, computer.adaptive
+        adapts = ("least", "span", "error_gain", "damper_gain", "leakage_ps", "low_pass_share")
         assert computer.law.sections.shape == (2, MAX_SECTIONS, 5)
         values = (
             int(computer.sample_ns), int(computer.sample_ns) / 1.0e9, int(computer.takes_over),
@@ -222,7 +216,9 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
             *(float(getattr(roll, name)) for name in ("k_rate_s", "dead_band_rad", "hysteresis_rad")),
             *(float(getattr(allocation, k)) if by_gimbals else 0.0 for k in ("k_p", "k_d_s", "roll_limit_rad")),
             int(computer.over), breaks, f"gain_at_{n}", f"gain_{n}",
-            computer.sensors.blend[:, : gyros + 1].tolist(), *_adaptation(computer.adaptive),
+            computer.sensors.blend[:, : gyros + 1].tolist(),
+            int(adaptive.on), *(float(adaptive[name]) for name in adapts),
+            adaptive.reference.tolist(), adaptive.high_pass[0].tolist(),
             computer.law.n_sections.tolist(), computer.law.sections.tolist(),
             int(computer.loops.on), int(computer.loops.fade_ticks),
             computer.loops.n_sections.tolist(), computer.loops.sections.tolist(),
@@ -232,12 +228,6 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
     for values in stages:
         yield from ("    {", *(f"        {_braced(value)}," for value in values), "    },")
     yield "};"
-
-
-def _adaptation(adaptive: Any) -> tuple[Any, ...]:
-    names = ("least", "span", "error_gain", "damper_gain", "leakage_ps", "low_pass_share")
-    numbers = (float(getattr(adaptive, name)) for name in names)
-    return int(adaptive.on), *numbers, adaptive.reference.tolist(), adaptive.high_pass[0].tolist()
 
 
 def _vectors(loaded: LoadedScenario, said: str) -> Iterator[str]:

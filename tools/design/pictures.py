@@ -182,10 +182,6 @@ def peaks_over_order(series: Mapping[str, Mapping[str, float]]) -> Figure:
     return figure
 
 
-def _ratio(db: float | None) -> float | None:
-    return None if db is None else 10.0 ** (db / 20.0)
-
-
 def margins_over_time(judged: Sequence[Judged], wanted: Wanted, title: str = "") -> Figure:
     """Gain margins up and down, phase and delay margin and the least |1 + L|; limits dotted.
 
@@ -193,12 +189,13 @@ def margins_over_time(judged: Sequence[Judged], wanted: Wanted, title: str = "")
     """
     figure, places = sheet(2, 2, height_in=2.5, title=title)
     time_s, measured = [j.time_s for j in judged], [j.margins for j in judged]
+    least = None if wanted.modulus_db is None else 10.0 ** (wanted.modulus_db / 20.0)
     curves: tuple[tuple[int, str, list[float], float | None], ...] = (
         (0, "gain margins, dB", [m.gain_up_db.value for m in measured], wanted.gain_margin_db),
         (0, "gain margins, dB", [m.gain_down_db.value for m in measured], None),
         (1, "phase margin, deg", [m.phase_deg.value for m in measured], wanted.phase_margin_deg),
         (2, "delay margin, ms", [1e3 * m.delay_s.value for m in measured], None),
-        (3, "least |1 + L|", [m.modulus for m in measured], _ratio(wanted.modulus_db)),
+        (3, "least |1 + L|", [m.modulus for m in measured], least),
     )
     for n, (at, text, values, limit) in enumerate(curves):
         name = ("up", "down")[n] if at == 0 else ""

@@ -13,6 +13,7 @@ from matplotlib.patches import Ellipse, Polygon, Rectangle
 from matplotlib.ticker import MultipleLocator
 
 from maxq.control.kernel.records import Array
+from maxq.design.certificate.response import decibels
 from maxq.design.margins.distances import Zone
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.judging import Judged
@@ -50,7 +51,7 @@ def picture_of(judged: Judged, title: str, zones: Sequence[Zone] = ()) -> LoopPi
     f, loop = smooth(judged.loop.response, curve.frequency_hz, curve.loop)
     marks: list[Mark] = []
     for lobe in judged.lobes:
-        at, text = np.array([lobe.peak_hz]), _short(lobe.label)
+        at, text = np.array([lobe.peak_hz]), lobe.label.replace("bending ", "mode ")
         if marks and abs(marks[-1].frequency_hz / lobe.peak_hz - 1.0) < 1e-3:  # two pendulums that swing as one
             text = f"{marks.pop().text}, {text}"
         marks.append(Mark(lobe.peak_hz, complex(judged.loop.response(at)[0]), text))
@@ -68,10 +69,6 @@ def picture_of(judged: Judged, title: str, zones: Sequence[Zone] = ()) -> LoopPi
     return LoopPicture(title, f, loop, marks, zones)
 
 
-def _short(text: str) -> str:
-    return text.replace("bending ", "mode ")
-
-
 def draw_loop(picture: LoopPicture) -> Figure:
     """Bode at the left, Nichols and Nyquist at the right."""
     figure, places = sheet(2, 2, height_in=3.3, width_in=8.4)
@@ -85,7 +82,7 @@ def draw_loop(picture: LoopPicture) -> Figure:
 def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
     """Phase unwrapped, so that it has no jumps; dotted where it is -180 deg and whole turns from it."""
     f, loop = picture.frequency_hz, picture.loop
-    level, turned = _decibels(loop), np.degrees(np.unwrap(np.angle(loop)))
+    level, turned = decibels(loop), np.degrees(np.unwrap(np.angle(loop)))
     seen = (f >= LOWEST_HZ) & (level > BOTTOM_DB)
     turned -= 360.0 * np.ceil(np.median(turned[seen][:3]) / 360.0) if seen.any() else 0.0
     gain.axhline(0.0, color=GREY, linewidth=0.8)
@@ -104,7 +101,7 @@ def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
         place.set_xlim(max(f[0], LOWEST_HZ), min(f[-1], 200.0))
         plain_numbers(place.xaxis)
     for n, mark in enumerate(picture.marks):
-        level_db = float(_decibels(np.array([mark.loop]))[0])
+        level_db = float(decibels(np.array([mark.loop]))[0])
         turn = float(np.interp(mark.frequency_hz, f, turned))
         if mark.is_lobe:
             gain.plot(mark.frequency_hz, level_db, "o", color=_colour(n), markersize=3)
@@ -146,7 +143,7 @@ def contours() -> list[tuple[str, Array, Array]]:
 
 def _placed(loop: ComplexArray) -> tuple[Array, Array]:
     """Phase in [-360, 0) and level, with gaps where the phase jumps."""
-    turn, level = _turn(loop), _decibels(loop)
+    turn, level = _turn(loop), decibels(loop)
     jump = np.flatnonzero(np.abs(np.diff(turn)) > 180.0) + 1
     return np.insert(turn, jump, np.nan), np.insert(level, jump, np.nan)
 
@@ -156,7 +153,7 @@ def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> N
 
     `small`: a panel of many; names of lobes only.
     """
-    level, turn = _decibels(picture.loop), _turn(picture.loop)
+    level, turn = decibels(picture.loop), _turn(picture.loop)
     seen = level[picture.frequency_hz >= LOWEST_HZ]
     bottom, top = max(float(seen.min()), -40.0), min(max(float(seen.max()), 10.0) + 6.0, TOP_DB)
     for name, phase, db in contours():
@@ -176,7 +173,7 @@ def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> N
     place.set_xticks(range(-360, 1, 120 if small else 60))
     place.set_ylim(bottom, top)
     for n, mark in enumerate(picture.marks):
-        x, y = float(_turn(np.array([mark.loop]))[0]), float(_decibels(np.array([mark.loop]))[0])
+        x, y = float(_turn(np.array([mark.loop]))[0]), float(decibels(np.array([mark.loop]))[0])
         if bottom < y < top:
             _mark(place, mark, n, x, y, named=mark.is_lobe or not small)
     if not small:
@@ -250,10 +247,6 @@ def _colour(n: int) -> str:
     return ON_LIGHT[1:][n % (len(ON_LIGHT) - 1)]
 
 
-def _decibels(loop: ComplexArray) -> Array:
-    return np.asarray(20.0 * np.log10(np.maximum(np.abs(loop), 1e-300)))
-
-
 def _turn(loop: ComplexArray) -> Array:
     """Phase in [-360, 0) degrees: -180 in the middle."""
     return np.asarray(np.degrees(np.angle(-loop)) - 180.0)
@@ -286,7 +279,7 @@ def smooth(
     """The curve with points added until no corner is to be seen: steps of 4 degrees and 1 dB at most, above -60 dB."""
     f, values = frequency_hz, loop
     for _ in range(8):
-        level = _decibels(values)
+        level = decibels(values)
         steep = (np.abs(np.diff(np.unwrap(np.angle(values)))) > np.radians(4.0)) | (np.abs(np.diff(level)) > 1.0)
         steep &= np.maximum(level[1:], level[:-1]) > BOTTOM_DB - 10.0
         k = np.flatnonzero(steep & (np.diff(f) > 1e-9 * f[1:]))

@@ -16,7 +16,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.multiloop import MultiloopMargins
-from maxq.design.optimise.solution import Certificate, Solution
+from maxq.design.optimise.solution import Solution
 from maxq.design.verify.judging import LIMITS, Check, Judged, Outcome, RigidBody
 from maxq.sim.files import write_whole
 from maxq.sim.flight.metric_table import figures
@@ -265,13 +265,15 @@ def search_table(solution: Solution) -> list[str]:
     counts = Counter(x.what for x in solution.constraints if x.active)
     active = [f"{what} ({n} nodes)" if n > 1 else what for what, n in counts.items()]
     active += [f"{b.variable} at its {b.side} bound" for b in solution.bounds]
+    worse = f"{c.worst_instant_db:.2g} dB" if c.worst_instant_db > 0.0 else "no"
+    between = f"{c.instants} instants tried; {worse} worse than the worst node at most"
     rows = [
         ("objective", f"{solution.objective_db:.4f} dB"),
         ("starts", c.statement()),
         ("ends, dB", ", ".join("-" if math.isnan(x) else f"{x:.2f}" for x in sorted(c.ends_db))),
         ("KKT residual", f"{c.kkt_residual:.1e}"),
         ("active", "; ".join(active) or "none"),
-        *([("between", _between(c))] if c.instants else []),
+        *([("between", between)] if c.instants else []),
         ("effort", f"{c.evaluations} evaluations, {c.seconds:.2f} s, seed {c.seed}"),
     ]
     return ["search", *aligned(rows, "  ")]
@@ -296,12 +298,6 @@ def _worst(values: Array, times_s: Sequence[float], unit: str) -> tuple[str, str
     k = int(np.argmax(np.isnan(values) if np.isnan(values).any() else values))
     value = float(values[k])
     return "unstable" if math.isnan(value) else f"{figures(value, 4)} {unit}", f"{times_s[k]:g} s"
-
-
-def _between(c: Certificate) -> str:
-    """What was found between the nodes."""
-    found = f"{c.worst_instant_db:.2g} dB" if c.worst_instant_db > 0.0 else "no"
-    return f"{c.instants} instants tried; {found} worse than the worst node at most"
 
 
 def _lobe(lobe: Lobe | None, stable: bool) -> str:
