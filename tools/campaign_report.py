@@ -69,34 +69,37 @@ def labels_of(campaign: LoadedCampaign) -> dict[str, str]:
     return {d.name: d.label for d in campaign.plan.draws}
 
 
-def heads(data: DataSet) -> tuple[str, ...]:
-    """Heads of the columns of `cells`."""
+Rows = list[tuple[str, ...]]  # of a table; the first is its head
+
+
+def requirement_rows(data: DataSet, verdicts: Sequence[Judged]) -> Rows:
+    """The table of verdicts."""
     campaign = data.campaign.campaign
     quantile, bound = f"{100 * campaign.success:g} %", f"bound at {100 * campaign.confidence:g} %"
-    return (
-        "requirement", "verdict", "limit", "worst", "run", "failed", "allowed", "to go", "median", quantile, bound,
-        "success",
-    )  # fmt: skip  # ten more lines otherwise
+    rows = [_requirement(v, quantile, bound) for v in verdicts]
+    return [tuple(rows[0]), *(tuple(row.values()) for row in rows)] if rows else [("no requirement",)]
 
 
-def cells(v: Judged) -> tuple[str, ...]:
-    """A requirement as a line of the table of verdicts."""
+def _requirement(v: Judged, quantile: str, bound: str) -> dict[str, str]:
+    """A row of the table of verdicts, by the heads of its columns."""
     shown, worst = v.shown, v.worst[0] if v.worst else None
     success = f"{100 * shown.success:.4g} % ({100 * shown.success_least:.4g} .. {100 * shown.success_most:.4g})"
     sign, unit = "<=" if v.kind == "limit" else ">=", "" if v.unit == "1" else " " + v.unit
     settled = shown.judgement in (MET, NOT_MET)
-    return (
-        printable(v.name),
-        shown.judgement if settled else "not yet",
-        f"{sign} {v.bound:g}{unit}" if v.metric else "",
-        value_text(worst.value) if worst else "",
-        str(worst.run) if worst else "",
-        str(shown.failures),
-        str(shown.allowed) if shown.allowed >= 0 else "",
-        "" if settled else str(shown.more),
-        *(value_text(value) for value in (v.median, v.quantile, v.tolerance)),
-        success if shown.runs else "",
-    )
+    return {
+        "requirement": printable(v.name),
+        "verdict": shown.judgement if settled else "not yet",
+        "limit": f"{sign} {v.bound:g}{unit}" if v.metric else "",
+        "worst": value_text(worst.value) if worst else "",
+        "run": str(worst.run) if worst else "",
+        "failed": str(shown.failures),
+        "allowed": str(shown.allowed) if shown.allowed >= 0 else "",
+        "to go": "" if settled else str(shown.more),
+        "median": value_text(v.median),
+        quantile: value_text(v.quantile),
+        bound: value_text(v.tolerance),
+        "success": success if shown.runs else "",
+    }
 
 
 def value_text(value: object, digits: int = 4) -> str:
@@ -133,18 +136,6 @@ def how_judged(data: DataSet, verdicts: Sequence[Judged]) -> str:
 
 
 Tails = Sequence[tuple[Judged, Tail]]
-TAIL_HEADS = (
-    "tail",
-    "limit",
-    "threshold",
-    "runs beyond",
-    "shape",
-    "quantile",
-    "bound",
-    "P(limit missed)",
-    "bound",
-    "fit",
-)
 
 
 def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
@@ -158,23 +149,30 @@ def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
     return [(v, tail(v)) for v in nearest_limits(verdicts)]
 
 
-def tail_cells(v: Judged, tail: Tail) -> tuple[str, ...]:
-    """A tail as a line of the table under TAIL_HEADS."""
-    head = (printable(v.name), f"{'<=' if v.kind == 'limit' else '>='} {v.bound:g}")
-    if tail.problem:
-        return (*head, *[""] * 7, f"none: {tail.problem}")
-    numbers = (tail.shape, tail.quantile, tail.quantile_bound, tail.beyond, tail.beyond_bound)
-    rest = (value_text(value, 3 if n > 2 or n == 0 else 4) for n, value in enumerate(numbers))
-    return (*head, f"{tail.threshold:.4g}", str(len(tail.excesses)), *rest, f"{tail.fit:.2f}")
+def tail_rows(tails: Tails) -> Rows:
+    """The table of tails."""
+    rows: Rows = [
+        ("tail", "limit", "threshold", "runs beyond", "shape", "quantile", "bound", "P(limit missed)", "bound", "fit")
+    ]
+    for v, tail in tails:
+        head = (printable(v.name), f"{'<=' if v.kind == 'limit' else '>='} {v.bound:g}")
+        if tail.problem:
+            rows.append((*head, *[""] * 7, f"none: {tail.problem}"))
+            continue
+        quantiles = (value_text(value) for value in (tail.quantile, tail.quantile_bound))
+        beyond = (value_text(value, 3) for value in (tail.beyond, tail.beyond_bound))
+        begin = (f"{tail.threshold:.4g}", str(len(tail.excesses)), value_text(tail.shape, 3))
+        rows.append((*head, *begin, *quantiles, *beyond, f"{tail.fit:.2f}"))
+    return rows
 
 
-MONTH_HEADS = ("month", "flights", "all limits met", "at least", "at most", "first that missed")
-
-
-def month_cells(m: Month) -> tuple[str, ...]:
-    """A month as a line of the table under MONTH_HEADS."""
-    shares = (f"{100.0 * share:.1f} %" for share in (m.share, m.least, m.most))
-    return (m.name, str(m.runs), *shares, f"run {m.first_missed}" if m.first_missed is not None else "")
+def month_rows(months: Sequence[Month]) -> Rows:
+    """The table of launch availability."""
+    rows: Rows = [("month", "flights", "all limits met", "at least", "at most", "first that missed")]
+    for m in months:
+        shares = (f"{100.0 * share:.1f} %" for share in (m.share, m.least, m.most))
+        rows.append((m.name, str(m.runs), *shares, f"run {m.first_missed}" if m.first_missed is not None else ""))
+    return rows
 
 
 def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], tails: Tails = ()) -> list[str]:
@@ -182,7 +180,7 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], ta
     scenario = data.campaign.base.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
     ends = ", ".join(f"{count} {outcome}" for outcome, count in sorted(Counter(data.outcomes).items()))
-    table = aligned([heads(data), *map(cells, verdicts)], "  ", right=range(3, 11), drop=(11, 6, 10, 9, 8, 7, 4))
+    table = aligned(requirement_rows(data, verdicts), "  ", right=range(3, 11), drop=(11, 6, 10, 9, 8, 7, 4))
     lines = [
         title,
         *(f"warning: {printable(warning)}" for warning in data.campaign.warnings),
@@ -194,11 +192,11 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], ta
         f"  {how_judged(data, verdicts)}",
     ]
     if months := availability(data):
-        shown = aligned([MONTH_HEADS, *map(month_cells, months)], "  ", right=range(1, 5))
+        shown = aligned(month_rows(months), "  ", right=range(1, 5))
         sure = f"{100.0 * months[0].confidence:g} % confidence, Clopper-Pearson"
         lines += ["", f"launch availability by month of the wind (bounds at {sure})", *shown]
     if any(not tail.problem for _, tail in tails):
-        shown = aligned([TAIL_HEADS, *(tail_cells(v, tail) for v, tail in tails)], "  ", right=range(2, 9))
+        shown = aligned(tail_rows(tails), "  ", right=range(2, 9))
         lines += ["", f"estimates by peaks over threshold, beside the verdicts ({TAIL_NOTE})", *shown]
     rows = [(f"run {run.run}", run.outcome, printable(run.cause)[:90]) for run in losses[:5]]
     for v in verdicts:
@@ -251,14 +249,13 @@ def write_report(
     judgements = {v.shown.judgement for v in verdicts}
     page = render(
         "campaign.html.j2", drawn, data=data, verdicts=verdicts, losses=losses, found=found, settled=settled,
-        labels=labels, distribution=distribution, tails=tails, tail_heads=TAIL_HEADS, tail_cells=tail_cells,
-        tail_note=TAIL_NOTE, months=availability(data), month_heads=MONTH_HEADS, month_cells=month_cells,
-        heads=heads(data), cells=cells, replay=replay,
+        labels=labels, distribution=distribution, requirements=requirement_rows(data, verdicts),
+        tails=tail_rows(tails), tail_note=TAIL_NOTE, months=month_rows(availability(data)), replay=replay,
         simulator=read_manifest(data.folder)["simulator"],
         headline=headline(data, verdicts), vehicle=base.vehicle.name, design=base.design.name if base.design else "",
         tested=how_judged(data, verdicts), redraws=analysis.redraws(data),
         tone="bad" if NOT_MET in judgements else "good" if judgements == {MET} and len(data.runs) else "open",
-    )  # fmt: skip  # eleven more lines otherwise
+    )  # fmt: skip  # ten more lines otherwise
     files.append(write_whole(data.folder / "report.html", page, CampaignError))
     return files
 

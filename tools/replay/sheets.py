@@ -33,11 +33,7 @@ from maxq.tools.replay.viewer import ReplayError
 
 WIDTH_IN, ROW_IN = 8.0, 1.9
 """Of a sheet; of one plot in it."""
-_SETTINGS = {
-    "lines.linewidth": 1.1,
-    "figure.dpi": 160,
-    "svg.fonttype": "none",  # text stays text: a review edits and searches it
-}
+_SETTINGS = {"lines.linewidth": 1.1, "figure.dpi": 160, "svg.fonttype": "none"}  # text stays text: it is searched
 _LEGEND: dict[str, Any] = {  # in one row above the plot
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.985),
@@ -52,17 +48,17 @@ _ENVELOPE_FROM = 6  # so many flights are drawn as envelope instead of one by on
 _BINS, _POINTS, _THIN_POINTS = 1500, 4000, 1500  # along a sheet: of an envelope, of a line, of one among many
 _PATH_NS = 100_000_000
 _WINDOW_S, _HIGHEST_HZ, _FLOOR_DB = 2.0, 60.0, -80.0
-_SPECTRA = {
-    "gyro_pitch_rate_degps": "gyro, pitch rate",
-    "gyro_yaw_rate_degps": "gyro, yaw rate",
-    "gimbal_pitch_angle_deg": "gimbal, pitch",
-    "gimbal_yaw_angle_deg": "gimbal, yaw",
-}
+_SPECTRA = {f"gyro_{plane}_rate_degps": f"gyro, {plane} rate" for plane in PLANES}
+_SPECTRA |= {f"gimbal_{plane}_angle_deg": f"gimbal, {plane}" for plane in PLANES}
 _IN_PATH = ("max_q", "burnout", "apogee", "impact", "fault", "control_lost", "diverged", "tumble")
+_EVENTS = (*_IN_PATH, "liftoff", "separation")
 _MOST_USED = 3.0  # share of what is allowed at which a bar ends
-_EVENTS = (
-    "liftoff", "max_q", "burnout", "separation", "apogee", "impact", "fault", "control_lost", "tumble", "diverged",
-)  # fmt: skip  # eleven more lines otherwise
+_SECTION_LOADS = (  # title, unit, and by which column of the limits it is bounded, with its sign
+    ("axial force", "kN", {"compression_N": -1.0, "tension_N": 1.0}),
+    ("shear", "kN", {"shear_N": 1.0}),
+    ("bending moment", "kN m", {"bending_moment_Nm": 1.0}),
+    ("equivalent axial load", "kN", {"equivalent_compression_N": -1.0, "equivalent_tension_N": 1.0}),
+)
 
 
 @dataclass(frozen=True)
@@ -125,9 +121,12 @@ def write_sheets(
 
 
 def _sheet(tab: Tab, shown: Flights) -> Figure:
-    title = _title(tab.name, shown)
-    figure, places = sheet(len(tab.plots), height_in=ROW_IN, width_in=WIDTH_IN, title=title, sharex=True)
-    _name_flights(figure, shown)
+    if shown.many:
+        how = "" if shown.few else f" (shaded: all, thick: {shown.reference.label}, thin red: failed)"
+        about = f", {sum(f.verdict == 'failed' for f in shown.all)} failed{how}"
+    else:
+        about = f" ({shown.reference.outcome} at {shown.reference.span_s[1]:.1f} s)"
+    figure, places = _figure(tab.name, shown, len(tab.plots), about=about, sharex=True)
     span_s = _span(tab, shown)
     for place, plot in zip(places, tab.plots, strict=True):
         _draw(place, plot, shown, span_s)
@@ -151,17 +150,12 @@ def _part(figure: Figure, place: Axes) -> None:
         place.set_title(place.get_title("left"), pad=key.height * 72.0 / figure.dpi)
 
 
-def _title(name: str, shown: Flights) -> str:
-    reference = shown.reference
-    if not shown.many:
-        return f"{name} - {reference.label} ({reference.outcome} at {reference.span_s[1]:.1f} s)"
-    failed = sum(f.verdict == "failed" for f in shown.all)
-    how = "" if shown.few else f" (shaded: all, thick: {reference.label}, thin red: failed)"
-    return f"{name} - {len(shown.all)} flights, {failed} failed{how}"
-
-
-def _name_flights(figure: Figure, shown: Flights) -> None:
-    """The colour of each of a few flights, in a line of its own below the title."""
+def _figure(
+    name: str, shown: Flights, rows: int, columns: int = 1, height_in: float = ROW_IN, about: str = "", **more: Any
+) -> tuple[Figure, Sequence[Axes]]:
+    """An empty sheet; below its title, in a line of its own, the colour of each of a few flights."""
+    of = f"{len(shown.all)} flights" if shown.many else shown.reference.label
+    figure, places = sheet(rows, columns, height_in, WIDTH_IN, f"{name} - {of}{about}", **more)
     if shown.few:
         named = [(f, f.label + (", FAILED" if f.verdict == "failed" else "")) for f in shown.all]
         handles = [Line2D([], [], color=shown.colour(f), linewidth=1.6, label=text) for f, text in named]
@@ -170,6 +164,7 @@ def _name_flights(figure: Figure, shown: Flights) -> None:
         layout.set(rect=(0.0, 0.0, 1.0, below))
         place: Any = {"loc": "upper left", "bbox_to_anchor": (0.0, below), "borderaxespad": 0.0, "frameon": False}
         figure.legend(handles=handles, ncols=len(handles), **place).set_in_layout(False)
+    return figure, places
 
 
 def _span(tab: Tab, shown: Flights) -> tuple[float, float]:
@@ -244,15 +239,12 @@ def envelope(times_ns: IntArray, values: Array, span_ns: tuple[int, int], bins: 
 
 def _draw_limits(place: Axes, axis: Axis) -> None:
     """What is not allowed is shaded and hatched, so that it is seen without colour too."""
-    named: set[str] = set()
+    first = {limit.text: limit for limit in reversed(axis.drawn)}
     for limit in axis.drawn:
-        colour = LIMIT if limit.required else GREY
-        edge = axis.high if limit.upper else axis.low
-        hatch = "////" if limit.required else None
+        colour, hatch = (LIMIT, "////") if limit.required else (GREY, None)
         look: Any = {"facecolor": (colour, 0.10), "edgecolor": (colour, 0.45), "linewidth": 0.0, "hatch": hatch}
-        place.axhspan(limit.value, edge, zorder=0.5, **look)
-        label = None if limit.text in named else limit.text
-        named.add(limit.text)
+        place.axhspan(limit.value, axis.high if limit.upper else axis.low, zorder=0.5, **look)
+        label = limit.text if first[limit.text] is limit else None
         place.axhline(limit.value, color=colour, linewidth=0.9, label=label, zorder=1.5)
 
 
@@ -300,13 +292,6 @@ def special_sheets(shown: Flights) -> Iterator[tuple[str, Figure]]:
         for stage, loads in enumerate(s.loads for s in reference.scenario.vehicle.stage):
             if loads is not None:
                 yield f"15-sections-{stage + 1}", _sections(shown, stage, loads)
-
-
-def _figure(name: str, shown: Flights, rows: int, columns: int, height_in: float) -> tuple[Figure, Sequence[Axes]]:
-    of = f"{len(shown.all)} flights" if shown.many else shown.reference.label
-    figure, places = sheet(rows, columns, height_in, WIDTH_IN, f"{name} - {of}")
-    _name_flights(figure, shown)
-    return figure, places
 
 
 def _path(shown: Flights) -> Figure:
@@ -383,7 +368,7 @@ def _phase_plane(shown: Flights) -> Figure:
 
 def _spectra(channels: Sequence[str], flight: ReplayFlight) -> Figure:
     """Amplitude over time and frequency (a sine of amplitude 1 reads 0 dB), in windows that overlap by 3/4."""
-    figure, places = _figure("Spectra under thrust", Flights([flight], flight), len(channels), 1, 1.9)
+    figure, places = _figure("Spectra under thrust", Flights([flight], flight), len(channels))
     for place, channel in zip(places, channels, strict=True):
         time_s, values = flight.log.time_ns(channel) / 1e9, flight.log[channel]
         inside = (time_s <= flight.burn_end_s) & np.isfinite(values)
@@ -438,12 +423,11 @@ def _requirements(shown: Flights) -> Figure:
                 continue
             used = min(_used(r.value, r), _MOST_USED)
             widest = max(widest, used * 1.1)
-            colour = GREEN if r.met else RED
             if shown.many:
-                colour = shown.colour(flight)
-                place.plot([used], [row], "|", color=colour, markersize=11)
+                place.plot([used], [row], "|", color=shown.colour(flight), markersize=11)
                 continue
-            place.barh(row, used, color=colour, height=0.62, hatch=None if r.met else "//", edgecolor="white")
+            look: Any = {"color": GREEN} if r.met else {"color": RED, "hatch": "//"}
+            place.barh(row, used, height=0.62, edgecolor="white", **look)
             text = f"{figures(r.value)} of {r.bound:g}{'' if r.unit == '1' else f' {r.unit}'}"
             place.annotate(text, (used, row), (4, 0), textcoords="offset points", va="center", fontsize=7.5)
     place.axvline(1.0, color=LIMIT, linewidth=1.2)
@@ -458,11 +442,9 @@ def _requirements(shown: Flights) -> Figure:
 
 def _sections(shown: Flights, stage: int, loads: Loads) -> Figure:
     """Envelopes of the section loads over the stations, on the pad and under thrust, with what the sections bear."""
-    radius = borne(loads, "radius_m")
-    rows = ["axial force (kN)", "shear (kN)", "bending moment (kN m)"]
-    rows += [] if radius is None else ["equivalent axial load (kN)"]
-    figure, places = _figure(f"Section loads, stage {stage + 1}", shown, len(rows), 1, ROW_IN)
-    stations = np.array(loads.stations_m)
+    radius, stations = borne(loads, "radius_m"), np.array(loads.stations_m)
+    rows = _SECTION_LOADS if radius is not None else _SECTION_LOADS[:3]
+    figure, places = _figure(f"Section loads, stage {stage + 1}", shown, len(rows))
     for flight in shown.all:
         log = flight.log
         if "section_1_axial_N" not in log:
@@ -483,13 +465,9 @@ def _sections(shown: Flights, stage: int, loads: Loads) -> Figure:
         for place, envelopes in zip(places, lines, strict=True):
             for k, values in enumerate(envelopes):
                 place.plot(stations, values, **(shown.look(flight) | ({"label": None} if k else {})))
-    bounds = (
-        (("compression_N", -1.0), ("tension_N", 1.0)), (("shear_N", 1.0),), (("bending_moment_Nm", 1.0),),
-        (("equivalent_compression_N", -1.0), ("equivalent_tension_N", 1.0)),
-    )  # fmt: skip  # a row in each entry
-    for place, row, of_row in zip(places, rows, bounds, strict=False):
-        place.set(title=row.split(" (")[0], ylabel=row.split("(")[1].rstrip(")"))
-        for name, sign in of_row:
+    for place, (title, unit, bounds) in zip(places, rows, strict=True):
+        place.set(title=title, ylabel=unit)
+        for name, sign in bounds.items():
             limit = borne(loads, name)
             if limit is not None:
                 label = name.rsplit("_", 1)[0].replace("_", " ") + ": limit"
