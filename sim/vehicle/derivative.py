@@ -231,9 +231,9 @@ def derivative(
 
     if sizes.tvc_loads > 0:
         prepare_loads(
-            vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, axial_load, properties, y, loads,
-            held.faults, work, aux,
-        )  # fmt: skip  # thirteen lines otherwise
+            vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, axial_load, at, loads,
+            held.faults, work,
+        )  # fmt: skip  # eleven lines otherwise
     specific_force, alpha = accelerate(
         sizes, held.on_pad, balanced.offset, balanced.inverse_inertia, force, moment, pad, properties,
         y, pendulums, work,

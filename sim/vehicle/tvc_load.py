@@ -142,70 +142,61 @@ def hinge_moment(
 @routine
 def prepare_loads(
     load: TvcLoad, e: Engine, first: Deflected, offset: Vector, sizes: Counts, rate: Vector, axial_load: float,
-    properties: Array, y: Array, states: int, faults: Array, work: Array, aux: Array,
-) -> None:  # fmt: skip  # fourteen lines otherwise
+    at: ws.Evaluation, states: int, faults: Array, work: Array,
+) -> None:  # fmt: skip  # twelve lines otherwise
     """Fill the blocks of both unknowns of each load; their states lie at y[states:].
 
     `first`: the first engine. `offset` leads from the core CG to the CG with the engines deflected.
     """
+    properties, y, aux = at.properties, at.y, at.aux
     for n in range(sizes.tvc_loads):
-        k = load.engine[n]
+        k, i = load.engine[n], states + N_TVC_LOAD * n
         engine = first if k == 0 else deflected_at(work, k)
-        _prepare_load(
-            load, n, e, k, engine, offset, sizes, rate, axial_load, properties, y, states + N_TVC_LOAD * n, faults,
-            work, aux,
-        )  # fmt: skip  # fifteen lines otherwise
-
-
-@routine
-def _prepare_load(
-    load: TvcLoad, n: int, e: Engine, k: int, engine: Deflected, offset: Vector, sizes: Counts, rate: Vector,
-    axial_load: float, properties: Array, y: Array, i: int, faults: Array, work: Array, aux: Array,
-) -> None:  # fmt: skip  # sixteen lines otherwise
-    """Of load n, engine k, whose states lie at y[i:i+6]."""
-    mass, arm, inertia = e.gimballed_mass_kg[k], e.cg_from_gimbal_m[k], e.inertia_kgm2[k]
-    unbalance, about_hinge = mass * arm, inertia + mass * arm * arm
-    sp, cp = sine_cosine(y[i] + e.turned_pitch_rad[k])
-    sy, cy = sine_cosine(y[i + N_AXIS] + e.turned_yaw_rad[k])
-    pitch_rate, yaw_rate = y[i + 1], y[i + N_AXIS + 1]
-    _, _, slope_y, slope_z = gimbal_displacement(sizes, properties, e.gimbal[k], work)
-    row = sch.gimbal_row(sizes, e.gimbal[k]) + 1
-    turning_y = modal_sum(sizes, properties, sch.mode_column(sizes, sch.PITCH, row), work, of_plane(ws.NU, sch.PITCH))
-    turning_z = -modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, row), work, of_plane(ws.NU, sch.YAW))
-    turning = (rate[0], rate[1] + turning_y, rate[2] + turning_z)
-    if sizes.spatial_modes > 0:
-        place = sch.gimbal_place(sizes, e.gimbal[k])
-        bent = spatial_motion(sizes, properties, place, work, ws.SPATIAL_ETA)
-        turned = spatial_motion(sizes, properties, place, work, ws.SPATIAL_NU)
-        slope_y, slope_z = slope_y + bent[4], slope_z + bent[5]
-        turning = add(turning, (turned[3], turned[4], turned[5]))
-    at = add(engine.gimbal, scaled(-arm, engine.axis))
-    apparent = add(cross(rate, cross(rate, at)), scaled(2.0, cross(rate, engine.delta_rate)))
-    spin = scaled(2.0, cross(turning, cross(engine.relative_rate, engine.axis)))
-    for axis in range(2):
-        unknown = 2 * n + axis
-        if axis == 0:  # derivative of the thrust axis by the angle, and that angle's own centrifugal terms
-            along, lever, own = (-sp * cy, 0.0, cp * cy), cy * cy, 2.0 * cy * sy * pitch_rate * yaw_rate
-            moves, stop, play = e.follows_pitch[k], load.stop_pitch_rad[n], load.play_pitch_rad[n]
-        else:
-            along, lever, own = (-cp * sy, -cy, -sp * sy), 1.0, -cy * sy * pitch_rate * pitch_rate
-            moves, stop, play = e.follows_yaw[k], load.stop_yaw_rad[n], load.play_yaw_rad[n]
-        held, channel = ws.HELD + 4 * n + 2 * axis, 2 * e.group[k] + axis
-        floating = 1 if faults[ACTUATOR_FAULT + channel] == FLOATING else 0
-        moment_Nm = hinge_moment(load, n, y, i + N_AXIS * axis, aux[held], aux[held + 1], stop, play, floating)
-        if moves == 0.0:  # not gimballed in this plane: it stands
-            along, lever, own, moment_Nm = (0.0, 0.0, 0.0), 1.0, 0.0, 0.0
-        aux[ws.HINGE_MOMENT + unknown] = moment_Nm
-        b, turn = load_block(unknown), cross(engine.axis, along)
-        force = scaled(unbalance, along)
-        moment = add(scaled(unbalance, cross(at, along)), scaled(-inertia, turn))
-        set_vector(work, b + FORCE, force)
-        set_vector(work, b + MOMENT, add(moment, scaled(-1.0, cross(offset, force))))
-        work[b + INERTIA] = about_hinge * lever
-        known = moment_Nm + unbalance * dot(along, apparent) - inertia * dot(along, spin)
-        known += unbalance * axial_load * (slope_y * along[2] - slope_z * along[1]) + about_hinge * own
-        work[b + KNOWN] = known
-        _modal_forces(sizes, properties, e, k, force, scaled(-inertia, turn), unknown, work)
+        mass, arm, inertia = e.gimballed_mass_kg[k], e.cg_from_gimbal_m[k], e.inertia_kgm2[k]
+        unbalance, about_hinge = mass * arm, inertia + mass * arm * arm
+        sp, cp = sine_cosine(y[i] + e.turned_pitch_rad[k])
+        sy, cy = sine_cosine(y[i + N_AXIS] + e.turned_yaw_rad[k])
+        pitch_rate, yaw_rate = y[i + 1], y[i + N_AXIS + 1]
+        _, _, slope_y, slope_z = gimbal_displacement(sizes, properties, e.gimbal[k], work)
+        row = sch.gimbal_row(sizes, e.gimbal[k]) + 1
+        turning_y = modal_sum(
+            sizes, properties, sch.mode_column(sizes, sch.PITCH, row), work, of_plane(ws.NU, sch.PITCH)
+        )
+        turning_z = -modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, row), work, of_plane(ws.NU, sch.YAW))
+        turning = (rate[0], rate[1] + turning_y, rate[2] + turning_z)
+        if sizes.spatial_modes > 0:
+            place = sch.gimbal_place(sizes, e.gimbal[k])
+            bent = spatial_motion(sizes, properties, place, work, ws.SPATIAL_ETA)
+            turned = spatial_motion(sizes, properties, place, work, ws.SPATIAL_NU)
+            slope_y, slope_z = slope_y + bent[4], slope_z + bent[5]
+            turning = add(turning, (turned[3], turned[4], turned[5]))
+        cg = add(engine.gimbal, scaled(-arm, engine.axis))
+        apparent = add(cross(rate, cross(rate, cg)), scaled(2.0, cross(rate, engine.delta_rate)))
+        spin = scaled(2.0, cross(turning, cross(engine.relative_rate, engine.axis)))
+        for axis in range(2):
+            unknown = 2 * n + axis
+            if axis == 0:  # derivative of the thrust axis by the angle, and that angle's own centrifugal terms
+                along, lever, own = (-sp * cy, 0.0, cp * cy), cy * cy, 2.0 * cy * sy * pitch_rate * yaw_rate
+                moves, stop, play = e.follows_pitch[k], load.stop_pitch_rad[n], load.play_pitch_rad[n]
+            else:
+                along, lever, own = (-cp * sy, -cy, -sp * sy), 1.0, -cy * sy * pitch_rate * pitch_rate
+                moves, stop, play = e.follows_yaw[k], load.stop_yaw_rad[n], load.play_yaw_rad[n]
+            held, channel = ws.HELD + 4 * n + 2 * axis, 2 * e.group[k] + axis
+            floating = 1 if faults[ACTUATOR_FAULT + channel] == FLOATING else 0
+            moment_Nm = hinge_moment(load, n, y, i + N_AXIS * axis, aux[held], aux[held + 1], stop, play, floating)
+            if moves == 0.0:  # not gimballed in this plane: it stands
+                along, lever, own, moment_Nm = (0.0, 0.0, 0.0), 1.0, 0.0, 0.0
+            aux[ws.HINGE_MOMENT + unknown] = moment_Nm
+            b, turn = load_block(unknown), cross(engine.axis, along)
+            force = scaled(unbalance, along)
+            moment = add(scaled(unbalance, cross(cg, along)), scaled(-inertia, turn))
+            set_vector(work, b + FORCE, force)
+            set_vector(work, b + MOMENT, add(moment, scaled(-1.0, cross(offset, force))))
+            work[b + INERTIA] = about_hinge * lever
+            known = moment_Nm + unbalance * dot(along, apparent) - inertia * dot(along, spin)
+            known += unbalance * axial_load * (slope_y * along[2] - slope_z * along[1]) + about_hinge * own
+            work[b + KNOWN] = known
+            _modal_forces(sizes, properties, e, k, force, scaled(-inertia, turn), unknown, work)
 
 
 @routine
