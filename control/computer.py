@@ -42,7 +42,18 @@ from maxq.control.kernel.rows import PitchYaw, Quaternion, RollPitchYaw, degrees
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
 from maxq.control.laws import load_relief
 from maxq.control.laws.adaptive import Adaptive, AdaptiveState, augmented, start_adaptive
-from maxq.control.laws.pd import LawRow, Pd, PdState, filtered, law_row, make_pd, settle_pd, start_pd, tick_pd
+from maxq.control.laws.pd import (
+    LawInputs,
+    LawRow,
+    Pd,
+    PdState,
+    filtered,
+    law_row,
+    make_pd,
+    settle_pd,
+    start_pd,
+    tick_pd,
+)
 from maxq.control.laws.pid import Pid, PidRow, PidState, pid_row, start_pid, tick_pid
 from maxq.control.orbit_guidance import (
     OrbitGuidance,
@@ -454,30 +465,22 @@ def update_command(
         lateral_mps2 = loop_filters.filtered_input(
             computer.loops, state.loops, loop_filters.ACCELERATION, gimbal, lateral_mps2
         )
+    cut_rad = state.requested_rad[gimbal]
+    if abs(cut_rad) <= computer.command_limit_rad:
+        cut_rad = 0.0
+    given = LawInputs(gimbal, at, error_rad, rate_radps, lateral_mps2, sample_s, cut_rad, computer.control_on)
     if computer.external != 0:
         wanted_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
         # no sections of a design: those with which a certificate alters the loop
         law_rad = filtered(computer.law, state.law, gimbal, wanted_rad)
     elif computer.relief.on == 1:
-        law_rad = load_relief.tick_load_relief(
-            computer.law, computer.relief, pool, state.law, state.relief, error_rad, rate_radps, lateral_mps2, gimbal,
-            at, computer.control_on,
-        )  # fmt: skip  # thirteen lines otherwise
+        law_rad = load_relief.tick_load_relief(computer.law, computer.relief, pool, state.law, state.relief, given)
     elif computer.relief.on == 2:
-        law_rad = load_relief.tick_incidence_relief(
-            computer.law, computer.relief, pool, state.law, state.relief, error_rad, rate_radps, lateral_mps2, gimbal,
-            at, sample_s, computer.control_on,
-        )  # fmt: skip  # fourteen lines otherwise
+        law_rad = load_relief.tick_incidence_relief(computer.law, computer.relief, pool, state.law, state.relief, given)
     elif computer.pid.on == 0:
-        law_rad = tick_pd(computer.law, pool, state.law, error_rad, rate_radps, gimbal, at, computer.control_on)
+        law_rad = tick_pd(computer.law, pool, state.law, given)
     else:
-        cut_rad = state.requested_rad[gimbal]
-        if abs(cut_rad) <= computer.command_limit_rad:
-            cut_rad = 0.0
-        law_rad = tick_pid(
-            computer.law, computer.pid, pool, state.law, state.pid, error_rad, rate_radps, gimbal, at, sample_s,
-            computer.control_on, cut_rad,
-        )  # fmt: skip  # nine lines more otherwise
+        law_rad = tick_pid(computer.law, computer.pid, pool, state.law, state.pid, given)
     if state.loops.fading > 0:
         law_rad = loop_filters.faded(
             computer.loops, state.loops, loop_filters.OUTPUT, gimbal, state.law.pd_rad[gimbal], law_rad

@@ -26,7 +26,7 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.tables import look_up
-from maxq.control.laws.pd import Pd, PdState, filtered, proportional_derivative
+from maxq.control.laws.pd import LawInputs, Pd, PdState, filtered, proportional_derivative
 
 
 @dataclass(frozen=True)
@@ -66,40 +66,38 @@ def start_load_relief(state: LoadReliefState) -> None:
 
 @kernel
 def tick_load_relief(
-    law: Pd, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, error_rad: float,
-    rate_radps: float, lateral: float, gimbal: int, at: float, on: int,
-) -> float:  # fmt: skip  # twelve lines otherwise
-    """As `tick_pd`, the gains' table with three columns an axis. `lateral`: a_z or a_y, m/s2. The lag always runs."""
-    law_rad, sign = 0.0, 1.0 - 2.0 * gimbal
-    filters.accel_mps2[gimbal] += relief.share * (lateral - filters.accel_mps2[gimbal])
-    if on != 0 and law.gains.n_breaks != 0:
-        filters.k_a_s2pm[gimbal] = look_up(pool, law.gains, at, 3 * gimbal + 2)
+    law: Pd, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
+) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """As `tick_pd`, the gains' table with three columns an axis. The lag always runs."""
+    law_rad, gimbal, sign = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal
+    filters.accel_mps2[gimbal] += relief.share * (given.lateral_mps2 - filters.accel_mps2[gimbal])
+    if given.on != 0 and law.gains.n_breaks != 0:
+        filters.k_a_s2pm[gimbal] = look_up(pool, law.gains, given.at, 3 * gimbal + 2)
         filters.relief_rad[gimbal] = sign * filters.k_a_s2pm[gimbal] * filters.accel_mps2[gimbal]
-        pd_rad = proportional_derivative(law, pool, state, error_rad, rate_radps, gimbal, at, 3)
+        pd_rad = proportional_derivative(law, pool, state, given, 3)
         law_rad = pd_rad + filters.relief_rad[gimbal]
     return filtered(law, state, gimbal, law_rad)
 
 
 @kernel
 def tick_incidence_relief(
-    law: Pd, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, error_rad: float,
-    rate_radps: float, lateral: float, gimbal: int, at: float, sample_s: float, on: int,
-) -> float:  # fmt: skip  # thirteen lines otherwise
+    law: Pd, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
+) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
     """As `tick_load_relief`, the gains' table with five columns an axis."""
-    law_rad, sign = 0.0, 1.0 - 2.0 * gimbal
+    law_rad, gimbal, sign, at = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal, given.at
     if law.gains.n_breaks != 0:
         percussion_m, slope = look_up(pool, law.gains, at, 5 * gimbal + 3), look_up(pool, law.gains, at, 5 * gimbal + 4)
-        turn_radps2 = (rate_radps - filters.rate_radps[gimbal]) / sample_s
-        there = sign * lateral - percussion_m * turn_radps2
+        turn_radps2 = (given.rate_radps - filters.rate_radps[gimbal]) / given.sample_s
+        there = sign * given.lateral_mps2 - percussion_m * turn_radps2
         filters.accel_mps2[gimbal] += relief.share * (there - filters.accel_mps2[gimbal])
         filters.incidence_rad[gimbal] = filters.accel_mps2[gimbal] / slope
-        if on != 0:
+        if given.on != 0:
             k_alpha = look_up(pool, law.gains, at, 5 * gimbal + 2)
             filters.k_a_s2pm[gimbal] = -k_alpha / slope
             filters.relief_rad[gimbal] = -k_alpha * filters.incidence_rad[gimbal]
-            pd_rad = proportional_derivative(law, pool, state, error_rad, rate_radps, gimbal, at, 5)
+            pd_rad = proportional_derivative(law, pool, state, given, 5)
             law_rad = pd_rad + filters.relief_rad[gimbal]
-    filters.rate_radps[gimbal] = rate_radps
+    filters.rate_radps[gimbal] = given.rate_radps
     return filtered(law, state, gimbal, law_rad)
 
 

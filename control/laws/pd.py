@@ -127,31 +127,40 @@ def settle_pd(law: Pd, state: PdState, gimbal: int) -> None:
     settle_filter(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], state.pd_rad[gimbal])
 
 
+class LawInputs(NamedTuple):
+    """What a law is given for one axis at a sample."""
+
+    gimbal: int  # 0 pitch, 1 yaw
+    at: float  # where the gains' table is read: flight time, or the variable of the schedule
+    error_rad: float  # attitude error
+    rate_radps: float
+    lateral_mps2: float  # a_z (pitch) or a_y (yaw); 0 without load relief
+    sample_s: float
+    cut_rad: float  # the command before if the limit cut it, else 0
+    on: int  # 0: nothing is to be commanded
+
+
 @kernel
-def tick_pd(
-    law: Pd, pool: Array, state: PdState, error_rad: float, rate_radps: float, gimbal: int, at: float, on: int
-) -> float:
-    """Filtered command, rad, of gimbal axis `gimbal` (0 pitch, 1 yaw), with the gains at `at` (eq 33), for the axis's
-    attitude error and rate.
+def tick_pd(law: Pd, pool: Array, state: PdState, given: LawInputs) -> float:
+    """Filtered command, rad, of an axis (eq 33).
 
     With `on` = 0 the filter's input is 0. The filter runs on in any case, so that it is settled when the law takes
     over again.
     """
     pd_rad = 0.0
-    if on != 0 and law.gains.n_breaks != 0:
-        pd_rad = proportional_derivative(law, pool, state, error_rad, rate_radps, gimbal, at, 2)
-    return filtered(law, state, gimbal, pd_rad)
+    if given.on != 0 and law.gains.n_breaks != 0:
+        pd_rad = proportional_derivative(law, pool, state, given, 2)
+    return filtered(law, state, given.gimbal, pd_rad)
 
 
 @kernel
-def proportional_derivative(
-    law: Pd, pool: Array, state: PdState, error_rad: float, rate_radps: float, gimbal: int, at: float, columns: int
-) -> float:
+def proportional_derivative(law: Pd, pool: Array, state: PdState, given: LawInputs, columns: int) -> float:
     """-k_p theta_e - k_d q_g, rad; k_p and k_d are the first of an axis's `columns` in the gains' table."""
+    gimbal, at = given.gimbal, given.at
     k_p = look_up(pool, law.gains, at, columns * gimbal)
     k_d_s = look_up(pool, law.gains, at, columns * gimbal + 1)
     state.k_p[gimbal], state.k_d_s[gimbal] = k_p, k_d_s
-    pd_rad: float = -k_p * error_rad - k_d_s * rate_radps
+    pd_rad: float = -k_p * given.error_rad - k_d_s * given.rate_radps
     return pd_rad
 
 

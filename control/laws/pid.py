@@ -16,7 +16,7 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.tables import look_up
-from maxq.control.laws.pd import Pd, PdState, filtered, proportional_derivative
+from maxq.control.laws.pd import LawInputs, Pd, PdState, filtered, proportional_derivative
 
 
 @dataclass(frozen=True)
@@ -43,25 +43,20 @@ def start_pid(state: PidState) -> None:
 
 
 @kernel
-def tick_pid(
-    law: Pd, pid: Pid, pool: Array, state: PdState, integral: PidState, error_rad: float, rate_radps: float,
-    gimbal: int, at: float, sample_s: float, on: int, cut_rad: float,
-) -> float:  # fmt: skip  # thirteen lines otherwise
-    """As `tick_pd`, the gains' table with three columns an axis. `cut_rad`: the command before if the limit cut it,
-    else 0.
-
-    With `on` = 0 the integral is 0.
-    """
-    pid_rad = 0.0
-    if on == 0:
+def tick_pid(law: Pd, pid: Pid, pool: Array, state: PdState, integral: PidState, given: LawInputs) -> float:
+    """As `tick_pd`, the gains' table with three columns an axis. With `on` = 0 the integral is 0."""
+    pid_rad, gimbal = 0.0, given.gimbal
+    if given.on == 0:
         integral.integral_rad[gimbal] = 0.0
     elif law.gains.n_breaks != 0:
-        integral.k_i_ps[gimbal] = look_up(pool, law.gains, at, 3 * gimbal + 2)
-        more_rad = sample_s * integral.k_i_ps[gimbal] * error_rad
-        if more_rad * cut_rad >= 0.0:  # a positive error lowers the command: one cut at the upper limit comes back
+        integral.k_i_ps[gimbal] = look_up(pool, law.gains, given.at, 3 * gimbal + 2)
+        more_rad = given.sample_s * integral.k_i_ps[gimbal] * given.error_rad
+        if (
+            more_rad * given.cut_rad >= 0.0
+        ):  # a positive error lowers the command: one cut at the upper limit comes back
             whole_rad = integral.integral_rad[gimbal] + more_rad
             integral.integral_rad[gimbal] = min(max(whole_rad, -pid.limit_rad), pid.limit_rad)
-        pd_rad = proportional_derivative(law, pool, state, error_rad, rate_radps, gimbal, at, 3)
+        pd_rad = proportional_derivative(law, pool, state, given, 3)
         pid_rad = pd_rad - integral.integral_rad[gimbal]
     return filtered(law, state, gimbal, pid_rad)
 
