@@ -21,6 +21,7 @@ from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_values import OverTime, at_time
 from maxq.sim.vehicle.state import R_I, V_I
+from maxq.sim.world.earth import WGS84_MU_m3ps2, WGS84_RADIUS_m
 from maxq.tools import simvehicle
 from maxq.tools.vehicle import build as building
 from maxq.tools.vehicle.aerodynamics import aerodynamics
@@ -30,7 +31,7 @@ from maxq.tools.vehicle.figures import page
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import Engines, Layout, read_layout
 from maxq.tools.vehicle.masses import Rod, stacks
-from maxq.tools.vehicle.trajectory import EQUATOR_m, MU_m3ps2, Orbit, ascent
+from maxq.tools.vehicle.trajectory import Orbit, ascent
 
 
 @pytest.fixture(scope="module")
@@ -203,12 +204,12 @@ def test_without_an_orbit_the_path_angle_is_met(layout: Layout) -> None:
 
 def test_orbit_has_the_heights_of_the_textbook() -> None:
     """A Hohmann transfer's ellipse from its vis-viva speed, and a circle."""
-    low, high = EQUATOR_m + 250e3, EQUATOR_m + 900e3
-    at_perigee = math.sqrt(MU_m3ps2 * (2.0 / low - 2.0 / (low + high)))
+    low, high = WGS84_RADIUS_m + 250e3, WGS84_RADIUS_m + 900e3
+    at_perigee = math.sqrt(WGS84_MU_m3ps2 * (2.0 / low - 2.0 / (low + high)))
     assert Orbit.of(low, at_perigee, 0.0) == pytest.approx((250e3, 900e3), abs=1.0)
     at_apogee = at_perigee * low / high
     assert Orbit.of(high, at_apogee, 0.0) == pytest.approx((250e3, 900e3), abs=1.0)
-    assert Orbit.of(low, math.sqrt(MU_m3ps2 / low), 0.0) == pytest.approx((250e3, 250e3), abs=10.0)
+    assert Orbit.of(low, math.sqrt(WGS84_MU_m3ps2 / low), 0.0) == pytest.approx((250e3, 250e3), abs=10.0)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from maxq.tools.cli.frame import Command, Exit, show_list
@@ -44,7 +43,7 @@ def _run(arguments: list[str]) -> int:
     if options.layout is None:
         parser.error("give a layout, e.g. simvehicle petrel")
     parser.check(options, "LAYOUT")
-    from maxq.sim.files import check_writable, write_whole  # noqa: PLC0415  # lazy, as all imports here: --help is quick
+    from maxq.sim.files import check_writable, plain_name, write_whole  # noqa: PLC0415  # lazy, as all here
     from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.build import build, too_weak  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.figures import page  # noqa: PLC0415  # lazy
@@ -53,7 +52,7 @@ def _run(arguments: list[str]) -> int:
     from maxq.tools.vehicle.report import report  # noqa: PLC0415  # lazy
 
     layout = read_layout(options.layout)
-    folder = Path(options.out or Path("runs") / (re.sub(r"[^\w.-]+", "-", layout.name).strip(".-") or "vehicle"))
+    folder = Path(options.out or Path("runs") / plain_name(layout.name, "vehicle"))
     check_writable(folder)
     with Progress(at_once=True) as progress:
         progress.show("working out", 0, 3)

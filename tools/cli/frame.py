@@ -112,10 +112,8 @@ class Interruption:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
-        try:
+        with contextlib.suppress(ValueError):  # not the main thread
             self._before = {number: signal.signal(number, self._strike) for number in (signal.SIGINT, signal.SIGTERM)}
-        except ValueError:  # not the main thread
-            self._before = {}
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -14,7 +14,8 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from typing import Any, Self, TextIO
 
 _PATIENCE_S = 1.0  # what is done sooner shows no progress
@@ -164,7 +165,7 @@ class Progress:
         self._task: Any = None
         self._lock = threading.RLock()
         self._shown: dict[str, Any] = {"what": "preparing", "total": None, "count": ""}
-        self._listener: Any = None
+        self._listening = ExitStack()
         self._open = False
         self._compiling = False
         self._compiling_s = math.inf  # since when
@@ -172,14 +173,13 @@ class Progress:
     def __enter__(self) -> Self:
         self._open = True
         if self._terminal and "numba" in sys.modules:
-            self._listener = _listen(self)
+            self._listening.enter_context(_listening(self))
         return self
 
     def __exit__(self, *error: object) -> None:
         with self._lock:
             self._open = False
-            if self._listener is not None:
-                _forget(self._listener)
+            self._listening.close()
             if self._bar is not None:
                 self._bar.stop()
 
@@ -253,7 +253,8 @@ class Progress:
         self._bar.start()
 
 
-def _listen(progress: Progress) -> Any:
+@contextmanager
+def _listening(progress: Progress) -> Iterator[None]:
     """Tells `progress` of each kernel that Numba compiles (not of those that it loads)."""
     from numba.core import event  # noqa: PLC0415  # lazy: loaded already where it is called
 
@@ -271,12 +272,5 @@ def _listen(progress: Progress) -> Any:
             if self.depth == 0:
                 progress.compiling("")
 
-    listener = Listener()
-    event.register("numba:compile", listener)
-    return listener
-
-
-def _forget(listener: Any) -> None:
-    from numba.core import event  # noqa: PLC0415  # lazy
-
-    event.unregister("numba:compile", listener)
+    with event.install_listener("numba:compile", Listener()):
+        yield

@@ -28,9 +28,8 @@ def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> Rows:
         starts = np.flatnonzero(np.diff(times_ns // interval_ns, prepend=times_ns[0] // interval_ns - 1))
         if len(starts) * 2 < n:
             chosen = np.zeros(n, bool)
-            chosen[_first_of_each(values, starts, np.minimum)] = chosen[_first_of_each(values, starts, np.maximum)] = (
-                True
-            )
+            for extreme in (np.minimum, np.maximum):
+                chosen[_first_of_each(values, starts, extreme)] = True
             chosen[[0, -1]] = True
             kept = np.flatnonzero(chosen)
     line = values[kept]
@@ -75,7 +74,7 @@ def changed(values: Array, tolerance: float) -> Rows:
     if not len(steps):
         return np.zeros(0, np.intp)
     moved = (steps[1:] != steps[:-1]).any(axis=1)
-    keep = np.concatenate([[True], moved])
+    keep = np.append(True, moved)
     keep[:-1] |= moved  # the last row of a standstill, so that nothing creeps from its beginning to its end
     return np.flatnonzero(keep)
 

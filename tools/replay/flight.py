@@ -270,24 +270,18 @@ def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
     found: list[tuple[Path, str]] = []
     for place in places:
         path = Path(place)
-        if path.is_dir():
-            inside = _in_folder(path)
-            if not inside:
-                from maxq.sim.campaign.store import MANIFEST  # noqa: PLC0415  # lazy: loads pyarrow
-
-                if (path / MANIFEST).is_file():
-                    how = f"simrun --from {shlex.quote(place)} --keep worst:5"
-                    raise ReplayError(
-                        f"{place}: this campaign has kept no logs; {how} keeps those of the worst flights"
-                    )
-                raise ReplayError(
-                    f"{place}: no flight in this folder ({LOG_NAME}, {KEPT[0]}/run-.../{LOG_NAME}, or any .mcap)"
-                )
-            found += inside
-        elif path.exists():
-            found.append((path, ""))
-        else:
+        if not path.exists():
             raise ReplayError(f"{place}: no such file or folder")
+        inside = _in_folder(path) if path.is_dir() else [(path, "")]
+        if not inside:
+            from maxq.sim.campaign.store import MANIFEST  # noqa: PLC0415  # lazy: loads pyarrow
+
+            where = f"{LOG_NAME}, {KEPT[0]}/run-.../{LOG_NAME}, or any .mcap"
+            if (path / MANIFEST).is_file():
+                how = f"simrun --from {shlex.quote(place)} --keep worst:5"
+                raise ReplayError(f"{place}: this campaign has kept no logs; {how} keeps those of the worst flights")
+            raise ReplayError(f"{place}: no flight in this folder ({where})")
+        found += inside
     unlike = {path.resolve(): (path, label) for path, label in reversed(found)}
     return list(reversed(unlike.values()))
 

@@ -129,9 +129,8 @@ def vehicle_meshes(shape: VehicleShape, number: int, loaded: bool) -> list[tuple
         }
         for name, (colour, meshes) in parts.items():
             if there := [m for m in meshes if m is not None]:
-                out.append(
-                    (f"piece_{i:02}/{name}", mesh3d(joined(there), None if loaded and name == "skin" else colour))
-                )
+                mesh = mesh3d(joined(there), None if loaded and name == "skin" else colour)
+                out.append((f"piece_{i:02}/{name}", mesh))
     engine = shape.stages[number].engine
     if engine is not None:
         for name, one in shape.stages[number].nozzles:

@@ -17,7 +17,7 @@ import rerun as rr
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.log.messages import Level
 from maxq.tools.plots.palette import BLUE, GREEN, GREY, LIMIT, ON_DARK, ORANGE, PURPLE, RED, SKY, rgba
-from maxq.tools.replay.decimate import extremes, extremes_on_grid
+from maxq.tools.replay.decimate import extremes, extremes_on_grid, last_before
 from maxq.tools.replay.flight import Channels, Moment
 from maxq.tools.replay.plots import Axis, Curve, Limit, Plot, Tab
 
@@ -201,23 +201,21 @@ def send_now(recording: rr.RecordingStream, flights: Sequence[tuple[str, Channel
         return
     step = 200_000_000
     at = np.arange(min(ns[0] for ns in known) // step, max(ns[-1] for ns in known) // step + 1) * step
-    cells = []
-    for _, name, factor in rows:
-        for _, channels in flights:
-            ns = channels.time_ns(name) if name in channels else np.zeros(0, np.int64)
-            if len(ns):
-                values = factor * channels[name][np.clip(np.searchsorted(ns, at, side="right") - 1, 0, len(ns) - 1)]
-                shown = np.isfinite(values) & (at <= ns[-1] + step)
-                cells.append([f"{v:.2f}" if ok else "" for v, ok in zip(values.tolist(), shown, strict=True)])
-            else:
-                cells.append([""] * len(at))
+
+    def cells(name: str, factor: float, channels: Channels) -> list[str]:
+        ns = channels.time_ns(name) if name in channels else np.zeros(0, np.int64)
+        if not len(ns):
+            return [""] * len(at)
+        values = factor * channels[name][last_before(ns, at)]
+        shown = np.isfinite(values) & (at <= ns[-1] + step)
+        return [f"{v:.2f}" if ok else "" for v, ok in zip(values.tolist(), shown, strict=True)]
+
     head = "| | " + " | ".join(label or "now" for label, _ in flights) + " |\n|---|" + "--:|" * len(flights)
-    width, texts = len(flights), []
+    table = [(what, [cells(name, factor, channels) for _, channels in flights]) for what, name, factor in rows]
+    texts = []
     for k, t in enumerate(at):
-        lines = [f"**{t / 1e9:.1f} s**", "", head]
-        for n, (what, _, _) in enumerate(rows):
-            lines.append(f"| {what} | " + " | ".join(c[k] for c in cells[n * width : (n + 1) * width]) + " |")
-        texts.append("\n".join(lines))
+        lines = (f"| {what} | {' | '.join(one[k] for one in each)} |" for what, each in table)
+        texts.append("\n".join([f"**{t / 1e9:.1f} s**", "", head, *lines]))
     columns = rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(texts))
     recording.send_columns("now", times(at), columns)
 

@@ -74,15 +74,14 @@ def _requirement(r: Requirement) -> str:
     return f"- {r.name}{met} ({value}{bound})"
 
 
-def drawn_text(exaggeration: Exaggeration, place: LaunchSite | None = None) -> list[str]:
+def drawn_text(ex: Exaggeration, place: LaunchSite | None = None) -> list[str]:
     """How true the picture is."""
     moved = ["- Axes: east, north, up where the flight began, which is far from the site."]
     return [
         "## How it is drawn",
         "",
-        f"- Bending is drawn **{exaggeration.bending:g} times** as large as it is, "
-        f"at most {exaggeration.most_m:.2g} m of it.",
-        f"- Slosh angles are drawn **{exaggeration.slosh:g} times** as large; "
+        f"- Bending is drawn **{ex.bending:g} times** as large as it is, at most {ex.most_m:.2g} m of it.",
+        f"- Slosh angles are drawn **{ex.slosh:g} times** as large; "
         "the surface of a liquid is perpendicular to its pendulum.",
         "- The gimbal's angle, attitude and trajectory are true to scale.",
         "- The arrow of thrust ends at the nozzle; its length is proportional to the root of the force.",

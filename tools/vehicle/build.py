@@ -35,7 +35,7 @@ class Built:
     layout: Layout
     stacks: list[Stack]
     aero: list[Aerodynamics]
-    modes: list[tuple[Array, list[list[Mode]]]]
+    modes: list[Modes]
     flight: Ascent
     gains: list[tuple[float, float, float]]  # flight time, k_p, k_d
     assumed: list[str] = field(default_factory=list)  # those of `build` first: modes that are left out
@@ -161,23 +161,21 @@ def m_delta_1ps2(built: Built, p: Point) -> float:
     return p.thrust_N * (stack.stage.engine.gimbal_station_m - props.x_cg_m) / props.pitch_kgm2
 
 
-def burning(built: Built) -> list[Point]:
-    """Points at full thrust."""
-    out = []
-    for p in built.flight.points:
-        begin, end = built.stacks[p.number].burn.full_s
-        if begin <= p.clock_s <= end:
-            out.append(p)
-    return out
+def burning(built: Built, number: int | None = None) -> list[Point]:
+    """Points at full thrust, of all stacks or of one."""
+    full_s = [stack.burn.full_s for stack in built.stacks]
+    points = [p for p in built.flight.points if number in (None, p.number)]
+    return [p for p in points if full_s[p.number][0] <= p.clock_s <= full_s[p.number][1]]
+
+
+def spread(points: Sequence[Point], count: int) -> list[Point]:
+    """So many of them, evenly from the first to the last."""
+    return [points[k] for k in np.unique(np.linspace(0, len(points) - 1, count).astype(int))]
 
 
 def _dozen(built: Built) -> list[Point]:
     """Points at full thrust, a dozen a stage."""
-    out = []
-    for n in range(len(built.stacks)):
-        points = [p for p in burning(built) if p.number == n]
-        out += [points[k] for k in np.unique(np.linspace(0, len(points) - 1, 12).astype(int))]
-    return out
+    return [p for n in range(len(built.stacks)) for p in spread(burning(built, n), 12)]
 
 
 def _gains(built: Built) -> list[tuple[float, float, float]]:
@@ -240,14 +238,11 @@ def too_weak(built: Built) -> list[str]:
     """Stages whose gimbals cannot hold `INCIDENCE_deg`; empty where all can."""
     out = []
     for n, stack in enumerate(built.stacks):
-        stage, points = stack.stage, [p for p in burning(built) if p.number == n]
-        worst = max(points, key=lambda p: m_alpha_1ps2(built, p) / m_delta_1ps2(built, p))
+        worst = max(burning(built, n), key=lambda p: m_alpha_1ps2(built, p) / m_delta_1ps2(built, p))
         needed = INCIDENCE_deg * m_alpha_1ps2(built, worst) / m_delta_1ps2(built, worst)
-        if needed > stage.engine.angle_limit_deg:
-            out.append(
-                f"{stack.name}: at {worst.time_s:.0f} s {INCIDENCE_deg:g} deg of incidence need {needed:.1f} deg "
-                f"of the gimbals' {stage.engine.angle_limit_deg:g}"
-            )
+        if needed > (limit := stack.stage.engine.angle_limit_deg):
+            held = f"{INCIDENCE_deg:g} deg of incidence need {needed:.1f} deg of the gimbals' {limit:g}"
+            out.append(f"{stack.name}: at {worst.time_s:.0f} s {held}")
     return out
 
 
@@ -264,9 +259,8 @@ def warnings(built: Built) -> list[str]:
         if table is not None and "mass_flow_kgps" in table:
             burned = len(e.positions_m) * float(np.trapezoid(table["mass_flow_kgps"], table["time_s"]))
             if abs(burned - stage.usable_kg) > 0.02 * stage.usable_kg:
-                out.append(
-                    f"{stage.name}: its thrust file burns {burned:.4g} kg, the stage holds {stage.usable_kg:.4g} kg"
-                )
+                holds = f"the stage holds {stage.usable_kg:.4g} kg"
+                out.append(f"{stage.name}: its thrust file burns {burned:.4g} kg, {holds}")
     if built.mode_1_hz < 6.0 * MOST_RIGID_HZ:
         out.append(f"mode 1 at {built.mode_1_hz:.2f} Hz is less than six times the rigid body's {MOST_RIGID_HZ:g} Hz")
     return out

@@ -16,7 +16,7 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.files import scenarios_folder
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.tools.cli.terminal import aligned
-from maxq.tools.vehicle.build import Built, burning
+from maxq.tools.vehicle.build import Built, burning, spread
 
 ALIKE = 1e-2
 TIMES = 11  # of each burn, at full thrust
@@ -25,6 +25,7 @@ _UNITS = {
     "mps": "m/s", "pm": "1/m", "pr": "1/rad", "mpr": "m/rad", "radps": "rad/s", "rad": "rad", "N": "N", "Nms": "N m s",
 }  # fmt: skip  # a table
 _ONE = {"pendulums": "pendulum", "modes": "mode", "aerodynamics": "surface"}
+_SAID = {"phi_": "shape_at_", "slope_g": "slope_at_g", "slope_s": "slope_at_s", "_": " ", "cg": "CG"}
 _NOT_COMPARED = ("follower", "gimbal", "rest", "slope", "flow_share", "gain", "spatial", "local_incidence")
 
 
@@ -52,9 +53,8 @@ def compared(built: Built, folder: Path, vehicle: str) -> list[Difference]:
     ours = load_scenario(folder / "scenario.toml")
     theirs = load_scenario(folder / "scenario.toml", [f'vehicle="{path.resolve().as_posix()}"'])
     if len(ours.vehicle.stage) != len(theirs.vehicle.stage):
-        raise ValueError(
-            f"{vehicle} has {len(theirs.vehicle.stage)} stages, the layout makes {len(ours.vehicle.stage)}"
-        )
+        count = len(ours.vehicle.stage)
+        raise ValueError(f"{vehicle} has {len(theirs.vehicle.stage)} stages, the layout makes {count}")
     columns = [_quantities(built, loaded) for loaded in (ours, theirs)]
     if other := sorted(set(columns[0]) ^ set(columns[1])):
         raise ValueError(f"{vehicle} has other tanks, modes or surfaces: {other[0]}")
@@ -64,9 +64,8 @@ def compared(built: Built, folder: Path, vehicle: str) -> list[Difference]:
 def _quantities(built: Built, loaded: LoadedScenario) -> dict[str, Array]:
     packed, found = pack_flight(loaded.scenario), dict[str, list[float]]()
     for n in range(len(built.stacks)):
-        points = [p for p in burning(built) if p.number == n]
-        for k in np.unique(np.linspace(0, len(points) - 1, TIMES).astype(int)):
-            at = vehicle_at(packed, points[k].clock_s, points[k].mach, stage=n)
+        for p in spread(burning(built, n), TIMES):
+            at = vehicle_at(packed, p.clock_s, p.mach, stage=n)
             for part in ("body", "pendulums", "modes", "engine", "aerodynamics"):
                 for name, value in _numbers(getattr(at, part), part):
                     found.setdefault(name, []).append(value)
@@ -88,13 +87,8 @@ def _titled(part: str, field: str, place: list[int]) -> str:
     words, _, unit = field.rpartition("_")
     if unit not in _UNITS:
         words, unit = field, ""
-    words = (
-        words.replace("phi_", "shape_at_")
-        .replace("slope_g", "slope_at_g")
-        .replace("slope_s", "slope_at_s")
-        .replace("_", " ")
-        .replace("cg", "CG")
-    )
+    for name, said in _SAID.items():
+        words = words.replace(name, said)
     if len(place) == 1:
         part, place = f"{_ONE.get(part, part)} {place[0]}", []
     return f"{part}: {' '.join([words, ', '.join(map(str, place))]).rstrip()}" + (f", {_UNITS[unit]}" if unit else "")

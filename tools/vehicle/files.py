@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -80,10 +81,11 @@ def _prefix(built: Built, n: int) -> str:
     return f"stage{n + 1}_" if len(built.stacks) > 1 else ""
 
 
-def _times_s(stack: Stack) -> Array:
+def _times_s(stack: Stack) -> list[float]:
     """Rows of tables of what the burn changes."""
     burn = stack.burn
-    return np.unique(np.concatenate([burn.times_s, np.linspace(0.0, burn.end_s, MASS_ROWS)]).round(6))
+    both = np.concatenate([burn.times_s, np.linspace(0.0, burn.end_s, MASS_ROWS)])
+    return [float(t) for t in np.unique(both.round(6))]
 
 
 def _continued(stack: Stack, rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
@@ -95,12 +97,13 @@ def _continued(stack: Stack, rows: list[tuple[float, ...]]) -> list[tuple[float,
     return [*rows, tuple(float(x) for x in further)]
 
 
-def _mass(stack: Stack) -> Table:
-    rows: list[tuple[float, ...]] = []
-    for t in _times_s(stack):
-        p = stack.mass_properties(float(t))
-        rows.append((t, p.mass_kg, p.x_cg_m, p.roll_kgm2, p.pitch_kgm2, p.pitch_kgm2))
-    return "time_s,mass_kg,x_cg_m,Ixx_kgm2,Iyy_kgm2,Izz_kgm2", _continued(stack, rows)
+def _over_time(stack: Stack, columns: str, values: Iterable[tuple[float, ...]]) -> Table:
+    """What the burn changes, at `_times_s`."""
+    return f"time_s,{columns}", _continued(stack, [(t, *row) for t, row in zip(_times_s(stack), values, strict=True)])
+
+
+_MASS = attrgetter("mass_kg", "x_cg_m", "roll_kgm2", "pitch_kgm2", "pitch_kgm2")
+_LIQUID = attrgetter("mass_kg", "front_station_m")
 
 
 def _copied(value: Any, name: str, tables: Tables) -> Any:
@@ -159,12 +162,9 @@ def _loads(stack: Stack, prefix: str, tables: Tables) -> dict[str, Any]:
         tables[f"{prefix}section_limits.csv"] = "station_m,radius_m,equivalent_compression_N", limits
         out["limits"] = f"{prefix}section_limits.csv"
     for k, tank in enumerate(stage.tank):
-        columns = [(t, stack.liquids(float(t))[k]) for t in _times_s(stack)]
         name = f"{prefix}liquid_{tank.name}.csv"
-        tables[name] = (
-            "time_s,mass_kg,front_station_m",
-            _continued(stack, [(t, r.mass_kg, r.front_station_m) for t, r in columns]),
-        )
+        rows = (_LIQUID(stack.liquids(t)[k]) for t in _times_s(stack))
+        tables[name] = _over_time(stack, "mass_kg,front_station_m", rows)
         out["liquid"].append({"tank": tank.name, "table": name, "bottom_station_m": tank.bottom_station_m})
     return dict(out)
 
@@ -217,9 +217,7 @@ def _programme(built: Built) -> Table:
     points = [p for p, q in pairwise(every) if p.time_s < q.time_s] + every[-1:]  # a separation may take no time
     t, end = np.array([p.time_s for p in points]), built.flight.points[-1].time_s
     k_p, k_d = (np.interp(t, gains[:, 0], gains[:, k]) for k in (1, 2))
-    incidence = [
-        _lead_rad(built, p, p_gain, d_gain, 0.0)[0] for p, p_gain, d_gain in zip(points, k_p, k_d, strict=True)
-    ]
+    incidence = [_lead_rad(built, p, k_p[k], k_d[k], 0.0)[0] for k, p in enumerate(points)]
     theta = np.array([p.pitch_rad - p.incidence_rad for p in points]) + incidence
     rate = np.gradient(theta, t)
     lead = [_lead_rad(built, p, k_p[k], k_d[k], rate[k])[1] for k, p in enumerate(points)]
@@ -259,10 +257,11 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     stage, e, last = stack.stage, stack.stage.engine, n == len(built.stacks) - 1
     thrust = zip(stack.burn.times_s, stack.burn.thrust_N / len(e.positions_m), strict=True)
     tables[f"{prefix}thrust.csv"] = "time_s,thrust_vacuum_N", _continued(stack, list(thrust))
-    tables[f"{prefix}mass.csv"] = _mass(stack)
+    masses = (_MASS(stack.mass_properties(t)) for t in _times_s(stack))
+    tables[f"{prefix}mass.csv"] = _over_time(stack, "mass_kg,x_cg_m,Ixx_kgm2,Iyy_kgm2,Izz_kgm2", masses)
     for tank in stage.tank:
-        liquid: list[tuple[float, ...]] = [(t, stack.liquid_kg(tank, float(t))) for t in _times_s(stack)]
-        tables[f"{prefix}tank_{tank.name}.csv"] = "time_s,liquid_mass_kg", _continued(stack, liquid)
+        left = ((stack.liquid_kg(tank, t),) for t in _times_s(stack))
+        tables[f"{prefix}tank_{tank.name}.csv"] = _over_time(stack, "liquid_mass_kg", left)
     mass, arm, inertia = engine_inertia(e)
     engine = {
         "table": f"{prefix}thrust.csv", "exit_area_m2": e.exit_area_m2, "gimbal_station_m": e.gimbal_station_m,
@@ -288,7 +287,8 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         "omega_hz": list(e.servo_hz), "zeta": list(e.servo_zeta),
         "angle_limit_deg": e.angle_limit_deg, "rate_limit_degps": e.rate_limit_degps,
     }  # fmt: skip  # two more lines otherwise
-    out["actuator"] = [{"group": g} | actuator for g in dict.fromkeys(e.groups)] if _grouped(built, n) else actuator
+    groups = dict.fromkeys(e.groups)
+    out["actuator"] = [{"group": g} | actuator for g in groups] if len(groups) > 1 else actuator
     out["tank"] = [
         {"name": t.name, "table": f"{prefix}tank_{t.name}.csv", "damping_ratio": t.damping_ratio, "shape": "cylinder",
          "radius_m": t.radius_m, "bottom_station_m": t.bottom_station_m, "height_m": t.height_m,
@@ -405,11 +405,6 @@ def _closed_loop(built: Built) -> dict[str, Any]:
             "isp_s": float(f"{last.impulse_Ns / spent / STANDARD_GRAVITY_mps2:.6g}"),
         }
     }
-
-
-def _grouped(built: Built, n: int) -> bool:
-    """Whether a stage has several groups of engines, and so as many actuators."""
-    return len(set(built.stacks[n].stage.engine.groups)) > 1
 
 
 def _campaign(built: Built) -> dict[str, Any]:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
 from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.layout import Engines, Grain, Layout, Part, Stage, Tank
 
-STANDARD_GRAVITY_mps2 = 9.80665
 _RAMP_ROWS, _STEADY_ROWS = 9, 20
 
 
@@ -126,11 +126,10 @@ def burn_of(stage: Stage, ignition_s: float) -> Burn:
     fall_s, rows = e.ramp_s + steady_s, np.arange(1, _STEADY_ROWS) / _STEADY_ROWS
     times = [e.ramp_s * x, e.ramp_s + steady_s * rows, fall_s + e.tail_off_s * x]
     thrust = [full * step, full * (1.0 - (1.0 - share) * rows), share * full * step[::-1]]
-    before = [] if ignition_s == 0.0 else [np.array([0.0])]
-    at_rest = [np.zeros(1)] * len(before)
-    found = np.round(np.concatenate([*before, *(ignition_s + t for t in times)]), 6)
-    whole = np.concatenate([*at_rest, *thrust])
-    return Burn(found, whole, usable, ignition_s, (ignition_s + e.ramp_s, ignition_s + fall_s))
+    rest = [np.zeros(1)] * (ignition_s != 0.0)  # a row for the time before ignition
+    clock_s = np.round(np.concatenate([*rest, *(ignition_s + t for t in times)]), 6)
+    full_s = ignition_s + e.ramp_s, ignition_s + fall_s
+    return Burn(clock_s, np.concatenate([*rest, *thrust]), usable, ignition_s, full_s)
 
 
 def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: float) -> Burn:
@@ -169,7 +168,9 @@ class Stack:
     @cached_property
     def dry(self) -> list[Rod]:
         """Structure, engines and, of the stages ahead, full tanks."""
-        rods = [self.fairing_ring] if self.fairing and self.layout.fairing else []
+        rods = []
+        if self.fairing and (f := self.layout.fairing) is not None:
+            rods.append(ring(f.mass_kg, f.front_station_m, f.rear_station_m, 0.5 * self.layout.stage[-1].diameter_m))
         for stage in self.layout.stage[self.number :]:
             radius, e = 0.5 * stage.diameter_m, stage.engine
             rods += [_part(p, p.radius_m or radius) for p in stage.part]
@@ -186,12 +187,6 @@ class Stack:
             rods += [_grain(grain, grain.mass_kg, 0.5 * stage.diameter_m) for grain in stage.grain]
         return rods
 
-    @property
-    def fairing_ring(self) -> Rod:
-        f = self.layout.fairing
-        assert f is not None
-        return ring(f.mass_kg, f.front_station_m, f.rear_station_m, 0.5 * self.layout.stage[-1].diameter_m)
-
     def liquid_kg(self, tank: Tank, t: float) -> float:
         """In a tank of the burning stage; all drain in proportion."""
         return tank.liquid_mass_kg - (tank.liquid_mass_kg - tank.residual_kg) * self.burn.used(t)
@@ -204,14 +199,9 @@ class Stack:
         return [_grain(grain, left * grain.mass_kg, 0.5 * self.stage.diameter_m) for grain in self.stage.grain]
 
     @cached_property
-    def _known(self) -> dict[float, MassProperties]:
-        return {}
-
-    def mass_properties(self, t: float) -> MassProperties:
-        """At `t` of the stage's clock; worked out once."""
-        if t not in self._known:
-            self._known[t] = self._mass_properties(t)
-        return self._known[t]
+    def mass_properties(self) -> Callable[[float], MassProperties]:
+        """At a time of the stage's clock; worked out once."""
+        return cache(self._mass_properties)
 
     def _mass_properties(self, t: float) -> MassProperties:
         rods = [*self.dry, *self.liquids(t), *self.grains(t)]

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.cli.terminal import aligned, printable
-from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad, warnings
-from maxq.tools.vehicle.masses import STANDARD_GRAVITY_mps2
+from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad, spread, warnings
 
 Rows = list[tuple[str, ...]]  # the first is the head
 
@@ -16,9 +16,9 @@ Rows = list[tuple[str, ...]]  # the first is the head
 def report(built: Built) -> str:
     """All of it."""
     parts = [[printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))]]
-    parts += [
-        [title, *aligned(rows, "  ", right=numbers(rows[0]), drop=_less(rows[0]))] for title, rows in tables(built)
-    ]
+    for title, rows in tables(built):
+        less = [n for n, name in enumerate(rows[0]) if name in ("CG, m", "CP, m")]  # a narrow terminal goes without
+        parts.append([title, *aligned(rows, "  ", right=numbers(rows[0]), drop=less)])
     parts += [[title, *(f"  {line}" for line in lines)] for title, lines in notes(built)]
     return "\n\n".join("\n".join(part) for part in parts)
 
@@ -26,11 +26,6 @@ def report(built: Built) -> str:
 def numbers(head: tuple[str, ...]) -> list[int]:
     """Which columns of a table hold numbers."""
     return [n for n, name in enumerate(head) if name != "stage"]
-
-
-def _less(head: tuple[str, ...]) -> list[int]:
-    """Columns that a narrow terminal goes without; the page has them."""
-    return [n for n, name in enumerate(head) if name in ("CG, m", "CP, m")]
 
 
 def tables(built: Built) -> list[tuple[str, Rows]]:
@@ -59,13 +54,10 @@ def _stages(built: Built) -> tuple[str, Rows]:
             )
         )  # fmt: skip  # six more lines otherwise
     orbit = built.flight.orbit
-    ends = (
-        ""
-        if orbit.perigee_m < 0.0
-        else (f"; the last burn-out is in an orbit of {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km")
-    )
     about = "point mass, kg and m/s; thrust over weight and delta-v in vacuum; v, h and path at burn-out"
-    return f"stages ({about}{ends})", rows
+    if orbit.perigee_m >= 0.0:
+        about += f"; the last burn-out is in an orbit of {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km"
+    return f"stages ({about})", rows
 
 
 def _modes(built: Built) -> tuple[str, Rows]:
@@ -85,9 +77,7 @@ def _control(built: Built) -> tuple[str, Rows]:
     rows: Rows = [("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha", "M_delta", "k_p", "k_d, s")]
     gains = np.array(built.gains)
     for n, stack in enumerate(built.stacks):
-        points = [p for p in burning(built) if p.number == n]
-        for k in np.unique(np.linspace(0, len(points) - 1, 6).astype(int)):
-            p = points[k]
+        for p in spread(burning(built, n), 6):
             cg, cp = stack.mass_properties(p.clock_s).x_cg_m, built.aero[n].normal(p.mach)[1]
             k_p, k_d = (float(np.interp(p.time_s, gains[:, 0], gains[:, i])) for i in (1, 2))
             cells = (f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.2f}", f"{cp:.2f}")

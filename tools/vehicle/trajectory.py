@@ -20,19 +20,13 @@ from scipy.optimize import brentq, minimize
 
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array
+from maxq.sim.world import earth
 from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K, TOP_m, us1976
 from maxq.sim.world.thermosphere import upper_air
 from maxq.tools.vehicle.aerodynamics import Aerodynamics
 from maxq.tools.vehicle.layout import Layout, Site
 from maxq.tools.vehicle.masses import Stack, without_fairing
 
-MU_m3ps2, J2, EQUATOR_m, FLATTENING, SPIN_radps = (
-    3.986004418e14,
-    1.08262982e-3,
-    6378137.0,
-    1 / 298.257223563,
-    7.292115e-5,
-)
 STEERING_BLEND_s = 15.0  # from the gravity turn's attitude to that of the tangent law
 _LEAST_SPEED_mps = 1.0
 _STEP_s = 10.0
@@ -73,10 +67,12 @@ class Orbit(NamedTuple):
     def of(radius_m: float, horizontal_mps: float, vertical_mps: float) -> Orbit:
         """From inertial velocity along and across the local horizon."""
         momentum = radius_m * horizontal_mps
-        energy = 0.5 * (horizontal_mps**2 + vertical_mps**2) - MU_m3ps2 / radius_m
-        e = math.sqrt(max(1.0 + 2.0 * energy * (momentum / MU_m3ps2) ** 2, 0.0))
-        p = momentum**2 / MU_m3ps2
-        return Orbit(p / (1.0 + e) - EQUATOR_m, p / (1.0 - e) - EQUATOR_m if e < 1.0 else math.inf)
+        energy = 0.5 * (horizontal_mps**2 + vertical_mps**2) - earth.WGS84_MU_m3ps2 / radius_m
+        e = math.sqrt(max(1.0 + 2.0 * energy * (momentum / earth.WGS84_MU_m3ps2) ** 2, 0.0))
+        p = momentum**2 / earth.WGS84_MU_m3ps2
+        return Orbit(
+            p / (1.0 + e) - earth.WGS84_RADIUS_m, p / (1.0 - e) - earth.WGS84_RADIUS_m if e < 1.0 else math.inf
+        )
 
 
 @dataclass(frozen=True)
@@ -103,8 +99,8 @@ class _Place(NamedTuple):
     @staticmethod
     def of(site: Site) -> _Place:
         latitude, azimuth = math.radians(site.latitude_deg), math.radians(site.azimuth_deg)
-        radius = EQUATOR_m * (1.0 - FLATTENING * math.sin(latitude) ** 2)
-        turning = SPIN_radps * math.cos(latitude)
+        radius = earth.WGS84_RADIUS_m * (1.0 - earth.WGS84_FLATTENING * math.sin(latitude) ** 2)
+        turning = earth.WGS84_RATE_radps * math.cos(latitude)
         return _Place(
             radius, turning * math.sin(azimuth), turning * math.cos(azimuth) * radius, math.sin(latitude),
             math.cos(latitude) * math.cos(azimuth),
@@ -113,8 +109,8 @@ class _Place(NamedTuple):
     def gravity_mps2(self, radius_m: float, angle_rad: float) -> float:
         """Towards the centre, `angle_rad` along the plane from the site."""
         sin_latitude = self.sin_latitude * math.cos(angle_rad) + self.cos_north * math.sin(angle_rad)
-        flattened = 1.0 - 1.5 * J2 * (EQUATOR_m / radius_m) ** 2 * (3.0 * sin_latitude**2 - 1.0)
-        return MU_m3ps2 / radius_m**2 * flattened
+        flattened = 1.0 - 1.5 * earth.WGS84_J2 * (earth.WGS84_RADIUS_m / radius_m) ** 2 * (3.0 * sin_latitude**2 - 1.0)
+        return earth.WGS84_MU_m3ps2 / radius_m**2 * flattened
 
 
 @dataclass
@@ -136,9 +132,8 @@ class _Model:
         for stack in self.stacks:
             clock = np.linspace(0.0, stack.burn.end_s, 201)
             dry, gone = sum(rod.mass_kg for rod in stack.dry), stack.stage.usable_kg
-            full = (
-                dry + sum(tank.liquid_mass_kg for tank in stack.stage.tank) + sum(g.mass_kg for g in stack.stage.grain)
-            )
+            liquid, grain = (sum(t.liquid_mass_kg for t in stack.stage.tank), sum(g.mass_kg for g in stack.stage.grain))
+            full = dry + liquid + grain
             out.append((clock, np.array([full - gone * stack.burn.used(float(t)) for t in clock])))
         return out
 
@@ -212,6 +207,7 @@ class _Model:
     def fly(self, points: int) -> tuple[list[Point], list[float], tuple[int, float] | None]:
         """All stages: `points` of each burn, when each begins, and stack and clock at which the fairing is dropped."""
         fairing, wanted = self.layout.fairing, self.layout.trajectory
+        jettison_m = math.inf if fairing is None else fairing.jettison_altitude_m
         y: State = (0.0, self.layout.site.altitude_m, 0.0, 0.5 * math.pi)
         time_s, kept, begins, dropped = 0.0, list[Point](), list[float](), None
         for n, stack in enumerate(self.stacks):
@@ -226,23 +222,23 @@ class _Model:
             while spans:
                 a, b = spans.pop(0)
                 can_drop = n > 0 and fairing is not None and dropped is None and burn.full_s[0] <= a < burn.full_s[1]
-                if can_drop and fairing is not None and y[1] >= fairing.jettison_altitude_m:
+                if can_drop and y[1] >= jettison_m:
                     dropped, can_drop = (n, max(a, burn.full_s[0] + 1.0)), False
                 gone = fairing.mass_kg if fairing is not None and dropped is not None else 0.0
                 found = solve_ivp(
                     partial(self.rate, n, time_s, gone), (a, b), y, t_eval=np.unique([*at[(at >= a) & (at < b)], b]),
                     rtol=1e-7, atol=[1.0, 1.0, 1e-4, 1e-7], max_step=_STEP_s,
-                    events=_Above(fairing.jettison_altitude_m) if can_drop and fairing is not None else None,
+                    events=_Above(jettison_m) if can_drop else None,
                 )  # fmt: skip  # five more lines otherwise
                 rows = np.reshape(found.y, (4, -1)).T
                 for t, row in zip(found.t, rows, strict=True):
                     if t < b or b == burn.end_s:
                         kept.append(self.point(n, time_s, float(t), _state(row)))
                 if (
-                    found.y_events and found.t_events and len(found.y_events[0]) and fairing
+                    found.y_events and found.t_events and len(found.y_events[0])
                 ):  # at the fairing's altitude: on without it
                     reach, _, speed, path = _state(found.y_events[0][0])
-                    y = (reach, fairing.jettison_altitude_m, speed, path)
+                    y = (reach, jettison_m, speed, path)
                     spans.insert(0, (float(found.t_events[0][0]), b))
                 else:
                     y = _state(rows[-1])
@@ -283,11 +279,8 @@ def air(altitude_m: float) -> tuple[float, float, float]:
         density, pressure = math.exp(log_density), math.exp(log_pressure)
         return density, pressure, math.sqrt(HEAT_RATIO * pressure / density)
     pressure, temperature = _standard(altitude_m)
-    return (
-        pressure / (GAS_CONSTANT_Jpkg_K * temperature),
-        pressure,
-        math.sqrt(HEAT_RATIO * GAS_CONSTANT_Jpkg_K * temperature),
-    )
+    density = pressure / (GAS_CONSTANT_Jpkg_K * temperature)
+    return density, pressure, math.sqrt(HEAT_RATIO * GAS_CONSTANT_Jpkg_K * temperature)
 
 
 def ascent(layout: Layout, stacks: Sequence[Stack], aero: Sequence[Aerodynamics], points: int = 241) -> Ascent:
@@ -338,7 +331,7 @@ def _steer_to(model: _Model, altitude_m: float) -> None:
 
     Raises ValueError where there is none, or the speed is short of an orbit's.
     """
-    radius, flown = EQUATOR_m + altitude_m, dict[tuple[float, ...], Array]()
+    radius, flown = earth.WGS84_RADIUS_m + altitude_m, dict[tuple[float, ...], Array]()
 
     def ends(x: Array) -> Array:
         """Height above the altitude wanted, path angle and speed at the end, each over its scale; x likewise."""
@@ -369,7 +362,7 @@ def _steer_to(model: _Model, altitude_m: float) -> None:
     model.kick_rad, model.tangents = 0.1 * float(found.x[0]), (float(found.x[1]), float(found.x[2]))
     last = model.fly(2)[0][-1]
     if (at := model.orbit(last)).perigee_m < altitude_m - 20e3:
-        speed, circular = last.speed_mps, math.sqrt(MU_m3ps2 / radius)
+        speed, circular = last.speed_mps, math.sqrt(earth.WGS84_MU_m3ps2 / radius)
         raise ValueError(
             f"level at {altitude_m / 1e3:g} km it flies {speed:.0f} m/s relative to the Earth, short of the "
             f"{circular:.0f} m/s (inertial) of an orbit: perigee {at.perigee_m / 1e3:.0f} km"

@@ -89,26 +89,25 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
         vehicles = len(found.margins[0].random) + len(found.margins[0].corners) if found.margins else 0
         asked["dispersed"] = f"the same of {vehicles} dispersed vehicles"
     if suite.certificate is not None:
-        asked["certificate"] = (
-            f"linear loop and flight agree at {len(found.certificates)} node{'s' * (len(found.certificates) != 1)}"
-        )
+        nodes = len(found.certificates)
+        asked["certificate"] = f"linear loop and flight agree at {nodes} node{'s' * (nodes != 1)}"
     asked["measured only"] = f"margins of flight code, measured at {len(found.measured)} nodes"
     asked["campaign"] = "; ".join(
         f"{c.runs} flights, {100.0 * c.success:g} % with {100.0 * c.confidence:g} % confidence" for c in found.campaigns
     )
-    out = []
-    for part in dict.fromkeys(r.part for r in found.requirements):
-        mine = [r.judgement for r in found.requirements if r.part == part]
-        counts = [mine.count(j) for j in (ACCEPTED, REJECTED, UNDECIDED)]
-        out.append({"name": part, "asked": asked.get(part, ""), "counts": counts})
-    return out
+    parts: dict[str, Counter[str]] = {}
+    for r in found.requirements:
+        parts.setdefault(r.part, Counter())[r.judgement] += 1
+    order = (ACCEPTED, REJECTED, UNDECIDED)
+    return [{"name": p, "asked": asked.get(p, ""), "counts": [n[j] for j in order]} for p, n in parts.items()]
 
 
 def _limiting(found: Verification) -> list[Requirement]:
     """The requirement with the least room of each part."""
-    finite = [r for r in found.requirements if math.isfinite(r.room)]
-    parts = dict.fromkeys(r.part for r in finite)
-    return sorted((min((r for r in finite if r.part == p), key=lambda r: r.room) for p in parts), key=lambda r: r.room)
+    nearest: dict[str, Requirement] = {}
+    for r in sorted((r for r in found.requirements if math.isfinite(r.room)), key=lambda r: r.room):
+        nearest.setdefault(r.part, r)
+    return list(nearest.values())
 
 
 def _matrix(flights: Sequence[FlownResult]) -> dict[str, Any]:
@@ -117,27 +116,22 @@ def _matrix(flights: Sequence[FlownResult]) -> dict[str, Any]:
     def bound_text(v: Verdict) -> str:
         return f"{'<=' if v.bound[0] == 'limit' else '>='} {v.bound[1]:g}"
 
-    names = list(dict.fromkeys(v.name for f in flights for v in f.verdicts))
+    def cell(f: FlownResult, v: Verdict) -> dict[str, Any]:
+        (kind, bound), text = v.bound, bound_text(v)
+        share = (v.value / bound if kind == "limit" else bound / v.value) if bound and v.value else float(not v.met)
+        used, own = min(max(100.0 * share, 0.0), 100.0), text if text != common[v.name] else ""
+        return {"value": v.value, "met": v.met, "used": used, "tightest": v is f.tightest, "bound": own}
+
     heads, common = [], dict[str, str]()
-    for name in names:
+    for name in dict.fromkeys(v.name for f in flights for v in f.verdicts):
         every = [v for f in flights for v in f.verdicts if v.name == name]
-        texts = Counter(bound_text(v) for v in every)
-        common[name] = texts.most_common(1)[0][0]
+        common[name] = Counter(map(bound_text, every)).most_common(1)[0][0]
         unit = unit_of(every[0].requirement.metric)
         heads.append({"name": name, "unit": "" if unit == "1" else unit, "bound": common[name]})
     rows = []
     for f in flights:
-        cells: list[dict[str, Any] | None] = []
-        of = {v.name: v for v in f.verdicts}
-        for v in (of.get(name) for name in names):
-            if v is None:
-                cells.append(None)
-                continue
-            (kind, bound), text = v.bound, bound_text(v)
-            share = (v.value / bound if kind == "limit" else bound / v.value) if bound and v.value else float(not v.met)
-            used, own = min(max(100.0 * share, 0.0), 100.0), text if text != common[v.name] else ""
-            cells.append({"value": v.value, "met": v.met, "used": used, "tightest": v is f.tightest, "bound": own})
-        rows.append({"flight": f, "cells": cells})
+        of = {v.name: cell(f, v) for v in f.verdicts}
+        rows.append({"flight": f, "cells": [of.get(name) for name in common]})
     return {"heads": heads, "rows": rows}
 
 
@@ -225,7 +219,8 @@ def reasons(found: Verification) -> list[str]:
     """Why a design is not accepted, a line each, and the command that shows it."""
     out = []
     for r in (*found.of(REJECTED), *found.of(UNDECIDED)):
-        out += [f"  {r.judgement}: {printable(r.reason)}", *([f"      {from_here(r.again)}"] if r.again else [])]
+        out.append(f"  {r.judgement}: {printable(r.reason)}")
+        out += [f"      {from_here(r.again)}"] if r.again else []
     return out
 
 

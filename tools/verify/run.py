@@ -13,19 +13,10 @@ from pathlib import Path
 from maxq.design.laws.design_file import DESIGN_NAME, design_path
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify import memory
+from maxq.design.verify import suite as suites
 from maxq.design.verify.fitted import fit, named
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.judging import judge
-from maxq.design.verify.suite import (
-    ACCEPTED,
-    REJECTED,
-    SCREENED,
-    UNDECIDED,
-    Judgement,
-    LoadedSuite,
-    read_suite,
-    shared_risk,
-)
 from maxq.design.verify.verify import Verification, Watch, flight_of, verify
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.files import check_writable, plain_name
@@ -37,7 +28,12 @@ from maxq.tools.cli.terminal import Progress, aligned, printable, tell
 from maxq.tools.design import run_case
 from maxq.tools.verify import report
 
-_EXIT: dict[Judgement, Exit] = {ACCEPTED: Exit.OK, SCREENED: Exit.OK, REJECTED: Exit.FAILED, UNDECIDED: Exit.UNDECIDED}
+_EXIT: dict[suites.Judgement, Exit] = {
+    suites.ACCEPTED: Exit.OK,
+    suites.SCREENED: Exit.OK,
+    suites.REJECTED: Exit.FAILED,
+    suites.UNDECIDED: Exit.UNDECIDED,
+}
 
 
 @dataclass(frozen=True)
@@ -61,10 +57,10 @@ def execute(order: Order) -> int:
     """Do it; returns the exit code."""
     paths = [name if flight_code_key(name) else design_path(name) for name in order.designs]
     folders = [folder_of(order, name) for name in order.designs]
-    loaded = read_suite(order.suite, order.overrides)
-    changes = shared_risk(loaded, campaigns_of(loaded, paths[0], order.vehicle), len(paths))
+    loaded = suites.read_suite(order.suite, order.overrides)
+    changes = suites.shared_risk(loaded, campaigns_of(loaded, paths[0], order.vehicle), len(paths))
     if changes:
-        loaded = read_suite(order.suite, [*order.overrides, *changes])
+        loaded = suites.read_suite(order.suite, [*order.overrides, *changes])
         tell(f"{len(paths)} designs share the risk of a wrong acceptance: {', '.join(changes)}\n")
     words = ("--only", order.only) if order.only else ()
     if order.only:
@@ -104,7 +100,7 @@ def execute(order: Order) -> int:
     return _EXIT[report.ranked(found)[0].judgement]
 
 
-def campaigns_of(loaded: LoadedSuite, design: str, vehicle: str | None = None) -> list[Campaign]:
+def campaigns_of(loaded: suites.LoadedSuite, design: str, vehicle: str | None = None) -> list[Campaign]:
     """What the suite's campaigns ask for, limits apart: these are fitted to the vehicle. Raises ScenarioError."""
     suite = loaded.suite.model_copy(update={"dispersed_limit": ()})
     return [load_wanted(replace(loaded, suite=suite), w, design, vehicle).campaign for w in suite.campaign]
@@ -157,7 +153,7 @@ def in_order(found: Sequence[Candidate]) -> list[Candidate]:
 
 def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = True) -> int:
     """Design each case, then verify in order of merit; returns the exit code."""
-    read_suite(suite)  # a mistake in it is reported before the minutes of designing
+    suites.read_suite(suite)  # a mistake in it is reported before the minutes of designing
     made = []
     for order in orders:
         made.append(run_case.make(order))
@@ -173,7 +169,7 @@ def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = Tru
     ]  # fmt: skip  # five more lines otherwise
     tell("candidates in order of merit", *aligned(rows, "  ", right=(0, 2, 3)), "")
 
-    def keep(design: str, found: Verification, loaded: LoadedSuite) -> None:
+    def keep(design: str, found: Verification, loaded: suites.LoadedSuite) -> None:
         report.write_pack(found, Path(design), loaded.command(design, None, "--out", design), pack)
 
     names = [str(c.folder) for c in ranked]
@@ -188,7 +184,7 @@ def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = Tru
         verdict = every[-1].judgement.upper()
         tell(f"\n{verdict} by the suite {suite}: {accepted}, {count}; its review: {accepted}/review.html")
         return Exit.OK
-    open_ = [name for name, v in zip(names, every, strict=True) if v.judgement == UNDECIDED]
+    open_ = [name for name, v in zip(names, every, strict=True) if v.judgement == suites.UNDECIDED]
     tell(f"\nNONE PASSED the suite {suite}" + (f"; undecided: {', '.join(open_)}" if open_ else ""))
     return Exit.UNDECIDED if open_ else Exit.FAILED
 
@@ -199,7 +195,7 @@ def try_in_order(
     overrides: Iterable[str] = (),
     *,
     tell: Callable[[str], None] = tell,
-    keep: Callable[[str, Verification, LoadedSuite], None] = lambda design, found, loaded: None,
+    keep: Callable[[str, Verification, suites.LoadedSuite], None] = lambda design, found, loaded: None,
     watch: Watch = lambda what, done, of: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[str | None, list[Verification]]:
@@ -211,16 +207,16 @@ def try_in_order(
     accepted. Returns the accepted design, or None, and all verifications. Raises ScenarioError before anything is
     flown, KeyboardInterrupt soon after `stop` returns True.
     """
-    wanted, paths = read_suite(suite, overrides), [design_path(design) for design in designs]
+    wanted, paths = suites.read_suite(suite, overrides), [design_path(design) for design in designs]
     campaigns, given = campaigns_of(wanted, paths[0]), wanted.overrides
     every: list[Verification] = []
     for number, (design, path) in enumerate(zip(designs, paths, strict=True)):
-        loaded = read_suite(suite, [*given, *shared_risk(wanted, campaigns, len(paths), number)])
+        loaded = suites.read_suite(suite, [*given, *suites.shared_risk(wanted, campaigns, len(paths), number)])
         found = verify(path, loaded, memory=memory.default_folder(), watch=watch, stop=stop)
         every.append(found)
         keep(design, found, loaded)
         for line in (report.headline(found, design), *report.reasons(found)):
             tell(line)
-        if found.judgement in (ACCEPTED, SCREENED):
+        if found.judgement in (suites.ACCEPTED, suites.SCREENED):
             return design, every
     return None, every
