@@ -83,8 +83,8 @@ class BendingFilter:
         return np.array(rows).reshape(-1, 2, 3)
 
     def frequency_response(self, omega_radps: ArrayLike) -> ComplexArray:
-        """F(jω), same shape as `omega_radps`."""
-        s = 1j * np.asarray(omega_radps, float)
+        """F(jω), same shape as `omega_radps`, which may be complex."""
+        s = 1j * np.asarray(omega_radps)
         response = np.ones(s.shape, complex)
         for n, d in self.polynomials():
             response *= (n[0] + s * (n[1] + s * n[2])) / (d[0] + s * (d[1] + s * d[2]))

@@ -271,8 +271,10 @@ def test_the_law_is_one_in_every_form(loop: str) -> None:
         at = 2j * np.pi * f if period is None else np.exp(2j * np.pi * f * period)
         solved = np.array([(s.c @ np.linalg.solve(z * np.eye(len(s.a)) - s.a, s.b) + s.d)[0] for z in at])
         np.testing.assert_allclose(solved, one.response(f), rtol=1e-8)
-        if period is None:
-            np.testing.assert_allclose(one.at(2j * np.pi * f), one.response(f), rtol=1e-12)
+        if period is None:  # off the axis, too
+            off = f * np.exp(0.3j)
+            solved = [(s.c @ np.linalg.solve(2j * np.pi * x * np.eye(len(s.a)) - s.a, s.b) + s.d)[0] for x in off]
+            np.testing.assert_allclose(solved, one.response(off), rtol=1e-8)
         again = designed.at(plants.each[k].node.time_s, "pitch", period)
         np.testing.assert_allclose(again.response(f), one.response(f), rtol=1e-9)
         for name in one.inputs:

@@ -76,15 +76,14 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
         by_period.setdefault(node.instruments.sample_s, []).append(node.time_s)
     if len(by_period) > 1:  # of stages with computers of their own
         return [found for times in by_period.values() for found in in_flight_response(loaded, times, plane)]
-    (period_s,) = by_period
+    (sample_s,) = by_period
     whole = powered_spans(loaded)
     for time_s in times_s:
         _window(time_s, whole)  # refused before it is flown
     lines = np.array(LINES_HZ)
     signal = gimbal_injection(plane, "multisine", math.radians(_amplitude_deg(loaded)), frequencies_hz=LINES_HZ)
     end_s = max(times_s) + 0.5 * WINDOW_S
-    quiet, excited = (_flown(loaded, signals, plane, end_s, period_s) for signals in ((), (signal,)))
-    sample_s = quiet.sample_s
+    quiet, excited = (_flown(loaded, signals, plane, end_s, sample_s) for signals in ((), (signal,)))
     spans = [Span(a.stage, a.begin_s, min(a.end_s, b.end_s)) for a, b in zip(quiet.spans, excited.spans, strict=False)]
     windows = [_window(t, spans) for t in times_s]
     across = [tuple(t + share * (w[1] - w[0]) for share in ACROSS) for t, w in zip(times_s, windows, strict=True)]
@@ -166,16 +165,15 @@ class _Ascent:
 
     filtered: Array
     command: Array
-    sample_s: float
     spans: tuple[Span, ...]
 
 
 def _flown(
-    loaded: LoadedScenario, signals: tuple[Injection, ...], plane: Plane, end_s: float, period_s: float
+    loaded: LoadedScenario, signals: tuple[Injection, ...], plane: Plane, end_s: float, sample_s: float
 ) -> _Ascent:
     scenario = loaded.scenario
     run_s = scenario.run.model_copy(update={"duration_s": math.ceil(end_s - scenario.run.start_s) + 1.0})
-    log = Log(fast_hz=1.0 / period_s, slow_hz=1.0, transform_hz=1.0)
+    log = Log(fast_hz=1.0 / sample_s, slow_hz=1.0, transform_hz=1.0)
     still = {"injection": signals, "fault": (), "run": run_s, "log": log}
     if scenario.design is not None:
         still["design"] = scenario.design.at_unit_gain
@@ -185,7 +183,7 @@ def _flown(
     filtered, command = (
         rows[:, run.table.index(name)] for name in (f"filtered_{plane}_deg", f"gimbal_{plane}_command_deg")
     )
-    return _Ascent(filtered, command, period_s, spans_of(run.events, len(scenario.vehicle.stage), run.now_s))
+    return _Ascent(filtered, command, spans_of(run.events, len(scenario.vehicle.stage), run.now_s))
 
 
 def _at_lines(samples: Array, lines_hz: Array, sample_s: float) -> tuple[ComplexArray, float]:

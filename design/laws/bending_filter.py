@@ -256,11 +256,6 @@ class Lag:
             parts = np.array([[kept]]), np.array([[-self.share * jump]]), np.eye(1), np.array([[direct + jump]])
         return StateSpace(*parts, ("lag_radps",), ("rate_radps",), ("law_rad",))
 
-    def at(self, s: ComplexArray) -> ComplexArray:
-        """Of a continuous lag, at complex s, rad/s."""
-        a = 2.0 * math.pi * self.corner_hz
-        return np.asarray(a / (s + a))
-
     @property
     def pole_radps(self) -> float:
         return -2.0 * math.pi * self.corner_hz

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import tomli_w
 
@@ -50,7 +50,8 @@ def design_of(
     limits: Limits | None = None,
 ) -> Design:
     """A design with numbers of nine digits: what is written, judged and flown are the same numbers."""
-    given = {"schema": 1, "name": name, "description": description, "vehicle": vehicle, **_rounded(law.tables())}
+    rounded = json.loads(json.dumps(law.tables()), parse_float=lambda text: float(f"{float(text):.{_DIGITS}g}"))
+    given = {"schema": 1, "name": name, "description": description, "vehicle": vehicle, **rounded}
     design = Design.model_validate(plain(adopt(given, Source("design"))))
     return design.model_copy(update={"roll": roll, "limits": limits})
 
@@ -82,12 +83,3 @@ def forget_pictures(folder: Path) -> None:
         for kind in ("svg", "png"):
             for path in folder.glob(f"{stem}.{kind}"):
                 path.unlink(missing_ok=True)
-
-
-def _rounded(value: Any) -> Any:
-    """Numbers in tables and lists to nine digits."""
-    if isinstance(value, dict):
-        return {key: _rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(item) for item in value]
-    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value

@@ -56,13 +56,10 @@ class Controller(Protocol):
         """Raises ValueError where the law is not one for a loop of this period."""
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """C, (..., inputs) for frequencies of shape (...)."""
+        """C, (..., inputs) for frequencies of shape (...); of a continuous law they may be complex, s / (2 pi j)."""
 
     def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
         """The factor that all inputs have in common (bending filter), same shape as the frequencies; 1 without one."""
-
-    def at(self, s: ComplexArray) -> ComplexArray:
-        """Of a continuous law: C at complex s (rad/s), (..., inputs)."""
 
     def static_gain(self, name: str) -> float:
         """C at zero frequency of one input; 0 for one that it does not take."""

@@ -2,7 +2,7 @@
 
     C = F(s) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
-with k_i = 0 here; with an integral it is the law of pid.py, with the lateral acceleration that of load_relief.py. The
+with k_i = 0 here; with an integral or the lateral acceleration it is a law of third_gain.py. The
 rate may be blended from several gyros (control/sensors.py): k_d times each one's weight. Its kernel is
 control/laws/pd.py.
 """
@@ -75,7 +75,7 @@ class Pd:
             check_period(each, sample_s)
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        f = np.asarray(frequencies_hz, float)
+        f = np.asarray(frequencies_hz)
         loops = [_on_axis(each, f) for each in self.loops]
         lag, change = np.ones(f.shape, np.complex128), np.zeros(f.shape, np.complex128)
         if self.lag is not None:
@@ -83,12 +83,7 @@ class Pd:
         return np.asarray(self.filter_response(f)[..., None] * self._of_inputs(loops, lag, change))
 
     def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        return _on_axis(self.filter, np.asarray(frequencies_hz, float))
-
-    def at(self, s: ComplexArray) -> ComplexArray:
-        lag = np.ones(np.shape(s)) if self.lag is None else self.lag.at(s)
-        loops = [_at(each, s) for each in self.loops]
-        return np.asarray(_at(self.filter, s)[..., None] * self._of_inputs(loops, lag, s * lag))
+        return _on_axis(self.filter, np.asarray(frequencies_hz))
 
     @property
     def _per_mps2(self) -> float:
@@ -152,13 +147,6 @@ def _on_axis(filter_: AnyFilter, frequencies_hz: Array) -> ComplexArray:
     if filter_ is None:
         return np.ones(frequencies_hz.shape, np.complex128)
     return filter_.frequency_response(2.0 * np.pi * frequencies_hz)
-
-
-def _at(filter_: AnyFilter, s: ComplexArray) -> ComplexArray:
-    out = np.ones(np.shape(s), np.complex128)
-    for n, d in () if not isinstance(filter_, BendingFilter) else filter_.polynomials():
-        out = out * (n[0] + s * (n[1] + s * n[2])) / (d[0] + s * (d[1] + s * d[2]))
-    return out
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
 """Variables of the proportional-derivative law (pd.py) for the optimiser: gains at nodes, bending filter, gyro weights,
-filters of each loop; with an integral those of pid.py, with load relief those of load_relief.py.
+filters of each loop; with an integral or load relief those of third_gain.py.
 """
 
 from __future__ import annotations
@@ -19,14 +19,7 @@ from maxq.design.laws import bending_filter
 from maxq.design.laws.bending_filter import AnyFilter, FilterVariables, Lag, lifted
 from maxq.design.laws.law import ANGLES, MEASUREMENTS, Axis, Controller, DesignedLaw, LawLimit, LimitValues, LogResponse
 from maxq.design.laws.pd import BANKS, LoopFilter, Pd, PdDesign, as_flown
-from maxq.design.laws.schedule import (
-    LARGEST_GAIN,
-    LEAST_GAIN,
-    GainSchedules,
-    UnsolvableError,
-    interpolation_weights,
-    lowest_above,
-)
+from maxq.design.laws.schedule import GAIN_BOUNDS, GainSchedules, UnsolvableError, interpolation_weights, lowest_above
 from maxq.design.laws.task import DB, Rigid, Task
 from maxq.design.laws.wind import WIND_LIMITS, Key, quantity
 from maxq.design.model.instruments import ACCELERATION, further_rate
@@ -133,7 +126,7 @@ class PdVariables:
         b = self.task.case.filter.bounds
         quadratic = [math.log(b.zero_hz[end]), b.zero_zeta[end], math.log(b.pole_hz[end]), b.pole_zeta[end]]
         first_order = [math.log(b.first_order_zero_hz[end]), math.log(b.first_order_pole_hz[end])]
-        gain = math.log((LEAST_GAIN, LARGEST_GAIN)[end])
+        gain = math.log(GAIN_BOUNDS[end])
         filter_ = quadratic * self.filter.quadratic + first_order * self.filter.first_order
         weight = (self.task.case.blend or (0.0, 0.0))[end]
         of_loops = [x for loop in self.loops for x in quadratic * loop.quadratic + first_order * loop.first_order]

@@ -9,7 +9,7 @@ from scipy.optimize import linprog
 
 from maxq.control.kernel.records import Array
 
-LEAST_GAIN, LARGEST_GAIN = 1e-4, 1e3  # bounds of the gains (49): ln k needs some
+GAIN_BOUNDS = 1e-4, 1e3  # (49): ln k needs some
 
 
 class UnsolvableError(ValueError):
@@ -82,16 +82,14 @@ class GainSchedules:
 
 def lowest_above(weights: Array, floor: Array) -> Array:
     """Values at the nodes of the lowest schedule, in sum over the plants, that is nowhere below `floor` (plants,)."""
-    floor = np.maximum(floor, LEAST_GAIN)
-    bounds = (LEAST_GAIN, LARGEST_GAIN)
-    finite = np.isfinite(floor).all()  # not where an engine has no authority
-    found = (
-        linprog(weights.sum(axis=0), A_ub=-weights, b_ub=-floor, bounds=bounds, method="highs-ds") if finite else None
-    )
+    floor, cost = np.maximum(floor, GAIN_BOUNDS[0]), weights.sum(axis=0)
+    found = None
+    if np.isfinite(floor).all():  # not where an engine has no authority
+        found = linprog(cost, A_ub=-weights, b_ub=-floor, bounds=GAIN_BOUNDS, method="highs-ds")
     if found is None or found.x is None:
         raise UnsolvableError(
-            f"rigid_hz, rigid_zeta: no schedule of gains up to {LARGEST_GAIN:g} is above {floor.max():.4g} at the node "
-            "that needs most; allowed are limits, or nodes, that such gains can meet"
+            f"rigid_hz, rigid_zeta: no schedule of gains up to {GAIN_BOUNDS[1]:g} is above {floor.max():.4g} at the "
+            "node that needs most; allowed are limits, or nodes, that such gains can meet"
         )
     # off the limit by a rounding error, on the safe side
     return np.asarray(found.x) * (1.0 + 1e-12)

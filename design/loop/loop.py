@@ -149,5 +149,5 @@ class Loop:
     def _at(self, exact: ExactFixedPath, s: ComplexArray) -> ComplexArray:
         rate = np.full(np.shape(s), 1.0 if exact.takes_rate else 0.0)
         ratios = dict(zip(MEASUREMENTS, (1.0 / s, rate, 1.0 / s**2), strict=True))
-        law = self.law.at(s) * np.stack([ratios[name] for name in self.law.inputs], axis=-1)
+        law = self.law.response(s / 2j / np.pi) * np.stack([ratios[name] for name in self.law.inputs], axis=-1)
         return np.asarray(law.sum(axis=-1) * exact.at(s))

@@ -71,13 +71,6 @@ class Budget:
         """The sum beyond -180 + 360 k degrees, in [-180, 180)."""
         return wrapped(self.phase_deg + 180.0, 180.0)
 
-    def share(self, part: str) -> Share:
-        """By name. Raises KeyError, naming those that there are."""
-        for share in self.shares:
-            if share.part == part:
-                return share
-        raise KeyError(f"no part {part!r}: there are {', '.join(share.part for share in self.shares)}")
-
 
 def split(
     whole: Response,

@@ -12,18 +12,9 @@ from numpy.typing import NDArray
 from maxq.control.kernel.records import Array
 from maxq.design.loop.loop import OpenLoop
 from maxq.design.loop.resonance import Resonance
+from maxq.design.margins import curve as curves
 from maxq.design.margins.bounds import separated
-from maxq.design.margins.curve import (
-    Curve,
-    GainCrossings,
-    PhaseCrossings,
-    encirclement_count,
-    find_crossings,
-    lowest_hz_of,
-    refine_extremes,
-    trace,
-    unstable,
-)
+from maxq.design.margins.curve import Curve, GainCrossings, PhaseCrossings, lowest_hz_of, unstable
 from maxq.design.margins.distances import NO_DISKS, Clearance, Disks, Zone, find_clearances, find_disks
 from maxq.design.margins.lobes import Lobe, find_lobes
 
@@ -118,10 +109,10 @@ def margins(
     they neither count as unstable nor are looked for in L.
     Raises ValueError for a response that is not finite, and for an improper loop.
     """
-    curve = trace(loop, lowest_hz_of(np.asarray(loop.open_poles())) if lowest_hz is None else lowest_hz)
-    gain, phase, curve = find_crossings(separated(refine_extremes(curve)))
+    curve = curves.trace(loop, lowest_hz_of(np.asarray(loop.open_poles())) if lowest_hz is None else lowest_hz)
+    gain, phase, curve = curves.find_crossings(separated(curves.refine_extremes(curve)))
     growing = unstable(curve.closed_poles, curve.lowest_radps)
-    encircled = encirclement_count(curve, phase)
+    encircled = curves.encirclement_count(curve, phase)
     growth, growth_hz = _slowest(curve)
     stable = len(growing) == 0 and encircled == 0
     facts: dict[str, Any] = {

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from maxq.control.kernel.records import Array
 from maxq.design.laws.law import Axis
 from maxq.design.laws.task import DB
+from maxq.design.margins import solving
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.optimise.curves import Curves, Indices
 
@@ -235,13 +236,10 @@ def _extremes(curves: Curves, value: Array, lowest: bool, where: Mask) -> tuple[
 
 def vertex(x: Array, value: Array, k: Indices) -> Array:
     """Where the parabola through mesh points k - 1, k, k + 1 has its vertex, held between the outer two."""
-    h0, h1 = x[k] - x[k - 1], x[k + 1] - x[k]
-    d0, d1 = (value[k] - value[k - 1]) / h0, (value[k + 1] - value[k]) / h1
-    bend = (d1 - d0) / (h0 + h1)
+    around = k + np.arange(-1, 2)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        at = x[k] - h0 / 2.0 - d0 / (2.0 * bend) + 0.0
-    at = np.where(np.isfinite(at), at, x[k])
-    return np.clip(at, x[k - 1], x[k + 1])
+        at, _ = solving.vertex(*x[around], *value[around])
+    return np.clip(np.where(np.isfinite(at), at, x[k]), x[k - 1], x[k + 1])
 
 
 def turns(mesh: Mesh) -> Places:

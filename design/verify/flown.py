@@ -13,19 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.design.verify import suite
 from maxq.design.verify.memory import Memory, code_hash, content_hash, counted
-from maxq.design.verify.suite import (
-    ACCEPTED,
-    REJECTED,
-    UNDECIDED,
-    CampaignWanted,
-    Flown,
-    LoadedSuite,
-    Requirement,
-    judgement_of,
-    limit_changes,
-    room_left,
-)
+from maxq.design.verify.suite import CampaignWanted, Flown, LoadedSuite, Requirement, judgement_of
 from maxq.sim.campaign.analysis import DataSet, Judged, Lost, judged, lost
 from maxq.sim.campaign.availability import Month, availability
 from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
@@ -78,7 +68,7 @@ def _room(v: Verdict) -> float:
     kind, bound = v.bound
     if bound == 0.0:
         return 1.0 if v.met else -1.0
-    left = room_left(v.value, bound, _sense(kind))
+    left = suite.room_left(v.value, bound, _sense(kind))
     return left if math.isfinite(left) else -math.inf
 
 
@@ -99,7 +89,7 @@ def load_flight(
     """The scenario of one flight with the design in it, and what is changed in it. Raises ScenarioError."""
     name, changes = flown.scenario or loaded_suite.suite.scenario, [*design_changes(design, vehicle), *flown.set]
     loaded = load_scenario(name, changes)
-    more = limit_changes(loaded_suite, flown.limits, loaded.scenario)
+    more = suite.limit_changes(loaded_suite, flown.limits, loaded.scenario)
     return (load_scenario(name, [*changes, *more]) if more else loaded), [*changes, *more]
 
 
@@ -112,18 +102,18 @@ def fly_suite(
     workers: int,
 ) -> list[FlownResult]:
     """All flights, in the suite's order. Raises ScenarioError before any is flown where one cannot be."""
-    suite = loaded_suite.suite
-    loaded = [load_flight(loaded_suite, flown, design, vehicle) for flown in suite.flight]
+    flights = loaded_suite.suite.flight
+    loaded = [load_flight(loaded_suite, flown, design, vehicle) for flown in flights]
 
     def one(flown: Flown, job: tuple[LoadedScenario, list[str]]) -> FlownResult:
         scenario, changes = job
         text = (scenario.as_flown, flown.name, flown.why, flown.design_must_keep)
         sets = (x for change in changes for x in ("--set", change))
-        again = shlex.join(["simrun", flown.scenario or suite.scenario, *sets])
+        again = shlex.join(["simrun", flown.scenario or loaded_suite.suite.scenario, *sets])
         return memory.recall("flight", (*text, again), lambda: _fly(flown, scenario, again))
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        return list(pool.map(counted(one, watch, len(loaded)), suite.flight, loaded))
+        return list(pool.map(counted(one, watch, len(loaded)), flights, loaded))
 
 
 def _fly(flown: Flown, loaded: LoadedScenario, again: str) -> FlownResult:
@@ -160,7 +150,7 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[Requirement]:
         elif worst is not None:
             wanted, found, left = worst.wanted, _said(worst), _room(worst)
             where = f"at {worst.time_s:.2f} s" if math.isfinite(worst.time_s) else ""
-        judgement = ACCEPTED if r.passed else REJECTED
+        judgement = suite.ACCEPTED if r.passed else suite.REJECTED
         if r.counts:
             out.append(Requirement("scenarios", r.name, wanted, found, judgement, left, where, again=r.again))
     return out
@@ -189,7 +179,7 @@ def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, 
     """The campaign with the design in it, and the suite's numbers and limits. Raises ScenarioError."""
     changes = [*design_changes(design, vehicle), *wanted.set]
     loaded = load_campaign(wanted.file, changes)
-    more = limit_changes(loaded_suite, wanted.limits, loaded.base.scenario)
+    more = suite.limit_changes(loaded_suite, wanted.limits, loaded.base.scenario)
     loaded = load_campaign(wanted.file, [*changes, *more]) if more else loaded
     given = {key: getattr(wanted, key) for key in ("runs", "seed", "success", "confidence")}
     return loaded.with_campaign(**{key: value for key, value in given.items() if value is not None})
@@ -247,13 +237,13 @@ def availability_requirements(result: CampaignResult, wanted: float) -> list[Req
     """One for each month of a campaign's winds; undecided where it has none."""
     asked, out = f">= {100.0 * wanted:g} % with {100.0 * result.confidence:g} %", list[Requirement]()
     for month in result.months:
-        shown, room = month.judged(wanted, result.confidence, result.fixed), room_left(month.share, wanted, ">=")
+        shown, room = month.judged(wanted, result.confidence, result.fixed), suite.room_left(month.share, wanted, ">=")
         ends = f"{100.0 * month.least:.1f} .. {100.0 * month.most:.1f} %"
         found = f"{100.0 * month.share:.1f} % of {month.runs} flights ({ends})"
         name = f"availability in {month.name}"
         out.append(_of_campaign(result, name, asked, found, shown, room, month.first_missed))
-    none = Requirement("campaign", f"{result.name}: availability", asked, "no run has a month", UNDECIDED, math.nan)
-    return out or [none]
+    name, found = f"{result.name}: availability", "no run has a month"
+    return out or [Requirement("campaign", name, asked, found, suite.UNDECIDED, math.nan)]
 
 
 def campaign_requirements(result: CampaignResult) -> list[Requirement]:
@@ -267,7 +257,7 @@ def campaign_requirements(result: CampaignResult) -> list[Requirement]:
         bound = f"{sense} {v.bound:g}, " if v.metric else ""
         worst = v.worst[0] if v.worst else None
         found = f"{v.shown.failures} of {v.shown.runs} failed" + (f", worst {worst.value:.4g}" if worst else "")
-        left = room_left(worst.value, v.bound, sense) if worst is not None else math.nan
+        left = suite.room_left(worst.value, v.bound, sense) if worst is not None else math.nan
         run, gone = worst.run if worst else None, result.first_lost
         if not v.metric and gone is not None:
             run, found = gone.run, f"{found}, first: {gone.cause or gone.outcome}"

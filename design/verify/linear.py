@@ -36,19 +36,9 @@ from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.node import Node, at_same_propellant_s, flown_run, flown_to, met_by, node_of
 from maxq.design.model.spread import correlation, places_of, root_of_correlation, vehicle_at_places
 from maxq.design.model.vehicle_at import stability_derivatives
+from maxq.design.verify import suite
 from maxq.design.verify.memory import Memory, counted
-from maxq.design.verify.suite import (
-    ACCEPTED,
-    AS_DESIGNED,
-    REJECTED,
-    VEHICLE_LABEL,
-    LinearMargins,
-    MarginLimits,
-    Requirement,
-    beyond,
-    judgement_of,
-    room_left,
-)
+from maxq.design.verify.suite import AS_DESIGNED, LinearMargins, MarginLimits, Requirement, beyond
 from maxq.sim.campaign.draws import cholesky
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.statistics import allowed_failures, judge_failures, tolerance_bound
@@ -227,7 +217,7 @@ def vehicles(wanted: LinearMargins, node: Node) -> tuple[list[Dispersion], list[
             signs["thrust"] = signs[_FACTORS[-1]]
             deviations = root @ np.array([signs[name] for name, _ in places])
             corners.append(vehicle_at_places(wanted.three_sigma, node, places, deviations, f"corner {n + 1}"))
-    found = VEHICLE_LABEL.fullmatch(wanted.only)
+    found = suite.VEHICLE_LABEL.fullmatch(wanted.only)
     numbers = range(0 if wanted.only else wanted.cases)
     if found is not None and found[1] == "vehicle":
         numbers = range(int(found[2]) - 1, int(found[2]))
@@ -354,7 +344,7 @@ def margin_requirements(
         shown = judge_failures(len(failures), len(found.random), wanted.success, wanted.confidence)
         share = (shown.success - wanted.success) / (1.0 - wanted.success)
         missed = _limits("dispersed", "", "", failures, wanted.dispersed, found, again) if failures else []
-        worst = min((r for r in missed if r.judgement == REJECTED), key=lambda r: r.room, default=None)
+        worst = min((r for r in missed if r.judgement == suite.REJECTED), key=lambda r: r.room, default=None)
         said = f"{len(found.random) - len(failures)} of {len(found.random)}"
         if worst is not None:
             said += f"; {worst.name}: {worst.found}, wanted {worst.wanted}"
@@ -362,7 +352,7 @@ def margin_requirements(
             Requirement(
                 "dispersed", f"random vehicles meet the dispersed limits{whose}",
                 f"{100.0 * wanted.success:g} % with {100.0 * wanted.confidence:g} % confidence",
-                said, judgement_of(shown.judgement), share, worst.where if worst else "", shown.more,
+                said, suite.judgement_of(shown.judgement), share, worst.where if worst else "", shown.more,
                 worst.again if worst else "",
             )
         )  # fmt: skip  # four more lines otherwise
@@ -386,9 +376,9 @@ def _limits(
         for t, n in zip(found.times_s, c.nodes, strict=True)
     ]
     bad = [(where, command) for where, n, command in places if not n]
-    state = ("stable", ACCEPTED, math.nan, "", 0, "")
+    state = ("stable", suite.ACCEPTED, math.nan, "", 0, "")
     if bad:
-        state = (f"{len(bad)} of {len(places)} loops unstable", REJECTED, -1.0, bad[0][0], 0, bad[0][1])
+        state = (f"{len(bad)} of {len(places)} loops unstable", suite.REJECTED, -1.0, bad[0][0], 0, bad[0][1])
     out = [Requirement(part, f"stable {at}{stage}", "stable", *state)]
     for name, (title, unit, sense) in MEASURES.items():
         limit = getattr(limits, name)
@@ -400,8 +390,8 @@ def _limits(
             Requirement(
                 part, ", ".join(filter(None, (title, whose, found.stage))), f"{sense} {limit:g} {unit}",
                 f"{value:.2f} {unit}" if math.isfinite(value) else "free",
-                REJECTED if beyond(value, limit, sense, unit) > 0.0 else ACCEPTED,
-                room_left(value, limit, sense, unit), where, again=command,
+                suite.REJECTED if beyond(value, limit, sense, unit) > 0.0 else suite.ACCEPTED,
+                suite.room_left(value, limit, sense, unit), where, again=command,
             )
         )  # fmt: skip  # four more lines otherwise
     return out
@@ -459,8 +449,9 @@ def authority(nodes: Sequence[Node], command_limits_rad: Sequence[float]) -> lis
 def authority_requirement(found: Sequence[Authority], wind_mps: float, again: str = "") -> Requirement:
     """A steady cross-wind can be trimmed at every time."""
     worst = min(found, key=lambda a: a.wind_mps)
+    judgement = suite.ACCEPTED if worst.wind_mps >= wind_mps else suite.REJECTED
     return Requirement(
         "authority", "gimbal trims a steady cross-wind", f">= {wind_mps:g} m/s", f"{worst.wind_mps:.1f} m/s",
-        ACCEPTED if worst.wind_mps >= wind_mps else REJECTED, worst.wind_mps / wind_mps - 1.0, f"{worst.time_s:g} s",
+        judgement, worst.wind_mps / wind_mps - 1.0, f"{worst.time_s:g} s",
         again=again,
     )  # fmt: skip  # five more lines otherwise

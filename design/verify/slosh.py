@@ -34,16 +34,10 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
+from maxq.design.certificate import measured_margins
 from maxq.design.certificate.excitation import sine_burst
 from maxq.design.certificate.held_flight import HeldFlight, fast_rows, hold
-from maxq.design.certificate.measured_margins import (
-    DECAYED,
-    SATURATED,
-    amplitude,
-    build_up_rate,
-    burst_test,
-    measured_growth,
-)
+from maxq.design.certificate.measured_margins import amplitude
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.model.node import Node, slosh_columns
@@ -237,8 +231,9 @@ def confirm(loaded: LoadedScenario, node: Node, advice: SloshAdvice) -> SloshAdv
     edge = api.loops([_damped(held.node, advice.tank, advice.needed)], loaded.design)[0]
     poles = _oscillating(edge)
     hz = float(poles[int(np.argmax(poles.real))].imag) / (2.0 * math.pi)
-    growth = measured_growth(held, loop, burst_test(hz, build_up_rate(edge, hz)))
-    known = growth not in (SATURATED, DECAYED)
+    burst = measured_margins.burst_test(hz, measured_margins.build_up_rate(edge, hz))
+    growth = measured_margins.measured_growth(held, loop, burst)
+    known = growth not in (measured_margins.SATURATED, measured_margins.DECAYED)
     cycle = fly_cycle(hold(loaded, node), advice.tank, MIDWAY, hz)
     return dataclasses.replace(
         advice,

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from maxq.control.filters import BendingFilter, DiscreteFilter
+from maxq.control.kernel.records import Array
 from maxq.design.model.node import Node
 from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.vehicle_at import stability_derivatives
@@ -45,20 +46,24 @@ def derivatives(nodes: Sequence[Node], title: str = "") -> Figure:
 
 def bending_frequencies(nodes: Sequence[Node], title: str = "") -> Figure:
     """Fig. 5: frequencies of the free-free modes, uncoupled."""
-    time_s = [node.time_s for node in nodes]
-    most = max(len(node.vehicle.modes.omega_radps) for node in nodes)
+    time_s, modes_hz = [node.time_s for node in nodes], bending_hz(nodes)
     figure, (place,) = sheet(1, 1, height_in=2.8, title=title)
-    for i in range(most):
-        hz = [_entry(node.vehicle.modes.omega_radps, i) / (2.0 * np.pi) for node in nodes]
+    for i, hz in enumerate(modes_hz):
         place.plot(time_s, hz, **curve(i), label=f"mode {i + 1}")
     sampled_hz = 0.5 / nodes[0].instruments.sample_s
-    if most and np.nanmax(np.concatenate([n.vehicle.modes.omega_radps for n in nodes])) / (2 * np.pi) > sampled_hz / 2:
+    if len(modes_hz) and np.nanmax(modes_hz) > sampled_hz / 2:
         place.axhline(sampled_hz, color=GREY, linewidth=0.8, linestyle=":", label="half the sample rate")
     place.set_ylim(bottom=0.0)
     label(place, "time, s", "frequency, Hz")
-    if most:
+    if len(modes_hz):
         place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
+
+
+def bending_hz(nodes: Sequence[Node]) -> Array:
+    """Of the free-free modes, (modes, nodes)."""
+    omega = [node.vehicle.modes.omega_radps for node in nodes]
+    return np.array([[_entry(own, i) for own in omega] for i in range(max(map(len, omega)))]) / (2.0 * np.pi)
 
 
 def slosh_frequencies(nodes: Sequence[Node], tanks: Sequence[str], title: str = "") -> Figure:
@@ -125,9 +130,9 @@ def filters(designs: Mapping[str, Design], nodes: Sequence[Node], title: str = "
     Shaded: bands of the bending frequencies over the nodes.
     """
     figure, places = sheet(2, 1, height_in=2.2, title=title)
-    sample_s, modes_hz = nodes[0].instruments.sample_s, mode_bands_hz(nodes)
-    nyquist_hz = 0.5 / sample_s
-    for low_hz, high_hz in modes_hz.values():
+    sample_s = nodes[0].instruments.sample_s
+    nyquist_hz, bands_hz = 0.5 / sample_s, [(np.nanmin(hz), np.nanmax(hz)) for hz in bending_hz(nodes)]
+    for low_hz, high_hz in bands_hz:
         for place in places:
             place.axvspan(low_hz, high_hz, color=GREY, alpha=0.18, linewidth=0)
     for k, (name, design) in enumerate(designs.items()):
@@ -135,10 +140,10 @@ def filters(designs: Mapping[str, Design], nodes: Sequence[Node], title: str = "
         discrete = continuous.discretize(sample_s, design.filter.discretization, design.filter.prewarp_hz)
         _bode(places, continuous, HIGHEST_HZ, curve(k) | {"linewidth": 0.6, "alpha": 0.8})
         _bode(places, discrete, nyquist_hz, curve(k) | {"label": name})
-    for n, (name, (low_hz, high_hz)) in enumerate(modes_hz.items()):
+    for n, (low_hz, high_hz) in enumerate(bands_hz, 1):
         middle_hz = np.sqrt(low_hz * high_hz)
         places[0].annotate(
-            name.removeprefix("mode ") if n else name, (middle_hz, 1.0), xycoords=("data", "axes fraction"),
+            f"{n}" if n > 1 else "mode 1", (middle_hz, 1.0), xycoords=("data", "axes fraction"),
             ha="center", va="bottom", fontsize=7, color=BLACK,
         )  # fmt: skip  # five more lines otherwise
     for place in places:
@@ -303,16 +308,6 @@ def order_sheets(
         *((f"orders-gains-{schedule}", partial(gains, each)) for schedule, each in designs.items()),
         *((f"orders-filters-{schedule}", partial(filters, each, nodes)) for schedule, each in designs.items()),
     ]
-
-
-def mode_bands_hz(nodes: Sequence[Node]) -> dict[str, tuple[float, float]]:
-    """Lowest and highest frequency of every bending mode over the nodes."""
-    most = max(len(node.vehicle.modes.omega_radps) for node in nodes)
-    out = {}
-    for i in range(most):
-        hz = [n.vehicle.modes.omega_radps[i] / (2 * np.pi) for n in nodes if len(n.vehicle.modes.omega_radps) > i]
-        out[f"mode {i + 1}"] = (float(min(hz)), float(max(hz)))
-    return out
 
 
 def _stamp(time_s: float) -> str:
