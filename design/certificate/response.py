@@ -50,7 +50,8 @@ class Measured:
     """L at lines, (lines,), with its quality.
 
     `error` is the standard error of L relative to L, `coherence` the share of the return that L explains: both from
-    the spectrum between the lines, where nothing was sent. `saturated_s` is how long a command was at its limit.
+    the spectrum between the lines, where nothing was sent. `saturated_s` is how long a command was at its limit,
+    `outcome` that of the flight.
     """
 
     lines_hz: Array
@@ -58,6 +59,7 @@ class Measured:
     coherence: Array
     error: Array
     saturated_s: float
+    outcome: str
 
 
 def measure(held: HeldFlight, band: Band, level: ExcitationLevel, closed_poles: ComplexArray) -> Measured:
@@ -76,13 +78,14 @@ def measure(held: HeldFlight, band: Band, level: ExcitationLevel, closed_poles: 
 def _measured(held: HeldFlight, band: Band, closed_poles: ComplexArray, run: FlightRun, values: Array) -> Measured:
     back = values[:, run.table.index(f"filtered_{held.plane}_deg")]
     sent = values[:, run.table.index(f"gimbal_{held.plane}_command_deg")]
-    saturated_s = run.result().metrics["saturation_time_s"]
+    flight = run.result()
+    saturated_s = flight.metrics["saturation_time_s"]
     spectra = _spectra(band, held.sample_s, back, sent)
     if spectra is None:
         nothing = np.full(len(band.lines_hz), np.nan)
-        return Measured(band.lines_hz, nothing.astype(complex), 0.0 * nothing, nothing, saturated_s)
+        return Measured(band.lines_hz, nothing.astype(complex), 0.0 * nothing, nothing, saturated_s, flight.outcome)
     out, into = (_settled(x, band, closed_poles) for x in spectra)
-    return _estimated(band, out, into, saturated_s)
+    return _estimated(band, out, into, saturated_s, flight.outcome)
 
 
 def _spectra(band: Band, sample_s: float, back: Array, sent: Array) -> tuple[ComplexArray, ComplexArray] | None:
@@ -111,7 +114,7 @@ def _settled(spectra: ComplexArray, band: Band, closed_poles: ComplexArray) -> C
     return np.asarray(np.linalg.lstsq(shapes, spectra, rcond=None)[0][0])
 
 
-def _estimated(band: Band, out: ComplexArray, into: ComplexArray, saturated_s: float) -> Measured:
+def _estimated(band: Band, out: ComplexArray, into: ComplexArray, saturated_s: float, outcome: str) -> Measured:
     """At the lines; between them nothing is sent, and U = E is noise that has gone round the loop: N / (1 + L)."""
     lines = np.round(band.lines_hz * band.period_s).astype(int)
     response = -out[lines] / into[lines]
@@ -126,7 +129,7 @@ def _estimated(band: Band, out: ComplexArray, into: ComplexArray, saturated_s: f
         near = np.flatnonzero(silent[low : line + reach + 1]) + low
         noise[i] = np.sqrt(np.mean(np.abs(out[near] * (1.0 + response[i])) ** 2))
     error = noise / np.abs(out[lines])
-    return Measured(band.lines_hz, response, 1.0 / (1.0 + error**2), error, saturated_s)
+    return Measured(band.lines_hz, response, 1.0 / (1.0 + error**2), error, saturated_s, outcome)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.laws.bending_filter import FASTEST
 from maxq.design.laws.law import ANGLES, MEASUREMENTS, Controller
 from maxq.design.loop.fixed_path import ExactFixedPath, FixedPath, PadeFixedPath
-from maxq.design.model.state_space import ComplexArray, StateSpace, chain, closed, zeros_and_poles
+from maxq.design.model.state_space import ComplexArray, StateSpace, chain, zeros_and_poles
 
 
 class OpenLoop(Protocol):
@@ -97,7 +97,9 @@ class Loop:
         """
         if isinstance(self.fixed, ExactFixedPath):
             return self._refined_poles(self.fixed)
-        values = np.linalg.eigvals(closed(self.state_space())).astype(np.complex128)
+        s = self.state_space()
+        closed = s.a - 1.0 / (1.0 + float(s.d[0, 0])) * np.outer(s.b[:, 0], s.c[0])
+        values = np.linalg.eigvals(closed).astype(np.complex128)
         if self.sample_s is None:
             return values
         return np.asarray(np.log(values[np.abs(values) > FASTEST]) / self.sample_s)

@@ -37,14 +37,10 @@ class SampledPlant:
     rate_late: Array  # (outputs, inputs)
     rate_early: Array
 
-    @property
-    def stored(self) -> int:
-        """Commands that are on their way at a sample: u_(k-1) and before."""
-        return self.whole_periods + (1 if self.rest_s > 0.0 else 0)
-
     def state_space(self) -> StateSpace:
         """In z: the plant's states, the commands on their way, and the mean rates as they are read."""
-        (n, inputs), m, outputs = self.late.shape, self.stored, len(self.psi)
+        (n, inputs), outputs = self.late.shape, len(self.psi)
+        m = self.whole_periods + (1 if self.rest_s > 0.0 else 0)  # on their way at a sample: u_(k-1) and before
         size = n + m * inputs + outputs
         a, b = np.zeros((size, size)), np.zeros((size, inputs))
         a[:n, :n], a[-outputs:, :n] = self.phi, self.psi / self.sample_s

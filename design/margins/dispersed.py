@@ -174,7 +174,8 @@ class ManyLoops:
         )
         a, b, c = a[:, states[:, None], states], b[:, states[:, None], inputs], c[:, row, states]
         # states of unlike sizes: the same scaling for all, that of the vehicle as it is
-        scale = self._scale
+        nominal = self._nominal.fixed.vehicle.a
+        scale = scipy.linalg.matrix_balance(nominal, permute=False, separate=True)[1][0]
         a, b, c = a / scale[:, None] * scale, b / scale[:, None], c * scale
         poles, vectors = np.linalg.eig(a)
         left = np.linalg.inv(vectors)
@@ -228,12 +229,6 @@ class ManyLoops:
         found, parts = np.concatenate(all_poles, axis=1), np.concatenate(residues, axis=1)
         finite = np.isfinite(parts).all(axis=1)
         return found, np.where(finite[:, None], parts, 0.0), owner, good & finite
-
-    @cached_property
-    def _scale(self) -> Array:
-        return np.asarray(
-            scipy.linalg.matrix_balance(self._nominal.fixed.vehicle.a, permute=False, separate=True)[1][0]
-        )
 
     @cached_property
     def _drives(self) -> tuple[IntArray, IntArray]:

@@ -33,7 +33,9 @@ class Coupled:
         # from a plane's states, inputs and unknown accelerations to those of the whole
         self.columns = self.size + sum(inputs) + sum(len(plane.loaded) for plane in self.planes)
         self.embed, at, unknown = [], self.size, self.size + sum(inputs)
-        for plane, places_of in zip(self.planes, (np.arange(n), _places(k, self.own, n)), strict=True):
+        theirs = np.zeros(k)  # the other plane's own behind the first plane's, those that both share anywhere
+        theirs[self.own] = n + np.arange(len(self.own))
+        for plane, places_of in zip(self.planes, (np.arange(n), theirs), strict=True):
             places = np.concatenate(
                 [places_of, at + np.arange(len(plane.inputs)), unknown + np.arange(len(plane.loaded))]
             )
@@ -137,10 +139,3 @@ class Coupled:
             (*one.inputs, *(f"across_{name}" for name in across.inputs)),
             (*outputs, *(f"across_{name}" for name in outputs), "roll_bending_radps"),
         )  # fmt: skip  # five more lines otherwise
-
-
-def _places(count: int, own: Array, first: int) -> Array:
-    """Of the other plane's states in the whole: its own behind the first plane's, those that both share anywhere."""
-    places = np.zeros(count)
-    places[own] = first + np.arange(len(own))
-    return places

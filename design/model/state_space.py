@@ -71,12 +71,6 @@ def chain(*systems: StateSpace) -> StateSpace:
     return reduce(series, systems)
 
 
-def closed(loop: StateSpace) -> Array:
-    """State matrix of the loop closed with negative feedback (one input, one output)."""
-    gain = 1.0 / (1.0 + float(loop.d[0, 0]))
-    return np.asarray(loop.a - gain * np.outer(loop.b[:, 0], loop.c[0]))
-
-
 def zeros_and_poles(system: StateSpace) -> tuple[ComplexArray, ComplexArray]:
     """Of one input and one output: generalised eigenvalues of the system's matrix (Emami-Naeini & Van Dooren,
     Automatica 18(4), 1982), and eigenvalues of A."""

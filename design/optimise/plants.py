@@ -54,10 +54,6 @@ class Plant:
         """Those of open or closed loop (rad/s) that are not slower than its curve begins."""
         return np.asarray(poles[np.abs(poles) > 2.0 * np.pi * lowest_hz_of(self.path.poles())])
 
-    @property
-    def kept_hz(self) -> Array:
-        return np.array([value for band in self.bands_hz for value in band[1:]])
-
 
 def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
     """Raises ValueError for a node without a first bending mode where that is the objective."""
@@ -144,11 +140,6 @@ class Plants:
         return Rigid(*(np.array([getattr(p, name) for p in self.each]) for name in ("m_delta", "m_alpha", "m_q")))
 
     @property
-    def first_lobes(self) -> Array:
-        """(plants, 2): `Plant.first_lobe_hz`."""
-        return np.array([p.first_lobe_hz for p in self.each])
-
-    @property
     def unstable_open(self) -> Indices:
         """Poles of each fixed path in the right half plane."""
         return np.array([int((p.without_drift(p.path.poles()).real > 1e-9).sum()) for p in self.each], np.int64)
@@ -192,7 +183,7 @@ def make_plants(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> Plants
 
 
 def _meshes(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> list[PathMesh]:
-    return [mesh_of(p.path, p.kept_hz, tolerance) for p in plants]
+    return [mesh_of(p.path, np.array([hz for _, *ends in p.bands_hz for hz in ends]), tolerance) for p in plants]
 
 
 def _with_curves(plants: tuple[Plant, ...], curves: Curves) -> Plants:

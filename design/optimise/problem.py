@@ -53,6 +53,11 @@ class Rows:
         return Rows(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @property
+    def keys(self) -> list[tuple[bool, int, int]]:
+        """Of each row whether it is a limit, `what` and `plant`."""
+        return list(zip((~self.objective).tolist(), self.what.tolist(), self.plant.tolist(), strict=True))
+
+    @property
     def frequency_hz(self) -> Array:
         """nan where there is none."""
         return np.where(self.feature >= 0, np.exp(self.x), np.nan)

@@ -141,7 +141,7 @@ class Solution:
 
 def make_solution(case: Case, plants: Plants, problem: Problem, found: Found, seconds: float, stable: bool) -> Solution:
     """From the best point of a search."""
-    full = problem.evaluate(found.best.variables, complete=True)
+    full, names = problem.evaluate(found.best.variables, complete=True), problem.law.names
     status: Status = "interrupted" if found.interrupted else "optimal" if found.feasible and stable else "infeasible"
     peak = full.rows.objective & ~np.array([plants.each[p].dispersed for p in full.rows.plant])
     nominal = float(full.rows.excess_db[peak].max(initial=-1e3))
@@ -152,7 +152,11 @@ def make_solution(case: Case, plants: Plants, problem: Problem, found: Found, se
         violation_db=full.violation_db,
         law=problem.law.designed(found.best.variables),
         constraints=_constraints(plants, problem, found, full),
-        bounds=_bounds(problem, found),
+        bounds=tuple(
+            Bound(names[k], side, float(at[k]))  # type: ignore[arg-type]  # one of the two literals
+            for side, at in (("lower", found.optimality.lower), ("upper", found.optimality.upper))
+            for k in np.flatnonzero(at > 0.0)
+        ),
         certificate=Certificate(
             starts=len(found.ends_db),
             near_best=found.near_best,
@@ -173,24 +177,19 @@ def make_solution(case: Case, plants: Plants, problem: Problem, found: Found, se
 
 
 def _constraints(plants: Plants, problem: Problem, found: Found, full: Evaluation) -> tuple[Constraint, ...]:
-    rows, few = full.rows, found.best.rows
-    weight: dict[tuple[int, int, bool], float] = {}
-    for r, multiplier in enumerate(found.optimality.multipliers):
-        key = (int(few.what[r]), int(few.plant[r]), bool(few.objective[r]))
-        weight[key] = weight.get(key, 0.0) + float(multiplier)
-    worst: dict[tuple[int, int, bool], int] = {}
-    for r in range(len(rows)):
-        key = (int(rows.what[r]), int(rows.plant[r]), bool(rows.objective[r]))
-        if key not in worst or rows.excess_db[r] > rows.excess_db[worst[key]]:
-            worst[key] = r
+    rows, keys, weight = full.rows, full.rows.keys, defaultdict[tuple[bool, int, int], float](float)
+    for key, multiplier in zip(found.best.rows.keys, found.optimality.multipliers.tolist(), strict=True):
+        weight[key] += multiplier
+    worst: dict[tuple[bool, int, int], int] = {}
+    for r in np.argsort(-rows.excess_db, kind="stable").tolist():
+        worst.setdefault(keys[r], r)
     out = []
-    for key in sorted(worst, key=lambda k: (not k[2], k[0], k[1])):
-        r = worst[key]
-        kind, p = problem.kinds[key[0]], key[1]
-        plant = plants.each[p] if p >= 0 else None
+    for key, r in sorted(worst.items()):
+        is_limit, what, p = key
+        kind, plant = problem.kinds[what], plants.each[p] if p >= 0 else None
         # near the cross without crossing it: an approach, not a margin
         approach = int(rows.feature[r]) in (Kind.GAIN_TURN, Kind.PHASE_TURN)
-        active = rows.excess_db[r] > (full.objective_db if key[2] else 0.0) - ACTIVE_DB
+        active = rows.excess_db[r] > (0.0 if is_limit else full.objective_db) - ACTIVE_DB
         frequency = float(rows.frequency_hz[r])
         out.append(
             Constraint(
@@ -204,16 +203,7 @@ def _constraints(plants: Plants, problem: Problem, found: Found, full: Evaluatio
                 kind.unit,
                 float(rows.excess_db[r]),
                 bool(active),
-                weight.get(key, 0.0),
+                weight[key],
             )
         )
-    return tuple(out)
-
-
-def _bounds(problem: Problem, found: Found) -> tuple[Bound, ...]:
-    out = []
-    names = problem.law.names
-    for side, at in (("lower", found.optimality.lower), ("upper", found.optimality.upper)):
-        for k in np.flatnonzero(at > 0.0):
-            out.append(Bound(names[k], side, float(at[k])))  # type: ignore[arg-type]  # one of the two literals
     return tuple(out)

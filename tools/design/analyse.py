@@ -75,24 +75,21 @@ def execute(order: Order) -> int:
         judged = judge(nodes, design, order.kind, lambda n: progress.show("measuring margins", n, len(nodes)))
         groups = []
         for stage in sorted({node.stage for node in nodes}):
-            limits, mine = design.of_stage(stage).limits, [j for j in judged if j.node.stage == stage]
-            wanted = Wanted.of(limits) if limits else Wanted()
+            wanted, mine = Wanted.of(design.of_stage(stage).limits), [j for j in judged if j.node.stage == stage]
             together = all_axes(scenario, design, [j.time_s for j in mine], order, progress)
             coupled = multiloop_checks(together, wanted)
             name_of = stage_name(scenario.vehicle, stage)
             groups.append(Group(name_of, mine, checks(mine, design, wanted), together, coupled))
-        found = [check for group in groups for check in group.checks]
-        together = [one for group in groups for one in group.together]
-        wanted = Wanted.of(design.limits) if design.limits else Wanted()
         files = []
         if folder is not None:
             forget_pictures(folder)
-            files.append(write_record(folder / RECORD_NAME, analysis_record(name, order, judged, found, together)))
+            files.append(write_record(folder / RECORD_NAME, analysis_record(name, order, groups)))
             if order.pictures:
                 from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
 
                 title = f"{scenario.vehicle.name}: {design.name or name}, {order.kind}"
-                files += pictures.draw_all(pictures.judged_sheets(judged, title, wanted), folder, progress.show)
+                sheets = pictures.judged_sheets(judged, title, Wanted.of(design.limits))
+                files += pictures.draw_all(sheets, folder, progress.show)
     tell(analysis_report(name, order, design, groups))
     tell(f"\n{len(files)} files in {folder}/" if files else "")
     tell(analysis_verdict(groups))

@@ -359,24 +359,24 @@ def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
     ]  # fmt: skip  # seven more lines otherwise
 
 
-def analysis_record(
-    name: str, order: Any, judged: Sequence[Judged], checks: Sequence[Check], together: Sequence[MultiloopMargins]
-) -> dict[str, Any]:
+def analysis_record(name: str, order: Order, groups: Sequence[Group]) -> dict[str, Any]:
     """Of `simdesign analyse`."""
+    checks = [check for group in groups for check in group.checks]
     return {
         "schema": SCHEMA,
         "design": name,
         **{key: getattr(order, key) for key in ("scenario", "axis", "kind", "errata", "plant")},
         "passed": all(check.passed for check in checks),
         "limits": checks_record(checks),
-        "nodes": [node_record(j) for j in judged],
+        "nodes": [node_record(j) for group in groups for j in group.judged],
         "all_axes": [
             {
                 "time_s": m.time_s,
                 **{axis: margins_record(one) for axis, one in zip(m.axes, m.each, strict=True)},
                 "disk": asdict(m.disk),
             }
-            for m in together
+            for group in groups
+            for m in group.together
         ],
     }
 
