@@ -224,9 +224,7 @@ def nodes_along(
         if not abs(time_s) <= LONGEST_S:
             raise ValueError(f"node at {time_s} s: allowed are times up to {LONGEST_S:g} s")
     run = flown_run(scenario, faults)
-    found = {}
-    for time_s in sorted(set(wanted)):
-        found[time_s] = _node(run, time_s, plane, errata)
+    found = {time_s: _node(run, time_s, plane, errata) for time_s in sorted(set(wanted))}
     return with_swings([found[time_s] for time_s in wanted], scenario, faults)
 
 

@@ -36,7 +36,7 @@ from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.certificate import measured_margins
 from maxq.design.certificate.excitation import sine_burst
-from maxq.design.certificate.held_flight import HeldFlight, fast_rows, hold
+from maxq.design.certificate.held_flight import HeldFlight, hold
 from maxq.design.certificate.measured_margins import amplitude
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
@@ -98,9 +98,8 @@ def fly_cycle(held: HeldFlight, tank: int, baffle: Baffle, frequency_hz: float, 
         _damp(slosh, tank, 0.0)
         slosh.law, slosh.ring_damping[tank] = 1, baffle.damping(1.0)
 
-    run = held.run(WATCHED_S, (sine_burst(held, frequency_hz, level),), baffled)
+    run, values = held.fly(WATCHED_S, (sine_burst(held, frequency_hz, level),), baffled)
     column = slosh_columns(run, held.plane)[tank]
-    values = fast_rows(run)
     quarter = len(values) // 4
     if run.now_s < WATCHED_S - 1.0 or quarter < 8:
         return SloshCycle(math.nan, False, math.nan)

@@ -26,6 +26,7 @@ from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import Plane
 from maxq.design.verify.memory import content_hash
 from maxq.sim.files import FileError, cannot_write, check_writable, whole_file, write_whole
+from maxq.sim.flight.channels import unit_suffix
 from maxq.sim.log.head import maxq_version
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.fly import FlightRun
@@ -41,10 +42,7 @@ SOURCES = ("flight_law.h", "flight_law.c", "flight_law_fsw.c", "test_flight_law.
 TEST_SAMPLES = 600
 EXPORTED_LAWS = get_args(Law)
 _SHAKEN = {"at": "rate_command", "kind": "sine", "amplitude_degps": 2.0}
-_UNITS = {
-    "radps2": "rad/s^2", "radps": "rad/s", "rad": "rad", "mps2": "m/s^2", "mps": "m/s", "m": "m", "s": "s", "N": "N",
-    "Nm": "N m",
-}  # fmt: skip  # five more lines otherwise
+_UNITS = {unit_suffix(unit): unit for unit in ("rad/s^2", "rad/s", "rad", "m/s^2", "m/s", "m", "s", "N", "N m")}
 
 
 @dataclass(frozen=True)

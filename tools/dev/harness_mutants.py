@@ -103,5 +103,10 @@ NAMED = (
         "computer knows what an engine deviates by",
     ),
     (WORST, "drift_radps = 2.0 * np.pi * «lowest_hz_of(np.asarray(loop.open_poles()))»", "0.0", "drift is unstable"),
-    (JUDGING, 'return self.values - self.limit if self.sense == «">="»', '"<="', "farthest within taken for the worst"),
+    (
+        JUDGING,
+        'margin = self.values - self.limit if self.sense == «">="»',
+        '"<="',
+        "farthest within taken for the worst",
+    ),
 )
