@@ -103,9 +103,5 @@ def _bounded(verdict: Verdict) -> str:
     kind, bound = verdict.bound
     sign = ">" if kind == "limit" else "<"
     unit = unit_of(verdict.requirement.metric)
-    text = f"{_value(verdict.value)} {sign} {_value(bound)}" + ("" if unit == "1" else f" {unit}")
+    text = f"{verdict.value:.6g} {sign} {bound:.6g}" + ("" if unit == "1" else f" {unit}")
     return text + (f" at {verdict.time_s:.3f} s" if math.isfinite(verdict.time_s) else "")
-
-
-def _value(value: float) -> str:
-    return f"{value:.6g}"

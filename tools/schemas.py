@@ -38,42 +38,33 @@ def json_schema(kind: str) -> dict[str, Any]:
     properties |= {"extends": _EXTENDS, "unset": _UNSET}
     if required := schema.pop("required", []):
         schema["anyOf"] = [{"required": required}, {"required": ["extends"]}]
-    cleaned: dict[str, Any] = _within_ranges(_without_null(schema))
+    cleaned: dict[str, Any] = _as_written(schema)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | cleaned
 
 
-def _without_null(node: Any) -> Any:
-    """The schema without null, which TOML does not have (optional keys are left out), and without titles."""
+_KEPT = ("default", "enum", "required")  # values, no schemas
+
+
+def _as_written(node: Any, name: str = "") -> Any:
+    """The schema of what TOML can hold: without null (optional keys are left out) and without titles; each number with
+    the range that goes by the `name` of its key or column, where it has no bound of its own.
+    """
     if isinstance(node, list):
-        return [_without_null(item) for item in node]
+        return [_as_written(item, name) for item in node]
     if not isinstance(node, dict):
         return node
-    out = {
-        key: _without_null(item)
-        for key, item in node.items()
-        if not (key == "default" and item is None) and not (key == "title" and isinstance(item, str))
-    }
+    out = {key: _as_written(below, name) for key, below in node.items() if key not in _KEPT}
+    out |= {key: node[key] for key in _KEPT if key in node and node[key] is not None}
+    for key in ("properties", "$defs"):
+        if key in out:
+            out[key] = {n: _as_written(item, n) for n, item in node[key].items()}
+    if isinstance(out.get("title"), str):
+        del out["title"]
     choices = out.get("anyOf")
     if isinstance(choices, list) and {"type": "null"} in choices:
         rest = [choice for choice in choices if choice != {"type": "null"}]
         del out["anyOf"]
         out = (rest[0] | out) if len(rest) == 1 else out | {"anyOf": rest}
-    return out
-
-
-def _within_ranges(node: Any, name: str = "") -> Any:
-    """The schema with the range of each number by the `name` of its key or column, where it has no bound of its own."""
-    if isinstance(node, list):
-        return [_within_ranges(item, name) for item in node]
-    if not isinstance(node, dict):
-        return node
-    out = {
-        key: {n: _within_ranges(item, n) for n, item in below.items()}
-        if key in ("properties", "$defs")
-        else _within_ranges(below, name)
-        for key, below in node.items()
-        if key not in ("default", "enum", "required")
-    } | {key: node[key] for key in ("default", "enum", "required") if key in node}
     if out.get("type") in ("number", "integer"):
         most = range_of(name).most
         ends = {"minimum": -most, "maximum": most}
@@ -84,7 +75,7 @@ def _within_ranges(node: Any, name: str = "") -> Any:
 def _campaign() -> dict[str, Any]:
     """A scenario with the sections that make it a campaign."""
     schema = json_schema("scenario")
-    further = _within_ranges(_without_null(CampaignFile.model_json_schema(by_alias=True)))
+    further = _as_written(CampaignFile.model_json_schema(by_alias=True))
     further["$defs"]["Campaign"].pop("required")  # the file that is extended may be a campaign already
     return schema | {
         "description": CampaignFile.__doc__,

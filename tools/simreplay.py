@@ -58,7 +58,7 @@ def _parser() -> Parser:
     add("--port N", "of --web (default 9090)", ["--web"], type=int)
     add("--tab NAME", "the tab of plots that is in front, e.g. Bending", _SCENES)
     about = "plots keep the smallest and the largest sample of each 1/HZ s (default 50; 10 for more than 4 flights)"
-    add("--rate HZ", about, _SCENES, type=positive)
+    add("--rate HZ", about, _SCENES, type=positive, dest="rate_hz")
     add("--bend-factor X", "how much larger bending is drawn", _SCENES, type=positive)
     add("--slosh-factor X", "how much larger slosh angles are drawn", _SCENES, type=positive)
     add("--side-by-side", "vehicles of several flights beside each other", _SCENES)

@@ -67,9 +67,8 @@ class FlownView:
                 viewer.show(path)
             return
         recording = _connected(flight.label, self._port)
-        recording.send_blueprint(
-            convert.send_flights(recording, [flight], convert.Options()), make_active=True, make_default=True
-        )
+        made = convert.send_flights(recording, [flight], convert.Options())
+        recording.send_blueprint(made, make_active=True, make_default=True)
         try:
             recording.flush(timeout_sec=_FLOWN_PATIENCE_S)
         except (RuntimeError, ValueError) as error:
@@ -115,8 +114,7 @@ class LiveView:
         self._start_s = scenario.run.start_s
         self._scene: Scene | None = None
         self._grid = ""
-        self._told: set[Event] = set()
-        self._moments: list[Moment] = []
+        self._moments: dict[Event, Moment] = {}
         self._phases: list[stream.Phase] = []
         self._start_place: tuple[float, float] | None = None
         self._table: ChannelTable | None = None
@@ -229,13 +227,12 @@ class LiveView:
 
     def _send_events(self, run: FlightRun) -> None:
         for event in run.events:
-            if event in self._told:
+            if event in self._moments:
                 continue
-            self._told.add(event)
             moment = Moment(event.name, event.time_ns, event.text, LEVELS.get(event.name, Level.INFO))
-            self._moments.append(moment)
+            self._moments[event] = moment
             stream.send_events(self._recording, _ROOT, [moment])
-            now = stream.phases(self._phases[0], self._moments)
+            now = stream.phases(self._phases[0], self._moments.values())
             stream.send_phases(self._recording, _ROOT, [p for p in now if p not in self._phases], styled=False)
             self._phases = now
 

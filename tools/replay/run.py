@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from maxq.tools.cli.frame import Exit, say
+from maxq.tools.cli.parser import filled
 from maxq.tools.cli.terminal import Progress
 from maxq.tools.replay import viewer
 from maxq.tools.replay.flight import ReplayFlight, find_logs, open_flights
@@ -101,9 +102,7 @@ def _give_back_memory() -> None:
 def _convert(flights: Sequence[ReplayFlight], given: argparse.Namespace, path: Path) -> None:
     from maxq.tools.replay.convert import Options, save  # noqa: PLC0415  # lazy: loads rerun
 
-    options = Options(
-        given.rate, given.bend_factor, given.slosh_factor, given.side_by_side, given.tab, bool(given.screenshot)
-    )
+    options = filled(Options, given, bare=bool(given.screenshot))
     _check_writable(path)
     with Progress(at_once=True) as bar:
         bar.show("preparing the replay", 0, 0)

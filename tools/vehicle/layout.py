@@ -13,25 +13,13 @@ import numpy as np
 from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_STAGES
+from maxq.sim.scenario import schema_values as values
 from maxq.sim.scenario.errors import refuse
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_loads import SHARE_COLUMNS
 from maxq.sim.scenario.schema_stage import SECTIONS, THRUST_COLUMNS, Aero
 from maxq.sim.scenario.schema_tank import Profile, check_domes
-from maxq.sim.scenario.schema_values import (
-    Angle,
-    ChannelPart,
-    Fraction,
-    Latitude,
-    Longitude,
-    NotNegative,
-    Pair,
-    Period,
-    Positive,
-    Seconds,
-    Section,
-    optional,
-)
+from maxq.sim.scenario.schema_values import Fraction, NotNegative, Pair, Positive, Section, optional
 from maxq.sim.scenario.schema_vehicle import Bending, SpatialModes
 from maxq.sim.scenario.tables_csv import CsvTable
 
@@ -83,7 +71,7 @@ class Shell(Between):
 class Tank(Section):
     """An upright tank on the axis with the propellant in it."""
 
-    name: ChannelPart = Field(description="name of the tank in logs")
+    name: values.ChannelPart = Field(description="name of the tank in logs")
     liquid_mass_kg: Positive = Field(description="propellant at lift-off, kg")
     residual_kg: NotNegative = optional("of it left at burn-out, kg", 0.0)
     density_kgpm3: Positive = Field(description="of the propellant, kg/m3")
@@ -178,7 +166,7 @@ class Fins(Section):
 class Stage(Between):
     """A stage with its extent in the vehicle."""
 
-    name: ChannelPart = Field(description="name of the stage")
+    name: values.ChannelPart = Field(description="name of the stage")
     diameter_m: Positive = Field(description="m")
     part: tuple[Part, ...] = optional("dry parts, engines apart", ())
     shell: tuple[Shell, ...] = Field(min_length=1, description="structure from the front to the rear of the stage")
@@ -193,8 +181,8 @@ class Stage(Between):
     modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes of the beam", 3)
     bending_damping: Fraction = optional("damping ratio of all modes", 0.005)
     roll_torque_Nm: Positive | None = optional("of roll thrusters, N m (default: what turns by 5 deg/s2 at ignition)")
-    separation_after_s: Seconds = optional("from burn-out to separation, s", 1.0)
-    ignition_after_s: Seconds = optional("from separation of the stage before to ignition, s", 2.0)
+    separation_after_s: values.Seconds = optional("from burn-out to separation, s", 1.0)
+    ignition_after_s: values.Seconds = optional("from separation of the stage before to ignition, s", 2.0)
 
     @property
     def usable_kg(self) -> float:
@@ -219,10 +207,10 @@ class Stage(Between):
 class Site(Section):
     """Where it is launched."""
 
-    latitude_deg: Latitude = Field(description="geodetic, deg")
-    longitude_deg: Longitude = Field(description="east, deg")
+    latitude_deg: values.Latitude = Field(description="geodetic, deg")
+    longitude_deg: values.Longitude = Field(description="east, deg")
     altitude_m: float = optional("above the ellipsoid, m", 0.0)
-    azimuth_deg: Angle = Field(description="of the launch, deg from north")
+    azimuth_deg: values.Angle = Field(description="of the launch, deg from north")
     jet_mps: Positive = optional("of the limit wind of the suite: from the west, largest at 11 km, m/s", 40.0)
 
 
@@ -260,8 +248,8 @@ class Trajectory(Section):
 class Control(Section):
     """Flight computer, gyro and the first gains."""
 
-    sample_s: Period = optional("sample period, s", 0.01)
-    delay_s: Seconds = optional("from sample to command, s", 0.003)
+    sample_s: values.Period = optional("sample period, s", 0.01)
+    delay_s: values.Seconds = optional("from sample to command, s", 0.003)
     gyro_station_m: float = Field(description="station of the rate gyros, m aft of the nose; in the last stage")
     accelerometer_station_m: float | None = optional(
         "station of a lateral accelerometer for load relief, in the last stage (default: none)"
