@@ -33,7 +33,6 @@ from maxq.design.model.spread import (
 )
 from maxq.design.verify import linear, worst
 from maxq.design.verify.linear import vehicles
-from maxq.design.verify.named_mu import Within
 from maxq.design.verify.suite import LinearMargins, WorstWanted, read_suite
 from maxq.design.verify.worst import WorstVehicle, distance, search_node, slope, worst_requirements
 from maxq.sim.campaign.read import load_campaign
@@ -302,7 +301,7 @@ def test_words_claim_no_more_than_was_searched() -> None:
     )  # fmt: skip  # four more lines otherwise
     assert rows[1].judgement == "accepted"
     assert rows[0].again == "simverify x --only worst"
-    bounded = replace(found, within=Within(2.0, 31.75, 146), together=Within(1.9, 31.75, 146))
+    bounded = replace(found, within_sigmas=2.0, within_hz=31.75, within_tried=146, together_sigmas=1.9)
     assert worst_requirements(bounded, WorstWanted(modulus=0.25), "")[0].found.endswith(
         "; mu, to first order: none unstable within 2 sigma each (146 frequencies, 31.8 Hz); "
         "pitch, yaw and roll together within 1.9 sigma each"

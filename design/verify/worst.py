@@ -37,7 +37,7 @@ from maxq.design.model.plant import per_command, vehicle_plants
 from maxq.design.model.spread import Place, Spread, places_of, root_of_correlation, scenario_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.memory import counted
-from maxq.design.verify.named_mu import Within, stable_together, stable_within
+from maxq.design.verify.named_mu import stable_together, stable_within
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario
@@ -71,8 +71,10 @@ class WorstVehicle:
     kept_control: bool = True
     text: str = ""
     not_flown: tuple[str, ...] = ()
-    within: Within | None = None  # at that node
-    together: Within | None = None  # the same of pitch, yaw and roll together
+    within_sigmas: float = math.nan  # of each deviation, at that node: no vehicle is unstable (named_mu.py)
+    within_hz: float = math.nan
+    within_tried: int = 0  # frequencies
+    together_sigmas: float = math.nan  # the same of pitch, yaw and roll together
 
     @property
     def label(self) -> str:
@@ -280,7 +282,9 @@ def search_plane(
     return WorstVehicle(
         stage, node.plane, node.time_s, dict(zip(places, (3.0 * u).tolist(), strict=True)),
         exact.modulus if exact.stable else 0.0, searches, loops,
-        "; ".join(lost) or "control kept", not lost, scenario.as_flown, tuple(missing), within, together,
+        "; ".join(lost) or "control kept", not lost, scenario.as_flown, tuple(missing),
+        *((within.sigmas, within.at_hz, within.tried) if within is not None else (math.nan, math.nan, 0)),
+        together.sigmas if together is not None else math.nan,
     )  # fmt: skip  # nine more lines otherwise
 
 
@@ -289,11 +293,11 @@ def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> 
     whose = ", ".join(filter(None, (found.plane, found.stage)))
     said = f"{found.modulus:.3f}" if found.modulus else "unstable"
     said += f"; no worse corner found in {found.searches} searches ({found.loops} loops)"
-    if found.within is not None:
-        said += f"; mu, to first order: none unstable within {found.within.sigmas:.2g} sigma each "
-        said += f"({found.within.tried} frequencies, {found.within.at_hz:.3g} Hz)"
-    if found.together is not None:
-        said += f"; pitch, yaw and roll together within {found.together.sigmas:.2g} sigma each"
+    if found.within_tried:
+        said += f"; mu, to first order: none unstable within {found.within_sigmas:.2g} sigma each "
+        said += f"({found.within_tried} frequencies, {found.within_hz:.3g} Hz)"
+    if not math.isnan(found.together_sigmas):
+        said += f"; pitch, yaw and roll together within {found.together_sigmas:.2g} sigma each"
     flown = found.flown + (f"; without {', '.join(found.not_flown)}" if found.not_flown else "")
     rows = [(f"that vehicle flown, {whose}", "control kept", flown, found.kept_control, math.nan)]
     if wanted.modulus is not None:
