@@ -77,8 +77,7 @@ def execute(order: Order) -> int:
             from maxq.tools.replay.live import FlownView  # noqa: PLC0415  # lazy: rerun takes half a second
 
             view = FlownView(order.view_port)
-    with Interruption() as interruption:
-        stop: Stop = partial(getattr, interruption, "requested")
+    with Interruption() as stop:
         if order.folder is None:
             return _fly(order, stop)
         folder = Path(order.folder)

@@ -63,10 +63,7 @@ def execute(order: Order, start_s: float) -> int:
         total_s = time.perf_counter() - start_s
         return {"load_s": loaded_s - start_s, "prepare_s": prepared_s - loaded_s, "total_s": total_s}
 
-    with Interruption() as interruption, Progress() as progress:
-
-        def stop() -> bool:
-            return interruption.requested
+    with Interruption() as stop, Progress() as progress:
 
         def watch(run: FlightRun) -> None:
             show_flight(progress, run)

@@ -99,7 +99,8 @@ def _description(path: Path) -> str:
 class Interruption:
     """Ctrl-C and SIGTERM (what a batch system sends before it kills), taken as a request so that files can be closed.
 
-    Within its block the first Ctrl-C or SIGTERM only sets `requested`; a second one raises KeyboardInterrupt.
+    Within its block the first Ctrl-C or SIGTERM only sets `requested`, which calling the object tells as well; a second
+    one raises KeyboardInterrupt.
 
     `at_once`: the first one raises, too. A library's callback may swallow the exception (compilers print "Exception
     ignored"); calling `check` now and then raises it again. Outside the main thread, where Python has no signals, the
@@ -119,6 +120,9 @@ class Interruption:
     def __exit__(self, *error: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
+
+    def __call__(self) -> bool:
+        return self.requested
 
     def check(self) -> None:
         """Raises KeyboardInterrupt where an interruption was requested."""

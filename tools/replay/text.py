@@ -14,7 +14,7 @@ from maxq.sim.flight.metric_table import figures
 from maxq.sim.log.messages import Level
 from maxq.tools.plots.palette import ON_DARK
 from maxq.tools.replay.flight import LaunchSite, ReplayFlight, Requirement
-from maxq.tools.replay.plots import Curve, Plot, tabs_of
+from maxq.tools.replay.plots import Curve, Plot, range_of, tabs_of
 from maxq.tools.replay.vehicle_shape import Exaggeration
 
 _VERDICTS = {"passed": "passed", "failed": "FAILED", "unknown": "no verdict: there is no summary.json beside the log"}
@@ -121,11 +121,11 @@ def summary_text(flight: ReplayFlight, width: int | None = None, ascii_only: boo
     start, end = flight.span_s
     span_ns = round(start * 1e9), round(end * 1e9)
     lines = [f"{flight.label}: {flight.outcome} at {end:.1f} s, {flight.verdict}"]
-    lines += [text] if (text := flight.log.metadata.get("description", "")) else []
-    lines += [*(f"incomplete: {note}" for note in flight.notes)]
-    lines += ["", *(f"  {m.line}" for m in flight.moments), ""]
+    lines += filter(None, [flight.log.metadata.get("description", "")])
+    lines += (f"incomplete: {note}" for note in flight.notes)
     left, right = f"{start:g} s", f"{end:.1f} s"
-    lines.append(f"{'':{names}}  {left}{' ' * max(cells - len(left) - len(right), 1)}{right}")
+    scale = f"{left}{' ' * max(cells - len(left) - len(right), 1)}{right}"
+    lines += ["", *(f"  {m.line}" for m in flight.moments), "", f"{'':{names}}  {scale}"]
     for row in rows:
         line = sparkline(row.ns, row.values, span_ns, cells, _PLAIN_BLOCKS if ascii_only else _BLOCKS)
         lines.append(f"{row.name:{names}}  {line}  {row.ends}{' !' if row.broken else ''}")
@@ -152,24 +152,25 @@ def _can_print_blocks() -> bool:
 
 def _row(plot: Plot, curve: Curve, flight: ReplayFlight) -> _Row | None:
     ns, values = curve.values(flight.log)
-    finite = np.isfinite(values)
-    if not finite.any():
+    found = range_of([values])
+    if found is None:
         return None
-    low, high = float(values[finite].min()), float(values[finite].max())
+    low, high = found
     least = 1e-4 * max(abs(low), abs(high))
     ends = " .. ".join("0" if abs(x) <= least else figures(x, 4 if abs(x) >= 1000.0 else 3) for x in (low, high))
-    burning = values[finite & (ns <= round(flight.burn_end_s * 1e9))]  # requirements are judged under thrust
+    burning = values[
+        np.isfinite(values) & (ns <= round(flight.burn_end_s * 1e9))
+    ]  # requirements are judged under thrust
     broken = any((burning > x.value).any() if x.upper else (burning < x.value).any() for x in plot.limits if x.required)
     return _Row(plot.glance[1].format(curve.label), ns, values, f"{ends} {plot.unit}".rstrip(), broken)
 
 
 def sparkline(ns: IntArray, values: Array, span_ns: tuple[int, int], cells: int, blocks: str = _BLOCKS) -> str:
     """A character for each of `cells` intervals; where it swings, its largest excursion, so that no peak is lost."""
-    finite = np.isfinite(values)
-    if not finite.any():
+    found, finite = range_of([values]), np.isfinite(values)
+    if found is None:
         return " " * cells
-    low, high = float(values[finite].min()), float(values[finite].max())
-    middle = float(np.median(values[finite]))
+    (low, high), middle = found, float(np.median(values[finite]))
     place = np.clip((ns - span_ns[0]) * cells // max(span_ns[1] - span_ns[0], 1), 0, cells - 1)
     out = []
     for cell in range(cells):

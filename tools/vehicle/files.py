@@ -3,7 +3,6 @@ campaign, a case and a suite, as simrun, simdesign and simverify read them."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
@@ -417,21 +416,22 @@ def _campaign(built: Built) -> dict[str, Any]:
     ]  # fmt: skip  # ten more lines otherwise
     for of_layout, stage in enumerate(built.layout.stage):
         parts = [n for n, stack in enumerate(built.stacks) if stack.number == of_layout]  # two if it drops the fairing
-        engine = stage.engine
-        several = {"engines": len(engine.positions_m), "groups": len(set(engine.groups)), "poles": len(engine.servo_hz)}
-        each, every = ".{engines}" * (several["engines"] > 1), ".{groups}" * (several["groups"] > 1)
-        paths = {
-            "thrust at equal impulse": f"engine{each}.mass_flow_factor", "normal force": "aero.force_factor",
-            "axial force": "aero.axial_factor", "actuator poles": f"actuator{every}.omega_hz.{{poles}}",
-        }  # fmt: skip  # three more lines otherwise
+        e = stage.engine
+        engines, groups, poles = _each(len(e.positions_m)), _each(len(set(e.groups))), range(len(e.servo_hz))
+        keys = {
+            "thrust at equal impulse": [(n, f"engine{one}.mass_flow_factor") for n, one in engines],
+            "normal force": [("", "aero.force_factor")],
+            "axial force": [("", "aero.axial_factor")],
+            "actuator poles": [(f"{n} {p + 1}", f"actuator{one}.omega_hz.{p}") for n, one in groups for p in poles],
+        }
         if built.modes[parts[0]][1][0] and stage.spatial_modes is None:
-            paths["frequency of mode 1"] = "bending.frequency_factor.0"
+            keys["frequency of mode 1"] = [("", "bending.frequency_factor.0")]
         of = f", {stage.name}" if len(built.layout.stage) > 1 else ""
-        for name, path in paths.items():
+        for name, elements in keys.items():
             spread += [
                 {"name": f"{name}{of}{number}", "keys": [f"vehicle.stage.{n}.{one}" for n in parts], "apply": "scale",
                  "distribution": "normal", "three_sigma": SPREAD[name], "source": "assumed, to begin with"}
-                for number, one in _elements(path, several)
+                for number, one in elements
             ]  # fmt: skip  # five more lines otherwise
     return {
         "schema": 1, "extends": "scenario.toml", "description": f"{built.layout.name}, dispersed, in wind",
@@ -440,14 +440,9 @@ def _campaign(built: Built) -> dict[str, Any]:
     }  # fmt: skip  # four more lines otherwise
 
 
-def _elements(path: str, several: dict[str, int]) -> list[tuple[str, str]]:
-    """The key paths of all elements of the lists that a path names by braces, and what tells each from the others."""
-    named = [name for name in several if f"{{{name}}}" in path]
-    found = []
-    for numbers in itertools.product(*(range(several[name]) for name in named)):
-        label = "".join(f" {number + 1}" for number in numbers)
-        found.append((label, path.format(**dict(zip(named, numbers, strict=True)))))
-    return found
+def _each(count: int) -> list[tuple[str, str]]:
+    """What tells the elements of a list from each other in names and in key paths; nothing for a single one."""
+    return [(f" {k + 1}", f".{k}") for k in range(count)] if count > 1 else [("", "")]
 
 
 def _case(built: Built) -> dict[str, Any]:

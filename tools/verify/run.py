@@ -70,13 +70,13 @@ def execute(order: Order) -> int:
     for folder in folders:
         check_writable(folder)
     found: list[Verification] = []
-    with Interruption() as interruption, Progress() as progress:
+    with Interruption() as stop, Progress() as progress:
         for name, path, folder in zip(order.designs, paths, folders, strict=True):
             begun = time.perf_counter()
             try:
                 one = verify(
                     path, loaded, vehicle=order.vehicle, memory=memory.default_folder() if order.memory else None,
-                    watch=progress.show, stop=lambda: interruption.requested,
+                    watch=progress.show, stop=stop,
                 )  # fmt: skip  # four more lines otherwise
             except ValueError as error:
                 if not str(error).startswith("node at"):
@@ -175,7 +175,7 @@ def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = Tru
     names = [str(c.folder) for c in ranked]
     try:
         with Interruption() as stop, Progress() as progress:
-            accepted, every = try_in_order(names, suite, keep=keep, watch=progress.show, stop=lambda: stop.requested)
+            accepted, every = try_in_order(names, suite, keep=keep, watch=progress.show, stop=stop)
     except KeyboardInterrupt:
         say("simdesign", "interrupted; what was worked out is kept, the same command resumes")
         return Exit.INTERRUPTED
