@@ -46,6 +46,7 @@ def _run(arguments: list[str]) -> int:
     from maxq.sim.files import check_writable, plain_name, write_whole  # noqa: PLC0415  # lazy, as all here
     from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.build import build, too_weak  # noqa: PLC0415  # lazy
+    from maxq.tools.vehicle.compare import compared, comparison  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.figures import page  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.files import write  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.layout import read_layout  # noqa: PLC0415  # lazy
@@ -66,8 +67,6 @@ def _run(arguments: list[str]) -> int:
         files.append(write_whole(folder / "vehicle.html", page(built)))
     tell(report(built))
     if options.compare is not None:
-        from maxq.tools.vehicle.compare import compared, comparison  # noqa: PLC0415  # lazy: loads the linear model
-
         try:
             tell(f"\n{comparison(compared(built, folder, options.compare), options.compare)}")
         except ValueError as error:

@@ -210,6 +210,11 @@ class _Model:
         jettison_m = math.inf if fairing is None else fairing.jettison_altitude_m
         y: State = (0.0, self.layout.site.altitude_m, 0.0, 0.5 * math.pi)
         time_s, kept, begins, dropped = 0.0, list[Point](), list[float](), None
+
+        def above(_: float, y: Array) -> float:
+            return float(y[1]) - jettison_m
+
+        above.terminal, above.direction = True, 1.0  # type: ignore[attr-defined]  # so SciPy ends the integration there
         for n, stack in enumerate(self.stacks):
             burn, stage = stack.burn, stack.stage
             begins.append(time_s)
@@ -228,7 +233,7 @@ class _Model:
                 found = solve_ivp(
                     partial(self.rate, n, time_s, gone), (a, b), y, t_eval=np.unique([*at[(at >= a) & (at < b)], b]),
                     rtol=1e-7, atol=[1.0, 1.0, 1e-4, 1e-7], max_step=_STEP_s,
-                    events=_Above(jettison_m) if can_drop else None,
+                    events=above if can_drop else None,
                 )  # fmt: skip  # five more lines otherwise
                 rows = np.reshape(found.y, (4, -1)).T
                 for t, row in zip(found.t, rows, strict=True):
@@ -255,18 +260,6 @@ class _Model:
 def _state(row: Array) -> State:
     reach, altitude, speed, path = (float(v) for v in row)
     return reach, altitude, speed, path
-
-
-class _Above:
-    """The event that ends an integration: rising through an altitude."""
-
-    terminal, direction = True, 1.0
-
-    def __init__(self, altitude_m: float) -> None:
-        self.altitude_m = altitude_m
-
-    def __call__(self, _: float, y: Array) -> float:
-        return float(y[1]) - self.altitude_m
 
 
 _standard, _upper = from_python(us1976), upper_air()

@@ -192,9 +192,8 @@ def _headings(part: Sequence[Requirement]) -> list[str]:
         return [""] * len(planes)
     for n in reversed(range(len(planes) - 1)):
         planes[n] = planes[n] or planes[n + 1]
-    last = ""
-    for n, plane in enumerate(planes):
-        planes[n] = last = plane or last
+    for n in range(1, len(planes)):
+        planes[n] = planes[n] or planes[n - 1]
     return [f", {plane}" for plane in planes]
 
 
