@@ -352,11 +352,13 @@ class Case(Section):
         objective = {"load": of_wind[0], "bending-moment": of_wind[2]}.get(self.objective.kind)
         if objective is not None and self.wind is None:
             raise refuse("needs a wind", "a table [wind]", ("objective", "kind"))
+        small_m = self.objective.stations_m  # a limit of a moment may be about another station
+        made_small = small_m is None or any(one.station_m in small_m for one in self.limits.bending_moment)
         for key in of_wind:
             asked = getattr(self.limits, key) not in (None, ())
             if asked and self.wind is None:
                 raise refuse("needs a wind", "a table [wind]", ("limits", key))
-            if asked and key == objective and self._made_small:
+            if asked and key == objective and made_small:
                 raise refuse("is the objective", "no limit of it", ("limits", key))
         if self.bends and self.errata == "paper":
             raise refuse("has no bending moments", "errata = 'corrected'", "errata")
@@ -371,12 +373,6 @@ class Case(Section):
         least, most = self.limits.integral_hz, self.limits.most_integral_hz
         if most is not None and least is not None and most < least:
             raise refuse("is below integral_hz", f"at least {least:g}", ("limits", "most_integral_hz"), value=most)
-
-    @property
-    def _made_small(self) -> bool:
-        """Whether a limit of the objective's kind is the objective: that of a moment may be about another station."""
-        stations = self.objective.stations_m
-        return stations is None or any(one.station_m in stations for one in self.limits.bending_moment)
 
     @property
     def bends(self) -> bool:

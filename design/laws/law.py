@@ -105,11 +105,6 @@ class LogResponse:
     common: tuple[ComplexArray, ComplexArray, ComplexArray]
     gains: tuple[ComplexArray | Array, ComplexArray | None, ComplexArray | None]
 
-    def term(self, i: int) -> tuple[ComplexArray | Array, ComplexArray | None, ComplexArray | None]:
-        """Those of one input, (points,)."""
-        value, first, second = self.gains
-        return value[:, i], None if first is None else first[:, i], None if second is None else second[:, i]
-
 
 @dataclass(frozen=True)
 class LawLimit:

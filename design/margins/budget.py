@@ -21,10 +21,10 @@ from maxq.design.loop.loop import Loop
 from maxq.design.loop.rational import average
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.solving import DB, wrapped
-from maxq.design.model.instruments import actuator, actuator_response, gyro
+from maxq.design.model.instruments import actuator_response, lag
 from maxq.design.model.node import Node
 from maxq.design.model.plant import Liquids, per_actuator_angle
-from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, channels
+from maxq.design.model.state_space import ComplexArray, Resolvent, channels
 from maxq.design.model.vehicle_at import Modes, Pendulums, VehicleAt
 
 Response = Callable[[Array], ComplexArray]
@@ -169,17 +169,12 @@ def _computer(loop: Loop) -> list[tuple[str, Response]]:
 
 
 def _instruments(node: Node) -> list[tuple[str, Response]]:
-    out = []
-    if not node.instruments.gyro.ideal:
-        out.append(("gyro", _channel(gyro(node.instruments.gyro))))
+    gyro, out = node.instruments.gyro, []
+    if not gyro.ideal:
+        out.append(("gyro", _of_s(lambda s: lag(s, gyro.omega_radps, gyro.zeta))))
     if not node.instruments.actuator.ideal:
-        out.append(("actuator", _channel(actuator(node.actuator))))
+        out.append(("actuator", _of_s(lambda s: actuator_response(node.actuator, s))))
     return out
-
-
-def _channel(system: StateSpace) -> Response:
-    resolvent = Resolvent(system.a, system.b[:, :1], system.c[:1])
-    return _of_s(lambda s: resolvent(s)[..., 0, 0])
 
 
 def _vehicle(node: Node) -> Response:

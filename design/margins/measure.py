@@ -113,12 +113,14 @@ def margins(
     gain, phase, curve = curves.find_crossings(separated(curves.refine_extremes(curve)))
     growing = unstable(curve.closed_poles, curve.lowest_radps)
     encircled = curves.encirclement_count(curve, phase)
-    growth, growth_hz = _slowest(curve)
+    slow = curve.closed_poles[np.abs(curve.closed_poles) > curve.lowest_radps]
+    slowest = slow[np.argmax(slow.real)] if len(slow) else complex(-np.inf, 0.0)
     stable = len(growing) == 0 and encircled == 0
     facts: dict[str, Any] = {
-        "stable": stable, "unstable_poles": len(growing), "encircled_poles": encircled, "growth_1ps": growth,
-        "growth_hz": growth_hz, "gain_crossings": gain, "phase_crossings": phase, "curve": curve,
-    }  # fmt: skip  # six more lines otherwise
+        "stable": stable, "unstable_poles": len(growing), "encircled_poles": encircled,
+        "growth_1ps": float(slowest.real), "growth_hz": float(abs(slowest.imag) / (2.0 * np.pi)),
+        "gain_crossings": gain, "phase_crossings": phase, "curve": curve,
+    }  # fmt: skip  # five more lines otherwise
     if not stable:
         nothing = complex(np.nan, np.nan)
         return Margins(**facts, clearances=tuple(Clearance(zone, np.nan, np.nan, nothing) for zone in zones))
@@ -144,14 +146,6 @@ def margins(
         clearances=find_clearances(curve, tuple(zones), gain, phase),
         lobes=lobes,
     )
-
-
-def _slowest(curve: Curve) -> tuple[float, float]:
-    p = curve.closed_poles[np.abs(curve.closed_poles) > curve.lowest_radps]
-    if not len(p):
-        return -np.inf, 0.0
-    k = int(np.argmax(p.real))
-    return float(p.real[k]), float(abs(p.imag[k]) / (2.0 * np.pi))
 
 
 def _inside(f: Array, lobes: Sequence[Lobe]) -> NDArray[np.bool_]:

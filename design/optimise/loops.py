@@ -65,11 +65,11 @@ class Loops:
         ratios = np.ones((len(x), len(self.law.inputs)), np.complex128)
         total, slope, bend = np.zeros((3, len(x)), np.complex128)
         for i, name in enumerate(self.law.inputs):
-            gain, gain_1, gain_2 = law.term(i)
+            gain_1, gain_2 = (None if part is None else part[:, i] for part in law.gains[1:])
             log = p.log_ratio[name]
             if log is not None:
                 ratios[:, i] = np.exp(log[0])
-            here = gain * ratios[:, i]
+            here = law.gains[0][:, i] * ratios[:, i]
             total += here
             if log is not None:
                 slope += here * log[1]

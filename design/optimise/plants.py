@@ -46,10 +46,6 @@ class Plant:
     dispersed: bool = False
     wind: WindResponse | None = None
 
-    @property
-    def label(self) -> str:
-        return self.node.label
-
     def without_drift(self, poles: ComplexArray) -> ComplexArray:
         """Those of open or closed loop (rad/s) that are not slower than its curve begins."""
         return np.asarray(poles[np.abs(poles) > 2.0 * np.pi * lowest_hz_of(self.path.poles())])

@@ -194,7 +194,7 @@ def _constraints(plants: Plants, problem: Problem, found: Found, full: Evaluatio
         out.append(
             Constraint(
                 kind.text + (", approached without a crossing" if approach else ""),
-                None if plant is None else plant.label,
+                None if plant is None else plant.node.label,
                 None if plant is None else plant.node.time_s,
                 False if plant is None else plant.dispersed,
                 None if math.isnan(frequency) else frequency,

@@ -58,8 +58,8 @@ MEASURES = {
 """What is measured, by the key of its limit (`MarginLimits`): title, unit, sense of the limit."""
 INSTANTS_S = (0.5, 0.05, 0.005)
 """Steps of the search for the worst instant between nodes, coarse to fine."""
-NEAR = {"dB": 0.01, "deg": 0.01, "ms": 0.01}
-"""How near to its limit a margin is measured once more."""
+NEAR = 0.01
+"""How near to its limit a margin is measured once more, dB, deg or ms."""
 WORSE = {"dB": 0.02, "deg": 0.1, "ms": 0.05}
 """What an instant must be worse by to become a node."""
 _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett-Burman design of twelve runs
@@ -308,19 +308,13 @@ class _Dispersed:
             values, status = self._loops.measure(every, self.limits.slosh_peak_db, flight)
             values = values[:, : len(MEASURES)]
             table[rows] = np.where((status == DONE)[:, None], values, math.nan)
-            again = np.flatnonzero((status == HANDED_BACK) | self._near(values))
+            limits = np.array([getattr(self.limits, name) for name in MEASURES], float)  # nan: none
+            again = np.flatnonzero((status == HANDED_BACK) | (np.abs(values - limits) < NEAR).any(axis=1))
         law = api.law_at(self.design, self.node)
         for k in again.tolist():
             found = measured(Loop(fixed_path(disperse(flight, every[k])), law), self.limits.slosh_peak_db)
             table[rows[k]] = [found.get(name, math.nan) for name in MEASURES]
         return len(again)
-
-    def _near(self, values: Array) -> NDArray[np.bool_]:
-        out = np.zeros(len(values), bool)
-        for column, (name, (_, unit, _)) in zip(values.T, MEASURES.items(), strict=True):
-            limit = getattr(self.limits, name)
-            out |= limit is not None and np.abs(column - limit) < NEAR[unit]
-        return out
 
 
 def margin_requirements(
