@@ -371,8 +371,8 @@ def test_nothing_heavy_is_imported_without_need(option: str) -> None:
 def test_a_flight_needs_nothing_of_scipy() -> None:
     """Importing its interpolators took longer than the flight."""
     code = (
-        "import sys\nfrom maxq.tools.simrun import main\n"
-        f"main({[*SHORT, '--no-log']}, alone=True)\n"
+        "import sys\nfrom maxq.tools.simrun import command\n"
+        f"command.alone = True\ncommand.main({[*SHORT, '--no-log']})\n"
         "print([m for m in sys.modules if m.startswith(('scipy.interpolate', 'scipy.special', 'scipy.linalg'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
