@@ -72,7 +72,7 @@ class ManyLoops:
         """Zeros and poles of the law with the integrators of the angle, in w = z - 1, and its gain."""
         period, wanted = self.node.instruments.sample_s, self.law.inputs
         sums = 1 + max((ANGLES.index(name) for name in wanted if name in ANGLES), default=-1)
-        a, c = np.eye(sums) + np.tril(np.full((sums, sums), 0.0), -1), np.eye(sums)
+        a, c = np.eye(sums), np.eye(sums)
         # an angle has this sample's increment in it
         b, d = np.full((sums, 1), 0.0), np.full((sums, 1), 0.0)
         for k in range(sums):
@@ -84,7 +84,7 @@ class ManyLoops:
         pick_d = np.array([d[rows[name]] if name in rows else np.ones(1) for name in wanted])
         names = tuple(f"sum_{k}" for k in range(sums))
         integrators = StateSpace(a, b, pick_c.reshape(len(wanted), sums), pick_d, names, ("rate",), wanted)
-        zeros, poles = zeros_and_poles(chain(integrators, self.law.state_space()))
+        zeros, _ = zeros_and_poles(chain(integrators, self.law.state_space()))
         poles = np.concatenate([np.ones(sums), np.linalg.eigvals(self.law.state_space().a)]).astype(np.complex128)
         hz = np.array([0.3 / period])
         w = np.expm1(2j * np.pi * period * hz)[:, None]
