@@ -5,7 +5,7 @@
 Air from below pushes the body up (a_z < 0): a positive k_a then lowers the nose, into the wind, and the load q alpha
 falls, at the price of drift and of margin at low frequency (Greensite, Analysis and Design of Space Vehicle Flight
 Control Systems, NASA CR-820, 1967, ch. 3). In yaw the sign of a turns: a positive gimbal angle pushes to -y there. The
-accelerometer's own lag keeps bending out of it. Its linear side is design/laws/third_gain.py.
+accelerometer's own lag keeps bending out of it. Its linear side is design/laws/load_relief.py.
 
 Load relief by incidence ("incidence-relief") feeds back an estimate of the angle of attack:
 

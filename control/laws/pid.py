@@ -4,8 +4,7 @@
 
 The gain stands inside the sum: a schedule moves no command by itself. Anti-windup: the sum stands still while the
 command that was issued last was cut at its limit and the error would drive it farther out, and it keeps to a limit of
-its own (Astrom & Hagglund, Advanced PID Control, 3.5: conditional integration). Its linear side:
-design/laws/third_gain.py.
+its own (Astrom & Hagglund, Advanced PID Control, 3.5: conditional integration). Its linear side is design/laws/pid.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
     C = F(s) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
-with k_i = 0 here; with an integral or the lateral acceleration it is a law of third_gain.py. The
+with k_i = 0 here; with an integral it is the law of pid.py, with the lateral acceleration that of load_relief.py. The
 rate may be blended from several gyros (control/sensors.py): k_d times each one's weight. Its kernel is
 control/laws/pd.py.
 """

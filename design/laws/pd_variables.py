@@ -1,5 +1,5 @@
 """Variables of the proportional-derivative law (pd.py) for the optimiser: gains at nodes, bending filter, gyro weights,
-filters of each loop; with an integral or load relief those of third_gain.py.
+filters of each loop; with an integral those of pid.py, with load relief those of load_relief.py.
 """
 
 from __future__ import annotations

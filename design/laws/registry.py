@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from maxq.design.laws.law import DesignedLaw, LawVariables
+from maxq.design.laws.load_relief import IncidenceReliefVariables, LoadReliefVariables
 from maxq.design.laws.pd import PdDesign
 from maxq.design.laws.pd_variables import PdVariables
+from maxq.design.laws.pid import PidVariables
 from maxq.design.laws.task import Task
-from maxq.design.laws.third_gain import IncidenceReliefVariables, LoadReliefVariables, PidVariables
 from maxq.sim.scenario.schema_design import Design
 
 

@@ -1,24 +1,13 @@
-"""Laws of a third gain, linear side: PD's (pd.py) with an integral, or with load relief.
-
-The proportional-integral-derivative law, its kernel control/laws/pid.py:
+"""The proportional-integral-derivative law, linear side: PD's with a third gain (pd.py).
 
     C = F(z) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
 The integral is the sum over samples, T z / (z - 1), as the computer forms it below its limit. `limits.integral_hz`
 bounds its corner from below, `limits.most_integral_hz` from above: without that an optimum may take far more than is
-asked (ksr3-relaxed with F3: 0.4 to 1.5 Hz). Frequency and damping ratio of the rigid body (47, 48) are those of the law
-without its integral, and mean what they say only while its corner lies well below them; stability and margins are those
-of the whole loop.
-
-Load relief, the lateral acceleration fed back through a lag, its kernel control/laws/load_relief.py:
-
-    C = F(z) (k_p, k_d, -k_a H(z))  on  (angle_rad, rate_radps, accel_mps2),    H = g / (1 - (1 - g) / z)
-
-with g = 1 - exp(-2 pi f T), the lag of control/laws/load_relief.py; continuous 1 / (1 + s / 2 pi f). The acceleration
-is that to the side of a positive command, which is why its part of C is negative: the command gives way to what pushes.
-Frequency and damping ratio of the rigid body (47, 48) are those of the law without it. By incidence
-
-    C = F(z) (k_p, k_d - k_alpha p / b H D, k_alpha / b H),    D = (1 - 1 / z) / T
+asked (ksr3-relaxed with F3: 0.4 to 1.5 Hz). Frequency and
+damping ratio of the rigid body (47, 48) are those of the law without its integral, and mean what
+they say only while its corner lies well below them; stability and margins are those of the whole loop. Its kernel is
+control/laws/pid.py.
 """
 
 from __future__ import annotations
@@ -31,11 +20,9 @@ from maxq.control.kernel.records import Array
 from maxq.design.laws.law import MEASUREMENTS, LawLimit, LimitValues
 from maxq.design.laws.pd_variables import GAIN_FACTOR, PdVariables
 from maxq.design.laws.task import DB, Task
-from maxq.design.model.instruments import ACCELERATION
 from maxq.sim.scenario.schema_values import at_time
 
 CORNER = 0.1  # of the rigid body's least frequency: corner of the integral where the case does not say
-START_S2PM = 3e-3  # of the acceleration's gain: a tenth of what thrust over mass gives back, roughly
 
 
 class PidVariables(PdVariables):
@@ -70,23 +57,3 @@ class PidVariables(PdVariables):
     def _with_more_gains(self, log_gains: Array) -> Array:
         log_k_i = log_gains[0] + math.log(2.0 * math.pi * GAIN_FACTOR * self.integral_hz)
         return np.vstack([log_gains, log_k_i])
-
-
-class LoadReliefVariables(PdVariables):
-    """`law.LawVariables` of load relief: those of PD, then ln k_a at the gain nodes."""
-
-    inputs = (*MEASUREMENTS[:2], ACCELERATION)
-    keys = ("k_p", "k_d_s", "k_a_s2pm")
-
-    def _with_more_gains(self, log_gains: Array) -> Array:
-        return np.vstack([log_gains, np.full(log_gains.shape[1], math.log(START_S2PM))])
-
-
-class IncidenceReliefVariables(PdVariables):
-    """`law.LawVariables` of load relief by incidence: those of PD, then ln k_alpha at the gain nodes."""
-
-    inputs = (*MEASUREMENTS[:2], ACCELERATION)
-    keys = ("k_p", "k_d_s", "k_alpha")
-
-    def _with_more_gains(self, log_gains: Array) -> Array:
-        return np.vstack([log_gains, np.log(START_S2PM * np.abs(self.air[1]))])
