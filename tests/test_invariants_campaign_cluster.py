@@ -30,7 +30,10 @@ def test_batches_leave_no_thread_without_one(threads: int, runs: int) -> None:
     assert Cluster.batch(flyers, 32, runs) == 32
 
 
-@pytest.mark.parametrize(("runs", "parts"), [(96, 3), pytest.param(300, 5, marks=(pytest.mark.slow, pytest.mark.long))])
+@pytest.mark.parametrize(
+    ("runs", "parts"),
+    [pytest.param(96, 3, marks=pytest.mark.slow), pytest.param(300, 5, marks=(pytest.mark.slow, pytest.mark.long))],
+)
 def test_workers_that_come_and_go(tmp_path: Path, runs: int, parts: int) -> None:
     whole = campaignkit.small(tmp_path, runs=runs)
     run_campaign(whole, tmp_path / "local")

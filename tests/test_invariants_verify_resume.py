@@ -68,6 +68,7 @@ def _killed(folder: Path, parts: int, number: str) -> dict[str, Any]:
     return told
 
 
+@pytest.mark.slow
 def test_second_time_everything_is_recalled(in_one_go: dict[str, Any]) -> None:
     assert in_one_go["code"] == in_one_go["second"] == 3  # too few flights to be sure
     assert (in_one_go["recalled"], in_one_go["worked_out"]) == (RECALLS, 0)

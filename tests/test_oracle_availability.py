@@ -127,7 +127,7 @@ correlation_length_m = 6000.0
 """
 
 
-@pytest.mark.parametrize("vehicle", ["ksr3", "petrel"])
+@pytest.mark.parametrize("vehicle", ["ksr3", pytest.param("petrel", marks=pytest.mark.slow)])
 def test_winds_of_a_month_are_the_mean_and_the_deviations_times_its_factors(tmp_path: Path, vehicle: str) -> None:
     """With the draws of the same runs without months; twelve months in turn, whatever the first run is."""
     factors = "months = {month = [1, 7], mean_factor = [2.0, 0.5], sigma_factor = [1.5, 0.0]}"

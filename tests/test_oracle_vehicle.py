@@ -299,6 +299,7 @@ def test_a_case_from_a_layout_asks_for_what_its_suite_asks(tmp_path: Path) -> No
     assert needed > 0.322
 
 
+@pytest.mark.slow
 def test_rigid_limits_follow_actuator_and_mode_1(layout: Layout) -> None:
     """At most an eighth of both, of each stage by itself; a layout may name one for all."""
     engine = layout.stage[0].engine.model_copy(update={"servo_hz": (2.0,)})

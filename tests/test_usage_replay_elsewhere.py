@@ -22,6 +22,7 @@ from maxq.tools.replay import log_layout, viewer
 FOXGLOVE = Path(__file__).parents[1] / "docs" / "viewers" / "maxq.foxglove-layout.json"
 
 
+@pytest.mark.slow
 def test_rerun_alone_shows_the_events_of_a_log() -> None:
     with headless_viewer() as client:
         viewer.open_whole(client, OLD_LOG)
@@ -30,6 +31,7 @@ def test_rerun_alone_shows_the_events_of_a_log() -> None:
         assert viewer.complaints_of(client) == []
 
 
+@pytest.mark.slow
 def test_rerun_shows_frames_and_every_number_once_told(tmp_path: Path) -> None:
     table = read_log(OLD_LOG).table
     log = shutil.copy(OLD_LOG, tmp_path / "another.mcap")  # the viewer names recordings after the file

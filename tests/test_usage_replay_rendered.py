@@ -71,6 +71,7 @@ def test_no_view_complains_at_any_time(shown: tuple[ViewerClient, Path]) -> None
     assert {"Vehicle", "Trajectory", "Phases", "Events", "About", "pitch gimbal", "q alpha under thrust"} <= names
 
 
+@pytest.mark.slow
 def test_the_vehicle_moves_and_the_trajectory_grows(shown: tuple[ViewerClient, Path]) -> None:
     client, _ = shown
     seen = []

@@ -130,6 +130,7 @@ def test_accepted_design_leaves_verdict_and_pack(
     assert "results reused" in told
 
 
+@pytest.mark.slow
 def test_rejected_and_undecided_have_their_codes(
     tmp_path: Path, suite: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -346,6 +347,7 @@ def test_a_fitted_suite_names_every_part_of_the_vehicle() -> None:
     assert read_suite("standard").suite.flight  # what is fitted is a copy
 
 
+@pytest.mark.slow
 def test_a_suite_for_several_stages_and_engines() -> None:
     """The second vehicle: nine engines below, one above; each stage has its faults; none of them KSR-III's."""
     stages = [STAGE_MARKS | {"stage": n, "strongest_s": 10.0 * n + 5.0} for n in range(3)]
