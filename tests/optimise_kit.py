@@ -11,10 +11,11 @@ from maxq.control.kernel.records import Array
 from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.pd import PdDesign
 from maxq.design.laws.pd_variables import PdVariables
+from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import make_problem, nominal_plants, solve
+from maxq.design.optimise.solve import nominal_plants, solve
 
 
 @cache

@@ -27,10 +27,11 @@ from maxq.design.laws import registry
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
+from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.plants import Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
-from maxq.design.optimise.solve import make_problem, solve
+from maxq.design.optimise.solve import solve
 
 F = np.geomspace(0.01, 45.0, 60)
 KINDS = pytest.mark.parametrize("kind", ["pade", "sampled"])

@@ -39,7 +39,8 @@ from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.laws.wind import DRIFT, LOAD, MOMENTS, Spectrum, WindResponse
 from maxq.design.model.instruments import actuator_response, lag
 from maxq.design.model.plant import vehicle_plant
-from maxq.design.optimise.solve import make_problem, solve
+from maxq.design.optimise.at_nodes import make_problem
+from maxq.design.optimise.solve import solve
 from maxq.design.verify.judging import with_law
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.packing.initial import rotation

@@ -36,7 +36,7 @@ from maxq.design.laws.pd import Pd
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.vehicle_at import incidence_by_acceleration, stability_derivatives
-from maxq.design.optimise.solve import make_problem
+from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.verify.judging import judge
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario

@@ -33,8 +33,9 @@ from maxq.design.loop.fixed_path import SampledFixedPath, fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.multiloop import Multiloop
 from maxq.design.margins.measure import margins
+from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.plants import make_plants
-from maxq.design.optimise.solve import make_problem, solve
+from maxq.design.optimise.solve import solve
 
 T = 0.01
 GAINS = GainSchedule([0.0, 10.0], [1.2, 0.8], [0.5, 0.4], [0.3, 0.6])

@@ -24,7 +24,7 @@ from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.structures import OVER, Over
 from maxq.design import api
 from maxq.design.laws.pd_variables import PdVariables
-from maxq.design.optimise.solve import make_problem
+from maxq.design.optimise.at_nodes import make_problem
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario

@@ -14,10 +14,10 @@ import numpy as np
 from maxq.control.kernel.records import Array, IntArray
 from maxq.design.case.schema import Gains, LoadedCase
 from maxq.design.laws.law import DesignedLaw, LawVariables
+from maxq.design.optimise.at_nodes import make_problem, solve_at_nodes
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.search import Progress
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import make_problem, solve_at_nodes
 
 INSTANTS_S = 0.25  # apart, all along
 FINE_S = 0.05  # apart, beside the worst of those

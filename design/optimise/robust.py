@@ -22,12 +22,12 @@ from maxq.design.laws.law import DesignedLaw
 from maxq.design.model.dispersion import disperse
 from maxq.design.model.node import Node
 from maxq.design.model.spread import places_of, resolved, root_of_correlation, vehicle_at_places
+from maxq.design.optimise.at_nodes import finished, make_problem, search_best
 from maxq.design.optimise.over_time import COARSE, UNSTABLE_DB, Instants, gains_at_nodes, instants_along, peaks
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import Found, Progress, search
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import finished, make_problem, search_best
 
 WORSE_DB = 0.01  # plants that are worse by less are let be
 BEGINNINGS = 4

@@ -1,30 +1,23 @@
-"""`solve(case)`: from a case file to a design."""
+"""Solve a case: its stages, and the method that its robustness and the time between its nodes ask for."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import get_args
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
-from maxq.design.case.schema import LIMIT_NAMES, Case, LoadedCase
-from maxq.design.laws.law import DesignedLaw, LawVariables
-from maxq.design.laws.registry import designed_law, law_kind
-from maxq.design.loop.fixed_path import ExactFixedPath
-from maxq.design.loop.loop import Loop
+from maxq.design.case.schema import Case, LoadedCase
+from maxq.design.laws.law import DesignedLaw
+from maxq.design.laws.registry import designed_law
 from maxq.design.model.node import node_times, powered_spans
-from maxq.design.optimise.criteria import OBJECTIVES
-from maxq.design.optimise.loops import Loops
+from maxq.design.optimise.at_nodes import make_problem, solve_at_nodes
+from maxq.design.optimise.over_time import solve_over_time
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
-from maxq.design.optimise.problem import Problem
-from maxq.design.optimise.search import Found, Progress, search
-from maxq.design.optimise.solution import Solution, make_solution
+from maxq.design.optimise.robust import solve_robust
+from maxq.design.optimise.search import Progress
+from maxq.design.optimise.solution import Solution
 from maxq.sim.scenario.schema_design import Design
-
-MORE_STARTS = 3  # times as many, where the limits cannot be met
 
 
 def each_stage(loaded: LoadedCase) -> list[LoadedCase]:
@@ -52,18 +45,6 @@ def nominal_plants(loaded: LoadedCase) -> Plants:
     return make_plants([make_plant(node, loaded.case) for node in nodes_of(loaded, loaded.case.times_s)])
 
 
-def make_problem(case: Case, plants: Plants, like: LawVariables | None = None) -> Problem:
-    """The problem of a case. `like`: the law of another problem of the case, whose fixed part is taken over."""
-    return _problem_of(case, plants, law_kind(case.law).variables(plants.task(case), like))
-
-
-def _problem_of(case: Case, plants: Plants, law: LawVariables) -> Problem:
-    loops = Loops(plants.curves, plants.unstable_open, law)
-    objective, limits = OBJECTIVES[case.objective.kind], plants.task(case).limits
-    first_lobes = np.array([p.first_lobe_hz for p in plants.each])
-    return Problem(loops, plants.bands, limits, case.limits, objective, first_lobes)
-
-
 def solve(
     loaded: LoadedCase,
     plants: Plants | None = None,
@@ -78,9 +59,6 @@ def solve(
     """
     # with matrices of forty rows, threads of the linear-algebra library only wait for each other: twice the CPU time
     with threadpool_limits(limits=1, user_api="blas"):
-        from maxq.design.optimise.over_time import solve_over_time  # noqa: PLC0415  # it needs this module, as the next
-        from maxq.design.optimise.robust import solve_robust  # noqa: PLC0415  # likewise
-
         plants = nominal_plants(loaded) if plants is None else plants
         if loaded.start is not None:
             also_from = (*also_from, _named_start(loaded.case, loaded.start, plants))
@@ -98,76 +76,3 @@ def _named_start(case: Case, design: Design, plants: Plants) -> DesignedLaw:
             f"more filter than the case; allowed is a design of the law {case.law} over {case.gains.over}"
         )
     return law
-
-
-def solve_at_nodes(
-    loaded: LoadedCase, plants: Plants, also_from: Sequence[DesignedLaw] = (), progress: Progress | None = None
-) -> Solution:
-    """The best design found for the plants at the case's nodes.
-
-    Where none is stable, the limits are tried without each of those that a case can leave out, from two starts each.
-    """
-    begun, case = time.perf_counter(), loaded.case
-    problem, found = search_best(case, plants, also_from, progress)
-    solution = finished(case, plants, problem, found, begun)
-    if solution.certificate.stable or solution.status == "interrupted":
-        return solution
-    freed = []
-    for name in (n for n in get_args(LIMIT_NAMES) if n not in case.limits.without):
-        limits = case.limits.model_copy(update={"without": (*case.limits.without, name)})
-        fewer = case.search.model_copy(update={"starts": 2, "leaps": 0})
-        freer = case.model_copy(update={"limits": limits, "search": fewer})
-        if finished(freer, plants, *search_best(freer, plants), begun).certificate.stable:
-            freed.append(name)
-    return replace(solution, stable_without=tuple(freed))
-
-
-def finished(case: Case, plants: Plants, problem: Problem, found: Found, begun: float) -> Solution:
-    """The solution at a search's best point, its stability checked by poles."""
-    seconds = time.perf_counter() - begun
-    return make_solution(case, plants, problem, found, seconds, closes_stably(plants, problem, found))
-
-
-def search_best(
-    case: Case, plants: Plants, also_from: Sequence[DesignedLaw] = (), progress: Progress | None = None
-) -> tuple[Problem, Found]:
-    """Search from all starts: other laws, and as many of the law's own as the case asks for.
-
-    Where the limits cannot be met from these, once more from several times as many: how much they miss has valleys of
-    its own, which starts that are good for the objective need not lie in.
-    """
-    problem, found = _search_from(case, plants, also_from, progress)
-    if found.feasible or found.interrupted:
-        return problem, found
-    wanted = case.search.model_copy(update={"starts": MORE_STARTS * case.search.starts, "leaps": 0})
-    again = _search_from(case.model_copy(update={"search": wanted}), plants, also_from, progress)[1]
-    better = min(found, again, key=lambda f: (not f.feasible, f.best.unstable, f.best.violation_db))
-    return problem, replace(better, evaluations=found.evaluations + again.evaluations, interrupted=again.interrupted)
-
-
-def _search_from(
-    case: Case, plants: Plants, also_from: Sequence[DesignedLaw], progress: Progress | None
-) -> tuple[Problem, Found]:
-    problem = make_problem(case, plants)
-    law, (count, leaps, seed) = problem.law, (case.search.starts, case.search.leaps, case.search.seed)
-    given = [x for x in map(law.variables_of, also_from) if x is not None]
-    simpler = law.simpler()
-    if simpler is None:
-        return problem, search(problem, [*given, *law.starts(count, seed)], progress=progress, leaps=leaps, seed=seed)
-    # one with all variables; the others cheaply, with few
-    few, lift = simpler
-    own, fresh = law.starts(1, seed), few.starts(count, seed)[: count - 1]
-    return problem, search(
-        problem, [*given, *own], (_problem_of(case, plants, few), lift), fresh, progress, leaps, seed
-    )
-
-
-def closes_stably(plants: Plants, problem: Problem, found: Found) -> bool:
-    """Whether every closed loop's poles lie where they must: eigenvalues, nothing that the optimiser has used."""
-    for plant, law in zip(plants.each, problem.law.controllers(found.best.variables), strict=True):
-        poles = plant.without_drift(Loop(plant.path, law).closed_poles())
-        if isinstance(plant.path, ExactFixedPath):
-            poles = poles[np.abs(poles) < 1e3]
-        if len(poles) > 0 and float(poles.real.max()) >= 0.0:
-            return False
-    return True

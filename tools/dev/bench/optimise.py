@@ -29,9 +29,10 @@ from scipy.optimize import Bounds, OptimizeResult, differential_evolution
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case, read_case
 from maxq.design.laws.pd_variables import PdVariables
+from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem
-from maxq.design.optimise.solve import make_problem, nominal_plants, solve
+from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import descend
 from maxq.sim.scenario.schema_values import at_time
 from maxq.tools.design.run_case import order_cases, solve_orders
