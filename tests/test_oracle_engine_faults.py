@@ -65,7 +65,8 @@ def test_one_of_nine_off_slows_the_clock_of_the_tables_to_eight_ninths() -> None
         np.testing.assert_allclose(b[modes : modes + 20], a[modes : modes + 20], rtol=1e-10)
     assert thrust_N(made, 19.9) == pytest.approx(9 * 400e3, rel=1e-12)
     assert thrust_N(made, 20.1) == pytest.approx(8 * 400e3, rel=1e-12)
-    burn = stage_burns(load_scenario(NINE, [OFF]).scenario)[0]
+    scenario = load_scenario(NINE, [OFF]).scenario
+    burn = stage_burns(scenario.vehicle.stage, scenario.fault)[0]
     assert burn.burnout_s == pytest.approx(20.0 + 131.0 * 9.0 / 8.0, rel=1e-12)
     assert int(made.parameters[0].timeline.burnout_ns) == round(1e9 * burn.burnout_s)
 

@@ -45,7 +45,8 @@ def spans() -> tuple[Span, ...]:
 
 def test_spans_and_nodes_lie_under_full_thrust_of_every_stage(spans: tuple[Span, ...]) -> None:
     """By the thrust tables themselves, on each stage's clock."""
-    stages, burns = petrel.scenario().vehicle.stage, stage_burns(petrel.scenario().scenario)
+    stages = petrel.scenario().vehicle.stage
+    burns = stage_burns(stages, petrel.scenario().scenario.fault)
     assert [span.stage for span in spans] == list(range(len(stages)))
     assert all(a.end_s <= b.begin_s for a, b in pairwise(spans))  # and coast in none
     times = np.array(node_times(petrel.scenario(), 5))
@@ -86,7 +87,7 @@ def test_held_flight_of_a_later_stage_is_that_stage_frozen(spans: tuple[Span, ..
     held = hold(petrel.scenario(), node)
     table = petrel.scenario().vehicle.stage[1].mass.table
     assert table is not None
-    clock = time_s - stage_burns(petrel.scenario().scenario)[1].start_s
+    clock = time_s - stage_burns(petrel.scenario().vehicle.stage, petrel.scenario().scenario.fault)[1].start_s
     mass, cg = (float(PchipInterpolator(table["time_s"], table[key])(clock)) for key in ("mass_kg", "x_cg_m"))
     for mine in (node.vehicle, held.node.vehicle):
         assert mine.body.total_mass_kg == pytest.approx(mass, rel=1e-12)

@@ -87,7 +87,7 @@ TANK = Tank(300.0, 0.5, 5.0)
     ("tree", "says"),
     [
         (with_loads(stations_m=[3.0, 3.0]), "loads.stations_m = [3.0, 3.0]: must increase strictly"),
-        (with_loads(stations_m=[3.0, 12.5]), "stations_m.1 = 12.5: lies behind the gimbal"),
+        (with_loads(stations_m=[3.0, 12.5]), "stations_m.1 = 12.5: is behind the gimbal"),
         (with_loads(line_mass=[{"front_station_m": 2.0, "rear_station_m": 1.0, "mass_kg": 1.0}]), "before the front"),
         (
             with_loads(line_mass=[{"front_station_m": 0.1, "rear_station_m": 13.9, "mass_kg": 4400.0}], switches=ON),

@@ -178,7 +178,8 @@ def node_times(
     Stages whose engines cannot be moved have none. Raises ValueError where there is no stage left.
     """
     times: list[float] = []
-    stages, burns = scenario.vehicle.stage, stage_burns(scenario.scenario)
+    stages = scenario.vehicle.stage
+    burns = stage_burns(stages, scenario.scenario.fault)
     for span in powered_spans(scenario):
         mine = stages[span.stage]
         if stage in (None, span.stage) and any(engine.gimbal != "fixed" for engine in mine.engines):

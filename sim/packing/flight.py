@@ -69,7 +69,8 @@ def _pack(scenario: Scenario) -> Packed:
     pool = Pool()
     environment, computers = pack_environment(scenario, pool), pack_computers(scenario, pool)
     injections, faults = pack_injections(scenario, pool), pack_faults(scenario)
-    rows, stage_start_ns, ignition_ns, burns = [], 0, 0, stage_burns(scenario, _liftoff_s(scenario))
+    burns = stage_burns(scenario.vehicle.stage, scenario.fault, _liftoff_s(scenario))
+    rows, stage_start_ns, ignition_ns = [], 0, 0
     all_sizes = [
         stage_sizes(stage, scenario.switches, burn) for stage, burn in zip(scenario.vehicle.stage, burns, strict=True)
     ]

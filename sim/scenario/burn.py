@@ -1,5 +1,4 @@
-"""How a stage burns: when it begins and ends, what each engine does, how its propellant is spent; and whether tables
-over time cover the powered flight.
+"""The burn of a stage: its begin and end, the share of thrust of each engine, and the propellant spent over time.
 
 Tables over the stage clock are tables over the propellant spent: mass, tanks, modes and thrust belong to what is left.
 An engine that is throttled, off or weak spends less, and the clock s of the tables runs slower than the stage clock t:
@@ -19,20 +18,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic_core import PydanticCustomError
 
-from maxq.sim.scenario.errors import Path, refuse
+from maxq.sim.scenario.schema_fault import Fault
 from maxq.sim.scenario.schema_stage import Engine
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.scenario.tables_csv import CsvTable
-
-if TYPE_CHECKING:
-    from maxq.sim.scenario.schema_fault import Fault
-    from maxq.sim.scenario.schema_scenario import Scenario
 
 Numbers = NDArray[np.float64]
 
@@ -162,25 +155,28 @@ NOMINAL = Burn(0.0, 0.0, math.inf, None, ())
 """A stage by itself: all engines burn by their tables."""
 
 
-def stage_burns(scenario: Scenario, liftoff_s: float = math.inf) -> tuple[Burn, ...]:
-    """Of each stage. What fails after lift-off does so where `liftoff_s`, on the vehicle clock, is finite."""
+def stage_burns(stages: Sequence[Stage], faults: Sequence[Fault], liftoff_s: float = math.inf) -> tuple[Burn, ...]:
+    """Return the burn of each stage, with the faults of its engines.
+
+    `liftoff_s`: on the vehicle clock; faults timed from liftoff occur only where it is finite.
+    """
     out: list[Burn] = []
     start_s = 0.0
-    for n, stage in enumerate(scenario.vehicle.stage):
-        own = [(f, (liftoff_s if f.since == "liftoff" else 0.0) - start_s) for f in scenario.fault if f.of_engines]
-        faults = tuple(
+    for n, stage in enumerate(stages):
+        own = [(f, (liftoff_s if f.since == "liftoff" else 0.0) - start_s) for f in faults if f.of_engines]
+        mine = tuple(
             EngineFault(f, max(zero_s + f.at_s, 0.0), math.inf if f.until_s is None else zero_s + f.until_s)
             for f, zero_s in own
             if f.stage in (None, n) and math.isfinite(zero_s) and (f.until_s is None or zero_s + f.until_s > 0.0)
         )
         clock, burnout_s, end_s = None, thrust_end_s(stage) / burn_rate(stage), stage_end_s(stage)
         unlike = len({e.mass_flow_factor for e in stage.engines}) > 1
-        if faults or unlike or any(e.throttle is not None for e in stage.engines):
-            clock = table_clock(stage, faults)
+        if mine or unlike or any(e.throttle is not None for e in stage.engines):
+            clock = table_clock(stage, mine)
             burnout_s = _burnout_s(stage, clock)
             if stage.separation_after_burnout_s is not None:
                 end_s = burnout_s + stage.separation_after_burnout_s
-        out.append(Burn(start_s, burnout_s, end_s, clock, faults))
+        out.append(Burn(start_s, burnout_s, end_s, clock, mine))
         start_s += end_s
     return tuple(out)
 
@@ -274,86 +270,3 @@ def _column(engine: Engine) -> Numbers:
 
 def _flow(engine: Engine, table_s: float) -> float:
     return float(np.interp(table_s, engine.table["time_s"], _column(engine)))
-
-
-def check_coverage(scenario: Scenario) -> None:
-    """Refuse tables of vehicle, design and guidance that end before the powered flight does."""
-    start = scenario.run.start_s
-    flight_end = start + scenario.run.duration_s
-    stage_start, powered_end = 0.0, 0.0
-    for n, stage in enumerate(scenario.vehicle.stage):
-        key: Path = ("vehicle", "stage", n)
-        _check_stage(stage, key)
-        if scenario.switches.thrust and scenario.run.freeze_vehicle_at_s is None:
-            _check_thrust_ends(stage, min(flight_end - stage_start, stage_end_s(stage)), key)
-        burn_end = min(thrust_end_s(stage) / burn_rate(stage), stage_end_s(stage))
-        if burn_end > 0.0:
-            powered_end = stage_start + burn_end
-        stage_start += stage_end_s(stage)
-    if powered_end == 0.0 or not scenario.switches.thrust:
-        return
-    programme, design = scenario.guidance.programme, scenario.design
-    if programme is not None and scenario.switches.guidance and start < powered_end:
-        _check_programme(programme, start, min(powered_end, flight_end))
-    if design is not None:
-        for name, table in (("table", design.gains.table), ("yaw_table", design.gains.yaw_table)):
-            if table is not None and design.gains.over == "time_s":
-                _check_gains(table, ("design", "gains", name), powered_end)
-
-
-def _check_stage(stage: Stage, key: Path) -> None:
-    end = min(thrust_end_s(stage), stage_end_s(stage) * burn_rate(stage))
-    tables: list[tuple[Path, CsvTable | None]] = [(("mass", "table"), stage.mass.table)]
-    tables += [(("tank", n, "table"), tank.table) for n, tank in enumerate(stage.tank)]
-    tables.append((("mass", "rate_damping"), stage.mass.rate_damping))
-    if stage.aero is not None:
-        tables.append((("aero", "moment_reference_over_time"), stage.aero.moment_reference_over_time))
-    if stage.spatial_modes is not None:
-        tables.append((("spatial_modes", "table"), stage.spatial_modes.table))
-    if stage.bending is not None:
-        tables += [(("bending", "pitch"), stage.bending.pitch), (("bending", "yaw"), stage.bending.yaw)]
-    for place, table in tables:
-        if table is not None and table["time_s"][0] < table["time_s"][-1] < end:
-            raise _ends_too_early(table, "the table ends before the thrust does", end, key + place)
-    if stage.engines and end > 0.0 and stage.ignition_s * burn_rate(stage) >= end:
-        raise refuse("ignition comes after the end of thrust", f"less than {end:g}", (*key, "ignition_s"))
-    mass = stage.mass
-    if mass.burn_s is not None and mass.mass_flow_kgps and mass.burn_s < end:
-        raise refuse("mass flow ends before the thrust does", f"at least {end:g}", (*key, "mass", "burn_s"))
-
-
-def _ends_too_early(table: CsvTable, problem: str, end_s: float, key: Path) -> PydanticCustomError:
-    return table.refusal(problem, f"a last time_s >= {end_s:g}", "time_s", len(table) - 1, at=key)
-
-
-def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
-    column = "thrust_vacuum_N"
-    for n, table in enumerate(engine.table for engine in stage.engines):
-        last = float(table["time_s"][-1]) / burn_rate(stage)
-        if len(table) > 1 and table[column][-1] > 0.0 and ends_s > last:
-            problem = f"thrust does not end at zero, and the flight goes on after {last:g} s"
-            at = (*key, *stage.engine_key(n), "table")
-            raise table.refusal(problem, "0 in the last row", column, len(table) - 1, at=at)
-
-
-def _check_programme(table: CsvTable, start: float, end: float) -> None:
-    key: Path = ("guidance", "programme")
-    if len(table) == 1:
-        return
-    if table["time_s"][0] > start:
-        raise table.refusal("the programme begins too late", f"a first time_s <= {start:g}", "time_s", 0, at=key)
-    commands_nothing = all(column[-1] == 0.0 for name, column in table.columns.items() if name != "time_s")
-    if table["time_s"][-1] < end and not commands_nothing:  # its last row holds: a rate that goes on is a mistake
-        raise _ends_too_early(table, "the programme ends before the thrust does", end, key)
-
-
-def _check_gains(table: CsvTable, key: Path, end: float) -> None:
-    """Gains are held outside their table, but some of it must lie in the powered flight."""
-    if len(table) == 1:
-        return
-    for wrong, problem, allowed in (
-        (table["time_s"][0] > end, "all gains lie after the powered flight", f"a first time_s <= {end:g}"),
-        (table["time_s"][-1] < 0.0, "all gains lie before the flight", "a last time_s >= 0"),
-    ):
-        if wrong:
-            raise table.refusal(problem, allowed, "time_s", 0, at=key)

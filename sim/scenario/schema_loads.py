@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +11,9 @@ from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_SURFACES
 from maxq.sim.scenario.errors import Path, refuse
+from maxq.sim.scenario.schema_stage import Mass
 from maxq.sim.scenario.schema_values import Fraction, Period, Section, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
-
-if TYPE_CHECKING:
-    from maxq.sim.scenario.schema_vehicle import Stage
 
 LINE_MASS_COLUMNS = Columns(
     "front_station_m", sets=(("rear_station_m", "mass_kg"),), not_negative=("mass_kg",), repeats=True
@@ -110,41 +109,43 @@ def limit_times_s(table: CsvTable) -> NDArray[np.float64]:
     return np.unique(table.get("time_s"))
 
 
-def check_loads(loads: Loads, stage: Stage) -> None:
-    """Refuse stations behind the engine's gimbal and tanks without liquid."""
-    gimbal = min((engine.gimbal_station_m for engine in stage.engines), default=None)
-    if gimbal is not None and loads.stations_m[-1] > gimbal:
+def check_loads(loads: Loads, gimbal_station_m: float | None, tanks: Sequence[str]) -> None:
+    """Refuse stations behind the foremost gimbal, and liquids that do not match the stage's tanks by name.
+
+    `gimbal_station_m`: None for a stage without engines.
+    """
+    if gimbal_station_m is not None and loads.stations_m[-1] > gimbal_station_m:
         raise refuse(
-            "lies behind the gimbal: what is behind it is the engine", f"at most {gimbal:g}",
+            "is behind the gimbal, where only the engine is", f"at most {gimbal_station_m:g}",
             ("loads", "stations_m", len(loads.stations_m) - 1), value=loads.stations_m[-1],
         )  # fmt: skip  # four lines otherwise
-    names = [tank.name or str(n + 1) for n, tank in enumerate(stage.tank)]
     given = [liquid.tank for liquid in loads.liquid if liquid.tank]
     for n, liquid in enumerate(loads.liquid):
-        if liquid.tank and (liquid.tank not in names or given.count(liquid.tank) > 1):
-            problem = "names no tank" if liquid.tank not in names else "is named twice"
-            raise refuse(problem, ", ".join(names), ("loads", "liquid", n, "tank"), value=liquid.tank)
-    for name in names:
+        if liquid.tank and (liquid.tank not in tanks or given.count(liquid.tank) > 1):
+            problem = "names no tank" if liquid.tank not in tanks else "is named twice"
+            raise refuse(problem, ", ".join(tanks), ("loads", "liquid", n, "tank"), value=liquid.tank)
+    for name in tanks:
         if name not in given:
             raise refuse(f"has no entry for tank {name}", "a liquid for each tank", ("loads", "liquid"))
 
 
-def check_line_mass(loads: Loads, stage: Stage, key: Path) -> None:
-    """Refuse a mass along the body that is not the stage's: sum, CG, transverse inertia at every instant of the tables.
+def check_line_mass(loads: Loads, mass: Mass, key: Path) -> None:
+    """Refuse line masses and liquids whose sum, CG or transverse inertia differs from that of the stage at any instant.
 
-    Only where section loads are switched on: a campaign without them disperses the stage's mass as it likes.
+    Applies only where section loads are switched on: a campaign without them may disperse the mass of a stage freely.
+    `key`: of the stage, for the message.
     """
-    known, columns = _mass_over_time(stage)
+    known, columns = _mass_over_time(mass)
     times = np.unique(np.concatenate([known, *(liquid.table["time_s"] for liquid in loads.liquid)]))
     given = [np.interp(times, known, column) for column in columns]
     total, first, second = moments(loads, times)
     cg, line = first / total, np.sqrt(second / total - (first / total) ** 2)
-    mass, x_cg = given[0], given[1]
-    gyration = np.sqrt(0.5 * (given[2] + given[3]) / mass)
+    mass_kg, x_cg_m = given[0], given[1]
+    gyration = np.sqrt(0.5 * (given[2] + given[3]) / mass_kg)
     length = max(float(loads.line_mass["rear_station_m"].max()) - loads.nose_station_m, 1e-9)
     for name, unit, here, there, scale in (
-        ("mass", "kg", total, mass, mass),
-        ("CG", "m", cg, x_cg, np.full_like(cg, length)),
+        ("mass", "kg", total, mass_kg, mass_kg),
+        ("CG", "m", cg, x_cg_m, np.full_like(cg, length)),
         ("transverse radius of gyration", "m", line, gyration, gyration),
     ):
         apart = np.abs(here - there) / scale
@@ -157,12 +158,11 @@ def check_line_mass(loads: Loads, stage: Stage, key: Path) -> None:
             )  # fmt: skip  # four lines otherwise
 
 
-def _mass_over_time(stage: Stage) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
-    """Times, and mass, CG station, Iyy and Izz of the whole stage at them."""
-    table = stage.mass.table
+def _mass_over_time(mass: Mass) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
+    """Return times, and the mass, CG station, Iyy and Izz of the stage at them."""
+    table = mass.table
     if table is not None:
         return table["time_s"], [table[name] for name in ("mass_kg", "x_cg_m", "Iyy_kgm2", "Izz_kgm2")]
-    mass = stage.mass
     flow, burn = mass.mass_flow_kgps or 0.0, mass.burn_s or 0.0
     inertia = np.array(mass.inertia_kgm2)
     times = np.array([0.0, burn]) if burn > 0.0 else np.zeros(1)

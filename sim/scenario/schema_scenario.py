@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from maxq.control.kernel.limits import MAX_FAULTS, MAX_INJECTIONS, MAX_TONES
 from maxq.control.structures import RELIEF
 from maxq.sim.flight.metric_table import METRIC_NAMES
-from maxq.sim.scenario.burn import check_coverage
+from maxq.sim.scenario.coverage import check_gains, check_programme, check_stages
 from maxq.sim.scenario.errors import refuse, suggestion
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Site, Wind
@@ -346,7 +346,7 @@ class Scenario(Section):
         self._check_hold_down()
         self._check_wind()
         self._check_section_loads()
-        check_coverage(self)
+        self._check_coverage()
 
     def _check_control(self) -> None:
         computer = self.vehicle.computer
@@ -465,7 +465,7 @@ class Scenario(Section):
             raise refuse("no stage has [stage.loads]", "false", ("switches", "section_loads"), value=True)
         for n, stage in enumerate(self.vehicle.stage):
             if self.switches.section_loads and stage.loads is not None:
-                check_line_mass(stage.loads, stage, ("vehicle", "stage", n))
+                check_line_mass(stage.loads, stage.mass, ("vehicle", "stage", n))
         for n, requirement in enumerate(self.requirement):
             if requirement.metric.startswith(SECTION_PREFIX) and not self.switches.section_loads:
                 problem = "section loads are switched off"
@@ -483,3 +483,17 @@ class Scenario(Section):
                 0,
                 at=("wind", "profile"),
             )
+
+    def _check_coverage(self) -> None:
+        """Refuse tables of vehicle, design and guidance that end before the powered flight does."""
+        on, start_s, end_s = self.switches.thrust, self.run.start_s, self.run.start_s + self.run.duration_s
+        powered_end_s = check_stages(self.vehicle.stage, end_s, on and self.run.freeze_vehicle_at_s is None)
+        if powered_end_s == 0.0 or not on:
+            return
+        programme, gains = self.guidance.programme, self.design.gains if self.design is not None else None
+        if programme is not None and self.switches.guidance and start_s < powered_end_s:
+            check_programme(programme, start_s, min(powered_end_s, end_s))
+        if gains is not None and gains.over == "time_s":
+            for name, table in (("table", gains.table), ("yaw_table", gains.yaw_table)):
+                if table is not None:
+                    check_gains(table, ("design", "gains", name), powered_end_s)

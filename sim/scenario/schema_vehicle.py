@@ -374,7 +374,8 @@ class Stage(Section):
         self._check_slosh_mass()
         self._check_stations()
         if self.loads is not None:
-            check_loads(self.loads, self)
+            gimbal_station_m = min((engine.gimbal_station_m for engine in self.engines), default=None)
+            check_loads(self.loads, gimbal_station_m, names)
 
     def mode_tables(self) -> list[tuple[str, ModeTable | SpatialModeTable]]:
         """Tables of modes and their keys; one that serves both planes once."""

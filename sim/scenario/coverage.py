@@ -1,0 +1,92 @@
+"""Checks that tables over time cover the powered flight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydantic_core import PydanticCustomError
+
+from maxq.sim.scenario.burn import burn_rate, stage_end_s, thrust_end_s
+from maxq.sim.scenario.errors import Path, refuse
+from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.scenario.tables_csv import CsvTable
+
+
+def check_stages(stages: Sequence[Stage], flight_end_s: float, thrust_must_end: bool) -> float:
+    """Refuse tables that end before the thrust of their stage; return the end of the powered flight, s.
+
+    Both times are on the vehicle clock; the end is 0 without thrust. `thrust_must_end`: refuse thrust tables that do
+    not end at zero where the flight goes on.
+    """
+    stage_start_s, powered_end_s = 0.0, 0.0
+    for n, stage in enumerate(stages):
+        key: Path = ("vehicle", "stage", n)
+        _check_stage_tables(stage, key)
+        if thrust_must_end:
+            _check_thrust_ends(stage, min(flight_end_s - stage_start_s, stage_end_s(stage)), key)
+        burn_end_s = min(thrust_end_s(stage) / burn_rate(stage), stage_end_s(stage))
+        if burn_end_s > 0.0:
+            powered_end_s = stage_start_s + burn_end_s
+        stage_start_s += stage_end_s(stage)
+    return powered_end_s
+
+
+def _check_stage_tables(stage: Stage, key: Path) -> None:
+    """Refuse tables of a stage that end before its thrust does, and an ignition after the end of thrust."""
+    end = min(thrust_end_s(stage), stage_end_s(stage) * burn_rate(stage))
+    tables: list[tuple[Path, CsvTable | None]] = [(("mass", "table"), stage.mass.table)]
+    tables += [(("tank", n, "table"), tank.table) for n, tank in enumerate(stage.tank)]
+    tables.append((("mass", "rate_damping"), stage.mass.rate_damping))
+    if stage.aero is not None:
+        tables.append((("aero", "moment_reference_over_time"), stage.aero.moment_reference_over_time))
+    if stage.spatial_modes is not None:
+        tables.append((("spatial_modes", "table"), stage.spatial_modes.table))
+    if stage.bending is not None:
+        tables += [(("bending", "pitch"), stage.bending.pitch), (("bending", "yaw"), stage.bending.yaw)]
+    for place, table in tables:
+        if table is not None and table["time_s"][0] < table["time_s"][-1] < end:
+            raise _ends_too_early(table, "the table ends before the thrust does", end, key + place)
+    if stage.engines and end > 0.0 and stage.ignition_s * burn_rate(stage) >= end:
+        raise refuse("ignition comes after the end of thrust", f"less than {end:g}", (*key, "ignition_s"))
+    mass = stage.mass
+    if mass.burn_s is not None and mass.mass_flow_kgps and mass.burn_s < end:
+        raise refuse("mass flow ends before the thrust does", f"at least {end:g}", (*key, "mass", "burn_s"))
+
+
+def _ends_too_early(table: CsvTable, problem: str, end_s: float, key: Path) -> PydanticCustomError:
+    return table.refusal(problem, f"a last time_s >= {end_s:g}", "time_s", len(table) - 1, at=key)
+
+
+def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
+    """Refuse a thrust table that does not end at zero where the stage flies on to `ends_s` on its clock."""
+    column = "thrust_vacuum_N"
+    for n, table in enumerate(engine.table for engine in stage.engines):
+        last = float(table["time_s"][-1]) / burn_rate(stage)
+        if len(table) > 1 and table[column][-1] > 0.0 and ends_s > last:
+            problem = f"thrust does not end at zero, and the flight goes on after {last:g} s"
+            at = (*key, *stage.engine_key(n), "table")
+            raise table.refusal(problem, "0 in the last row", column, len(table) - 1, at=at)
+
+
+def check_programme(table: CsvTable, start: float, end: float) -> None:
+    """Refuse a guidance programme that does not cover the powered flight from `start` to `end` (s)."""
+    key: Path = ("guidance", "programme")
+    if len(table) == 1:
+        return
+    if table["time_s"][0] > start:
+        raise table.refusal("the programme begins too late", f"a first time_s <= {start:g}", "time_s", 0, at=key)
+    commands_nothing = all(column[-1] == 0.0 for name, column in table.columns.items() if name != "time_s")
+    if table["time_s"][-1] < end and not commands_nothing:  # its last row holds: a rate that goes on is a mistake
+        raise _ends_too_early(table, "the programme ends before the thrust does", end, key)
+
+
+def check_gains(table: CsvTable, key: Path, end: float) -> None:
+    """Refuse a gain table that is wholly outside the powered flight; gains are held beyond its ends."""
+    if len(table) == 1:
+        return
+    for wrong, problem, allowed in (
+        (table["time_s"][0] > end, "all gains lie after the powered flight", f"a first time_s <= {end:g}"),
+        (table["time_s"][-1] < 0.0, "all gains lie before the flight", "a last time_s >= 0"),
+    ):
+        if wrong:
+            raise table.refusal(problem, allowed, "time_s", 0, at=key)
