@@ -2,10 +2,10 @@
 
 ::
 
-    from maxq.api import load, fly, campaign, read, vehicle, design, bode, verify, replay
+    from maxq.api import load, fly, plot, campaign, read, vehicle, design, bode, verify, replay
 
     flight = fly("nominal", "wind.profile=winds/anheung-november.csv")
-    flight.plot("alpha_total_deg", "gimbal_pitch_angle_deg")
+    plot(flight, "alpha_total_deg", "gimbal_pitch_angle_deg")
     flight.to_pandas("/truth"), flight.to_csv("flight.csv", "altitude_m"), flight.metrics
 
     made = design("ksr3-relaxed")
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for type checkers and editors; _HOMES says the same to the interpreter
     from maxq.api.designs import Designed, bode, design, verify
-    from maxq.api.flights import campaign, fly, load, read, replay, vehicle
+    from maxq.api.flights import campaign, fly, load, plot, read, replay, vehicle
     from maxq.design.api import load_design, loop, loops, nodes
     from maxq.design.margins.measure import margins
     from maxq.design.verify.verify import Verification
@@ -43,11 +43,11 @@ if TYPE_CHECKING:  # for type checkers and editors; _HOMES says the same to the 
 __all__ = [
     "CampaignError", "DataSet", "Designed", "Flight", "FlightRun", "LoadedCampaign", "LoadedScenario", "Log",
     "LogError", "ScenarioError", "Verification", "bode", "builtin_names", "campaign", "design", "fly", "load",
-    "load_design", "loop", "loops", "margins", "nodes", "read", "record", "replay", "vehicle", "verify",
+    "load_design", "loop", "loops", "margins", "nodes", "plot", "read", "record", "replay", "vehicle", "verify",
 ]  # fmt: skip  # twenty more lines otherwise
 _HOMES = {
     "maxq.api.designs": ("Designed", "bode", "design", "verify"),
-    "maxq.api.flights": ("campaign", "fly", "load", "read", "replay", "vehicle"),
+    "maxq.api.flights": ("campaign", "fly", "load", "plot", "read", "replay", "vehicle"),
     "maxq.design.api": ("load_design", "loop", "loops", "nodes"),
     "maxq.design.margins.measure": ("margins",),
     "maxq.design.verify.verify": ("Verification",),

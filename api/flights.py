@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
@@ -15,6 +16,9 @@ from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.record import LOG_NAME, record
 from maxq.sim.scenario.loader import LoadedScenario, is_campaign, load_scenario
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def load(path: str | Path, *overrides: str) -> LoadedScenario | LoadedCampaign:
@@ -59,6 +63,17 @@ def read(path: str | Path) -> Log | DataSet:
     if (place / MANIFEST).is_file():
         return DataSet(place, campaign_in(place))
     return read_log(place / LOG_NAME if place.is_dir() else place)
+
+
+def plot(of: Flight | Log, *names: str) -> Figure:
+    """Draw channels over time, those of one unit in one panel, with the events of the flight as dotted lines.
+
+    `names`: channels or topics ("/truth"); none: the key channels. Returns a Matplotlib figure, which a notebook shows
+    and `.savefig(path)` writes. Raises KeyError for an unknown name.
+    """
+    from maxq.tools.plots.channels import channel_plot  # noqa: PLC0415  # lazy: Matplotlib takes half a second
+
+    return channel_plot(of, names)
 
 
 def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:

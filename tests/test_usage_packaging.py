@@ -113,7 +113,7 @@ ONE_VEHICLE = re.compile(r"ksr|anheung|korea|reconstruct|\bkari\b", re.IGNORECAS
 THE_PAPER = re.compile(r"\bpaper\b|\bRoh\b")
 NAMES_ONE = {
     "design/model/dispersion.py": "the paper's Table 2",
-    "tools/cli/frame.py": "built-in examples in help", "tools/design/analyse.py": "the command's default design",
+    "tools/cli/frame.py": "built-in examples in help", "tools/design/report.py": "the command's default design",
     "tools/simdesign.py": "examples in help", "tools/simrun.py": "examples in help",
     "tools/simvehicle.py": "examples in help", "tools/simverify.py": "examples in help",
 }  # fmt: skip  # a line each otherwise

@@ -1,6 +1,9 @@
 """Imports point one way (tools -> design -> sim -> control), and kernels know neither files nor people."""
 
+import ast
+import graphlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -9,6 +12,31 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+LAYERS = ("control", "sim", "design", "tools", "api")
+LINEAR_MODEL = {"air", "dispersion", "engine", "equations", "instruments", "node", "sections", "vehicle_at"}
+"""The modules of design/model whose cycles end when the linear model is the Jacobian of the compiled derivative."""
+
+
+def imports_of(root):
+    """Return the maxq modules that each module imports, at its top, in functions and for type checkers alike."""
+    files = {
+        "maxq." + ".".join(path.relative_to(root).with_suffix("").parts): path
+        for layer in LAYERS
+        for path in (root / layer).rglob("*.py")
+        if ".ns" not in path.parts
+    }
+    graph, excused = {}, {f"maxq.design.model.{name}" for name in LINEAR_MODEL}
+    for module, path in files.items():
+        found = set()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module in files:
+                found.add(node.module)
+            elif isinstance(node, ast.ImportFrom):
+                found |= {f"{node.module}.{alias.name}" for alias in node.names} & set(files)
+            elif isinstance(node, ast.Import):
+                found |= {alias.name for alias in node.names} & set(files)
+        graph[module] = {i for i in found - {module} if not {module, i} <= excused}
+    return graph
 
 
 def lint_imports(root):
@@ -33,6 +61,33 @@ def test_imports_point_one_way():
     done = lint_imports(ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "7 kept, 0 broken" in done.stdout
+
+
+def test_no_file_imports_another_that_imports_it():
+    """Import-linter orders packages; a cycle within one is found here."""
+    graph = imports_of(ROOT)
+    assert sum(map(len, graph.values())) > 1000
+    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the cycle
+
+
+def test_a_cycle_of_files_is_found(copy):
+    with (copy / "sim/scenario/burn.py").open("a") as file:
+        file.write("\n\ndef late() -> None:\n    from maxq.sim.scenario.schema_scenario import Scenario\n")
+    with pytest.raises(graphlib.CycleError, match=r"sim\.scenario\.burn"):
+        graphlib.TopologicalSorter(imports_of(copy)).prepare()
+
+
+def test_no_layer_names_a_higher_one_in_a_string():
+    """Importing by name at run time would pass import-linter."""
+    found = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for n, layer in enumerate(LAYERS)
+        for path in (ROOT / layer).rglob("*.py")
+        if ".ns" not in path.parts
+        for name in re.findall(r"[\"']maxq\.(\w+)[.\w]*[\"']", path.read_text())
+        if name in LAYERS[n + 1 :]
+    ]
+    assert found == []
 
 
 @pytest.mark.parametrize(

@@ -97,10 +97,12 @@ def test_a_csv_file_holds_every_bit(flight: Flight) -> None:
 
 
 def test_a_plot_has_a_panel_a_unit_and_no_text_over_another(flight: Flight) -> None:
-    figure = flight.plot("gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "mach")
+    figure = api.plot(flight, "gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "mach")
     assert isinstance(figure, Figure)
     assert len(figure.axes) == 2
-    flight.plot()
+    api.plot(flight)
+    with pytest.raises(KeyError, match="did you mean mach"):
+        api.plot(flight, "mah")
     assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]  # what a notebook asks for
 
 

@@ -103,9 +103,9 @@ def _run(arguments: list[str]) -> int:
         return show_list({"case": "cases (simdesign CASE)", "design": "designs (simdesign analyse DESIGN)"})
     pictures = not options.no_pictures
     if mode == _ANALYSE:
-        from maxq.tools.design import analyse  # noqa: PLC0415  # lazy, as all imports here: --help is quick
+        from maxq.tools.design import analyse, report  # noqa: PLC0415  # lazy, as all imports here: --help is quick
 
-        return analyse.execute(filled(analyse.Order, options, design=names[0], pictures=pictures))
+        return analyse.execute(filled(report.AnalysisOrder, options, design=names[0], pictures=pictures))
     if mode == _EXPORT:
         from maxq.tools.design import export  # noqa: PLC0415  # lazy
 
@@ -121,9 +121,9 @@ def _run(arguments: list[str]) -> int:
             parser.error("--share takes a number up to 1")
         return bias.execute(filled(bias.Order, options, scenario=names[0]))
     if mode == _ERRATA:
-        from maxq.tools.design import analyse  # noqa: PLC0415  # lazy
+        from maxq.tools.design import analyse, report  # noqa: PLC0415  # lazy
 
-        return analyse.execute_errata(filled(analyse.Order, options, design=names[0] if names else None))
+        return analyse.execute_errata(filled(report.AnalysisOrder, options, design=names[0] if names else None))
     from maxq.tools.design import run_case  # noqa: PLC0415  # lazy
 
     orders = [

@@ -1,4 +1,4 @@
-"""Channels as tables: what a flight and its log have in common for whoever goes on with other tools."""
+"""Channels as tables: the part that a flight and its log have in common."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import difflib
 import html
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +17,10 @@ from maxq.sim.flight.channels import ChannelTable
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
 
 class Tabular(ABC):
-    """What has channels by name: tables of them, files and plots.
+    """A source of channels by name, a flight or its log, with exports to tables and files.
 
     `names` are channels or topics ("/truth"); none: all. Raises KeyError for an unknown one.
     """
@@ -47,7 +45,7 @@ class Tabular(ABC):
 
     def topic(self, name: str) -> Mapping[str, Array]:
         """All channels of a topic by name; KeyError, with the names there are, if there is none."""
-        return {channel: self[channel] for channel in self._named((name,))}
+        return {channel: self[channel] for channel in self.channels_in((name,))}
 
     def to_pandas(self, *names: str) -> pd.DataFrame:
         """A column for each channel over `time_s`. Channels of the slower rate are NaN between their times.
@@ -89,18 +87,8 @@ class Tabular(ABC):
             file.writelines(",".join(row) + "\n" for row in (head, *zip(*columns, strict=True)))
         return Path(path)
 
-    def plot(self, *names: str) -> Figure:
-        """Channels over time, those of one unit in one panel, with events; none: the key ones. A Matplotlib figure,
-        which a notebook shows; `.savefig(path)` writes it.
-        """
-        # Drawing stands above this layer: it is found by name, so that nothing here depends on it.
-        drawn: Figure = import_module("maxq.tools.plots.channels").channel_plot(
-            self, self._named(names) if names else ()
-        )
-        return drawn
-
-    def _named(self, names: Sequence[str]) -> list[str]:
-        """Channels of these channels and topics."""
+    def channels_in(self, names: Sequence[str]) -> list[str]:
+        """Return the channels named, and those of the topics named, each once. Raises KeyError for an unknown name."""
         known = {topic.name: [channel.name for channel in topic.channels] for topic in self.table.topics}
         for name in names:
             if name not in known and name not in self.table:
@@ -114,7 +102,7 @@ class Tabular(ABC):
 
     def _groups(self, names: Sequence[str]) -> list[list[str]]:
         """Channels of one rate each."""
-        wanted, groups = self._named(names) if names else list(self.table.names), dict[str, list[str]]()
+        wanted, groups = self.channels_in(names) if names else list(self.table.names), dict[str, list[str]]()
         for name in wanted:
             groups.setdefault(self.table.topic(name).group, []).append(name)
         return list(groups.values())

@@ -7,20 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from maxq.design import api
-from maxq.design.api import Plant
 from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictures
 from maxq.design.loop.errata_effects import Effect, errata_effects, peaks_db
-from maxq.design.loop.fixed_path import Cut, Kind, fixed_path
+from maxq.design.loop.fixed_path import Cut, fixed_path
 from maxq.design.margins.measure import margins
 from maxq.design.margins.multiloop import MultiloopMargins, multiloop_margins
 from maxq.design.model.node import Node, node_times, powered_spans
-from maxq.design.model.vehicle_at import Plane
 from maxq.design.verify.judging import Wanted, checks, judge, multiloop_checks
 from maxq.design.verify.verify import stage_name
 from maxq.sim.files import check_writable, write_whole
@@ -29,7 +26,14 @@ from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit
 from maxq.tools.cli.terminal import Progress, aligned, tell
-from maxq.tools.design.report import Group, analysis_record, analysis_report, analysis_verdict, write_record
+from maxq.tools.design.report import (
+    AnalysisOrder,
+    Group,
+    analysis_record,
+    analysis_report,
+    analysis_verdict,
+    write_record,
+)
 
 RECORD_NAME = "analysis.json"
 _FILE_WIDTH = 1_000_000  # whole rows
@@ -44,25 +48,7 @@ QUANTITIES = {
 }
 
 
-@dataclass(frozen=True)
-class Order:
-    """What the command line asks for; the errata take neither model, plane nor pictures."""
-
-    design: str = "ksr3-default"
-    scenario: str = "nominal"
-    vehicle: str | None = None
-    times_s: tuple[float, ...] = ()
-    every_s: float = 5.0
-    kind: Kind = "sampled"
-    axis: Plane = "pitch"
-    errata: str = "corrected"
-    plant: Plant = "flown"
-    faults: bool = False
-    out: str | None = None
-    pictures: bool = True
-
-
-def execute(order: Order) -> int:
+def execute(order: AnalysisOrder) -> int:
     """Do it; returns the exit code."""
     scenario, design = load(order.scenario, order.vehicle, order.design)
     path = Path(order.design)
@@ -97,7 +83,7 @@ def execute(order: Order) -> int:
 
 
 def all_axes(
-    scenario: LoadedScenario, design: Design, times_s: Sequence[float], order: Order, progress: Progress
+    scenario: LoadedScenario, design: Design, times_s: Sequence[float], order: AnalysisOrder, progress: Progress
 ) -> list[MultiloopMargins]:
     """Margins of all axes together; none of a vehicle or a computer other than what flies."""
     if (order.kind, order.errata, order.plant) != ("sampled", "corrected", "flown"):
@@ -123,7 +109,7 @@ def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenari
     return (own if own.design is not None else with_it), with_it.design
 
 
-def find_nodes(scenario: LoadedScenario, design: Design, order: Order) -> list[Node]:
+def find_nodes(scenario: LoadedScenario, design: Design, order: AnalysisOrder) -> list[Node]:
     """Nodes along the flight, by default at the rows of the gain tables and every `every_s` between their ends, as far
     as they lie under thrust.
 
@@ -156,7 +142,7 @@ def _gain_times(scenario: LoadedScenario, design: Design, every_s: float) -> lis
 # errata
 
 
-def execute_errata(order: Order) -> int:
+def execute_errata(order: AnalysisOrder) -> int:
     """Do it; returns the exit code."""
     scenario, design = load(order.scenario, order.vehicle, order.design)
     with Progress() as progress:
@@ -191,7 +177,7 @@ def effects(nodes: Sequence[Node], design: Design) -> list[Effect]:
     return errata_effects(nodes, measure)
 
 
-def errata_report(found: Sequence[Effect], order: Order, width: int | None = None) -> str:
+def errata_report(found: Sequence[Effect], order: AnalysisOrder, width: int | None = None) -> str:
     """A table of every quantity: a row an erratum, a column a node; printed less corrected."""
     times = list(dict.fromkeys(e.node.time_s for e in found))
     names = list(dict.fromkeys(e.erratum for e in found))

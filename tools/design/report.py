@@ -8,23 +8,23 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.design.api import Plant
+from maxq.design.loop.fixed_path import Kind
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.multiloop import MultiloopMargins
+from maxq.design.model.vehicle_at import Plane
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify.judging import LIMITS, Check, Judged, Outcome, RigidBody
 from maxq.sim.files import write_whole
 from maxq.sim.flight.metric_table import figures
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.terminal import aligned, printable
-
-if TYPE_CHECKING:
-    from maxq.tools.design.analyse import Order
 
 GAIN_HEADS = {
     "time_s": "time, s", "speed_mps": "speed, m/s", "mass_kg": "mass, kg", "dynamic_pressure_Pa": "q, Pa",
@@ -34,6 +34,24 @@ GAIN_HEADS = {
 MET, MISSED = "met", "MISSED"
 _KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
 _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
+
+
+@dataclass(frozen=True)
+class AnalysisOrder:
+    """The options of `simdesign analyse` and of `simdesign errata`, which has no kind, axis or pictures."""
+
+    design: str = "ksr3-default"
+    scenario: str = "nominal"
+    vehicle: str | None = None
+    times_s: tuple[float, ...] = ()
+    every_s: float = 5.0
+    kind: Kind = "sampled"
+    axis: Plane = "pitch"
+    errata: str = "corrected"
+    plant: Plant = "flown"
+    faults: bool = False
+    out: str | None = None
+    pictures: bool = True
 
 
 @dataclass(frozen=True)
@@ -51,7 +69,7 @@ class Group:
         return [*self.found, *self.coupled]
 
 
-def analysis_report(name: str, order: Order, design: Design, groups: Sequence[Group]) -> str:
+def analysis_report(name: str, order: AnalysisOrder, design: Design, groups: Sequence[Group]) -> str:
     """Of `simdesign analyse`."""
     where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {_KINDS[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
@@ -359,7 +377,7 @@ def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
     ]  # fmt: skip  # seven more lines otherwise
 
 
-def analysis_record(name: str, order: Order, groups: Sequence[Group]) -> dict[str, Any]:
+def analysis_record(name: str, order: AnalysisOrder, groups: Sequence[Group]) -> dict[str, Any]:
     """Of `simdesign analyse`."""
     checks = [check for group in groups for check in group.checks]
     return {

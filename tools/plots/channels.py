@@ -1,4 +1,4 @@
-"""Channels over time: what `flight.plot(...)` and `log.plot(...)` draw."""
+"""Plots of channels over time, as `maxq.api.plot` draws them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ _MOST_POINTS = 4000
 
 
 def channel_plot(of: Tabular, names: Sequence[str] = ()) -> Figure:
-    """A panel for each unit, below one another over the same time; events of the flight are dotted."""
-    names = names or [name for name in _KEY if name in of.table]
+    """Draw channels over the same time in a panel for each unit, with the events of the flight as dotted lines.
+
+    `names`: channels or topics; none: the key channels of a flight. Raises KeyError for an unknown name.
+    """
+    names = of.channels_in(names) or [name for name in _KEY if name in of.table]
     units: dict[str, list[str]] = {}
     for name in names:
         units.setdefault(of.table.channel(name).unit, []).append(name)
