@@ -12,6 +12,7 @@ import design_nodes
 import numpy as np
 import petrelkit
 import pytest
+from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
@@ -20,7 +21,7 @@ from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
-from maxq.design.margins.many import DONE, HANDED_BACK, MARGINS, UNSTABLE
+from maxq.design.margins.many import DONE, HANDED_BACK, MEASURES, UNSTABLE
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse, dispersed_many, stacked
 from maxq.design.model.node import Node
@@ -40,12 +41,19 @@ def drawn(node: Node, count: int, spread: Spread = WIDE) -> list[Dispersion]:
     return vehicles(LinearMargins(cases=count, corner_sigmas=0.0, three_sigma=spread), node)[1]
 
 
+MARGINS = MEASURES.names[:7]
+
+
+def margins_in(values: NDArray[np.void]) -> Array:
+    """The margins (vehicles, 7) in the order and the units of `linear.MEASURES`."""
+    return np.array([values[name] * (1e3 if name == "delay_s" else 1.0) for name in MARGINS]).T
+
+
 def compared(node: Node, law: Controller, every: list[Dispersion]) -> tuple[Array, int, int]:
     """Largest differences of each margin, how many vehicles are unstable, and how many are handed back."""
     values, status = ManyLoops(node, law).measure(every, -6.0)
-    values = values[:, :MARGINS]
-    worst, unstable = np.zeros(MARGINS), 0
-    for by, row, found in zip(every, values, status, strict=True):
+    worst, unstable = np.zeros(len(MARGINS)), 0
+    for by, row, found in zip(every, margins_in(values), status, strict=True):
         exact = measured(Loop(fixed_path(disperse(node, by)), law), -6.0)
         unstable += not exact
         if found == HANDED_BACK:
@@ -147,11 +155,11 @@ def test_a_flight_of_its_own() -> None:
     every = drawn(node, 5, Spread())
     values, status = ManyLoops(node, law).measure(every, -6.0, met)
     assert (status == DONE).all()
-    for by, row in zip(every, values, strict=True):
+    for by, row, distance in zip(every, margins_in(values), values["distance"], strict=True):
         exact = measured(Loop(fixed_path(disperse(met, by)), law), -6.0)
-        assert np.allclose(row[:MARGINS], list(exact.values()), rtol=0.0, atol=1e-4)
+        assert np.allclose(row, list(exact.values()), rtol=0.0, atol=1e-4)
         loop = Loop(fixed_path(disperse(met, by)), law)
-        assert row[MARGINS] == pytest.approx(margins(loop).modulus, abs=1e-6)
+        assert distance[0] == pytest.approx(margins(loop).modulus, abs=1e-6)
 
 
 def test_what_is_not_served_says_so() -> None:

@@ -93,12 +93,13 @@ class ManyLoops:
 
     def measure(
         self, every: Sequence[Dispersion], peak_db: float, flight: Node | None = None
-    ) -> tuple[Array, IntArray]:
-        """Margins of vehicles, (vehicles, many.COUNT), and the status of each; delays are in ms.
+    ) -> tuple[NDArray[np.void], IntArray]:
+        """Return the margins of vehicles, (vehicles,) of many.MEASURES, and the status of each.
 
         `flight`: the node as another flight meets it, of the same stage and with the same instruments.
         """
-        values, status = np.full((len(every), many.COUNT), np.nan), np.zeros(len(every), np.int64)
+        values, status = np.zeros(len(every), many.MEASURES), np.zeros(len(every), np.int64)
+        values.view(float)[:] = np.nan
         unlike = np.array([unlike_drives(by) for by in every], bool)
         if unlike.any() and self._apart is not self:
             there = with_drives_apart(flight or self.node)
@@ -109,10 +110,9 @@ class ManyLoops:
         for first in range(0, len(every), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             self._measure(stacked(every[part]), peak_db, flight or self.node, values[part], status[part])
-        values[:, many.DELAY] *= 1e3
         return values, status
 
-    def _measure(self, by: Dispersion, peak_db: float, node: Node, values: Array, status: IntArray) -> None:
+    def _measure(self, by: Dispersion, peak_db: float, node: Node, values: NDArray[np.void], status: IntArray) -> None:
         period = self.node.instruments.sample_s
         poles, residues, owner, good = self._modes(node, by, len(status))
         status[~good] = many.HANDED_BACK

@@ -7,6 +7,8 @@ crossings that lie closer to each other than the grid's points can be missed. Ve
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from maxq.control.kernel.jit import entry, routine
@@ -15,17 +17,23 @@ from maxq.design.margins import curve, lobes, many_curve, solving
 from maxq.design.model.state_space import ComplexArray
 
 DONE, UNSTABLE, HANDED_BACK = 0, 1, 2
-MARGINS, DELAY, MINIMA, COUNT = 7, 3, 8, 23
-"""Values of a vehicle, COUNT in all. MARGINS of them: gain up (dB), gain down (dB), rigid phase (deg), delay (s), slosh
-phase (deg), phase of the first mode (deg), peak of the others (dB); NaN of an unstable loop. Then, of that too, the
-MINIMA lowest |1 + L| and where each is (Hz), NaN behind the last."""
+MINIMA = 8
+MEASURES = np.dtype([
+    ("gain_up_db", float), ("gain_down_db", float), ("rigid_phase_deg", float), ("delay_s", float),
+    ("slosh_phase_deg", float), ("first_mode_phase_deg", float), ("second_and_higher_modes_db", float),
+    ("distance", float, MINIMA), ("distance_hz", float, MINIMA),
+])  # fmt: skip  # a line for each otherwise
+"""The measures of one loop. Margins are infinite where nothing bounds them and NaN for an unstable loop.
+
+`distance` holds the lowest minima of |1 + L|, of an unstable loop too, and `distance_hz` their frequencies; NaN behind
+the last."""
 
 _LIGHT = 0.3  # damping ratio of what `FixedPath.resonances` names
 
 
 @routine
-def _nearest(f: Array, loop: ComplexArray, at: many_curve.At, out: Array) -> None:
-    """The lowest minima of |1 + L| and their frequencies, behind the margins."""
+def _nearest(f: Array, loop: ComplexArray, at: many_curve.At, distance: Array, distance_hz: Array) -> None:
+    """The lowest minima of |1 + L| and their frequencies."""
     n = len(f)
     value = np.abs(1.0 + loop)
     low = np.ones(n, np.bool_)
@@ -42,7 +50,7 @@ def _nearest(f: Array, loop: ComplexArray, at: many_curve.At, out: Array) -> Non
         if 0 < best < n - 1 and value[best] < 2.0 * value.min():
             a, c, b = np.log(value[best - 1]), np.log(value[best]), np.log(value[best + 1])
             hz = many_curve.least_of(4, f[best - 1], f[best], f[best + 1], a, c, b, at)
-        out[MARGINS + place], out[MARGINS + MINIMA + place] = abs(1.0 + many_curve.value_at(hz, at)), hz
+        distance[place], distance_hz[place] = abs(1.0 + many_curve.value_at(hz, at)), hz
         low[best] = False
 
 
@@ -50,7 +58,7 @@ def _nearest(f: Array, loop: ComplexArray, at: many_curve.At, out: Array) -> Non
 def _one(
     poles: ComplexArray, residues: ComplexArray, owner: IntArray, sample_s: float, whole: int, rest_s: float, zeros:
     ComplexArray, law_poles: ComplexArray, gain: float, law_hz: ComplexArray, integrates: bool, start: ComplexArray,
-    out: Array, peak_db: float,
+    out: Any, peak_db: float,
 ) -> int:  # fmt: skip  # one line for each otherwise
     """Margins of one vehicle into `out`; DONE, UNSTABLE or HANDED_BACK."""
     n = len(poles)
@@ -150,7 +158,7 @@ def _one(
         values[k] = many_curve.value_at(places[k], at)
     f, loop, m = many_curve.merged(f, loop, m, places, at)
 
-    _nearest(f, loop, at, out)
+    _nearest(f, loop, at, out.distance, out.distance_hz)
 
     # encirclements
     right = 0
@@ -184,7 +192,7 @@ def _one(
 @routine
 def _judged(
     f: Array, loop: ComplexArray, places: Array, kinds: IntArray, values: ComplexArray, poles: ComplexArray, owner:
-    IntArray, slope_at_zero: int, at_zero: float, at: many_curve.At, out: Array, peak_db: float,
+    IntArray, slope_at_zero: int, at_zero: float, at: many_curve.At, out: Any, peak_db: float,
 ) -> int:  # fmt: skip  # one line for each otherwise
     """Gain, phase and delay margins, and lobes, as measure.margins and lobes.find_lobes."""
     m, end = len(f), f[-1]
@@ -294,8 +302,8 @@ def _judged(
     for k in range(len(places)):
         if kinds[k] == 0 and not in_bending[k]:
             phase = min(phase, abs(np.degrees(many_curve.angle(-values[k]))))
-    out[0], out[1], out[2], out[3] = up, down, phase, delay
-    out[4], out[5], out[6] = slosh_deg, first_deg, higher_db
+    out.gain_up_db, out.gain_down_db, out.rigid_phase_deg, out.delay_s = up, down, phase, delay
+    out.slosh_phase_deg, out.first_mode_phase_deg, out.second_and_higher_modes_db = slosh_deg, first_deg, higher_db
     return DONE
 
 
@@ -374,9 +382,9 @@ def _end_of_lobe(
 def measure_many(
     poles: ComplexArray, residues: ComplexArray, owner: IntArray, sample_s: float, whole: IntArray, rest_s: Array,
     zeros: ComplexArray, law_poles: ComplexArray, gain: float, law_radps: ComplexArray, integrates: bool, start:
-    ComplexArray, peak_db: float, values: Array, status: IntArray,
+    ComplexArray, peak_db: float, values: Any, status: IntArray,
 ) -> None:  # fmt: skip  # one line for each otherwise
-    """Margins of vehicles into `values` (vehicles, COUNT), `status` (vehicles,): DONE, UNSTABLE or HANDED_BACK.
+    """Margins of vehicles into `values` (vehicles,) of MEASURES, `status` (vehicles,): DONE, UNSTABLE or HANDED_BACK.
 
     `poles` (vehicles, n) of the continuous path, rad/s, both of each pair, and its residues; `owner` of each: +k mode
     k, -k tank k, 0 nothing. Delay of each: `whole` periods and `rest_s`. The law from mean rate to command: `zeros`,

@@ -56,6 +56,11 @@ MEASURES = {
     "higher_modes_db": ("modes 2 and above: peak", "dB", "<="),
 }
 """What is measured, by the key of its limit (`MarginLimits`): title, unit, sense of the limit."""
+_COLUMNS = (
+    ("gain_up_db", 1.0), ("gain_down_db", 1.0), ("rigid_phase_deg", 1.0), ("delay_s", 1e3), ("slosh_phase_deg", 1.0),
+    ("first_mode_phase_deg", 1.0), ("second_and_higher_modes_db", 1.0),
+)  # fmt: skip  # a line for each otherwise
+"""The field of `many.MEASURES` that each of MEASURES is, and its unit in that of the field."""
 INSTANTS_S = (0.5, 0.05, 0.005)
 """Steps of the search for the worst instant between nodes, coarse to fine."""
 NEAR = 0.01
@@ -306,7 +311,7 @@ class _Dispersed:
         again = np.arange(len(rows))
         if self._loops is not None:
             values, status = self._loops.measure(every, self.limits.slosh_peak_db, flight)
-            values = values[:, : len(MEASURES)]
+            values = np.array([values[name] * scale for name, scale in _COLUMNS]).T
             table[rows] = np.where((status == DONE)[:, None], values, math.nan)
             limits = np.array([getattr(self.limits, name) for name in MEASURES], float)  # nan: none
             again = np.flatnonzero((status == HANDED_BACK) | (np.abs(values - limits) < NEAR).any(axis=1))

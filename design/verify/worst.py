@@ -29,7 +29,7 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.curve import lowest_hz_of, unstable
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
-from maxq.design.margins.many import DONE, HANDED_BACK, MARGINS, MINIMA
+from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import disperse, disperse_instruments, dispersed_many, stacked, with_drives_apart
 from maxq.design.model.node import Node
@@ -101,7 +101,7 @@ def distances(node: Node, design: Design, spread: Spread) -> Callable[[Sequence[
 
     def at(every: Sequence[Array]) -> Looks:
         values, status = loops.measure([vehicle_at_places(spread, node, places, u) for u in every], 0.0)
-        near, hz = values[:, MARGINS : MARGINS + MINIMA], values[:, MARGINS + MINIMA :]
+        near, hz = values["distance"], values["distance_hz"]
         out = list[tuple[float, Array]]()
         for u, at_hz, least, verdict in zip(every, hz, near[:, 0], status, strict=True):
             sign = 1.0 if verdict == DONE else -1.0
