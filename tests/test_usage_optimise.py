@@ -97,6 +97,28 @@ def test_ctrl_c_keeps_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
         solve(loaded, plants)
 
 
+HELD = ("nodes_s=[45.0, 50.0, 55.0]", "filter.structure=F2", "search.starts=1", "search.leaps=1", "between_nodes='hold'")
+
+
+@pytest.mark.parametrize("stop_at", [1, 3])
+def test_a_design_that_was_interrupted_claims_no_instants(stop_at: int) -> None:
+    """Interrupted in the first search, or in the second, after instants were added: its own instants were not tried."""
+    loaded, calls = kit.case(*HELD), []
+
+    def stop(done: int, total: int, best_db: float, what: str) -> None:
+        calls.append(done)
+        if len(calls) == stop_at:
+            raise KeyboardInterrupt
+
+    s = solve(loaded, progress=stop)
+    assert s.status == "interrupted"
+    assert len(calls) == stop_at
+    assert s.certificate.instants == 0
+    assert (len(s.nodes) > 3) == (stop_at > 2)
+    whole = solve(loaded)
+    assert (whole.certificate.instants > 40, whole.certificate.worst_instant_db < 0.02) == (True, True)
+
+
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_design() -> None:
     loaded, plants = kit.case("filter.structure=F2", "search.starts=6"), kit.all_nodes()

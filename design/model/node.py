@@ -20,13 +20,13 @@ from maxq.design.model.plant import Liquids, alone, axial_load_mps2, vehicle_pla
 from maxq.design.model.sections import cuts_of
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import FlightCondition, Plane, Trim, VehicleAt, table_clock_s, vehicle_at
-from maxq.sim.flight.parameters import NEVER
+from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, TUMBLE
 from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.flight import Event, KeptRows
-from maxq.sim.run.fly import IGNITION_NAME, FlightRun
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, IGNITION_NAME, FlightRun
 from maxq.sim.scenario.burn import Burn, burn_rate, stage_burns
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.ranges import LONGEST_S
@@ -139,18 +139,43 @@ class Span:
         return self.begin_s <= time_s <= self.end_s
 
 
-def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
-    """Of each stage that burns, flown up to the last burn-out without faults and without a log."""
-    run = flown_run(scenario, faults=False)
+LOSSES = (CONTROL_LOST_NAME, EVENT_NAMES[TUMBLE], DIVERGED_NAME)
+"""Events from which on a flight gives no operating points."""
+
+
+def loss_of(events: Iterable[Event]) -> Event | None:
+    """Return the first event by which a flight is lost: control lost, a tumble or divergence; None without one."""
+    return min((e for e in events if e.name in LOSSES), key=lambda e: e.time_ns, default=None)
+
+
+def loss_text(loss: Event) -> str:
+    """Name a loss and its time: "control lost at 23.140 s"."""
+    return f"{loss.name.replace('_', ' ')} at {loss.time_s:.3f} s"
+
+
+def powered_flight(scenario: LoadedScenario, faults: bool = False) -> tuple[tuple[Span, ...], Event | None]:
+    """Fly without a log up to the last burnout, or to the loss: the powered span of each stage, and that loss."""
+    run, loss = flown_run(scenario, faults), None
     last = len(run.packed.parameters) - 1
-    while not run.finished and int(run.memory.clock.stage_burnout_ns[last]) < 0:
+    while not run.finished and loss is None and int(run.memory.clock.stage_burnout_ns[last]) < 0:
         run.fly_segment()
-    return spans_of(run.events, len(run.packed.parameters), run.now_s)
+        loss = loss_of(run.events)
+    return spans_of(run.events, len(run.packed.parameters), run.now_s), loss
+
+
+def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
+    """Return the powered span of each stage that burns, in a flight without faults; they end where it is lost."""
+    return powered_flight(scenario)[0]
 
 
 def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, ...]:
-    """What the events of a flight of so many stages say of its powered spans up to `now_s`."""
+    """Return the powered spans up to `now_s` by the events of a flight of this number of stages.
+
+    No span contains a time after the loss of the flight.
+    """
     found = list(events)
+    loss = loss_of(found)
+    now_s = now_s if loss is None else min(now_s, loss.time_s)
     lift_off_s = next((e.time_s for e in found if e.name == "liftoff"), -math.inf)
     out, end_s, burns_on = [], math.inf, False
     for n in range(stages):
@@ -350,7 +375,10 @@ def met_by(flown: Packed, node: Node, met: Node) -> Node:
 
 
 def flown_to(run: FlightRun, time_s: float) -> int:
-    """Fly on to the integrator's step nearest to a vehicle time, in ns. Raises ValueError where no engine burns."""
+    """Fly on to the integrator's step nearest to a vehicle time, in ns.
+
+    Raises ValueError where no engine burns, and after the loss of the flight.
+    """
     step_ns = int(run.packed.parameters[0].timeline.step_ns)
     at_ns = round(time_s * 1e9 / step_ns) * step_ns
     begins_s = run.now_s
@@ -361,6 +389,10 @@ def flown_to(run: FlightRun, time_s: float) -> int:
     if round(run.now_s * 1e9) != at_ns:
         events = ", ".join(f"{e.title} at {e.time_s:.4g} s" for e in run.events)
         raise ValueError(f"node at {time_s:g} s: the flight ends at {run.now_s:.6g} s ({events or 'no events'})")
+    if (loss := loss_of(run.events)) is not None:
+        raise ValueError(
+            f"node at {time_s:g} s: the flight is lost before ({loss_text(loss)}); allowed are times before the loss"
+        )
     held = run.memory.held
     if held.on_pad == 1 or held.burning == 0:
         why = "the vehicle is held down" if held.on_pad == 1 else "the engine does not burn"

@@ -33,14 +33,12 @@ class Instants:
 
     loaded: LoadedCase
     known: dict[float, Plant]
-    tried: int = 0
 
     def plants(self, times_s: Sequence[float]) -> list[Plant]:
         missing = [t for t in times_s if t not in self.known]
         if missing:
             nodes = nodes_of(self.loaded, missing)
             self.known |= {t: make_plant(node, self.loaded.case) for t, node in zip(missing, nodes, strict=True)}
-            self.tried += len(missing)
         return [self.known[t] for t in times_s]
 
     def over(self, times_s: Sequence[float], plants: Plants, law: LawVariables, solution: Solution) -> Array:
@@ -69,30 +67,44 @@ def solve_over_time(
     first, last = case.times_s[0], case.times_s[-1]
     grid = instants_along(first, last, INSTANTS_S)
     instants = Instants(loaded, dict(zip(case.times_s, nominal.each, strict=True)))
-    everywhere, plants = make_plants(instants.plants(grid), COARSE), nominal
-    solution = solve_at_nodes(loaded, plants, also_from, progress)
-    worst_db = 0.0
-    for _ in range(ROUNDS if solution.status != "interrupted" else 0):
-        law = make_problem(loaded.case, plants).law
-        over = instants.over(grid, everywhere, law, solution)
-        beside = {t + k * FINE_S for t in np.array(grid)[peaks(over, WORSE_DB)] for k in range(-4, 5)}
-        new: set[float] = set()
-        if beside:
-            # with the first and the last node: linear gains are numbers at both ends of a problem
-            fine = sorted({first, last, *(round(t, 9) for t in beside if first <= t <= last)})
-            over = instants.over(fine, make_plants(instants.plants(fine), COARSE), law, solution)
-            new = set(np.array(fine)[peaks(over, WORSE_DB)].tolist()) - set(loaded.case.times_s)
-        worst_db = float(over.max(initial=0.0))
-        if not new:
-            break
-        times_s = sorted({*loaded.case.times_s, *new})
-        loaded = replace(loaded, case=loaded.case.model_copy(update={"nodes_s": tuple(times_s)}))
-        plants = make_plants(instants.plants(times_s))
-        solution = solve_at_nodes(loaded, plants, [solution.law], progress)
-        if solution.status == "interrupted":
-            break
-    certificate = replace(solution.certificate, instants=instants.tried, worst_instant_db=worst_db)
+    solution, checked = solve_at_nodes(loaded, nominal, also_from, progress), Checked()
+    try:
+        everywhere = make_plants(instants.plants(grid), COARSE)
+        for number in range(ROUNDS + 1):
+            if solution.status == "interrupted":
+                break
+            law = make_problem(loaded.case, plants_at(instants, loaded)).law
+            over, times_s = instants.over(grid, everywhere, law, solution), grid
+            beside = {t + k * FINE_S for t in np.array(grid)[peaks(over, WORSE_DB)] for k in range(-4, 5)}
+            if beside:
+                # with the first and the last node: linear gains are numbers at both ends of a problem
+                times_s = sorted({first, last, *(round(t, 9) for t in beside if first <= t <= last)})
+                over = instants.over(times_s, make_plants(instants.plants(times_s), COARSE), law, solution)
+            checked = Checked(len({*grid, *times_s}), float(over.max(initial=0.0)))
+            new = set(np.array(times_s)[peaks(over, WORSE_DB)].tolist()) - set(loaded.case.times_s) if beside else set()
+            if not new or number == ROUNDS:
+                break
+            nodes_s = tuple(sorted({*loaded.case.times_s, *new}))
+            loaded = replace(loaded, case=loaded.case.model_copy(update={"nodes_s": nodes_s}))
+            # nothing is known of the next design until its instants are tried
+            solution, checked = solve_at_nodes(loaded, plants_at(instants, loaded), [solution.law], progress), Checked()
+    except KeyboardInterrupt:
+        solution = replace(solution, status="interrupted")
+    certificate = replace(solution.certificate, instants=checked.instants, worst_instant_db=checked.worst_db)
     return replace(solution, certificate=certificate)
+
+
+@dataclass(frozen=True)
+class Checked:
+    """The number of instants at which a design was compared with its worst node, and by how much the worst is worse."""
+
+    instants: int = 0
+    worst_db: float = 0.0
+
+
+def plants_at(instants: Instants, loaded: LoadedCase) -> Plants:
+    """Return the plants at the nodes of a case."""
+    return make_plants(instants.plants(loaded.case.times_s))
 
 
 def gains_at_nodes(loaded: LoadedCase, nominal: Plants) -> LoadedCase:

@@ -172,11 +172,11 @@ def solve_robust(
 
     plants = nominal.and_also(dispersed([(n, modes_off(n, ranges, end)) for n in nodes for end in (-1, 1)]))
     problem, found = search_best(case, plants, also_from, progress)
-    rng, tried, worst_db, instant_db = np.random.default_rng(case.search.seed), 0, np.inf, 0.0
+    rng, tried, worst_db, instant_db = np.random.default_rng(case.search.seed), 0, np.nan, np.nan
     interrupted = found.interrupted
     rounds = ranges.rounds + (0 if instants is None else ROUNDS)
     try:
-        for number in range(rounds if not interrupted else 0):
+        for number in range(rounds + 1 if not interrupted else 0):  # the last one judges the last design
             worst = _Worst(case, ranges, problem, found, rng)
             results = []
             for k, node in enumerate(nodes):
@@ -195,13 +195,13 @@ def solve_robust(
                 fresh = [node for _, node in between if node.time_s not in known]
                 new = [(node, worst.at(node, taken)[1]) for node in fresh]
             tried += worst.tried
-            if not new:
+            if not new or number == rounds:
                 break
             nodes += fresh
             taken.update((node.time_s, ends) for node, ends in new)
             plants = plants.and_also([*(make_plant(node, case) for node in fresh), *dispersed(new)])
             problem = make_problem(case, plants, problem.law)
-            found = _again(problem, found)
+            found, worst_db, instant_db = _again(problem, found), np.nan, np.nan  # nothing is known of the new design
             if found.interrupted:
                 interrupted = True
                 break
@@ -210,8 +210,9 @@ def solve_robust(
     found = dataclasses.replace(found, interrupted=interrupted)
     solution = finished(case, plants, problem, found, begun)
     certificate = dataclasses.replace(
-        solution.certificate, searched=tried, worst_found_db=float(worst_db), worst_instant_db=float(instant_db),
-        instants=0 if instants is None else instants.tried,
+        solution.certificate, searched=tried, worst_found_db=float(worst_db),
+        worst_instant_db=float(np.nan_to_num(instant_db)),
+        instants=0 if instants is None or np.isnan(instant_db) else len(instants.known),
     )  # fmt: skip  # two more lines otherwise
     return dataclasses.replace(solution, certificate=certificate)
 
