@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,9 +12,9 @@ from maxq.design.case.schema import read_case
 from maxq.design.laws.design_file import design_path, design_text
 from maxq.design.model.vehicle_at import Plane
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import solve
 from maxq.design.verify import memory
-from maxq.design.verify.judging import Judged, Outcome, Wanted, judge, judge_solution, objective_text
+from maxq.design.verify.judging import Judged, Outcome, Wanted, judge, objective_text
+from maxq.design.verify.own_flight import design_case
 from maxq.design.verify.suite import read_suite
 from maxq.design.verify.verify import Verification
 from maxq.design.verify.verify import verify as verify_design
@@ -28,15 +28,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Designed:
-    """A design for a case. `outcome.design` is what flies, `outcome.judged` its margins node by node."""
+    """A design for a case. `outcome.design` is what flies, `outcome.judged` its margins at each operating point of its
+    own flight; of several stages these are of the first.
+    """
 
     outcome: Outcome
     solution: Solution
-
-    @property
-    def meets_limits(self) -> bool:
-        """All limits of the case."""
-        return self.outcome.feasible and self.solution.feasible
+    meets_limits: bool  # all of the case, of all stages, and the flight of the design is not lost
 
     def bode(self, time_s: float | None = None) -> Figure:
         """Bode, Nichols and Nyquist plot at the node of that time (None: of the least gain margin)."""
@@ -66,9 +64,9 @@ class Designed:
 
 def design(case: str | Path, *overrides: str) -> Designed:
     """Optimise gain schedules and bending filter of a case: a file, or the name of a built-in one."""
-    loaded = read_case(str(case), overrides)
-    solution = solve(loaded)
-    return Designed(judge_solution(loaded, solution), solution)
+    made = design_case(read_case(str(case), overrides))
+    outcome, solution = made.results[0]
+    return Designed(replace(outcome, design=made.design), solution, made.feasible)
 
 
 def bode(design: str | Path, time_s: float, scenario: str | Path = "nominal", plane: Plane = "pitch") -> Figure:

@@ -97,7 +97,13 @@ def test_ctrl_c_keeps_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
         solve(loaded, plants)
 
 
-HELD = ("nodes_s=[45.0, 50.0, 55.0]", "filter.structure=F2", "search.starts=1", "search.leaps=1", "between_nodes='hold'")
+HELD = (
+    "nodes_s=[45.0, 50.0, 55.0]",
+    "filter.structure=F2",
+    "search.starts=1",
+    "search.leaps=1",
+    "between_nodes='hold'",
+)
 
 
 @pytest.mark.parametrize("stop_at", [1, 3])

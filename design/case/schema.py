@@ -430,16 +430,22 @@ def _laid_over(below: Model, over: Section) -> Model:
 
 @dataclass(frozen=True)
 class LoadedCase:
-    """A case and the scenario whose flight it is about."""
+    """A case and its scenario. `flight`: gives the operating points, by default the scenario with its own design."""
 
     case: Case
     label: str
     scenario: LoadedScenario
     start: Design | None = None  # `search.start_design`
+    flight: LoadedScenario | None = None
 
     @property
     def name(self) -> str:
         return self.case.name
+
+    @property
+    def along(self) -> LoadedScenario:
+        """The scenario with the design whose flight gives the operating points."""
+        return self.flight or self.scenario
 
 
 def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:

@@ -96,8 +96,8 @@ def wind_of(path: FixedPath, case: Case) -> WindResponse:
 def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> list[Node]:
     """Of a case of one stage, at vehicle times."""
     case = loaded.case
-    nodes = api.nodes(loaded.scenario, times_s, plane=case.plane, errata=case.errata, plant=case.plant)
-    return with_cuts(nodes, loaded.scenario) if case.bends else nodes
+    nodes = api.nodes(loaded.along, times_s, plane=case.plane, errata=case.errata, plant=case.plant)
+    return with_cuts(nodes, loaded.along) if case.bends else nodes
 
 
 def _first_lobe(bending: Sequence[Resonance]) -> tuple[float, float]:

@@ -72,8 +72,8 @@ class Certificate:
     stable: bool
     plants: int  # for which the design was made
     searched: int = 0  # dispersed plants that were tried besides, in search of the worst
-    worst_found_db: float = 0.0  # by how much the worst of those misses the objective or a limit
-    instants: int = 0  # between the nodes that were tried, in search of the worst
+    worst_found_db: float = 0.0  # by how much the worst of those misses the objective or a limit; nan: not searched
+    instants: int = 0  # at which this design was compared with its worst node; 0: at none
     worst_instant_db: float = 0.0  # by how much the worst of those misses what the worst node has
     leaps: int = 0  # from the best end, thrown off and brought down again
     leaps_back: int = 0  # of these ended within 0.05 dB of the best
@@ -107,6 +107,16 @@ class Solution:
     def feasible(self) -> bool:
         """Whether all limits are met and the loops are stable."""
         return self.status != "infeasible" and self.violation_db <= 1e-6 and self.certificate.stable
+
+    @property
+    def unchecked(self) -> str:
+        """State what the case asks for and this design was not checked at; empty where all was checked."""
+        found = []
+        if self.case.between_nodes == "hold" and self.certificate.instants == 0:
+            found.append("the instants between them were not checked")
+        if self.case.robust is not None and math.isnan(self.certificate.worst_found_db):
+            found.append("the worst dispersed vehicles were not searched")
+        return "; ".join(found)
 
     @property
     def in_the_way(self) -> tuple[Constraint, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -20,16 +21,22 @@ from maxq.design.optimise.solution import Solution
 from maxq.sim.scenario.schema_design import Design
 
 
-def each_stage(loaded: LoadedCase) -> list[LoadedCase]:
-    """The case of each stage that is to be designed, with its nodes. Raises ValueError where there is none."""
+def each_stage(loaded: LoadedCase, before_s: float = math.inf) -> list[LoadedCase]:
+    """Return the case of each stage that is to be designed, with its nodes.
+
+    `before_s`: the loss of the flight, from which on the case's own times are left out. Raises ValueError where no
+    node is left.
+    """
     case, count = loaded.case, len(loaded.scenario.vehicle.stage)
     wanted = None if case.stages is None else {n - 1 for n in case.stages}
     if wanted is not None and not wanted <= set(range(count)):
         raise ValueError(f"stages = {list(case.stages or ())}: the vehicle has {count}; allowed are numbers from 1")
+    times = tuple(t for t in case.nodes_s or node_times(loaded.along, case.nodes_per_stage) if t < before_s)
+    if not times:
+        raise ValueError(f"nodes_s: no time before {before_s:.4g} s")
     if case.nodes_s is not None and count == 1:
-        return [replace(loaded, case=case.of_stage(0, case.nodes_s))]
-    times = case.nodes_s or node_times(loaded.scenario, case.nodes_per_stage)
-    spans = powered_spans(loaded.scenario)
+        return [replace(loaded, case=case.of_stage(0, times))]
+    spans = powered_spans(loaded.along)
     by_stage: dict[int, list[float]] = {}
     for t in times:
         # a time outside all spans is left to the first, where the node says what is wrong

@@ -327,15 +327,16 @@ class Outcome:
         return out
 
 
-def make_design(loaded: LoadedCase, *solutions: Solution) -> Design:
+def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] = ()) -> Design:
     """The design to be written, of one solution a stage; roll control, and stages that were not designed, as in the
-    scenario's own design.
+    scenario's own design. `missed`: stages, from 0, that miss limits along the design's own flight.
     """
     case, own, stages = loaded.case, loaded.scenario.design, loaded.scenario.vehicle.stage
     made = []
     for n, solution in sorted((s.nodes[0].stage, s) for s in solutions):
         mine, where = solution.case, f"stage {n + 1}: " if len(stages) > 1 else ""
-        reached = f"{objective_text(solution)}; {'all limits met' if solution.feasible else 'limits are missed'}"
+        met = solution.feasible and n not in missed
+        reached = f"{objective_text(solution)}; {'all limits met' if met else 'limits are missed'}"
         made.append(f"{where}{mine.filter.structure}, {mine.gains.schedule} gains, {mine.loop} loop; {reached}")
     text = ". ".join([*made, case.description] if case.description else made)
 

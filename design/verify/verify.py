@@ -24,7 +24,7 @@ from maxq.design.certificate.certificate import NodeCertificate, certify, certif
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
 from maxq.design.certificate.measured_only import MeasuredNode, measure_node
-from maxq.design.model.node import EDGES, Node, node_times, powered_spans
+from maxq.design.model.node import EDGES, Node, loss_text, node_times, powered_flight, powered_spans
 from maxq.design.model.spread import resolved
 from maxq.design.model.vehicle_at import Plane
 from maxq.design.verify import flown, linear
@@ -172,7 +172,7 @@ def verify(
 
             parts, afresh = memory or Path("runs"), memory is None
             campaigns.append(flown.fly_campaign(loaded, asked, design, vehicle, parts, show, stop, afresh))
-    requirements = flown.flight_requirements(flights)
+    requirements = [*flight_requirement(along), *flown.flight_requirements(flights)]
 
     def again(label: str) -> str:
         return loaded.command(design, vehicle, "--only", label)
@@ -209,17 +209,31 @@ def verify(
 
 
 def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:
-    """What the nodes and marks of a suite lie on: its scenario with its own design, or with the one that is judged."""
+    """Return the flight that the nodes and marks of a suite are on: its scenario with its own design, unless it has
+    none or that flight is lost; then with the one that is judged.
+    """
     own = load_scenario(suite.scenario, [f'vehicle="{vehicle}"'] if vehicle is not None else [])
-    return own if own.design else load_scenario(suite.scenario, flown.design_changes(design, vehicle))
+    if own.design is not None and powered_flight(own)[1] is None:
+        return own
+    return load_scenario(suite.scenario, flown.design_changes(design, vehicle))
+
+
+def flight_requirement(along: LoadedScenario) -> list[Requirement]:
+    """Reject a design where the flight that gives the nodes is lost: no margin after the loss is known."""
+    loss = powered_flight(along)[1]
+    if loss is None:
+        return []
+    found = f"{loss_text(loss)}; no operating point after that"
+    wanted, at = "held up to the last burnout", f"{loss.time_s:.3f} s"
+    return [Requirement("scenarios", "flight of the nodes", wanted, found, REJECTED, math.nan, at)]
 
 
 @dataclass(frozen=True)
 class _Job:
     """What the linear parts and the certificate work on.
 
-    `along`: the flight that the nodes lie on, that of the suite's scenario with its own design, as for `simdesign
-    analyse`. So all candidates are measured in the same conditions, and a changed gain leaves other nodes alone.
+    `along`: the flight that the nodes lie on, that of the suite's scenario with its own design unless it is lost
+    (`flight_of`). So all candidates are measured in the same conditions, and a changed gain leaves other nodes alone.
     """
 
     suite: Suite

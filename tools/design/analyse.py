@@ -17,7 +17,7 @@ from maxq.design.loop.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.loop.fixed_path import Cut, fixed_path
 from maxq.design.margins.measure import margins
 from maxq.design.margins.multiloop import MultiloopMargins, multiloop_margins
-from maxq.design.model.node import Node, node_times, powered_spans
+from maxq.design.model.node import Node, node_times, powered_flight
 from maxq.design.verify.judging import Wanted, checks, judge, multiloop_checks
 from maxq.design.verify.verify import stage_name
 from maxq.sim.files import check_writable, write_whole
@@ -55,7 +55,7 @@ def execute(order: AnalysisOrder) -> int:
     name = path.parent.name if path.name == DESIGN_NAME and path.parent.name else path.name.removesuffix(".toml")
     folder = Path(order.out) if order.out is not None else Path("runs") / f"analyse-{name}" if order.pictures else None
     with Progress() as progress:
-        nodes = find_nodes(scenario, design, order)
+        nodes, loss = find_nodes(scenario, design, order), powered_flight(scenario, order.faults)[1]
         if folder is not None:
             check_writable(folder)
         judged = judge(nodes, design, order.kind, lambda n: progress.show("measuring margins", n, len(nodes)))
@@ -69,17 +69,18 @@ def execute(order: AnalysisOrder) -> int:
         files = []
         if folder is not None:
             forget_pictures(folder)
-            files.append(write_record(folder / RECORD_NAME, analysis_record(name, order, groups)))
+            files.append(write_record(folder / RECORD_NAME, analysis_record(name, order, groups, loss)))
             if order.pictures:
                 from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
 
                 title = f"{scenario.vehicle.name}: {design.name or name}, {order.kind}"
                 sheets = pictures.judged_sheets(judged, title, Wanted.of(design.limits))
                 files += pictures.draw_all(sheets, folder, progress.show)
-    tell(analysis_report(name, order, design, groups))
+    tell(analysis_report(name, order, design, groups, loss))
     tell(f"\n{len(files)} files in {folder}/" if files else "")
-    tell(analysis_verdict(groups))
-    return Exit.OK if all(check.passed for group in groups for check in group.checks) else Exit.FAILED
+    verdict = analysis_verdict(groups, loss)
+    tell(verdict)
+    return Exit.OK if verdict.startswith("PASSED") else Exit.FAILED
 
 
 def all_axes(
@@ -97,16 +98,14 @@ def all_axes(
 
 
 def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenario, Design]:
-    """The scenario whose flight is linearised, and the design to judge. Raises ScenarioError.
+    """The scenario with the design to judge, whose own flight gives the operating points, and that design.
 
-    The flight is that with the scenario's own design, as for a case: so a design is judged at the conditions for which
-    it was made. A scenario without one flies the design that is judged.
+    Raises ScenarioError.
     """
     changes = [f'vehicle="{vehicle}"'] if vehicle is not None else []
-    with_it = load_scenario(scenario, [f'design="{design_path(design)}"', *changes])
-    assert with_it.design is not None
-    own = load_scenario(scenario, changes)
-    return (own if own.design is not None else with_it), with_it.design
+    flown = load_scenario(scenario, [f'design="{design_path(design)}"', *changes])
+    assert flown.design is not None
+    return flown, flown.design
 
 
 def find_nodes(scenario: LoadedScenario, design: Design, order: AnalysisOrder) -> list[Node]:
@@ -129,7 +128,7 @@ def find_nodes(scenario: LoadedScenario, design: Design, order: AnalysisOrder) -
 
 def _gain_times(scenario: LoadedScenario, design: Design, every_s: float) -> list[float]:
     times: set[float] = set()
-    for span in powered_spans(scenario):
+    for span in powered_flight(scenario)[0]:
         gains = design.of_stage(span.stage).gains
         if gains.over != "time_s":
             return list(node_times(scenario))

@@ -18,11 +18,14 @@ from maxq.design.loop.fixed_path import Kind
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.multiloop import MultiloopMargins
+from maxq.design.model.node import loss_text
 from maxq.design.model.vehicle_at import Plane
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify.judging import LIMITS, Check, Judged, Outcome, RigidBody
+from maxq.design.verify.own_flight import CaseDesign
 from maxq.sim.files import write_whole
 from maxq.sim.flight.metric_table import figures
+from maxq.sim.run.flight import Event
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.terminal import aligned, printable
 
@@ -69,14 +72,18 @@ class Group:
         return [*self.found, *self.coupled]
 
 
-def analysis_report(name: str, order: AnalysisOrder, design: Design, groups: Sequence[Group]) -> str:
-    """Of `simdesign analyse`."""
+def analysis_report(
+    name: str, order: AnalysisOrder, design: Design, groups: Sequence[Group], loss: Event | None = None
+) -> str:
+    """Of `simdesign analyse`. `loss`: of the flight of the design."""
     where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {_KINDS[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
         where += f"; errata: {order.errata}; plant: {order.plant}"
     parts: list[Sequence[str]] = [
         [printable(f"{name}: {design.name}" if design.name not in ("", name) else name), where]
     ]
+    if loss is not None:
+        parts[0] = [*parts[0], f"the flight is lost: {loss_text(loss)}; no operating point is after that"]
     for group in groups:
         judged, found = group.judged, group.found
         parts += [
@@ -92,10 +99,11 @@ def analysis_report(name: str, order: AnalysisOrder, design: Design, groups: Seq
     return _joined(*parts)
 
 
-def analysis_verdict(groups: Sequence[Group]) -> str:
-    """The last line."""
+def analysis_verdict(groups: Sequence[Group], loss: Event | None = None) -> str:
+    """The last line. A design whose own flight is lost has failed, whatever its margins before."""
     words = {"unstable_poles": "unstable", "coupled_unstable": "unstable with all axes"}
-    missed = [
+    missed = [] if loss is None else [loss_text(loss)]
+    missed += [
         (f"{group.stage}: " if group.stage else "") + words.get(c.key, f"{c.text} missed")
         for group in groups
         for c in group.checks
@@ -130,17 +138,22 @@ def _joined(*parts: Sequence[str]) -> str:
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 
-def comments(outcome: Outcome, solution: Solution) -> list[str]:
+def comments(made: CaseDesign) -> list[str]:
     """Lines at the head of the design file: which case made it, and whether it meets its limits."""
-    case, good = outcome.loaded.case, outcome.feasible
-    state = "INFEASIBLE: the best effort misses limits of the case:"
-    if solution.status == "interrupted":
-        state = f"INTERRUPTED: the best so far{', which meets all limits.' if good else '; it misses limits:'}"
-    elif good and solution.feasible:
-        state = "All limits of the case are met."
-    form = f"{case.filter.structure}, {case.gains.schedule} gains"
-    made = f"Written by simdesign for the case {outcome.loaded.name} ({form})."
-    return [made, state, *(f"  {line}" for line in outcome.missed)]
+    lines = []
+    for outcome, solution in made.results:
+        case = outcome.loaded.case
+        state = "INFEASIBLE: the best effort misses limits of the case:"
+        if outcome.feasible and solution.feasible:
+            state = "All limits of the case are met."
+        form = f"{case.filter.structure}, {case.gains.schedule} gains"
+        head = f"Written by simdesign for the case {outcome.loaded.name} ({form})."
+        lines += [head, *([] if made.interrupted else [state]), *(f"  {line}" for line in outcome.missed)]
+    if made.interrupted:
+        lines.append(f"INTERRUPTED: the best so far; {made.claim}.")
+    elif made.loss is not None:
+        lines.append(f"LOST: the flight of this design is lost ({loss_text(made.loss)}); {made.claim}.")
+    return lines
 
 
 # tables
@@ -285,13 +298,14 @@ def search_table(solution: Solution) -> list[str]:
     active += [f"{b.variable} at its {b.side} bound" for b in solution.bounds]
     worse = f"{c.worst_instant_db:.2g} dB" if c.worst_instant_db > 0.0 else "no"
     between = f"{c.instants} instants tried; {worse} worse than the worst node at most"
+    between = between if c.instants else solution.unchecked
     rows = [
         ("objective", f"{solution.objective_db:.4f} dB"),
         ("starts", c.statement()),
         ("ends, dB", ", ".join("-" if math.isnan(x) else f"{x:.2f}" for x in sorted(c.ends_db))),
         ("KKT residual", f"{c.kkt_residual:.1e}"),
         ("active", "; ".join(active) or "none"),
-        *([("between", between)] if c.instants else []),
+        *([("between", between)] if between else []),
         ("effort", f"{c.evaluations} evaluations, {c.seconds:.2f} s, seed {c.seed}"),
     ]
     return ["search", *aligned(rows, "  ")]
@@ -377,14 +391,17 @@ def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
     ]  # fmt: skip  # seven more lines otherwise
 
 
-def analysis_record(name: str, order: AnalysisOrder, groups: Sequence[Group]) -> dict[str, Any]:
+def analysis_record(
+    name: str, order: AnalysisOrder, groups: Sequence[Group], loss: Event | None = None
+) -> dict[str, Any]:
     """Of `simdesign analyse`."""
     checks = [check for group in groups for check in group.checks]
     return {
         "schema": SCHEMA,
         "design": name,
         **{key: getattr(order, key) for key in ("scenario", "axis", "kind", "errata", "plant")},
-        "passed": all(check.passed for check in checks),
+        "passed": loss is None and all(check.passed for check in checks),
+        "lost": None if loss is None else loss_text(loss),
         "limits": checks_record(checks),
         "nodes": [node_record(j) for group in groups for j in group.judged],
         "all_axes": [

@@ -26,11 +26,13 @@ from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.design_file import DESIGN_NAME, design_text, forget_pictures
 from maxq.design.laws.law import DesignedLaw
 from maxq.design.laws.schedule import UnsolvableError
-from maxq.design.model.node import Node
+from maxq.design.model.node import Node, loss_text
 from maxq.design.optimise.plants import Plants
+from maxq.design.optimise.search import Progress as Watch
 from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import each_stage, nominal_plants, solve
-from maxq.design.verify.judging import Outcome, judge_solution, make_design, objective_text
+from maxq.design.optimise.solve import each_stage, solve
+from maxq.design.verify.judging import Outcome, make_design, objective_text
+from maxq.design.verify.own_flight import CaseDesign, design_case
 from maxq.design.verify.verify import stage_name
 from maxq.sim.files import check_writable, plain_name, write_whole
 from maxq.sim.scenario.errors import ScenarioError
@@ -41,8 +43,6 @@ from maxq.tools.cli.terminal import Progress, aligned, tell
 from maxq.tools.design.report import case_record, case_report, comments, write_record
 
 RECORD_NAME = "design.json"
-Results = Sequence[tuple[Outcome, Solution]]
-"""Of each stage that was designed."""
 
 
 @dataclass(frozen=True)
@@ -60,20 +60,14 @@ class Order:
 
 @dataclass(frozen=True)
 class Made:
-    """The result of a case: the exit code, the design in its folder, and what was found for each stage. `orders`: those
-    of --orders, of each stage, else none.
+    """The result of a case: the exit code, the design in its folder, and what was found. `orders`: those of --orders,
+    of each stage, else none.
     """
 
     code: Exit
     folder: Path
-    design: Design
-    stages: Results
+    found: CaseDesign
     orders: Sequence[Found]
-
-    @property
-    def meets_limits(self) -> bool:
-        """All limits of the case."""
-        return _met(self.stages)
 
 
 def execute(order: Order) -> int:
@@ -89,50 +83,48 @@ def make(order: Order) -> Made:
     loaded = read_case(order.case, overrides)
     folder = Path(order.out or Path("runs") / plain_name(loaded.name, "design"))
     with Progress() as progress, Interruption(at_once=True) as stop:
+
+        def shown(stage: int, number: int) -> Watch:
+            name = stage_name(loaded.scenario.vehicle, stage)
+
+            def show(done: int, of: int, best_db: float, what: str) -> None:
+                stop.check()
+                whose = "" if loaded.case.robust is None else " for the plants so far"
+                note = "" if math.isnan(best_db) else f"best so far {best_db:.2f} dB{whose}"
+                about = " ".join(filter(None, ("optimising", name, f"(round {number})" if number > 1 else "")))
+                progress.show(f"{about}: {what}", done, of, note)
+
+            show(0, 0, math.nan, "starts")
+            return show
+
+        def ready() -> None:
+            stop.check()
+            check_writable(folder)
+
         try:
-            stages = each_stage(loaded)
-            asked = [order_cases(stage) for stage in stages] if order.orders else []
-            plants = [nominal_plants(stage) for stage in stages]
+            if order.orders:
+                for stage in each_stage(loaded):
+                    order_cases(stage)  # one that the law has not is refused before the search
+            made = design_case(loaded, shown, ready)  # Ctrl-C ends it with the best so far
         except ValidationError as error:
             said = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
             raise ScenarioError(loaded.label, said, "stage") from None
-        except ValueError as error:
+        except (UnsolvableError, ValueError) as error:
             raise ScenarioError(loaded.label, str(error)) from None
-        stop.check()
-        check_writable(folder)
-
-        def show(done: int, of: int, best_db: float, what: str) -> None:
-            stop.check()
-            whose = "" if loaded.case.robust is None else " for the plants so far"
-            note = "" if math.isnan(best_db) else f"best so far {best_db:.2f} dB{whose}"
-            progress.show(f"optimising{doing}: {what}", done, of, note)
-
-        doing, solutions, interrupted = "", [], False
-        for stage, mine in zip(stages, plants, strict=True):
-            number = mine.each[0].node.stage
-            doing = f" {stage_name(loaded.scenario.vehicle, number)}" if len(stages) > 1 else ""
-            show(0, 0, math.nan, "starts")
-            try:
-                solutions.append(solve(stage, mine, progress=show))  # Ctrl-C ends it with the best so far
-            except UnsolvableError as error:
-                raise ScenarioError(loaded.label, str(error)) from None
-            if interrupted := solutions[-1].status == "interrupted":
-                break
-        orders: list[Found] = []
+        orders, interrupted = list[Found](), made.interrupted
         try:
-            for mine, cases in zip(plants, asked if not interrupted else [], strict=False):
-                doing = f" {stage_name(loaded.scenario.vehicle, mine.each[0].node.stage)}" if len(stages) > 1 else ""
-                watch = lambda n, of, at=doing: progress.show(f"optimising{at}: orders", n, of)  # noqa: E731  # short
-                orders.append(solve_orders(cases, mine, watch))
+            for stage, mine in zip(made.stages, made.plants, strict=True) if order.orders and not interrupted else ():
+                name = stage_name(loaded.scenario.vehicle, mine.each[0].node.stage)
+                about = " ".join(filter(None, ("optimising", name)))
+                watch = lambda n, of, at=about: progress.show(f"{at}: orders", n, of)  # noqa: E731  # short
+                orders.append(solve_orders(order_cases(stage), mine, watch))
         except KeyboardInterrupt:  # the design itself is complete
             orders, interrupted = [], True
+        results = made.results
         with Interruption() as interruption:  # the result is written, whatever is pressed now
-            progress.show("judging", 0, 0)
-            design = make_design(loaded, *solutions)
-            results = [(judge_solution(mine, s, design), s) for mine, s in zip(stages, solutions, strict=False)]
             forget_pictures(folder)
-            files = _write(folder, design, results, orders)
-            if order.pictures and solutions[-1].status != "interrupted":
+            files = _write(folder, made, orders)
+            if order.pictures and not made.interrupted:
                 for (outcome, _), found in zip_longest(results, orders):
                     into = folder / f"stage-{_number(outcome) + 1}" if len(results) > 1 else folder
                     files += _draw(into, outcome, found, progress, lambda: interruption.requested)
@@ -142,10 +134,11 @@ def make(order: Order) -> Made:
         tell(case_report(outcome, solution))
         if found is not None:
             tell("\n" + "\n".join(orders_table(found)))
+    tell("\nflights", *(f"  {one.text}" for one in made.rounds))
     tell(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
-    tell(_verdict(results, folder))
-    code = Exit.INTERRUPTED if interrupted or interruption.requested else Exit.OK if _met(results) else Exit.FAILED
-    return Made(code, folder, design, results, orders)
+    tell(_verdict(made, folder))
+    code = Exit.INTERRUPTED if interrupted or interruption.requested else Exit.OK if made.feasible else Exit.FAILED
+    return Made(code, folder, made, orders)
 
 
 def _number(outcome: Outcome) -> int:
@@ -153,26 +146,22 @@ def _number(outcome: Outcome) -> int:
     return outcome.judged[0].node.stage
 
 
-def _met(results: Results) -> bool:
-    return all(outcome.feasible and solution.feasible for outcome, solution in results)
-
-
-def _verdict(results: Results, folder: Path) -> str:
+def _verdict(made: CaseDesign, folder: Path) -> str:
     """The last line; before it the command that flies the design, by itself and whole."""
-    if results[-1][1].status == "interrupted":
-        state = "it meets all limits" if all(outcome.feasible for outcome, _ in results) else "it misses limits"
-        return f"INTERRUPTED: the best so far is kept; {state}"
+    results, loaded = made.results, made.results[0][0].loaded
+    if made.interrupted:
+        return f"INTERRUPTED: the best so far is kept; {made.claim}"
     several = len(results) > 1
     where = [f"stage {_number(outcome) + 1}: " if several else "" for outcome, _ in results]
-    if _met(results):
+    if made.feasible:
         reached = "; ".join(w + objective_text(solution) for w, (_, solution) in zip(where, results, strict=True))
-        loaded = results[0][0].loaded
         file = loaded.case.scenario if loaded.case.scenario in builtin_files("scenario") else loaded.scenario.label
         if Path(file).is_relative_to(Path.cwd()):
             file = str(Path(file).relative_to(Path.cwd()))
         fly = f"simrun {shlex.quote(file)} --set {shlex.quote(f'design={folder}/{DESIGN_NAME}')}"
         return f"fly it with:\n  {fly}\nDESIGNED: {reached}, all limits met"
-    said = [
+    said = [f"its own flight is lost: {loss_text(made.loss)}"] if made.loss is not None else []
+    said += [
         w + (solution.explanation() or "; ".join(outcome.missed))
         for w, (outcome, solution) in zip(where, results, strict=True)
         if not (outcome.feasible and solution.feasible)
@@ -180,7 +169,8 @@ def _verdict(results: Results, folder: Path) -> str:
     return f"INFEASIBLE: {'; '.join(said)}"
 
 
-def _write(folder: Path, design: Design, results: Results, orders: Sequence[Found]) -> list[Path]:
+def _write(folder: Path, made: CaseDesign, orders: Sequence[Found]) -> list[Path]:
+    results = made.results
     records = [case_record(outcome, solution) for outcome, solution in results]
     for record, found in zip(records, orders, strict=False):
         record["orders"] = orders_record(found)
@@ -188,13 +178,16 @@ def _write(folder: Path, design: Design, results: Results, orders: Sequence[Foun
     if len(records) > 1:
         numbers = [{"stage": _number(outcome) + 1} for outcome, _ in results]
         stages = [number | each for number, each in zip(numbers, records, strict=True)]
-        feasible = all(each["feasible"] for each in records)
-        record = {"schema": record["schema"], "name": record["name"], "feasible": feasible, "stages": stages}
-    heads = [comments(outcome, solution) for outcome, solution in results]
-    text = design_text(design, [line for head in heads for line in head])
+        record = {"schema": record["schema"], "name": record["name"], "feasible": made.feasible, "stages": stages}
+    record |= {
+        "feasible": made.feasible, "flights": [one.text for one in made.rounds],
+        "lost": None if made.loss is None else loss_text(made.loss),
+        "not_designed": [n + 1 for n in made.not_designed],
+    }  # fmt: skip  # two more lines otherwise
+    text = design_text(made.design, comments(made))
     files = [write_whole(folder / DESIGN_NAME, text), write_record(folder / RECORD_NAME, record)]
-    for structure, schedule, made, _ in order_designs(orders):
-        text = design_text(made, [f"{structure} with {schedule} gains, of --orders"])
+    for structure, schedule, one, _ in order_designs(orders):
+        text = design_text(one, [f"{structure} with {schedule} gains, of --orders"])
         files.append(write_whole(order_folder(folder, structure, schedule) / DESIGN_NAME, text))
     return files
 
@@ -232,7 +225,7 @@ def _along(loaded: LoadedCase, nodes: Sequence[Node]) -> list[Node]:
     case, first, last = loaded.case, nodes[0].time_s, nodes[-1].time_s
     count = max(1, round(2.0 * (last - first)))
     times = [first + (last - first) * k / count for k in range(count + 1)]
-    return api.nodes(loaded.scenario, times, plane=case.plane, errata=case.errata, plant=case.plant)
+    return api.nodes(loaded.along, times, plane=case.plane, errata=case.errata, plant=case.plant)
 
 
 # the paper's filters and gain schedules

@@ -132,14 +132,15 @@ class Candidate:
 
 def candidates(made: run_case.Made) -> Iterator[Candidate]:
     """The case's design, and with --orders those of every filter and schedule that meet the limits."""
-    nodes = [j.node for outcome, _ in made.stages for j in outcome.judged]
+    found = made.found
+    nodes = [j.node for outcome, _ in found.results for j in outcome.judged]
 
     def candidate(folder: Path, meets_limits: bool, solutions: Sequence[Solution], design: Design) -> Candidate:
         solution = max(solutions, key=lambda s: s.objective_db)
         modulus = min(j.margins.modulus if j.margins.stable else -1.0 for j in judge(nodes, design, "sampled"))
         return Candidate(folder, meets_limits, solution.case.objective.kind, solution.objective_db, modulus)
 
-    yield candidate(made.folder, made.meets_limits, [solution for _, solution in made.stages], made.design)
+    yield candidate(made.folder, found.feasible, [solution for _, solution in found.results], found.design)
     for structure, schedule, design, solutions in run_case.order_designs(made.orders):
         yield candidate(run_case.order_folder(made.folder, structure, schedule), True, solutions, design)
 

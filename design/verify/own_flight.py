@@ -1,0 +1,222 @@
+"""A case designed along the flight that its design flies: designed, flown and designed again, until both agree.
+
+Operating points need a flight, and a flight needs a design. The first flight is that of the scenario with its own
+design. They agree when no limit that the design meets at its operating points is missed at the same times of its own
+flight (`suite.beyond`: within 5e-4 dB or deg). Stages that disagree are designed again along the flight of the last
+design, from where they are.
+
+A flight that is lost gives operating points up to the loss only. The design for these is a preliminary one, by a short
+search; its own flight is held for longer, and gives the points of the next round.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from maxq.design.case.schema import LoadedCase
+from maxq.design.model.node import loss_text, powered_flight
+from maxq.design.optimise.at_nodes import make_problem
+from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
+from maxq.design.optimise.search import Progress
+from maxq.design.optimise.solution import Solution
+from maxq.design.optimise.solve import each_stage, nominal_plants, solve
+from maxq.design.verify.judging import Outcome, judge_solution, make_design
+from maxq.design.verify.verify import stage_name
+from maxq.sim.run.flight import Event
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_design import Design
+
+ROUNDS = 8
+LEAST_GAIN_S = 0.05  # by which a preliminary design must hold its flight longer than the one before
+
+
+@dataclass(frozen=True)
+class Round:
+    """A round in words: along which flight the design was made, and the outcome of its own flight."""
+
+    number: int
+    points: int
+    first_s: float
+    last_s: float
+    loss: Event | None  # of the flight along which the design was made
+    own_loss: Event | None
+    missed: tuple[str, ...]  # along its own flight; limits that the search has met
+    interrupted: bool
+
+    @property
+    def text(self) -> str:
+        """One line for people."""
+        flight = "the scenario's flight" if self.number == 1 else f"the flight of round {self.number - 1}"
+        lost = f", which is lost ({loss_text(self.loss)})" if self.loss is not None else ""
+        kind = "a preliminary design" if self.loss is not None else "a design"
+        made = f"{kind} for {self.points} operating points from {self.first_s:.4g} to {self.last_s:.4g} s of {flight}"
+        if self.interrupted:
+            return f"round {self.number}: {made}{lost}; interrupted"
+        own = "its own flight agrees"
+        if self.own_loss is not None:
+            own = f"its own flight is lost: {loss_text(self.own_loss)}"
+        elif self.loss is not None:
+            own = "its own flight is held"
+        elif self.missed:
+            own = f"along its own flight {self.missed[0]}"
+        return f"round {self.number}: {made}{lost}; {own}"
+
+
+@dataclass(frozen=True)
+class CaseDesign:
+    """The design of a case, and how each stage is judged along the design's own flight.
+
+    `loss`: of that flight; None if it is held. `stages` and `plants`: of all stages with operating points, whether
+    they were designed before an interruption or not.
+    """
+
+    design: Design
+    results: tuple[tuple[Outcome, Solution], ...]
+    stages: tuple[LoadedCase, ...]
+    plants: tuple[Plants, ...]
+    rounds: tuple[Round, ...]
+    loss: Event | None
+    interrupted: bool
+
+    @property
+    def feasible(self) -> bool:
+        """All limits are met, and the flight of the design is held."""
+        return self.loss is None and all(outcome.feasible and s.feasible for outcome, s in self.results)
+
+    @property
+    def claim(self) -> str:
+        """State in words which operating points the limits are met at, and what was not checked or not designed."""
+        count = sum(len(outcome.judged) for outcome, _ in self.results)
+        met = all(outcome.feasible for outcome, _ in self.results)
+        said = [f"it meets all limits at its {count} operating points" if met else "it misses limits"]
+        if self.rounds[-1].loss is not None:
+            said.append(f"these end where the flight was lost ({loss_text(self.rounds[-1].loss)})")
+        said += dict.fromkeys(solution.unchecked for _, solution in self.results if solution.unchecked)
+        vehicle = self.results[0][0].loaded.scenario.vehicle
+        if names := [stage_name(vehicle, n) for n in self.not_designed]:
+            own = self.results[0][0].loaded.scenario.design is not None
+            keeps = "as in the scenario's own design" if own else "with the gains of the first stage"
+            said.append(f"not designed: {', '.join(names)}, which {'fly' if len(names) > 1 else 'flies'} {keeps}")
+        return "; ".join(said)
+
+    @property
+    def not_designed(self) -> tuple[int, ...]:
+        """Numbers, from 0, of the stages that were to be designed and fly as in the scenario's own design."""
+        done = {solution.nodes[0].stage for _, solution in self.results}
+        return tuple(n for p in self.plants if (n := p.each[0].node.stage) not in done)
+
+
+def design_case(
+    loaded: LoadedCase,
+    progress: Callable[[int, int], Progress] = lambda stage, number: lambda *_: None,
+    check: Callable[[], None] = lambda: None,
+) -> CaseDesign:
+    """Design all stages of a case along the flight of the design itself.
+
+    `progress`: of a stage, from 0, and a round. `check` may raise KeyboardInterrupt before the first search. Raises
+    ValueError where there is no operating point, or the problem has no solution at all; KeyboardInterrupt where
+    nothing is found yet.
+    """
+    flight, (_, loss) = loaded.scenario, powered_flight(loaded.scenario)
+    stages, plants = _problems(loaded, flight, loss)
+    check()
+    found: dict[int, Solution] = {}
+    again: set[int] | None = None  # stages that the last design misses limits in, from round 2 on
+    rounds: list[Round] = []
+    while True:
+        number = len(rounds) + 1
+        interrupted = False
+        try:
+            for stage, mine in zip(stages, plants, strict=True):
+                n = mine.each[0].node.stage
+                if again is None or n in again:
+                    before = [found[n].law] if n in found else []
+                    found[n] = solve(_searched(stage, loss, again), mine, before, progress(n, number))
+                    if interrupted := found[n].status == "interrupted":
+                        break
+            judged = _judged(loaded, stages, plants, found)
+        except KeyboardInterrupt:
+            if not found:
+                raise
+            interrupted, judged = True, _judged(loaded, stages, plants, found)
+        points = [p.node.time_s for mine in plants for p in mine.each]
+        missed = {n: o.missed for n, (o, s) in judged.by_stage.items() if s.feasible and not o.feasible}
+        said = tuple(text for texts in missed.values() for text in texts)
+        rounds.append(Round(number, len(points), min(points), max(points), loss, judged.loss, said, interrupted))
+        longer = loss is not None and (judged.loss is None or judged.loss.time_s > loss.time_s + LEAST_GAIN_S)
+        if interrupted or number == ROUNDS or not (longer or (missed and judged.loss is None)):
+            break
+        again = None if loss is not None else set(missed)
+        flight, loss = judged.flight, judged.loss
+        stages, plants = _problems(loaded, flight, loss)
+    return CaseDesign(
+        judged.design, tuple(judged.by_stage.values()), tuple(stages), tuple(plants), tuple(rounds), judged.loss,
+        interrupted,
+    )  # fmt: skip  # two more lines otherwise
+
+
+def _problems(loaded: LoadedCase, flight: LoadedScenario, loss: Event | None) -> tuple[list[LoadedCase], list[Plants]]:
+    """Return the case of each stage along a flight, as far as it is held, and its plants."""
+    try:
+        stages = each_stage(replace(loaded, flight=flight), math.inf if loss is None else loss.time_s)
+    except ValueError as problem:
+        lost = "" if loss is None else f"; the flight is lost: {loss_text(loss)}"
+        raise ValueError(f"{problem}{lost}") from None
+    return stages, [nominal_plants(stage) for stage in stages]
+
+
+def _searched(stage: LoadedCase, loss: Event | None, again: set[int] | None) -> LoadedCase:
+    """Return the case as it is searched: shortly for a preliminary design, or from the last design alone."""
+    if loss is None and again is None:
+        return stage
+    few = {"starts": min(4, stage.case.search.starts) if loss is not None else 1, "leaps": 0}
+    changes: dict[str, object] = {"search": stage.case.search.model_copy(update=few)}
+    if loss is not None:
+        changes |= {"between_nodes": "ignore", "robust": None}
+    return replace(stage, case=stage.case.model_copy(update=changes))
+
+
+@dataclass(frozen=True)
+class _Judged:
+    design: Design
+    flight: LoadedScenario
+    loss: Event | None
+    by_stage: dict[int, tuple[Outcome, Solution]]
+
+
+def _judged(
+    loaded: LoadedCase, stages: Sequence[LoadedCase], plants: Sequence[Plants], found: dict[int, Solution]
+) -> _Judged:
+    """Fly the design of the solutions, and judge it along that flight, or where it was made if the flight is lost."""
+    design, by_stage = make_design(loaded, *found.values()), {}
+    flight = with_design(loaded.scenario, design)
+    loss = powered_flight(flight)[1]
+    for stage, mine in zip(stages, plants, strict=True):
+        if (n := mine.each[0].node.stage) in found:
+            own = stage if loss is not None else replace(stage, flight=flight)
+            solution = found[n] if loss is not None else along(own, found[n])
+            by_stage[n] = judge_solution(own, solution, design), solution
+    missed = [n for n, (outcome, _) in by_stage.items() if not outcome.feasible]
+    return _Judged(make_design(loaded, *found.values(), missed=missed), flight, loss, by_stage)
+
+
+def along(loaded: LoadedCase, solution: Solution) -> Solution:
+    """Return a solution with the nodes of another flight of its case, and the objective that it has there.
+
+    That of a robust case stays as it was searched.
+    """
+    nodes = nodes_of(loaded, [node.time_s for node in solution.nodes])
+    if solution.case.robust is not None:
+        return replace(solution, nodes=tuple(nodes))
+    plants = make_plants([make_plant(node, solution.case) for node in nodes])
+    there = make_problem(solution.case, plants).evaluate(solution.variables)
+    return replace(
+        solution, nodes=tuple(nodes), objective_db=there.objective_db, nominal_objective_db=there.objective_db
+    )
+
+
+def with_design(scenario: LoadedScenario, design: Design) -> LoadedScenario:
+    """Return the scenario flown with a design instead of its own."""
+    return replace(scenario, scenario=scenario.scenario.model_copy(update={"design": design}))
