@@ -6,6 +6,7 @@ found.judgement, [r.reason for r in found.requirements if r.judgement == "reject
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -281,21 +282,24 @@ class _Job:
         if wanted is None or design is None:
             return []
         self.watch("nodes of the linear model", 0, 0)
-        parts = list(self._by_stage("margins", wanted))
-        every = [node for nodes, _, _ in parts for node in nodes]
-        flights: list[list[Node]] = []
-        if wanted.trajectories and wanted.cases and self.campaign is not None:
-            depends = (description_of(self.campaign), every, wanted.trajectories)
-            fly = partial(linear.trajectories_of, self.campaign, every, wanted.trajectories, self.workers)
-            flights = self.memory.recall("trajectories", depends, fly)
-        out, at = [], 0
-        for nodes, stage, watch in parts:
-            mine = [flight[at : at + len(nodes)] for flight in flights]
+        out, parts = [], list(self._by_stage("margins", wanted))
+        flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts] if wanted.cases else [])
+        for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):
             spread = resolved(wanted.three_sigma, nodes[0])
             here = wanted.model_copy(update={"three_sigma": spread})
             out.append(linear.study(nodes, design, here, self.memory, watch, self.workers, stage, mine))
-            at += len(nodes)
         return out
+
+    def _trajectories(self, wanted: LinearMargins, parts: Sequence[Sequence[Node]]) -> list[list[list[Node]]]:
+        """Return the nodes of each part as dispersed flights meet them, (parts, flights, nodes); empty without any."""
+        every = [node for nodes in parts for node in nodes]
+        if not (wanted.trajectories and every and self.campaign is not None):
+            return []
+        depends = (description_of(self.campaign), every, wanted.trajectories)
+        fly = partial(linear.trajectories_of, self.campaign, every, wanted.trajectories, self.workers)
+        flights = self.memory.recall("trajectories", depends, fly)
+        ends = list(itertools.accumulate((len(nodes) for nodes in parts), initial=0))
+        return [[flight[a:b] for flight in flights] for a, b in itertools.pairwise(ends)]
 
     def _by_stage(
         self, what: str, wanted: LinearMargins
@@ -313,13 +317,20 @@ class _Job:
         if wanted is None or design is None or wanted.worst is None or wanted.only not in ("", WORST):
             return []
         base, spans = self.scenario.scenario, powered_spans(self.along)
-        for at, name, watch in self._by_stage("worst vehicle", wanted):
+        parts = list(self._by_stage("worst vehicle", wanted))
+        flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts])
+        for (at, name, watch), flown_along in zip(parts, flights or itertools.repeat([]), strict=False):
             end_s = next(span.end_s for span in spans if span.holds(at[0].time_s))  # flown as far as that stage burns
             run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
             loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
             spread = resolved(wanted.three_sigma, at[0])
-            depends = (loaded.as_flown, repr(design), at, told(spread), told(wanted.worst))
-            search = partial(search_plane, at, design, spread, wanted.worst, loaded, name, watch, self.workers)
+            between = partial(api.nodes, self.along, plane=at[0].plane) if wanted.between_nodes == "hold" else None
+            depends = (
+                loaded.as_flown, repr(design), at, told(spread), told(wanted.worst), wanted.between_nodes, flown_along
+            )  # fmt: skip  # four more lines otherwise
+            search = partial(
+                search_plane, at, design, spread, wanted.worst, loaded, name, watch, self.workers, between, flown_along
+            )
             out.append(self.memory.recall("worst", depends, search))
         return out
 

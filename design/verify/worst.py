@@ -1,15 +1,17 @@
 """The worst vehicle that the dispersions allow: a search, node by node, for the least distance of L from -1.
 
-Every mode, every tank and everything else of `Spread` deviates by itself, within an ellipsoid (together no less likely
-than one deviation alone at so many sigma) or a box (each up to so many). Where some go together, that is the region of
-the independent deviations behind them (`spread.root_of_correlation`): both are searched there.
-From each start the search goes along the gradient to where the linearised distance is least in that region, back
-towards where it came from until the distance has fallen, and again (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956); in a
-box it ends at the corner that no single deviation makes worse. The gradient is that of L at the frequency nearest to
--1, by differences of the vehicle's continuous response: no loop is closed for it. Trials are measured together
+Every mode, every tank and everything else of `Spread` deviates independently, within an ellipsoid (together no less
+likely than one deviation alone at that many sigma) or a box (each up to that many). Where some go together, that is the
+region of the independent deviations behind them (`spread.root_of_correlation`): both are searched there.
+From each start the search goes along the gradient to the point of that region where the linearised distance is least,
+back towards the start until the distance has fallen, and again (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956); in a
+box it goes on to the corner that no single deviation makes worse. The gradient is that of L at the frequency nearest to
+-1, by differences of the vehicle's continuous response: no loop is closed for it. The best point of a node ends in a
+local descent on measured distances, inside the region and along its surface (descent.py). Trials are measured together
 (margins/dispersed.py). An unstable loop counts as beyond -1 by its distance. Every node has a start at the vehicle as
-it is; those that come out worst (`FURTHER` of them) have all the others too. A search bounds nothing from below: what
-it says is that no worse vehicle was found in so many searches.
+it is; those with the worst results (`FURTHER` of them) have all the others too. The worst vehicles are then measured
+at instants between the nodes and along dispersed trajectories, and the descent is repeated where they are worst. A
+search bounds nothing from below: it says that no worse vehicle was found in that many searches.
 """
 
 from __future__ import annotations
@@ -36,6 +38,7 @@ from maxq.design.model.node import Node
 from maxq.design.model.plant import per_command, vehicle_plants
 from maxq.design.model.spread import Place, Spread, places_of, root_of_correlation, scenario_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
+from maxq.design.verify.descent import Region, descend
 from maxq.design.verify.memory import counted
 from maxq.design.verify.named_mu import stable_together, stable_within
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
@@ -47,6 +50,8 @@ _LOWEST_HZ, _GRID = 1e-3, 200
 _AROUND = np.array([-8.0, -4.0, -2.0, -1.2, -0.6, -0.2, 0.2, 0.6, 1.2, 2.0, 4.0, 8.0])  # half widths about a resonance
 _MINIMA, _GOALS = 8, 2  # over frequency that are refined, and of these that a step makes for
 FURTHER = 6  # nodes of a plane and stage that are searched from all starts
+INSTANTS_S, _MOST_INSTANTS = (0.5, 0.05), 300
+"""Steps between instants of the search between nodes, along the stage and about the worst instant of it."""
 _STEP = 1e-4  # of the region, in which the gradient is taken: at one frequency, a mode must not move by its width
 _ROUNDS = 12
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
@@ -75,6 +80,7 @@ class WorstVehicle:
     within_hz: float = math.nan
     within_tried: int = 0  # frequencies
     together_sigmas: float = math.nan  # the same of pitch, yaw and roll together
+    trajectory: int = 0  # number of the dispersed flight whose speed and air the vehicle meets; 0: that as designed
 
     @property
     def label(self) -> str:
@@ -83,7 +89,8 @@ class WorstVehicle:
         words = [
             f"{name.replace('_', ' ')}{f' {n + 1}' if n >= 0 else ''} {value:+.1f}" for (name, n), value in largest
         ]
-        return f"{self.time_s:g} s, {self.plane}; sigmas: {', '.join(words)}, ..."
+        along = f", trajectory {self.trajectory}" if self.trajectory else ""
+        return f"{self.time_s:g} s, {self.plane}{along}; sigmas: {', '.join(words)}, ..."
 
 
 Looks = list[tuple[float, Array]]
@@ -184,58 +191,79 @@ def slope(node: Node, design: Design, spread: Spread) -> Callable[[Array, Array,
 def search_node(
     node: Node, design: Design, spread: Spread, wanted: WorstWanted, starts: Sequence[int] | None = None
 ) -> tuple[float, Array, int]:
-    """Least distance found at a node, its deviations in units of three sigma, and the loops that were measured.
+    """Return the least distance found at a node, its deviations in units of three sigma, and the loops measured.
 
-    `starts` by their numbers, 0 being the vehicle as it is (default: all).
+    `starts` by their numbers, 0 being the vehicle as it is (default: all). The best point ends in a local descent.
     """
     places = places_of(node)
-    reach, count, root = wanted.sigmas / 3.0, len(places), root_of_correlation(spread, places)
-    measure, change, loops = distances(node, design, spread), slope(node, design, spread), [0]
-
-    def look(every: Sequence[Array]) -> Looks:
-        loops[0] += len(every)
-        return measure([root @ u for u in every])
-
-    def farthest(direction: Array) -> Array:
-        """The point of the region that lies farthest in a direction."""
-        if wanted.region == "box":
-            return reach * np.sign(direction)
-        return np.asarray(reach * direction / max(float(np.linalg.norm(direction)), 1e-300))
-
-    def towards(u: Array, goal: Array, share: float) -> Array:
-        """Part of the way; in an ellipsoid along its surface, inside of which the worst hardly ever lies."""
-        there = u + share * (goal - u)
-        size = float(np.linalg.norm(there))
-        return there if wanted.region == "box" else np.asarray(reach * there / max(size, 1e-300))
+    region, count, root = Region(wanted.region, wanted.sigmas / 3.0), len(places), root_of_correlation(spread, places)
+    look = _Look(distances(node, design, spread), root)
+    change = slope(node, design, spread)
 
     best, worst_u = math.inf, np.zeros(count)
     for start in range(wanted.starts) if starts is None else starts:
         rng = np.random.default_rng([wanted.seed, round(1e3 * node.time_s), start])
-        u = np.zeros(count) if start == 0 else farthest(rng.normal(size=count)) * rng.uniform(0.3, 1.0)
+        u = np.zeros(count) if start == 0 else region.farthest(rng.normal(size=count)) * rng.uniform(0.3, 1.0)
         ((value, hz),) = look([u])
         for _ in range(_ROUNDS):
-            steps = np.where(u > 0.0, -_STEP, _STEP) * reach
+            steps = np.where(u > 0.0, -_STEP, _STEP) * region.reach
             near, slopes = change(root @ u, hz, steps)
             slopes = slopes @ root
             # an unstable loop is to go further beyond; else the minima that promise to become least
-            goals = [farthest(-by) for by in slopes] if value > 0.0 else [farthest(slopes[0])]
+            goals = [region.farthest(-by) for by in slopes] if value > 0.0 else [region.farthest(slopes[0])]
             promised = [at + by @ (goal - u) for at, by, goal in zip(near, slopes, goals, strict=False)]
             likely = [goals[k] for k in np.argsort(promised)[:_GOALS]]
-            trials = [towards(u, goal, share) for goal in likely for share in _SHARES]
+            trials = [_towards(u, goal, share, region) for goal in likely for share in _SHARES]
             found = look(trials)
             k = int(np.argmin([distance for distance, _ in found]))
             if found[k][0] > value - 1e-4:
                 break
             u, (value, hz) = trials[k], found[k]
         if wanted.region == "box":
-            u, value = _corner(u, look, reach)
+            u, value = _corner(u, look, region.reach)
         if value < best:
             best, worst_u = value, u
-    return best, root @ worst_u, loops[0]
+    worst_u, best = descend(look.values, worst_u, best, region)
+    return best, root @ worst_u, look.loops
+
+
+def refine_at(
+    node: Node, design: Design, spread: Spread, wanted: WorstWanted, points: Sequence[Array]
+) -> tuple[float, Array, int]:
+    """Return as `search_node` does from a descent at the worst of `points`, deviations in units of three sigma."""
+    root = root_of_correlation(spread, places_of(node))
+    look = _Look(distances(node, design, spread), root)
+    starts = [np.asarray(np.linalg.lstsq(root, u, rcond=None)[0], float) for u in points]
+    values = look.values(starts)
+    k = int(np.argmin(values))
+    u, best = descend(look.values, starts[k], values[k], Region(wanted.region, wanted.sigmas / 3.0))
+    return best, root @ u, look.loops
+
+
+@dataclass
+class _Look:
+    """Distances at points of independent deviations; counts the loops."""
+
+    measure: Callable[[Sequence[Array]], Looks]
+    root: Array
+    loops: int = 0
+
+    def __call__(self, every: Sequence[Array]) -> Looks:
+        self.loops += len(every)
+        return self.measure([self.root @ u for u in every])
+
+    def values(self, every: Sequence[Array]) -> list[float]:
+        return [value for value, _ in self(every)]
+
+
+def _towards(u: Array, goal: Array, share: float, region: Region) -> Array:
+    """Return a point part of the way; in an ellipsoid on its surface, inside of which the worst hardly ever lies."""
+    there = u + share * (goal - u)
+    return there if region.shape == "box" else region.farthest(there)
 
 
 def _corner(u: Array, look: Callable[[Sequence[Array]], Looks], reach: float) -> tuple[Array, float]:
-    """The corner of the box near u that no single deviation at either end makes worse: the worst is moved first."""
+    """Return the corner of the box near u that no single deviation at either end makes worse, the worst moved first."""
     u = reach * np.where(u >= 0.0, 1.0, -1.0)
     ((value, _),) = look([u])
     while True:
@@ -256,8 +284,14 @@ def search_plane(
     stage: str = "",
     watch: Callable[[int, int], None] = lambda done, of: None,
     workers: int = 2,
+    nodes_at: Callable[[Sequence[float]], Sequence[Node]] | None = None,
+    trajectories: Sequence[Sequence[Node]] = (),
 ) -> WorstVehicle:
-    """The worst vehicle over the nodes of a plane and stage, measured exactly there, and flown."""
+    """Return the worst vehicle over the nodes of a plane and stage, measured exactly there, and flown.
+
+    `nodes_at` makes nodes at instants between those given, which are searched too. `trajectories` are the nodes as
+    other flights meet them, (flights, nodes).
+    """
     further = min(FURTHER, len(nodes)) if wanted.starts > 1 else 0
 
     def search(node: Node, starts: Sequence[int]) -> tuple[float, Array, int]:
@@ -268,8 +302,26 @@ def search_plane(
         results = list(pool.map(one, nodes, itertools.repeat([0])))
         at = [*nodes, *(nodes[k] for k in np.argsort([value for value, _, _ in results])[:further])]
         results += pool.map(one, at[len(nodes) :], itertools.repeat(range(1, wanted.starts)))
-    k = int(np.argmin([value for value, _, _ in results]))
-    node, u, places = at[k], results[k][1], places_of(at[k])
+    searched, loops = [*zip(at, results, strict=True)], sum(n for _, _, n in results)
+    searches, flight_of = len(nodes) + further * (wanted.starts - 1), dict[int, int]()
+    if nodes_at is not None and len(nodes) > 1:
+        for step_s in INSTANTS_S:
+            begin, end = nodes[0].time_s, nodes[-1].time_s
+            if step_s < max(INSTANTS_S):
+                best_s = min(searched, key=lambda each: each[1][0])[0].time_s
+                begin, end = max(begin, best_s - max(INSTANTS_S)), min(end, best_s + max(INSTANTS_S))
+            known_s = {node.time_s for node, _ in searched}
+            instants = np.arange(begin, end, max(step_s, (end - begin) / _MOST_INSTANTS)).round(6).tolist()
+            found, count = _refined_beside(
+                nodes_at([t for t in instants if t not in known_s]), searched, design, spread, wanted, workers
+            )
+            searched, loops, searches = [*searched, *found], loops + count, searches + len(found)
+    for number, flown in enumerate(trajectories, 1):
+        found, count = _refined_beside(flown, searched, design, spread, wanted, workers, 1)
+        searched, loops, searches = [*searched, *found], loops + count, searches + len(found)
+        flight_of |= {id(node): number for node, _ in found}
+    node, (_, u, _) = min(searched, key=lambda each: each[1][0])
+    places = places_of(node)
     by = vehicle_at_places(spread, node, places, u, "worst")
     loop = Loop(fixed_path(disperse(node, by)), api.law_at(design, node))
     exact = margins(loop, resonances=loop.fixed.resonances())
@@ -278,21 +330,49 @@ def search_plane(
     lost = flight.failures
     within = stable_within(node, design, spread) if wanted.bound else None
     together = stable_together(base, design, node, spread) if wanted.together else None
-    searches, loops = len(nodes) + further * (wanted.starts - 1), sum(n for _, _, n in results)
     return WorstVehicle(
         stage, node.plane, node.time_s, dict(zip(places, (3.0 * u).tolist(), strict=True)),
         exact.modulus if exact.stable else 0.0, searches, loops,
         "; ".join(lost) or "control kept", not lost, scenario.as_flown, tuple(missing),
         *((within.sigmas, within.at_hz, within.tried) if within is not None else (math.nan, math.nan, 0)),
-        together.sigmas if together is not None else math.nan,
+        together.sigmas if together is not None else math.nan, flight_of.get(id(node), 0),
     )  # fmt: skip  # nine more lines otherwise
+
+
+Searched = tuple[Node, tuple[float, Array, int]]
+
+
+def _refined_beside(
+    nodes: Sequence[Node], searched: Sequence[Searched], design: Design, spread: Spread, wanted: WorstWanted,
+    workers: int, most: int = FURTHER,
+) -> tuple[list[Searched], int]:  # fmt: skip  # one line for each otherwise
+    """Return descents at the `most` nodes where the worst vehicles known are worst, and the loops of all.
+
+    Each node takes the worst vehicles of the two nodes searched that are nearest in time, and the worst of all.
+    """
+    worst_u = min(searched, key=lambda each: each[1][0])[1][1]
+
+    def points(node: Node) -> list[Array]:
+        near = sorted(searched, key=lambda each: abs(each[0].time_s - node.time_s))[:2]
+        return [*(u for _, (_, u, _) in near), worst_u]
+
+    def value(node: Node) -> float:
+        return min(value for value, _ in distances(node, design, spread)(points(node)))
+
+    def refine(node: Node) -> Searched:
+        return node, refine_at(node, design, spread, wanted, points(node))
+
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        order = np.argsort(list(pool.map(value, nodes)), kind="stable")[:most]
+        found = list(pool.map(refine, [nodes[k] for k in order]))
+    return found, 3 * len(nodes) + sum(count for _, (_, _, count) in found)
 
 
 def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> list[Requirement]:
     """Of its distance, where a limit is given, and that it keeps control in flight."""
     whose = ", ".join(filter(None, (found.plane, found.stage)))
     said = f"{found.modulus:.3f}" if found.modulus else "unstable"
-    said += f"; no worse corner found in {found.searches} searches ({found.loops} loops)"
+    said += f"; no worse vehicle found in {found.searches} searches ({found.loops} loops)"
     if found.within_tried:
         said += f"; mu, to first order: none unstable within {found.within_sigmas:.2g} sigma each "
         said += f"({found.within_tried} frequencies, {found.within_hz:.3g} Hz)"

@@ -1,0 +1,74 @@
+"""A local descent within a box or a ball: it ends where no small step lowers the value.
+
+Each round measures a step to either side along every coordinate, at once. The two values beside the present one give
+slope and curvature along that coordinate; the next point is sought along the step that these promise for all
+coordinates together, and among the points measured. A round that lowers nothing halves the steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+
+Shape = Literal["box", "ellipsoid"]
+_FIRST, _LAST = 0.3, 0.003  # steps, in shares of the reach
+_SHARES = np.array([1.0, 0.6, 0.35, 0.2, 0.1])
+_GAIN = 1e-5  # what a round must lower the value by, of a value near 1
+_MOST_ROUNDS = 40
+
+
+@dataclass(frozen=True)
+class Region:
+    """The points u with |u_i| <= reach (box), or |u| <= reach (ellipsoid, in coordinates in which it is a ball)."""
+
+    shape: Shape
+    reach: float
+
+    def nearest(self, points: Array) -> Array:
+        """Return the nearest points of the region, (..., coordinates)."""
+        if self.shape == "box":
+            return np.asarray(np.clip(points, -self.reach, self.reach))
+        size = np.linalg.norm(points, axis=-1, keepdims=True)
+        return np.asarray(points * np.minimum(1.0, self.reach / np.maximum(size, 1e-300)))
+
+    def farthest(self, direction: Array) -> Array:
+        """Return the point of the region that lies farthest in a direction, (coordinates,)."""
+        if self.shape == "box":
+            return self.reach * np.sign(direction)
+        return np.asarray(self.reach * direction / max(float(np.linalg.norm(direction)), 1e-300))
+
+
+def descend(
+    values_at: Callable[[Sequence[Array]], Sequence[float]], start: Array, value: float, region: Region
+) -> tuple[Array, float]:
+    """Return the point at which a descent from `start` (coordinates,) ends, and the value there.
+
+    `values_at` gives the values of many points; `value` is that of `start`.
+    """
+    u, units, step = np.asarray(start, float), np.eye(len(start)), _FIRST
+    for _ in range(_MOST_ROUNDS):
+        if step < _LAST:
+            break
+        width = step * region.reach
+        polls = region.nearest(np.concatenate([u + width * units, u - width * units]))
+        found = np.asarray(values_at(list(polls)))
+        up, down = found.reshape(2, -1) - value
+        slope, curvature = (up - down) / (2.0 * width), (up + down) / width**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newton = np.where(curvature > 0.0, -slope / curvature, -np.sign(slope) * np.inf)
+        newton = np.nan_to_num(np.clip(newton, -2.0 * width, 2.0 * width))
+        # a coordinate that a bound holds: one side of it was not measured, and the other is no better
+        newton = np.where(np.minimum(up, down) < 0.0, newton, 0.0 if region.shape == "box" else newton)
+        trials = region.nearest(u + _SHARES[:, None] * newton)
+        every, values = np.concatenate([polls, trials]), np.append(found, values_at(list(trials)))
+        k = int(np.argmin(values))
+        if values[k] < value - _GAIN * max(abs(value), 0.01):
+            u, value = every[k], float(values[k])
+        else:
+            step *= 0.5
+    return u, value
