@@ -1,7 +1,7 @@
-"""Many vehicles at once: their plants are those of one, and their margins those of `margins`, which shares no formula.
+"""Many vehicles at once: their plants are those of one, and their margins those of `margins` of each.
 
-`margins` samples by matrix exponentials, finds closed poles as eigenvalues, and bounds what lies between its points;
-the compiled margins have residues, Aberth's iteration and a grid.
+Both use the same curve and lobes; `margins` samples by matrix exponentials, finds closed poles as eigenvalues, and
+bounds slopes between its points, where the margins of many have residues, Aberth's iteration and a grid.
 """
 
 from __future__ import annotations

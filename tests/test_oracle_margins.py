@@ -13,8 +13,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import control
 import numpy as np
 import pytest
@@ -24,7 +22,7 @@ from scipy.special import lambertw
 from textbook_loops import ModalLoop, TransferLoop
 
 from maxq.control.kernel.records import Array
-from maxq.design.margins.curve import Curve, trace
+from maxq.design.margins.curve import steps_past_poles
 from maxq.design.margins.measure import margins
 from maxq.design.model.state_space import ComplexArray
 
@@ -41,11 +39,12 @@ def test_a_pole_on_the_axis_is_passed_by_the_step_around_it():
     """In every step, the last one too; none beyond the ends or off the axis, none that a hidden one takes away."""
     f = np.array([1.0, 2.0, 5.0, 7.0, 8.0])
     at_hz = np.array([0.5, 1.5, 3.0, 6.0, 7.5, 9.0])
-    curve = Curve(None, f, np.ones(5, complex), 1j * TAU * at_hz, np.zeros(0, complex), 0, 1.0, 0, True)
-    assert curve.steps_past_poles() == [(k, 1) for k in range(4)]
-    assert replace(curve, closed_poles=1j * TAU * at_hz[[1, 4]]).steps_past_poles() == [(1, 1), (2, 1)]
-    assert replace(curve, open_poles=1j * TAU * np.array([7.2, 7.6, 3.0])).steps_past_poles() == [(1, 1), (3, 2)]
-    assert replace(curve, open_poles=curve.open_poles - 0.1).steps_past_poles() == []
+    none = np.zeros(0, complex)
+    poles = 1j * TAU * at_hz
+    assert steps_past_poles(f, poles, none).tolist() == [1, 1, 1, 1]
+    assert steps_past_poles(f, poles, poles[[1, 4]]).tolist() == [0, 1, 1, 0]
+    assert steps_past_poles(f, 1j * TAU * np.array([7.2, 7.6, 3.0]), none).tolist() == [0, 1, 0, 2]
+    assert steps_past_poles(f, poles - 0.1, none).tolist() == [0, 0, 0, 0]
 
 
 def test_third_order_lag():
@@ -267,7 +266,6 @@ def test_a_curve_that_just_touches_the_unit_circle_is_seen_both_ways():
     parts = [(3.0, 0.3, 1.0, 0.4), (4.0, 0.2, -0.3, 0.1)]
     shape = ModalLoop.of([], parts)
     peak = np.abs(shape.response(np.linspace(0.3, 0.7, 400001))).max()
-    assert np.abs(shape.response(trace(shape).frequency_hz)).max() < peak * (1.0 - 1e-6)
     for change, crossings in ((1e-9, 2), (-1e-9, 0)):
         found = margins(ModalLoop.of([], parts, (1.0 + change) / peak)).gain_crossings
         assert len(found.frequency_hz) == crossings

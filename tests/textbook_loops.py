@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import mpmath
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike
@@ -136,3 +137,61 @@ class ModalLoop:
         right[: 2 * n, : 2 * n] = np.eye(2 * n)
         found = scipy.linalg.eigvals(left, right)
         return found[np.isfinite(found)] / (2j * np.pi)
+
+
+@dataclass(frozen=True)
+class ZpkLoop:
+    """gain times prod(x - zeros) / prod(x - poles), exact at any damping ratio.
+
+    Zeros and poles are in rad/s; those of a sampled loop are mapped to z = exp(p T).
+    """
+
+    zeros: ComplexArray
+    poles: ComplexArray
+    gain: float = 1.0
+    sample_s: float | None = None
+
+    @property
+    def highest_hz(self) -> float:
+        return np.inf if self.sample_s is None else 0.5 / self.sample_s
+
+    def _mapped(self, roots: ComplexArray) -> ComplexArray:
+        return np.asarray(roots if self.sample_s is None else np.exp(roots * self.sample_s))
+
+    def _from(self, s: ComplexArray, roots: ComplexArray) -> ComplexArray:
+        away = s[..., None] - roots
+        return away if self.sample_s is None else np.exp(roots * self.sample_s) * np.expm1(away * self.sample_s)
+
+    def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
+        s = 2j * np.pi * np.asarray(frequencies_hz, float)
+        return self.gain * self._from(s, self.zeros).prod(axis=-1) / self._from(s, self.poles).prod(axis=-1)
+
+    def open_poles(self) -> ComplexArray:
+        return self.poles
+
+    def factors(self) -> tuple[ComplexArray, ComplexArray]:
+        return self._mapped(self.zeros), self._mapped(self.poles)
+
+    def closed_poles(self) -> ComplexArray:
+        """Return the roots of the polynomial in 60-digit arithmetic."""
+        with mpmath.workdps(60):
+            t = self.sample_s
+            zeros, poles = (
+                [
+                    mpmath.mpmathify(complex(x)) if t is None else mpmath.exp(mpmath.mpmathify(complex(x)) * t)
+                    for x in roots
+                ]
+                for roots in (self.zeros, self.poles)
+            )
+
+            def polynomial(roots: list[mpmath.mpc]) -> list[mpmath.mpc]:
+                out = [mpmath.mpf(1)]
+                for root in roots:
+                    out = [x - root * y for x, y in zip([*out, 0], [0, *out], strict=True)]
+                return out
+
+            below, above = polynomial(poles), polynomial(zeros)
+            above = [mpmath.mpf(0)] * (len(below) - len(above)) + above
+            sums = [mpmath.re(x + mpmath.mpf(self.gain) * y) for x, y in zip(below, above, strict=True)]
+            found = mpmath.polyroots(sums, maxsteps=400, extraprec=400)
+            return np.array([complex(x if t is None else mpmath.log(x) / t) for x in found])

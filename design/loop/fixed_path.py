@@ -156,7 +156,7 @@ class FixedPath(abc.ABC):
     def named_poles(self) -> list[NamedPole]:
         """Poles of actuator, vehicle and gyro, each by itself (in a row they stay what they are), and what they belong
         to, rad/s, not folded; those of a pure delay left out."""
-        out = vehicle_poles(self.vehicle)
+        out = list(self._vehicle_poles)
         if self._actuator is not None:
             poles = [pair for record in self.node.actuators for pair in actuator_poles(record)]
             for k, (omega, zeta) in enumerate(poles):
@@ -166,6 +166,10 @@ class FixedPath(abc.ABC):
         for k, (_, g, _) in enumerate(self.sensors):
             out += [] if g.ideal else named(_pair(g.omega_radps, g.zeta), "sensor", k + 1)
         return out
+
+    @cached_property
+    def _vehicle_poles(self) -> list[NamedPole]:
+        return vehicle_poles(self.vehicle)
 
     def poles(self) -> ComplexArray:
         """Poles in rad/s, those of a sampled path as log(z) / T."""

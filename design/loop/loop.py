@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -106,6 +107,10 @@ class Loop:
 
     def state_space(self) -> StateSpace:
         """L, from the gimbal command round to minus itself; in z for a sampled loop. The kind `exact` has none."""
+        return self._state_space
+
+    @cached_property
+    def _state_space(self) -> StateSpace:
         return chain(self.fixed.measured(self.law.inputs), self.law.state_space())
 
     def factors(self) -> tuple[ComplexArray, ComplexArray] | None:

@@ -15,15 +15,16 @@ touches zero rather than crosses it, as far as double precision tells.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.design.loop.loop import OpenLoop
-from maxq.design.margins.curve import FLOOR, Curve
-from maxq.design.margins.solving import TINY, from_minus_one_deg, sample
+from maxq.design.margins.curve import FLOOR
+from maxq.design.margins.response import sampled
+from maxq.design.margins.solving import TINY, from_minus_one_deg
 from maxq.design.model.state_space import ComplexArray
 
 NARROW = 1e-9
@@ -117,16 +118,15 @@ class Factors:
             return size, [(u, 1.0 / (1.0 - r)), (u + np.pi, far), (u - np.pi, far)]
 
 
-def separated(curve: Curve) -> Curve:
-    """The curve with as many points more as it takes that no step hides two crossings of |L| = 1, or two of the
+def separated(loop: OpenLoop, f: Array, values: ComplexArray) -> tuple[Array, ComplexArray]:
+    """Return a curve with as many more points as it takes that no step hides two crossings of |L| = 1, or two of the
     negative real axis where |L| is above FLOOR.
 
-    As it is where the zeros and poles of L are not known, or are not those of the curve.
+    It is left alone where the zeros and poles of L are not known, or are not those of the curve.
     """
-    factors = Factors.of(curve.source)
+    factors = Factors.of(loop)
     if factors is None:
-        return curve
-    f, values = curve.frequency_hz, curve.loop
+        return f, values
     agree = factors.agree(f, values)
     open_ = np.flatnonzero(agree[1:] & agree[:-1])
     for _ in range(MOST_HALVINGS):
@@ -135,10 +135,10 @@ def separated(curve: Curve) -> Curve:
             break
         open_ = open_[_unsettled(factors, f, values, open_)]
         middle = 0.5 * (f[open_] + f[open_ + 1])
-        f, values = np.insert(f, open_ + 1, middle), np.insert(values, open_ + 1, sample(curve.source, middle))
+        f, values = np.insert(f, open_ + 1, middle), np.insert(values, open_ + 1, sampled(loop, middle))
         first = open_ + np.arange(len(open_))
         open_ = np.sort(np.concatenate([first, first + 1]))
-    return replace(curve, frequency_hz=f, loop=values)
+    return f, values
 
 
 def _unsettled(factors: Factors, f: Array, values: ComplexArray, k: IntArray) -> NDArray[np.bool_]:

@@ -5,7 +5,7 @@ The response is computed on a grid adapted to its poles, so that no narrow featu
 Each pole of L and each zero of 1 + L is surrounded by points at offsets that grow from a fraction of its half
 width (its real part) in steps of 1 + sqrt(2), so a resonance's circle is drawn with some twenty points whether its
 damping ratio is 0.05 or 1e-6. Zeros of L, which the protocol does not give, turn its phase: intervals over which
-the phase of L or of 1 + L turns by more than TURN_RAD are halved until none is left. `refine_extremes` adds the turning
+the phase of L or of 1 + L turns by more than TURN_RAD are halved until none is left. `with_extremes` adds the turning
 points: peaks of |L|, least distances, and near misses between two points of the grid.
 
 Unstable poles of the closed loop are counted twice: from their list, and by the argument principle from L alone.
@@ -13,15 +13,18 @@ Unstable poles of the closed loop are counted twice: from their list, and by the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from maxq.control.kernel.jit import formula, routine
 from maxq.control.kernel.records import Array, IntArray
 from maxq.design.loop.loop import OpenLoop
 from maxq.design.margins import solving
+from maxq.design.margins.response import TWO_PI, LoopResponse, values_at
+from maxq.design.margins.solving import LOG_SIZE, SINE, angle, objectives
 from maxq.design.model.state_space import ComplexArray
 
 LOWEST_HZ = 1e-5  # a root slower than this (4 hours) is drift and not part of the loop's dynamics
@@ -31,6 +34,7 @@ TURN_RAD = 0.6
 FLOOR = 1e-4  # where |L| is below this (-80 dB) its phase is of no interest
 NARROW = 1e-12  # relative: an interval that is not halved any more
 MOST_POINTS = 200_000
+_MOST_ROUNDS = 40
 FARTHEST = 1e9  # a sign change of Im L where |L| is beyond this, or below its inverse, is a pole or zero on the axis
 REAL = 1e-6  # |Im L| / |L| below which the end of the curve is real
 ASYMPTOTIC, DRIFT_UP_TO_HZ = 4.0, 1e-3  # a factor in frequency; a quarter of an hour
@@ -40,10 +44,22 @@ OSCILLATING = 0.5  # damping ratio below which a pole gets points of its own
 LOWEST_PEAK = np.log(1e-3)  # peaks below -60 dB are not refined
 REACH = 4.0  # a minimum may lie lower than its parabola by this many times the parabola's drop
 
-_DISTANCES = (solving.sensitivity, solving.complementary, solving.symmetric)
-_OBJECTIVES = (*_DISTANCES, solving.minus_log_size, solving.log_size, solving.sine, solving.minus_sine)
-_STEPS = (1.0 + np.sqrt(2.0)) ** np.arange(-1.0, 24.0)
-_OFFSETS = np.concatenate([-_STEPS[::-1], [0.0], _STEPS])
+_RATIO = 1.0 + np.sqrt(2.0)
+_STEPS = 25
+IMPROPER, WINDING = 1, 2
+"""Problems of a curve: |L| grows without bound; its phase turns too often to be followed."""
+
+
+class Trace(NamedTuple):
+    """L at rising frequencies, for compiled code (`Curve`). `problem` is 0, IMPROPER or WINDING."""
+
+    frequency_hz: Array
+    loop: ComplexArray
+    slope_at_zero: int
+    at_zero: float
+    slope_at_end: int
+    finite_end: bool
+    problem: int
 
 
 @dataclass(frozen=True)
@@ -64,216 +80,246 @@ class Curve:
     slope_at_end: int
     finite_end: bool
 
-    def with_points(self, frequency_hz: Array, loop: ComplexArray) -> Curve:
-        """The same with points added; those that are there already are left out."""
-        f, values = np.append(self.frequency_hz, frequency_hz), np.append(self.loop, loop)
-        order = np.argsort(f, kind="stable")
-        f, values = f[order], values[order]
-        new = np.append(True, np.diff(f) > 0.0)
-        return replace(self, frequency_hz=f[new], loop=values[new])
-
-    def steps_past_poles(self) -> list[tuple[int, int]]:
-        """Steps (index of the point before) that pass poles of L on the axis, and how many.
-
-        A pole that is in both lists at the same place cancels in L.
-        """
-        count = self._on_axis(self.open_poles)
-        for k, hidden in self._on_axis(self.closed_poles).items():
-            count[k] = count.get(k, 0) - hidden
-        return [(k, n) for k, n in count.items() if n > 0]
-
-    def _on_axis(self, p: ComplexArray) -> dict[int, int]:
-        chosen = (p.imag > self.lowest_radps) & (np.abs(p.real) <= ON_AXIS * np.abs(p))
-        step = np.searchsorted(self.frequency_hz, p[chosen].imag / (2.0 * np.pi)) - 1
-        inside = step[(step >= 0) & (step < len(self.frequency_hz) - 1)]
-        return {int(k): int(n) for k, n in zip(*np.unique(inside, return_counts=True), strict=True)}
-
-    @property
-    def limits(self) -> list[tuple[complex, float]]:
-        """L at zero frequency, 1e150 for an infinite one, and of a continuous loop at infinity, with the frequency."""
-        at_zero = self.at_zero if self.slope_at_zero == 0 else 0.0 if self.slope_at_zero > 0 else 1e150
-        at_end = self.loop[-1].real if self.slope_at_end == 0 else 0.0
-        return [(complex(at_zero), 0.0), *([] if self.finite_end else [(complex(at_end), np.inf)])]
-
     @property
     def lowest_radps(self) -> float:
         """Poles slower than this are drift."""
         return float(2.0 * np.pi * self.frequency_hz[0])
 
+    def with_points(self, frequency_hz: Array, loop: ComplexArray) -> Curve:
+        """Return the curve with points in place of its own."""
+        return replace(self, frequency_hz=frequency_hz, loop=loop)
 
+
+@formula
 def lowest_hz_of(open_poles: ComplexArray) -> float:
-    """Where the curve of a loop with these poles (rad/s) begins: LOWEST_HZ, or above drift that it would begin amid.
+    """Return where the curve of a loop with these poles (rad/s) begins: LOWEST_HZ, or above drift nearby.
 
     In thin air path and attitude have slow roots of a few hours, beside which L has no asymptote to begin on.
     """
     low = LOWEST_HZ
-    for hz in np.sort(np.abs(open_poles[np.isfinite(open_poles)])) / (2.0 * np.pi):
+    for hz in np.sort(np.abs(open_poles)) / TWO_PI:
         if low / ASYMPTOTIC < hz < ASYMPTOTIC * low:
-            low = ASYMPTOTIC * float(hz)
+            low = ASYMPTOTIC * hz
     return low if low <= DRIFT_UP_TO_HZ else LOWEST_HZ
 
 
-def trace(loop: OpenLoop, lowest_hz: float = LOWEST_HZ) -> Curve:
-    """Compute the curve. Raises ValueError for a response that is not finite, an improper loop, a bad `lowest_hz`."""
-    end = float(loop.highest_hz)
-    if not 0.0 < lowest_hz < end:
-        raise ValueError(f"lowest_hz is {lowest_hz:g}: must lie between 0 and the loop's end at {end:g} Hz")
-    open_poles, closed_poles = _finite(loop.open_poles(), "open"), _finite(loop.closed_poles(), "closed")
-    poles = np.concatenate([open_poles, closed_poles])
-    poles = poles[(poles.imag >= 0.0) & (np.abs(poles) > 2.0 * np.pi * lowest_hz)]
-    slope_at_zero, at_zero = _start(loop, lowest_hz, end)
-    finite_end = bool(np.isfinite(end))
-    end, at_end = (end, 0) if finite_end else _end(loop, poles, lowest_hz)
-    grid = _grid(poles, lowest_hz, end, finite_end)
-    f, values = _refine(loop, grid, solving.sample(loop, grid))
-    return Curve(loop, f, values, open_poles, closed_poles, slope_at_zero, at_zero, at_end, finite_end)
-
-
-def _finite(poles: ComplexArray, kind: str) -> ComplexArray:
-    """Poles without those at minus infinity (a sampled loop's z = 0)."""
+def finite(poles: ComplexArray, kind: str) -> ComplexArray:
+    """Return poles without those at minus infinity (a sampled loop's z = 0). Raises ValueError for NaN."""
     p = np.atleast_1d(np.asarray(poles, np.complex128))
     p = p[np.abs(p.real) != np.inf]
     if not np.isfinite(p).all():
         raise ValueError(f"{kind}-loop poles are not numbers: {p[~np.isfinite(p)][0]}")
-    return np.asarray(p)
+    return np.ascontiguousarray(p)
 
 
-def _start(loop: OpenLoop, lowest_hz: float, end: float) -> tuple[int, float]:
-    """Slope at the beginning, and the limit at zero frequency."""
-    values = solving.sample(loop, np.minimum(lowest_hz * np.array([1.0, 2.0]), end))
-    size = np.abs(values)
-    if size.min() == 0.0:
-        return 0, float(values.real[0])
-    return round(float(np.log2(size[1] / size[0]))), float((4.0 * values.real[0] - values.real[1]) / 3.0)
+@routine
+def traced(open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, loop: LoopResponse) -> Trace:
+    """Return the curve from `lowest` to `end` Hz, which is infinite for a continuous loop."""
+    first = values_at(np.array([lowest, min(2.0 * lowest, end)]), loop)
+    slope_at_zero, at_zero = 0, first[0].real
+    if abs(first[0]) > 0.0 and abs(first[1]) > 0.0:
+        slope_at_zero = round_(np.log2(abs(first[1]) / abs(first[0])))
+        at_zero = (4.0 * first[0].real - first[1].real) / 3.0
+    finite_end, slope_at_end, problem = np.isfinite(end), 0, 0
+    if not finite_end:
+        end, slope_at_end, problem = _end(open_, closed, lowest, loop)
+    f = _grid(open_, closed, lowest, end, finite_end)
+    f, values, followed = _refined(f, values_at(f, loop), loop)
+    if problem == 0 and not followed:
+        problem = WINDING
+    return Trace(f, values, slope_at_zero, at_zero, slope_at_end, finite_end, problem)
 
 
-def _end(loop: OpenLoop, poles: ComplexArray, lowest_hz: float) -> tuple[float, int]:
-    """Where a continuous loop has reached its asymptote or is too small to matter, and the asymptote's slope."""
-    fastest = max(float(np.abs(poles).max()) / (2.0 * np.pi) if len(poles) else 1.0, 100.0 * lowest_hz)
-    f = 30.0 * fastest * 10.0 ** np.arange(7.0)
-    values = solving.sample(loop, np.concatenate([f, 1.1 * f]))
-    size, later = np.abs(values[:7]), np.abs(values[7:])
-    with np.errstate(all="ignore"):
-        slope = np.log(later / size) / np.log(1.1)
-    quarter = np.angle(values[:7]) / (0.5 * np.pi)
-    level = np.round(slope) == 0.0  # then the end may lie near -1, otherwise it is far away
-    settled = np.abs(slope - np.round(slope)) < np.where(level, 1e-4, 0.01)
-    settled &= np.abs(quarter - np.round(quarter)) < np.where(level, 1e-4, 0.02)
-    small = size < FLOOR
-    k = int(np.argmax(settled | small)) if (settled | small).any() else 6
-    n = round(float(slope[k])) if np.isfinite(slope[k]) else -1
-    if n > 0 and size[k] > 0.0 and (settled[k] or not small[k]):
-        raise ValueError(f"the loop is improper: |L| grows without bound, {size[k]:.3g} at {f[k]:.3g} Hz")
+@routine
+def round_(x: float) -> int:
+    return int(np.round(x)) if abs(x) < 1e9 else 0
+
+
+@routine
+def _end(open_: ComplexArray, closed: ComplexArray, lowest: float, loop: LoopResponse) -> tuple[float, int, int]:
+    """Return where a continuous loop has reached its asymptote or is too small to matter, the slope, the problem."""
+    fastest, some = 100.0 * lowest, False
+    for which in range(2):
+        for p in open_ if which == 0 else closed:
+            if p.imag >= 0.0 and abs(p) > TWO_PI * lowest:
+                fastest, some = max(fastest, abs(p) / TWO_PI), True
+    f = 30.0 * (fastest if some else max(1.0, fastest)) * 10.0 ** np.arange(7.0)
+    values = values_at(np.concatenate((f, 1.1 * f)), loop)
+    place, steep, still = 6, np.nan, False
+    for k in range(7):
+        size = abs(values[k])
+        slope = np.log(abs(values[k + 7]) / size) / np.log(1.1)
+        quarter = angle(values[k]) / (0.25 * TWO_PI)
+        level = np.round(slope) == 0.0  # then the end may lie near -1, otherwise it is far away
+        settled = abs(slope - np.round(slope)) < (1e-4 if level else 0.01)
+        settled = settled and abs(quarter - np.round(quarter)) < (1e-4 if level else 0.02)
+        if settled or size < FLOOR or k == 6:
+            place, steep, still = k, slope, settled
+            break
+    n = round_(steep) if np.isfinite(steep) else -1
+    small = abs(values[place]) < FLOOR
+    problem = IMPROPER if n > 0 and abs(values[place]) > 0.0 and (still or not small) else 0
     # a pure delay keeps turning: small from here on, or level
-    return float(f[k]), min(n, 0) if settled[k] else -1 if small[k] else 0
+    return f[place], min(n, 0) if still else -1 if small else 0, problem
 
 
-def _grid(poles: ComplexArray, lowest_hz: float, end: float, finite_end: bool) -> Array:
-    size = np.abs(poles) / (2.0 * np.pi)
-    slow, fast = (float(size.min()), float(size.max())) if len(size) else (1.0, 1.0)
-    slow, fast = (min(max(x, 2.0 * lowest_hz), 0.5 * end) for x in (0.3 * slow, 3.0 * fast))
-    parts = [
-        _decades(lowest_hz, slow, PER_DECADE_FLAT),
-        _decades(slow, fast, PER_DECADE),
-        _decades(fast, end, PER_DECADE_FLAT),
-    ]
-    swinging = poles[(poles.imag > 0.0) & (np.abs(poles.real) < OSCILLATING * np.abs(poles))]
-    if len(swinging):
-        # a pole on the axis: L is infinite there
-        width = np.maximum(np.abs(swinging.real), ON_AXIS * np.abs(swinging))
-        near = swinging.imag[:, None] + width[:, None] * _OFFSETS
-        exact = np.abs(swinging.real) < ON_AXIS * np.abs(swinging)
-        near[exact, len(_STEPS)] = lowest_hz * 2.0 * np.pi
-        inside = np.abs(width[:, None] * _OFFSETS) < 0.7 * swinging.imag[:, None]
-        parts.append(near[inside] / (2.0 * np.pi))
-    parts.append(np.array([lowest_hz, end]))
-    if finite_end:
-        parts.append(np.array([end * (1.0 - 1e-6)]))
-    f = np.sort(np.concatenate(parts))
-    f = f[(f >= lowest_hz) & (f <= end)]
-    return np.asarray(f[np.append(True, np.diff(f) > NARROW * f[1:])])
+@routine
+def _decades(low: float, high: float, density: float, out: Array, n: int) -> int:
+    count = max(2, int(np.ceil(density * np.log10(max(high / low, 1.001)))))
+    ratio = (high / low) ** (1.0 / count)
+    f = low
+    for _ in range(count):
+        out[n] = f
+        n += 1
+        f *= ratio
+    return n
 
 
-def _decades(low: float, high: float, density: int) -> Array:
-    n = max(2, int(np.ceil(density * np.log10(max(high / low, 1.001)))))
-    return np.asarray(np.geomspace(low, high, n, endpoint=False))
+@routine
+def _grid(open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, finite_end: bool) -> Array:
+    decades = np.log10(end / lowest)
+    out = np.empty(20 + int(2 * PER_DECADE * decades) + (2 * _STEPS + 1) * (len(open_) + len(closed)))
+    slow, fast, n = np.inf, 0.0, 0
+    for which in range(2):
+        for p in open_ if which == 0 else closed:
+            size = abs(p)
+            if p.imag < 0.0 or size <= TWO_PI * lowest:
+                continue
+            slow, fast = min(slow, size / TWO_PI), max(fast, size / TWO_PI)
+            if p.imag > 0.0 and abs(p.real) < OSCILLATING * size:
+                width, step = max(abs(p.real), ON_AXIS * size), 1.0 / _RATIO
+                # a pole on the axis: L is infinite there
+                if abs(p.real) >= ON_AXIS * size:
+                    out[n] = p.imag / TWO_PI
+                    n += 1
+                for _ in range(_STEPS):
+                    if step * width >= 0.7 * p.imag:
+                        break
+                    out[n], out[n + 1] = (p.imag - step * width) / TWO_PI, (p.imag + step * width) / TWO_PI
+                    n += 2
+                    step *= _RATIO
+    if fast == 0.0:
+        slow = fast = 1.0
+    slow = min(max(0.3 * slow, 2.0 * lowest), 0.5 * end)
+    fast = min(max(3.0 * fast, 2.0 * lowest), 0.5 * end)
+    n = _decades(lowest, slow, PER_DECADE_FLAT, out, n)
+    n = _decades(slow, fast, PER_DECADE, out, n)
+    n = _decades(fast, end, PER_DECADE_FLAT, out, n)
+    out[n], out[n + 1], out[n + 2] = lowest, end, end * (1.0 - 1e-6)
+    f = np.sort(out[: n + (3 if finite_end else 2)])
+    m = 0
+    for x in f:
+        if lowest <= x <= end and (m == 0 or x - f[m - 1] > NARROW * x):
+            f[m] = x
+            m += 1
+    return f[:m].copy()
 
 
-def _refine(loop: OpenLoop, f: Array, values: ComplexArray) -> tuple[Array, ComplexArray]:
+@routine
+def _turned(a: complex, b: complex) -> float:
+    return abs(angle(a * b.conjugate()))
+
+
+@routine
+def _refined(f: Array, loop: ComplexArray, source: LoopResponse) -> tuple[Array, ComplexArray, bool]:
     """Halve intervals over which L or 1 + L turns too far, and much wider ones beside them."""
-    fresh = np.ones(len(f) - 1, bool)
-    for _ in range(40):
-        coarse = fresh & (_turn(values) > TURN_RAD) & (np.maximum(np.abs(values[1:]), np.abs(values[:-1])) > FLOOR)
-        coarse |= fresh & (_turn(1.0 + values) > TURN_RAD)
-        width = np.diff(f)
-        coarse &= width > 1e3 * NARROW * f[1:]
-        if not coarse.any():
+    n = len(f)
+    fresh = np.ones(n, np.bool_)
+    for _ in range(_MOST_ROUNDS):
+        coarse, any_ = np.zeros(n, np.bool_), False
+        for k in range(n - 1):
+            if not fresh[k] or f[k + 1] - f[k] <= 1e3 * NARROW * f[k + 1]:
+                continue
+            a, b = loop[k], loop[k + 1]
+            turned = _turned(b, a) if max(abs(a), abs(b)) > FLOOR else 0.0
+            if max(turned, _turned(1.0 + b, 1.0 + a)) > TURN_RAD:
+                coarse[k] = any_ = True
+        if not any_:
             break
         # a turn by a multiple of 2 pi looks like none: refine beside intervals that turn
-        wide = np.where(coarse, 0.5 * width, np.inf)
-        beside = np.minimum(np.append(wide[1:], np.inf), np.append(np.inf, wide[:-1]))
-        coarse |= width > 4.0 * beside
-        k = np.flatnonzero(coarse)
-        if len(f) + len(k) > MOST_POINTS:
-            raise ValueError(f"the loop's phase turns too often to be followed: {len(f)} points up to {f[-1]:.3g} Hz")
-        middle = 0.5 * (f[k] + f[k + 1])
-        f, values = np.insert(f, k + 1, middle), np.insert(values, k + 1, solving.sample(loop, middle))
-        fresh = np.zeros(len(f) - 1, bool)
-        first = k + np.arange(len(k))
-        fresh[first] = fresh[first + 1] = True
-    return f, values
+        more = coarse.copy()
+        for k in range(n - 1):
+            beside = np.inf
+            if k > 0 and coarse[k - 1]:
+                beside = 0.5 * (f[k] - f[k - 1])
+            if k < n - 2 and coarse[k + 1]:
+                beside = min(beside, 0.5 * (f[k + 2] - f[k + 1]))
+            more[k] = coarse[k] or f[k + 1] - f[k] > 4.0 * beside
+        new = np.flatnonzero(more)
+        if n + len(new) > MOST_POINTS:
+            return f, loop, False
+        middle = 0.5 * (f[new] + f[new + 1])
+        f, loop, places = merged(f, loop, middle, source)
+        n, fresh = len(f), np.zeros(len(f), np.bool_)
+        fresh[places] = True
+        fresh[places - 1] = True
+    return f, loop, True
 
 
-def _turn(values: ComplexArray) -> Array:
-    return np.asarray(np.abs(np.angle(values[1:] * np.conj(values[:-1]))))
+@routine
+def merged(f: Array, loop: ComplexArray, new: Array, source: LoopResponse) -> tuple[Array, ComplexArray, IntArray]:
+    """Return the curve with points added, and their places; those that are there already are left out."""
+    new = np.sort(new)
+    values = values_at(new, source)
+    n = len(f)
+    g, h, places = np.empty(n + len(new)), np.empty(n + len(new), np.complex128), np.empty(len(new), np.int64)
+    i = k = m = count = 0
+    while i < n or k < len(new):
+        if k == len(new) or (i < n and f[i] <= new[k]):
+            g[m], h[m] = f[i], loop[i]
+            i += 1
+        else:
+            x = new[k]
+            k += 1
+            if m > 0 and g[m - 1] == x:
+                continue
+            g[m], h[m] = x, values[k - 1]
+            places[count] = m
+            count += 1
+        m += 1
+    return g[:m].copy(), h[:m].copy(), places[:count].copy()
 
 
-def refine_extremes(curve: Curve) -> Curve:
-    """The curve with its turning points solved for and added.
+@routine
+def is_bracket(value: Array, k: int) -> bool:
+    """True for an inner point that is not above either neighbour and below one."""
+    left, here, right = value[k - 1], value[k], value[k + 1]
+    return bool(here <= left and here <= right and (here < left or here < right))
+
+
+@routine
+def with_extremes(f: Array, loop: ComplexArray, source: LoopResponse) -> tuple[Array, ComplexArray]:
+    """Return the curve with its turning points solved for and added.
 
     They are the minima of |1 + L|, |1 + 1/L| and |1 + L|/|1 - L| that may be the least of all, the maxima of |L|,
     and those of |L| and of the phase that may reach 1 and 180 degrees where the points of the grid do not.
     """
-    return with_minima(curve, _OBJECTIVES, [_candidates(curve, k) for k in range(len(_OBJECTIVES))])
-
-
-def with_minima(
-    curve: Curve, objectives: Sequence[solving.Objective], found: Sequence[tuple[IntArray, Array]]
-) -> Curve:
-    """The curve with minima solved for and added, from `brackets` of each objective (their numbers, the values)."""
-    kind = np.concatenate([np.full(len(middle), k) for k, (middle, _) in enumerate(found)])
-    middle, values = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    if not len(middle):
-        return curve
-    points = curve.frequency_hz[middle[:, None] + np.arange(-1, 2)]
-    lowest = solving.minima(solving.along(curve.source, objectives, kind), points, values)
-    return curve.with_points(lowest, solving.sample(curve.source, lowest))
-
-
-def _candidates(curve: Curve, k: int) -> tuple[IntArray, Array]:
-    """Middle points of brackets worth refining for an objective, and the values (brackets, 3) there."""
-    objective = _OBJECTIVES[k]
-    value = objective(curve.loop)
-    middle, around = brackets(value)
-    here, f = around[:, 1], curve.frequency_hz
-    _, drop = solving.vertex(f[middle - 1], f[middle], f[middle + 1], *around.T)
-    reachable = here - REACH * drop
-    if objective in _DISTANCES:
-        worth = reachable <= value.min()
-    elif objective is solving.minus_log_size:
-        worth = here < -LOWEST_PEAK
-    elif objective is solving.log_size:
-        worth = (here > 0.0) & (reachable < 0.0)
-    else:
-        worth = (here > 0.0) & (reachable < 0.0) & (curve.loop.real[middle] < 0.0)
-    return middle[worth], around[worth]
-
-
-def brackets(value: Array) -> tuple[IntArray, Array]:
-    """Inner points that are not above either neighbour and below one: their numbers, and the three values."""
-    left, here, right = value[:-2], value[1:-1], value[2:]
-    middle = 1 + np.flatnonzero((here <= left) & (here <= right) & ((here < left) | (here < right)))
-    return middle, value[middle[:, None] + np.arange(-1, 2)]
+    n, m, zones = len(f), 0, np.zeros((0, 3))
+    count = 7 * n
+    kinds, points, values = np.empty(count, np.int64), np.empty((count, 3)), np.empty((count, 3))
+    for kind in range(solving.CLEARANCE):
+        value = objectives(kind, loop, zones)
+        least = value.min()
+        for k in range(1, n - 1):
+            if not is_bracket(value, k):
+                continue
+            here = value[k]
+            _, drop = solving.parabola(f[k - 1], f[k], f[k + 1], value[k - 1], here, value[k + 1])
+            reachable = here - REACH * drop
+            if kind <= solving.SYMMETRIC:
+                worth = reachable <= least
+            elif kind == solving.MINUS_LOG_SIZE:
+                worth = here < -LOWEST_PEAK
+            else:
+                worth = here > 0.0 and reachable < 0.0 and (kind == LOG_SIZE or loop[k].real < 0.0)
+            if worth:
+                kinds[m] = kind
+                points[m, 0], points[m, 1], points[m, 2] = f[k - 1], f[k], f[k + 1]
+                values[m, 0], values[m, 1], values[m, 2] = value[k - 1], here, value[k + 1]
+                m += 1
+    found = solving.minima(kinds[:m], points[:m], values[:m], source, zones)
+    f, loop, _ = merged(f, loop, found, source)
+    return f, loop
 
 
 @dataclass(frozen=True)
@@ -318,92 +364,137 @@ class PhaseCrossings:
         return np.asarray(-solving.DB * solving.log_size(self.loop))
 
 
-def find_crossings(curve: Curve) -> tuple[GainCrossings, PhaseCrossings, Curve]:
-    """All of them, and the curve with them added."""
-    f, loop = curve.frequency_hz, curve.loop
-    size, angle = solving.log_size(loop), solving.sine(loop)
-    gain = np.flatnonzero((size[1:] >= 0.0) != (size[:-1] >= 0.0))
-    change = (angle[1:] >= 0.0) != (angle[:-1] >= 0.0)
-    if curve.finite_end and abs(angle[-1]) < REAL:  # at Nyquist the sign of Im L is rounding
-        change[-1] = False
-    for step, _ in curve.steps_past_poles():
-        change[step] = False
-    phase = np.flatnonzero(change & ((loop.real[1:] < 0.0) | (loop.real[:-1] < 0.0)))
-    k = np.concatenate([gain, phase])
-    kind = np.concatenate([np.zeros(len(gain), int), np.ones(len(phase), int)])
-    ends = np.stack([np.where(kind == 0, size[k + j], angle[k + j]) for j in (0, 1)])
-    along = solving.along(curve.source, (solving.log_size, solving.sine), kind)
-    found = solving.roots(along, f[k], f[k + 1], ends[0], ends[1])
-    values = solving.sample(curve.source, found)
-    at_gain, from_above = kind == 0, angle[k] >= 0.0
-    magnitude = np.abs(values)
-    at_phase = ~at_gain & (values.real < 0.0) & (magnitude > 1.0 / FARTHEST) & (magnitude < FARTHEST)
-    turns = np.where(from_above[at_phase], 1, -1)
-    inner = PhaseCrossings(found[at_phase], values[at_phase], turns)
-    crossed = GainCrossings(found[at_gain], values[at_gain], (size[k + 1] >= 0.0)[at_gain])
-    return crossed, _with_ends(inner, curve), curve.with_points(found, values)
+class Crossings(NamedTuple):
+    """All crossings, gain first: `way` is 1 where |L| rises, -1 where it falls, or the turn of a phase crossing."""
+
+    gain_hz: Array
+    gain_loop: ComplexArray
+    gain_way: IntArray
+    phase_hz: Array
+    phase_loop: ComplexArray
+    phase_way: IntArray
 
 
-def _with_ends(inner: PhaseCrossings, curve: Curve) -> PhaseCrossings:
-    """The limits at zero frequency and at the end are real: they count where they are negative."""
-    f, loop, turn = inner.frequency_hz, inner.loop, inner.turn
-    first, last = curve.loop[0], curve.loop[-1]
-    if curve.slope_at_zero == 0 and curve.at_zero < 0.0 and abs(first.imag) < 0.1 * abs(first):
-        f, loop, turn = np.append(0.0, f), np.append(curve.at_zero + 0j, loop), np.append(0, turn)
-    real = REAL if curve.finite_end else 0.1
-    if curve.slope_at_end == 0 and last.real < 0.0 and abs(last.imag) < real * abs(last):
-        end = curve.frequency_hz[-1] if curve.finite_end else np.inf
-        f, loop, turn = np.append(f, end), np.append(loop, last.real + 0j), np.append(turn, 0)
-    return PhaseCrossings(f, loop, turn.astype(np.int64))
+@formula
+def steps_past_poles(f: Array, open_: ComplexArray, closed: ComplexArray) -> IntArray:
+    """Return how many poles of L on the axis each step passes, (points - 1,).
+
+    A pole that is in both lists at the same place cancels in L.
+    """
+    count, lowest = np.zeros(len(f) - 1, np.int64), TWO_PI * f[0]
+    for which in range(2):
+        for p in open_ if which == 0 else closed:
+            if p.imag > lowest and abs(p.real) <= ON_AXIS * abs(p):
+                k = np.searchsorted(f, p.imag / TWO_PI) - 1
+                if 0 <= k < len(f) - 1:
+                    count[k] += 1 if which == 0 else -1
+    return np.maximum(count, 0)
 
 
-def unstable(poles: ComplexArray, lowest_radps: float) -> ComplexArray:
-    """Poles to the right of the axis, and on it. Those slower than `lowest_radps` are drift and left out."""
-    size = np.abs(poles)
-    return np.asarray(poles[(size > lowest_radps) & (poles.real >= -ON_AXIS * size)])
+@routine
+def crossings(t: Trace, past: IntArray, source: LoopResponse) -> tuple[Crossings, Array, ComplexArray]:
+    """Return all of them, and the curve with them added."""
+    f, loop, zones = t.frequency_hz, t.loop, np.zeros((0, 3))
+    n, m, gains = len(f), 0, 0
+    kinds, ends, values, way = np.empty(2 * n, np.int64), np.empty((2 * n, 2)), np.empty((2 * n, 2)), np.empty(2 * n)
+    for kind in (LOG_SIZE, SINE):
+        value = objectives(kind, loop, zones)
+        for k in range(n - 1):
+            a, b = value[k], value[k + 1]
+            if (a >= 0.0) == (b >= 0.0):
+                continue
+            if kind == SINE:
+                # at Nyquist the sign of Im L is rounding
+                at_end = t.finite_end and k == n - 2 and abs(b) < REAL
+                if at_end or past[k] > 0 or not (loop[k].real < 0.0 or loop[k + 1].real < 0.0):
+                    continue
+            kinds[m], ends[m, 0], ends[m, 1], values[m, 0], values[m, 1] = kind, f[k], f[k + 1], a, b
+            way[m] = (1.0 if b >= 0.0 else -1.0) if kind == LOG_SIZE else (1.0 if a >= 0.0 else -1.0)
+            m += 1
+        if kind == LOG_SIZE:
+            gains = m
+    found = solving.roots(kinds[:m], ends[:m], values[:m], source, zones)
+    there = values_at(found, source)
+    hz, at, turn = np.empty(m - gains + 2), np.empty(m - gains + 2, np.complex128), np.empty(m - gains + 2, np.int64)
+    # the limits at zero frequency and at the end are real: they count where they are negative
+    count, first, last = 0, loop[0], loop[n - 1]
+    if t.slope_at_zero == 0 and t.at_zero < 0.0 and abs(first.imag) < 0.1 * abs(first):
+        hz[count], at[count], turn[count] = 0.0, complex(t.at_zero, 0.0), 0
+        count += 1
+    for k in range(gains, m):
+        if there[k].real < 0.0 and 1.0 / FARTHEST < abs(there[k]) < FARTHEST:
+            hz[count], at[count], turn[count] = found[k], there[k], int(way[k])
+            count += 1
+    if t.slope_at_end == 0 and last.real < 0.0 and abs(last.imag) < (REAL if t.finite_end else 0.1) * abs(last):
+        hz[count], at[count], turn[count] = f[n - 1] if t.finite_end else np.inf, complex(last.real, 0.0), 0
+        count += 1
+    every = Crossings(
+        found[:gains].copy(), there[:gains].copy(), way[:gains].astype(np.int64), hz[:count], at[:count], turn[:count]
+    )
+    f, loop, _ = merged(f, loop, found, source)
+    return every, f, loop
 
 
-def encirclement_count(curve: Curve, crossings: PhaseCrossings) -> int:
-    """Zeros of 1 + L in the right half plane (outside the unit circle), from the curve's turns about -1.
+@formula
+def growing_count(closed: ComplexArray, lowest_radps: float) -> int:
+    """Return the number of poles to the right of the axis, and on it. Poles slower than `lowest_radps` are drift."""
+    count = 0
+    for p in closed:
+        if abs(p) > lowest_radps and p.real >= -ON_AXIS * abs(p):
+            count += 1
+    return count
+
+
+@routine
+def _wrapped(turn: float) -> float:
+    return float((turn + 0.5 * TWO_PI) % TWO_PI - 0.5 * TWO_PI)
+
+
+@routine
+def _real_angle(x: complex) -> float:
+    return 0.0 if x.real >= 0.0 else 0.5 * TWO_PI
+
+
+@routine
+def encirclement_count(t: Trace, every: Crossings, past: IntArray, before: Trace, open_: ComplexArray) -> int:
+    """Return the zeros of 1 + L in the right half plane (outside the unit circle), from the curve's turns about -1.
 
     Each solved crossing of the real axis beyond -1 moves the argument from one branch to the next, so the number is
     exact. The path goes up the axis from a quarter circle about s = 0 (z = 1), passes poles on the axis on their
     right, and ends at the real limit of L at infinity (z = -1):
 
         zeros = poles - turn of 1 + L over the upper half / pi.
+
+    `past` are the poles that the steps of `before` pass, the curve without its crossings.
     """
-    poles = curve.open_poles
-    size = np.abs(poles)
-    right = (size > curve.lowest_radps) & (poles.real > ON_AXIS * size)
-    distance = 1.0 + curve.loop
-    beyond = (np.abs(crossings.loop) > 1.0) & (crossings.turn != 0)
-    branches = int(crossings.turn[beyond].sum()) - _past_axis_poles(curve)
+    loop, lowest, right, branches = t.loop, TWO_PI * t.frequency_hz[0], 0, 0
+    for p in open_:
+        right += 1 if abs(p) > lowest and p.real > ON_AXIS * abs(p) else 0
+    for i in range(len(every.phase_hz)):
+        branches += int(every.phase_way[i]) if abs(every.phase_loop[i]) > 1.0 else 0
+    # how often the half circles to the right of poles on the axis cross from -pi to pi (clockwise)
+    for k in np.flatnonzero(past):
+        here, there = angle(1.0 + before.loop[k]), angle(1.0 + before.loop[k + 1])
+        clockwise = past[k] * 0.5 * TWO_PI + _wrapped(here - there - past[k] * 0.5 * TWO_PI)
+        branches -= round_((clockwise - (here - there)) / TWO_PI)
     # at Nyquist the sign of Im L is rounding: the last step is the short way to the real axis
-    last = -2 if curve.finite_end else -1
-    turn = _first_turn(curve) + np.angle(distance[last]) - np.angle(distance[0]) + 2.0 * np.pi * branches
-    end = np.angle(complex((1.0 + curve.loop[-1]).real))
-    turn += solving.wrapped(float(end - np.angle(distance[last])), np.pi)
-    return round(float(right.sum() - turn / np.pi))
+    last = len(loop) - (2 if t.finite_end else 1)
+    turn = _first_turn(loop[0], t.slope_at_zero) + angle(1.0 + loop[last]) - angle(1.0 + loop[0])
+    turn += TWO_PI * branches
+    turn += _wrapped(_real_angle(1.0 + loop[len(loop) - 1]) - angle(1.0 + loop[last]))
+    return round_(right - turn / (0.5 * TWO_PI))
 
 
-def _first_turn(curve: Curve) -> float:
-    """Turn of 1 + L from the positive real axis to the first point, on a small quarter circle about the origin."""
-    first = curve.loop[0]
-    order = -curve.slope_at_zero if abs(first) > 1.0 else 0
+@routine
+def _first_turn(first: complex, slope_at_zero: int) -> float:
+    """Return the turn of 1 + L from the real axis to the first point, on a small quarter circle about the origin."""
+    order = -slope_at_zero if abs(first) > 1.0 else 0
     if order == 0:
-        begin = float(np.angle(complex((1.0 + first).real)))
-        return solving.wrapped(float(np.angle(1.0 + first)) - begin, np.pi)
+        return _wrapped(angle(1.0 + first) - _real_angle(1.0 + first))
     # L = K / s^n is real at the beginning, and large against 1; with n < 0 it has zeros, and 1 + L drift, below
-    begin = float(np.angle(complex((first * 1j**order).real)))
-    arrived = begin - order * np.pi / 2.0
-    return arrived - begin + solving.wrapped(float(np.angle(1.0 + first)) - arrived, np.pi)
-
-
-def _past_axis_poles(curve: Curve) -> int:
-    """How often the half circles to the right of poles on the axis cross from -pi to pi (clockwise)."""
-    count = 0
-    for k, order in curve.steps_past_poles():
-        before, after = (float(np.angle(1.0 + curve.loop[j])) for j in (k, k + 1))
-        clockwise = order * np.pi + solving.wrapped(before - after - order * np.pi, np.pi)
-        count += round((clockwise - (before - after)) / (2.0 * np.pi))
-    return count
+    unit = 1.0 + 0j
+    for _ in range(abs(order)):
+        unit = unit * (1j if order > 0 else -1j)
+    begin = _real_angle(first * unit)
+    arrived = begin - order * 0.25 * TWO_PI
+    return arrived - begin + _wrapped(angle(1.0 + first) - arrived)

@@ -12,16 +12,17 @@ import scipy.optimize
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.laws.law import ANGLES, MEASUREMENTS, Controller
+from maxq.design.laws.law import MEASUREMENTS, Controller
 from maxq.design.loop.fixed_path import SampledFixedPath
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.resonance import owner_of
 from maxq.design.margins import many
+from maxq.design.margins.packed import controller_factors
 from maxq.design.model.dispersion import Dispersion, dispersed_many, stacked, unlike_drives, with_drives_apart
 from maxq.design.model.instruments import DERIVATIVES, actuator_poles, lag, of_drive
 from maxq.design.model.node import Node
 from maxq.design.model.plant import vehicle_plants
-from maxq.design.model.state_space import ComplexArray, StateSpace, chain, zeros_and_poles
+from maxq.design.model.state_space import ComplexArray
 
 _WORST_BASIS = 1e7  # condition of the eigenvectors beyond which residues have lost half their digits
 _AT_ONCE = 250  # vehicles: their matrices then stay in the processor's cache
@@ -49,13 +50,10 @@ class ManyLoops:
             raise NotServedError("allowed are laws on the first gyro")
         if node.vehicle.across is not None or node.errata.actuator_labels:
             raise NotServedError("allowed are vehicles with modes of one plane, errata corrected")
-        hz = np.geomspace(1e-3, 0.499 / node.instruments.sample_s, 50)
-        zeros, poles, gain = self._controller
-        w = np.expm1(2j * np.pi * node.instruments.sample_s * hz)[:, None]
-        same = gain * (w - zeros).prod(axis=1) / (w - poles).prod(axis=1)
-        wanted = self._nominal.controller(hz)
-        if (np.abs(same - wanted) > _SAME * np.abs(wanted)).any():
-            raise NotServedError("zeros and poles of the law are not known well enough")
+        try:
+            _ = self._controller
+        except ValueError as error:
+            raise NotServedError(str(error)) from None
 
     @cached_property
     def _nominal(self) -> Loop:
@@ -69,27 +67,8 @@ class ManyLoops:
 
     @cached_property
     def _controller(self) -> tuple[ComplexArray, ComplexArray, float]:
-        """Zeros and poles of the law with the integrators of the angle, in w = z - 1, and its gain."""
-        period, wanted = self.node.instruments.sample_s, self.law.inputs
-        sums = 1 + max((ANGLES.index(name) for name in wanted if name in ANGLES), default=-1)
-        a, c = np.eye(sums), np.eye(sums)
-        # an angle has this sample's increment in it
-        b, d = np.full((sums, 1), 0.0), np.full((sums, 1), 0.0)
-        for k in range(sums):
-            d[k] = b[k] = period ** (k + 1)
-            for j in range(k):
-                a[k, j] = c[k, j] = period ** (k - j)
-        rows = dict(zip(ANGLES, range(sums), strict=False))
-        pick_c = np.array([c[rows[name]] if name in rows else np.zeros(sums) for name in wanted])
-        pick_d = np.array([d[rows[name]] if name in rows else np.ones(1) for name in wanted])
-        names = tuple(f"sum_{k}" for k in range(sums))
-        integrators = StateSpace(a, b, pick_c.reshape(len(wanted), sums), pick_d, names, ("rate",), wanted)
-        zeros, _ = zeros_and_poles(chain(integrators, self.law.state_space()))
-        poles = np.concatenate([np.ones(sums), np.linalg.eigvals(self.law.state_space().a)]).astype(np.complex128)
-        hz = np.array([0.3 / period])
-        w = np.expm1(2j * np.pi * period * hz)[:, None]
-        at = self._nominal.controller(hz) * (w - (poles - 1.0)).prod(axis=1) / (w - (zeros - 1.0)).prod(axis=1)
-        return zeros - 1.0, poles - 1.0, float(at[0].real)
+        """Zeros, poles and gain of the law (`controller_factors`)."""
+        return controller_factors(self._nominal)
 
     def measure(
         self, every: Sequence[Dispersion], peak_db: float, flight: Node | None = None

@@ -18,12 +18,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.jit import routine
+from maxq.control.kernel.records import Array
 from maxq.design.margins import solving
-from maxq.design.margins.curve import Curve, GainCrossings, PhaseCrossings, brackets, with_minima
-from maxq.design.margins.solving import DB, along, from_minus_one_deg, log_size, roots, sample
+from maxq.design.margins.curve import Crossings, Trace, is_bracket, merged
+from maxq.design.margins.response import LoopResponse
+from maxq.design.margins.solving import DB, from_minus_one_deg, log_size, objective, objectives
 from maxq.design.model.state_space import ComplexArray
 
 Shape = Literal["diamond", "rectangle", "ellipse"]
@@ -56,13 +57,15 @@ NO_DISKS = Disks(_NO_DISK, _NO_DISK, _NO_DISK)
 """Of an unstable loop."""
 
 
-def find_disks(curve: Curve) -> Disks:
-    """Least distances over a curve whose turning points have been solved for."""
-    size, f = _least_distance(curve, solving.sensitivity)
-    from_s = Disk(size, f, _db(1.0 + size), -_db(1.0 - size), _phase_deg(size))
-    size, f = _least_distance(curve, solving.complementary)
-    from_t = Disk(size, f, -_db(1.0 - size), _db(1.0 + size), _phase_deg(size))
-    return Disks(from_s, from_t, symmetric_disk(*_least_distance(curve, solving.symmetric)))
+def disks_of(least: Array) -> Disks:
+    """Return the disks of least distances, (3, 2): logarithms and frequencies (`least_distances`)."""
+    sizes = [(float(np.exp(log)) if log < 300.0 else np.inf, float(f)) for log, f in least.tolist()]
+    (from_s, f_s), (from_t, f_t), both = sizes
+    return Disks(
+        Disk(from_s, f_s, _db(1.0 + from_s), -_db(1.0 - from_s), _phase_deg(from_s)),
+        Disk(from_t, f_t, -_db(1.0 - from_t), _db(1.0 + from_t), _phase_deg(from_t)),
+        symmetric_disk(*both),
+    )
 
 
 def symmetric_disk(half: float, frequency_hz: float) -> Disk:
@@ -73,14 +76,25 @@ def symmetric_disk(half: float, frequency_hz: float) -> Disk:
     return Disk(2.0 * half, frequency_hz, both, both, float(np.degrees(2.0 * np.arctan(half))))
 
 
-def _least_distance(curve: Curve, objective: solving.Objective) -> tuple[float, float]:
-    """The least distance and its frequency: 0 and infinity are limits."""
-    value: Array = objective(curve.loop)
-    k = int(np.argmin(value))
-    found = [(float(value[k]), float(curve.frequency_hz[k]))]
-    found += [(float(objective(np.array([limit]))[0]), f) for limit, f in curve.limits]
-    least, f = min(found)
-    return float(np.exp(least)) if least < 300.0 else np.inf, f
+@routine
+def least_distances(t: Trace) -> Array:
+    """Return the least SENSITIVITY, COMPLEMENTARY and SYMMETRIC, and their frequencies, (3, 2).
+
+    `t` must hold their turning points. Zero and infinity are limits.
+    """
+    out, none, last = np.empty((3, 2)), np.zeros((0, 3)), t.loop[len(t.loop) - 1]
+    at_zero = t.at_zero if t.slope_at_zero == 0 else 0.0 if t.slope_at_zero > 0 else 1e150
+    for kind in range(3):
+        value = objectives(kind, t.loop, none)
+        k = int(np.argmin(value))
+        out[kind, 0], out[kind, 1] = value[k], t.frequency_hz[k]
+        limit = objective(kind, complex(at_zero, 0.0), none)
+        if limit <= out[kind, 0]:
+            out[kind, 0], out[kind, 1] = limit, 0.0
+        limit = objective(kind, complex(last.real if t.slope_at_end == 0 else 0.0, 0.0), none)
+        if not t.finite_end and limit < out[kind, 0]:
+            out[kind, 0], out[kind, 1] = limit, np.inf
+    return out
 
 
 def _db(ratio: float) -> float:
@@ -105,23 +119,13 @@ class Zone:
         if not (self.phase_deg > 0.0 and self.gain_db > 0.0):
             raise ValueError(f"a zone of {self.phase_deg} deg by {self.gain_db} dB: both must be positive")
 
-    def coordinates(self, loop: ComplexArray) -> tuple[Array, Array]:
-        """psi/a and y/b."""
-        return from_minus_one_deg(loop) / self.phase_deg, DB * log_size(loop) / self.gain_db
-
     def clearance(self, loop: ComplexArray) -> Array:
-        """At each point of L."""
-        x, y = self.coordinates(loop)
+        """Return the clearance at each point of L."""
+        x = np.abs(from_minus_one_deg(loop)) / self.phase_deg
+        y = np.abs(DB * log_size(loop)) / self.gain_db
         if self.shape == "diamond":
-            return np.asarray(np.abs(x) + np.abs(y) - 1.0)
-        if self.shape == "rectangle":
-            return np.asarray(np.maximum(np.abs(x), np.abs(y)) - 1.0)
-        return np.asarray(np.hypot(x, y) - 1.0)
-
-    def corner(self, loop: ComplexArray) -> Array:
-        """|psi|/a - |y|/b, zero on the diagonals on which a rectangle's clearance has its kinks."""
-        x, y = self.coordinates(loop)
-        return np.asarray(np.abs(x) - np.abs(y))
+            return np.asarray(x + y - 1.0)
+        return np.asarray((np.maximum(x, y) if self.shape == "rectangle" else np.hypot(x, y)) - 1.0)
 
 
 @dataclass(frozen=True)
@@ -134,55 +138,77 @@ class Clearance:
     loop: complex
 
 
+def as_rows(zones: tuple[Zone, ...]) -> Array:
+    """Return zones as `solving.objective` takes them, (zones, 3)."""
+    shapes = {"diamond": solving.DIAMOND, "rectangle": solving.RECTANGLE, "ellipse": solving.ELLIPSE}
+    return np.array([(shapes[z.shape], z.phase_deg, z.gain_db) for z in zones], float).reshape(-1, 3)
+
+
+@routine
 def find_clearances(
-    curve: Curve, zones: tuple[Zone, ...], gain: GainCrossings, phase: PhaseCrossings
-) -> tuple[Clearance, ...]:
-    """Of every zone; the curve must hold its crossings. Kinks of the clearance lie on crossings and diagonals."""
-    if not zones:
-        return ()
-    curve, corners = _with_corners(curve, zones)
-    axes = np.concatenate([gain.frequency_hz, phase.frequency_hz])
-    curve = _beside(curve, np.append(axes, corners))
-    kinks = {"diamond": axes, "rectangle": corners, "ellipse": np.zeros(0)}
-    found = [_candidates(zone.clearance(curve.loop), np.isin(curve.frequency_hz, kinks[zone.shape])) for zone in zones]
-    curve = with_minima(curve, [zone.clearance for zone in zones], found)
-    least = [(zone, value := zone.clearance(curve.loop), int(np.argmin(value))) for zone in zones]
-    at, loop = curve.frequency_hz, curve.loop
-    return tuple(Clearance(zone, float(value[k]), float(at[k]), complex(loop[k])) for zone, value, k in least)
+    t: Trace, every: Crossings, zones: Array, source: LoopResponse
+) -> tuple[Array, ComplexArray]:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Return the least clearance of every zone and its frequency, (zones, 2), and L there, (zones,).
 
-
-def _candidates(value: Array, sharp: NDArray[np.bool_]) -> tuple[IntArray, Array]:
-    """Brackets that may hold the least value of all: the steps to the neighbours bound the improvement.
-
-    A kink lower than the points close beside it is a minimum already.
+    `t` must hold its crossings. Kinks of the clearance lie on crossings and diagonals.
     """
-    middle, around = brackets(value)
-    fall = np.maximum(around[:, 0], around[:, 2]) - around[:, 1]
-    worth = (around[:, 1] - fall <= value.min()) & ~sharp[middle]
-    return middle[worth], around[worth]
+    f, loop = t.frequency_hz, t.loop
+    corners = _corners(f, loop, zones, source)
+    axes = np.concatenate((every.gain_hz, every.phase_hz))
+    f, loop, _ = merged(f, loop, corners, source)
+    f, loop, _ = merged(f, loop, _beside(f, np.concatenate((axes, corners))), source)
+    n, m = len(f), 0
+    kinds = np.empty(len(zones) * n, np.int64)
+    points, around = np.empty((len(zones) * n, 3)), np.empty((len(zones) * n, 3))
+    for z in range(len(zones)):
+        kind = solving.CLEARANCE + z
+        kinks = axes if zones[z, 0] == solving.DIAMOND else corners if zones[z, 0] == solving.RECTANGLE else axes[:0]
+        value = objectives(kind, loop, zones)
+        least = value.min()
+        for k in range(1, n - 1):
+            # the steps to the neighbours bound the improvement; a kink lower than the points beside it is a minimum
+            if is_bracket(value, k) and 2.0 * value[k] - max(value[k - 1], value[k + 1]) <= least:
+                if (kinks == f[k]).any():
+                    continue
+                kinds[m] = kind
+                for p in range(3):
+                    points[m, p], around[m, p] = f[k - 1 + p], value[k - 1 + p]
+                m += 1
+    f, loop, _ = merged(f, loop, solving.minima(kinds[:m], points[:m], around[:m], source, zones), source)
+    out, there = np.empty((len(zones), 2)), np.empty(len(zones), np.complex128)
+    for z in range(len(zones)):
+        value = objectives(solving.CLEARANCE + z, loop, zones)
+        k = int(np.argmin(value))
+        out[z, 0], out[z, 1], there[z] = value[k], f[k], loop[k]
+    return out, there
 
 
-def _with_corners(curve: Curve, zones: tuple[Zone, ...]) -> tuple[Curve, Array]:
-    """The curve with its crossings of the rectangles' diagonals near the zone, and their frequencies."""
-    corners = [np.zeros(0)]
-    for zone in zones:
-        if zone.shape == "rectangle":
-            f, value, near = curve.frequency_hz, zone.corner(curve.loop), zone.clearance(curve.loop)
-            change = (value[1:] >= 0.0) != (value[:-1] >= 0.0)
-            k = np.flatnonzero(change & (np.minimum(near[1:], near[:-1]) < near.min() + 1.0))
-            corner = along(curve.source, (zone.corner,), np.zeros(len(k), int))
-            found = roots(corner, f[k], f[k + 1], value[k], value[k + 1])
-            curve = curve.with_points(found, sample(curve.source, found))
-            corners.append(found)
-    return curve, np.concatenate(corners)
+@routine
+def _corners(f: Array, loop: ComplexArray, zones: Array, source: LoopResponse) -> Array:
+    """Return where the curve crosses the rectangles' diagonals near the zone."""
+    n, m = len(f), 0
+    kinds = np.empty(len(zones) * n, np.int64)
+    ends, values = np.empty((len(zones) * n, 2)), np.empty((len(zones) * n, 2))
+    for z in range(len(zones)):
+        if zones[z, 0] != solving.RECTANGLE:
+            continue
+        value, near = objectives(solving.CORNER - z, loop, zones), objectives(solving.CLEARANCE + z, loop, zones)
+        least = near.min()
+        for k in range(n - 1):
+            if (value[k] >= 0.0) != (value[k + 1] >= 0.0) and min(near[k], near[k + 1]) < least + 1.0:
+                kinds[m] = solving.CORNER - z
+                ends[m, 0], ends[m, 1], values[m, 0], values[m, 1] = f[k], f[k + 1], value[k], value[k + 1]
+                m += 1
+    return solving.roots(kinds[:m], ends[:m], values[:m], source, zones)
 
 
-def _beside(curve: Curve, kinks_hz: Array) -> Curve:
-    """The curve with points close to each kink, so that a smooth minimum next to one has a bracket of its own."""
-    f = curve.frequency_hz
-    k = np.searchsorted(f, kinks_hz)
-    k = k[(k > 0) & (k < len(f) - 1)]
-    if not len(k):
-        return curve
-    close = np.concatenate([f[k] - 0.02 * (f[k] - f[k - 1]), f[k] + 0.02 * (f[k + 1] - f[k])])
-    return curve.with_points(close, sample(curve.source, close))
+@routine
+def _beside(f: Array, kinks_hz: Array) -> Array:
+    """Return points close to each kink, so that a smooth minimum next to one has a bracket of its own."""
+    out, m = np.empty(2 * len(kinks_hz)), 0
+    for hz in kinks_hz:
+        k = np.searchsorted(f, hz)
+        if 0 < k < len(f) - 1:
+            out[m], out[m + 1] = f[k] - 0.02 * (f[k] - f[k - 1]), f[k] + 0.02 * (f[k + 1] - f[k])
+            m += 2
+    return out[:m].copy()

@@ -8,17 +8,19 @@ ends where another lobe's term is larger, and in the valleys of |L| on both side
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.jit import routine
+from maxq.control.kernel.records import Array
 from maxq.design.loop.resonance import Resonance
-from maxq.design.margins.curve import Curve, GainCrossings, PhaseCrossings
-from maxq.design.margins.solving import DB, along, from_minus_one_deg, log_size, minima, sample
+from maxq.design.margins import solving
+from maxq.design.margins.curve import Crossings, Trace, merged
+from maxq.design.margins.response import LoopResponse, reciprocal, values_at
+from maxq.design.margins.solving import DB, TINY, angle, log_abs
 from maxq.design.model.state_space import ComplexArray
 
 SHARE = 0.5
@@ -69,179 +71,249 @@ class Lobe:
         return min(self.lag_deg, self.lead_deg)
 
 
-def find_lobes(
-    curve: Curve, gain: GainCrossings, phase: PhaseCrossings, resonances: Sequence[Resonance] | None, limit_db: float
-) -> tuple[Lobe, ...]:
-    """Lobes of the named resonances, or of every lightly damped pole that shows; `curve` holds extremes, crossings."""
-    f, loop = curve.frequency_hz, curve.loop
-    known = _lightly_damped(curve) if resonances is None else resonances
-    poles = [r for r in known if f[0] < r.frequency_hz < f[-1]]
-    if not poles:
-        return ()
-    centre = np.array([p.frequency_hz for p in poles])
-    width = np.maximum([p.half_width_hz for p in poles], 1e-9 * centre)  # an undamped one: the grid's there
-    strength, at_pole = _strengths(curve, centre, width)
-    share = np.abs(strength) / np.maximum(np.abs(at_pole), 1e-300)
-    shown = np.array([k for k in range(len(poles)) if resonances is not None or share[k] > VISIBLE], int)
-    terms = (strength[shown], centre[shown], width[shown])
-    inside = _inside(f, loop, *terms)
-    runs = [_run(f, loop, inside[j], centre[k]) for j, k in enumerate(shown)]
-    ends = _solved_ends(curve, runs, *terms)
-    reach = LEAST * width[shown]
-    low, high = np.minimum(ends[:, 0], centre[shown] - reach), np.maximum(ends[:, 1], centre[shown] + reach)
-    low, high = np.clip(low, f[0], None), np.clip(high, None, f[-1])
-    borders = np.unique(np.append(low, high))
-    curve = curve.with_points(borders, sample(curve.source, borders)) if len(borders) else curve
-    return tuple(
-        _judge(curve, poles[k], (float(low[j]), float(high[j])), float(share[k]), gain, phase, limit_db)
-        for j, k in enumerate(shown)
-    )
+COLUMNS = (
+    "low_hz", "high_hz", "peak_db", "peak_hz", "peak_phase_deg", "gain_stabilised", "gain_up_db", "gain_down_db",
+    "lag_deg", "lead_deg", "modulus", "contribution", "number",
+)  # fmt: skip  # one line for each otherwise
+"""The columns of a table of lobes; `number`: of the pole."""
+(LOW, HIGH, PEAK_DB, PEAK_HZ, PEAK_PHASE, GAIN_STABILISED, UP, DOWN, LAG, LEAD, MODULUS, CONTRIBUTION, NUMBER) = range(
+    len(COLUMNS)
+)
 
 
-def _inside(f: Array, loop: ComplexArray, strength: ComplexArray, centre: Array, width: Array) -> NDArray[np.bool_]:
-    """Whether each lobe's term is large against the rest and the largest of all, (lobes, *f.shape)."""
-    each = (-1, *(1,) * f.ndim)
-    term = strength.reshape(each) / (1.0 + 1j * (f - centre.reshape(each)) / width.reshape(each))
-    size = np.abs(term)
-    return np.asarray((size > SHARE * np.abs(loop - term)) & (size >= size.max(axis=0, initial=0.0)))
+def lobes_of(table: Array, poles: list[Resonance]) -> tuple[Lobe, ...]:
+    """Return the lobes of a table, (lobes, COLUMNS)."""
+    out = []
+    for row in table.tolist():
+        pole = poles[int(row[NUMBER])]
+        values = dict(zip(COLUMNS[:-1], row, strict=False))
+        stabilised: Stabilised = "gain" if values.pop("gain_stabilised") else "phase"
+        label = pole.label or f"{pole.frequency_hz:.3g} Hz"
+        out.append(Lobe(label, pole.kind, pole.frequency_hz, pole.damping_ratio, stabilised=stabilised, **values))
+    return tuple(out)
 
 
-def _lightly_damped(curve: Curve) -> list[Resonance]:
-    """Unnamed poles of L."""
-    p = curve.open_poles[curve.open_poles.imag > curve.lowest_radps]
+def lightly_damped(open_poles: ComplexArray, lowest_radps: float) -> list[Resonance]:
+    """Return the unnamed poles of L with a damping ratio below LIGHT."""
+    p = open_poles[open_poles.imag > lowest_radps]
     p = p[np.abs(p.real) < LIGHT * np.abs(p)]
     return [Resonance("", 0, float(x.imag / (2.0 * np.pi)), complex(x)) for x in p[np.argsort(p.imag)]]
 
 
-def _strengths(curve: Curve, centre: Array, width: Array) -> tuple[ComplexArray, ComplexArray]:
-    """u, and L at the pole's frequency. A fold at Nyquist mirrors L into its conjugate."""
-    f = np.concatenate([centre, centre + width, centre - width])
-    top = curve.frequency_hz[-1]
-    mirrored = f > top if curve.finite_end else np.zeros(len(f), bool)
-    inside = np.clip(np.where(mirrored, 2.0 * top - f, f), curve.frequency_hz[0], None)
-    exact = np.isin(f, curve.open_poles.imag[np.abs(curve.open_poles.real) == 0.0] / (2.0 * np.pi))
-    values = sample(curve.source, np.where(exact, inside * (1.0 + 1e-9), inside))
-    values = np.where(mirrored, np.conj(values), values)
-    here, above, below = values.reshape(3, -1)
-    return np.asarray(2.0 * here - above - below), here
+@routine
+def find_lobes(
+    t: Trace, every: Crossings, centre: Array, width: Array, least_share: float, limit_db: float, on_axis: Array,
+    source: LoopResponse,
+) -> Array:  # fmt: skip  # one line for each otherwise
+    """Return the lobes of resonances at `centre` Hz with these half widths, (lobes, COLUMNS).
 
-
-def _run(
-    f: Array, loop: ComplexArray, inside: NDArray[np.bool_], centre: float
-) -> tuple[tuple[int, bool] | None, tuple[int, bool] | None] | None:
-    """The points before and after the run of `inside` between valleys that holds the centre, and whether they are
-    valleys, deep minima of |L|; None where the curve ends, and for no run.
+    Poles whose share of L is below `least_share` make none. `on_axis`: frequencies at which L is infinite. `t` must
+    hold extremes and crossings.
     """
-    k, size = int(np.argmin(np.abs(f - centre))), np.abs(loop)
-    low = np.append(True, size[1:] <= size[:-1]) & np.append(size[:-1] <= size[1:], True)
-    valley = low & (size < VALLEY * size[k])
-    outside = np.flatnonzero(~inside | valley)
-    if k in outside:
-        return None
-    left, right = outside[outside < k], outside[outside > k]
-    return (
-        (int(left[-1]), bool(valley[left[-1]])) if len(left) else None,
-        (int(right[0]), bool(valley[right[0]])) if len(right) else None,
-    )
-
-
-def _solved_ends(curve: Curve, runs: Sequence[Any], strength: ComplexArray, centre: Array, width: Array) -> Array:
-    """Where the runs end between two points of the curve, (lobes, 2): no matter how dense its points are."""
-    f = curve.frequency_hz
-    out = np.repeat(centre[:, None], 2, axis=1)
-    deep, borders = [], []
-    for j, run in enumerate(runs):
-        for side, end in enumerate(run or ()):
-            if end is None:
-                out[j, side] = f[-side]
-                continue
-            k, valley = end
-            out[j, side] = f[k]
-            if not valley:
-                borders.append((j, side, f[k], f[k + 1 - 2 * side]))
-            elif 0 < k < len(f) - 1:
-                deep.append((j, side, k))
-    if deep:
-        k = np.array([place for _, _, place in deep])[:, None] + np.arange(-1, 2)
-        kind = np.zeros(len(k), np.int64)
-        found = minima(along(curve.source, (log_size,), kind), f[k], log_size(curve.loop[k]))
-        for (j, side, _), place in zip(deep, found, strict=True):
-            out[j, side] = place
-    if borders:
-        lobe, sides = (np.array([b[i] for b in borders]) for i in (0, 1))
-        outer, inner = (np.array([b[i] for b in borders]) for i in (2, 3))
-        for _ in range(SECTIONS):
-            x = outer[:, None] + (inner - outer)[:, None] * np.arange(1, SECTION) / SECTION
-            there = _inside(x, sample(curve.source, x.ravel()).reshape(x.shape), strength, centre, width)
-            there = there[lobe, np.arange(len(lobe))]
-            first = np.where(there.any(axis=1), there.argmax(axis=1), SECTION - 1)  # the first that is inside
-            x = np.concatenate([outer[:, None], x, inner[:, None]], axis=1)
-            each = np.arange(len(lobe))
-            outer, inner = x[each, first], x[each, first + 1]
-        out[lobe, sides] = inner
+    f, loop = t.frequency_hz, t.loop
+    kept = np.flatnonzero((centre > f[0]) & (centre < f[len(f) - 1]))
+    strength, share = _strengths(t, centre[kept], width[kept], on_axis, source)
+    shown = np.flatnonzero(share > least_share)
+    kept, strength, share = kept[shown], strength[shown], share[shown]
+    centre, width, n = centre[kept], width[kept], len(kept)
+    out = np.empty((n, len(COLUMNS)))
+    if n == 0:
+        return out
+    ends = _ends(t, strength, centre, width, source)
+    borders = np.empty(2 * n)
+    for j in range(n):
+        borders[2 * j] = max(min(ends[j, 0], centre[j] - LEAST * width[j]), f[0])
+        borders[2 * j + 1] = min(max(ends[j, 1], centre[j] + LEAST * width[j]), f[len(f) - 1])
+    f, loop, _ = merged(f, loop, borders, source)
+    for j in range(n):
+        _judge(f, loop, every, centre[j], borders[2 * j], borders[2 * j + 1], limit_db, out[j], source)
+        out[j, CONTRIBUTION], out[j, NUMBER] = share[j], kept[j]
     return out
 
 
+@routine
+def _strengths(
+    t: Trace, centre: Array, width: Array, on_axis: Array, source: LoopResponse
+) -> tuple[ComplexArray, Array]:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Return u, and its size over that of L at the pole's frequency. A fold at Nyquist mirrors L into its conjugate."""
+    n, top, low = len(centre), t.frequency_hz[len(t.frequency_hz) - 1], t.frequency_hz[0]
+    f = np.concatenate((centre, centre + width, centre - width))
+    at, mirrored = np.empty(3 * n), np.zeros(3 * n, np.bool_)
+    for k in range(3 * n):
+        mirrored[k] = t.finite_end and f[k] > top
+        at[k] = max(2.0 * top - f[k] if mirrored[k] else f[k], low)
+        for exact in on_axis:
+            if exact == f[k]:
+                at[k] *= 1.0 + 1e-9
+    values = values_at(at, source)
+    u, share = np.empty(n, np.complex128), np.empty(n)
+    for k in range(3 * n):
+        values[k] = values[k].conjugate() if mirrored[k] else values[k]
+    for k in range(n):
+        u[k] = 2.0 * values[k] - values[n + k] - values[2 * n + k]
+        share[k] = abs(u[k]) / max(abs(values[k]), TINY)
+    return u, share
+
+
+@routine
+def _inside(hz: float, value: complex, strength: ComplexArray, centre: Array, width: Array, j: int) -> bool:
+    """Return True if the lobe's term is large against the rest and the largest of all."""
+    term = strength[j] * reciprocal(complex(1.0, (hz - centre[j]) / width[j]))
+    size = abs(term)
+    if size <= SHARE * abs(value - term):
+        return False
+    for other in range(len(strength)):
+        if abs(strength[other] * reciprocal(complex(1.0, (hz - centre[other]) / width[other]))) > size:
+            return False
+    return True
+
+
+@routine
+def _valley(loop: ComplexArray, k: int, deep: float) -> bool:
+    """Return True for a deep minimum of |L| among the points of the curve."""
+    here, n = abs(loop[k]), len(loop)
+    return here < deep and (k == 0 or here <= abs(loop[k - 1])) and (k == n - 1 or here <= abs(loop[k + 1]))
+
+
+@routine
+def _ends(t: Trace, strength: ComplexArray, centre: Array, width: Array, source: LoopResponse) -> Array:
+    """Return where the run of `_inside` between valleys that holds the centre ends, (lobes, 2), solved for between two
+    points of the curve; the centre twice without such a run.
+    """
+    f, loop, n, last = t.frequency_hz, t.loop, len(centre), len(t.frequency_hz) - 1
+    out = np.empty((n, 2))
+    deep, borders = np.zeros(2 * n, np.int64), np.zeros(2 * n, np.int64)  # point of a valley; the first point outside
+    for j in range(n):
+        out[j, 0] = out[j, 1] = centre[j]
+        nearest = 0
+        for k in range(last + 1):
+            if abs(f[k] - centre[j]) < abs(f[nearest] - centre[j]):
+                nearest = k
+        depth = VALLEY * abs(loop[nearest])
+        if _valley(loop, nearest, depth) or not _inside(f[nearest], loop[nearest], strength, centre, width, j):
+            continue
+        for side in range(2):
+            way, k = 2 * side - 1, nearest
+            while True:
+                if k == (last if side else 0):
+                    out[j, side] = f[k]
+                    break
+                k += way
+                if _valley(loop, k, depth):
+                    out[j, side] = f[k]
+                    deep[2 * j + side] = k if 0 < k < last else 0
+                    break
+                if not _inside(f[k], loop[k], strength, centre, width, j):
+                    borders[2 * j + side] = k + 1
+                    break
+    which = np.flatnonzero(deep)
+    if len(which) > 0:
+        points, values = np.empty((len(which), 3)), np.empty((len(which), 3))
+        for i in range(len(which)):
+            for p in range(3):
+                k = deep[which[i]] - 1 + p
+                points[i, p], values[i, p] = f[k], log_abs(loop[k])
+        kind = np.full(len(which), solving.LOG_SIZE, np.int64)
+        found = solving.minima(kind, points, values, source, np.zeros((0, 3)))
+        for i in range(len(which)):
+            out[which[i] // 2, which[i] % 2] = found[i]
+    which = np.flatnonzero(borders)
+    outer, inner, x = np.empty(len(which)), np.empty(len(which)), np.empty(len(which) * (SECTION - 1))
+    for i in range(len(which)):
+        k = borders[which[i]] - 1
+        outer[i], inner[i] = f[k], f[k + 1 - 2 * (which[i] % 2)]
+    for _ in range(SECTIONS if len(which) > 0 else 0):
+        for i in range(len(which)):
+            for p in range(1, SECTION):
+                x[i * (SECTION - 1) + p - 1] = outer[i] + (inner[i] - outer[i]) * p / SECTION
+        there = values_at(x, source)
+        for i in range(len(which)):
+            for p in range(1, SECTION):  # up to the first that is inside
+                k = i * (SECTION - 1) + p - 1
+                if _inside(x[k], there[k], strength, centre, width, which[i] // 2):
+                    inner[i] = x[k]
+                    break
+                outer[i] = x[k]
+    for i in range(len(which)):
+        out[which[i] // 2, which[i] % 2] = inner[i]
+    return out
+
+
+@routine
+def lag_of(x: complex) -> float:
+    """Return the lag in [0, 360) deg that turns a value on to the phase of -1."""
+    return float(np.degrees(angle(-x)) % 360.0)
+
+
+@routine
 def _judge(
-    curve: Curve,
-    pole: Resonance,
-    ends: tuple[float, float],
-    share: float,
-    gain: GainCrossings,
-    phase: PhaseCrossings,
-    limit_db: float,
-) -> Lobe:
-    low, high = ends
-    f = curve.frequency_hz
-    points = np.flatnonzero((f >= low) & (f <= high))
-    loop = curve.loop[points]
-    size = np.abs(loop)
+    f: Array, loop: ComplexArray, every: Crossings, centre: float, low: float, high: float, limit_db: float, out: Array,
+    source: LoopResponse,
+) -> None:  # fmt: skip  # one line for each otherwise
+    begin, stop = np.searchsorted(f, low), np.searchsorted(f, high, side="right")
+    size, distance = np.abs(loop[begin:stop]), np.abs(1.0 + loop[begin:stop])
     top = int(np.argmax(size))
-    if top in (0, len(points) - 1):  # no peak of its own: a bump on a slope
-        top = int(np.argmin(np.abs(f[points] - pole.frequency_hz)))
-    peak_db = float(DB * np.log(max(size.max(), 1e-300)))
-    at = (phase.frequency_hz >= low) & (phase.frequency_hz <= high)
-    db = phase.gain_margin_db[at]
-    stabilised: Stabilised = "gain" if peak_db <= ROUNDING_DB - limit_db else "phase"
-    lag, lead = (np.inf, np.inf) if stabilised == "gain" else _turns(curve, points, gain, ends)
-    return Lobe(
-        label=pole.label or f"{pole.frequency_hz:.3g} Hz",
-        kind=pole.kind,
-        frequency_hz=pole.frequency_hz,
-        damping_ratio=pole.damping_ratio,
-        low_hz=low,
-        high_hz=high,
-        peak_db=float(DB * np.log(max(size[top], 1e-300))),
-        peak_hz=float(f[points[top]]),
-        peak_phase_deg=float(from_minus_one_deg(loop[top : top + 1])[0]),
-        stabilised=stabilised,
-        gain_up_db=float(db[db >= 0.0].min(initial=np.inf)),
-        gain_down_db=float((-db[db < 0.0]).min(initial=np.inf)),
-        lag_deg=lag,
-        lead_deg=lead,
-        modulus=float(np.abs(1.0 + loop).min()),
-        contribution=share,
-    )
+    if top in (0, stop - begin - 1):  # no peak of its own: a bump on a slope
+        top = 0
+        for k in range(stop - begin):
+            if abs(f[begin + k] - centre) < abs(f[begin + top] - centre):
+                top = k
+    up = down = lag = lead = np.inf
+    for k in range(len(every.phase_hz)):
+        if low <= every.phase_hz[k] <= high:
+            db = -DB * log_abs(every.phase_loop[k])
+            if db >= 0.0:
+                up = min(up, db)
+            else:
+                down = min(down, -db)
+    by_gain = DB * np.log(max(size.max(), TINY)) <= ROUNDING_DB - limit_db
+    if not by_gain:
+        lag, lead = _turns(f[begin:stop].copy(), loop[begin:stop].copy(), every, low, high, source)
+    out[LOW], out[HIGH], out[PEAK_DB], out[PEAK_HZ] = low, high, DB * np.log(max(size[top], TINY)), f[begin + top]
+    out[PEAK_PHASE], out[GAIN_STABILISED] = np.degrees(angle(-loop[begin + top])), 1.0 if by_gain else 0.0
+    out[UP], out[DOWN], out[LAG], out[LEAD], out[MODULUS] = up, down, lag, lead, distance.min()
 
 
-def _turns(curve: Curve, points: IntArray, gain: GainCrossings, ends: tuple[float, float]) -> tuple[float, float]:
-    """Least lag and lead that turn a crossing, or without one a point above 0 dB or the peak, to the phase of -1."""
-    loop = curve.loop[points]
-    at = (gain.frequency_hz >= ends[0]) & (gain.frequency_hz <= ends[1])
-    if at.any():
-        lag = gain.lag_deg[at]
-    else:
-        f = curve.frequency_hz[points]
-        for _ in range(SECTIONS):
-            size = np.abs(loop)
-            above = np.flatnonzero(size >= min(1.0, float(size.max())))
-            lag = np.mod(from_minus_one_deg(loop[above]), 360.0)
-            least = above[[int(lag.argmin()), int(lag.argmax())]]
-            steps = np.unique(np.clip(np.append(least, least - 1), 0, len(f) - 2))
-            if not len(steps):
-                break
-            x = f[steps, None] + (f[steps + 1] - f[steps])[:, None] * np.arange(1, SECTION) / SECTION
-            x = x.ravel()
-            order = np.argsort(np.append(f, x), kind="stable")
-            f, loop = np.append(f, x)[order], np.append(loop, sample(curve.source, x))[order]
-    return float(lag.min()), float((360.0 - lag).min())
+@routine
+def _turns(
+    f: Array, loop: ComplexArray, every: Crossings, low: float, high: float, source: LoopResponse
+) -> tuple[float, float]:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Return the least lag and lead that turn a crossing, or without one a point above 0 dB or the peak, to the phase
+    of -1.
+    """
+    lag = lead = np.inf
+    for k in range(len(every.gain_hz)):
+        if low <= every.gain_hz[k] <= high:
+            turn = lag_of(every.gain_loop[k])
+            lag, lead = min(lag, turn), min(lead, 360.0 - turn)
+    if np.isfinite(lag):
+        return lag, lead
+    for _ in range(SECTIONS):
+        size, n = np.abs(loop), len(f)
+        level, least, most = min(1.0, size.max()), 0, 0
+        lag = lead = np.inf
+        for k in range(n):
+            if size[k] >= level:
+                turn = lag_of(loop[k])
+                if turn < lag:
+                    lag, least = turn, k
+                if 360.0 - turn < lead:
+                    lead, most = 360.0 - turn, k
+        if n < 2:
+            break
+        steps = np.unique(np.minimum(np.maximum(np.array([least, most, least - 1, most - 1]), 0), n - 2))
+        x = np.empty(len(steps) * (SECTION - 1))
+        for i in range(len(steps)):
+            for p in range(1, SECTION):
+                x[i * (SECTION - 1) + p - 1] = f[steps[i]] + (f[steps[i] + 1] - f[steps[i]]) * p / SECTION
+        f, loop, _ = merged(f, loop, x, source)
+    return lag, lead
+
+
+@routine
+def in_lobes(hz: float, table: Array, chosen: NDArray[np.bool_]) -> bool:
+    """Return True for a frequency inside one of the chosen lobes of a table."""
+    for j in range(len(table)):  # noqa: SIM110  # Numba compiles no generators
+        if chosen[j] and table[j, LOW] <= hz <= table[j, HIGH]:
+            return True
+    return False

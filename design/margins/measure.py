@@ -3,20 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from maxq.control.kernel.jit import entry, routine
 from maxq.control.kernel.records import Array
 from maxq.design.loop.loop import OpenLoop
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins import curve as curves
 from maxq.design.margins.bounds import separated
-from maxq.design.margins.curve import Curve, GainCrossings, PhaseCrossings, lowest_hz_of, unstable
-from maxq.design.margins.distances import NO_DISKS, Clearance, Disks, Zone, find_clearances, find_disks
-from maxq.design.margins.lobes import Lobe, find_lobes
+from maxq.design.margins.curve import Crossings, Curve, GainCrossings, PhaseCrossings, Trace
+from maxq.design.margins.distances import (
+    NO_DISKS,
+    Clearance,
+    Disks,
+    Zone,
+    as_rows,
+    disks_of,
+    find_clearances,
+    least_distances,
+)
+from maxq.design.margins.lobes import NUMBER, VISIBLE, Lobe, find_lobes, in_lobes, lag_of, lightly_damped, lobes_of
+from maxq.design.margins.packed import packed
+from maxq.design.margins.response import LoopResponse, asking
+from maxq.design.margins.solving import DB, log_abs
+from maxq.design.model.state_space import ComplexArray
 
 DIAMOND = Zone("diamond", 30.0, 6.0)
 BENDING_KINDS = ("bending", "slosh")
@@ -45,7 +60,7 @@ class Margins:
     of the crossings in no lobe above and below it. Unnamed lobes are taken for bending.
 
     Those of an unstable loop are all NaN, so that no comparison with a limit can pass; `stable`, `unstable_poles` and
-    `growth_1ps` say how far it is from stability. The crossings and `curve` describe L and are always there.
+    `growth_1ps` say how far it is from stability. Crossings, lobes and `curve` describe L and are always there.
 
     A bound is a value and its frequency (zero and infinity being limits). `gain_up` is the gain that may be added
     before the loop meets -1, `gain_down` that which may be removed; over all crossings, lobes included, they are
@@ -109,56 +124,146 @@ def margins(
     they neither count as unstable nor are looked for in L.
     Raises ValueError for a response that is not finite, and for an improper loop.
     """
-    curve = curves.trace(loop, lowest_hz_of(np.asarray(loop.open_poles())) if lowest_hz is None else lowest_hz)
-    gain, phase, curve = curves.find_crossings(separated(curves.refine_extremes(curve)))
-    growing = unstable(curve.closed_poles, curve.lowest_radps)
-    encircled = curves.encirclement_count(curve, phase)
-    slow = curve.closed_poles[np.abs(curve.closed_poles) > curve.lowest_radps]
+    open_poles = curves.finite(loop.open_poles(), "open")
+    lowest_hz = curves.lowest_hz_of(open_poles) if lowest_hz is None else lowest_hz
+    end = float(loop.highest_hz)
+    if not 0.0 < lowest_hz < end:
+        raise ValueError(f"lowest_hz is {lowest_hz:g}: must lie between 0 and the loop's end at {end:g} Hz")
+    closed_poles = curves.finite(loop.closed_poles(), "closed")
+    named = None if resonances is None else [r for r in resonances if r.kind in BENDING_KINDS]
+    known = lightly_damped(open_poles, 2.0 * np.pi * lowest_hz) if named is None else named
+    centre = np.array([r.frequency_hz for r in known], float)
+    width = np.maximum(np.array([r.half_width_hz for r in known], float), 1e-9 * centre)  # an undamped one: the grid's
+    slosh = np.array([r.kind == "slosh" for r in known], bool)
+    numbers = packed(loop)
+    with asking(loop) if numbers is None else nullcontext(numbers) as source:
+        t = _trace(open_poles, closed_poles, float(lowest_hz), end, source)
+        if t.problem == curves.IMPROPER:
+            top = f"{abs(t.loop[-1]):.3g} at {t.frequency_hz[-1]:.3g} Hz"
+            raise ValueError(f"the loop is improper: |L| grows without bound, {top}")
+        if t.problem == curves.WINDING:
+            said = f"{len(t.loop)} points up to {t.frequency_hz[-1]:.3g} Hz"
+            raise ValueError(f"the loop's phase turns too often to be followed: {said}")
+        f, values = separated(loop, t.frequency_hz, t.loop)
+        t = t._replace(frequency_hz=f, loop=values)
+        rows, share = as_rows(tuple(zones)), VISIBLE if named is None else -1.0
+        found = _measure(t, open_poles, closed_poles, centre, width, slosh, share, gain_stabilised_db, rows, source)
+    every, after, bounds, table = found.crossings, found.trace, found.bounds, found.lobes
+    clearances, at = found.nearest
+    curve = Curve(
+        loop, after.frequency_hz, after.loop, open_poles, closed_poles, t.slope_at_zero, t.at_zero, t.slope_at_end,
+        t.finite_end,
+    )  # fmt: skip  # one line for each otherwise
+    slow = closed_poles[np.abs(closed_poles) > curve.lowest_radps]
     slowest = slow[np.argmax(slow.real)] if len(slow) else complex(-np.inf, 0.0)
-    stable = len(growing) == 0 and encircled == 0
+    stable = found.growing == 0 and found.encircled == 0
     facts: dict[str, Any] = {
-        "stable": stable, "unstable_poles": len(growing), "encircled_poles": encircled,
+        "stable": stable, "unstable_poles": found.growing, "encircled_poles": found.encircled,
         "growth_1ps": float(slowest.real), "growth_hz": float(abs(slowest.imag) / (2.0 * np.pi)),
-        "gain_crossings": gain, "phase_crossings": phase, "curve": curve,
-    }  # fmt: skip  # five more lines otherwise
+        "gain_crossings": GainCrossings(every.gain_hz, every.gain_loop, every.gain_way > 0),
+        "phase_crossings": PhaseCrossings(every.phase_hz, every.phase_loop, every.phase_way),
+        "curve": curve, "lobes": lobes_of(table, known),
+    }  # fmt: skip  # one line for each otherwise
     if not stable:
         nothing = complex(np.nan, np.nan)
         return Margins(**facts, clearances=tuple(Clearance(zone, np.nan, np.nan, nothing) for zone in zones))
-    named = None if resonances is None else [r for r in resonances if r.kind in BENDING_KINDS]
-    lobes = find_lobes(curve, gain, phase, named, gain_stabilised_db)
-    bending = [lobe for lobe in lobes if lobe.kind != "slosh"]
-    rigid, free = ~_inside(gain.frequency_hz, bending), ~_inside(phase.frequency_hz, lobes)
-    crossover = float(gain.frequency_hz[rigid & ~gain.rising].max(initial=0.0))
-    db, f = phase.gain_margin_db, phase.frequency_hz
-    turn = np.abs(gain.phase_margin_deg)
-    stays_above_1 = not curve.finite_end and curve.slope_at_end == 0 and abs(curve.loop[-1]) >= 1.0
+    facts |= {name: Bound(value, hz) for name, (value, hz) in zip(BOUNDS, bounds[:CROSSOVER].tolist(), strict=True)}
+    clear = zip(zones, clearances.tolist(), at.tolist(), strict=True)
     return Margins(
-        **facts,
-        gain_up_db=least(db, f, db >= 0.0),
-        gain_down_db=least(-db, f, db < 0.0),
-        phase_deg=least(turn, gain.frequency_hz),
-        delay_s=Bound(0.0, np.inf) if stays_above_1 else least(gain.delay_s, gain.frequency_hz),
-        aero_gain_db=least(-db, f, (db < 0.0) & free & (f <= crossover)),
-        rigid_gain_db=least(db, f, (db >= 0.0) & free & (f >= crossover)),
-        rigid_phase_deg=least(turn, gain.frequency_hz, rigid),
-        crossover_hz=crossover,
-        disks=find_disks(curve),
-        clearances=find_clearances(curve, tuple(zones), gain, phase),
-        lobes=lobes,
-    )
+        **facts, crossover_hz=float(bounds[CROSSOVER, 1]),
+        disks=disks_of(found.distances),
+        clearances=tuple(Clearance(zone, value, hz, complex(there)) for zone, (value, hz), there in clear),
+    )  # fmt: skip  # one line for each otherwise
 
 
-def _inside(f: Array, lobes: Sequence[Lobe]) -> NDArray[np.bool_]:
-    out = np.zeros(len(f), bool)
-    for lobe in lobes:
-        out |= (f >= lobe.low_hz) & (f <= lobe.high_hz)
+BOUNDS = (
+    "gain_up_db", "gain_down_db", "phase_deg", "delay_s", "aero_gain_db", "rigid_gain_db", "rigid_phase_deg",
+)  # fmt: skip  # one line for each otherwise
+"""The rows of `bounds_of`, by the fields of `Margins`; then the crossover frequency."""
+GAIN_UP, GAIN_DOWN, PHASE, DELAY, AERO_GAIN, RIGID_GAIN, RIGID_PHASE, CROSSOVER = range(len(BOUNDS) + 1)
+
+
+class Found(NamedTuple):
+    """The results of compiled code for one loop."""
+
+    trace: Trace
+    crossings: Crossings
+    growing: int
+    encircled: int
+    lobes: Array
+    bounds: Array
+    distances: Array
+    nearest: tuple[Array, ComplexArray]
+
+
+@entry
+def _trace(open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, source: LoopResponse) -> Trace:
+    t = curves.traced(open_, closed, lowest, end, source)
+    f, loop = curves.with_extremes(t.frequency_hz, t.loop, source)
+    return Trace(f, loop, t.slope_at_zero, t.at_zero, t.slope_at_end, t.finite_end, t.problem)
+
+
+@entry
+def _measure(
+    t: Trace, open_: ComplexArray, closed: ComplexArray, centre: Array, width: Array, slosh: NDArray[np.bool_],
+    least_share: float, limit_db: float, zones: Array, source: LoopResponse,
+) -> Found:  # fmt: skip  # one line for each otherwise
+    found = measured(t, open_, closed, centre, width, slosh, least_share, limit_db, source)
+    nearest = find_clearances(found[0], found[1], zones, source)
+    return Found(*found, nearest)
+
+
+@routine
+def measured(
+    t: Trace, open_: ComplexArray, closed: ComplexArray, centre: Array, width: Array, slosh: NDArray[np.bool_],
+    least_share: float, limit_db: float, source: LoopResponse,
+) -> tuple[Trace, Crossings, int, int, Array, Array, Array]:  # fmt: skip  # one line for each otherwise
+    """Return the fields of `Found` but the last, from a curve with its turning points."""
+    past = curves.steps_past_poles(t.frequency_hz, open_, closed)
+    every, f, loop = curves.crossings(t, past, source)
+    after = Trace(f, loop, t.slope_at_zero, t.at_zero, t.slope_at_end, t.finite_end, 0)
+    growing = curves.growing_count(closed, 2.0 * np.pi * f[0])
+    encircled = curves.encirclement_count(after, every, past, t, open_)
+    on_axis = open_.imag[open_.real == 0.0] / (2.0 * np.pi)
+    table = find_lobes(after, every, centre, width, least_share, limit_db, on_axis, source)
+    return after, every, growing, encircled, table, bounds_of(after, every, table, slosh), least_distances(after)
+
+
+@routine
+def bounds_of(t: Trace, every: Crossings, table: Array, slosh: NDArray[np.bool_]) -> Array:
+    """Return the least of each margin and its frequency, (BOUNDS and the crossover, 2): infinite at NaN without any."""
+    out = np.full((CROSSOVER + 1, 2), np.nan)
+    out[:, 0] = np.inf
+    out[CROSSOVER, 1] = 0.0
+    bending = np.ones(len(table), np.bool_)
+    for j in range(len(table)):
+        bending[j] = not slosh[int(table[j, NUMBER])]
+    for k in range(len(every.gain_hz)):
+        hz, lag = every.gain_hz[k], lag_of(every.gain_loop[k])
+        turn = min(lag, 360.0 - lag)
+        _lower(out[PHASE], turn, hz)
+        _lower(out[DELAY], lag / (360.0 * hz), hz)
+        if not in_lobes(hz, table, bending):
+            _lower(out[RIGID_PHASE], turn, hz)
+            if every.gain_way[k] < 0:
+                out[CROSSOVER, 1] = max(out[CROSSOVER, 1], hz)
+    if not t.finite_end and t.slope_at_end == 0 and abs(t.loop[len(t.loop) - 1]) >= 1.0:
+        out[DELAY, 0], out[DELAY, 1] = 0.0, np.inf
+    for k in range(len(every.phase_hz)):
+        hz, db = every.phase_hz[k], -DB * log_abs(every.phase_loop[k])
+        free = not in_lobes(hz, table, np.ones(len(table), np.bool_))
+        if db >= 0.0:
+            _lower(out[GAIN_UP], db, hz)
+            if free and hz >= out[CROSSOVER, 1]:
+                _lower(out[RIGID_GAIN], db, hz)
+        else:
+            _lower(out[GAIN_DOWN], -db, hz)
+            if free and hz <= out[CROSSOVER, 1]:
+                _lower(out[AERO_GAIN], -db, hz)
     return out
 
 
-def least(values: Array, frequency_hz: Array, among: NDArray[np.bool_] | None = None) -> Bound:
-    """The least of the values, or of those `among` selects."""
-    k = np.arange(len(values)) if among is None else np.flatnonzero(among)
-    if not len(k):
-        return Bound(np.inf, np.nan)
-    i = int(k[np.argmin(values[k])])
-    return Bound(float(values[i]), float(frequency_hz[i]))
+@routine
+def _lower(out: Array, value: float, hz: float) -> None:
+    if value < out[0]:
+        out[0], out[1] = value, hz

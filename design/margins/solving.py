@@ -1,24 +1,17 @@
-"""Objectives along a loop's frequency response, and vectorised solvers for their roots and minima.
+"""Objectives along a loop's frequency response, and solvers for their roots and minima, compiled.
 
-The solvers take many problems at once: each step is one call with all those that are still open. A call of the
-response costs much the same for one frequency as for twenty, so what counts is the number of calls: six to ten.
-`function(x, which)` gives the values of the problems with the indices `which` at `x`. SciPy's elementwise solvers use
-the same methods, with an overhead of their own larger than the response's.
+The solvers take many problems at once: each step evaluates L at one frequency of every problem that is still open. A
+loop that Python answers costs much the same for one frequency as for twenty, so the number of steps counts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
 
+from maxq.control.kernel.jit import routine
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.loop.loop import OpenLoop
+from maxq.design.margins.response import LoopResponse, values_at
 from maxq.design.model.state_space import ComplexArray
-
-Objective = Callable[[ComplexArray], Array]
-"""A real function of L that is made least, or zero, along the curve."""
-Function = Callable[[Array, IntArray], Array]
 
 TINY = 1e-300  # lower bound of a logarithm's argument
 DB = 20.0 / np.log(10.0)  # dB per neper
@@ -28,158 +21,173 @@ VALUE_TOLERANCE = 1e-12  # improvement of a minimum below which it is accepted
 MOST_STEPS = 100
 GOLDEN = 0.3819660112501051
 
+SENSITIVITY, COMPLEMENTARY, SYMMETRIC, MINUS_LOG_SIZE, LOG_SIZE, SINE, MINUS_SINE, CLEARANCE = range(8)
+"""Objectives: ln |1 + L|, ln |1 + 1/L|, ln |1 + L|/|1 - L|, -ln |L|, ln |L|, sine of the phase, minus that. From
+CLEARANCE on, the clearances of zones number 0, 1, ...; from CORNER down, their corners (distances.py)."""
+CORNER = -1
+DIAMOND, RECTANGLE, ELLIPSE = range(3)
+
 
 def log_size(loop: ComplexArray) -> Array:
-    """ln |L|."""
+    """Return ln |L|."""
     return np.asarray(np.log(np.maximum(np.abs(loop), TINY)))
 
 
-def minus_log_size(loop: ComplexArray) -> Array:
-    return -log_size(loop)
-
-
-def sine(loop: ComplexArray) -> Array:
-    """Sine of L's phase: zero on the real axis."""
-    return np.asarray(loop.imag / np.maximum(np.abs(loop), TINY))
-
-
-def minus_sine(loop: ComplexArray) -> Array:
-    return -sine(loop)
-
-
-def sensitivity(loop: ComplexArray) -> Array:
-    """ln of 1/|S| = |1 + L|."""
-    return log_size(1.0 + loop)
-
-
-def complementary(loop: ComplexArray) -> Array:
-    """ln of 1/|T| = |1 + 1/L|."""
-    return np.asarray(log_size(1.0 + loop) - log_size(loop))
-
-
-def symmetric(loop: ComplexArray) -> Array:
-    """ln of |1 + L| / |1 - L|."""
-    return np.asarray(log_size(1.0 + loop) - log_size(1.0 - loop))
-
-
 def from_minus_one_deg(loop: ComplexArray) -> Array:
-    """Phase beyond the nearest -180 + 360 k degrees, in (-180, 180]."""
+    """Return the phase beyond the nearest -180 + 360 k degrees, in (-180, 180]."""
     return np.asarray(np.degrees(np.angle(-loop)))
 
 
-def sample(loop: OpenLoop, frequency_hz: Array) -> ComplexArray:
-    """L, checked. Raises ValueError where it is not finite or has another shape."""
-    values = np.asarray(loop.response(frequency_hz), np.complex128)
-    if values.shape != frequency_hz.shape:
-        raise ValueError(f"the loop's response has shape {values.shape}, not {frequency_hz.shape}")
-    good = np.isfinite(values)
-    if not good.all():
-        k = int(np.argmin(good))
-        raise ValueError(f"the loop's response at {frequency_hz[k]:.9g} Hz is {values[k]}")
-    return values
-
-
-def along(loop: OpenLoop, objectives: Sequence[Objective], kind: IntArray) -> Function:
-    """For the solvers: problem i is that of `objectives[kind[i]]`."""
-
-    def function(frequency_hz: Array, which: IntArray) -> Array:
-        values, kinds = sample(loop, frequency_hz), kind[which]
-        out = np.empty(len(which))
-        for k, objective in enumerate(objectives):
-            chosen = kinds == k
-            if chosen.any():
-                out[chosen] = objective(values[chosen])
-        return out
-
-    return function
-
-
-def roots(function: Function, low: Array, high: Array, f_low: Array, f_high: Array) -> Array:
-    """A root in each bracket whose ends have values of unlike sign (zero counts as either).
-
-    Chandrupatla's method: inverse quadratic interpolation where it is safe, bisection elsewhere (T. R.
-    Chandrupatla, Advances in Engineering Software 28, 1997). A jump through zero is found like a root.
-    """
-    x1, x2, f1, f2 = low.copy(), high.copy(), f_low.copy(), f_high.copy()
-    best = np.where(np.abs(f1) < np.abs(f2), x1, x2)
-    open_ = np.flatnonzero((f1 != 0.0) & (f2 != 0.0))
-    with np.errstate(all="ignore"):
-        t = np.clip(f1 / (f1 - f2), 0.05, 0.95)  # the first step is the secant's
-        for _ in range(MOST_STEPS):
-            if not len(open_):
-                break
-            a, b, fa, fb, share = x1[open_], x2[open_], f1[open_], f2[open_], t[open_]
-            x = a + share * (b - a)
-            f = function(x, open_)
-            same = (f > 0.0) == (fa > 0.0)
-            x3, f3 = np.where(same, a, b), np.where(same, fa, fb)
-            b, fb = np.where(same, b, a), np.where(same, fb, fa)
-            x1[open_], x2[open_], f1[open_], f2[open_] = x, b, f, fb
-            best[open_] = np.where(np.abs(f) < np.abs(fb), x, b)
-            width = np.abs(b - x)
-            shortest = STEP * np.abs(x) / width
-            xi, phi = (x - b) / (x3 - b), (f - fb) / (f3 - fb)
-            safe = (phi**2 < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
-            share = f / (fb - f) * f3 / (fb - f3) + (x3 - x) / (b - x) * f / (f3 - f) * fb / (f3 - fb)
-            share = np.where(safe & np.isfinite(share), share, 0.5)
-            t[open_] = np.clip(share, shortest, 1.0 - shortest)
-            done = (np.minimum(np.abs(f), np.abs(fb)) < ROOT_TOLERANCE) | (shortest > 0.25)
-            open_ = open_[~done]
-    return best
-
-
-def minima(function: Function, points: Array, values: Array) -> Array:
-    """The lowest point within each bracket; `points` and `values` (problems, 3), the middle value the least.
-
-    Parabolas, and a golden section where they stall. The value is good to VALUE_TOLERANCE, the place to its root.
-    """
-    a, c, b = points.T.copy()
-    fa, fc, fb = values.T.copy()
-    open_ = np.flatnonzero(np.isfinite(fa + fb + fc))
-    wide = b - a
-    with np.errstate(all="ignore"):
-        for step in range(MOST_STEPS):
-            if not len(open_):
-                break
-            i = open_
-            x, gain = vertex(a[i], c[i], b[i], fa[i], fc[i], fb[i])
-            to_right = b[i] - c[i] > c[i] - a[i]
-            golden = c[i] + GOLDEN * np.where(to_right, b[i] - c[i], a[i] - c[i])
-            stalled = b[i] - a[i] > 0.5 * wide[i] if step % 3 == 2 else np.zeros(len(i), bool)
-            if step % 3 == 2:
-                wide[i] = b[i] - a[i]
-            nudge = np.maximum(1e-6 * (b[i] - a[i]), STEP * np.abs(c[i]))
-            x = np.where(np.isfinite(x), x, golden)
-            x = np.where(np.abs(x - c[i]) < nudge, c[i] + np.where(to_right, nudge, -nudge), x)
-            x = np.where(stalled, golden, x)
-            f = function(x, i)
-            _narrow((a, c, b, fa, fc, fb), i, x, f)
-            done = ~(gain >= VALUE_TOLERANCE) & (step >= 3) | (b[i] - a[i] < 8.0 * STEP * np.abs(c[i]))
-            open_ = i[~done]
-    return np.asarray(c)
-
-
 def vertex(a: Array, c: Array, b: Array, fa: Array, fc: Array, fb: Array) -> tuple[Array, Array]:
-    """Lowest point of the parabola through three points, and how far it lies below the middle one."""
+    """Return the lowest point of the parabola through three points, and how far it lies below the middle one."""
     left, right = (fa - fc) / (c - a), (fb - fc) / (b - c)
     curvature = (left + right) / (b - a)
-    # slope at c of the interpolating parabola
     slope = (right * (c - a) - left * (b - c)) / (b - a)
     return np.asarray(c - slope / (2.0 * curvature)), np.asarray(slope**2 / (4.0 * curvature))
 
 
-def _narrow(state: tuple[Array, ...], i: IntArray, x: Array, f: Array) -> None:
-    """Update the brackets `i` with a new point."""
-    a, c, b, fa, fc, fb = state
-    right, better = x > c[i], f <= fc[i]
-    # the old middle becomes an end if the new point is lower, otherwise the new point does
-    x_end, f_end = np.where(better, c[i], x), np.where(better, fc[i], f)
-    to_left_end = right == better
-    a[i], fa[i] = np.where(to_left_end, x_end, a[i]), np.where(to_left_end, f_end, fa[i])
-    b[i], fb[i] = np.where(to_left_end, b[i], x_end), np.where(to_left_end, fb[i], f_end)
-    c[i], fc[i] = np.where(better, x, c[i]), np.where(better, f, fc[i])
-
-
 def wrapped(angle: float, half_turn: float) -> float:
-    """The same angle in [-half_turn, half_turn)."""
+    """Return the same angle in [-half_turn, half_turn)."""
     return float((angle + half_turn) % (2.0 * half_turn) - half_turn)
+
+
+@routine
+def log_abs(x: complex) -> float:
+    return float(np.log(max(abs(x), TINY)))
+
+
+@routine
+def angle(x: complex) -> float:
+    return float(np.arctan2(x.imag, x.real))
+
+
+@routine
+def objective(kind: int, x: complex, zones: Array) -> float:
+    """Return an objective at a value of L; `zones` (zones, 3): shape and half axes in deg and dB."""
+    if kind == SENSITIVITY:
+        return log_abs(1.0 + x)
+    if kind == COMPLEMENTARY:
+        return log_abs(1.0 + x) - log_abs(x)
+    if kind == SYMMETRIC:
+        return log_abs(1.0 + x) - log_abs(1.0 - x)
+    if kind == LOG_SIZE:
+        return log_abs(x)
+    if kind == MINUS_LOG_SIZE:
+        return -log_abs(x)
+    if kind == SINE:
+        return x.imag / max(abs(x), TINY)
+    if kind == MINUS_SINE:
+        return -x.imag / max(abs(x), TINY)
+    zone = zones[kind - CLEARANCE if kind > 0 else CORNER - kind]
+    across, up = abs(np.degrees(angle(-x))) / zone[1], abs(DB * log_abs(x)) / zone[2]
+    if kind < 0:
+        return float(across - up)
+    if zone[0] == DIAMOND:
+        return float(across + up - 1.0)
+    return float(max(across, up) if zone[0] == RECTANGLE else np.hypot(across, up)) - 1.0
+
+
+@routine
+def objectives(kind: int, loop: ComplexArray, zones: Array) -> Array:
+    out = np.empty(len(loop))
+    for k in range(len(loop)):
+        out[k] = objective(kind, loop[k], zones)
+    return out
+
+
+@routine
+def roots(kind: IntArray, ends: Array, values: Array, loop: LoopResponse, zones: Array) -> Array:
+    """Return a root of each objective in its bracket; `ends` and `values` (problems, 2), of unlike sign.
+
+    Zero counts as either sign. Chandrupatla's method: inverse quadratic interpolation where it is safe, bisection
+    elsewhere (T. R. Chandrupatla, Advances in Engineering Software 28, 1997). A jump through zero is found like a root.
+    """
+    n = len(kind)
+    x1, x2, f1, f2 = ends[:, 0].copy(), ends[:, 1].copy(), values[:, 0].copy(), values[:, 1].copy()
+    best, share, open_ = np.empty(n), np.empty(n), np.empty(n, np.bool_)
+    for i in range(n):
+        best[i] = x1[i] if abs(f1[i]) < abs(f2[i]) else x2[i]
+        share[i] = min(max(f1[i] / (f1[i] - f2[i]), 0.05), 0.95)  # the first step is the secant's
+        open_[i] = f1[i] != 0.0 and f2[i] != 0.0
+    for _ in range(MOST_STEPS):
+        which = np.flatnonzero(open_)
+        if len(which) == 0:
+            break
+        at = np.empty(len(which))
+        for j in range(len(which)):
+            i = which[j]
+            at[j] = x1[i] + share[i] * (x2[i] - x1[i])
+        there = values_at(at, loop)
+        for j in range(len(which)):
+            i, x, f = which[j], at[j], objective(kind[which[j]], there[j], zones)
+            if (f > 0.0) == (f1[i] > 0.0):
+                x3, f3 = x1[i], f1[i]
+            else:
+                x3, f3 = x2[i], f2[i]
+                x2[i], f2[i] = x1[i], f1[i]
+            x1[i], f1[i] = x, f
+            best[i] = x if abs(f) < abs(f2[i]) else x2[i]
+            width = abs(x2[i] - x)
+            shortest = STEP * abs(x) / width if width > 0.0 else 1.0
+            xi, phi = (x - x2[i]) / (x3 - x2[i]), (f - f2[i]) / (f3 - f2[i])
+            share[i] = 0.5
+            if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
+                tried = f / (f2[i] - f) * f3 / (f2[i] - f3)
+                tried += (x3 - x) / (x2[i] - x) * f / (f3 - f) * f2[i] / (f3 - f2[i])
+                share[i] = tried if np.isfinite(tried) else 0.5
+            share[i] = min(max(share[i], shortest), 1.0 - shortest)
+            open_[i] = not (min(abs(f), abs(f2[i])) < ROOT_TOLERANCE or shortest > 0.25)
+    return best
+
+
+@routine
+def parabola(a: float, c: float, b: float, fa: float, fc: float, fb: float) -> tuple[float, float]:
+    """Return as `vertex`."""
+    left, right = (fa - fc) / (c - a), (fb - fc) / (b - c)
+    curvature = (left + right) / (b - a)
+    slope = (right * (c - a) - left * (b - c)) / (b - a)
+    return c - slope / (2.0 * curvature), slope * slope / (4.0 * curvature)
+
+
+@routine
+def minima(kind: IntArray, points: Array, values: Array, loop: LoopResponse, zones: Array) -> Array:
+    """Return the lowest point within each bracket; `points` and `values` (problems, 3), the middle value the least.
+
+    Parabolas, and a golden section where they stall. The value is good to VALUE_TOLERANCE, the place to its root.
+    """
+    n = len(kind)
+    a, c, b = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
+    fa, fc, fb = values[:, 0].copy(), values[:, 1].copy(), values[:, 2].copy()
+    wide, promised, open_ = b - a, np.empty(n), np.isfinite(fa + fc + fb)
+    for step in range(MOST_STEPS):
+        which = np.flatnonzero(open_)
+        if len(which) == 0:
+            break
+        at = np.empty(len(which))
+        for j in range(len(which)):
+            i = which[j]
+            x, promised[i] = parabola(a[i], c[i], b[i], fa[i], fc[i], fb[i])
+            to_right = b[i] - c[i] > c[i] - a[i]
+            golden = c[i] + GOLDEN * (b[i] - c[i] if to_right else a[i] - c[i])
+            nudge = max(1e-6 * (b[i] - a[i]), STEP * abs(c[i]))
+            x = x if np.isfinite(x) else golden
+            if abs(x - c[i]) < nudge:
+                x = c[i] + (nudge if to_right else -nudge)
+            if step % 3 == 2:
+                x = golden if b[i] - a[i] > 0.5 * wide[i] else x
+                wide[i] = b[i] - a[i]
+            at[j] = x
+        there = values_at(at, loop)
+        for j in range(len(which)):
+            i, x, f = which[j], at[j], objective(kind[which[j]], there[j], zones)
+            beyond, better = x > c[i], f <= fc[i]
+            x_end, f_end = (c[i], fc[i]) if better else (x, f)
+            if beyond == better:
+                a[i], fa[i] = x_end, f_end
+            else:
+                b[i], fb[i] = x_end, f_end
+            if better:
+                c[i], fc[i] = x, f
+            done = (not promised[i] >= VALUE_TOLERANCE and step >= 3) or b[i] - a[i] < 8.0 * STEP * abs(c[i])
+            open_[i] = not done
+    return c

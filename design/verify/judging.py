@@ -24,7 +24,7 @@ from maxq.design.loop.fixed_path import Kind
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.budget import Budget, crossing_budgets
 from maxq.design.margins.distances import Zone
-from maxq.design.margins.lobes import Lobe, find_lobes
+from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.model.instruments import ACCELERATION
@@ -79,7 +79,7 @@ class Judged:
     node: Node
     loop: Loop
     margins: Margins
-    lobes: tuple[Lobe, ...]  # also of an unstable loop, whose margins have none
+    lobes: tuple[Lobe, ...]  # also of an unstable loop
     derivatives: StabilityDerivatives | None  # None at rest
     adaptive: Adaptive | None = None
 
@@ -174,15 +174,11 @@ def judge(
         node = loop.fixed.node
         resonances = loop.fixed.resonances()
         measured = margins(loop, resonances=resonances)
-        lobes = measured.lobes
-        if not measured.stable:
-            kept = [r for r in resonances if r.kind in ("bending", "slosh")]
-            lobes = find_lobes(measured.curve, measured.gain_crossings, measured.phase_crossings, kept, 0.0)
         try:
             derivatives = stability_derivatives(node.vehicle, node.condition)
         except ValueError:
             derivatives = None
-        out.append(Judged(node, loop, measured, lobes, derivatives, design.of_stage(node.stage).adaptive))
+        out.append(Judged(node, loop, measured, measured.lobes, derivatives, design.of_stage(node.stage).adaptive))
         if tell is not None:
             tell(n + 1)
     return out

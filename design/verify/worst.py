@@ -29,7 +29,7 @@ from maxq.design import api
 from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
-from maxq.design.margins.curve import lowest_hz_of, unstable
+from maxq.design.margins.curve import growing_count, lowest_hz_of
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
@@ -137,7 +137,7 @@ def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], tu
         order = np.argsort(near[k, each])
         least = float(near[k, each][order[0]])
         drift_radps = 2.0 * np.pi * lowest_hz_of(np.asarray(loop.open_poles()))  # slower poles are drift, not unstable
-        return -least if len(unstable(loop.closed_poles(), drift_radps)) else least, fine[k, each][order]
+        return -least if growing_count(loop.closed_poles(), drift_radps) else least, fine[k, each][order]
 
     return at
 

@@ -1,0 +1,302 @@
+"""L of one loop for compiled code: from poles and residues, or asked of Python a batch of frequencies at a time.
+
+The sampled response is the sum of one term for each pole of actuator, vehicle and gyro. A pole l with residue R of
+the continuous path answers a command that is held over a period T and acts t late, and is averaged over that period, by
+
+    R (z^-(m+1) / T) [ E1(T) (E1(T - t) + exp(l (T - t)) E1(t) / z) / (z - exp(l T))
+                       + E2(T - t) + (E2(t) + E1(T - t) E1(t)) / z ],       E1(a) = (exp(l a) - 1) / l,
+                                                                            E2(a) = (E1(a) - a) / l
+
+for a delay of m periods and t: the result that sampling.py finds by matrix exponentials. Everything is a function of
+w = z - 1, since slow poles differ from 1 by little. Zeros of 1 + L are all found at once, from those of a loop like it
+(O. Aberth, Math. Comput. 27, 1973). Any other loop (`loop.OpenLoop`) is asked by a C callback.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, overload
+
+from maxq.control.kernel.jit import routine
+from maxq.control.kernel.records import Array
+from maxq.design.loop.loop import OpenLoop
+from maxq.design.model.state_space import ComplexArray
+
+FASTEST = 1e-6  # |z| below it is a pole that a delay has left out, or as good as
+TWO_PI = 6.283185307179586
+_MOST_ROUNDS = 60
+
+
+class LoopResponse(NamedTuple):
+    """The numbers that L depends on. `ask` is the address of the callback and `token` its argument; 0: none."""
+
+    sample_s: float
+    pairs: Array  # (pairs, 6): two numerators of degree 1 in w, the second one period late, and the denominator
+    singles: Array  # (poles, 3): two residues and the pole, in w
+    direct: Array  # (2,)
+    zeros: ComplexArray  # of the law, in w
+    poles: ComplexArray
+    gain: float
+    periods: int  # of delay
+    ask: int
+    token: int
+
+
+class _Asked:
+    """A loop that compiled code asks, and the first problem it met."""
+
+    def __init__(self, loop: OpenLoop) -> None:
+        self.loop, self.problem = loop, None  # type: tuple[OpenLoop, BaseException | None]
+
+    def answer(self, frequency_hz: Array) -> ComplexArray:
+        """L; NaN after a problem, which `asking` raises."""
+        if self.problem is None:
+            try:
+                return sampled(self.loop, frequency_hz)
+            except BaseException as problem:  # no exception passes through compiled code
+                self.problem = problem
+        return np.full(len(frequency_hz), complex(np.nan, np.nan))
+
+
+_ASKED: dict[int, _Asked] = {}
+_TOKENS = itertools.count(1)
+
+
+def _answer(token: int, count: int, frequency_hz: int, out: int) -> None:
+    f = np.ctypeslib.as_array((ctypes.c_double * count).from_address(frequency_hz))
+    values = np.ctypeslib.as_array((ctypes.c_double * (2 * count)).from_address(out)).view(np.complex128)
+    values[:] = _ASKED[token].answer(f.copy())
+
+
+_ANSWER = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4)(_answer)
+_ADDRESS = ctypes.cast(_ANSWER, ctypes.c_void_p).value or 0
+
+
+@contextmanager
+def asking(loop: OpenLoop) -> Iterator[LoopResponse]:
+    """Give compiled code the response of any loop. Raises the exception that the loop raised, and ValueError for a
+    response that is not finite or has another shape.
+    """
+    token, asked = next(_TOKENS), _Asked(loop)
+    _ASKED[token] = asked
+    none, nothing = np.zeros((0, 6)), np.zeros(0, np.complex128)
+    try:
+        yield LoopResponse(0.0, none, none[:, :3].copy(), np.zeros(2), nothing, nothing, 0.0, 0, _ADDRESS, token)
+    finally:
+        del _ASKED[token]
+        if asked.problem is not None:
+            raise asked.problem
+
+
+def sampled(loop: OpenLoop, frequency_hz: Array) -> ComplexArray:
+    """Return L, checked. Raises ValueError where it is not finite or has another shape."""
+    values = np.asarray(loop.response(frequency_hz), np.complex128)
+    if values.shape != frequency_hz.shape:
+        raise ValueError(f"the loop's response has shape {values.shape}, not {frequency_hz.shape}")
+    good = np.isfinite(values)
+    if not good.all():
+        k = int(np.argmin(good))
+        raise ValueError(f"the loop's response at {frequency_hz[k]:.9g} Hz is {values[k]}")
+    return values
+
+
+@intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
+def _call(context: Any, address: Any, token: Any, count: Any, frequency_hz: Any, out: Any) -> Any:
+    """Numba intrinsic: call the C function at an address."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = builder.inttoptr(arguments[0], ir.FunctionType(ir.VoidType(), [ir.IntType(64)] * 4).as_pointer())
+        builder.call(pointer, arguments[1:])
+        return context.get_dummy_value()
+
+    return types.void(*[types.int64] * 5), build
+
+
+def _ask(address: int, token: int, frequency_hz: Array, out: ComplexArray) -> None:
+    out[:] = _ASKED[token].answer(frequency_hz)
+
+
+@overload(_ask)
+def _ask_compiled(address, token, frequency_hz, out):  # type: ignore[no-untyped-def]  # Numba compares both signatures
+    def asked(address, token, frequency_hz, out):  # type: ignore[no-untyped-def]
+        _call(address, token, len(frequency_hz), frequency_hz.ctypes.data, out.ctypes.data)
+
+    return asked
+
+
+@routine
+def values_at(f: Array, loop: LoopResponse) -> ComplexArray:
+    """Return L at many frequencies."""
+    out = np.empty(len(f), np.complex128)
+    if loop.ask != 0:
+        if len(f) > 0:
+            _ask(loop.ask, loop.token, f, out)
+    else:
+        for k in range(len(f)):
+            out[k] = _value_at(f[k], loop)
+    return out
+
+
+@routine
+def reciprocal(x: complex) -> complex:
+    """Return 1 / x; not a number at zero, where Numba's own raises."""
+    square = x.real * x.real + x.imag * x.imag
+    return complex(x.real / square, -x.imag / square)
+
+
+@routine
+def _e1(x: complex, a: float) -> complex:
+    """Return (exp(x) - 1) / x times a."""
+    if abs(x) > 0.5:
+        return complex(a * (np.exp(x) - 1.0) / x)
+    total, term = 1.0 + 0j, 1.0 + 0j
+    for k in range(2, 18):
+        term = term * x / k
+        total += term
+    return a * total
+
+
+@routine
+def _e2(x: complex, a: float) -> complex:
+    """Return (exp(x) - 1 - x) / x^2 times a^2."""
+    if abs(x) > 0.5:
+        return complex(a * a * (np.exp(x) - 1.0 - x) / (x * x))
+    total, term = 0.5 + 0j, 0.5 + 0j
+    for k in range(3, 19):
+        term = term * x / k
+        total += term
+    return a * a * total
+
+
+@routine
+def terms(
+    poles: ComplexArray, residues: ComplexArray, sample_s: float, rest_s: float, mu: ComplexArray, alpha:
+    ComplexArray, beta: ComplexArray, direct: Array,
+) -> None:  # fmt: skip  # one line for each otherwise
+    """Find w of each pole, its two residues in z, and the direct part."""
+    direct[0] = direct[1] = 0.0
+    for i in range(len(poles)):
+        x = poles[i]
+        whole, late, early = _e1(x * sample_s, sample_s), _e1(x * (sample_s - rest_s), sample_s - rest_s), 0j
+        mu[i] = x * whole
+        alpha[i] = residues[i] * whole * late
+        on_way = residues[i] * _e2(x * (sample_s - rest_s), sample_s - rest_s)
+        direct[0] += on_way.real
+        beta[i] = 0.0
+        if rest_s > 0.0:
+            early = _e1(x * rest_s, rest_s)
+            beta[i] = residues[i] * whole * np.exp(x * (sample_s - rest_s)) * early
+            direct[1] += (residues[i] * (_e2(x * rest_s, rest_s) + late * early)).real
+
+
+@routine
+def by_pairs(
+    poles: ComplexArray, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray
+) -> tuple[Array, Array]:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Return the terms of conjugate pairs and of real poles (`LoopResponse`)."""
+    n, swings = len(poles), 0
+    for i in range(n):
+        swings += 1 if poles[i].imag > 0.0 else 0
+    pairs, singles = np.empty((swings, 6)), np.empty((n - 2 * swings, 3))
+    a = b = 0
+    for i in range(n):
+        if poles[i].imag > 0.0:
+            pairs[a, 0], pairs[a, 1] = 2.0 * alpha[i].real, -2.0 * (alpha[i] * mu[i].conjugate()).real
+            pairs[a, 2], pairs[a, 3] = 2.0 * beta[i].real, -2.0 * (beta[i] * mu[i].conjugate()).real
+            pairs[a, 4], pairs[a, 5] = -2.0 * mu[i].real, mu[i].real ** 2 + mu[i].imag ** 2
+            a += 1
+        elif poles[i].imag == 0.0:
+            singles[b, 0], singles[b, 1], singles[b, 2] = alpha[i].real, beta[i].real, mu[i].real
+            b += 1
+    return pairs, singles
+
+
+@routine
+def _value_at(hz: float, loop: LoopResponse) -> complex:
+    half = 0.5 * TWO_PI * hz * loop.sample_s
+    sine = np.sin(half)
+    w = complex(-2.0 * sine * sine, 2.0 * sine * np.cos(half))
+    late = reciprocal(1.0 + w)
+    total = loop.direct[0] + loop.direct[1] * late
+    for i in range(len(loop.pairs)):
+        p = loop.pairs[i]
+        total += (p[0] * w + p[1] + (p[2] * w + p[3]) * late) * reciprocal((w + p[4]) * w + p[5])
+    for i in range(len(loop.singles)):
+        total += (loop.singles[i, 0] + loop.singles[i, 1] * late) * reciprocal(w - loop.singles[i, 2])
+    top, below = loop.gain + 0j, 1.0 + 0j
+    for i in range(len(loop.zeros)):
+        top = top * (w - loop.zeros[i])
+    for i in range(len(loop.poles)):
+        below = below * (w - loop.poles[i])
+    for _ in range(loop.periods):
+        top = top * late
+    return complex(total * top * reciprocal(below))
+
+
+@routine
+def _newton(
+    w: complex, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray, every: ComplexArray, loop: LoopResponse
+) -> complex:
+    """Return derivative over value, by w, of (1 + L) times the factors of `every` pole."""
+    late = reciprocal(1.0 + w)
+    total, slope = loop.direct[0] + loop.direct[1] * late, -loop.direct[1] * late * late
+    for i in range(len(mu)):
+        near = reciprocal(w - mu[i])
+        value = (alpha[i] + beta[i] * late) * near
+        total += value
+        slope -= value * near + beta[i] * late * late * near
+    top, by = loop.gain * total + 0j, slope * reciprocal(total)
+    for i in range(len(loop.zeros)):
+        top = top * (w - loop.zeros[i])
+        by += reciprocal(w - loop.zeros[i])
+    for i in range(len(loop.poles)):
+        near = reciprocal(w - loop.poles[i])
+        top = top * near
+        by -= near
+    for _ in range(loop.periods):
+        top = top * late
+        by -= late
+    out = by * reciprocal(1.0 + reciprocal(top))
+    for i in range(len(every)):
+        out += reciprocal(w - every[i])
+    return complex(out)
+
+
+@routine
+def zeros_of_one_plus(
+    roots: ComplexArray, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray, every: ComplexArray,
+    loop: LoopResponse,
+) -> bool:  # fmt: skip  # one line for each otherwise
+    """Refine all of them by Aberth's method; False where it does not converge."""
+    n = len(roots)
+    done = np.zeros(n, np.bool_)
+    for _ in range(_MOST_ROUNDS):
+        left = 0
+        for i in range(n):
+            if done[i]:
+                continue
+            by = _newton(roots[i], mu, alpha, beta, every, loop)
+            for k in range(n):
+                if k != i:
+                    by -= reciprocal(roots[i] - roots[k])
+            move = reciprocal(by)
+            if not (np.isfinite(move.real) and np.isfinite(move.imag)):
+                roots[i] += complex(1e-9, 1e-9) * (abs(roots[i]) + 1e-6)
+                left += 1
+                continue
+            roots[i] -= move
+            if abs(move) < 1e-9 * abs(roots[i]) + 1e-14 or abs(1.0 + roots[i]) < 0.1 * FASTEST:
+                done[i] = True
+            else:
+                left += 1
+        if left == 0:
+            return True
+    return False
