@@ -18,7 +18,8 @@ _EXAMPLES = """\
 """
 _EXITS = {
     Exit.OK: "the vehicle is written",
-    Exit.FAILED: "written, but its gimbals are too weak for its aerodynamics; it says where",
+    Exit.FAILED: "written, but its gimbals are too weak for its aerodynamics, or no first gains were\n"
+    "       found that are stable along their own flight; it says where",
     Exit.BAD_INPUT: "bad input, or a layout that cannot fly; nothing written",
     Exit.INTERRUPTED: "interrupted; nothing written",
 }
@@ -48,7 +49,7 @@ def _run(arguments: list[str]) -> int:
     from maxq.tools.vehicle.build import build, too_weak  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.compare import compared, comparison  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.figures import page  # noqa: PLC0415  # lazy
-    from maxq.tools.vehicle.files import write  # noqa: PLC0415  # lazy
+    from maxq.tools.vehicle.first_gains import write_with_first_gains  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.layout import read_layout  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.report import report  # noqa: PLC0415  # lazy
 
@@ -62,7 +63,7 @@ def _run(arguments: list[str]) -> int:
         except ValueError as error:
             raise ScenarioError(options.layout, str(error)) from None
         progress.show("writing", 1, 3)
-        files = write(built, folder)
+        built, files, gains = write_with_first_gains(built, folder, progress.show)
         progress.show("drawing", 2, 3)
         files.append(write_whole(folder / "vehicle.html", page(built)))
     tell(report(built))
@@ -72,8 +73,13 @@ def _run(arguments: list[str]) -> int:
         except ValueError as error:
             raise ScenarioError("--compare", str(error)) from None
     tell(f"\n{len(files)} files in {folder}/")
+    tell(gains.text)
     if weak := too_weak(built):
         tell(f"TOO WEAK: {'; '.join(weak)}")
+        return Exit.FAILED
+    if not gains.hold:
+        what = f"design it with: simdesign {folder}/case.toml, or give another control.rigid_hz in the layout"
+        tell(f"UNSTABLE: {layout.name}; {gains.text}; {what}")
         return Exit.FAILED
     tell(f"BUILT: {layout.name}; fly it with: simrun {folder}/scenario.toml")
     return Exit.OK

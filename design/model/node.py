@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -154,12 +155,30 @@ def loss_text(loss: Event) -> str:
 
 
 def powered_flight(scenario: LoadedScenario, faults: bool = False) -> tuple[tuple[Span, ...], Event | None]:
-    """Fly without a log up to the last burnout, or to the loss: the powered span of each stage, and that loss."""
+    """Fly without a log up to the last burnout, or to the loss: the powered span of each stage, and that loss.
+
+    The latest answers are kept, since spans, times and loss of one flight are asked for in turn.
+    """
+    for known, with_faults, found in tuple(_LATEST):
+        if known is scenario and with_faults == faults:
+            return found
+    answer = _powered_flight(scenario, faults)
+    _LATEST.append((scenario, faults, answer))
+    return answer
+
+
+_LATEST: deque[tuple[LoadedScenario, bool, tuple[tuple[Span, ...], Event | None]]] = deque(maxlen=4)
+
+
+def _powered_flight(scenario: LoadedScenario, faults: bool) -> tuple[tuple[Span, ...], Event | None]:
     run, loss = flown_run(scenario, faults), None
     last = len(run.packed.parameters) - 1
     while not run.finished and loss is None and int(run.memory.clock.stage_burnout_ns[last]) < 0:
         run.fly_segment()
         loss = loss_of(run.events)
+    burnout_ns = int(run.memory.clock.stage_burnout_ns[last])
+    if loss is not None and 0 <= burnout_ns < loss.time_ns:
+        loss = None  # of the coast that follows
     return spans_of(run.events, len(run.packed.parameters), run.now_s), loss
 
 

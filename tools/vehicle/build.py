@@ -14,6 +14,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.sim.packing.slosh_modes import modes_over
 from maxq.sim.scenario.modes import ModeTable
+from maxq.sim.scenario.schema_design import Design
 from maxq.tools.vehicle.aerodynamics import Aerodynamics, aerodynamics
 from maxq.tools.vehicle.beam import Beam, Mode
 from maxq.tools.vehicle.layout import Layout, Tank
@@ -39,6 +40,7 @@ class Built:
     flight: Ascent
     gains: list[tuple[float, float, float]]  # flight time, k_p, k_d
     assumed: list[str] = field(default_factory=list)  # those of `build` first: modes that are left out
+    design: Design | None = None  # with gains and filters that were searched, instead of `gains` and wide notches
 
     @property
     def mode_1_hz(self) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 import tomli_w
 
 from maxq.control.kernel.records import Array
+from maxq.design.laws.design_file import design_text
 from maxq.design.verify.suite import read_suite
 from maxq.sim.files import write_whole
 from maxq.sim.scenario.errors import ScenarioError
@@ -58,6 +59,8 @@ def write(built: Built, folder: Path) -> list[Path]:
     }  # fmt: skip  # seven more lines otherwise
     for name, content in documents.items():
         files.append(write_whole(folder / name, made + tomli_w.dumps(content)))
+    if built.design is not None:
+        write_whole(folder / "design.toml", made + design_text(built.design, ()))
     return files
 
 

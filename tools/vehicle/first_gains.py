@@ -1,0 +1,116 @@
+"""First gains that hold their own flight: checked there by the linear model, and searched where the formula fails.
+
+`build` gives the rigid body its frequency and damping, and knows neither slosh nor the phase of a bending mode. Where
+the sampled loop is unstable at an operating point of the flight, or the flight is lost, the case that is written with
+the vehicle is solved for few operating points and from few starts; gains, filters and the leads of the pitch programme
+are those of the result, whether it meets the limits of the case or not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from maxq.design import api
+from maxq.design.case.schema import read_case
+from maxq.design.model.node import loss_text, node_times, powered_flight
+from maxq.design.verify.judging import judge
+from maxq.design.verify.own_flight import CaseDesign, design_case
+from maxq.sim.run.flight import Event
+from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.vehicle.build import Built
+from maxq.tools.vehicle.files import write
+
+POINTS = 15  # of each stage, at which first gains are checked
+SEARCH = (
+    "nodes_per_stage=11", "search.starts=2", "search.leaps=0", "between_nodes='ignore'", "gains.schedule='free'",
+)  # fmt: skip  # a line each otherwise
+SHOWN = 6  # times in a message
+
+
+@dataclass(frozen=True)
+class FirstGains:
+    """First gains along their own flight, in pitch: times of unstable loops, and the least gain margin of the others.
+
+    `loss`: of that flight, after which there are no points. `searched`: by the optimiser.
+    """
+
+    points: int
+    unstable_s: tuple[float, ...]
+    loss: Event | None
+    gain_margin_db: float
+    at_s: float
+    searched: bool = False
+
+    @property
+    def hold(self) -> bool:
+        """The loop is stable at every point, and the flight is not lost."""
+        return not self.unstable_s and self.loss is None
+
+    @property
+    def text(self) -> str:
+        """One sentence for people."""
+        by = " by search," if self.searched else ""
+        if self.hold:
+            least = f"least gain margin {self.gain_margin_db:.2f} dB at {self.at_s:.1f} s"
+            return f"first gains:{by} stable at {self.points} operating points of their own flight; {least}"
+        times = ", ".join(f"{t:.1f}" for t in self.unstable_s[:SHOWN])
+        more = f" and {len(self.unstable_s) - SHOWN} more" if len(self.unstable_s) > SHOWN else ""
+        parts = [f"unstable at {times} s{more}"] if self.unstable_s else []
+        parts += [f"the flight is lost: {loss_text(self.loss)}"] if self.loss is not None else []
+        return f"first gains:{by} {'; '.join(parts)}"
+
+
+def write_with_first_gains(
+    built: Built, folder: Path, progress: Callable[[str, int, int], None] = lambda *_: None
+) -> tuple[Built, list[Path], FirstGains]:
+    """Write a vehicle, check its first gains along their own flight, and search others where they do not hold."""
+    files = write(built, folder)
+    progress("flying", 0, 0)
+    found = checked(folder)
+    if found.hold:
+        return built, files, found
+    try:
+        made = design_case(
+            read_case(folder / "case.toml", SEARCH),
+            lambda stage, number: lambda done, of, best_db, what: progress("searching first gains", done, of),
+        )
+    except ValueError:  # no operating point: lost at once
+        return built, files, found
+    changed = with_design(built, made)
+    files = write(changed, folder)
+    again = replace(checked(folder), searched=True)
+    if len(again.unstable_s) > len(found.unstable_s) and not again.hold:
+        return built, write(built, folder), found
+    return changed, files, again
+
+
+def checked(folder: Path) -> FirstGains:
+    """Fly the vehicle in a folder with its own design, and measure its sampled loop along that flight."""
+    scenario = load_scenario(folder / "scenario.toml")
+    assert scenario.design is not None
+    loss = powered_flight(scenario)[1]
+    try:
+        judged = judge(api.nodes(scenario, node_times(scenario, POINTS)), scenario.design)
+    except ValueError:  # lost before the first point
+        return FirstGains(0, (), loss, math.nan, math.nan)
+    unstable = tuple(j.time_s for j in judged if not j.margins.stable)
+    stable = [j for j in judged if j.margins.stable]
+    least = min(stable, key=lambda j: j.gain_margin_db, default=None)
+    gain, at = (math.nan, math.nan) if least is None else (least.gain_margin_db, least.time_s)
+    return FirstGains(len(judged), unstable, loss, gain, at)
+
+
+def with_design(built: Built, made: CaseDesign) -> Built:
+    """Return the vehicle with the gains and filters of a design, in which every stage flies its own."""
+    design, rows = made.design, dict[float, tuple[float, float, float]]()
+    for _, solution in made.results:
+        table = design.of_stage(solution.nodes[0].stage).gains.table
+        for row in zip(table["time_s"], table["k_p"], table["k_d_s"], strict=True):
+            rows[float(row[0])] = (float(row[0]), float(row[1]), float(row[2]))
+    named = design.model_copy(update={"name": f"{built.layout.name}, first gains"})
+    said = [line for line in built.assumed if not line.startswith("first gains")]
+    said.append("first gains: searched for the case's limits, since those of a rigid body do not hold the flight")
+    return replace(built, gains=[rows[t] for t in sorted(rows)], design=named, assumed=said)
