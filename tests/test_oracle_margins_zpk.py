@@ -83,7 +83,8 @@ def sign_changes(loop: ComplexArray) -> tuple[int, int]:
     return int(((size[1:] >= 1.0) != (size[:-1] >= 1.0)).sum()), int(crossed.sum())
 
 
-@pytest.mark.parametrize("seeds", [range(40), pytest.param(range(40, 400), marks=[pytest.mark.slow, pytest.mark.long])])
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [range(40), pytest.param(range(40, 400), marks=pytest.mark.long)])
 def test_no_crossing_is_missed_or_invented_and_both_counts_of_poles_agree(seeds: range) -> None:
     stable = 0
     for seed in seeds:
