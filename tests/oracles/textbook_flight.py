@@ -160,9 +160,18 @@ def no_wind(altitude_m: float) -> Vector:
 
 
 def integrate(
-    body: Body, state: State, times: Vector, kinks: Sequence[float] = (), wind_ned: Callable[[float], Vector] = no_wind
+    body: Body,
+    state: State,
+    times: Vector,
+    kinks: Sequence[float] = (),
+    wind_ned: Callable[[float], Vector] = no_wind,
+    longest_step_s: float = np.inf,
 ) -> list[State]:
-    """States at `times` (rising; the first is the start). The integration restarts at each of `kinks`."""
+    """Return the states at `times` (rising; the first is the start). The integration restarts at each of `kinks`.
+
+    `longest_step_s`: for loads with kinks at unknown times, such as tables over incidence: the error estimate of a long
+    step does not see them.
+    """
 
     def derivative(t: float, y: Vector, last: float) -> Vector:
         t = min(t, last)
@@ -188,7 +197,9 @@ def integrate(
         wanted = times[(times > now) & (times <= until)]
         grid = np.unique(np.append(wanted, until))
         last = float(np.nextafter(until, now))  # a jump at the end of a stretch belongs to the next one
-        solution = solve_ivp(derivative, (now, until), y, "DOP853", grid, rtol=1e-12, atol=1e-13, args=(last,))
+        solution = solve_ivp(
+            derivative, (now, until), y, "DOP853", grid, rtol=1e-12, atol=1e-13, args=(last,), max_step=longest_step_s
+        )
         assert solution.success, solution.message
         out += [_state(column) for t, column in zip(grid, solution.y.T, strict=True) if t in wanted]
         now, y = until, solution.y[:, -1]
