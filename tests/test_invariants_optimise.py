@@ -370,7 +370,7 @@ def test_multipliers_are_what_a_limit_costs() -> None:
         solve(kit.case(*change, f"limits.rigid_zeta={0.7 * 10 ** (db / 20)}"), kit.all_nodes()).objective_db
         for db in (-0.02, 0.02)
     ]
-    paid = sum(c.multiplier for c in s.constraints if c.what == "rigid-body damping")
+    paid = sum(c.multiplier for c in s.constraints if c.what == "rigid-body damping ratio")
     assert paid > 0.1
     assert (tightened[1] - tightened[0]) / 0.04 == pytest.approx(paid, rel=0.02)
 

@@ -111,7 +111,7 @@ def test_no_design_of_a_global_search_misses_less(gain_db: float, phase_deg: flo
         "gain margin": f"limits.gain_margin_db={gain_db - s.violation_db - 0.02}",
         "phase margin": f"limits.phase_margin_deg={phase_deg - (s.violation_db + 0.02) * phase_deg / gain_db}",
         "rigid-body frequency": f"limits.rigid_hz={0.5 * share}",
-        "rigid-body damping": f"limits.rigid_zeta={0.7 * share}",
+        "rigid-body damping ratio": f"limits.rigid_zeta={0.7 * share}",
         "|F(j inf)|": f"limits.filter_gain_at_infinity={1.0 / share}",
     }
     moved = kit.case(NODES, *changes, *(easier[what] for what in named))

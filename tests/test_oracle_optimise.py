@@ -90,7 +90,7 @@ VARIANTS = pytest.mark.parametrize(
         ("gains.schedule=free", "filter.structure=F3", "loop=sampled"),
         ("limits.zone=ellipse", "limits.modulus_db=-6"),
         ("limits.zone=diamond", "limits.rigid_body=aerodynamic"),
-        ("limits.zone=rectangle", "limits.first_mode_db=0", "limits.higher_modes_db=-6"),
+        ("limits.zone=rectangle", "limits.first_mode_db=0", "limits.modes_from_3_db=-6"),
         ("objective.kind=least-margin", "limits.first_mode_phase_deg=45"),
     ],
 )

@@ -283,17 +283,17 @@ def test_a_case_from_a_layout_asks_for_what_its_suite_asks(tmp_path: Path) -> No
     asked = suite.margins.nominal
     assert suite.margins.trajectories > 0
     limits = read_case(tmp_path / "case.toml").case.limits
-    assert limits.gain_margin_db > asked.gain_up_db == asked.aero_gain_db
-    assert limits.phase_margin_deg > asked.phase_deg
+    assert limits.gain_margin_db > asked.gain_up_db == asked.gain_down_db
+    assert limits.phase_margin_deg > asked.rigid_phase_deg
     assert limits.first_mode_phase_deg > asked.first_mode_phase_deg
-    assert max(limits.second_mode_db, limits.higher_modes_db) < asked.higher_modes_db
+    assert max(limits.second_mode_db, limits.modes_from_3_db) < asked.modes_from_2_db
     assert not limits.without
     # where the air is dense, a frequency that leaves the gain margin downwards, by the flown vehicle's M_alpha
     assert isinstance(limits.rigid_hz, OverTime)
     dense, low, high = 54.7, 6.0, 140.0
     (node,) = petrelkit.nodes(dense)
     m_alpha = stability_derivatives(node.vehicle, node.condition).m_alpha_1ps2
-    needed = math.sqrt((10.0 ** (asked.aero_gain_db / 20.0) - 1.0) * m_alpha) / (2.0 * math.pi)
+    needed = math.sqrt((10.0 ** (asked.gain_down_db / 20.0) - 1.0) * m_alpha) / (2.0 * math.pi)
     assert at_time(limits.rigid_hz, [low, high]).tolist() == [0.32, 0.32]
     assert at_time(limits.rigid_hz, dense) == pytest.approx(needed, rel=0.03)
     assert needed > 0.322

@@ -12,9 +12,9 @@ import pytest
 
 from maxq.design import api
 from maxq.design.model.node import Node
+from maxq.design.quantities import MEASURED, LoopLimits
 from maxq.design.verify import linear
-from maxq.design.verify.linear import MEASURES, WORSE, measured, worst_instants
-from maxq.design.verify.suite import MarginLimits
+from maxq.design.verify.linear import WORSE, measured, worst_instants
 from maxq.sim.scenario.loader import load_scenario
 
 SCENARIO = load_scenario("nominal", ['design="designs/ksr3-linear.toml"'])
@@ -37,7 +37,7 @@ def least_phase_deg(node: Node) -> float:
 
 def test_the_worst_instant_is_found_and_becomes_a_node() -> None:
     """30.1 deg at 50 and at 55 s, 22 between, where the peak of LOX slosh passes 0 dB."""
-    limits = MarginLimits(phase_deg=30.0)
+    limits = LoopLimits(rigid_phase_deg=30.0)
     assert SCENARIO.design is not None
     found = worst_instants(nodes_at, SCENARIO.design, [50.0, 55.0], limits)
     assert len(found) == 1
@@ -52,11 +52,11 @@ def test_the_worst_instant_is_found_and_becomes_a_node() -> None:
 
 def test_no_instant_is_added_where_the_nodes_are_the_worst() -> None:
     assert SCENARIO.design is not None
-    assert worst_instants(nodes_at, SCENARIO.design, [54.0], MarginLimits(phase_deg=30.0)) == []
-    assert worst_instants(nodes_at, SCENARIO.design, [50.0, 55.0], MarginLimits()) == []
+    assert worst_instants(nodes_at, SCENARIO.design, [54.0], LoopLimits(rigid_phase_deg=30.0)) == []
+    assert worst_instants(nodes_at, SCENARIO.design, [50.0, 55.0], LoopLimits()) == []
 
 
-@pytest.mark.parametrize(("name", "just_worse"), [("gain_up_db", 0.02), ("phase_deg", 0.1), ("delay_ms", 0.05)])
+@pytest.mark.parametrize(("name", "just_worse"), [("gain_up_db", 0.02), ("rigid_phase_deg", 0.1), ("delay_ms", 0.05)])
 def test_an_instant_becomes_a_node_from_what_is_documented_on(
     name: str, just_worse: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,15 +68,15 @@ def test_an_instant_becomes_a_node_from_what_is_documented_on(
         monkeypatch.setattr(linear, "api", SimpleNamespace(law_at=lambda design, node: None))
         dip = partial(lambda depth, t, peak: {name: 10.0 - depth * max(1.0 - abs(t - 43.21) / 2.0, 0.0)}, depth)
         monkeypatch.setattr(linear, "measured", dip)
-        found = worst_instants(list, none, [40.0, 47.0], MarginLimits(**{name: 5.0}))
+        found = worst_instants(list, none, [40.0, 47.0], LoopLimits(**{name: 5.0}))
         assert found == pytest.approx(wanted, abs=0.01)
 
 
 @pytest.mark.slow
 def test_all_margins_that_are_asked_for_are_searched() -> None:
     """Each instant is worse in one of them than every node is, and no tenth of a second is worse still."""
-    limits = MarginLimits(gain_up_db=6.0, phase_deg=30.0, delay_ms=10.0, slosh_phase_deg=30.0, higher_modes_db=-6.0)
-    asked = [name for name in MEASURES if getattr(limits, name) is not None]
+    limits = LoopLimits(gain_up_db=6.0, rigid_phase_deg=30.0, delay_ms=10.0, slosh_phase_deg=30.0, modes_from_2_db=-6.0)
+    asked = [name for name in MEASURED if getattr(limits, name) is not None]
     assert SCENARIO.design is not None
     design, times_s = SCENARIO.design, [40.0, 47.0, 55.0]
     found = worst_instants(nodes_at, design, times_s, limits)
@@ -84,10 +84,10 @@ def test_all_margins_that_are_asked_for_are_searched() -> None:
 
     def table(at_s: Sequence[float]) -> np.ndarray:
         rows = [measured(api.close(api.fixed_path(node), design), limits.slosh_peak_db) for node in nodes_at(at_s)]
-        return np.array([[row[name] * (-1.0 if MEASURES[name][2] == ">=" else 1.0) for name in asked] for row in rows])
+        return np.array([[MEASURED[name].badness(row[name]) for name in asked] for row in rows])
 
     ends, ours = table(times_s).max(axis=0), table(found)
-    room = np.array([WORSE[MEASURES[name][1]] for name in asked])
+    room = np.array([WORSE[MEASURED[name].unit] for name in asked])
     assert (ours > ends + room).any(axis=1).all()
     dense = table(np.arange(40.0, 55.01, 0.1).round(3).tolist()).max(axis=0)
     assert (np.maximum(ours.max(axis=0), ends) >= dense - 2.0 * room).all()

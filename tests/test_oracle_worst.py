@@ -32,7 +32,7 @@ from maxq.design.model.spread import (
     vehicle_at_places,
     vehicle_of,
 )
-from maxq.design.verify import linear, worst
+from maxq.design.verify import worst
 from maxq.design.verify.descent import Region, descend
 from maxq.design.verify.linear import vehicles
 from maxq.design.verify.suite import LinearMargins, WorstWanted, read_suite
@@ -382,20 +382,6 @@ def test_each_mode_and_tank_of_a_vehicle_deviates_by_its_own_draw() -> None:
     thrust = np.array([v.thrust for v in many])
     assert len(set(thrust)) == 900
     assert thrust.std() == pytest.approx(0.01, rel=0.1)  # a third of three sigma; known to 2.4 %
-
-
-def test_margins_down_are_the_lesser_and_an_unstable_loop_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    def named(value: float) -> Any:
-        return SimpleNamespace(value=value)
-
-    found = SimpleNamespace(stable=True, lobes=(), gain_up_db=named(7.0), aero_gain_db=named(9.0),
-                            gain_down_db=named(8.0), rigid_phase_deg=named(30.0), delay_s=named(0.02))  # fmt: skip
-    monkeypatch.setattr(linear, "margins", lambda loop, resonances: found)
-    loop: Any = SimpleNamespace(fixed=SimpleNamespace(resonances=list))
-    got = linear.measured(loop, 0.0)
-    assert (got["gain_up_db"], got["aero_gain_db"], got["phase_deg"], got["delay_ms"]) == (7.0, 8.0, 30.0, 20.0)
-    found.stable = False
-    assert linear.measured(loop, 0.0) == {}
 
 
 def test_words_claim_no_more_than_was_searched() -> None:

@@ -65,7 +65,12 @@ def test_infeasible_limits_are_named() -> None:
     assert not s.feasible
     assert s.violation_db > 0.1
     blamed = s.in_the_way
-    assert {c.what for c in blamed[:2]} <= {"gain margin", "phase margin", "rigid-body frequency", "rigid-body damping"}
+    assert {c.what for c in blamed[:2]} <= {
+        "gain margin",
+        "phase margin",
+        "rigid-body frequency",
+        "rigid-body damping ratio",
+    }
     assert blamed[0].excess_db == pytest.approx(s.violation_db, abs=1e-4)
     assert sum(c.multiplier for c in s.constraints) == pytest.approx(1.0, abs=1e-6)
     text = s.explanation()

@@ -101,7 +101,12 @@ def test_pictures_of_the_second_vehicle(tmp_path: Path, monkeypatch: pytest.Monk
     assert loaded.design is not None
     judged, tanks = judge(nodes, loaded.design), ["oxygen", "kerosene"]
     of_case = pictures.case_sheets("petrel, first gains", loaded.design, nodes, nodes, tanks, "petrel")
-    every = [*pictures.judged_sheets(judged, "petrel: petrel, first gains, sampled", Wanted(6.0, 30.0)), *of_case]
+    every = [
+        *pictures.judged_sheets(
+            judged, "petrel: petrel, first gains, sampled", Wanted({"gain_margin_db": 6.0, "phase_margin_deg": 30.0})
+        ),
+        *of_case,
+    ]
     with drawing():
         for name, draw in every:
             kept(draw(), Path(name))

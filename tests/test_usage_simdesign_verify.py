@@ -21,7 +21,7 @@ times_s = [20.0, 40.0]
 cases = 0
 corner_sigmas = 0.0
 [margins.nominal]
-aero_gain_db = {aero_db}
+gain_down_db = {aero_db}
 """
 
 
@@ -54,7 +54,7 @@ def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> N
     failed = next(
         n for n, line in enumerate(said) if line.startswith("REJECTED AT THE SCREENING") and "ksr3-relaxed" in line
     )
-    assert said[failed + 1].startswith("  rejected: aerodynamic gain margin, as designed: 9.36 dB")
+    assert said[failed + 1].startswith("  rejected: lower gain margin, as designed: 9.36 dB")
     assert said[failed + 2].split()[:3] == ["simverify", "out/ksr3-relaxed/design.toml", "--suite"]
     assert any(line.startswith("PASSED SCREENING: no dispersed flight flown") for line in said[failed:])
     assert said[-1].startswith("PASSED SCREENING by the suite suite.toml: out/ksr3-identical, candidate 2 of 2")
@@ -66,7 +66,7 @@ def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> N
 def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
     assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(20.0), "--out", "out") == 1
     said = capsys.readouterr().out
-    assert said.count("  rejected: aerodynamic gain margin, as designed") == 2
+    assert said.count("  rejected: lower gain margin, as designed") == 2
     assert said.splitlines()[-1] == "NONE PASSED the suite suite.toml"
 
 

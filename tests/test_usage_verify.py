@@ -17,13 +17,13 @@ import pytest
 
 from maxq.design.model.dispersion import NOMINAL, Dispersion
 from maxq.design.model.spread import Spread
+from maxq.design.quantities import SWEPT, LoopLimits, violation
 from maxq.design.verify import fitted as fitted_module
 from maxq.design.verify import verify as verify_module
 from maxq.design.verify.fitted import fit
 from maxq.design.verify.flown import campaign_requirements, load_flight, load_wanted
 from maxq.design.verify.judging import Check
 from maxq.design.verify.linear import (
-    MEASURES,
     Authority,
     MarginCase,
     MarginStudy,
@@ -40,9 +40,7 @@ from maxq.design.verify.suite import (
     UNDECIDED,
     LinearMargins,
     LoadedSuite,
-    MarginLimits,
     Requirement,
-    beyond,
     overall,
     read_suite,
     room_left,
@@ -140,7 +138,7 @@ def test_rejected_and_undecided_have_their_codes(
     assert code == 1
     verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
     assert 0.0 < sum(verdict["walls_s"].values()) <= verdict["wall_s"]
-    assert "rejected: gain margin up, all crossings, as designed" in said
+    assert "rejected: upper gain margin, as designed" in said
     code, said, _ = _run(
         capsys, "ksr3-robust", *quick, "--set", "margins.nominal.gain_up_db=3.0", "--set", "margins.success=0.99"
     )
@@ -456,20 +454,21 @@ def test_a_candidate_picked_because_it_passed_keeps_the_risk() -> None:
 def test_one_comparison_for_designs_and_verdicts() -> None:
     """30.00 deg that are asked for and found within the search's tolerance are met on both sides, with no room."""
     for value, met in ((30.0, True), (30.0 - 4e-4, True), (30.0 - 6e-4, False), (31.0, True)):
-        assert (beyond(value, 30.0, ">=", "deg") <= 0.0) == met
-        assert (beyond(-value, -30.0, "<=", "dB") <= 0.0) == met
+        assert (violation(value, 30.0, ">=", "deg") <= 0.0) == met
+        assert (violation(-value, -30.0, "<=", "dB") <= 0.0) == met
         check = Check("phase_margin_deg", "", "deg", ">=", 30.0, np.array([value]), np.array([1.0]))
         assert check.passed == met
-        one = np.full((1, 1, len(MEASURES)), np.inf)
-        one[..., list(MEASURES).index("phase_deg")] = value
-        assert meet_limits(one, MarginLimits(phase_deg=30.0)).tolist() == [met]
-    nodes = np.full((3, 2, len(MEASURES)), np.inf)  # limits are met by a vehicle that meets them at every node
-    nodes[0, 1, list(MEASURES).index("phase_deg")] = 29.0
+        one = np.full((1, 1, len(SWEPT)), np.inf)
+        one[..., SWEPT.index("rigid_phase_deg")] = value
+        assert meet_limits(one, LoopLimits(rigid_phase_deg=30.0)).tolist() == [met]
+    nodes = np.full((3, 2, len(SWEPT)), np.inf)  # limits are met by a vehicle that meets them at every node
+    nodes[0, 1, SWEPT.index("rigid_phase_deg")] = 29.0
     nodes[1, 0] = np.nan  # unstable
-    assert meet_limits(nodes, MarginLimits(phase_deg=30.0)).tolist() == [False, False, True]
+    assert meet_limits(nodes, LoopLimits(rigid_phase_deg=30.0)).tolist() == [False, False, True]
     at, none = np.array([1.0]), np.array([np.nan])
     assert not Check("phase_margin_deg", "", "deg", ">=", 30.0, none, at).passed  # of an unstable loop
-    assert Check("second_mode_db", "", "dB", "<=", 0.0, none, at).passed  # there is no such mode
+    assert Check("second_mode_db", "", "dB", "<=", 0.0, np.array([-np.inf]), at).passed  # there is no such mode
+    assert Check("first_mode_phase_deg", "", "deg", ">=", 45.0, np.array([np.inf]), at).passed  # nor this one
     assert room_left(30.0 - 4e-4, 30.0, ">=", "deg") == 0.0
     assert room_left(29.0, 30.0, ">=", "deg") == pytest.approx(-1.0 / 30.0)
 
@@ -485,10 +484,10 @@ NODE: Any = SimpleNamespace(
 
 def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     """Of random vehicles the worst is named, with the command that measures it alone."""
-    wanted = LinearMargins(cases=60, dispersed=MarginLimits(phase_deg=15.0))
-    values = np.full((60, 1, len(MEASURES)), np.inf)
-    values[:, 0, list(MEASURES).index("phase_deg")] = 20.0 - 0.1 * np.arange(60.0)
-    nominal = MarginCase("", ({"phase_deg": 28.0},))
+    wanted = LinearMargins(cases=60, dispersed=LoopLimits(rigid_phase_deg=15.0))
+    values = np.full((60, 1, len(SWEPT)), np.inf)
+    values[:, 0, SWEPT.index("rigid_phase_deg")] = 20.0 - 0.1 * np.arange(60.0)
+    nominal = MarginCase("", ({"rigid_phase_deg": 28.0},))
     study = MarginStudy("", "yaw", (40.0,), nominal, (), values)
     loaded = read_suite("standard", ["margins.seed=7"])
     *_, row = margin_requirements(study, wanted, lambda label: loaded.command("designs/ksr3-robust.toml", None, label))

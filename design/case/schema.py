@@ -18,6 +18,7 @@ from pydantic import Field
 from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.structures import MAX_SECTIONS, RELIEF, STRUCTURES, DesignedStructure, Law, Over
 from maxq.design.model.spread import Shares, Spread
+from maxq.design.quantities import CommonLimits, Degrees, RigidBody, ZoneName
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse
 from maxq.sim.scenario.files import builtin_files, find, shown
@@ -32,7 +33,6 @@ ObjectiveName = Literal["first-mode-peak", "least-margin", "load", "bending-mome
 
 Model = TypeVar("Model", bound=Section)
 Range = tuple[float, float]
-Margin = Annotated[float, Field(gt=0.0, le=90.0)]
 
 
 def _check_range(value: Range, key: str, lowest: float) -> None:
@@ -175,35 +175,35 @@ class SectionLimit(Section):
     rms_Nm: Positive = Field(description="largest rms in the wind of [wind], N m")
 
 
-class MarginLimits(Section):
-    """Limits of a loop; margins hold at every crossing, and the closed loop must be stable."""
+class DesignLimits(CommonLimits):
+    """Limits of one plant; a key that is absent sets none."""
 
-    gain_margin_db: Positive = optional("GM_R (44): customary, the paper gives none", 6.0)
-    phase_margin_deg: Margin = optional("PM_R (45): customary, the paper gives none", 30.0)
-    modulus_db: Annotated[float, Field(lt=0.0)] | None = optional("least |1 + L|")
-    first_mode_db: float | None = optional("largest peak of mode 1, where it is no objective")
-    second_mode_db: float = optional("P2_UL (43): as low as the gain margin asks; not in the paper", -6.0)
-    higher_modes_db: float | None = optional("largest peak of modes 3 and above; not in the paper")
-    first_mode_phase_deg: Margin | None = optional(
-        "phase margin at 0 dB around mode 1, up to 1.3 times or 1/1.3 of its frequency or half way to the next mode "
-        "(45 is customary for a phase-stabilised one)"
-    )
-    rigid_hz: PositiveOverTime = optional(
-        "omega_RB,min (47): what the paper's reference design was held to; a table {time_s, value} for one over the "
-        "vehicle clock, linear between its times",
-        0.5,
-    )
-    rigid_zeta: PositiveOverTime = optional("zeta_RB,min (48): likewise", 0.7)
+    renamed: ClassVar[dict[str, str]] = {"higher_modes_db": "modes_from_3_db"}
+
     q_alpha_Padeg: Positive | None = optional("largest rms of dynamic pressure times incidence in the wind of [wind]")
     drift_mps: Positive | None = optional("largest rms of the lateral velocity in the wind of [wind]")
     bending_moment: tuple[SectionLimit, ...] = optional("largest rms of the bending moment in the wind of [wind]", ())
     without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ())
 
 
+class MarginLimits(DesignLimits):
+    """Limits of a loop; margins hold at every crossing, and the closed loop must be stable."""
+
+    gain_margin_db: Positive = optional("GM_R (44): customary, the paper gives none", 6.0)
+    phase_margin_deg: Degrees = optional("PM_R (45): customary, the paper gives none", 30.0)
+    second_mode_db: float = optional("P2_UL (43): as low as the gain margin asks; not in the paper", -6.0)
+    rigid_hz: PositiveOverTime = optional(
+        "omega_RB,min (47): what the paper's reference design was held to; a table {time_s, value} for one over the "
+        "vehicle clock, linear between its times",
+        0.5,
+    )
+    rigid_zeta: PositiveOverTime = optional("zeta_RB,min (48): likewise", 0.7)
+
+
 class Limits(MarginLimits):
     """Limits of the nominal plants, and those of filter and method."""
 
-    zone: Literal["none", "ellipse", "diamond", "rectangle"] = optional(
+    zone: ZoneName = optional(
         "keep L out of a zone around -1 in the Nichols plane, half axes gain_margin_db, phase_margin_deg", "none"
     )
     filter_gain_at_infinity: Positive = optional(
@@ -213,7 +213,7 @@ class Limits(MarginLimits):
         "law pid: least corner k_i / (2 pi k_p) of the integral, Hz (default there: a tenth of rigid_hz)"
     )
     most_integral_hz: Positive | None = optional("law pid: largest corner of the integral, Hz (default: none)")
-    rigid_body: Literal["paper", "aerodynamic"] = optional(
+    rigid_body: RigidBody = optional(
         "frequency and damping ratio by (35), (36), or with M_alpha and M_q in them (erratum 12)", "paper"
     )
 
@@ -245,7 +245,7 @@ class DispersedLimits(MarginLimits):
     """Limits of the dispersed plants: half the nominal ones, as is practice."""
 
     gain_margin_db: Positive = optional("customary: half the nominal one", 3.0)
-    phase_margin_deg: Margin = optional("customary: half the nominal one", 15.0)
+    phase_margin_deg: Degrees = optional("customary: half the nominal one", 15.0)
     second_mode_db: float = optional("as low as the gain margin asks", -3.0)
     without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ("rigid_hz", "rigid_zeta"))
 

@@ -33,6 +33,7 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.control.structures import Over
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.model.vehicle_at import Plane
+from maxq.design.quantities import QUANTITIES, Quantity
 
 MEASUREMENTS = ("angle_rad", "rate_radps", "angle_integral_rads")
 ANGLES = MEASUREMENTS[::2]  # what follows from the angle
@@ -117,6 +118,15 @@ class LawLimit:
     unit: str
     linear: bool
     objective: bool = False
+
+    @staticmethod
+    def of(about: Quantity, linear: bool, objective: bool = False) -> LawLimit:
+        return LawLimit(about.label, about.unit, linear, objective)
+
+    @staticmethod
+    def on(key: str, linear: bool) -> LawLimit:
+        """Return the limit on the quantity of a key."""
+        return LawLimit.of(QUANTITIES[key], linear)
 
 
 @dataclass(frozen=True)

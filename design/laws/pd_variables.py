@@ -79,9 +79,9 @@ class PdVariables:
         self.full = case.limits.rigid_body == "aerodynamic"
         linear = not self.full
         self.limits: tuple[LawLimit, ...] = (
-            LawLimit("rigid-body frequency", "Hz", linear),
-            LawLimit("rigid-body damping", "", linear),
-            LawLimit("|F(j inf)|", "", True),
+            LawLimit.on("rigid_hz", linear),
+            LawLimit.on("rigid_zeta", linear),
+            LawLimit.on("filter_gain_at_infinity", True),
             *(LawLimit(f"|F(j inf)| with that of {bank}", "", True) for bank, loop in self._in_use),
         )
         nodes = _gain_nodes(task, self.schedule)
@@ -113,7 +113,7 @@ class PdVariables:
         small: tuple[Key, ...] = ("q_alpha_Padeg",) if load else case.objective_stations_m(stations)
         self._of_wind = [key for key in known if task.limits.asked(key) or key in small]
         self._first_of_wind = len(self.limits)
-        self.limits = (*self.limits, *(LawLimit(*quantity(key)[::2], False, key in small) for key in self._of_wind))
+        self.limits = (*self.limits, *(LawLimit.of(quantity(key), False, key in small) for key in self._of_wind))
         self.lower, self.upper = self._bounds(0), self._bounds(1)
 
     @property

@@ -39,8 +39,8 @@ class PidVariables(PdVariables):
         self.corners = [(self.integral_hz, 1.0)]  # Hz, and 1 for a bound from below, -1 from above
         if given.most_integral_hz is not None:
             self.corners.append((given.most_integral_hz, -1.0))
-        names = ("least corner of the integral", "largest corner of the integral")[: len(self.corners)]
-        self.limits = (*self.limits, *(LawLimit(name, "Hz", True) for name in names))
+        keys = ("integral_hz", "most_integral_hz")[: len(self.corners)]
+        self.limits = (*self.limits, *(LawLimit.on(key, True) for key in keys))
 
     def limit_values(self, own: Array) -> list[LimitValues]:
         """Those of PD, and k_i / (2 pi k_p)."""

@@ -13,29 +13,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import ComplexArray
+from maxq.design.quantities import QUANTITIES, Quantity
 
 LOWEST_HZ, HIGHEST_HZ, POINTS = 0.02, 5.0, 96
 FINE = 0.004  # step of ln f above it, where bending modes are: 8e-4 of the mean square at a damping ratio of 0.005
 LOAD, DRIFT, MOMENTS = 0, 1, 2  # outputs: moments are that and all behind it
 Key = str | float
 """A quantity: by the name of its limit, or a bending moment by its station."""
-WIND_LIMITS = {
-    "q_alpha_Padeg": ("load q alpha in wind, rms", "q alpha", "Pa deg"),
-    "drift_mps": ("drift in wind, rms", "drift", "m/s"),
-}
+WIND_LIMITS = ("q_alpha_Padeg", "drift_mps")
 
 
-def quantity(key: Key) -> tuple[str, str, str]:
-    """Text, heading of a column and unit."""
+def quantity(key: Key) -> Quantity:
+    """Return the quantity of a key, that of a station's bending moment with the station in its names."""
     if isinstance(key, str):
-        return WIND_LIMITS[key]
-    return f"bending moment at {key:g} m in wind, rms", f"M {key:g} m", "N m"
+        return QUANTITIES[key]
+    moment = QUANTITIES["bending_moment"]
+    label = moment.label.replace("moment", f"moment at {key:g} m")
+    return replace(moment, label=label, heading=f"{moment.heading} {key:g} m")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ DONE, UNSTABLE, HANDED_BACK = 0, 1, 2
 MINIMA = 8
 MEASURES = np.dtype([
     ("gain_up_db", float), ("gain_down_db", float), ("rigid_phase_deg", float), ("delay_s", float),
-    ("slosh_phase_deg", float), ("first_mode_phase_deg", float), ("second_and_higher_modes_db", float),
+    ("slosh_phase_deg", float), ("first_mode_phase_deg", float), ("modes_from_2_db", float),
     ("distance", float, MINIMA), ("distance_hz", float, MINIMA),
 ])  # fmt: skip  # a line for each otherwise
 """The measures of one loop. Margins are infinite where nothing bounds them and NaN for an unstable loop.
@@ -95,15 +95,15 @@ def margins_of_vehicle(
     out.gain_up_db, out.gain_down_db = bounds[measure.GAIN_UP, 0], bounds[measure.GAIN_DOWN, 0]
     out.rigid_phase_deg, out.delay_s = bounds[measure.RIGID_PHASE, 0], bounds[measure.DELAY, 0]
     out.slosh_phase_deg = out.first_mode_phase_deg = np.inf
-    out.second_and_higher_modes_db = -np.inf
+    out.modes_from_2_db = -np.inf
     for lobe in table:
         number, peak, turn = whose[int(lobe[lobes.NUMBER])], lobe[lobes.PEAK_DB], min(lobe[lobes.LAG], lobe[lobes.LEAD])
         if number < 0 and peak > peak_db:
             out.slosh_phase_deg = min(out.slosh_phase_deg, turn)
-        elif number == 1 and peak > 0.0:
+        elif number == 1:  # infinite where it is gain-stabilised
             out.first_mode_phase_deg = min(out.first_mode_phase_deg, turn)
         elif number > 1:
-            out.second_and_higher_modes_db = max(out.second_and_higher_modes_db, peak)
+            out.modes_from_2_db = max(out.modes_from_2_db, peak)
     return DONE
 
 

@@ -1,8 +1,8 @@
-"""What loops are made to and held to: the tables of objectives and of limits on features of the loop.
+"""How the optimiser treats the quantities of `design.quantities`: the tables of objectives and of limits.
 
-Each entry says what to look for on the curves, and how the features found are judged: as parts of
-(where, value, limit, excess in dB). A new objective or limit is an entry here, and the name that a case chooses it by
-(design/case/schema.py). Limits that belong to no frequency come with the law (`LawVariables.limits`).
+Each entry gives, by the key of its quantity, the features that are searched on the curves and how those found are
+judged: as parts of (where, value, limit, excess in dB). Limits that belong to no frequency come with the law
+(`LawVariables.limits`).
 
 A phase counts in decibels as the gain margin for the phase margin: 6 dB for 30 deg, 0.2 dB/deg.
 """
@@ -22,6 +22,7 @@ from maxq.design.laws.task import DB, PlantLimits
 from maxq.design.optimise import features
 from maxq.design.optimise.curves import Indices
 from maxq.design.optimise.features import Cross, Kind, LogLoop, Mask, Search
+from maxq.design.quantities import LAST_MODE, QUANTITIES
 
 
 @dataclass(frozen=True)
@@ -76,13 +77,26 @@ Part = tuple[Mask, Array, Array, Array]
 
 @dataclass(frozen=True)
 class Criterion:
-    """A row of a kind. `asked` tells whether any plant is held to it; `searches` of its features, if so."""
+    """The rows of a quantity of `QUANTITIES`, by its key.
 
-    text: str
-    unit: str
+    `searches` of its features are made where `asked` says that a plant is held to it.
+    """
+
+    key: str
     searches: tuple[Search, ...]
     parts: Callable[[Seen], list[Part]]
-    asked: Callable[[PlantLimits, Limits], bool] = lambda limits, common: True
+
+    @property
+    def text(self) -> str:
+        return QUANTITIES[self.key].label
+
+    @property
+    def unit(self) -> str:
+        return QUANTITIES[self.key].unit
+
+    def asked(self, limits: PlantLimits, common: Limits) -> bool:
+        """Return True where a plant is held to the quantity."""
+        return common.zone != "none" if self.key == "zone" else limits.asked(self.key)
 
 
 @dataclass(frozen=True)
@@ -100,12 +114,13 @@ class Objective:
     needs_mode: bool = False
 
 
-def _peak(name: str, which: Callable[[Indices], Mask]) -> Callable[[Seen], list[Part]]:
-    """`name` of the limit; none: an objective."""
+def _peak(key: str, first: int, last: int) -> Callable[[Seen], list[Part]]:
+    """Return the rows of the peaks of bending modes `first` to `last`; `key` of the limit, none for an objective."""
 
     def parts(seen: Seen) -> list[Part]:
-        most = seen.limit(name) if name else seen.none
-        return [(which(seen.mode), seen.gain_db, most, seen.gain_db - (most if name else 0.0))]
+        most = seen.limit(key) if key else seen.none
+        which = (seen.mode >= first) & (seen.mode <= last)
+        return [(which, seen.gain_db, most, seen.gain_db - (most if key else 0.0))]
 
     return parts
 
@@ -116,23 +131,23 @@ def _distance(seen: Seen) -> list[Part]:
 
 OBJECTIVES: dict[ObjectiveName, Objective] = {
     "first-mode-peak": Objective(
-        Criterion("peak of mode 1", "dB", (features.peaks,), _peak("", lambda mode: mode == 1)),
+        Criterion("first_mode_db", (features.peaks,), _peak("", 1, 1)),
         about="largest peak of mode 1",
         reached=lambda db: f"largest peak of mode 1 {db:.2f} dB",
         needs_mode=True,
     ),
     "least-margin": Objective(
-        Criterion("modulus margin", "dB", (features.approaches,), _distance),
+        Criterion("modulus_db", (features.approaches,), _distance),
         about="minus the least |1 + L|",
         reached=lambda db: f"least |1 + L| {10.0 ** (-db / 20.0):.3f}",
     ),
     "load": Objective(
-        Criterion("load q alpha in wind, rms", "Pa deg", (), lambda _: []),
+        Criterion("q_alpha_Padeg", (), lambda _: []),
         about="largest rms of q alpha, in dB over 1 Pa deg",
         reached=lambda db: f"largest rms of q alpha {10.0 ** (db / 20.0):.0f} Pa deg",
     ),
     "bending-moment": Objective(
-        Criterion("bending moment in wind, rms", "N m", (), lambda _: []),
+        Criterion("bending_moment", (), lambda _: []),
         about="largest rms of the bending moment, in dB over 1 N m",
         reached=lambda db: f"largest rms of the bending moment {10.0 ** (db / 20.0):.0f} N m",
     ),
@@ -151,9 +166,8 @@ def _gain_margin(seen: Seen) -> list[Part]:
 
 
 def _phase_margin(seen: Seen) -> list[Part]:
-    """(45) at every crossing of 0 dB but those of mode 1 with a limit of their own, and what approaches 0 dB."""
-    least, own = seen.limit("phase_margin_deg"), ~np.isnan(seen.limit("first_mode_phase_deg"))
-    crossing = (seen.kind == Kind.PHASE_CROSSING) & ~(own & seen.in_first_lobe)
+    """(45) at every crossing of 0 dB, and what approaches 0 dB within the margin without a crossing."""
+    least, crossing = seen.limit("phase_margin_deg"), seen.kind == Kind.PHASE_CROSSING
     turn = (seen.kind == Kind.GAIN_TURN) & (np.abs(seen.beside_deg) < least)
     return [
         (crossing, seen.beside_deg, least, (least - np.abs(seen.beside_deg)) * seen.db_per_deg),
@@ -177,15 +191,13 @@ def _zone(seen: Seen) -> list[Part]:
     return [(near, value, np.ones(len(near)), (1.0 - value) * seen.limit("gain_margin_db"))]
 
 
+PEAKS = {"first_mode_db": (1, 1), "second_mode_db": (2, 2), "modes_from_2_db": (2, LAST_MODE),
+         "modes_from_3_db": (3, LAST_MODE)}  # fmt: skip  # a table
 LIMITS: tuple[Criterion, ...] = (
-    Criterion("peak of mode 1", "dB", (features.peaks,), _peak("first_mode_db", lambda mode: mode == 1)),
-    Criterion("peak of mode 2", "dB", (features.peaks,), _peak("second_mode_db", lambda mode: mode == 2)),
-    Criterion("peak of modes 3 and above", "dB", (features.peaks,), _peak("higher_modes_db", lambda mode: mode > 2)),
-    Criterion("gain margin", "dB", (features.crossings, features.ends, features.turns), _gain_margin),
-    Criterion("phase margin", "deg", (features.crossings, features.turns), _phase_margin),
-    Criterion(
-        "modulus margin", "dB", (features.approaches,), _modulus, lambda limits, common: limits.asked("modulus_db")
-    ),
-    Criterion("Nichols zone", "", (features.near_zone,), _zone, lambda limits, common: common.zone != "none"),
-    Criterion("phase margin at mode 1", "deg", (features.crossings,), _first_mode_phase),
+    *(Criterion(key, (features.peaks,), _peak(key, *modes)) for key, modes in PEAKS.items()),
+    Criterion("gain_margin_db", (features.crossings, features.ends, features.turns), _gain_margin),
+    Criterion("phase_margin_deg", (features.crossings, features.turns), _phase_margin),
+    Criterion("modulus_db", (features.approaches,), _modulus),
+    Criterion("zone", (features.near_zone,), _zone),
+    Criterion("first_mode_phase_deg", (features.crossings,), _first_mode_phase),
 )

@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -17,75 +17,60 @@ from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.case.schema import Case, LoadedCase, MarginLimits
 from maxq.design.laws.design_file import design_of
-from maxq.design.laws.law import ANGLES
 from maxq.design.laws.task import limit_of
 from maxq.design.laws.wind import WIND_LIMITS, Key, quantity
 from maxq.design.loop.fixed_path import Kind
-from maxq.design.loop.loop import Loop
 from maxq.design.margins.budget import Budget, crossing_budgets
 from maxq.design.margins.distances import Zone
-from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins, margins
+from maxq.design.margins.measured_loop import LoopAtPoint, measure_loop
 from maxq.design.margins.multiloop import MultiloopMargins
-from maxq.design.model.instruments import ACCELERATION
 from maxq.design.model.node import Node
-from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivatives
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.plants import wind_of
 from maxq.design.optimise.robust import deviated
 from maxq.design.optimise.solution import Solution
-from maxq.design.verify.suite import beyond
+from maxq.design.quantities import MEASURED, QUANTITIES, Convention, Quantity, ZoneName, violation
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.schema_design import Adaptive, Design, Limits, LoopFilters, StageLaw
 from maxq.sim.scenario.schema_values import OverTime, at_time
 from maxq.sim.scenario.tables_csv import CsvTable
 
-PEAKS = ("first_mode_db", "second_mode_db", "higher_modes_db")
-RigidBody = Literal["paper", "aerodynamic"]
+JUDGED = (*MEASURED, "filter_gain_at_infinity")
+"""Keys of the limits that a design is judged by at its operating points, in the order in which they are shown."""
+ZONE = "clear of the {0.shape} {0.gain_db:g} dB, {0.phase_deg:g} deg"
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """Limits that a design is judged by; None: not asked for."""
+    """Limits that a design is judged by, by key of `QUANTITIES`."""
 
-    gain_margin_db: float | None = None
-    phase_margin_deg: float | None = None
+    limits: Mapping[str, float | OverTime] = field(default_factory=dict)
     zone: Zone | None = None
-    modulus_db: float | None = None
-    first_mode_db: float | None = None
-    first_mode_phase_deg: float | None = None
-    second_mode_db: float | None = None
-    higher_modes_db: float | None = None
-    rigid_hz: float | OverTime | None = None
-    rigid_zeta: float | OverTime | None = None
-    rigid_body: RigidBody = "paper"
-    filter_gain_at_infinity: float | None = None
+    by: Convention = field(default_factory=Convention)
 
     @staticmethod
     def of(limits: Any) -> Wanted:
-        """From any object with attributes of these names: a design's limits, or a case's, less those in `without`."""
-        names = [f.name for f in fields(Wanted) if f.name not in getattr(limits, "without", ())]
-        known = {name: getattr(limits, name) for name in names if getattr(limits, name, None) is not None}
-        shape = known.pop("zone", "none")
-        zone = None if shape == "none" else Zone(shape, known["phase_margin_deg"], known["gain_margin_db"])
-        return Wanted(**known, zone=zone)
+        """Return the limits of a section of a case or a design, less those in its `without`; none of None."""
+        left_out = getattr(limits, "without", ())
+        asked = {key: getattr(limits, key, None) for key in JUDGED if key not in left_out}
+        known = {key: value for key, value in asked.items() if value is not None}
+        shape: ZoneName = getattr(limits, "zone", None) or "none"
+        zone = None if shape == "none" else Zone(shape, limits.phase_margin_deg, limits.gain_margin_db)
+        return Wanted(known, zone, Convention(rigid_body=getattr(limits, "rigid_body", None) or "paper"))
+
+    def constant(self, key: str) -> float | None:
+        """Return a limit that does not change over time; None where it does, or is not set."""
+        limit = self.limits.get(key)
+        return None if isinstance(limit, OverTime) else limit
 
 
 @dataclass(frozen=True)
-class Judged:
-    """One node."""
+class Judged(LoopAtPoint):
+    """A loop at an operating point, and the adaptation of its design."""
 
-    node: Node
-    loop: Loop
-    margins: Margins
-    lobes: tuple[Lobe, ...]  # also of an unstable loop
-    derivatives: StabilityDerivatives | None  # None at rest
     adaptive: Adaptive | None = None
-
-    @property
-    def time_s(self) -> float:
-        return self.node.time_s
 
     @cached_property
     def budgets(self) -> dict[str, Budget]:
@@ -94,7 +79,7 @@ class Judged:
 
     @property
     def gain_margin_db(self) -> float:
-        """The lesser of gain up and gain down over all crossings; NaN if unstable."""
+        """The lesser of the upper and the lower gain margin over all crossings; NaN of an unstable loop."""
         return self.margins.gain_db
 
     @cached_property
@@ -103,30 +88,6 @@ class Judged:
         ends = () if self.adaptive is None else (self.adaptive.least_gain, self.adaptive.most_gain)
         loops = {gain: replace(self.loop, law=self.loop.law.scaled(gain)) for gain in ends}
         return {gain: margins(loop, resonances=self.loop.fixed.resonances()) for gain, loop in loops.items()}
-
-    @cached_property
-    def bending(self) -> dict[int, Lobe]:
-        """Lobes of the bending modes below the loop's end, by number."""
-        return {int(lobe.label.split()[1]): lobe for lobe in self.lobes if lobe.kind == "bending"}
-
-    def rigid(self, body: RigidBody) -> tuple[float, float]:
-        """Frequency (Hz) and damping ratio: `paper` eqs 35, 36; `aerodynamic` with M_alpha and M_q (erratum 12)."""
-        d = self.derivatives
-        if d is None:
-            return math.nan, math.nan
-        m_alpha, m_q = (d.m_alpha_1ps2, d.m_q_1ps) if body == "aerodynamic" else (0.0, 0.0)
-        square = d.m_delta_1ps2 * self.loop.law.static_gain("angle_rad") - m_alpha
-        if square <= 0.0:
-            return 0.0, math.nan
-        omega = math.sqrt(square)
-        law = self.loop.law
-        rates = [name for name in law.inputs if name not in (*ANGLES, ACCELERATION)]  # all gyros of a blended rate
-        damping = d.m_delta_1ps2 * sum(law.static_gain(name) for name in rates) - m_q
-        return omega / (2.0 * math.pi), damping / (2.0 * omega)
-
-    def peak_db(self, first: int, last: int) -> float:
-        """Largest |L| in the lobes of these bending modes; NaN where there is none below the loop's end."""
-        return max((lobe.peak_db for n, lobe in self.bending.items() if first <= n <= last), default=math.nan)
 
 
 @dataclass(frozen=True)
@@ -140,12 +101,16 @@ class Check:
     limit: float | Array  # one each, where it changes over time
     values: Array
     time_s: Array  # NaN for the filter
-    short: str = ""  # heading of a column, where `LIMITS` has none
+    short: str = ""  # heading of a column, where `QUANTITIES` has none
+
+    @property
+    def heading(self) -> str:
+        """The heading of a column."""
+        return QUANTITIES[self.key].heading if self.key in QUANTITIES else self.short or self.text
 
     def met(self) -> np.ndarray:
-        """For each value. NaN of an unstable loop is not met; a peak that does not exist is."""
-        absent = np.isnan(self.values) & (self.key in PEAKS)
-        return np.asarray((beyond(self.values, self.limit, self.sense, self.unit) <= 0.0) | absent)
+        """Return True for each value that meets the limit; NaN, of an unstable loop, does not."""
+        return np.asarray(violation(self.values, self.limit, self.sense, self.unit) <= 0.0)
 
     @property
     def passed(self) -> bool:
@@ -171,46 +136,12 @@ def judge(
     """Margins of the design at every node, by the axis of each node. `tell` is called with the number done."""
     out = []
     for n, loop in enumerate(api.loops(nodes, design, kind=kind)):
-        node = loop.fixed.node
-        resonances = loop.fixed.resonances()
-        measured = margins(loop, resonances=resonances)
-        try:
-            derivatives = stability_derivatives(node.vehicle, node.condition)
-        except ValueError:
-            derivatives = None
-        out.append(Judged(node, loop, measured, measured.lobes, derivatives, design.of_stage(node.stage).adaptive))
+        found = measure_loop(loop)
+        adaptive = design.of_stage(found.node.stage).adaptive
+        out.append(Judged(found.loop, found.margins, adaptive))
         if tell is not None:
             tell(n + 1)
     return out
-
-
-@dataclass(frozen=True)
-class Limit:
-    """A quantity that `Wanted` can limit at every node: title, heading of a column, unit, sense, and its value."""
-
-    text: str
-    short: str
-    unit: str
-    sense: Literal[">=", "<="]
-    value: Callable[[Judged, Wanted], float]
-
-
-ZONE = "clear of the {0.shape} {0.gain_db:g} dB, {0.phase_deg:g} deg"
-LIMITS = {
-    "gain_margin_db": Limit("gain margin", "gain dB", "dB", ">=", lambda j, _: j.gain_margin_db),
-    "phase_margin_deg": Limit("phase margin", "phase deg", "deg", ">=", lambda j, _: j.margins.phase_deg.value),
-    "zone": Limit(ZONE, "zone", "", ">=", lambda j, w: _clearance(j, w.zone)),
-    "modulus_db": Limit(
-        "least |1 + L|", "|1+L| dB", "dB", ">=", lambda j, _: 20.0 * math.log10(j.margins.modulus or math.nan)
-    ),
-    "first_mode_db": Limit("peak of mode 1", "mode 1 dB", "dB", "<=", lambda j, _: j.peak_db(1, 1)),
-    "first_mode_phase_deg": Limit("phase margin at mode 1", "mode 1 deg", "deg", ">=", lambda j, _: _phase_deg(j)),
-    "second_mode_db": Limit("peak of mode 2", "mode 2 dB", "dB", "<=", lambda j, _: j.peak_db(2, 2)),
-    "higher_modes_db": Limit("peak of modes 3 and above", "modes 3+ dB", "dB", "<=", lambda j, _: j.peak_db(3, 99)),
-    "rigid_hz": Limit("rigid-body frequency", "rigid Hz", "Hz", ">=", lambda j, w: j.rigid(w.rigid_body)[0]),
-    "rigid_zeta": Limit("rigid-body damping ratio", "rigid zeta", "", ">=", lambda j, w: j.rigid(w.rigid_body)[1]),
-}
-"""By the names of `Wanted`, in the order in which they are shown."""
 
 
 def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Check]:
@@ -224,22 +155,26 @@ def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Che
         if held:
             text = f"unstable at a total gain of {held[0][1]:g}"
             out.append(Check(f"total_{end}", text, "", "<=", 0.0, np.array(poles), np.array([t for t, _ in held])))
-    for key, about in LIMITS.items():
-        asked = getattr(wanted, key)
-        if asked is None:
+    if wanted.zone is not None:
+        text = ZONE.format(wanted.zone)
+        out.append(Check("zone", text, "", ">=", 0.0, np.array([_clearance(j, wanted.zone) for j in judged]), time_s))
+    for key, asked in wanted.limits.items():
+        about = QUANTITIES[key]
+        if about.value is None:
             continue
-        limit: float | Array = 0.0 if isinstance(asked, Zone) else asked
-        limit = at_time(asked, time_s) if isinstance(asked, OverTime) else float(limit)
-        text = about.text.format(asked) if isinstance(asked, Zone) else about.text
-        values = np.array([about.value(j, wanted) for j in judged])
-        out.append(Check(key, text, about.unit, about.sense, limit, values, time_s))
-    if wanted.filter_gain_at_infinity is not None:
-        limit, gains = float(wanted.filter_gain_at_infinity), []
+        limit = at_time(asked, time_s) if isinstance(asked, OverTime) else float(asked)
+        values = np.array([about.value(j, wanted.by) for j in judged])
+        out.append(Check(key, about.label, about.unit, about.sense, limit, values, time_s))
+    most = wanted.constant("filter_gain_at_infinity")
+    if most is not None:
+        gains, about = [], QUANTITIES["filter_gain_at_infinity"]
         for flt in (bending_filter(design.of_stage(stage)) for stage in sorted({j.node.stage for j in judged})):
             gain = math.prod((q.pole_hz / q.zero_hz) ** 2 for q in flt.quadratic)
             gains.append(gain * math.prod(f.pole_hz / abs(f.zero_hz) for f in flt.first_order))
         never = np.full(len(gains), np.nan)
-        out.append(Check("filter_gain_at_infinity", "|F(j inf)|", "", "<=", limit, np.array(gains, float), never))
+        out.append(
+            Check("filter_gain_at_infinity", about.label, "", about.sense, most, np.array(gains, float), never)
+        )  # fmt: skip  # three more lines otherwise
     return out
 
 
@@ -252,26 +187,21 @@ def multiloop_checks(found: Sequence[MultiloopMargins], wanted: Wanted) -> list[
     out = [Check("coupled_unstable", "unstable with all axes", "", "<=", 0.0, unstable, time_s)]
     measures: dict[str, Callable[[Margins], float]] = {
         "gain_margin_db": lambda m: m.gain_db, "phase_margin_deg": lambda m: m.phase_deg.value,
-    }  # fmt: skip  # a line more otherwise
+    }  # fmt: skip  # a table
     for key, measure in measures.items():
-        limit, about = getattr(wanted, key), LIMITS[key]
+        limit, about = wanted.constant(key), QUANTITIES[key]
         for k, axis in enumerate(found[0].axes if limit is not None else ()):
-            values, text = np.array([measure(m.each[k]) for m in found]), f"{about.text}, {axis}, other axes closed"
-            out.append(Check(f"coupled_{axis}_{key}", text, about.unit, about.sense, float(limit), values, time_s))
+            assert limit is not None
+            values, text = np.array([measure(m.each[k]) for m in found]), f"{about.label}, {axis}, other axes closed"
+            out.append(Check(f"coupled_{axis}_{key}", text, about.unit, about.sense, limit, values, time_s))
     return out
 
 
-def _clearance(j: Judged, zone: Zone | None) -> float:
-    assert zone is not None
+def _clearance(j: Judged, zone: Zone) -> float:
     known = j.margins.clearances
     if j.margins.stable and all(c.zone != zone for c in known):
         known = margins(j.loop, resonances=(), zones=(zone,)).clearances
     return next((c.value for c in known if c.zone == zone), math.nan)
-
-
-def _phase_deg(j: Judged) -> float:
-    """Least of lag and lead at the lobe of mode 1; infinite where it is gain-stabilised."""
-    return j.bending[1].phase_deg if 1 in j.bending else math.nan
 
 
 @dataclass(frozen=True)
@@ -287,8 +217,7 @@ class InWind:
         return self.key if isinstance(self.key, str) else f"bending_moment_{self.key:g}_m"
 
     @property
-    def about(self) -> tuple[str, str, str]:
-        """Text, heading of a column and unit."""
+    def about(self) -> Quantity:
         return quantity(self.key)
 
 
@@ -338,8 +267,8 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
 
     def alone(solution: Solution) -> Design:
         wanted, stage = wanted_of(solution.case), solution.nodes[0].stage
-        given = {name: getattr(wanted, name) for name in Limits.model_fields}
-        given["rigid_body"] = None if wanted.rigid_body == "paper" else wanted.rigid_body
+        given: dict[str, Any] = {name: wanted.limits.get(name) for name in Limits.model_fields}
+        given["rigid_body"] = None if wanted.by.rigid_body == "paper" else wanted.by.rigid_body
         rolls = own.of_stage(stage) if own else None
         designed = design_of(
             name=loaded.name, description=text, vehicle=loaded.scenario.vehicle.name, law=solution.law,
@@ -405,7 +334,8 @@ def wanted_of(case: Case) -> Wanted:
     """The case's limits; a two-phase design is held to the reference's rigid-body motion."""
     wanted = Wanted.of(case.limits)
     if case.gains.schedule == "two-phase":
-        wanted = replace(wanted, rigid_hz=case.reference.rigid_hz, rigid_zeta=case.reference.rigid_zeta)
+        reference = {"rigid_hz": case.reference.rigid_hz, "rigid_zeta": case.reference.rigid_zeta}
+        wanted = replace(wanted, limits={**wanted.limits, **reference})
     return wanted
 
 
@@ -462,7 +392,9 @@ def wind_checks(found: Sequence[InWind], limits: MarginLimits, nodes: Sequence[N
     """The limits of what wind does."""
     time_s, out = np.array([node.time_s for node in nodes]), []
     for one in found:
-        limit, (text, short, unit) = limit_of(limits, one.key), one.about
+        limit, about = limit_of(limits, one.key), one.about
         if limit is not None:
-            out.append(Check(f"wind_{one.name}", text, unit, "<=", limit, one.rms, time_s, short))
+            out.append(
+                Check(f"wind_{one.name}", about.label, about.unit, about.sense, limit, one.rms, time_s, about.heading)
+            )  # fmt: skip  # three more lines otherwise
     return out

@@ -31,42 +31,29 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK
-from maxq.design.margins.measure import margins
+from maxq.design.margins.measured_loop import measure_loop
 from maxq.design.model.dispersion import Dispersion, disperse
 from maxq.design.model.node import Node, at_same_propellant_s, flown_run, flown_to, met_by, node_of
 from maxq.design.model.spread import correlation, places_of, root_of_correlation, vehicle_at_places
 from maxq.design.model.vehicle_at import stability_derivatives
+from maxq.design.quantities import MEASURED, SWEPT, Convention, LoopLimits
 from maxq.design.verify import suite
 from maxq.design.verify.memory import Memory, counted
-from maxq.design.verify.suite import AS_DESIGNED, LinearMargins, MarginLimits, Requirement, beyond
+from maxq.design.verify.suite import AS_DESIGNED, LinearMargins, Requirement
 from maxq.sim.campaign.draws import cholesky
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.statistics import allowed_failures, judge_failures, tolerance_bound
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import told
 from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_values import at_time
 
-MEASURES = {
-    "gain_up_db": ("gain margin up, all crossings", "dB", ">="),
-    "aero_gain_db": ("aerodynamic gain margin", "dB", ">="),
-    "phase_deg": ("phase margin, rigid body", "deg", ">="),
-    "delay_ms": ("delay margin", "ms", ">="),
-    "slosh_phase_deg": ("slosh: phase margin", "deg", ">="),
-    "first_mode_phase_deg": ("first mode: phase margin", "deg", ">="),
-    "higher_modes_db": ("modes 2 and above: peak", "dB", "<="),
-}
-"""What is measured, by the key of its limit (`MarginLimits`): title, unit, sense of the limit."""
-_COLUMNS = (
-    ("gain_up_db", 1.0), ("gain_down_db", 1.0), ("rigid_phase_deg", 1.0), ("delay_s", 1e3), ("slosh_phase_deg", 1.0),
-    ("first_mode_phase_deg", 1.0), ("second_and_higher_modes_db", 1.0),
-)  # fmt: skip  # a line for each otherwise
-"""The field of `many.MEASURES` that each of MEASURES is, and its unit in that of the field."""
 INSTANTS_S = (0.5, 0.05, 0.005)
 """Steps of the search for the worst instant between nodes, coarse to fine."""
 NEAR = 0.01
 """How near to its limit a margin is measured once more, dB, deg or ms."""
-WORSE = {"dB": 0.02, "deg": 0.1, "ms": 0.05}
-"""What an instant must be worse by to become a node."""
+WORSE = {"dB": 0.02, "deg": 0.1, "ms": 0.05, "Hz": 0.002, "": 0.005}
+"""The amount by which an instant must be worse to become a node, by unit."""
 _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett-Burman design of twelve runs
 _FACTORS = (
     "bending_frequency", "bending_slope", "bending_damping", "slosh_frequency", "slosh_mass", "slosh_damping",
@@ -75,7 +62,7 @@ _FACTORS = (
 
 
 Measured = dict[str, float]
-"""Margins of a loop by the names of `MEASURES`; empty where it is unstable, infinite where nothing limits them."""
+"""Quantities of a loop by key (`MEASURED`); empty where it is unstable, infinite where nothing limits them."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +77,7 @@ class MarginCase:
 class MarginStudy:
     """Margins of a design in one plane of one stage: nominal vehicle, corners, and random vehicles.
 
-    `stage`: its name, "" of the only one. `random` (vehicles, nodes, MEASURES): NaN all over of an unstable loop,
+    `stage`: its name, "" of the only one. `random` (vehicles, nodes, SWEPT): NaN all over of an unstable loop,
     infinite where nothing limits a margin; the first is vehicle number `first`. `exact`: how many of these loops were
     measured by `margins` itself.
     """
@@ -106,36 +93,19 @@ class MarginStudy:
 
     def case(self, k: int) -> MarginCase:
         """The k-th random vehicle."""
-        rows = [dict(zip(MEASURES, row, strict=True)) for row in self.random[k].tolist()]
+        rows = [dict(zip(SWEPT, row, strict=True)) for row in self.random[k].tolist()]
         stable = ~np.isnan(self.random[k]).all(axis=-1)
         return MarginCase(f"vehicle {self.first + k}", tuple(r if s else {} for r, s in zip(rows, stable, strict=True)))
 
 
 def measured(loop: Loop, slosh_peak_db: float) -> Measured:
-    """The margins of `MEASURES` of a loop."""
-    found = margins(loop, resonances=loop.fixed.resonances())
-    if not found.stable:
-        return {}
-    slosh = [x.phase_deg for x in found.lobes if x.kind == "slosh" and x.peak_db > slosh_peak_db]
-    first = [x.phase_deg for x in found.lobes if x.label == "bending 1" and x.peak_db > 0.0]
-    higher = [x.peak_db for x in found.lobes if x.kind == "bending" and x.label != "bending 1"]
-    values = (
-        found.gain_up_db.value,
-        min(found.aero_gain_db.value, found.gain_down_db.value),
-        found.rigid_phase_deg.value,
-        1e3 * found.delay_s.value,
-        min(slosh, default=math.inf),
-        min(first, default=math.inf),
-        max(higher, default=-math.inf),
-    )
-    return {name: float(v) for name, v in zip(MEASURES, values, strict=True)}
+    """Return the quantities of a loop; empty where it is unstable."""
+    found = measure_loop(loop)
+    return found.quantities(Convention(slosh_peak_db=slosh_peak_db)) if found.margins.stable else {}
 
 
 def worst_instants(
-    nodes_at: Callable[[Sequence[float]], Sequence[Node]],
-    design: Design,
-    times_s: Sequence[float],
-    limits: MarginLimits,
+    nodes_at: Callable[[Sequence[float]], Sequence[Node]], design: Design, times_s: Sequence[float], limits: LoopLimits
 ) -> list[float]:
     """Instants (s) between the first and the last node of a stage at which a margin that is asked for is worst.
 
@@ -152,14 +122,14 @@ def worst_instants(
         value = known[t].get(name, math.nan)
         if not known[t]:
             return math.inf
-        return -math.inf if math.isnan(value) else -value if MEASURES[name][2] == ">=" else value
+        return -math.inf if math.isnan(value) else MEASURED[name].badness(value)
 
     def measure(wanted_s: Iterable[float]) -> None:
         missing = sorted({float(t) for t in wanted_s if first <= t <= last} - known.keys())
         for t, node in zip(missing, nodes_at(missing) if missing else (), strict=True):
             known[t] = measured(Loop(fixed_path(node), api.law_at(design, node)), limits.slosh_peak_db)
 
-    asked = [name for name in MEASURES if getattr(limits, name) is not None]
+    asked = [name for name in MEASURED if getattr(limits, name) is not None]
     first, last = min(times_s), max(times_s)
     measure([*times_s, *np.arange(first, last, INSTANTS_S[0]).round(6)])
     for coarse, fine in itertools.pairwise(INSTANTS_S):
@@ -168,7 +138,7 @@ def worst_instants(
     out = set()
     for name in asked:
         t = max(known, key=lambda t: worse(name, t))
-        if worse(name, t) > max(worse(name, at) for at in times_s) + WORSE[MEASURES[name][1]]:
+        if worse(name, t) > max(worse(name, at) for at in times_s) + WORSE[MEASURED[name].unit]:
             out.add(t)
     return sorted(out)
 
@@ -266,7 +236,7 @@ def study(
         def work_out() -> tuple[Measured, Array, int]:
             nominal = measured(Loop(fixed_path(node), law), peak_db)
             dispersed = _Dispersed(node, design, wanted.dispersed)
-            table, exact = np.full((len(corners) + len(drawn), len(MEASURES)), math.nan), 0
+            table, exact = np.full((len(corners) + len(drawn), len(SWEPT)), math.nan), 0
             for j, flight in enumerate(flown):
                 mine = np.arange((j - first + 1) % len(flown), len(drawn), len(flown)) + len(corners)
                 exact += dispersed.measure(flight, [drawn[i - len(corners)] for i in mine], table, mine)
@@ -294,7 +264,7 @@ class _Dispersed:
 
     node: Node
     design: Design
-    limits: MarginLimits
+    limits: LoopLimits
 
     @cached_property
     def _loops(self) -> ManyLoops | None:
@@ -311,14 +281,14 @@ class _Dispersed:
         again = np.arange(len(rows))
         if self._loops is not None:
             values, status = self._loops.measure(every, self.limits.slosh_peak_db, flight)
-            values = np.array([values[name] * scale for name, scale in _COLUMNS]).T
+            values = np.array([1e3 * values["delay_s"] if key == "delay_ms" else values[key] for key in SWEPT]).T
             table[rows] = np.where((status == DONE)[:, None], values, math.nan)
-            limits = np.array([getattr(self.limits, name) for name in MEASURES], float)  # nan: none
+            limits = np.array([getattr(self.limits, name) for name in SWEPT], float)  # nan: none
             again = np.flatnonzero((status == HANDED_BACK) | (np.abs(values - limits) < NEAR).any(axis=1))
         law = api.law_at(self.design, self.node)
         for k in again.tolist():
             found = measured(Loop(fixed_path(disperse(flight, every[k])), law), self.limits.slosh_peak_db)
-            table[rows[k]] = [found.get(name, math.nan) for name in MEASURES]
+            table[rows[k]] = [found.get(name, math.nan) for name in SWEPT]
         return len(again)
 
 
@@ -363,46 +333,48 @@ def _limits(
     at: str,
     whose: str,
     cases: Sequence[MarginCase],
-    limits: MarginLimits,
+    limits: LoopLimits,
     found: MarginStudy,
     again: Callable[[str], str],
 ) -> list[Requirement]:
     """Stability, and the limits on the stable loops."""
     stage = f", {found.stage}" if found.stage else ""
     places = [
-        (", ".join(filter(None, (c.label, f"{t:g} s", found.plane))), n, again(c.label or AS_DESIGNED))
+        (", ".join(filter(None, (c.label, f"{t:g} s", found.plane))), n, again(c.label or AS_DESIGNED), t)
         for c in cases
         for t, n in zip(found.times_s, c.nodes, strict=True)
     ]
-    bad = [(where, command) for where, n, command in places if not n]
+    bad = [(where, command) for where, n, command, _ in places if not n]
     state = ("stable", suite.ACCEPTED, math.nan, "", 0, "")
     if bad:
         state = (f"{len(bad)} of {len(places)} loops unstable", suite.REJECTED, -1.0, bad[0][0], 0, bad[0][1])
     out = [Requirement(part, f"stable {at}{stage}", "stable", *state)]
-    for name, (title, unit, sense) in MEASURES.items():
-        limit = getattr(limits, name)
-        rows = [(n[name], where, command) for where, n, command in places if not math.isnan(n.get(name, math.nan))]
-        if limit is None or not rows:
+    for name, about in MEASURED.items():
+        asked = getattr(limits, name)
+        known = [place for place in places if asked is not None and not math.isnan(place[1].get(name, math.nan))]
+        if not known:
             continue
-        value, where, command = (min if sense == ">=" else max)(rows, key=lambda r: r[0])
+        rows = [(n[name], float(at_time(asked, t)), where, command) for where, n, command, t in known]
+        value, limit, where, command = max(rows, key=lambda r: about.violation(r[0], r[1]))
         out.append(
             Requirement(
-                part, ", ".join(filter(None, (title, whose, found.stage))), f"{sense} {limit:g} {unit}",
-                f"{value:.2f} {unit}" if math.isfinite(value) else "free",
-                suite.REJECTED if beyond(value, limit, sense, unit) > 0.0 else suite.ACCEPTED,
-                suite.room_left(value, limit, sense, unit), where, again=command,
+                part, ", ".join(filter(None, (about.label, whose, found.stage))),
+                f"{about.sense} {limit:g} {about.unit}".rstrip(),
+                f"{value:.2f} {about.unit}".rstrip() if math.isfinite(value) else "free",
+                suite.REJECTED if about.violation(value, limit) > 0.0 else suite.ACCEPTED,
+                suite.room_left(value, limit, about.sense, about.unit), where, again=command,
             )
         )  # fmt: skip  # four more lines otherwise
     return out
 
 
-def meet_limits(values: Array, limits: MarginLimits) -> NDArray[np.bool_]:
-    """Which vehicles (vehicles, nodes, MEASURES) are stable and meet every limit at every node."""
+def meet_limits(values: Array, limits: LoopLimits) -> NDArray[np.bool_]:
+    """Return True for the vehicles (vehicles, nodes, SWEPT) that are stable and meet every limit at every node."""
     met = ~np.isnan(values).all(axis=-1)
-    for column, (name, (_, unit, sense)) in enumerate(MEASURES.items()):
+    for column, name in enumerate(SWEPT):
         limit = getattr(limits, name)
         if limit is not None:  # what is not there cannot miss it
-            met &= ~(beyond(values[..., column], limit, sense, unit) > 0.0)
+            met &= ~(MEASURED[name].violation(values[..., column], limit) > 0.0)
     return np.asarray(met.all(axis=-1))
 
 
@@ -410,12 +382,12 @@ def percentiles(values: Array, name: str, confidence: float, shares: Sequence[fl
     """What at most so many (`shares`) of all vehicles are worse than, with that confidence, at each node: (shares,
     nodes).
 
-    Order statistics (tolerance_bound), of values (vehicles, nodes, MEASURES); NaN where there are too few vehicles. An
+    Order statistics (tolerance_bound), of values (vehicles, nodes, SWEPT); NaN where there are too few vehicles. An
     unstable loop counts as worst.
     """
-    column = values[..., list(MEASURES).index(name)]
+    column = values[..., SWEPT.index(name)]
     allowed = [allowed_failures(len(values), 1.0 - share, confidence) for share in shares]
-    largest = MEASURES[name][2] == "<="
+    largest = MEASURED[name].sense == "<="
     return np.array([[tolerance_bound(at, k, largest) for at in column.T] for k in allowed])
 
 

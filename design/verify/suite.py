@@ -21,6 +21,7 @@ from pydantic import Field
 
 from maxq.design.model.node import EDGES, NODES_PER_STAGE
 from maxq.design.model.spread import Share, Spread
+from maxq.design.quantities import MEASURED, SWEPT, LoopLimits, violation
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.scenario.documents import Text
@@ -35,7 +36,6 @@ ACCEPTED: Judgement = "accepted"
 SCREENED: Judgement = "passed screening"  # every requirement of a suite that asks too little to accept anything
 REJECTED: Judgement = "rejected"
 UNDECIDED: Judgement = "undecided"
-TOLERANCE = 5e-4  # dB, deg: a limit that a design lies on counts as met; rounding of a file's digits is far less
 
 
 @dataclass(frozen=True)
@@ -78,25 +78,15 @@ def judgement_of(shown: str) -> Judgement:
     return ACCEPTED if shown == MET else REJECTED if shown == NOT_MET else UNDECIDED
 
 
-def beyond(value: Any, limit: Any, sense: str, unit: str) -> Any:
-    """By how much margins of the loop miss a limit (`sense` "<=" or ">="); 0 or less: it is met.
-
-    What lies on its limit within the tolerance of the search that put it there is met: TOLERANCE in dB and deg, 1e-4
-    of the limit in other units. simdesign and simverify both judge by this. Numbers or arrays; NaN stays.
-    """
-    tolerance = TOLERANCE if unit in ("dB", "deg") else 1e-4 * abs(limit)
-    return (value - limit if sense == "<=" else limit - value) - tolerance
-
-
 def room_left(value: float, bound: float, sense: str, unit: str = "") -> float:
     """Share of a bound that is left, negative beyond it; `sense` "<=" or ">="; NaN for a bound of zero.
 
-    `unit` of a margin: where it is met within the tolerance of `beyond` no room is left, and none is missing.
+    `unit` of a margin: where it is met within the tolerance of `violation` no room is left, and none is missing.
     """
     if bound == 0.0:
         return math.nan
     left = (bound - value if sense == "<=" else value - bound) / abs(bound)
-    return max(left, 0.0) if unit and beyond(value, bound, sense, unit) <= 0.0 else left
+    return max(left, 0.0) if unit and violation(value, bound, sense, unit) <= 0.0 else left
 
 
 AS_DESIGNED, CERTIFICATE, WORST = "as designed", "certificate", "worst"
@@ -164,19 +154,6 @@ class Flown(Section):
         return out
 
 
-class MarginLimits(Section):
-    """Least margins; those that are absent are not asked for."""
-
-    gain_up_db: float | None = optional("gain that may be added, over all crossings, dB")
-    aero_gain_db: float | None = optional("gain that may be taken away, rigid body, dB")
-    phase_deg: float | None = optional("phase margin over rigid crossings, deg")
-    delay_ms: float | None = optional("delay margin over all crossings, ms")
-    slosh_phase_deg: float | None = optional("phase margin of slosh lobes that are above slosh_peak_db, deg")
-    slosh_peak_db: float = optional("slosh below this needs no phase, dB", -6.0)
-    first_mode_phase_deg: float | None = optional("phase margin of the first mode where it is above 0 dB, deg")
-    higher_modes_db: float | None = optional("peak of the second mode and above, dB")
-
-
 TIMES = "vehicle times, s (default: chosen from the flight, in every stage under full thrust)"
 
 
@@ -228,10 +205,16 @@ class LinearMargins(Section):
         "factors at 1.5 sigma together are as unlikely as one at 5",
         1.5,
     )
-    nominal: MarginLimits = MarginLimits()
-    dispersed: MarginLimits = MarginLimits()
+    nominal: LoopLimits = LoopLimits()
+    dispersed: LoopLimits = LoopLimits()
     three_sigma: Spread = Spread()
     worst: WorstWanted | None = optional("absent: not searched")
+
+    def _check(self) -> None:
+        for key in MEASURED:
+            if key not in SWEPT and getattr(self.dispersed, key) is not None:
+                allowed = f"limits on {', '.join(SWEPT)}"
+                raise refuse("is not measured of dispersed vehicles", allowed, ("dispersed", key))
 
 
 class CertificateWanted(Section):

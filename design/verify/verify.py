@@ -28,6 +28,7 @@ from maxq.design.certificate.measured_only import MeasuredNode, measure_node
 from maxq.design.model.node import EDGES, Node, loss_text, node_times, powered_flight, powered_spans
 from maxq.design.model.spread import resolved
 from maxq.design.model.vehicle_at import Plane
+from maxq.design.quantities import MEASURED, LoopLimits
 from maxq.design.verify import flown, linear
 from maxq.design.verify.fitted import fit
 from maxq.design.verify.memory import Memory, code_hash, content_hash, counted
@@ -43,7 +44,6 @@ from maxq.design.verify.suite import (
     Judgement,
     LinearMargins,
     LoadedSuite,
-    MarginLimits,
     Requirement,
     Suite,
     WorstWanted,
@@ -195,7 +195,7 @@ def verify(
         )
 
     requirements += certificate_requirements(certificates, through, at_node)
-    requirements += measured_requirements(measured, suite.margins.nominal if suite.margins else MarginLimits())
+    requirements += measured_requirements(measured, suite.margins.nominal if suite.margins else LoopLimits())
     for campaign in campaigns:
         requirements += flown.campaign_requirements(campaign)
     hashed = content_hash(repr(scenario.design)), content_hash(scenario.as_flown), code_hash()
@@ -421,7 +421,7 @@ def tank_name(vehicle: Vehicle, stage: int, tank: int) -> str:
 _MEASURED = "measured only"
 
 
-def measured_requirements(nodes: Sequence[MeasuredNode], limits: MarginLimits) -> list[Requirement]:
+def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> list[Requirement]:
     """Of flight code without a linear model: stable when held, and margins as they are limited for a linear loop."""
     if not nodes:
         return []
@@ -436,22 +436,23 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: MarginLimits) -
     shaky = [n for n in nodes if not n.stable]
     said = f"{len(nodes) - len(shaky)} of {len(nodes)} nodes"
     out = [judged("stable in held flight", "at every node", said, shaky)]
-    quantities: tuple[tuple[str, str, float | None, float, Callable[[MeasuredNode], float]], ...] = (
-        ("gain margin up", "dB", limits.gain_up_db, 1.0, lambda n: n.margin("gain_up")),
-        ("gain margin down", "dB", limits.aero_gain_db, 1.0, lambda n: n.margin("gain_down")),
-        ("delay margin", "ms", limits.delay_ms, 1e3, lambda n: n.margin("delay")),
-        ("phase margin between lines", "deg", limits.phase_deg, 1.0, lambda n: n.phase_deg),
-    )
-    for name, unit, limit, factor, read in quantities:
-        stable = [n for n in nodes if n.stable]
+    quantities: dict[str, tuple[float, Callable[[MeasuredNode], float]]] = {
+        "gain_up_db": (1.0, lambda n: n.margin("gain_up")),
+        "gain_down_db": (1.0, lambda n: n.margin("gain_down")),
+        "delay_ms": (1e3, lambda n: n.margin("delay")),
+        "rigid_phase_deg": (1.0, lambda n: n.phase_deg),
+    }
+    for key, (factor, read) in quantities.items():
+        stable, limit, about = [n for n in nodes if n.stable], getattr(limits, key), MEASURED[key]
         if limit is None or not stable:
             continue
         worst = min(stable, key=lambda n: (not math.isnan(read(n)), read(n)))
         value = factor * read(worst)
         met = ACCEPTED if value >= limit else UNDECIDED if math.isnan(value) else REJECTED
-        text = f"{value:.2f} {unit}" if math.isfinite(value) else "no growth as far as was tried"
-        room = room_left(value, limit, ">=") if math.isfinite(value) else math.nan
-        out.append(Requirement(_MEASURED, name, f">= {limit:g} {unit}", text, met, room, where(worst)))
+        text = f"{value:.2f} {about.unit}" if math.isfinite(value) else "no growth as far as was tried"
+        room = room_left(value, limit, about.sense) if math.isfinite(value) else math.nan
+        name = "phase margin between lines" if key == "rigid_phase_deg" else about.label
+        out.append(Requirement(_MEASURED, name, f"{about.sense} {limit:g} {about.unit}", text, met, room, where(worst)))
     ends = [(c, n) for n in nodes for c in n.cycles if c.kind not in ("decays", "limit cycle")]
     said = ends[0][0].text if ends else "decays or ends in a limit cycle at every node"
     return [*out, judged("burst at slosh", "does not grow", said, [n for _, n in ends])]

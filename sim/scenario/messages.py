@@ -97,6 +97,8 @@ def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
     annotation, _ = field_at(model, path[:-1], table=True)
     section = section_of(unwrap(annotation)[0]) or model
     known = keys_of(section)
+    if path[-1] in section.renamed:
+        return f"is now {section.renamed[str(path[-1])]}", ""
     if path[:-1] == ():
         known += _SCENARIO_KEYS if "vehicle" in model.model_fields else _DOCUMENT_KEYS
     elif len(path) == 2 and path[0] in PARTS:

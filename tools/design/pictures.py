@@ -194,11 +194,12 @@ def margins_over_time(judged: Sequence[Judged], wanted: Wanted, title: str = "")
     """
     figure, places = sheet(2, 2, height_in=2.5, title=title)
     time_s, measured = [j.time_s for j in judged], [j.margins for j in judged]
-    least = None if wanted.modulus_db is None else 10.0 ** (wanted.modulus_db / 20.0)
+    modulus_db = wanted.constant("modulus_db")
+    least = None if modulus_db is None else 10.0 ** (modulus_db / 20.0)
     curves: tuple[tuple[int, str, list[float], float | None], ...] = (
-        (0, "gain margins, dB", [m.gain_up_db.value for m in measured], wanted.gain_margin_db),
+        (0, "gain margins, dB", [m.gain_up_db.value for m in measured], wanted.constant("gain_margin_db")),
         (0, "gain margins, dB", [m.gain_down_db.value for m in measured], None),
-        (1, "phase margin, deg", [m.phase_deg.value for m in measured], wanted.phase_margin_deg),
+        (1, "phase margin, deg", [m.phase_deg.value for m in measured], wanted.constant("phase_margin_deg")),
         (2, "delay margin, ms", [1e3 * m.delay_s.value for m in measured], None),
         (3, "least |1 + L|", [m.modulus for m in measured], least),
     )
@@ -235,7 +236,7 @@ def lobes_over_time(judged: Sequence[Judged], wanted: Wanted, title: str = "") -
             face = style["color"] if how == "phase" else "white"
             marks = {"color": style["color"], "markerfacecolor": face, "linestyle": "none"}
             place.plot([t for t, _ in some], [db for _, db in some], MARKERS[k % len(MARKERS)], **marks)
-    for limit in (wanted.first_mode_db, wanted.second_mode_db):
+    for limit in map(wanted.constant, ("first_mode_db", "second_mode_db")):
         if limit is not None:
             place.axhline(limit, color=RED, linewidth=0.9, linestyle=":")
     label(place, "time, s", "peak of |L|, dB (hollow: gain-stabilised)")

@@ -21,7 +21,8 @@ from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.model.node import loss_text
 from maxq.design.model.vehicle_at import Plane
 from maxq.design.optimise.solution import Solution
-from maxq.design.verify.judging import LIMITS, Check, Judged, Outcome, RigidBody
+from maxq.design.quantities import RigidBody
+from maxq.design.verify.judging import Check, Judged, Outcome
 from maxq.design.verify.own_flight import CaseDesign
 from maxq.sim.files import write_whole
 from maxq.sim.flight.metric_table import figures
@@ -166,7 +167,8 @@ def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
         k, unit = check.worst, f" {check.unit}" if check.unit else ""
         at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
         digits = 4 if check.passed else 7  # rounded, a miss may look like the limit
-        worst = figures(float(check.values[k]), digits) + unit
+        value = float(check.values[k])
+        worst = "-" if math.isinf(value) else figures(value, digits) + unit  # nothing there that could miss it
         limit = f"{check.sense} {check.wanted:g}{unit}"
         rows.append((check.text, MET if check.passed else MISSED, limit, worst, at))
     return [title, *aligned(rows, "  ", right=(3, 4))]
@@ -177,7 +179,7 @@ def nodes_table(checks: Sequence[Check], judged: Sequence[Judged]) -> list[str]:
     shown = [check for check in checks if math.isfinite(check.time_s[0]) and check.key != "unstable_poles"]
     stable = next((check for check in checks if check.key == "unstable_poles"), None)
     rows = [
-        ("time, s", "", "loop", *(f"{LIMITS[c.key].short if c.key in LIMITS else c.short or c.text} " for c in shown)),
+        ("time, s", "", "loop", *(f"{c.heading} " for c in shown)),
         ("", "", "", *(_bound(check) for check in shown)),
     ]
     for n, j in enumerate(judged):
@@ -317,7 +319,7 @@ def wind_table(outcome: Outcome) -> list[str]:
         return []
     times, rows = [j.time_s for j in outcome.judged], [("", "rms", "at", "before", "at")]
     for one in outcome.in_wind:
-        text, _, unit = one.about
+        text, unit = one.about.label, one.about.unit
         cells = [_worst(values, times, unit) if values is not None else ("-", "") for values in (one.rms, one.before)]
         rows.append((text.removesuffix(", rms"), *cells[0], *cells[1]))
     before = outcome.loaded.scenario.design
@@ -341,7 +343,7 @@ def _lobe(lobe: Lobe | None, stable: bool) -> str:
 
 def number(value: float, digits: int) -> str:
     """A value for a cell; `-` where there is none."""
-    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+    return "-" if math.isnan(value) or value == -math.inf else f"{value:.{digits}f}"
 
 
 # JSON

@@ -29,8 +29,9 @@ from maxq.design.loop.errata_effects import EXPLAINED
 from maxq.design.model.node import Node
 from maxq.design.model.spread import places_of
 from maxq.design.optimise.robust import deviated
+from maxq.design.quantities import MEASURED, SWEPT
 from maxq.design.verify.judging import judge
-from maxq.design.verify.linear import MEASURES, meet_limits, percentiles, study
+from maxq.design.verify.linear import meet_limits, percentiles, study
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.suite import LinearMargins, WorstWanted, read_suite
 from maxq.design.verify.worst import distance, search_node
@@ -267,7 +268,8 @@ def vehicles() -> list[str]:
         searched = [search_node(node, design, wanted.three_sigma, wanted.worst or WorstWanted())[0] for node in nodes]
         k = int(np.argmin(searched))
         shown = []
-        for key, (_, unit, sense) in MEASURES.items():
+        for key in SWEPT:
+            unit, sense = MEASURED[key].unit, MEASURED[key].sense
             bound = percentiles(random, key, wanted.confidence, (share,))[0]
             worst_of_all = bound.min() if sense == ">=" else bound.max()
             shown.append(f"{worst_of_all:.1f} {unit}" if math.isfinite(worst_of_all) else "free")
@@ -275,7 +277,7 @@ def vehicles() -> list[str]:
         bad = int((~meet_limits(random, wanted.dispersed)).sum())
         least = f"{max(searched[k], 0.0):.3f} at {nodes[k].time_s:g} s"
         rows.append((name, str(lost), f"{bad} of {len(random)}", *shown, least))
-    head = (title for title, _, _ in MEASURES.values())
+    head = (MEASURED[key].label for key in SWEPT)
     return table(("design", "unstable", "miss a dispersed limit", *head, "least \\|1+L\\| found"), rows)
 
 

@@ -4,6 +4,7 @@ python -m maxq.tools.dev.mutations plant --work DIR --number 0 --named, then map
 """
 
 STATISTICS, LINEAR, WORST = "sim/campaign/statistics.py", "design/verify/linear.py", "design/verify/worst.py"
+QUANTITIES = "design/quantities.py"
 SUITE, ANALYSIS, DRAWS = "design/verify/suite.py", "sim/campaign/analysis.py", "sim/campaign/draws.py"
 PLAN, ROBUST, JUDGING = "sim/campaign/plan.py", "design/optimise/robust.py", "design/verify/judging.py"
 SPREAD, RARE = "design/model/spread.py", "sim/campaign/rare.py"
@@ -44,13 +45,13 @@ NAMED = (
     (SPREAD, '"bending": «len(vehicle.modes.omega_radps)»', "1", "higher modes not dispersed"),
     (SPREAD, "size * draw(key, «n»), 0.05) for n, size", "0", "all modes and tanks by the first one's draw"),
     (SPREAD, "values[key] = getattr(spread, key) «*» draw(key, -1)", "* 0.0 *", "delay not dispersed"),
-    (LINEAR, "if not found.stable:\n        return {«}»", '"phase_deg": 0.0}', "unstable loop taken for a margin"),
+    (LINEAR, "if found.margins.stable else {«}»", '"rigid_phase_deg": 0.0}', "unstable loop taken for a margin"),
     (LINEAR, "return np.asarray(met.«all»(axis=-1))", "any", "one node met is enough"),
-    (LINEAR, "value, where, command = («min» if sense", "max", "best vehicle reported as the worst"),
-    (LINEAR, "min(found.aero_gain_db.value, «found.gain_down_db.value»)", "math.inf", "gain margin down left out"),
+    (LINEAR, "value, limit, where, command = «max»(rows", "min", "best vehicle reported as the worst"),
     (SUITE, "return REJECTED if REJECTED in found else «UNDECIDED» if", "ACCEPTED", "undecided passes"),
     (SUITE, "return «REJECTED» if REJECTED in found", "UNDECIDED", "rejected is undecided"),
-    (SUITE, '(value - limit if sense == «"<="»', '">="', "limit inverted"),
+    (QUANTITIES, '(value - limit if sense == «"<="»', '">="', "limit inverted"),
+    (QUANTITIES, "j.margins.gain_«down»_db.value", "up", "lower gain margin left out"),
     (SUITE, "confidence={1.0 - (1.0 - confidence) «/» designs", "*", "risk not shared"),
     (SUITE, 'out.append(f"{part}.seed={seed «+» number}")', "+ 0 *", "candidates judged by the same draws"),
     (SUITE, 'out = [] if self.campaign else [«"no dispersed flight flown"»]', "", "screening taken for a suite"),

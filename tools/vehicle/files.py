@@ -455,15 +455,15 @@ def _case(built: Built) -> dict[str, Any]:
     asked, off, spread = dict(judged.nominal), dict(judged.dispersed), judged.three_sigma
     slope, damping = float(np.max(spread.bending_slope)), float(np.max(spread.bending_damping))
     grows_db = 20.0 * math.log10((1.0 + slope) / (1.0 - damping))  # peaks of modes
-    peak_db = round(min(asked["higher_modes_db"], off["higher_modes_db"] - grows_db) - ROOM_DB, 1)
-    times_s, hz = least_rigid_hz(built, max(asked["gain_up_db"], asked["aero_gain_db"]))
+    peak_db = round(min(asked["modes_from_2_db"], off["modes_from_2_db"] - grows_db) - ROOM_DB, 1)
+    times_s, hz = least_rigid_hz(built, max(asked["gain_up_db"], asked["gain_down_db"]))
     least_hz = hz[0] if len(set(hz)) == 1 else {"time_s": times_s, "value": hz}
     limits = {
         "rigid_body": "aerodynamic", "rigid_hz": least_hz, "rigid_zeta": 0.5,
-        "gain_margin_db": max(asked["gain_up_db"], asked["aero_gain_db"]) + ROOM_DB,
-        "phase_margin_deg": asked["phase_deg"] + ROOM_DEG,
+        "gain_margin_db": max(asked["gain_up_db"], asked["gain_down_db"]) + ROOM_DB,
+        "phase_margin_deg": asked["rigid_phase_deg"] + ROOM_DEG,
         "first_mode_phase_deg": asked["first_mode_phase_deg"] + ROOM_DEG,
-        "second_mode_db": peak_db, "higher_modes_db": peak_db,
+        "second_mode_db": peak_db, "modes_from_3_db": peak_db,
     }  # fmt: skip  # eight more lines otherwise
     orders = ["F4" if len(_filter(built, n).get("quadratic", ())) > 1 else "F2" for n in range(len(built.stacks))]
     differing = [{"filter": {"structure": order}} if order != orders[0] else {} for order in orders]

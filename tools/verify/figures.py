@@ -10,9 +10,10 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.certificate.certificate import NodeCertificate
+from maxq.design.quantities import MEASURED, SWEPT
 from maxq.design.verify.flown import FlownResult
 from maxq.design.verify.judging import Judged, judge
-from maxq.design.verify.linear import MEASURES, MarginCase, MarginStudy, percentiles
+from maxq.design.verify.linear import MarginCase, MarginStudy, percentiles
 from maxq.design.verify.suite import LinearMargins
 from maxq.design.verify.verify import Verification, tank_name
 from maxq.sim.campaign import analysis
@@ -167,7 +168,8 @@ def _worst_flights(found: Verification) -> Plot:
 
 def _margins(studies: Sequence[MarginStudy], wanted: LinearMargins, plane: str, command: str) -> Plot:
     panels, many = [], max(len(m.random) for m in studies)
-    for name, (title, unit, _) in MEASURES.items():
+    for name in SWEPT:
+        title, unit = MEASURED[name].label, MEASURED[name].unit
         series, here = list[Series](), list[Series]()
         for number, m in enumerate(studies):
             times = np.array(m.times_s)
@@ -266,7 +268,7 @@ def _bode(judged: Sequence[Judged], plane: str) -> Plot:
 def _nichols(judged: Sequence[Judged], wanted: LinearMargins, plane: str) -> Plot:
     colours, panels = _lobe_colours(judged), []
     asked = wanted.nominal
-    up, down, phase = asked.gain_up_db, asked.aero_gain_db, asked.phase_deg
+    up, down, phase = asked.gain_up_db, asked.gain_down_db, asked.rigid_phase_deg
     for one in judged:
         picture = picture_of(one, "")
         f, level, turn = _level_and_turn(picture)

@@ -32,7 +32,7 @@ from maxq.tools.plots.figures import Plot, as_csv
 VERDICT_NAME, PAGE_NAME, PDF_NAME, FIGURES_NAME = "verdict.json", "review.html", "review.pdf", "figures"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _PRINT_S = 60.0
-_RANKED = ("gain margin up", "phase margin", "first mode: phase margin")
+_RANKED = ("upper gain margin", "phase margin", "phase margin at mode 1")
 WORDS = {ACCEPTED: MET, REJECTED: REJECTED, UNDECIDED: UNDECIDED}  # of a single requirement
 _KEYS = {"judgement": "verdict"}  # of a requirement, as verdict.json has them
 _FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")

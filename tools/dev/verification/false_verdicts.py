@@ -24,14 +24,14 @@ import numpy as np
 from scipy.special import ndtri
 
 from maxq.design.model.spread import places_of
+from maxq.design.quantities import SWEPT, LoopLimits
 from maxq.design.verify.flown import CampaignResult, campaign_requirements
-from maxq.design.verify.linear import MEASURES, MarginCase, MarginStudy, deviates, margin_requirements
+from maxq.design.verify.linear import MarginCase, MarginStudy, deviates, margin_requirements
 from maxq.design.verify.suite import (
     ACCEPTED,
     REJECTED,
     UNDECIDED,
     LinearMargins,
-    MarginLimits,
     Requirement,
     overall,
     read_suite,
@@ -110,9 +110,9 @@ def thrust_sigmas(seed: int, count: int) -> np.ndarray:
 
 def linear_part(wanted: LinearMargins, p: float) -> list[Requirement]:
     """Random vehicles whose phase margin falls short where the thrust drawn for them is too large."""
-    cases = np.full((wanted.cases, 1, len(MEASURES)), np.inf)
-    cases[:, 0, list(MEASURES).index("phase_deg")] = LIMIT_DEG + threshold(p) - thrust_sigmas(wanted.seed, wanted.cases)
-    nominal = MarginCase("", ({"phase_deg": 40.0},))
+    cases = np.full((wanted.cases, 1, len(SWEPT)), np.inf)
+    cases[:, 0, SWEPT.index("rigid_phase_deg")] = LIMIT_DEG + threshold(p) - thrust_sigmas(wanted.seed, wanted.cases)
+    nominal = MarginCase("", ({"rigid_phase_deg": 40.0},))
     return margin_requirements(MarginStudy("", "pitch", (40.0,), nominal, (), cases), wanted)
 
 
@@ -130,7 +130,7 @@ def settled(changes: list[str], seed: int, shares: tuple[float, float], steps: i
     suite = read_suite("standard", changes).suite
     margins, flights = suite.margins, suite.campaign[0]
     assert margins is not None
-    limits = MarginLimits(phase_deg=LIMIT_DEG)
+    limits = LoopLimits(rigid_phase_deg=LIMIT_DEG)
     wanted = margins.model_copy(
         update={"nominal": limits, "dispersed": limits, "corner_sigmas": 0.0, "seed": margins.seed + 1000 * seed}
     )

@@ -1,0 +1,95 @@
+"""A loop at an operating point, measured: what the quantities of `design.quantities` are evaluated from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+from maxq.design.laws.law import ANGLES
+from maxq.design.loop.loop import Loop
+from maxq.design.margins.lobes import Lobe
+from maxq.design.margins.measure import Margins, margins
+from maxq.design.model.instruments import ACCELERATION
+from maxq.design.model.node import Node
+from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivatives
+from maxq.design.quantities import MEASURED, Convention, RigidBody
+
+
+@dataclass(frozen=True)
+class LoopAtPoint:
+    """A loop with its margins and lobes. An unstable loop has no margins, but its lobes have peaks all the same."""
+
+    loop: Loop
+    margins: Margins
+
+    @property
+    def lobes(self) -> tuple[Lobe, ...]:
+        return self.margins.lobes
+
+    @property
+    def node(self) -> Node:
+        return self.loop.fixed.node
+
+    @property
+    def time_s(self) -> float:
+        return self.node.time_s
+
+    @cached_property
+    def derivatives(self) -> StabilityDerivatives | None:
+        """The stability derivatives of the vehicle there; None at rest."""
+        try:
+            return stability_derivatives(self.node.vehicle, self.node.condition)
+        except ValueError:
+            return None
+
+    @cached_property
+    def bending(self) -> dict[int, Lobe]:
+        """Lobes of the bending modes below the end of the loop, by number."""
+        return {int(lobe.label.split()[1]): lobe for lobe in self.lobes if lobe.kind == "bending"}
+
+    def mode_peak_db(self, first: int, last: int) -> float:
+        """Return the largest peak in the lobes of these bending modes, -inf where the loop has none."""
+        return max((lobe.peak_db for n, lobe in self.bending.items() if first <= n <= last), default=-math.inf)
+
+    def mode_phase_deg(self, mode: int) -> float:
+        """Return the lesser of lag and lead at the lobe of a mode: inf where it is gain-stabilised or absent, NaN of an
+        unstable loop."""
+        if not self.margins.stable:
+            return math.nan
+        return self.bending[mode].phase_deg if mode in self.bending else math.inf
+
+    def slosh_phase_deg(self, peak_db: float) -> float:
+        """Return the least lag or lead of the slosh lobes that peak above `peak_db`; inf without one, NaN of an
+        unstable loop."""
+        if not self.margins.stable:
+            return math.nan
+        turns = (lobe.phase_deg for lobe in self.lobes if lobe.kind == "slosh" and lobe.peak_db > peak_db)
+        return min(turns, default=math.inf)
+
+    def rigid(self, body: RigidBody) -> tuple[float, float]:
+        """Return frequency (Hz) and damping ratio of the rigid body under the law's static gains; NaN at rest.
+
+        `paper`: eqs 35, 36; `aerodynamic`: with M_alpha and M_q (erratum 12).
+        """
+        d = self.derivatives
+        if d is None:
+            return math.nan, math.nan
+        m_alpha, m_q = (d.m_alpha_1ps2, d.m_q_1ps) if body == "aerodynamic" else (0.0, 0.0)
+        law = self.loop.law
+        square = d.m_delta_1ps2 * law.static_gain("angle_rad") - m_alpha
+        if square <= 0.0:
+            return 0.0, math.nan
+        omega = math.sqrt(square)
+        rates = [name for name in law.inputs if name not in (*ANGLES, ACCELERATION)]  # all gyros of a blended rate
+        damping = d.m_delta_1ps2 * sum(law.static_gain(name) for name in rates) - m_q
+        return omega / (2.0 * math.pi), damping / (2.0 * omega)
+
+    def quantities(self, by: Convention) -> dict[str, float]:
+        """Return all quantities of `MEASURED` by key."""
+        return {key: float(about.value(self, by)) for key, about in MEASURED.items() if about.value is not None}
+
+
+def measure_loop(loop: Loop) -> LoopAtPoint:
+    """Measure a loop of a vehicle, its lobes named after the modes and tanks; see `margins`."""
+    return LoopAtPoint(loop, margins(loop, resonances=loop.fixed.resonances()))

@@ -1,0 +1,196 @@
+"""The quantities of a loop that a limit can be set on: each one once, with the key that names it in every file.
+
+`QUANTITIES` is the table. Case, design file and suite take their keys from the sections below; the judge, the margin
+sweep, the reports and the optimiser (`optimise.criteria`, by key) take label, unit, sense and value from the table.
+A quantity that does not exist in a loop (the peak of a mode that the vehicle lacks) is infinite on the good side, so
+that it meets every limit; NaN stands for a margin of an unstable loop, which meets none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, Protocol
+
+from pydantic import Field
+
+from maxq.sim.scenario.schema_values import Positive, PositiveOverTime, Section, optional
+
+Sense = Literal[">=", "<="]
+RigidBody = Literal["paper", "aerodynamic"]
+ZoneName = Literal["none", "ellipse", "diamond", "rectangle"]
+Degrees = Annotated[float, Field(gt=0.0, le=90.0)]
+Negative = Annotated[float, Field(lt=0.0)]
+LAST_MODE = 999
+"""Number beyond that of any bending mode."""
+TOLERANCE = 5e-4
+"""Tolerance of a limit in dB and deg: rounding of the digits of a file is far less."""
+
+
+@dataclass(frozen=True)
+class Convention:
+    """The choices by which quantities are evaluated from a loop."""
+
+    rigid_body: RigidBody = "paper"
+    slosh_peak_db: float = -6.0
+
+
+class MeasuredLoop(Protocol):
+    """A loop at an operating point (`margins.measured_loop.LoopAtPoint`)."""
+
+    @property
+    def margins(self) -> Any:
+        """The `margins.measure.Margins` of the loop."""
+
+    def mode_peak_db(self, first: int, last: int) -> float:
+        """Return the largest peak of bending modes `first` to `last`, -inf without one."""
+
+    def mode_phase_deg(self, mode: int) -> float:
+        """Return the phase margin of a mode's lobe, inf where it is gain-stabilised or absent."""
+
+    def slosh_phase_deg(self, peak_db: float) -> float:
+        """Return the least phase margin of slosh lobes that peak above `peak_db`, inf without one."""
+
+    def rigid(self, body: RigidBody) -> tuple[float, float]:
+        """Return frequency (Hz) and damping ratio of the rigid body's motion."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity that can be limited. `value` evaluates it from a measured loop; None: it needs more than that.
+
+    `heading` is that of a column. `law` tells that the optimiser evaluates it from the law and the vehicle alone.
+    """
+
+    label: str
+    heading: str
+    unit: str
+    sense: Sense
+    value: Callable[[MeasuredLoop, Convention], float] | None = None
+
+    def violation(self, value: Any, limit: Any) -> Any:
+        """Return the amount by which a value misses a limit, less the tolerance; see `violation`."""
+        return violation(value, limit, self.sense, self.unit)
+
+    def badness(self, value: float) -> float:
+        """Return the value with the sign that makes a larger one worse."""
+        return value if self.sense == "<=" else -value
+
+
+def violation(value: Any, limit: Any, sense: str, unit: str) -> Any:
+    """Return the amount by which a value misses a limit; at 0 or less the limit is met. NaN stays.
+
+    A value on its limit, within the tolerance of the search that put it there, meets it: TOLERANCE in dB and deg, 1e-4
+    of the limit in other units. simdesign and simverify both judge by this.
+
+    Args:
+        value, limit: numbers or arrays in `unit`.
+        sense: "<=" or ">=".
+    """
+    tolerance = TOLERANCE if unit in ("dB", "deg") else 1e-4 * abs(limit)
+    return (value - limit if sense == "<=" else limit - value) - tolerance
+
+
+def _in_db(ratio: float) -> float:
+    return 20.0 * math.log10(ratio) if ratio > 0.0 else -math.inf if ratio == 0.0 else math.nan
+
+
+_PEAK_OF_MODE = "as |L| there, at most twice the mode's own share of it"
+
+
+class CommonLimits(Section):
+    """Limits that cases, design files and suites can set; a key that is absent sets none."""
+
+    gain_margin_db: Annotated[
+        Positive | None, Quantity("gain margin", "gain dB", "dB", ">=", lambda j, _: j.margins.gain_db)
+    ] = optional("gain margin over all crossings, the lesser of upper and lower, dB")
+    phase_margin_deg: Annotated[
+        Degrees | None, Quantity("phase margin", "phase deg", "deg", ">=", lambda j, _: j.margins.phase_deg.value)
+    ] = optional("phase margin over all crossings, deg")
+    modulus_db: Annotated[
+        Negative | None, Quantity("modulus margin", "|1+L| dB", "dB", ">=", lambda j, _: _in_db(j.margins.modulus))
+    ] = optional("modulus margin: least |1 + L|, dB")
+    first_mode_db: Annotated[
+        float | None, Quantity("peak of mode 1", "mode 1 dB", "dB", "<=", lambda j, _: j.mode_peak_db(1, 1))
+    ] = optional(f"peak of mode 1, dB; {_PEAK_OF_MODE}")
+    second_mode_db: Annotated[
+        float | None, Quantity("peak of mode 2", "mode 2 dB", "dB", "<=", lambda j, _: j.mode_peak_db(2, 2))
+    ] = optional("peak of mode 2, dB; likewise")
+    modes_from_2_db: Annotated[
+        float | None,
+        Quantity("peak of modes 2 and above", "modes 2+ dB", "dB", "<=", lambda j, _: j.mode_peak_db(2, LAST_MODE)),
+    ] = optional("largest peak of modes 2 and above, dB; likewise")
+    modes_from_3_db: Annotated[
+        float | None,
+        Quantity("peak of modes 3 and above", "modes 3+ dB", "dB", "<=", lambda j, _: j.mode_peak_db(3, LAST_MODE)),
+    ] = optional("largest peak of modes 3 and above, dB; likewise")
+    first_mode_phase_deg: Annotated[
+        Degrees | None, Quantity("phase margin at mode 1", "mode 1 deg", "deg", ">=", lambda j, _: j.mode_phase_deg(1))
+    ] = optional("phase margin of the lobe of mode 1 where it rises above 0 dB, deg")
+    rigid_hz: Annotated[
+        PositiveOverTime | None,
+        Quantity("rigid-body frequency", "rigid Hz", "Hz", ">=", lambda j, by: j.rigid(by.rigid_body)[0]),
+    ] = optional("frequency of the rigid-body motion, Hz; a table {time_s, value} for one over the vehicle clock")
+    rigid_zeta: Annotated[
+        PositiveOverTime | None,
+        Quantity("rigid-body damping ratio", "rigid zeta", "", ">=", lambda j, by: j.rigid(by.rigid_body)[1]),
+    ] = optional("damping ratio of the rigid-body motion; likewise")
+
+
+class LoopLimits(CommonLimits):
+    """Limits of a suite; a key that is absent sets none."""
+
+    renamed: ClassVar[dict[str, str]] = {
+        "aero_gain_db": "gain_down_db", "phase_deg": "rigid_phase_deg", "higher_modes_db": "modes_from_2_db",
+    }  # fmt: skip  # a table
+
+    gain_up_db: Annotated[
+        Positive | None,
+        Quantity("upper gain margin", "gain up dB", "dB", ">=", lambda j, _: j.margins.gain_up_db.value),
+    ] = optional("upper gain margin: gain that may be added, over all crossings, dB")
+    gain_down_db: Annotated[
+        Positive | None,
+        Quantity("lower gain margin", "gain down dB", "dB", ">=", lambda j, _: j.margins.gain_down_db.value),
+    ] = optional("lower gain margin: gain that may be taken away, over all crossings, the aerodynamic one included, dB")
+    rigid_phase_deg: Annotated[
+        Degrees | None,
+        Quantity("phase margin, rigid body", "rigid deg", "deg", ">=", lambda j, _: j.margins.rigid_phase_deg.value),
+    ] = optional("phase margin over the crossings outside bending lobes, deg")
+    delay_ms: Annotated[
+        Positive | None, Quantity("delay margin", "delay ms", "ms", ">=", lambda j, _: 1e3 * j.margins.delay_s.value)
+    ] = optional("delay margin over all crossings, ms")
+    slosh_phase_deg: Annotated[
+        Degrees | None,
+        Quantity("phase margin of slosh", "slosh deg", "deg", ">=", lambda j, by: j.slosh_phase_deg(by.slosh_peak_db)),
+    ] = optional("phase margin of slosh lobes that peak above slosh_peak_db, deg")
+    slosh_peak_db: float = optional("slosh below this needs no phase, dB", -6.0)
+    rigid_body: RigidBody = optional(
+        "rigid_hz and rigid_zeta by eqs 35, 36 of the paper, or with M_alpha and M_q in them", "paper"
+    )
+
+
+def _declared(section: type[Section]) -> dict[str, Quantity]:
+    """Return the quantities that the fields of a section are annotated with, by key."""
+    found = {key: [m for m in about.metadata if isinstance(m, Quantity)] for key, about in section.model_fields.items()}
+    return {key: marks[0] for key, marks in found.items() if marks}
+
+
+MEASURED = _declared(LoopLimits)
+"""Quantities that the margins of a loop give, by key, in the order of reports."""
+SWEPT = (
+    "gain_up_db", "gain_down_db", "rigid_phase_deg", "delay_ms", "slosh_phase_deg", "first_mode_phase_deg",
+    "modes_from_2_db",
+)  # fmt: skip  # one line for each otherwise
+"""Quantities of dispersed vehicles: fields of `margins.many.MEASURES`, the delay there in s."""
+QUANTITIES: dict[str, Quantity] = MEASURED | {
+    "unstable_poles": Quantity("unstable poles", "unstable", "", "<="),
+    "zone": Quantity("Nichols zone", "zone", "", ">="),
+    "filter_gain_at_infinity": Quantity("|F(j inf)|", "|F(j inf)|", "", "<="),
+    "integral_hz": Quantity("least corner of the integral", "integral Hz", "Hz", ">="),
+    "most_integral_hz": Quantity("largest corner of the integral", "integral Hz", "Hz", "<="),
+    "q_alpha_Padeg": Quantity("load q alpha in wind, rms", "q alpha", "Pa deg", "<="),
+    "drift_mps": Quantity("drift in wind, rms", "drift", "m/s", "<="),
+    "bending_moment": Quantity("bending moment in wind, rms", "M", "N m", "<="),
+}
+"""All quantities: also those of the filter, the law and the wind."""
