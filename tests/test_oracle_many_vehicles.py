@@ -21,12 +21,13 @@ from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
-from maxq.design.margins.many import DONE, HANDED_BACK, MEASURES, UNSTABLE
+from maxq.design.margins.many import DONE, HANDED_BACK, UNSTABLE
 from maxq.design.margins.measure import margins
 from maxq.design.model.dispersion import Dispersion, disperse, dispersed_many, stacked
 from maxq.design.model.node import Node
 from maxq.design.model.plant import vehicle_plants
 from maxq.design.model.spread import Spread, places_of, scenario_of
+from maxq.design.quantities import SWEPT
 from maxq.design.verify.linear import measured, vehicles
 from maxq.design.verify.suite import LinearMargins
 
@@ -41,18 +42,15 @@ def drawn(node: Node, count: int, spread: Spread = WIDE) -> list[Dispersion]:
     return vehicles(LinearMargins(cases=count, corner_sigmas=0.0, three_sigma=spread), node)[1]
 
 
-MARGINS = MEASURES.names[:7]
-
-
 def margins_in(values: NDArray[np.void]) -> Array:
-    """The margins (vehicles, 7) in the order and the units of `linear.MEASURES`."""
-    return np.array([values[name] * (1e3 if name == "delay_s" else 1.0) for name in MARGINS]).T
+    """Return the quantities (vehicles, SWEPT), in their units."""
+    return np.array([1e3 * values["delay_s"] if key == "delay_ms" else values[key] for key in SWEPT]).T
 
 
 def compared(node: Node, law: Controller, every: list[Dispersion]) -> tuple[Array, int, int]:
     """Largest differences of each margin, how many vehicles are unstable, and how many are handed back."""
     values, status = ManyLoops(node, law).measure(every, -6.0)
-    worst, unstable = np.zeros(len(MARGINS)), 0
+    worst, unstable = np.zeros(len(SWEPT)), 0
     for by, row, found in zip(every, margins_in(values), status, strict=True):
         exact = measured(Loop(fixed_path(disperse(node, by)), law), -6.0)
         unstable += not exact
@@ -60,7 +58,7 @@ def compared(node: Node, law: Controller, every: list[Dispersion]) -> tuple[Arra
             continue
         assert found == (DONE if exact else UNSTABLE)
         if exact:
-            wanted = np.array(list(exact.values()))
+            wanted = np.array([exact[key] for key in SWEPT])
             same = wanted == row  # infinite, too
             worst = np.maximum(
                 worst, np.where(same, 0.0, np.abs(np.where(same, 0.0, wanted) - np.where(same, 0.0, row)))
@@ -157,7 +155,7 @@ def test_a_flight_of_its_own() -> None:
     assert (status == DONE).all()
     for by, row, distance in zip(every, margins_in(values), values["distance"], strict=True):
         exact = measured(Loop(fixed_path(disperse(met, by)), law), -6.0)
-        assert np.allclose(row, list(exact.values()), rtol=0.0, atol=1e-4)
+        assert np.allclose(row, [exact[key] for key in SWEPT], rtol=0.0, atol=1e-4)
         loop = Loop(fixed_path(disperse(met, by)), law)
         assert distance[0] == pytest.approx(margins(loop).modulus, abs=1e-6)
 

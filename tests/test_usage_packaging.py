@@ -119,8 +119,9 @@ NAMES_ONE = {
 }  # fmt: skip  # a line each otherwise
 PAPER_MODE = {
     "control/structures.py", "design/case/schema.py", "design/loop/errata_effects.py", "design/model/errata.py",
-    "design/verify/judging.py", "sim/scenario/schema_design.py", "sim/scenario/schema_stage.py",
-    "sim/scenario/schema_vehicle.py", "tools/design/analyse.py", "tools/design/report.py", "tools/simdesign.py",
+    "design/quantities.py", "design/verify/judging.py", "sim/scenario/schema_design.py",
+    "sim/scenario/schema_stage.py", "sim/scenario/schema_vehicle.py", "tools/design/analyse.py",
+    "tools/design/report.py", "tools/simdesign.py",
 }  # fmt: skip  # a line each otherwise
 
 

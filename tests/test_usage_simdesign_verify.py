@@ -77,7 +77,11 @@ def test_designs_are_tried_until_one_is_accepted() -> None:
     kept: list[str] = []
     designs = ("ksr3-two-phase", "ksr3-robust", "ksr3-default")
     accepted, every = try_in_order(
-        designs, _suite(6.0), ["margins.nominal.phase_deg=50.0"], tell=told.append, keep=lambda d, *_: kept.append(d)
+        designs,
+        _suite(6.0),
+        ["margins.nominal.rigid_phase_deg=50.0"],
+        tell=told.append,
+        keep=lambda d, *_: kept.append(d),
     )
     assert accepted == "ksr3-robust"
     assert [v.judgement for v in every] == ["rejected", "passed screening"]
