@@ -96,9 +96,6 @@ def _in_db(ratio: float) -> float:
     return 20.0 * math.log10(ratio) if ratio > 0.0 else -math.inf if ratio == 0.0 else math.nan
 
 
-_PEAK_OF_MODE = "as |L| there, at most twice the mode's own share of it"
-
-
 class CommonLimits(Section):
     """Limits that cases, design files and suites can set; a key that is absent sets none."""
 
@@ -113,7 +110,7 @@ class CommonLimits(Section):
     ] = optional("modulus margin: least |1 + L|, dB")
     first_mode_db: Annotated[
         float | None, Quantity("peak of mode 1", "mode 1 dB", "dB", "<=", lambda j, _: j.mode_peak_db(1, 1))
-    ] = optional(f"peak of mode 1, dB; {_PEAK_OF_MODE}")
+    ] = optional("peak of mode 1, dB: the largest |L| in the lobe of the mode")
     second_mode_db: Annotated[
         float | None, Quantity("peak of mode 2", "mode 2 dB", "dB", "<=", lambda j, _: j.mode_peak_db(2, 2))
     ] = optional("peak of mode 2, dB; likewise")
