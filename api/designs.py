@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from maxq.design import api
 from maxq.design.case.schema import read_case
 from maxq.design.laws.design_file import design_path, design_text
-from maxq.design.model.vehicle_at import Plane
+from maxq.design.model.instruments import Plane
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify import memory
 from maxq.design.verify.judging import Judged, Outcome, Wanted, judge, objective_text

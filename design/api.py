@@ -27,10 +27,12 @@ from maxq.design.laws.registry import designed_law
 from maxq.design.loop.fixed_path import Cut, FixedPath, Kind, fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.multiloop import multiloops
-from maxq.design.model.dispersion import Dispersion, disperse, imposed, read_derivatives
-from maxq.design.model.errata import CORRECTED, PRESETS, Errata
-from maxq.design.model.node import Node, node_times, nodes_along
-from maxq.design.model.vehicle_at import Plane
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.instruments import Plane
+from maxq.design.model.node import Node, disperse, node_times, nodes_along
+from maxq.design.paper.errata import CORRECTED, PRESETS, Errata
+from maxq.design.paper.nodes import PaperNode, paper_nodes
+from maxq.design.paper.table2 import imposed, read_derivatives
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 
@@ -49,14 +51,25 @@ def nodes(
     """Nodes along a flight of the scenario (loaded, a file, or a built-in name), at vehicle times in s; by default at
     such as suit the flight, stage by stage under full thrust (`node_times`).
 
-    `plant`: the vehicle as flown, or with the derivatives of the paper's Table 2 (design/model/dispersion.py).
+    `plant`: the vehicle as flown, or with the derivatives of the paper's Table 2 (design/paper/table2.py).
+    Table 2 and errata left in stand on the published planar equations (design/paper).
     `errata`: switches, or the name of a preset. `faults`: with what the scenario lets fail.
     """
     if plant not in ("flown", "table2"):
         raise ValueError(f"plant = {plant!r}: allowed is flown, table2")
     loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario)
     times = node_times(loaded) if times_s is None else times_s
-    found = nodes_along(loaded, times, plane, preset(errata), faults)
+    if plant == "flown" and preset(errata) == CORRECTED:
+        return nodes_along(loaded, times, plane, faults)
+    return list(published_nodes(loaded, times, plane=plane, errata=errata, plant=plant, faults=faults))
+
+
+def published_nodes(
+    scenario: LoadedScenario, times_s: Iterable[float], *, plane: Plane = "pitch", errata: Errata | str = CORRECTED,
+    plant: Plant = "flown", faults: bool = False,
+) -> list[PaperNode]:  # fmt: skip  # nine lines otherwise
+    """Return nodes as `nodes`, on the published planar equations even where no erratum is left in."""
+    found = paper_nodes(scenario, times_s, plane, preset(errata), faults)
     return imposed(found, read_derivatives()) if plant == "table2" else found
 
 

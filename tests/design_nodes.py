@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
-from typing import Any
 
 import numpy as np
 import scipy.optimize
@@ -12,14 +11,17 @@ import scipy.optimize
 from maxq.design import api
 from maxq.design.loop.fixed_path import folded
 from maxq.design.loop.loop import Loop
-from maxq.design.model.instruments import instruments_of
+from maxq.design.model.held import FlightCondition, hold_stage, table_clock_s
+from maxq.design.model.instruments import Plane, instruments_of
 from maxq.design.model.node import Node
-from maxq.design.model.vehicle_at import FlightCondition, Modes, Plane, vehicle_at
+from maxq.design.model.vehicle_at import without_bending
+from maxq.design.paper.nodes import PaperNode
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.flight import Flight
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
+from maxq.sim.vehicle import schedule
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, MACH, PRESSURE
 
 TIMES_S = tuple(float(t) for t in range(5, 60, 5))  # the paper's
@@ -36,6 +38,16 @@ def flown(plane: Plane = "pitch", *overrides: str) -> tuple[Node, ...]:
     return tuple(api.nodes(nominal(*overrides), TIMES_S, plane=plane))
 
 
+@cache
+def published(plane: Plane = "pitch", *overrides: str) -> tuple[PaperNode, ...]:
+    """The same with the published equations of design/paper."""
+    return tuple(api.published_nodes(nominal(*overrides), TIMES_S, plane=plane))
+
+
+def published_at(time_s: float, plane: Plane = "pitch", *overrides: str) -> PaperNode:
+    return published(plane, *overrides)[TIMES_S.index(time_s)]
+
+
 def node_at(time_s: float, plane: Plane = "pitch", *overrides: str) -> Node:
     return flown(plane, *overrides)[TIMES_S.index(time_s)]
 
@@ -46,25 +58,13 @@ def design() -> Design:
     return found
 
 
-def no_modes(modes: Modes) -> Modes:
-    """None of them."""
-    cut: dict[str, Any] = {f.name: getattr(modes, f.name) for f in dataclasses.fields(modes)}
-    cut = {name: value[:0] if isinstance(value, np.ndarray) else 0 for name, value in cut.items()}
-    none = (np.zeros(0), np.zeros(0))
-    elsewhere = {name: tuple(none for _ in getattr(modes, name)) for name in ("further_gimbals", "sensors")}
-    return dataclasses.replace(modes, **cut | elsewhere | {"softening_kgpm": np.zeros((0, 0)), "along": None})
-
-
 def without(node: Node, *, modes: bool = False, tanks: bool = False) -> Node:
     """The node without its bending modes, or its pendulums (their mass is then missing)."""
-    vehicle = node.vehicle
-    bobs, bends = vehicle.pendulums, vehicle.modes
-    if tanks:
-        bobs = dataclasses.replace(bobs, **{f.name: getattr(bobs, f.name)[:0] for f in dataclasses.fields(bobs)})
-        bends = dataclasses.replace(bends, phi_hinge=bends.phi_hinge[:, :0])
-    if modes:
-        bends = no_modes(bends)
-    return dataclasses.replace(node, vehicle=dataclasses.replace(vehicle, pendulums=bobs, modes=bends))
+    held = without_bending(node.held) if modes else node.held.copied()
+    for k in range(len(held.swing_rad) if tanks else 0):
+        column = schedule.tank_column(k)
+        held.properties[:, [column + schedule.TANK_MASS, column + schedule.TANK_MASS_RATE]] = 0.0
+    return dataclasses.replace(node, held=held)
 
 
 def ideal(node: Node, *, actuator: bool = False, gyro: bool = False) -> Node:
@@ -118,8 +118,8 @@ def frozen(time_s: float, *overrides: str, plane: Plane = "pitch") -> tuple[Load
     condition = FlightCondition(
         time_s, float(air[AIRSPEED]), float(air[DENSITY]), float(air[PRESSURE]), float(air[MACH]), path, 9.80665
     )
-    vehicle = vehicle_at(packed, time_s, condition.mach, plane)
-    return loaded, Node(time_s, vehicle, condition, instruments_of(packed.parameters[0], plane), plane)
+    held = hold_stage(packed, table_clock_s(packed.parameters[0], time_s))
+    return loaded, Node(time_s, held, condition, instruments_of(packed.parameters[0], plane), plane)
 
 
 def agrees_with_a_kick(loop: Loop, plain: Flight, kicked: Flight, command: str, node_s: float, kick_deg: float) -> None:

@@ -22,8 +22,8 @@ from maxq.design.laws.law import Axis, Controller, DesignedLaw, LawLimit, LimitV
 from maxq.design.laws.registry import LawKind
 from maxq.design.laws.schedule import GainSchedules, interpolation_weights
 from maxq.design.laws.task import Task
+from maxq.design.model.instruments import Plane
 from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.design.model.vehicle_at import Plane
 from maxq.sim.scenario.schema_design import Design
 
 WARP_HZ = 1.0

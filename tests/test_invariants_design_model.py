@@ -19,36 +19,44 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from design_nodes import TIMES_S, closed_damping, design, flown, ideal, node_at, nominal, without
+from design_nodes import (
+    TIMES_S,
+    closed_damping,
+    design,
+    flown,
+    ideal,
+    node_at,
+    nominal,
+    published,
+    published_at,
+    without,
+)
 
 from maxq.design import api
 from maxq.design.laws.pd import Pd, PdDesign
-from maxq.design.loop.errata_effects import peaks_db
 from maxq.design.loop.fixed_path import KINDS, PadeFixedPath, SampledFixedPath, fixed_path
 from maxq.design.loop.loop import Loop
-from maxq.design.model.dispersion import COLUMNS, DerivativeTable, Dispersion, imposed, read_derivatives
-from maxq.design.model.errata import PAPER
-from maxq.design.model.node import Node, nodes_along
-from maxq.design.model.plant import axial_load_mps2
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.node import nodes_along
 from maxq.design.model.spread import places_of
 from maxq.design.model.state_space import Resolvent
-from maxq.design.model.vehicle_at import stability_derivatives
+from maxq.design.model.vehicle_at import without_engine_inertia
+from maxq.design.paper.errata import PAPER
+from maxq.design.paper.errata_effects import peaks_db
+from maxq.design.paper.nodes import PaperNode
+from maxq.design.paper.table2 import COLUMNS, DerivativeTable, imposed, read_derivatives
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle import schedule
 from maxq.tools.dev.documents.departure import PARTS, departure
 
 F = np.geomspace(0.01, 49.0, 120)
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
 
 
-def with_modes(node: Node, **changed: object) -> Node:
-    modes = dataclasses.replace(node.vehicle.modes, **changed)  # type: ignore[arg-type]  # any field
-    return dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, modes=modes))
-
-
-def with_bobs(node: Node, **changed: object) -> Node:
-    bobs = dataclasses.replace(node.vehicle.pendulums, **changed)  # type: ignore[arg-type]  # any field
-    return dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, pendulums=bobs))
+def with_modes(node: PaperNode, **changed: object) -> PaperNode:
+    modes = dataclasses.replace(node.planar.modes, **changed)  # type: ignore[arg-type]  # any field
+    return dataclasses.replace(node, planar=dataclasses.replace(node.planar, modes=modes))
 
 
 # --- nodes
@@ -101,9 +109,8 @@ def test_no_nodes() -> None:
 
 def test_second_stage_has_nodes() -> None:
     node = nodes_along(api.load_scenario("checkcases/two-stage"), [1.0])[0]
-    assert node.vehicle.body.core_mass_kg > 0.0
     later = nodes_along(api.load_scenario("checkcases/two-stage"), [_second_burn()])[0]
-    assert later.vehicle.body.total_mass_kg < 0.9 * node.vehicle.body.total_mass_kg
+    assert 0.0 < later.vehicle.total_mass_kg < 0.9 * node.vehicle.total_mass_kg
 
 
 def _second_burn() -> float:
@@ -124,10 +131,10 @@ def test_sloshing_masses_leave_the_frozen_vehicle(time_s: float) -> None:
     changed = node.with_(slosh_mass=(1.1, 0.8), slosh_frequency=(0.95, 1.05), slosh_damping=0.5)
     for f in ("total_cg_station_m", "total_inertia_kgm2"):
         np.testing.assert_allclose(getattr(changed.vehicle, f), getattr(node.vehicle, f), rtol=1e-12)
-    ours, theirs = (dataclasses.astuple(stability_derivatives(n.vehicle, n.condition)) for n in (changed, node))
-    np.testing.assert_allclose(ours, theirs, rtol=1e-11)
-    load = axial_load_mps2(node.vehicle, node.condition)
-    assert load == axial_load_mps2(changed.vehicle, changed.condition)
+    ours, theirs = (dataclasses.astuple(n.derivatives) for n in (changed, node))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9)  # numerical derivatives
+    load = node.axial_load_mps2
+    np.testing.assert_allclose(changed.axial_load_mps2, load, rtol=1e-12)
     before, after = node.vehicle.pendulums, changed.vehicle.pendulums
     np.testing.assert_allclose(np.sqrt(load / after.length_m) / np.sqrt(load / before.length_m), [0.95, 1.05])
     np.testing.assert_allclose(after.mass_kg / before.mass_kg, [1.1, 0.8])
@@ -145,24 +152,24 @@ def test_deviations_of_modes_and_instruments() -> None:
         np.testing.assert_allclose(there[label].frequency_hz / at[label].frequency_hz, factor, rtol=5e-3)
     assert off.instruments.delay_s == node.instruments.delay_s + 0.005
     assert off.instruments.actuator.omega_4_radps == node.instruments.actuator.omega_4_radps
-    np.testing.assert_array_equal(off.vehicle.modes.slope_gyro_pm, 1.2 * node.vehicle.modes.slope_gyro_pm)
+    bends = np.array([name.startswith("eta") for name in node.plant.states])
+    np.testing.assert_allclose(off.plant.c[1], np.where(bends, 1.2, 1.0) * node.plant.c[1], rtol=1e-12)
     for kept in ("mass_kg", "length_m", "damping_ratio"):  # what is not named deviates by nothing
         np.testing.assert_array_equal(getattr(off.vehicle.pendulums, kept), getattr(node.vehicle.pendulums, kept))
-    assert off.vehicle.body == node.vehicle.body
+    for kept in ("total_mass_kg", "total_cg_station_m", "total_inertia_kgm2"):
+        assert getattr(off.vehicle, kept) == getattr(node.vehicle, kept)
     stronger = node.with_(thrust=1.03, normal_force=1.15, centre_of_pressure_m=0.25, inertia=0.95)
-    before, after = (stability_derivatives(n.vehicle, n.condition) for n in (node, stronger))
+    before, after = (n.derivatives for n in (node, stronger))
     np.testing.assert_allclose(after.z_delta_1ps / before.z_delta_1ps, 1.03)
     np.testing.assert_allclose(after.z_alpha_1ps / before.z_alpha_1ps, 1.15)
     assert after.m_delta_1ps2 > 1.03 * before.m_delta_1ps2
     assert after.m_alpha_1ps2 < before.m_alpha_1ps2
-    np.testing.assert_allclose(
-        axial_load_mps2(stronger.vehicle, stronger.condition), axial_load_mps2(node.vehicle, node.condition)
-    )
+    np.testing.assert_allclose(stronger.axial_load_mps2, node.axial_load_mps2)
 
 
 def test_every_mode_and_every_tank_deviates() -> None:
     node = node_at(40.0)
-    modes, tanks = len(node.vehicle.modes.omega_radps), len(node.vehicle.pendulums.mass_kg)
+    modes, tanks = len(node.vehicle.omega_radps), len(node.vehicle.pendulums.mass_kg)
     places = places_of(node)
     assert len(set(places)) == len(places)
     for kind, count in (("bending_", modes), ("slosh_", tanks)):
@@ -195,19 +202,16 @@ def test_too_many_factors_and_too_much_slosh() -> None:
 # --- edges
 def test_zero_slosh_mass_is_no_tank() -> None:
     node = node_at(40.0).with_(slosh_mass=(1.0, 0.0))
-    keep = dataclasses.replace(
-        node.vehicle.pendulums,
-        **{f.name: getattr(node.vehicle.pendulums, f.name)[:1] for f in dataclasses.fields(node.vehicle.pendulums)},
-    )
-    modes = dataclasses.replace(node.vehicle.modes, phi_hinge=node.vehicle.modes.phi_hinge[:, :1])
-    single = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, pendulums=keep, modes=modes))
+    held = node.held.copied()
+    held.properties[:, schedule.tank_column(1) + schedule.TANK_LENGTH] *= 3.0
+    single = dataclasses.replace(node, held=held)  # an empty bob may hang as it likes
     for kind in KINDS:
         with_both, with_one = fixed_path(node, kind), fixed_path(single, kind)
         np.testing.assert_allclose(with_both.response(F), with_one.response(F), rtol=1e-9)
         assert len(with_both.poles()) == len(with_one.poles())
         assert [r.label for r in with_both.resonances()] == [r.label for r in with_one.resonances()]
     swinging = [p for p in node.plant.poles() if p.imag > 0]
-    assert len(swinging) == 6  # the empty bob still swings by itself
+    assert len(swinging) == 5  # the simulator lets an empty bob rest
     both_empty = node.with_(slosh_mass=0.0)
     assert not [r for r in fixed_path(both_empty).resonances() if r.kind == "slosh"]
 
@@ -217,15 +221,16 @@ def test_a_rigid_body_with_ideal_instruments(kind: api.Kind) -> None:
     """In vacuum q' = M_delta delta exactly: the loop has its closed form."""
     node = ideal(without(node_at(40.0), modes=True, tanks=True), actuator=True, gyro=True)
     condition = dataclasses.replace(node.condition, density_kgpm3=0.0)
-    vehicle = dataclasses.replace(
-        node.vehicle, jet_damping=False, engines=(dataclasses.replace(node.vehicle.engine, gimballed_mass_kg=0.0),)
-    )
-    node = dataclasses.replace(node, condition=condition, vehicle=vehicle)
+    held = without_engine_inertia(node.held)
+    held.vehicle["jet_damping"] = 0
+    node = dataclasses.replace(node, condition=condition, held=held)
     path = fixed_path(node, kind)
     assert path.continuous.states == ("q_radps",)
-    body, engine = vehicle.body, vehicle.engine
-    turn = engine.thrust_N(condition.pressure_Pa) * (engine.gimbal_station_m - body.core_cg_station_m)
-    m_delta = turn / body.core_inertia_kgm2
+    engine, numbers = held.vehicle["engine"], held.properties[0]
+    thrust = engine["thrust_factor"][0, 0] * numbers[schedule.THRUST_VACUUM]
+    thrust -= condition.pressure_Pa * engine["exit_area_m2"][0, 0]
+    arm = engine["gimbal_station_m"][0, 0] - numbers[schedule.CORE_CG]
+    m_delta = thrust * arm / numbers[schedule.CORE_INERTIA + 1]
     f = np.array([0.1, 1.0, 10.0, 40.0])
     s, timing = 2j * np.pi * f, node.instruments
     if kind == "sampled":
@@ -253,10 +258,10 @@ def test_a_rigid_body_with_ideal_instruments(kind: api.Kind) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_two_modes_of_equal_frequency(kind: api.Kind) -> None:
     """Twice the same mode is that mode with half its generalised mass, its axial softening apart."""
-    node = with_modes(node_at(40.0), softening_kgpm=np.zeros((3, 3)))
-    m = node.vehicle.modes
+    node = with_modes(published_at(40.0), softening_kgpm=np.zeros((3, 3)))
+    m = node.planar.modes
 
-    def pick(which: list[int]) -> Node:
+    def pick(which: list[int]) -> PaperNode:
         rows = {f.name: getattr(m, f.name) for f in dataclasses.fields(m) if f.name != "softening_kgpm"}
         chosen = {name: value[which] for name, value in rows.items() if isinstance(value, np.ndarray) and len(value)}
         return with_modes(node, **chosen, softening_kgpm=np.zeros((len(which), len(which))))
@@ -319,7 +324,7 @@ def test_resonances_are_named() -> None:
         assert set(wanted[:4] + wanted[5:]) <= set(labels)
         assert len(set(labels)) == len(labels)
         by = {r.label: r for r in path.resonances()}
-        modes = node.vehicle.modes
+        modes = node.vehicle
         for i in range(3):
             np.testing.assert_allclose(by[f"bending {i + 1}"].pole_radps.imag, modes.omega_radps[i], rtol=0.02)
         assert 47.0 < by["actuator 3"].frequency_hz < 49.0  # 52 Hz, folded
@@ -345,8 +350,7 @@ def test_law_s_command_at_the_gimbal_s_limit() -> None:
     """6 deg by KSR-III's file; half of it where a group moves twice as far; none for an ideal actuator."""
     node = node_at(40.0)
     assert np.degrees(node.angle_limit_rad) == pytest.approx(6.0, rel=1e-12)
-    engine = dataclasses.replace(node.vehicle.engine, gain=2.0 * node.vehicle.engine.gain)
-    wider = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, engines=(engine,)))
+    wider = dataclasses.replace(node, allocation=((2.0, 0.0),))
     assert np.degrees(wider.angle_limit_rad) == pytest.approx(3.0, rel=1e-12)
     assert ideal(node, actuator=True).angle_limit_rad == np.inf
 
@@ -378,8 +382,8 @@ def test_literal_cuts_of_eq_42() -> None:
 # --- Table 2
 def test_imposed_derivatives_span_table_2() -> None:
     table = read_derivatives()
-    nodes = imposed(flown(), table)
-    found = np.array([[getattr(stability_derivatives(n.vehicle, n.condition), c) for c in COLUMNS] for n in nodes])
+    nodes = imposed(published(), table)
+    found = np.array([[getattr(n.derivatives, c) for c in COLUMNS] for n in nodes])
     np.testing.assert_allclose(found, table.values, rtol=1e-12)
     ends = {
         "z_alpha_1ps": (-0.55, -0.1),
@@ -389,16 +393,12 @@ def test_imposed_derivatives_span_table_2() -> None:
     }
     for k, name in enumerate(COLUMNS):
         np.testing.assert_allclose((found[:, k].min(), found[:, k].max()), ends[name], rtol=1e-12)
-    for before, after in zip(flown(), nodes, strict=True):
-        np.testing.assert_allclose(
-            axial_load_mps2(after.vehicle, after.condition),
-            axial_load_mps2(before.vehicle, before.condition),
-            rtol=1e-12,
-        )
-        rates = [stability_derivatives(n.vehicle, n.condition).m_q_1ps for n in (before, after)]
+    for before, after in zip(published(), nodes, strict=True):
+        np.testing.assert_allclose(after.axial_load_mps2, before.axial_load_mps2, rtol=1e-12)
+        rates = [n.derivatives.m_q_1ps for n in (before, after)]
         np.testing.assert_allclose(rates[0], rates[1], rtol=1e-12)
-        assert after.vehicle.modes is before.vehicle.modes
-        assert after.vehicle.pendulums is before.vehicle.pendulums
+        assert after.planar.modes is before.planar.modes
+        assert after.planar.pendulums is before.planar.pendulums
         assert (api.loop(after, design()).closed_poles().real < 0.0).all()
         assert len(api.loop(after.with_errata(PAPER), design(), kind="pade").closed_poles()) > 0
 
@@ -411,7 +411,7 @@ def test_imposed_derivatives_that_cannot_be() -> None:
     assert 11.462 < between["m_delta_1ps2"] < 12.542
     wild = DerivativeTable(np.array([40.0]), np.array([[-0.5, -40.0, 0.07, 1e4]]))
     with pytest.raises(ValueError, match="M_delta = 10000 leaves the core no inertia"):
-        imposed([node_at(40.0)], wild)
+        imposed([published_at(40.0)], wild)
 
 
 def test_tables_of_derivatives_that_are_none(tmp_path: Path) -> None:
@@ -458,5 +458,6 @@ def test_nodes_are_those_of_a_flight_without_its_faults() -> None:
     sound, nominal = (nodes_along(load_scenario("nominal", more), [1.0])[0] for more in ([loss], []))
     weak = nodes_along(load_scenario("nominal", [loss]), [1.0], faults=True)[0]
     assert sound.condition == nominal.condition
-    assert sound.vehicle.engine == nominal.vehicle.engine
-    assert weak.vehicle.engine.vacuum_thrust_N == pytest.approx(0.6 * sound.vehicle.engine.vacuum_thrust_N, rel=1e-2)
+    thrust = [n.held.properties[0, schedule.THRUST_VACUUM] for n in (sound, nominal, weak)]
+    assert thrust[0] == thrust[1]
+    assert thrust[2] == pytest.approx(0.6 * thrust[0], rel=1e-2)

@@ -187,7 +187,7 @@ def test_both_ends_of_a_range_are_searched_and_lie_on_either_side() -> None:
     ranges = kit.case(name="ksr3-robust").case.robust
     assert ranges is not None
     low, middle, high = (
-        np.concatenate([v.modes.omega_radps, [v.pendulums.mass_kg.sum()]])
+        np.concatenate([v.omega_radps, [v.pendulums.mass_kg.sum()]])
         for v in (deviated(node, ranges, [end] * len(places_of(node, ranges))).vehicle for end in (-1, 0, 1))
     )
     np.testing.assert_allclose(high - middle, middle - low, rtol=1e-9)
@@ -265,8 +265,8 @@ def test_an_instant_that_is_worse_becomes_a_node_with_its_worst_plant(monkeypatc
     done = robust.solve_robust(loaded, nominal)
     assert asked == [[30.0, 40.0], [30.0, 33.0, 40.0]]
     assert [p.node.time_s for p in made[0].each].count(33.0) == 2  # as it is, and at its worst corner
-    assert made[0].each[-1].node.vehicle.modes.omega_radps == pytest.approx(
-        deviated(between, ranges, ends).vehicle.modes.omega_radps
+    assert made[0].each[-1].node.vehicle.omega_radps == pytest.approx(
+        deviated(between, ranges, ends).vehicle.omega_radps
     )
     assert done.certificate.worst_instant_db == 0.0
 

@@ -21,8 +21,8 @@ from test_oracle_linear_model import TOLERANCE, VEHICLE_STATES, flat_earth, plan
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.linearised import linearise
-from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.vehicle_at import vehicle_at
+from maxq.design.paper.plant import vehicle_plant
+from maxq.design.paper.vehicle_at import vehicle_at
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario

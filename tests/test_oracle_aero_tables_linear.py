@@ -13,11 +13,10 @@ from flightkit import Parts, Rig, Tank, Tree, merged, rig, scenario_of, with_sta
 
 from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import ExactFixedPath, fixed_path
-from maxq.design.model.incidence import table_slopes
+from maxq.design.model.instruments import Plane
 from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.node import node_of
-from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.vehicle_at import Plane, stability_derivatives
+from maxq.design.paper.incidence import table_slopes
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle.workspace import MACH
 
@@ -137,7 +136,7 @@ def test_flexible_vehicle_along_its_axis(plane: Plane) -> None:
     made = made_of(FLEXIBLE, symmetric(), [300.0, 0.0, 0.0], {"rate_damping": damping})
     made.packed.memory[0].held.burning = 1
     node = node_of(made.packed, 0.0, plane=plane)
-    ours, theirs = vehicle_plant(node.vehicle, node.condition), linearise(made.packed, made.packed.state, 0.0)
+    ours, theirs = node.plant, linearise(made.packed, made.packed.state, 0.0)
     np.testing.assert_allclose(in_plane(theirs, plane), ours.a, rtol=TOLERANCE, atol=1e-8)
 
 
@@ -155,7 +154,7 @@ def test_rigid_vehicle_at_its_trim(plane: Plane) -> None:
     model = linearise(made.packed, made.packed.state, 0.0)
     names, sign = (("w_mps", "q_radps"), 1.0) if plane == "pitch" else (("v_mps", "r_radps"), -1.0)
     force, turn = columns(model, names, names) * np.array([[1.0, sign], [sign, 1.0]])
-    d = stability_derivatives(node.vehicle, node.condition)
+    d = node.derivatives
     np.testing.assert_allclose([d.z_alpha_1ps, d.m_alpha_1ps2 / speed, d.m_q_1ps], [force[0], *turn], rtol=TOLERANCE)
 
 
@@ -187,7 +186,7 @@ def test_flexible_vehicle_at_its_trim(trim_deg: tuple[float, float]) -> None:
     for plane in ("pitch", "yaw"):
         node = node_of(made.packed, 0.0, plane=plane)
         assert node.trim == pytest.approx(np.radians(trim_deg), abs=1e-9)
-        ours = vehicle_plant(node.vehicle, node.condition)
+        ours = node.plant
         scale = np.abs(ours.a).max(axis=1, keepdims=True)
         np.testing.assert_allclose(in_plane(theirs, plane) / scale, ours.a / scale, rtol=TOLERANCE, atol=1e-10)
 
@@ -216,10 +215,10 @@ def test_moving_reference_and_floor() -> None:
     made = made_of(FLEXIBLE, aero, [300.0, 0.0, 0.0])
     made.packed.memory[0].held.burning = 1
     node = node_of(made.packed, 0.0)
-    ours, theirs = vehicle_plant(node.vehicle, node.condition), linearise(made.packed, made.packed.state, 0.0)
+    ours, theirs = node.plant, linearise(made.packed, made.packed.state, 0.0)
     np.testing.assert_allclose(in_plane(theirs, "pitch"), ours.a, rtol=TOLERANCE, atol=1e-8)
     below = made_of(FLEXIBLE, symmetric() | {"airspeed_floor_mps": 301.0}, [300.0, 0.0, 0.0])
     below.packed.memory[0].held.burning = 1
     node = node_of(below.packed, 0.0)
-    ours, theirs = vehicle_plant(node.vehicle, node.condition), linearise(below.packed, below.packed.state, 0.0)
+    ours, theirs = node.plant, linearise(below.packed, below.packed.state, 0.0)
     np.testing.assert_allclose(in_plane(theirs, "pitch"), ours.a, rtol=TOLERANCE, atol=1e-8)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
+from oracles.hand_model import planar_of
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.node import nodes_along
@@ -79,7 +80,7 @@ def test_bound_for_the_case_study() -> None:
     assert table is not None
     shapes, worst = ModeShapes(table), np.zeros((3, 3))
     for node in nodes_along(loaded, [5.0, 25.0, 36.0, 45.0, 50.0]):
-        vehicle, condition, modes = node.vehicle, node.condition, node.vehicle.modes
+        vehicle, condition, modes = planar_of(node), node.condition, planar_of(node).modes
         drag = condition.dynamic_pressure_Pa * vehicle.aerodynamics.area_m2 * vehicle.aerodynamics.axial
         at = int(np.argmin(np.abs(table.time_s - condition.time_s)))
         x = np.linspace(float(table.station_m[0]), vehicle.engine.gimbal_station_m, 2001)

@@ -27,7 +27,6 @@ from maxq.design.certificate.response import BANDS as RESPONSE_BANDS
 from maxq.design.certificate.response import _estimated, _spectra, measure
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
-from maxq.design.model.plant import axial_load_mps2
 from maxq.sim.packing.flight import Packed
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
@@ -84,7 +83,7 @@ def test_gravity_along_the_body_follows_it_and_leaves_its_loop() -> None:
     turned = Rotation.random(random_state=1)
     y[Q_BI : Q_BI + 4] = np.roll(turned.as_quat(), 1)
     felt = evaluate_at(held.packed, y, TIME_S).aux[GRAVITATION : GRAVITATION + 3]
-    load = axial_load_mps2(node.vehicle, node.condition)
+    load = node.axial_load_mps2
     np.testing.assert_allclose(felt, -load * turned.apply([1.0, 0.0, 0.0]), rtol=1e-9)
     assert loaded.design is not None
     mine, with_gravity = api.loops([held.node, other.node], loaded.design)

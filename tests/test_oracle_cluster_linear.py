@@ -16,13 +16,15 @@ import scipy.optimize
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.design.loop.fixed_path import ExactFixedPath, fixed_path
-from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.model.engine import GimballedEngine, TvcLoad
-from maxq.design.model.equations import DERIVATIVES, inputs_of
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.held import FlightCondition
+from maxq.design.model.instruments import DERIVATIVES, Plane
 from maxq.design.model.linearised import LinearModel, linearise
-from maxq.design.model.node import node_of
-from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.vehicle_at import FlightCondition, Plane, stability_derivatives, vehicle_at
+from maxq.design.model.node import disperse, node_of
+from maxq.design.paper.engine import GimballedEngine, TvcLoad
+from maxq.design.paper.equations import inputs_of
+from maxq.design.paper.plant import vehicle_plant
+from maxq.design.paper.vehicle_at import stability_derivatives, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario

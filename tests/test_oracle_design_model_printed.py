@@ -15,17 +15,17 @@ import math
 
 import numpy as np
 import pytest
-from design_nodes import TIMES_S, closed_damping, design, flown, node_at, without
+from design_nodes import TIMES_S, closed_damping, design, published, published_at, without
 from oracles.dalembert_plant import dalembert_plant
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
-from maxq.design.loop.errata_effects import EXPLAINED, errata_effects, peaks_db
 from maxq.design.loop.fixed_path import Cut, PadeFixedPath
-from maxq.design.model.errata import ABOUT, CORRECTED, PAPER, PRESETS, Errata, one_at_a_time
-from maxq.design.model.node import Node
-from maxq.design.model.plant import as_printed, axial_load_mps2, vehicle_plant
-from maxq.design.model.vehicle_at import stability_derivatives
+from maxq.design.paper.errata import ABOUT, CORRECTED, PAPER, PRESETS, Errata, one_at_a_time
+from maxq.design.paper.errata_effects import EXPLAINED, errata_effects, peaks_db
+from maxq.design.paper.nodes import PaperNode
+from maxq.design.paper.plant import as_printed, axial_load_mps2, vehicle_plant
+from maxq.design.paper.vehicle_at import stability_derivatives
 
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
 XI = 1.84118378134066
@@ -33,19 +33,19 @@ XI = 1.84118378134066
 
 @EVERY_NODE
 def test_all_errata_corrected_make_the_corrected_plant(time_s: float) -> None:
-    node = node_at(time_s)
+    node = published_at(time_s)
     ours, theirs = (
-        vehicle_plant(node.vehicle, node.condition, CORRECTED, node.liquids),
-        dalembert_plant(node.vehicle, node.condition),
+        vehicle_plant(node.planar, node.condition, CORRECTED, node.liquids),
+        dalembert_plant(node.planar, node.condition),
     )
     np.testing.assert_allclose(ours.a, theirs.a, rtol=1e-11, atol=1e-9)
     np.testing.assert_allclose(ours.b, theirs.b, rtol=1e-11, atol=1e-11)
     np.testing.assert_array_equal(ours.c, theirs.c)
 
 
-def printed_rates(node: Node, x: dict[str, Array], delta: float, delta_accel: float) -> dict[str, Array]:
+def printed_rates(node: PaperNode, x: dict[str, Array], delta: float, delta_accel: float) -> dict[str, Array]:
     """Eqs 1, 2, 3, 12, 13, 21 as printed: rates of alpha, q, theta, eta', Gamma', and q_m."""
-    vehicle, condition = node.vehicle, node.condition
+    vehicle, condition = node.planar, node.condition
     assert node.liquids is not None
     d = stability_derivatives(vehicle, condition)
     m, i_yy, u = vehicle.body.total_mass_kg, vehicle.total_inertia_kgm2, condition.airspeed_mps
@@ -104,9 +104,9 @@ def printed_rates(node: Node, x: dict[str, Array], delta: float, delta_accel: fl
 
 @EVERY_NODE
 def test_preset_paper_is_what_is_printed(time_s: float) -> None:
-    node = node_at(time_s).with_errata(PAPER)
+    node = published_at(time_s).with_errata(PAPER)
     plant, speed = node.plant, node.condition.airspeed_mps
-    n, m = len(node.vehicle.modes.omega_radps), len(node.vehicle.pendulums.mass_kg)
+    n, m = len(node.planar.modes.omega_radps), len(node.planar.pendulums.mass_kg)
     sizes = {"alpha": 1, "q": 1, "theta": 1, "eta": n, "eta_rate": n, "gamma": m, "gamma_rate": m}
     scale = np.array([speed] + [1.0] * (sum(sizes.values()) - 1))  # w = U alpha
     total = len(scale)
@@ -131,8 +131,8 @@ def test_preset_paper_is_what_is_printed(time_s: float) -> None:
 
 @EVERY_NODE
 def test_switches_change_what_they_are_about_and_nothing_else(time_s: float) -> None:
-    node = node_at(time_s)
-    right = vehicle_plant(node.vehicle, node.condition, CORRECTED, node.liquids)
+    node = published_at(time_s)
+    right = vehicle_plant(node.planar, node.condition, CORRECTED, node.liquids)
     for name, errata in one_at_a_time():
         wrong = node.with_errata(errata)
         if name == "actuator_labels":
@@ -146,9 +146,9 @@ def test_switches_change_what_they_are_about_and_nothing_else(time_s: float) -> 
 
 def test_figures_of_the_list_of_errata() -> None:
     """Each figure as the list has it, over the nodes; the study behind it had a plant of its own, hence the slack."""
-    nodes = flown()
+    nodes = published()
 
-    def measure(node: Node, cut: Cut) -> dict[str, float]:
+    def measure(node: PaperNode, cut: Cut) -> dict[str, float]:
         loop = api.loop(node, design(), kind="pade", cut=cut)
         slosh = {f"zeta {k}": v for k, v in closed_damping(loop).items()} if cut == "gimbal_command" else {}
         return peaks_db(loop) | slosh
@@ -175,7 +175,7 @@ def test_figures_of_the_list_of_errata() -> None:
     # 16: the literal cut hides the bending peak
     assert (changes("opened_at", "bending 1") < -40.0).all()
     # 2 turns the phase of every mode by half a turn: the residue at its pole changes sign
-    node = node_at(40.0)
+    node = published_at(40.0)
     path, wrong = PadeFixedPath(node), PadeFixedPath(node.with_errata(CORRECTED.switched(mode_force_sign=False)))
     for right, other in zip(path.resonances(), wrong.resonances(), strict=True):
         if right.kind == "bending":
@@ -185,7 +185,7 @@ def test_figures_of_the_list_of_errata() -> None:
 
 def test_actuator_at_single_frequencies() -> None:
     """Erratum 13: at 10 Hz -19.7 vs -11.2 dB; 15.6 Hz -51 vs -9.7 dB; 30 Hz -41.5 vs -65 dB."""
-    node = without(node_at(40.0), modes=True, tanks=True)
+    node = without(published_at(40.0), modes=True, tanks=True)
     other = node.with_errata(CORRECTED.switched(actuator_labels=True))
     for hz, printed_db, exchanged_db in ((10.0, -19.7, -11.2), (15.6, -51.0, -9.7), (30.0, -41.5, -65.0)):
         sizes = []
@@ -198,24 +198,23 @@ def test_actuator_at_single_frequencies() -> None:
 
 def test_tanks_with_the_diameter_for_the_radius() -> None:
     """Erratum 6 at lift-off of the list's vehicle: 1.44 vs 1.02 Hz, 192 vs 383 kg, 0.27 vs 0.53 m."""
-    node = node_at(5.0)
+    node = published_at(5.0)
     assert node.liquids is not None
-    wrong = as_printed(node.vehicle.pendulums, node.liquids, radius=False, liquid=True)
-    load = axial_load_mps2(node.vehicle, node.condition)
+    wrong = as_printed(node.planar.pendulums, node.liquids, radius=False, liquid=True)
+    load = node.axial_load_mps2
     hz = np.sqrt(load / wrong.length_m) / (2.0 * math.pi)
     np.testing.assert_allclose(hz, 1.02, rtol=0.01)
     np.testing.assert_allclose(wrong.mass_kg[0], 383.0, rtol=0.01)
     np.testing.assert_allclose(wrong.length_m, 0.53, atol=0.01)
-    same = as_printed(node.vehicle.pendulums, node.liquids, radius=True, liquid=True)
+    same = as_printed(node.planar.pendulums, node.liquids, radius=True, liquid=True)
     for f in dataclasses.fields(same):
-        np.testing.assert_allclose(getattr(same, f.name), getattr(node.vehicle.pendulums, f.name), rtol=1e-12)
+        np.testing.assert_allclose(getattr(same, f.name), getattr(node.planar.pendulums, f.name), rtol=1e-12)
 
 
 def test_errata_of_the_tanks_need_tanks_that_are_known() -> None:
-    bare = dataclasses.replace(node_at(40.0), liquids=None)
+    bare = dataclasses.replace(published_at(40.0), liquids=None)
     with pytest.raises(ValueError, match=r"node at 40 s: .*radius_m and liquid_height_m"):
         _ = bare.with_errata(PAPER).plant
-    assert without(bare, tanks=True).with_errata(PAPER).plant.states[-1] == "eta_3_rate_mps"
     found = errata_effects([bare], lambda node, cut: {"order": len(node.plant.states)})
     assert {e.erratum for e in found if e.error} == {"tank_radius", "tank_liquid", "paper"}
 

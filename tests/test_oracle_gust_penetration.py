@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from aero_tables import AIR, MODES, PARTS, REFERENCE, STABILITY
 from flightkit import Parts, Rig, Tree, merged, rig, scenario_of, with_stage
+from oracles.hand_model import planar_of
 
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank
@@ -272,7 +273,7 @@ def test_what_one_gust_for_the_whole_body_makes_wrong() -> None:
     stations = np.array(surface_stations(loaded.scenario.vehicle.stage[0]))
     found = []
     for node in nodes_along(loaded, [25.0, 36.0, 45.0]):
-        air, vehicle = node.vehicle.aerodynamics, node.vehicle
+        air, vehicle = planar_of(node).aerodynamics, planar_of(node)
         arm = vehicle.total_cg_station_m - stations
         late = np.exp(1j * vehicle.modes.omega_radps[0] * arm / node.condition.airspeed_mps)
         modal, moment = vehicle.modes.phi_surface[0] * air.slope_pr, vehicle.total_cg_station_m * air.slope_pr

@@ -32,12 +32,13 @@ import scipy.optimize
 from zero_incidence import zero_incidence
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.equations import OUTPUTS
-from maxq.design.model.instruments import DERIVATIVES, actuator, gyro
+from maxq.design.model.held import OUTPUTS, FlightCondition
+from maxq.design.model.instruments import DERIVATIVES, Plane, actuator, gyro
 from maxq.design.model.linearised import LinearModel, linearise
-from maxq.design.model.plant import vehicle_plant
+from maxq.design.model.node import node_of
 from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, Plane, stability_derivatives, vehicle_at
+from maxq.design.paper.plant import vehicle_plant
+from maxq.design.paper.vehicle_at import stability_derivatives, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
@@ -188,6 +189,23 @@ def test_vehicle_matrices_are_equal(nodes: dict[int, Node], time_s: int) -> None
     plant = vehicle_plant(vehicle_at(node.packed, time_s, node.condition.mach), node.condition)
     np.testing.assert_allclose(through[:, [0, 2]], plant.b, rtol=TOLERANCE, atol=1e-8)
     np.testing.assert_allclose(through[:, 1], 0.0, atol=1e-7)  # the engine's rate alone moves nothing
+
+
+@pytest.mark.parametrize("plane", ["pitch", "yaw"])
+@pytest.mark.parametrize("load", [(), ("vehicle.stage.0.tvc_load={frequency_hz=15.6, damping_ratio=0.042}",)])
+@EVERY_NODE
+def test_plant_of_an_operating_point_is_the_published_model(
+    flight: Flight, time_s: int, load: tuple[str, ...], plane: Plane
+) -> None:
+    """The Jacobian of the simulator, reduced to a plane: matrices entry by entry, names, zeros."""
+    packed, condition = flat_earth(flight, time_s, *load)
+    ours = node_of(packed, float(time_s), 0, plane).plant
+    theirs = vehicle_plant(vehicle_at(packed, time_s, condition.mach, plane), condition)
+    assert (ours.states, ours.inputs, ours.outputs) == (theirs.states, theirs.inputs, theirs.outputs)
+    for name in "abcd":
+        mine, other = getattr(ours, name), getattr(theirs, name)
+        np.testing.assert_allclose(mine, other, rtol=TOLERANCE, atol=1e-9)
+        np.testing.assert_array_equal(mine == 0.0, other == 0.0)
 
 
 @pytest.mark.parametrize("exchange", [False, True])

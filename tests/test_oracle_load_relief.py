@@ -12,7 +12,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -38,7 +37,6 @@ from maxq.design.laws.pd import PdDesign
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.laws.wind import DRIFT, LOAD, MOMENTS, Spectrum, WindResponse
 from maxq.design.model.instruments import actuator_response, lag
-from maxq.design.model.plant import vehicle_plant
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.solve import solve
 from maxq.design.verify.judging import with_law
@@ -245,7 +243,7 @@ def test_load_and_drift_are_those_of_the_closed_equations() -> None:
     assert wind is not None
     plant, spectrum = plants.each[0], Spectrum(**dict(wind) | {"band_hz": (0.02, 30.0)})
     node, f = plant.node, np.exp(plant.wind.x)
-    body = vehicle_plant(node.vehicle, node.condition, wind=True)
+    body = node.plant_in_wind()
     moment = body.outputs.index(f"bending_{STATION_M:g}_Nm")
     speed, n, s = node.condition.airspeed_mps, len(body.states), 2j * np.pi * f
     delta, accel, gust = (body.inputs.index(name) for name in ("delta_rad", "delta_accel_radps2", "wind_mps"))
@@ -333,7 +331,7 @@ def test_winds_column_is_the_simulators() -> None:
         sideways = rotation(y[Q_BI : Q_BI + 4]).T @ rate[V_I : V_I + 3]
         both.append(np.array([sideways[1], rate[W_BI_B + 2]]))
     v_rate, r_rate = (both[0] - both[1]) / 4e-4
-    body = vehicle_plant(node.vehicle, dataclasses.replace(node.condition), wind=True)
+    body = node.plant_in_wind()
     column: Array = body.b[:, body.inputs.index("wind_mps")]
     assert v_rate == pytest.approx(column[body.states.index("w_mps")], rel=1e-5)
     assert r_rate == pytest.approx(-column[body.states.index("q_radps")], rel=1e-5)

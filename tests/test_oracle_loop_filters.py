@@ -34,8 +34,7 @@ from maxq.control.sensors import make_sensors
 from maxq.design import api
 from maxq.design.laws.pd import Pd
 from maxq.design.laws.pd_variables import PdVariables
-from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.vehicle_at import incidence_by_acceleration, stability_derivatives
+from maxq.design.model.vehicle_at import incidence_by_acceleration
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.verify.judging import judge
 from maxq.sim.run.fly import fly
@@ -288,7 +287,7 @@ def test_damping_of_the_rigid_body_counts_all_gyros() -> None:
     node = problem("sampled")[1].each[0].node
     law = api.load_design("designs/ksr3-load-relief.toml", "load-relief")
     k_p, k_d = (np.interp(node.time_s, law.gains.table["time_s"], law.gains.table[k]) for k in ("k_p", "k_d_s"))
-    m_delta = stability_derivatives(node.vehicle, node.condition).m_delta_1ps2
+    m_delta = node.derivatives.m_delta_1ps2
     zeta = judge([node], law, "sampled")[0].rigid("paper")[1]
     assert zeta == pytest.approx(0.5 * k_d * np.sqrt(m_delta / k_p), rel=1e-9)
 
@@ -297,8 +296,8 @@ def test_the_centre_of_percussion_feels_the_air_and_no_gimbal_angle() -> None:
     """In the linear plant without modes and slosh: acceleration there per gimbal angle 0, per incidence b."""
     rigid = load_scenario("load-relief", ["switches.bending=false", "switches.slosh=false"])
     for node in api.nodes(rigid, (15.0, 40.0)):
-        lever_m, slope = incidence_by_acceleration(node.vehicle, node.condition)
-        plant = vehicle_plant(node.vehicle, node.condition)
+        lever_m, slope = incidence_by_acceleration(node.vehicle, node.derivatives, node.condition.airspeed_mps)
+        plant = node.plant
         felt, turned = plant.outputs.index("accel_mps2"), plant.states.index("q_radps")
         delta, w = plant.inputs.index("delta_rad"), plant.states.index("w_mps")
         left = plant.d[felt, delta] - lever_m * plant.b[turned, delta]
@@ -314,7 +313,7 @@ def test_the_estimate_is_the_incidence_that_is_flown(tmp_path: Path) -> None:
     """In a side wind, law and estimator fed with what the linear model says; truth behind the same lag."""
     rows = []
     for node in api.nodes(load_scenario("load-relief"), (5.0, 15.0, 25.0, 35.0, 45.0, 55.0)):
-        lever_m, slope = incidence_by_acceleration(node.vehicle, node.condition)
+        lever_m, slope = incidence_by_acceleration(node.vehicle, node.derivatives, node.condition.airspeed_mps)
         gains = f"k_p=1.0, k_d_s=0.45, k_alpha=0.1, percussion_m={lever_m}, accel_per_incidence_mps2={slope}"
         rows.append(f"{{time_s={node.time_s}, {gains}}}")
     text = (

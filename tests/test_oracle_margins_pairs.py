@@ -25,7 +25,7 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.bounds import Factors
 from maxq.design.margins.measure import margins
-from maxq.design.model.dispersion import disperse
+from maxq.design.model.node import disperse
 from maxq.design.model.spread import Spread, vehicle_of
 
 LOWEST_HZ, HIGHEST_HZ, FLOOR = 1e-3, 300.0, 1.001e-4

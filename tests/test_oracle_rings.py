@@ -18,6 +18,7 @@ import math
 import numpy as np
 import pytest
 from oracles.dalembert_plant import dalembert_plant
+from oracles.hand_model import planar_of
 from scipy.integrate import quad, simpson
 from test_oracle_slosh_waves import GRAVITY_MPS2, OMEGA, swinging
 
@@ -25,10 +26,9 @@ from maxq.design import api
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.response import ring_lines
-from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.model.node import Node, at_swing, equivalent_swing, with_swings
-from maxq.design.model.plant import axial_load_mps2, vehicle_plant
-from maxq.design.model.vehicle_at import vehicle_at
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.node import Node, at_swing, disperse, equivalent_swing, with_swings
+from maxq.design.paper.vehicle_at import vehicle_at
 from maxq.sim.packing.flight import Packed
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
@@ -93,7 +93,7 @@ def node(loaded: LoadedScenario) -> Node:
 
 def test_swing_at_a_node_is_that_of_the_flight(loaded: LoadedScenario, node: Node) -> None:
     """A sine at the pendulums' frequency swings the liquid: amplitudes in the log about the node."""
-    hz = math.sqrt(axial_load_mps2(node.vehicle, node.condition) / node.vehicle.pendulums.length_m[0]) / (2.0 * math.pi)
+    hz = math.sqrt(node.axial_load_mps2 / node.vehicle.pendulums.length_m[0]) / (2.0 * math.pi)
     signal = (
         "injection=[{at='gimbal_command',axis='pitch',kind='sine',amplitude_deg=0.8,frequency_hz="
         f"{hz},start_s=5.0,stop_s=24.0}}]"
@@ -110,10 +110,10 @@ def test_swing_at_a_node_is_that_of_the_flight(loaded: LoadedScenario, node: Nod
 
 def test_plant_has_that_damping(node: Node) -> None:
     swung = at_swing(node, np.radians([6.0, 2.0]))
-    load, bobs = axial_load_mps2(node.vehicle, node.condition), swung.vehicle.pendulums
+    load, bobs = node.axial_load_mps2, planar_of(swung).pendulums
     constant = dataclasses.replace(bobs, damping_ratio=bobs.damping(load), ring=0.0 * bobs.ring)
-    other = dalembert_plant(dataclasses.replace(swung.vehicle, pendulums=constant), node.condition)
-    mine = vehicle_plant(swung.vehicle, node.condition)
+    other = dalembert_plant(dataclasses.replace(planar_of(swung), pendulums=constant), node.condition)
+    mine = swung.plant
     hz = np.array([0.3, 1.1, 1.4, 1.7, 9.0])
     np.testing.assert_allclose(mine.response(hz), other.response(hz), rtol=1e-8, atol=1e-12)
     assert np.abs(mine.response(hz) / node.plant.response(hz) - 1.0).max() > 0.05

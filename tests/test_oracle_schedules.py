@@ -94,7 +94,7 @@ def test_law_of_a_node_is_that_of_its_instant(tmp_path: Path, over: Over) -> Non
     node = kit.plants().each[0].node
     at = {
         "speed_mps": node.condition.airspeed_mps,  # no wind
-        "mass_kg": node.vehicle.body.total_mass_kg,
+        "mass_kg": node.vehicle.total_mass_kg,
         "dynamic_pressure_Pa": node.condition.dynamic_pressure_Pa,
     }[over]
     assert node.scheduled(over) == pytest.approx(at, rel=1e-9)

@@ -35,11 +35,10 @@ from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import ExactFixedPath, PadeFixedPath, SampledFixedPath, fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.multiloop import multiloop
-from maxq.design.model.equations import OUTPUTS
-from maxq.design.model.instruments import actuator, lag
+from maxq.design.model.held import OUTPUTS
+from maxq.design.model.instruments import Plane, actuator, lag
 from maxq.design.model.linearised import linearise
 from maxq.design.model.node import Node
-from maxq.design.model.vehicle_at import Plane
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.vehicle import state as layout

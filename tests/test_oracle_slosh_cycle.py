@@ -22,7 +22,8 @@ from scipy.special import j1
 from maxq.design import api
 from maxq.design.certificate.held_flight import HeldFlight, hold
 from maxq.design.certificate.measured_margins import burst_test, limit_cycle, measured_growth
-from maxq.design.model.dispersion import Dispersion, disperse
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.node import disperse
 from maxq.design.verify.slosh import MIDWAY, SWING_PER_WAVE, Baffle, SloshAdvice, advise, confirm, fly_cycle
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario

@@ -20,21 +20,23 @@ import numpy as np
 import pytest
 from aero_tables import OVER_ALPHA_BETA
 from flightkit import Mode, Parts, Rig, Tank, Tree, flown, load, merged, rig, scenario_of, with_stage
+from oracles.hand_model import planar_of
 from oracles.multibody_system import rotation_from_quaternion
 from test_oracle_aero_tables_linear import ALL, ROUND, symmetric
+from test_oracle_wind_bending import loaded
 from zero_incidence import zero_incidence
 
 from maxq.control.kernel.records import Array
 from maxq.design.laws.wind import Spectrum
 from maxq.design.loop.fixed_path import PadeFixedPath
 from maxq.design.loop.wind import wind_response
-from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.model.equations import WIND
-from maxq.design.model.instruments import actuator
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.held import WIND, FlightCondition
+from maxq.design.model.instruments import Plane, actuator
 from maxq.design.model.linearised import LinearModel, linearise, settled
-from maxq.design.model.node import node_of
-from maxq.design.model.plant import alone, vehicle_plant
-from maxq.design.model.vehicle_at import FlightCondition, Plane, vehicle_at
+from maxq.design.model.node import disperse, node_of
+from maxq.design.paper.plant import alone, vehicle_plant
+from maxq.design.paper.vehicle_at import vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
@@ -566,9 +568,16 @@ def test_modes_of_both_planes_in_incidence_feel_each_others_flow(trim_deg: tuple
     ]
     made = rig(with_stage(merged(scenario_of(straight, **AIR), start), aero=aero, spatial_modes=section))
     made.packed.memory[0].held.burning = 1
-    ours, theirs = node_of(made.packed, 0.0).whole.a, both_planes(linearise(made.packed, made.packed.state, 0.0), 4)
+    node = node_of(made.packed, 0.0)
+    whole = vehicle_plant(planar_of(node), node.condition)
+    ours, theirs = whole.a, both_planes(linearise(made.packed, made.packed.state, 0.0), 4)
     scale = np.abs(theirs).max(axis=1, keepdims=True)
     np.testing.assert_allclose(ours / scale, theirs / scale, rtol=1e-8, atol=1e-10)
+    mine, other = node.plant, alone(whole, planar_of(node))
+    assert (mine.states, mine.inputs) == (other.states, other.inputs)
+    for got, expected in ((mine.a, other.a), (mine.b, other.b), (mine.c, other.c[: len(mine.c)])):
+        row = np.abs(expected).max(axis=1, keepdims=True)
+        np.testing.assert_allclose(got / row, expected / row, rtol=1e-8, atol=1e-9)
 
 
 def both_planes(theirs: LinearModel, modes: int, loaded: bool = False) -> Array:
@@ -657,13 +666,30 @@ def test_a_plane_of_the_coupled_plant_holds_the_other() -> None:
     weak = [disperse(node, Dispersion(bending_slope=1.2, thrust=1.0, slosh_mass=0.9)) for node in made]
     ours, theirs = (node.plant.response(frequencies) for node in weak[::-1])
     np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
-    assert len(spatial.whole.states) == len(spatial.plant.states) + 3 + 2 * 2
     gusts = [wind_response(PadeFixedPath(node), Spectrum(3.0, 500.0, "dryden")) for node in (spatial, planar)]
     for name in ("weights", "measured", "by_command", "by_wind"):
         ours, theirs = (getattr(of, name) for of in gusts)
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
-    with pytest.raises(ValueError, match="bending moments in wind are not for vehicles with spatial modes"):
-        wind_response(PadeFixedPath(spatial), Spectrum(3.0, 500.0, "dryden"), (5.0,))
+
+
+@pytest.mark.parametrize("plane", ["pitch", "yaw"])
+def test_bending_moments_of_spatial_modes_are_those_of_planar_ones(plane: Plane) -> None:
+    """Planar pairs written as spatial modes, 30 deg turned: every moment by command and by wind, at six stations."""
+    section, rest = as_spatial(PARTS, np.radians(30.0))
+    start = {"initial": {"ned_mps": [200.0, 0.0, 0.0]}, "earth": {"gravity": "uniform"}}
+    made = []
+    for parts, more in ((PARTS, {}), (rest, {"spatial_modes": section})):
+        straight = replace(parts, core_cg=(7.0, 0.0, 0.0), gimbal_offset_m=(0.0, 0.0), tanks=parts.tanks[:1])
+        given = merged(scenario_of(straight, **AIR), start | {"switches": {"section_loads": True}})
+        tree = with_stage(given, aero=AERO, loads=loaded(), **more)
+        made.append(node_of(pack_flight(load(tree).scenario), 0.0, 0, plane).plant_in_wind())
+    planar, spatial = made
+    moments = [k for k, name in enumerate(planar.outputs) if name.startswith("bending")]
+    assert planar.outputs == spatial.outputs
+    assert len(moments) == 6
+    hz = np.array([0.3, 1.0, 3.1, 5.2, 20.0])
+    ours, theirs = (plant.response(hz)[:, moments] for plant in (spatial, planar))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-9 * np.abs(theirs).max())
 
 
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
@@ -673,16 +699,12 @@ def test_air_that_moves_with_the_vehicle_does_nothing(plane: Plane) -> None:
     start = {"initial": {"ned_mps": [200.0, 20.0, -15.0]}, "earth": {"gravity": "uniform"}}
     tree = with_stage(merged(scenario_of(rest, **AIR), start), aero=AERO | TABLES, spatial_modes=section)
     node = node_of(pack_flight(load(tree).scenario), 0.0, 0, plane)
-    whole = vehicle_plant(node.vehicle, node.condition, wind=True)
+    whole = node.plant_in_wind()
     wind, w = whole.inputs.index(WIND), whole.states.index("w_mps")
-    np.testing.assert_allclose(whole.b[:, wind], -whole.a[:, w], rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(whole.b[:, wind], -whole.a[:, w], rtol=1e-9, atol=1e-11)
     felt = [n for n, name in enumerate(whole.outputs) if name != "w_mps"]  # which is not relative to the air
-    np.testing.assert_allclose(whole.d[felt, wind], -whole.c[felt, w], rtol=1e-12, atol=1e-14)
-    across = [n for n, name in enumerate(whole.states) if name.startswith("across_")]
-    assert np.abs(whole.b[across, wind]).max() > 1e-4  # the tables push across the flow
-    by_itself = alone(whole, node.vehicle, wind=True)
-    assert by_itself.inputs == (*node.plant.inputs, WIND)
-    np.testing.assert_array_equal(by_itself.b[:, -1], whole.b[: len(by_itself.states), wind])
+    np.testing.assert_allclose(whole.d[felt, wind], -whole.c[felt, w], rtol=1e-9, atol=1e-11)
+    assert whole.inputs == (*node.plant.inputs, WIND)
 
 
 def test_the_replay_bends_the_same() -> None:

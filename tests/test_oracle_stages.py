@@ -90,7 +90,7 @@ def test_held_flight_of_a_later_stage_is_that_stage_frozen(spans: tuple[Span, ..
     clock = time_s - stage_burns(petrel.scenario().vehicle.stage, petrel.scenario().scenario.fault)[1].start_s
     mass, cg = (float(PchipInterpolator(table["time_s"], table[key])(clock)) for key in ("mass_kg", "x_cg_m"))
     for mine in (node.vehicle, held.node.vehicle):
-        assert mine.body.total_mass_kg == pytest.approx(mass, rel=1e-12)
+        assert mine.total_mass_kg == pytest.approx(mass, rel=1e-12)
         assert mine.total_cg_station_m == pytest.approx(cg, rel=1e-6)
     design = petrel.scenario().design
     assert design is not None
@@ -257,7 +257,7 @@ def test_gain_that_slow_roots_need_is_found_in_flight(time_s: float, slowest_hz:
 def test_a_mode_that_aliases_is_held_with_a_finer_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """Late in the burn mode 4 (79 Hz) shows at 21 Hz; the integrator's detuning, (w h)^4 / 120, is to be seen there."""
     (node,) = petrel.nodes(118.0)
-    modes = node.vehicle.modes
+    modes = node.vehicle
     highest, zeta = float(modes.omega_radps.max()), float(modes.damping_ratio.min())
     assert abs(100.0 - highest / (2.0 * np.pi)) == pytest.approx(20.6, abs=0.5)
 

@@ -35,12 +35,13 @@ from flightkit import (
 )
 from flightkit import to_simulator as locked_state
 from oracles import multibody_sympy
+from oracles.hand_model import planar_of
 from oracles.multibody_system import State, rotation_from_quaternion
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.node import nodes_along
-from maxq.design.model.plant import vehicle_plant
-from maxq.design.model.vehicle_at import VehicleAt
+from maxq.design.paper.plant import vehicle_plant
+from maxq.design.paper.vehicle_at import PlanarVehicle
 from maxq.sim.scenario.files import scenarios_folder
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout
@@ -289,7 +290,7 @@ def planar_equations(modes: int) -> tuple[sp.Matrix, sp.Matrix, list[sp.Symbol]]
     return matrices[0], matrices[1], symbols
 
 
-def stiff_air(vehicle: VehicleAt) -> VehicleAt:
+def stiff_air(vehicle: PlanarVehicle) -> PlanarVehicle:
     """Without liquid and mass flow; modes undamped, and without the softening of the core's own load."""
     modes, body = vehicle.modes, vehicle.body
     n = len(modes.omega_radps)
@@ -308,7 +309,7 @@ def stiff_air(vehicle: VehicleAt) -> VehicleAt:
 def test_axial_load_and_bent_gimbal_agree_with_lagrange() -> None:
     """What the axial load does to the hinge, through the engine's own displacement and through the gimbal's slope."""
     node = nodes_along(load_scenario("nominal", [load_of(0.0)]), [30.0])[0]
-    vehicle = stiff_air(node.vehicle)
+    vehicle = stiff_air(planar_of(node))
     condition = replace(node.condition, airspeed_mps=0.0, gravity_mps2=0.0)
     plant = vehicle_plant(vehicle, condition)
     engine, modes, load = vehicle.engine, vehicle.modes, vehicle.engine.tvc_load
@@ -354,7 +355,7 @@ def engine_on_compliance_hz(time_s: float) -> Array:
     phi, slope = column["phi"][here], column["slope_pm"][here]
     modal, omega = column["generalized_mass_kg"][here], 2.0 * np.pi * column["frequency_hz"][here]
     node = nodes_along(load_scenario("nominal"), [time_s])[0]
-    body = node.vehicle.body
+    body = planar_of(node).body
     lever = about_gimbal + first * (gimbal_m - body.core_cg_station_m)
     couple = np.concatenate([[first, lever], first * phi + about_gimbal * slope])
     m = np.diag([body.core_mass_kg, body.core_inertia_kgm2, *modal, about_gimbal])
@@ -372,8 +373,8 @@ def test_review_s_modes_of_ksr3_with_the_engine_on_its_compliance(time_s: int) -
     node = nodes_along(load_scenario("nominal", [load_of(0.0)]), [float(time_s)])[0]
     no_thrust = replace(node.condition, pressure_Pa=1e9, airspeed_mps=0.0)
     for vehicle, condition, tolerance in (
-        (stiff_air(node.vehicle), no_thrust, 1e-8),
-        (node.vehicle, node.condition, 1.3e-2),  # axial load, thrust and liquid
+        (stiff_air(planar_of(node)), no_thrust, 1e-8),
+        (planar_of(node), node.condition, 1.3e-2),  # axial load, thrust and liquid
     ):
         poles = vehicle_plant(vehicle, condition).poles()
         swinging = np.sort(poles[poles.imag > 2.0 * np.pi * 5.0].imag) / (2.0 * np.pi)

@@ -12,7 +12,6 @@ import pytest
 
 from maxq.control.kernel.tables import find_interval, interpolate
 from maxq.design.case.schema import read_case
-from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.suite import read_suite
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.packing.flight import pack_flight
@@ -292,7 +291,7 @@ def test_a_case_from_a_layout_asks_for_what_its_suite_asks(tmp_path: Path) -> No
     assert isinstance(limits.rigid_hz, OverTime)
     dense, low, high = 54.7, 6.0, 140.0
     (node,) = petrelkit.nodes(dense)
-    m_alpha = stability_derivatives(node.vehicle, node.condition).m_alpha_1ps2
+    m_alpha = node.derivatives.m_alpha_1ps2
     needed = math.sqrt((10.0 ** (asked.gain_down_db / 20.0) - 1.0) * m_alpha) / (2.0 * math.pi)
     assert at_time(limits.rigid_hz, [low, high]).tolist() == [0.32, 0.32]
     assert at_time(limits.rigid_hz, dense) == pytest.approx(needed, rel=0.03)

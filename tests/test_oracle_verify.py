@@ -21,9 +21,9 @@ import pytest
 
 from maxq.design import api
 from maxq.design.margins.measure import margins
-from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.model.node import Node
-from maxq.design.model.plant import vehicle_plant
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.node import Node, disperse
+from maxq.design.model.vehicle_at import without_engine_inertia
 from maxq.design.verify.linear import authority, study, vehicles
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.slosh import advise, percussion_station_m
@@ -46,26 +46,23 @@ def design() -> Design:
 def _rigid(node: Node) -> Node:
     """Liquid frozen, no modes that move, no engine inertia."""
     frozen = disperse(node, Dispersion(slosh_mass=0.0, bending_shape=0.0))
-    engine = dataclasses.replace(
-        frozen.vehicle.engine, gimballed_mass_kg=0.0, cg_from_gimbal_m=0.0, inertia_about_gimbal_kgm2=0.0
-    )
-    return dataclasses.replace(frozen, vehicle=dataclasses.replace(frozen.vehicle, engines=(engine,)))
+    return dataclasses.replace(frozen, held=without_engine_inertia(frozen.held))
 
 
 def test_centre_of_percussion_stays_where_it_is(nodes: list[Node]) -> None:
     for node in nodes:
         rigid = _rigid(node)
-        plant = vehicle_plant(rigid.vehicle, rigid.condition)
+        plant = rigid.plant
         push = plant.b[:, plant.inputs.index("delta_rad")]
         w, q = (push[plant.states.index(name)] for name in ("w_mps", "q_radps"))
-        forward = rigid.vehicle.body.core_cg_station_m - percussion_station_m(rigid)
+        forward = rigid.vehicle.total_cg_station_m - percussion_station_m(rigid)
         assert abs(w - forward * q) < 1e-6 * abs(w)  # a point x forward of the CG moves with w - x q
 
 
 def test_gimbal_trims_just_the_wind_that_takes_all_of_it(nodes: list[Node]) -> None:
     for node, found in zip(nodes, authority(nodes, [math.radians(6.0)]), strict=True):
         rigid = _rigid(node)
-        plant = vehicle_plant(rigid.vehicle, rigid.condition)
+        plant = rigid.plant
         q = plant.states.index("q_radps")
         w = node.condition.airspeed_mps * math.atan(found.wind_mps / node.condition.airspeed_mps)
         by_wind = plant.a[q, plant.states.index("w_mps")] * w
@@ -75,8 +72,9 @@ def test_gimbal_trims_just_the_wind_that_takes_all_of_it(nodes: list[Node]) -> N
 
 def of_modes(node: Node, n: int) -> Node:
     """`node` with so many modes as far as drawing goes."""
-    modes = dataclasses.replace(node.vehicle.modes, omega_radps=np.ones(n))
-    return dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, modes=modes))
+    found = dataclasses.replace(node)
+    found.__dict__["vehicle"] = dataclasses.replace(node.vehicle, omega_radps=np.ones(n))
+    return found
 
 
 def test_corners_are_balanced_and_uncorrelated(nodes: list[Node]) -> None:

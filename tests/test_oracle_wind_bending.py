@@ -28,9 +28,9 @@ from maxq.design.loop.wind import wind_response
 from maxq.design.model.instruments import actuator
 from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.node import node_of, with_cuts
-from maxq.design.model.plant import vehicle_plant
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import vehicle_at
+from maxq.design.paper.plant import vehicle_plant
+from maxq.design.paper.vehicle_at import vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.flight import Flight
@@ -99,7 +99,7 @@ def test_with_tables_over_incidence(trim_deg: tuple[float, float]) -> None:
     model = linearise(made.packed, made.packed.state, 0.0)
     for plane, shape in (("pitch", "eta"), ("yaw", "xi")):
         node = node_of(made.packed, 0.0, plane=plane)
-        body = vehicle_plant(node.vehicle, node.condition)
+        body = node.plant
         names = ["w_mps", "q_radps", "theta_rad"] if plane == "pitch" else ["v_mps", "r_radps", "psi_rad"]
         names += [f"{shape}_{i}_m" for i in (1, 2)] + [f"{shape}_{i}_rate_mps" for i in (1, 2)]
         names += [f"slosh_1_{plane}_rad", f"slosh_1_{plane}_rate_radps"]
@@ -112,7 +112,7 @@ def test_winds_column_is_the_simulators() -> None:
     for from_deg in (270.0, 90.0):
         packed = pack_flight(frozen(40.0, ON, "wind.speed_mps=0.0002", f"wind.from_deg={from_deg}")[0].scenario)
         both.append(evaluate_at(packed, zero_incidence(packed, packed.state), 40.0).sections[:, MOMENT_Z])
-    body = vehicle_plant(node.vehicle, node.condition, wind=True)
+    body = node.plant_in_wind()
     rows = [k for k, name in enumerate(body.outputs) if name.startswith("bending")]
     ours = -body.d[rows, body.inputs.index("wind_mps")]
     np.testing.assert_allclose((both[0] - both[1]) / 4e-4, ours, rtol=1e-5, atol=1e-5 * np.abs(ours).max())
@@ -158,8 +158,7 @@ def test_rms_is_that_of_flights_through_turbulence() -> None:
     for node in with_cuts(api.nodes(through(), [38.5, 39.5, 40.5, 41.5]), through()):
         loop = api.loop(node, "designs/ksr3-default")
         loop.fixed.measurements = loop.law.inputs
-        assert node.vehicle.cuts is not None
-        stations = tuple(node.vehicle.cuts.station_m[list(PICKED)].tolist())
+        stations = tuple(node.vehicle.cut_stations_m[k] for k in PICKED)
         for top_hz, found in means.items():
             wind = wind_response(loop.fixed, Spectrum(SIGMA_MPS, LENGTH_M, "dryden", (0.001, top_hz)), stations)
             hz = np.exp(wind.x)

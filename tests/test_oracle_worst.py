@@ -20,8 +20,8 @@ from maxq.design.case.schema import read_case
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
-from maxq.design.model.dispersion import NOMINAL, Dispersion, disperse
-from maxq.design.model.node import Node
+from maxq.design.model.dispersion import NOMINAL, Dispersion
+from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import (
     DEVIATIONS,
     Correlated,
@@ -48,10 +48,9 @@ FEW = {  # what deviates in the brute-force case; the rest of Spread is 0
     "delay_s": 0.004,
 }
 VEHICLE: Any = SimpleNamespace(  # three modes and two tanks
-    modes=SimpleNamespace(omega_radps=np.ones(3)),
-    pendulums=SimpleNamespace(mass_kg=np.ones(2)),
-    engines=(SimpleNamespace(group=0, numbers=(0,)),),
+    omega_radps=np.ones(3), pendulums=SimpleNamespace(mass_kg=np.ones(2))
 )
+HELD: Any = SimpleNamespace(sizes=SimpleNamespace(further_groups=0), vehicle={"engine": {"parts": np.ones((1, 1))}})
 NONE = {key: 0.0 for key in DEVIATIONS if key not in FEW}
 
 
@@ -205,7 +204,7 @@ def test_the_scenario_written_is_the_vehicle_measured() -> None:
 
 def test_the_delay_flown_is_that_of_the_stages_computer_up_to_its_sample() -> None:
     base = load_scenario("nominal", ["vehicle.stage.0.computer={delay_s=0.004}"])
-    node: Any = SimpleNamespace(stage=0, vehicle=VEHICLE)
+    node: Any = SimpleNamespace(stage=0, vehicle=VEHICLE, held=HELD)
     for late, delay_s, said in (
         (0.002, 0.006, []),
         (0.009, 0.01, ["vehicle.stage.0.computer.delay_s beyond the sample"]),
@@ -355,7 +354,7 @@ def test_no_random_refinement_finds_a_worse_vehicle(region: Any, count: int) -> 
 @pytest.mark.parametrize("region", ["ellipsoid", "box"])
 def test_search_ends_where_a_linear_distance_is_least(monkeypatch: pytest.MonkeyPatch, region: str) -> None:
     """c + a . u is least at c - |a| in the unit ball, and at c - sum |a| in the box: at once along the gradient."""
-    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE)
+    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, held=HELD)
     a = np.random.default_rng(3).normal(size=len(places_of(node)))
     c = 2.0 + np.abs(a).sum()
 
@@ -373,7 +372,7 @@ def test_search_ends_where_a_linear_distance_is_least(monkeypatch: pytest.Monkey
 
 
 def test_each_mode_and_tank_of_a_vehicle_deviates_by_its_own_draw() -> None:
-    node: Any = SimpleNamespace(vehicle=VEHICLE)
+    node: Any = SimpleNamespace(vehicle=VEHICLE, held=HELD)
     d = vehicle_of(Spread(), node, lambda name, n: 0.1 * (n + 2), "")
     assert d.slosh_mass == pytest.approx((1.02, 1.03))
     assert d.slosh_frequency == pytest.approx((1.01, 1.015))
@@ -406,7 +405,7 @@ def going_together(*pairs: tuple[tuple[str, str], float]) -> Spread:
 
 def test_search_follows_correlations(monkeypatch: pytest.MonkeyPatch) -> None:
     """c + a . u is least at c - sqrt(a' R a) in the ellipsoid u' R^-1 u <= 1 of deviations with correlations R."""
-    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE)
+    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, held=HELD)
     places = places_of(node)
     a = np.random.default_rng(3).normal(size=len(places))
     together = np.eye(len(places))
@@ -425,7 +424,7 @@ def test_search_follows_correlations(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_box_and_corners_follow_correlations(monkeypatch: pytest.MonkeyPatch) -> None:
     """u = sqrt(R) v of independent v (SciPy's root): c + a . u is least at c - sum |sqrt(R) a| in the box."""
-    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE)
+    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, held=HELD)
     places = places_of(node)
     spread = going_together((("slosh_mass.0", "slosh_mass.1"), 0.8), (("thrust", "inertia"), -0.5))
     together = np.eye(len(places))
@@ -483,7 +482,7 @@ def test_deviations_and_correlations_are_those_that_the_campaign_flies(tmp_path:
     """Against statistics of 4,000 of its own draws; what it does not disperse is as the suite says."""
     path = tmp_path / "covariant.toml"
     path.write_text(COVARIANT)
-    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, stage=0)
+    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, held=HELD, stage=0)
     spread = resolved(Spread(campaign=str(path), thrust=0.07), node)
     draws = load_campaign(path).plan.draw(0, 4000).draws
     prefix = "vehicle.stage.0.tank."
@@ -515,7 +514,7 @@ def test_a_campaign_is_looked_for_beside_the_file_that_names_it(tmp_path: Path, 
     (tmp_path / "covariant.toml").write_text(COVARIANT)
     path = tmp_path / "file.toml"
     path.write_text("schema = 1\n" + text.format('"covariant"') + "\n")
-    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, stage=0)
+    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, held=HELD, stage=0)
     if "margins" in text:
         margins = read_suite(path).suite.margins
         assert margins is not None
@@ -529,7 +528,7 @@ def test_a_campaign_is_looked_for_beside_the_file_that_names_it(tmp_path: Path, 
 
 
 def test_random_vehicles_have_the_correlations_they_are_given() -> None:
-    node: Any = SimpleNamespace(vehicle=VEHICLE)
+    node: Any = SimpleNamespace(vehicle=VEHICLE, held=HELD)
     spread = going_together((("slosh_mass.0", "slosh_mass.1"), 0.8), (("thrust", "inertia"), -1.0))
     wanted = LinearMargins(cases=2000, corner_sigmas=0.0, three_sigma=spread)
     many = vehicles(wanted, node)[1]
@@ -552,7 +551,7 @@ def test_random_vehicles_have_the_correlations_they_are_given() -> None:
     ],
 )
 def test_correlations_that_cannot_be_are_refused(pairs: list[list[Any]], said: str) -> None:
-    node: Any = SimpleNamespace(vehicle=VEHICLE)
+    node: Any = SimpleNamespace(vehicle=VEHICLE, held=HELD)
     spread = going_together(*(((one, other), value) for one, other, value in pairs))
     with pytest.raises(ScenarioError, match=said):
         vehicles(LinearMargins(cases=1, three_sigma=spread), node)

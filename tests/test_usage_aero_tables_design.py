@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles.hand_model import planar_of
 
 from maxq.design.model.node import Node, nodes_along
-from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.tools import simdesign
@@ -48,7 +48,7 @@ def loaded(file: Path | str) -> LoadedScenario:
 
 def along_the_axis(node: Node) -> Node:
     """Without what the flown incidence adds beside the tables: cross-flow above all."""
-    air = node.vehicle.aerodynamics
+    air = planar_of(node).aerodynamics
     assert abs(air.slope_pr[-1]) > 1e-3, "a vehicle without tables is taken at zero incidence"
     none = np.where(np.arange(len(air.slope_pr)) < len(air.slope_pr) - len(air.beyond), 1.0, 0.0)
     air = dataclasses.replace(air, slope_pr=none * air.slope_pr, moment_slope_mpr=none * air.moment_slope_mpr)
@@ -62,7 +62,7 @@ def test_derivatives_and_flight_are_those_of_the_slopes(tabulated: Path) -> None
         both = [nodes_along(loaded(name), [10.0, 30.0, 50.0], plane) for name in (tabulated, "nominal")]  # type: ignore[arg-type]  # one of the two planes
         for ours, theirs in zip(*both, strict=True):
             alike = along_the_axis(ours), theirs
-            a, b = (dataclasses.astuple(stability_derivatives(n.vehicle, n.condition)) for n in alike)
+            a, b = (dataclasses.astuple(n.derivatives) for n in alike)
             np.testing.assert_allclose(a, b, rtol=5e-3)
             poles = (np.sort_complex(n.plant.poles()) for n in alike)
             np.testing.assert_allclose(*poles, rtol=5e-3, atol=5e-3)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import optimise_kit as kit
 import pytest
-from design_nodes import no_modes
+from design_nodes import without
 
 from maxq.design.case.schema import read_case
 from maxq.design.laws.bending_filter import FilterVariables, lifted
@@ -178,8 +178,7 @@ def test_filter_of_sections() -> None:
 
 def test_without_a_bending_mode_there_is_a_least_margin_but_no_peak() -> None:
     node = kit.all_nodes().each[6].node
-    none = no_modes(node.vehicle.modes)
-    stiff = dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, modes=none))
+    stiff = without(node, modes=True)
     with pytest.raises(ValueError, match="no first bending mode"):
         make_plant(stiff, kit.case().case)
     loaded = kit.case("objective.kind=least-margin", "filter.structure=F2", "nodes_s=[35.0]", "search.starts=2")
@@ -190,12 +189,8 @@ def test_without_a_bending_mode_there_is_a_least_margin_but_no_peak() -> None:
 
 def test_two_modes_at_one_frequency() -> None:
     node = kit.all_nodes().each[6].node
-    modes = node.vehicle.modes
-    omega = modes.omega_radps.copy()
-    omega[1] = omega[0]
-    twins = dataclasses.replace(
-        node, vehicle=dataclasses.replace(node.vehicle, modes=dataclasses.replace(modes, omega_radps=omega))
-    )
+    omega = node.vehicle.omega_radps
+    twins = node.with_(bending_frequency=(1.0, omega[0] / omega[1]))
     loaded = kit.case("filter.structure=F4", "nodes_s=[35.0]", "search.starts=2")
     s = solve(loaded, make_plants([make_plant(twins, loaded.case)]))
     # both modes in one band: the first one's objective and the second one's limit are the same peak

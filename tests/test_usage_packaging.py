@@ -112,14 +112,14 @@ def test_make_says_what_is_missing(tmp_path, script, message):
 ONE_VEHICLE = re.compile(r"ksr|anheung|korea|reconstruct|\bkari\b", re.IGNORECASE)
 THE_PAPER = re.compile(r"\bpaper\b|\bRoh\b")
 NAMES_ONE = {
-    "design/model/dispersion.py": "the paper's Table 2",
+    "design/paper/table2.py": "the paper's Table 2",
     "tools/cli/frame.py": "built-in examples in help", "tools/design/report.py": "the command's default design",
     "tools/simdesign.py": "examples in help", "tools/simrun.py": "examples in help",
     "tools/simvehicle.py": "examples in help", "tools/simverify.py": "examples in help",
 }  # fmt: skip  # a line each otherwise
 PAPER_MODE = {
-    "control/structures.py", "design/case/schema.py", "design/loop/errata_effects.py", "design/model/errata.py",
-    "design/quantities.py", "design/verify/judging.py", "sim/scenario/schema_design.py",
+    "control/structures.py", "design/case/schema.py", "design/paper/errata_effects.py", "design/paper/errata.py",
+    "design/paper/nodes.py", "design/verify/judging.py", "sim/scenario/schema_design.py",
     "sim/scenario/schema_stage.py", "sim/scenario/schema_vehicle.py", "tools/design/analyse.py",
     "tools/design/report.py", "tools/simdesign.py",
 }  # fmt: skip  # a line each otherwise

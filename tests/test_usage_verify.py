@@ -474,11 +474,8 @@ def test_one_comparison_for_designs_and_verdicts() -> None:
 
 
 NODE: Any = SimpleNamespace(
-    vehicle=SimpleNamespace(
-        modes=SimpleNamespace(omega_radps=np.ones(3)),
-        pendulums=SimpleNamespace(mass_kg=np.ones(2)),
-        engines=(SimpleNamespace(group=0, numbers=(0,)),),
-    )
+    vehicle=SimpleNamespace(omega_radps=np.ones(3), pendulums=SimpleNamespace(mass_kg=np.ones(2))),
+    held=SimpleNamespace(sizes=SimpleNamespace(further_groups=0), vehicle={"engine": {"parts": np.ones((1, 1))}}),
 )
 
 

@@ -17,8 +17,8 @@ from maxq.design.certificate.held_flight import Change, HeldFlight, hold, with_i
 from maxq.design.certificate.measured_margins import MARGIN_NAMES, LimitCycle, MarginName, MeasuredMargin, bound_of
 from maxq.design.certificate.response import BANDS, FAULTY, NOISE, UNEXPLAINED, ResponseTable, RingLine
 from maxq.design.margins.measure import Margins, margins
+from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, node_times
-from maxq.design.model.vehicle_at import Plane
 from maxq.sim.scenario.loader import LoadedScenario
 
 PLANES: tuple[Plane, ...] = ("pitch", "yaw")

@@ -21,10 +21,9 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.certificate.held_flight import HeldFlight, linear_limits
 from maxq.design.loop.fixed_path import FixedPath
-from maxq.design.model.equations import OUTPUTS
-from maxq.design.model.instruments import actuator
+from maxq.design.model.held import OUTPUTS
+from maxq.design.model.instruments import actuator, per_actuator_angle
 from maxq.design.model.node import Node
-from maxq.design.model.plant import per_actuator_angle
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.scenario.schema_scenario import Injection
 

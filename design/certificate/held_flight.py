@@ -7,7 +7,7 @@ and the vehicle flies straight up over a flat Earth whose uniform gravity equals
 gains nor loses speed, while its parts are under the axial load of the real flight, since uniform gravity acts on every
 particle alike.
 
-One term differs from the flown instant, gravity times the pitch angle in w' (design/model/plant.py); it moves the
+One term differs from the flown instant, gravity times the pitch angle in w' (design/model/held.py); it moves the
 slowest root alone. No held flight avoids it: one that keeps its airspeed moves with its air, and in a frame that moves
 with the air everything falls with the axial load, however the load comes about. (An updraught for a vehicle that really
 gains speed, dW/dt = a - g, adds to w' what gravity lacks.) The linear node of the held flight, `HeldFlight.node`, has
@@ -32,9 +32,8 @@ from dataclasses import dataclass
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import Pool
 from maxq.design.laws.registry import law_kind
+from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, at_swing, node_of
-from maxq.design.model.plant import axial_load_mps2
-from maxq.design.model.vehicle_at import Plane
 from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.computer import pack_injections
 from maxq.sim.packing.flight import Packed, pack_flight
@@ -134,7 +133,7 @@ def hold(
     external = computer is not None and computer.law == "external"
     if scenario.design is None and not external:
         raise ValueError(f"{loaded.label}: there is no design, and so no loop to hold")
-    load = axial_load_mps2(node.vehicle, node.condition)
+    load = node.axial_load_mps2
     if load <= 0.0:
         raise ValueError(f"node at {node.time_s:g} s: the axial load is {load:g} m/s2: allowed is above 0")
     held = dataclasses.replace(
@@ -148,13 +147,11 @@ def hold(
     bobs, slosh = node.vehicle.pendulums, packed.parameters[0].vehicle.slosh
     if bobs.ring.any() and not rings_by_law:
         slosh.damping_ratio[: len(bobs.ring)], slosh.law_factor[:] = bobs.damping(load), 0.0
-    same = node_of(packed, node.time_s, 0, node.plane, node.errata)
+    same = node_of(packed, node.time_s, 0, node.plane)
     if along_body:
         packed.parameters[0].environment.earth.gravity = ALONG_BODY
         same = dataclasses.replace(same, condition=dataclasses.replace(same.condition, gravity_mps2=0.0))
-    same = dataclasses.replace(
-        at_swing(same, bobs.swing_rad), liquids=node.liquids, stage=node.stage, surface_radius_m=node.surface_radius_m,
-    )  # fmt: skip  # two more lines otherwise
+    same = dataclasses.replace(at_swing(same, bobs.swing_rad), stage=node.stage, surface_radius_m=node.surface_radius_m)
     return HeldFlight(held, packed, same, node.plane, fault or unchanged)
 
 
@@ -198,7 +195,7 @@ def _step_s(scenario: Scenario, node: Node) -> float:
     It lowers a frequency by the share (w h)^4 / 120 (docs/model.md, section 10): at 80 Hz and 1 ms by a tenth of what a
     damping ratio of 0.005 makes of the mode, which a loop that is sampled at 100 Hz shows at 20 Hz.
     """
-    modes = zip(node.vehicle.modes.omega_radps, node.vehicle.modes.damping_ratio, strict=True)
+    modes = zip(node.vehicle.omega_radps, node.vehicle.damping_ratio, strict=True)
     most_s = min(((120.0 * DETUNED * zeta) ** 0.25 / omega for omega, zeta in modes if zeta > 0.0), default=math.inf)
     given_s = scenario.run.step_s
     return given_s if most_s >= given_s else round(given_s / math.ceil(given_s / most_s), 9)

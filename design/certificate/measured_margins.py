@@ -27,8 +27,8 @@ from maxq.design.certificate.response import UNEXPLAINED
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import Bound, Margins, margins
-from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.model.node import slosh_columns
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.node import disperse, slosh_columns
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.schema_scenario import Injection
 

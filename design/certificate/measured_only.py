@@ -24,9 +24,9 @@ from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear
 from maxq.design.certificate.measured_margins import MARGIN_NAMES, UNBOUNDED, UNITS, MarginName, MeasuredMargin
 from maxq.design.certificate.response import BANDS, measure
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
+from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.model.vehicle_at import Plane
 from maxq.sim.scenario.loader import LoadedScenario
 
 _TRIALS_DB = (1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 28.0)

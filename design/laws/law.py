@@ -31,8 +31,8 @@ from numpy.typing import ArrayLike
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.structures import Over
+from maxq.design.model.instruments import Plane
 from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.design.model.vehicle_at import Plane
 from maxq.design.quantities import QUANTITIES, Quantity
 
 MEASUREMENTS = ("angle_rad", "rate_radps", "angle_integral_rads")

@@ -24,9 +24,8 @@ from maxq.control.kernel.tables import Cubics
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.structures import Over, structure_of
 from maxq.design.laws.bending_filter import AnyFilter, Lag, check_period, filter_poles, filter_state_space
-from maxq.design.model.instruments import ACCELERATION, further_rate
+from maxq.design.model.instruments import ACCELERATION, Plane, further_rate
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
-from maxq.design.model.vehicle_at import Plane
 from maxq.sim.packing.computer import bending_filter, gain_schedules
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.tables_csv import CsvTable

@@ -35,9 +35,8 @@ from maxq.design.laws.law import ANGLES, MEASUREMENTS
 from maxq.design.loop.rational import Rational, average, converter_pade, delay_pade, hold_pade
 from maxq.design.loop.resonance import NamedPole, Resonance, named, resonances, vehicle_poles
 from maxq.design.loop.sampling import SampledPlant, sample
-from maxq.design.model.instruments import actuator_poles, actuators, gyro, lag
+from maxq.design.model.instruments import actuator_poles, actuators, gyro, lag, per_command
 from maxq.design.model.node import Node
-from maxq.design.model.plant import per_command
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels
 
 Kind = Literal["sampled", "pade", "exact"]

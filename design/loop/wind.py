@@ -6,28 +6,21 @@ import math
 
 import numpy as np
 
-from maxq.design.laws.wind import HIGHEST_HZ, WIND_LIMITS, Spectrum, WindResponse
+from maxq.design.laws.wind import HIGHEST_HZ, Spectrum, WindResponse
 from maxq.design.loop.fixed_path import FixedPath
 from maxq.design.loop.rational import average
-from maxq.design.model.equations import WIND
-from maxq.design.model.instruments import lag
-from maxq.design.model.plant import alone, per_command, vehicle_plant
-from maxq.design.model.sections import moment_name
+from maxq.design.model.held import WIND, moment_name
+from maxq.design.model.instruments import lag, per_command
 from maxq.design.model.state_space import ComplexArray, Resolvent, channels
 
 
 def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, ...] = ()) -> WindResponse:
     """Of the plant behind a path, for the path's own measurements, with the bending moment at some of its cuts.
 
-    Spatial modes couple the planes; the other one is held, as in `Node.plant`. Raises ValueError for bending moments of
-    such a vehicle, and for a band that reaches half the sample rate.
+    Spatial modes couple the planes; the other one is held, as in `Node.plant`. Raises ValueError for a band that
+    reaches half the sample rate.
     """
     node, timing = path.node, path.node.instruments
-    if node.vehicle.across is not None and stations_m:
-        raise ValueError(
-            f"node at {node.time_s:g} s: bending moments in wind are not for vehicles with spatial modes; "
-            f"allowed limits are {', '.join(WIND_LIMITS)}"
-        )
     if spectrum.band_hz[1] > max(HIGHEST_HZ, 0.499 / timing.sample_s):
         raise ValueError(
             f"wind.band_hz: allowed are frequencies below half the sample rate, {0.5 / timing.sample_s:g} Hz"
@@ -36,8 +29,7 @@ def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, 
     f = np.exp(x)
     s, speed = 2j * np.pi * f, node.condition.airspeed_mps
     ideal = bool(node.actuator.ideal)
-    whole = vehicle_plant(node.vehicle, node.condition, node.errata, node.liquids, wind=True)
-    plant = alone(whole, node.vehicle, wind=True)
+    plant = node.plant_in_wind()
     moved = tuple(name for name in plant.inputs if name != WIND and (not ideal or name.startswith("delta_rad")))
     sensed = ("local_rate_radps", *(name for name, _, _ in path.sensors))
     plant = channels(plant, (*sensed, "w_mps", "theta_rad", *map(moment_name, stations_m)), (*moved, WIND))

@@ -8,10 +8,8 @@ whatever the order, the sum is L. The order decides which part is charged with t
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,11 +19,9 @@ from maxq.design.loop.loop import Loop
 from maxq.design.loop.rational import average
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.solving import DB, wrapped
-from maxq.design.model.instruments import actuator_response, lag
+from maxq.design.model.instruments import actuator_response, lag, per_actuator_angle
 from maxq.design.model.node import Node
-from maxq.design.model.plant import Liquids, per_actuator_angle
 from maxq.design.model.state_space import ComplexArray, Resolvent, channels
-from maxq.design.model.vehicle_at import Modes, Pendulums, VehicleAt
 
 Response = Callable[[Array], ComplexArray]
 
@@ -33,8 +29,6 @@ BUILD_UP = ("rigid body", "aerodynamics", "slosh", "engine inertia", "bending")
 """Steps in which the vehicle is built up."""
 _PATH = 400  # points, over so many decades below the frequency, along which a phase is unwrapped
 _DECADES = 4.0
-
-_Arrays = TypeVar("_Arrays", Modes, Pendulums, Liquids)
 
 
 @dataclass(frozen=True)
@@ -199,49 +193,5 @@ def _of_s(function: Callable[[ComplexArray], ComplexArray]) -> Response:
 
 
 def build_up(node: Node) -> list[tuple[str, Node]]:
-    """Nodes by the steps of BUILD_UP, each with one effect more than the one before; the last is the node itself.
-
-    Without slosh the liquid is frozen at its bobs; without aerodynamics the axial force stays, since it sets the axial
-    load on liquid and engine; without engine inertia the gimbal moves a massless engine.
-    """
-    full = node.vehicle
-    modes = dataclasses.replace(_emptied(full.modes), softening_kgpm=np.zeros((0, 0)), spatial=0)
-    stiff = dataclasses.replace(full, modes=modes, across=None, cuts=None)
-    massless: dict[str, Any] = {"gimballed_mass_kg": 0.0, "inertia_about_gimbal_kgm2": 0.0, "tvc_load": None}
-    light = dataclasses.replace(stiff, engines=tuple(dataclasses.replace(one, **massless) for one in full.engines))
-    frozen = _frozen(light)
-    none = np.zeros_like(full.aerodynamics.slope_pr)
-    air = dataclasses.replace(
-        full.aerodynamics, drag=0.0, rate_damping=0.0, slope_pr=none, moment_slope_mpr=none,
-        rate_slope_m=none, rate_moment_m2=none,
-    )  # fmt: skip  # five more lines otherwise
-    bare = dataclasses.replace(frozen, aerodynamics=air)
-    none_left = node.liquids and _emptied(node.liquids)
-    steps = ((bare, none_left), (frozen, none_left), (light, node.liquids), (stiff, node.liquids))
-    nodes = [dataclasses.replace(node, vehicle=vehicle, liquids=liquids) for vehicle, liquids in steps]
-    return list(zip(BUILD_UP, [*nodes, node], strict=True))
-
-
-def _frozen(vehicle: VehicleAt) -> VehicleAt:
-    """Bobs fixed to the core."""
-    body = dataclasses.replace(
-        vehicle.body,
-        core_mass_kg=vehicle.body.core_mass_kg + float(vehicle.pendulums.mass_kg.sum()),
-        core_cg_station_m=vehicle.total_cg_station_m,
-        core_inertia_kgm2=vehicle.total_inertia_kgm2,
-    )
-    modes = dataclasses.replace(vehicle.modes, phi_hinge=vehicle.modes.phi_hinge[:, :0])
-    return dataclasses.replace(vehicle, body=body, pendulums=_emptied(vehicle.pendulums), modes=modes, cuts=None)
-
-
-def _emptied(record: _Arrays) -> _Arrays:
-    """The record of arrays, and of tuples of them, without any entry in them; a count is zero, another record gone."""
-    return dataclasses.replace(
-        record, **{f.name: _nothing_of(getattr(record, f.name)) for f in dataclasses.fields(record)}
-    )
-
-
-def _nothing_of(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return tuple(_nothing_of(each) for each in value)
-    return 0 if isinstance(value, int) else value[:0] if isinstance(value, np.ndarray) else None
+    """Return nodes by the steps of BUILD_UP, each with one effect more than the one before (`Node.steps`)."""
+    return list(zip(BUILD_UP, node.steps(), strict=True))

@@ -18,13 +18,13 @@ from maxq.design.loop.loop import Loop
 from maxq.design.loop.resonance import owner_of
 from maxq.design.margins import many
 from maxq.design.margins.packed import controller_factors
-from maxq.design.model.dispersion import Dispersion, dispersed_many, stacked, unlike_drives, with_drives_apart
+from maxq.design.model.dispersion import Dispersion, deviated, stacked, unlike_drives
 from maxq.design.model.instruments import DERIVATIVES, actuator_poles, lag, of_drive
-from maxq.design.model.node import Node
-from maxq.design.model.plant import vehicle_plants
+from maxq.design.model.node import Node, with_drives_apart
 from maxq.design.model.state_space import ComplexArray
 
 _WORST_BASIS = 1e7  # condition of the eigenvectors beyond which residues have lost half their digits
+LEVELS = 4  # of the extrapolation of each vehicle's derivatives
 _AT_ONCE = 250  # vehicles: their matrices then stay in the processor's cache
 _SAME = 1e-9  # relative, of the law's response by its zeros and poles
 _KINDS = {"bending": 1, "slosh": -1}
@@ -38,7 +38,7 @@ class NotServedError(ValueError):
 class ManyLoops:
     """The sampled loops of a node's vehicles, dispersed in what `spread.Spread` names, under one law.
 
-    Raises NotServedError for a law that takes more than the gyro, spatial modes, errata of tanks or actuator.
+    Raises NotServedError for a law that takes more than the gyro, and for plants of the published equations.
     """
 
     node: Node
@@ -48,8 +48,8 @@ class ManyLoops:
         node = self.node
         if any(name not in MEASUREMENTS for name in self.law.inputs):
             raise NotServedError("allowed are laws on the first gyro")
-        if node.vehicle.across is not None or node.errata.actuator_labels:
-            raise NotServedError("allowed are vehicles with modes of one plane, errata corrected")
+        if type(node) is not Node:
+            raise NotServedError("allowed are the plants of the simulator")
         try:
             _ = self._controller
         except ValueError as error:
@@ -147,10 +147,8 @@ class ManyLoops:
         """Poles of the continuous path, (vehicles, poles), residues, owners, and where all of that is exact."""
         states, inputs, names, row = self._kept
         drives, orders = self._drives
-        a, b, c, _ = (
-            np.ascontiguousarray(np.moveaxis(np.broadcast_to(part, (*part.shape[:2], n)), -1, 0))
-            for part in vehicle_plants(dispersed_many(node, by), node.condition, node.errata)
-        )
+        held = deviated(node.held, node.condition, node.trim, node.plane, by, n)
+        a, b, c, _, _ = held.plants(node.condition, node.trim, node.plane, node.drives, levels=LEVELS)
         a, b, c = a[:, states[:, None], states], b[:, states[:, None], inputs], c[:, row, states]
         # states of unlike sizes: the same scaling for all, that of the vehicle as it is
         nominal = self._nominal.fixed.vehicle.a

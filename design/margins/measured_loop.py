@@ -12,7 +12,7 @@ from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.instruments import ACCELERATION
 from maxq.design.model.node import Node
-from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivatives
+from maxq.design.model.vehicle_at import StabilityDerivatives
 from maxq.design.quantities import MEASURED, Convention, RigidBody
 
 
@@ -39,7 +39,7 @@ class LoopAtPoint:
     def derivatives(self) -> StabilityDerivatives | None:
         """The stability derivatives of the vehicle there; None at rest."""
         try:
-            return stability_derivatives(self.node.vehicle, self.node.condition)
+            return self.node.derivatives
         except ValueError:
             return None
 

@@ -5,20 +5,19 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy.linalg
 
 from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import table_in
 from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.sim.vehicle.actuator import Actuator
 from maxq.sim.vehicle.gyro import Gyro
 from maxq.sim.vehicle.sensors import ACCELEROMETER
 
-if TYPE_CHECKING:
-    from maxq.design.model.vehicle_at import Plane
-
+Plane = Literal["pitch", "yaw"]
 
 ACCELERATION = "accel_mps2"  # lateral specific force at the accelerometer
 DERIVATIVES = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
@@ -84,6 +83,19 @@ def drives_of(row: Any, plane: Plane) -> tuple[list[Actuator], list[int]]:
             unlike.append(actuator)
         of_group.append(unlike.index(actuator))
     return unlike, of_group
+
+
+def allocation_at(pool: Array, row: Any, now_s: float, plane: Plane) -> tuple[tuple[float, float], ...]:
+    """Return the angles of each group of engines per command of the law, in its own plane and in the other one.
+
+    What goes to the other plane is taken to pass the actuators of this one.
+    """
+    a, axis = row.computer.allocation, 0 if plane == "pitch" else 1
+    if a.groups == 1:
+        return ((1.0, 0.0),)
+    matrix = table_in(pool, a.matrix)(now_s).reshape(-1, 3)
+    groups = range(int(a.groups))
+    return tuple((float(matrix[2 * g + axis, axis]), float(matrix[2 * g + 1 - axis, axis])) for g in groups)
 
 
 def of_drive(name: str, drive: int) -> str:
@@ -160,3 +172,22 @@ def gyro(record: Any) -> StateSpace:
         a, np.array([[0.0], [w * w]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)),
         ("gyro_radps", "gyro_rate_radps2"), ("local_rate_radps",), ("gyro_radps",),
     )  # fmt: skip  # five more lines otherwise
+
+
+def per_actuator_angle(s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...]) -> list[ComplexArray]:
+    """Response (..., inputs) of a plant, its inputs derivatives of angles, per angle of each drive."""
+    out: dict[str, ComplexArray] = {}
+    for k, name in enumerate(inputs):
+        order = next(n for n, of in enumerate(DERIVATIVES) if name.startswith(of))
+        drive = name.removeprefix(DERIVATIVES[order])
+        out[drive] = np.asarray(out.get(drive, 0.0) + s**order * response[..., k])
+    return list(out.values())
+
+
+def per_command(
+    s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...], actuators: Sequence[Actuator]
+) -> ComplexArray:
+    """The same per command of all drives together, each through its actuator."""
+    drives = zip(per_actuator_angle(s, response, inputs), actuators, strict=True)
+    first, *others = (per_angle if a.ideal else per_angle * actuator_response(a, s) for per_angle, a in drives)
+    return np.asarray(sum(others, first))

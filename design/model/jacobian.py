@@ -39,6 +39,7 @@ from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
+from maxq.sim.vehicle.derivative import derive_properties
 from maxq.sim.vehicle.loads import MOMENT_Y, MOMENT_Z, SECTION_WIDTH, evaluate_sections
 from maxq.sim.vehicle.workspace import ENGINE_PITCH, ENGINE_YAW, GYRO_BEND, Evaluation
 
@@ -248,44 +249,59 @@ def motion(
 @entry
 def differentiate(
     P: Records, pool: Array, state: Records, y: Array, now_ns: int, read: int, which: IntArray, steps: Array,
+    wanted: IntArray, levels: int, properties: Array, space: Array, tableau: Array, rate: Array, slopes: Array,
+) -> None:  # fmt: skip  # fifteen lines otherwise
+    """Rates and outputs at states `y` (vehicles, MAX_STATE) into `rate` (vehicles, rows), and the derivatives of those
+    that are `wanted` into `slopes` (vehicles, wanted, columns).
+
+    Vehicle k has row `memory.clock.stage` + k of `P` and row k of `y` and `properties`. `which`: coordinates and inputs
+    of the columns, with their first `steps`. `read`: 1 reads the `properties` of the vehicle at the instant, 0 takes
+    them as they are given, and derives what follows from them. `space`: (5, most of what an evaluation needs);
+    `tableau`: (3 LEVELS + 4, rows). Derivatives are central differences, extrapolated to step zero over all powers of
+    the step (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau by its
+    error estimate.
+    """
+    memory, pool = state[0], bare_pointer(pool)
+    for vehicle in range(len(y)):
+        p = P[memory.clock.stage + vehicle]
+        mine = bare_pointer(properties[vehicle])
+        clock_s = schedule_clock(p, memory.clock, now_ns, 0.0)
+        if read == 1:
+            within_s = schedule_clock(p, memory.clock, now_ns, 1e-9)
+            memory.clock.interval = find_interval(pool, p.vehicle.schedule, within_s)
+            read_schedule(p, pool, memory, now_ns, 0.0, mine)
+        else:
+            derive_properties(p.vehicle, pool, clock_s, mine)
+        differentiate_vehicle(
+            p, pool, memory, now_ns, bare_pointer(y[vehicle]), which, steps, wanted, levels, mine, space, tableau,
+            rate[vehicle], slopes[vehicle],
+        )  # fmt: skip  # twelve lines otherwise
+
+
+@routine
+def differentiate_vehicle(
+    p: Parameters, pool: Array, memory: Memory, now_ns: int, y: Array, which: IntArray, steps: Array, wanted: IntArray,
     levels: int, properties: Array, space: Array, tableau: Array, rate: Array, slopes: Array,
 ) -> None:  # fmt: skip  # fourteen lines otherwise
-    """Rates and outputs at the state `y` into `rate` (rows,), their derivatives into `slopes` (rows, columns).
-
-    `which`: coordinates and inputs of the columns, with their first `steps`. `read`: 1 reads the `properties` of the
-    vehicle at the instant, 0 takes them as they are given. `space`: (5, most of what an evaluation needs); `tableau`:
-    (3 LEVELS + 4, rows). Derivatives are central differences, extrapolated to step zero over all powers of the step
-    (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau by its error
-    estimate.
-    """
-    memory = state[0]
-    p = P[memory.clock.stage]
-    pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(properties)
+    """`differentiate` for one vehicle."""
     dy, work, aux = bare_pointer(space[0]), bare_pointer(space[1]), bare_pointer(space[2])
     columns, x = bare_pointer(space[3]), bare_pointer(space[4])
     sizes = counts(p.vehicle.sizes)
     rows, n, inputs = len(rate), coordinate_count(sizes), 2 * (1 + sizes.further_groups) + 3
-    if read == 1:
-        within_s = schedule_clock(p, memory.clock, now_ns, 1e-9)
-        memory.clock.interval = find_interval(pool, p.vehicle.schedule, within_s)
-        read_schedule(p, pool, memory, now_ns, 0.0, properties)
     reference, command = bare_pointer(tableau[3 * LEVELS]), bare_pointer(tableau[3 * LEVELS + 1])
+    held, air = memory.held, memory.inputs
     for k in range(4):
         reference[k] = y[Q_BI + k]
     for k in range(3):
         reference[4 + k] = y[W_BI_B + k]
     for k in range(inputs - 3):
-        command[k] = memory.held.command_rad[k]
-    command[inputs - 3], command[inputs - 2] = memory.inputs.gust_x_mps, memory.inputs.gust_y_mps
-    command[inputs - 1] = memory.inputs.gust_z_mps
+        command[k] = held.command_rad[k]
+    command[inputs - 3], command[inputs - 2], command[inputs - 1] = air.gust_x_mps, air.gust_y_mps, air.gust_z_mps
     coordinates_of(sizes, p.environment.earth.rate_radps, y, x)
     for k in range(inputs):
         x[n + k] = 0.0
     at = Evaluation(properties, y, dy, aux)
     there, back = bare_pointer(tableau[3 * LEVELS + 2]), bare_pointer(tableau[3 * LEVELS + 3])
-    motion(p, pool, memory, now_ns, reference, command, x, at, work, columns, there)
-    for i in range(rows):
-        rate[i] = there[i]
     for column in range(len(which)):
         j = which[column]
         here = x[j]
@@ -295,12 +311,16 @@ def differentiate(
             motion(p, pool, memory, now_ns, reference, command, x, at, work, columns, there)
             x[j] = here - step
             motion(p, pool, memory, now_ns, reference, command, x, at, work, columns, back)
-            for i in range(rows):
-                tableau[level, i] = (there[i] - back[i]) / (2.0 * step)
+            for i in range(len(wanted)):
+                tableau[level, i] = (there[wanted[i]] - back[wanted[i]]) / (2.0 * step)
         x[j] = here
-        for i in range(rows):
+        for i in range(len(wanted)):
             slopes[i, column] = extrapolated(tableau, i, levels)
-    x[n] = 0.0
+    motion(p, pool, memory, now_ns, reference, command, x, at, work, columns, there)
+    for i in range(rows):
+        rate[i] = there[i]
+    for k in range(inputs - 3):
+        held.command_rad[k] = command[k]
 
 
 @kernel

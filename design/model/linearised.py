@@ -3,8 +3,8 @@
     model = linearise(*at_rest(packed, time_s), time_s)
     poles = np.linalg.eigvals(model.a)
 
-It shares no equation with design/model/plant.py, whose oracle it is in the tests; the loops of several axes
-(design/loop/multiloop.py) stand on it.
+The plant of one plane (design/model/held.py) and the loops of several axes (design/loop/multiloop.py) stand on it; in
+the tests the published equations (design/paper/plant.py) are its oracle.
 
 The state vector of the simulator lies on a manifold (unit quaternion, unit vectors of the pendulums) and
 holds inertial and quasi-velocities. It is therefore expressed in local coordinates, all independent and all
@@ -21,7 +21,7 @@ small-signal quantities of flight mechanics, whose time derivatives follow exact
     actuators of further groups, TVC load      as in the state
 
 Away from equilibrium (an accelerating rocket always is) a linear model depends on its coordinates; these are those of
-design/model/plant.py. The vehicle's properties are frozen at the instant, their rates (mass flow, moving CG) act.
+design/paper/plant.py. The vehicle's properties are frozen at the instant, their rates (mass flow, moving CG) act.
 The model is continuous: the flight computer is not part of it; inputs are the commands of each group of engines in
 pitch and yaw.
 """
@@ -92,22 +92,28 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
 
 def differentiate(
     parameters: Any, pool: Array, memory: Any, y: Array, now_ns: int, which: IntArray, steps: Array, *,
-    stations: int = 0, levels: int = jacobian.LEVELS, properties: Array | None = None,
+    stations: int = 0, wanted: IntArray | None = None,
+    levels: int = jacobian.LEVELS, properties: Array | None = None,
 ) -> tuple[Array, Array]:  # fmt: skip  # seven lines otherwise
-    """Rates and outputs (rows,) at a state, and their derivatives (rows, columns), see `jacobian.differentiate`.
+    """Rates and outputs (rows,) at a state, and the derivatives (wanted, columns), see `jacobian.differentiate`.
 
-    `properties`: of the vehicle at the instant, instead of those of its schedule.
+    `properties`: of the vehicle at the instant, instead of those of its schedule. With states (vehicles, MAX_STATE)
+    and as many parameters and properties, results have the vehicles along their first axis.
     """
     sizes = parameters[int(memory[0].clock.stage)].vehicle.sizes
     rows = int(jacobian.coordinate_count(sizes)) + jacobian.OUTPUTS + 2 * stations
+    states, given = (
+        np.atleast_2d(y).copy(),
+        np.atleast_2d(np.zeros(PROPERTIES_SIZE) if properties is None else properties),
+    )
+    wanted = np.arange(rows) if wanted is None else wanted
     space = np.zeros((5, max(MAX_STATE, WORK_SIZE, AUX_SIZE, MAX_LOAD_COLUMNS)))
-    rate, slopes, room = np.zeros(rows), np.zeros((rows, len(which))), np.zeros((3 * jacobian.LEVELS + 4, rows))
-    given = np.zeros(PROPERTIES_SIZE) if properties is None else properties
+    rate, slopes = np.zeros((len(states), rows)), np.zeros((len(states), len(wanted), len(which)))
     jacobian.differentiate(
-        parameters, pool, memory.copy(), y.copy(), now_ns, int(properties is None), np.asarray(which, np.int64), steps,
-        levels, given, space, room, rate, slopes,
+        parameters, pool, memory.copy(), states, now_ns, int(properties is None), np.asarray(which, np.int64), steps,
+        np.asarray(wanted, np.int64), levels, given, space, np.zeros((3 * jacobian.LEVELS + 4, rows)), rate, slopes,
     )  # fmt: skip  # fourteen lines otherwise
-    return rate, slopes
+    return (rate[0], slopes[0]) if np.ndim(y) == 1 else (rate, slopes)
 
 
 def inputs_of(sizes: Any) -> tuple[str, ...]:

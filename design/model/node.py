@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,13 +14,21 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.control.structures import Over
-from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.model.errata import CORRECTED, Errata
-from maxq.design.model.instruments import Instruments, instruments_of
-from maxq.design.model.plant import Liquids, alone, axial_load_mps2, vehicle_plant
-from maxq.design.model.sections import cuts_of
+from maxq.design.model.dispersion import NOMINAL, Dispersion, deviated, disperse_instruments, unlike_drives
+from maxq.design.model.held import Drives, FlightCondition, HeldStage, Trim, hold_stage, table_clock_s
+from maxq.design.model.instruments import Instruments, Plane, allocation_at, instruments_of
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, Plane, Trim, VehicleAt, table_clock_s, vehicle_at
+from maxq.design.model.vehicle_at import (
+    StabilityDerivatives,
+    VehicleAt,
+    axial_load_mps2,
+    stability_derivatives,
+    vehicle_at,
+    with_frozen_liquid,
+    without_bending,
+    without_engine_inertia,
+    without_lateral_air,
+)
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, TUMBLE
 from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import Packed, pack_flight
@@ -42,15 +50,14 @@ from maxq.sim.world.earth import ground_velocity
 
 @dataclass(frozen=True)
 class Node:
-    """Vehicle, air and instruments at a vehicle time, and which errata of the paper are corrected."""
+    """An operating point: vehicle, air and instruments of one plane at a vehicle time."""
 
     time_s: float
-    vehicle: VehicleAt
+    held: HeldStage
     condition: FlightCondition
     instruments: Instruments
     plane: Plane = "pitch"
-    errata: Errata = CORRECTED
-    liquids: Liquids | None = None  # needed only for the errata of the tanks; of the nominal vehicle
+    allocation: tuple[tuple[float, float], ...] = ((1.0, 0.0),)  # angles per command of each group, own and other plane
     surface_radius_m: tuple[float, ...] = ()  # of the liquid under each pendulum, nan if unknown; nominal vehicle
     label: str = ""
     stage: int = 0  # which one burns, from 0
@@ -60,33 +67,63 @@ class Node:
 
     @cached_property
     def plant(self) -> StateSpace:
-        """Engine or actuator motion -> rates, of body, modes and pendulums, with the node's errata.
+        """Linear model of the plane: motion of the actuators and wind -> rates, of body, modes and pendulums.
 
-        With spatial modes those of this plane: body, liquid and gimbal of the other plane are held, so that the loop
-        is judged one axis at a time (`whole` has them all).
+        The Jacobian of the simulator's derivative (held.py). States w (m/s, of the body point at the core's CG), q
+        (rad/s), theta (rad), eta (m), eta' (m/s; the spatial modes first), slosh angles (rad) and their rates, angle
+        and rate of each engine on a TVC load. The other plane, roll and the speed along the axis are held. Inputs: of
+        each drive, an actuator's motion, the angle and what else of its motion engines feel. Outputs: `held.OUTPUTS`,
+        then what the vehicle's other sensors measure, and the bending moment at each station of section loads that are
+        switched on, N m. The yaw plane has the states and signs of the pitch plane turned about x.
+
         Raises ValueError, naming the node, where no such system exists.
         """
-        return alone(self.whole, self.vehicle)
+        return self.plant_in_wind(wind=False)
 
-    @cached_property
-    def whole(self) -> StateSpace:
-        """The same with both planes, where spatial modes couple them."""
-        try:
-            return vehicle_plant(self.vehicle, self.condition, self.errata, self.liquids)
-        except ValueError as problem:
-            raise ValueError(f"node at {self.time_s:g} s: {problem}") from problem
-
-    @cached_property
-    def actuators(self) -> tuple[Actuator, ...]:
-        """Of each drive, with a3 and a4 exchanged where the errata say so."""
-        return tuple(
-            a
-            if not self.errata.actuator_labels or a.ideal or a.order < 6
-            else dataclasses.replace(
-                a, omega_3_radps=a.omega_4_radps, omega_4_radps=a.omega_3_radps, zeta_3=a.zeta_4, zeta_4=a.zeta_3
-            )
-            for a in self.instruments.actuators
+    def plant_in_wind(self, wind: bool = True) -> StateSpace:
+        """`plant`, with the lateral velocity of the air in the plane, m/s, as its last input."""
+        if len(self.vehicle.pendulums.mass_kg) and self.axial_load_mps2 <= 0.0:
+            problem = f"a pendulum needs a positive axial load, not {self.axial_load_mps2:g} m/s2"
+            raise ValueError(f"node at {self.time_s:g} s: {problem}")
+        *parts, names = self.held.plants(
+            self.condition, self.trim, self.plane, self.drives, wind=wind, moments=bool(self.vehicle.cut_stations_m)
         )
+        a, b, c, d = (part[0] for part in parts)
+        return StateSpace(a, b, c, d, *names)
+
+    @property
+    def drives(self) -> Drives:
+        """Actuators that the law's command moves, for each of the instruments' drives."""
+        own = 0 if self.plane == "pitch" else 1
+        return [
+            [
+                (2 * group + axis, gain)
+                for group in groups
+                for axis, gain in zip((own, 1 - own), self.allocation[group], strict=True)
+                if axis == own or gain != 0.0
+            ]
+            for groups in self.instruments.groups
+        ]
+
+    @cached_property
+    def vehicle(self) -> VehicleAt:
+        """Masses, modes and pendulums in the plane."""
+        return vehicle_at(self.held, self.plane)
+
+    @cached_property
+    def axial_load_mps2(self) -> float:
+        """Axial specific force of the whole vehicle, (thrust - drag) / mass."""
+        return axial_load_mps2(self.held, self.condition, self.trim)
+
+    @cached_property
+    def derivatives(self) -> StabilityDerivatives:
+        """Of the rigid vehicle with its liquid frozen. Raises ValueError at rest, where they are not defined."""
+        return stability_derivatives(self.held, self.condition, self.trim, self.plane, self.drives)
+
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """Of each drive."""
+        return self.instruments.actuators
 
     @property
     def actuator(self) -> Actuator:
@@ -96,9 +133,10 @@ class Node:
     @property
     def gains(self) -> tuple[float, ...]:
         """Of each drive: the largest angle of a group per command of the law."""
+        moved = self.held.groups_that_follow(self.plane)
         return tuple(
-            max((abs(e.gain) for e in self.vehicle.engines if e.drive == drive), default=0.0)
-            for drive in range(len(self.actuators))
+            max((abs(self.allocation[group][0]) for group in groups if group in moved), default=0.0)
+            for groups in self.instruments.groups
         )
 
     @property
@@ -115,13 +153,22 @@ class Node:
         if over == "time_s":
             return self.time_s
         if over == "mass_kg":
-            return self.vehicle.body.total_mass_kg
+            return self.vehicle.total_mass_kg
         if not math.isfinite(self.speed_mps):
             raise ValueError(f"node at {self.time_s:g} s: it has no speed, over which the gains are scheduled")
         return self.speed_mps if over == "speed_mps" else 0.5 * self.condition.density_kgpm3 * self.speed_mps**2
 
-    def with_errata(self, errata: Errata) -> Node:
-        return dataclasses.replace(self, errata=errata)
+    def steps(self) -> list[Node]:
+        """The vehicle built up: rigid body, aerodynamics, slosh, engine inertia, bending; the last is the node itself.
+
+        Without slosh the liquid is frozen at its bobs; without aerodynamics the axial force stays, since it sets the
+        axial load on liquid and engine; without engine inertia the gimbal moves a massless engine.
+        """
+        stiff = without_bending(self.held)
+        light = without_engine_inertia(stiff)
+        frozen = with_frozen_liquid(light)
+        bare = without_lateral_air(frozen)
+        return [*(dataclasses.replace(self, held=held) for held in (bare, frozen, light, stiff)), self]
 
     def with_(self, **deviations: Any) -> Node:
         """The node with deviations, by the fields of `dispersion.Dispersion`."""
@@ -251,8 +298,8 @@ def _full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
 
 
 def nodes_along(
-    scenario: LoadedScenario, times_s: Iterable[float], plane: Plane = "pitch", errata: Errata = CORRECTED,
-    faults: bool = False,
+    scenario: LoadedScenario, times_s: Iterable[float], plane: Plane = "pitch", faults: bool = False,
+    refine: Callable[[FlightRun, Node], Node] = lambda run, node: node,
 ) -> list[Node]:  # fmt: skip  # seven lines otherwise
     """Nodes at vehicle times (s) of a flight of the scenario, flown once and without a log.
 
@@ -269,7 +316,7 @@ def nodes_along(
         if not abs(time_s) <= LONGEST_S:
             raise ValueError(f"node at {time_s} s: allowed are times up to {LONGEST_S:g} s")
     run = flown_run(scenario, faults)
-    found = {time_s: _node(run, time_s, plane, errata) for time_s in sorted(set(wanted))}
+    found = {time_s: refine(run, _node(run, time_s, plane)) for time_s in sorted(set(wanted))}
     return with_swings([found[time_s] for time_s in wanted], scenario, faults)
 
 
@@ -283,8 +330,9 @@ def with_cuts(nodes: Sequence[Node], scenario: LoadedScenario) -> list[Node]:
     packed, out = pack_flight(on), []
     for node in nodes:
         row = packed.parameters[node.stage]
-        cuts = cuts_of(packed.pool, row, table_clock_s(row, node.time_s - node.stage_start_s), node.plane == "pitch")
-        out.append(dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, cuts=cuts)))
+        clock_s = table_clock_s(row, node.time_s - node.stage_start_s)
+        held = dataclasses.replace(hold_stage(packed, clock_s, node.stage), swing_rad=node.held.swing_rad)
+        out.append(dataclasses.replace(node, held=held))
     return out
 
 
@@ -316,7 +364,7 @@ def with_swings(nodes: Sequence[Node], scenario: LoadedScenario, faults: bool = 
 
 def swing_window_s(node: Node) -> Array:
     """Over which the swing of each pendulum is averaged, (pendulums,)."""
-    load = max(axial_load_mps2(node.vehicle, node.condition), 1e-9)
+    load = max(node.axial_load_mps2, 1e-9)
     return np.asarray(2.0 * np.pi * SWING_PERIODS * np.sqrt(node.vehicle.pendulums.length_m / load))
 
 
@@ -342,16 +390,37 @@ def equivalent_swing(rate_radps: Array, omega_radps: float) -> float:
     return (RING_DRAG * float(np.mean(v**2.5)) / square) ** 2 / omega_radps if square > 0.0 else 0.0
 
 
+def disperse(node: Node, by: Dispersion) -> Node:
+    """Return the node with the deviations applied (`Node.with_`: by keywords). Raises ValueError for too many
+    factors."""
+    if by == NOMINAL:
+        return node
+    label = f"{node.label} {by.label}".strip() if by.label else node.label
+    if unlike_drives(by):
+        node = with_drives_apart(node)
+    return dataclasses.replace(
+        node,
+        held=deviated(node.held, node.condition, node.trim, node.plane, by),
+        instruments=disperse_instruments(node.instruments, by),
+        label=label,
+    )
+
+
+def with_drives_apart(node: Node) -> Node:
+    """Return the node with a drive for each group of engines that moves in its plane, alike as their actuators may
+    be."""
+    kept = node.instruments
+    moved = sorted(group for group in node.held.groups_that_follow(node.plane) if any(node.allocation[group]))
+    if all(len(groups) == 1 for groups in kept.groups) or not moved:
+        return node
+    by_group = {group: a for a, groups in zip(kept.actuators, kept.groups, strict=True) for group in groups}
+    actuators, groups = tuple(by_group[group] for group in moved), tuple((group,) for group in moved)
+    return dataclasses.replace(node, instruments=dataclasses.replace(kept, actuators=actuators, groups=groups))
+
+
 def at_swing(node: Node, swing_rad: Array) -> Node:
-    """The node with its pendulums' `swing_rad`, in both planes."""
-
-    def swung(vehicle: VehicleAt) -> VehicleAt:
-        across = vehicle.across and swung(vehicle.across)
-        return dataclasses.replace(
-            vehicle, pendulums=dataclasses.replace(vehicle.pendulums, swing_rad=swing_rad), across=across
-        )
-
-    return dataclasses.replace(node, vehicle=swung(node.vehicle))
+    """Return the node with its pendulums' `swing_rad`, in both planes."""
+    return dataclasses.replace(node, held=dataclasses.replace(node.held, swing_rad=swing_rad))
 
 
 def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> FlightRun:
@@ -361,15 +430,14 @@ def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> Flig
     return FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=log)
 
 
-def _node(run: FlightRun, time_s: float, plane: Plane, errata: Errata) -> Node:
+def _node(run: FlightRun, time_s: float, plane: Plane) -> Node:
     at_ns = flown_to(run, time_s)
     stage = int(run.memory.clock.stage)
-    node = node_of(run.packed, at_ns / 1e9, stage, plane, errata)
+    node = node_of(run.packed, at_ns / 1e9, stage, plane)
     row = run.packed.parameters[stage]
     clock_s = table_clock_s(row, (at_ns - int(row.timeline.stage_start_ns)) / 1e9)
-    given = run.loaded.scenario.vehicle.stage[stage]
     return dataclasses.replace(
-        node, liquids=_liquids(given, clock_s, node), surface_radius_m=surface_radii_m(given, clock_s)
+        node, surface_radius_m=surface_radii_m(run.loaded.scenario.vehicle.stage[stage], clock_s)
     )
 
 
@@ -381,16 +449,12 @@ def at_same_propellant_s(run: FlightRun, flown: Packed, node: Node) -> float:
     return start_ns / 1e9 + burnt_s / float(mine.burn_rate)
 
 
-def met_by(flown: Packed, node: Node, met: Node) -> Node:
-    """A node in the air, at the speed and in the attitude of `met`, with the vehicle of its own flight (`flown`).
+def met_by(node: Node, met: Node) -> Node:
+    """Return a node with its own vehicle in the air, at the speed and in the attitude of `met`.
 
     Rings damp as at the node: in the calm air of a design's own flight less than in the winds of others.
     """
-    clock_s = node.time_s - node.stage_start_s
-    vehicle = vehicle_at(flown, clock_s, met.condition.mach, node.plane, node.stage, met.trim)
-    condition = dataclasses.replace(met.condition, time_s=node.time_s)
-    there = dataclasses.replace(node, vehicle=vehicle, condition=condition, trim=met.trim)
-    return at_swing(there, node.vehicle.pendulums.swing_rad)
+    return dataclasses.replace(node, condition=dataclasses.replace(met.condition, time_s=node.time_s), trim=met.trim)
 
 
 def flown_to(run: FlightRun, time_s: float) -> int:
@@ -430,16 +494,6 @@ def _allowed(run: FlightRun) -> str:
     return f"allowed are times under thrust: {', '.join(spans) or 'there are none'}"
 
 
-def _liquids(stage: Stage, clock_s: float, node: Node) -> Liquids | None:
-    """Radius and depth of the liquid, if the vehicle's tables give them."""
-    tanks = stage.tank[: len(node.vehicle.pendulums.mass_kg)]
-    known = all(tank.radius_m is not None and "liquid_height_m" in tank.table for tank in tanks)
-    if not known or any(tank.pendulums > 1 for tank in tanks):
-        return None
-    heights = [float(np.interp(clock_s, tank.table["time_s"], tank.table["liquid_height_m"])) for tank in tanks]
-    return Liquids(np.array([tank.radius_m for tank in tanks], float), np.array(heights))
-
-
 def surface_radii_m(stage: Stage, clock_s: float) -> tuple[float, ...]:
     """Radius of the surface at rest in the tank of each pendulum; nan where the file does not tell it."""
     out: list[float] = []
@@ -453,7 +507,7 @@ def surface_radii_m(stage: Stage, clock_s: float) -> tuple[float, ...]:
     return tuple(out)
 
 
-def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch", errata: Errata = CORRECTED) -> Node:
+def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch") -> Node:
     """Node at the state and time at which a packed flight stands."""
     air = evaluate_at(packed, packed.state, time_s).aux
     gravitation = air[GRAVITATION : GRAVITATION + 3]
@@ -473,14 +527,14 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
         pitch_rad=pitch,
         gravity_mps2=gravity,
     )
-    clock_s = time_s - 1e-9 * int(row.timeline.stage_start_ns)
+    since_s = time_s - 1e-9 * int(row.timeline.stage_start_ns)
     return Node(
         time_s=time_s,
-        vehicle=vehicle_at(packed, clock_s, condition.mach, plane, stage, trim),
+        held=hold_stage(packed, table_clock_s(row, since_s), stage),
         condition=condition,
         instruments=instruments_of(row, plane),
         plane=plane,
-        errata=errata,
+        allocation=allocation_at(packed.pool, row, time_s, plane),
         label=f"{time_s:g} s",
         stage=stage,
         stage_start_s=1e-9 * int(row.timeline.stage_start_ns),

@@ -232,11 +232,9 @@ def root_of_correlation(spread: Spread, places: Sequence[Place]) -> Array:
 def _count(node: Node, key: str) -> int | None:
     """Modes, tanks, engines or their groups; None for what there is one of, as is a single engine."""
     vehicle, kind = node.vehicle, key.partition("_")[0]
-    counts = {"bending": len(vehicle.modes.omega_radps), "slosh": len(vehicle.pendulums.mass_kg)}
-    several = {
-        "thrust": sum(len(e.numbers) for e in vehicle.engines),
-        "actuator": 1 + max(e.group for e in vehicle.engines),
-    }
+    counts = {"bending": len(vehicle.omega_radps), "slosh": len(vehicle.pendulums.mass_kg)}
+    sizes, engine = node.held.sizes, node.held.vehicle["engine"]
+    several = {"thrust": int(np.sum(engine["parts"][0] > 0.0)), "actuator": 1 + int(sizes.further_groups)}
     return counts.get(kind, several[kind] if several.get(kind, 1) > 1 else None)
 
 

@@ -1,59 +1,16 @@
-"""Parameters of a vehicle and its flight condition at one instant, for one plane of one stage.
-
-They are read from the packed tables that the simulator flies, so that both describe the same vehicle; equations are
-not shared (docs/model.md is the simulator's, design/model/plant.py has its own derivation).
-"""
+"""Numbers of a held stage: masses, modes, pendulums, derivatives; and the same stage with parts of it absent."""
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.tables import table_in
-from maxq.design.model.air import Aerodynamics, aerodynamics_at
-from maxq.design.model.engine import GimballedEngine, TvcLoad
-from maxq.design.model.instruments import ACCELERATION, drives_of, sensed
-from maxq.design.model.sections import Cuts, cuts_of
-from maxq.sim.packing.flight import Packed
-from maxq.sim.vehicle import schedule
-
-Plane = Literal["pitch", "yaw"]
-Trim = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class FlightCondition:
-    """Air and path at an instant; the vehicle does not turn. Its incidence is that of its aerodynamics."""
-
-    time_s: float  # vehicle clock
-    airspeed_mps: float
-    density_kgpm3: float
-    pressure_Pa: float  # ambient
-    mach: float
-    pitch_rad: float  # of the body axis above the horizon
-    gravity_mps2: float
-
-    @property
-    def dynamic_pressure_Pa(self) -> float:
-        return 0.5 * self.density_kgpm3 * self.airspeed_mps**2
-
-
-@dataclass(frozen=True)
-class Body:
-    """The core: all but the sloshing masses. Stations in m aft of the nose; the inertia is about the core's CG."""
-
-    core_mass_kg: float  # without the sloshing masses, engine straight
-    core_cg_station_m: float
-    core_cg_rate_mps: float  # rate of that station: aft positive; zero where the CG is held still
-    core_inertia_kgm2: float  # about y (pitch) or z (yaw)
-    core_inertia_rate_kgm2ps: float
-    total_mass_kg: float
-    mass_flow_kgps: float  # out of the nozzle
-    rate_damping_Nms: float  # moment against turning that is given with the mass properties
+from maxq.design.model.held import Drives, FlightCondition, HeldStage, Trim
+from maxq.design.model.instruments import ACCELERATION, Plane, sensed
+from maxq.sim.vehicle import aero, schedule
 
 
 @dataclass(frozen=True)
@@ -61,21 +18,20 @@ class Pendulums:
     """One entry a slosh mode, tank by tank, (pendulums,)."""
 
     mass_kg: Array
-    mass_rate_kgps: Array
     length_m: Array
     hinge_station_m: Array
-    bob_station_rate_mps: Array  # hinge and bob follow the surface of the liquid
     damping_ratio: Array
     viscous: Array  # what a smooth wall adds to it, times the fourth root of the axial load, (m/s2)^(1/4)
     ring: Array  # what ring baffles add to it, per root of the swing, rad^(-1/2)
     swing_rad: Array  # at which they do: that of a flight (node.with_swings), 0 of a vehicle that none has flown
 
     def small_wave_damping(self, load_mps2: float) -> Array:
-        """Damping ratio in small waves, where baffles do nothing yet, under an axial load."""
+        """Return the damping ratio in small waves, where baffles do nothing yet, under an axial load."""
         return np.asarray(self.damping_ratio + self.viscous * np.maximum(load_mps2, 1e-9) ** -0.25)
 
     def damping(self, load_mps2: float) -> Array:
-        """Damping ratio of a swing of `swing_rad`: the describing function of the rings (docs/model.md, 5.9)."""
+        """Return the damping ratio of a swing of `swing_rad`: the describing function of the rings (docs/model.md,
+        5.9)."""
         return np.asarray(self.small_wave_damping(load_mps2) + self.ring * np.sqrt(self.swing_rad))
 
     @property
@@ -84,388 +40,185 @@ class Pendulums:
 
 
 @dataclass(frozen=True)
-class Along:
-    """Displacement along x of spatial modes at the places of `Modes`; each (spatial modes, places)."""
-
-    gimbals: Array
-    hinges: Array
-    surfaces: Array
-    sensors: Array
-
-
-@dataclass(frozen=True)
-class Modes:
-    """One entry a mode, (modes,), and where shapes are met elsewhere (modes, places).
-
-    phi is positive in +z (pitch) or +y (yaw); slopes are d(phi)/d(station), 1/m. The first `spatial` are spatial modes,
-    with the part that they have in this plane, the same ones in both; then those of the plane.
-    """
-
-    omega_radps: Array
-    damping_ratio: Array
-    generalized_mass_kg: Array
-    phi_gimbal: Array
-    slope_gimbal_pm: Array
-    slope_gyro_pm: Array
-    phi_hinge: Array  # (modes, tanks)
-    phi_surface: Array  # (modes, surfaces)
-    slope_surface_pm: Array  # (modes, surfaces)
-    softening_kgpm: Array  # (modes, modes): stiffness lost per m/s2 of axial load; of spatial modes that of both planes
-    spatial: int = 0
-    roll_gyro_pm: Array = dataclasses.field(default_factory=lambda: np.zeros(0))  # rotation of spatial modes about x
-    further_gimbals: tuple[tuple[Array, Array], ...] = ()  # shapes and slopes at stations of gimbals beyond the first
-    sensors: tuple[tuple[Array, Array], ...] = ()  # the same at those of the vehicle's `sensors`
-    along: Along | None = None  # None: nothing moves along x
-
-    def at_gimbal(self, gimbal: int) -> tuple[Array, Array]:
-        """Shapes and slopes at one of the gimbals' stations."""
-        return (self.phi_gimbal, self.slope_gimbal_pm) if gimbal == 0 else self.further_gimbals[gimbal - 1]
-
-
-@dataclass(frozen=True)
 class VehicleAt:
-    """A stage at one instant, in one plane."""
+    """A stage at one instant, in one plane. Stations in m aft of the nose; CG and inertia with the liquid frozen."""
 
-    body: Body
+    total_mass_kg: float
+    total_cg_station_m: float
+    total_inertia_kgm2: float  # about y (pitch) or z (yaw)
+    omega_radps: Array  # of the modes, the spatial ones first
+    damping_ratio: Array
     pendulums: Pendulums
-    modes: Modes
-    engines: tuple[GimballedEngine, ...]  # one at least
-    aerodynamics: Aerodynamics
-    jet_damping: bool
-    slosh_exchange: bool = False  # liquid that goes over from bob to core takes its momentum along
-    across: VehicleAt | None = None  # the same in the other plane, where spatial modes couple both
     sensors: tuple[tuple[str, float], ...] = ()  # beyond the gyro: what each measures, by name, and its station, m
-    cuts: Cuts | None = None  # where its bending moment is wanted: the stations of section loads that are switched on
-
-    @property
-    def engine(self) -> GimballedEngine:
-        """The first."""
-        return self.engines[0]
-
-    @property
-    def sags(self) -> bool:
-        return any(engine.sags for engine in self.engines)
-
-    def hanging(self, load_mps2: float) -> VehicleAt:
-        """The same with its engines where they stand under the axial load."""
-        if not self.sags:
-            return self
-        hung = tuple(engine.hanging(load_mps2) for engine in self.engines)
-        body = self.body
-        forward, inertia = 0.0, body.core_inertia_kgm2
-        for e in hung:
-            mass, arm, at = e.gimballed_mass_kg, e.cg_from_gimbal_m, body.core_cg_station_m - e.gimbal_station_m
-            before, now = (
-                (at - arm * axis[0]) ** 2 + (e.from_cg_m - arm * axis[1]) ** 2 for axis in (e.mounted, e.rest)
-            )
-            forward = forward + mass * arm * (e.mounted[0] - e.rest[0]) / body.core_mass_kg
-            inertia = inertia + mass * (now - before)  # not in place: an array of many vehicles stays theirs
-        body = dataclasses.replace(
-            body, core_cg_station_m=body.core_cg_station_m - forward,
-            core_inertia_kgm2=inertia - body.core_mass_kg * forward**2,
-        )  # fmt: skip  # one more line otherwise
-        return dataclasses.replace(self, body=body, engines=hung)
-
-    def thrust_N(self, pressure_Pa: float) -> float:
-        """Of all engines at rest, along the body axis."""
-        first, *others = (engine.rest[0] * engine.thrust_N(pressure_Pa) for engine in self.engines)
-        return first + sum(others) if others else first
-
-    @property
-    def total_cg_station_m(self) -> float:
-        """CG with the liquid at rest."""
-        b, p = self.body, self.pendulums
-        moment = b.core_mass_kg * b.core_cg_station_m + (p.mass_kg * p.bob_station_m).sum(axis=0)
-        station: float = moment / (b.core_mass_kg + p.mass_kg.sum(axis=0))
-        return station
-
-    @property
-    def total_inertia_kgm2(self) -> float:
-        """Transverse inertia about that CG with the liquid frozen."""
-        b, p, cg = self.body, self.pendulums, self.total_cg_station_m
-        core = b.core_inertia_kgm2 + b.core_mass_kg * (b.core_cg_station_m - cg) ** 2
-        inertia: float = core + (p.mass_kg * (p.bob_station_m - cg) ** 2).sum(axis=0)
-        return inertia
+    cut_stations_m: tuple[float, ...] = ()  # of section loads that are switched on
 
 
-def vehicle_at(
-    packed: Packed, time_s: float, mach: float, plane: Plane = "pitch", stage: int = 0, trim: Trim = (0.0, 0.0)
-) -> VehicleAt:
-    """Read a burning stage at `time_s` of its own clock and a Mach number.
-
-    `trim`: angles of attack and sideslip, rad, at which tables over incidence have their slopes.
-    """
-    one = _in_plane(packed, time_s, mach, plane, stage, trim)
-    if one.modes.spatial == 0:
-        return one
-    other: Plane = "yaw" if plane == "pitch" else "pitch"
-    return dataclasses.replace(one, across=_in_plane(packed, time_s, mach, other, stage, trim))
-
-
-def table_clock_s(row: Any, time_s: float) -> float:
-    """Clock of a packed stage's tables at a time since its start."""
-    return float(row.timeline.frozen_s) if row.timeline.frozen == 1 else float(row.timeline.burn_rate) * time_s
-
-
-def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: int, trim: Trim) -> VehicleAt:
-    row = packed.parameters[stage]
-    vehicle, sizes = row.vehicle, row.vehicle.sizes
-    table = table_in(packed.pool, vehicle.schedule)
-    clock_s = table_clock_s(row, time_s)
-    props = table(clock_s)
-    about = 1 if plane == "pitch" else 2
-    damped = vehicle.rate_damping.n_columns > 0
-    body = Body(
-        core_mass_kg=float(props[schedule.CORE_MASS]),
-        core_cg_station_m=float(props[schedule.CORE_CG]),
-        core_cg_rate_mps=float(props[schedule.CG_RATE]),
-        core_inertia_kgm2=float(props[schedule.CORE_INERTIA + about]),
-        core_inertia_rate_kgm2ps=float(props[schedule.INERTIA_RATE + about]),
-        total_mass_kg=float(props[schedule.TOTAL_MASS]),
-        mass_flow_kgps=float(props[schedule.MASS_FLOW]),
-        rate_damping_Nms=float(table_in(packed.pool, vehicle.rate_damping)(clock_s)[about]) if damped else 0.0,
-    )
+def vehicle_at(held: HeldStage, plane: Plane) -> VehicleAt:
+    """Return the numbers of the first vehicle of a held stage."""
+    p, vehicle, sizes = held.properties[0], held.parameters[0].vehicle, held.sizes
+    _, cg, inertia = total_of(held)
+    pitch = plane == "pitch"
+    n, s = int(sizes.pitch_modes if pitch else sizes.yaw_modes), int(sizes.spatial_modes)
+    first = int(schedule.mode_column(sizes, int(not pitch), schedule.MODE_OMEGA))
+    spatial = int(schedule.spatial_column(sizes, schedule.SPATIAL_OMEGA))
+    omega = [vehicle.spatial_modes.frequency_factor[:s] * p[spatial : spatial + s]]
+    omega.append(vehicle.bending.frequency_factor[:n] * p[first : first + n])
+    zeta = vehicle.bending.zeta_pitch if pitch else vehicle.bending.zeta_yaw
     return VehicleAt(
-        body=body,
-        pendulums=_pendulums(vehicle, sizes, props),
-        modes=_modes(vehicle, sizes, props, plane),
-        engines=_engines(packed, row, props, time_s, plane),
-        aerodynamics=aerodynamics_at(packed.pool, vehicle, props, clock_s, mach, plane, trim),
-        jet_damping=bool(vehicle.jet_damping),
-        slosh_exchange=bool(vehicle.slosh.exchange),
+        total_mass_kg=float(p[schedule.TOTAL_MASS]),
+        total_cg_station_m=float(cg[0]),
+        total_inertia_kgm2=float(inertia[0, int(not pitch)]),
+        omega_radps=np.concatenate(omega),
+        damping_ratio=np.concatenate([vehicle.spatial_modes.zeta[:s], zeta[:n]]),
+        pendulums=pendulums_of(held),
         sensors=tuple(
             (sensed(k, each), float(each.station_m)) for k, each in enumerate(vehicle.sensors[: int(sizes.sensors)])
         ),
-        cuts=cuts_of(packed.pool, row, clock_s, plane == "pitch"),
+        cut_stations_m=tuple(held.parameters[0].loads.station_m[: int(held.parameters[0].loads.stations)].tolist()),
     )
 
 
-def _pendulums(vehicle: Any, sizes: Any, props: Array) -> Pendulums:
-    n = int(sizes.pendulums)
-    first = np.array([schedule.tank_column(k) for k in range(n)], int)
+def pendulums_of(held: HeldStage) -> Pendulums:
+    """Return the pendulums of the first vehicle of a held stage."""
+    slosh, n = held.vehicle["slosh"], len(held.swing_rad)
     return Pendulums(
-        mass_kg=props[first + schedule.TANK_MASS],
-        mass_rate_kgps=props[first + schedule.TANK_MASS_RATE],
-        length_m=props[first + schedule.TANK_LENGTH],
-        hinge_station_m=props[first + schedule.TANK_HINGE],
-        bob_station_rate_mps=props[first + schedule.TANK_TRAVEL],
-        damping_ratio=np.array(vehicle.slosh.damping_ratio[:n]),
-        viscous=vehicle.slosh.law_factor[:n] * props[first + schedule.TANK_VISCOUS],
-        ring=vehicle.slosh.law_factor[:n] * props[first + schedule.TANK_RING] + vehicle.slosh.ring_damping[:n],
-        swing_rad=np.zeros(n),
+        mass_kg=held.tank(schedule.TANK_MASS)[0],
+        length_m=held.tank(schedule.TANK_LENGTH)[0],
+        hinge_station_m=held.tank(schedule.TANK_HINGE)[0],
+        damping_ratio=slosh["damping_ratio"][0, :n].copy(),
+        viscous=slosh["law_factor"][0, :n] * held.tank(schedule.TANK_VISCOUS)[0],
+        ring=held.rings[0],
+        swing_rad=held.swing_rad,
     )
 
 
-def _modes(vehicle: Any, sizes: Any, props: Array, plane: Plane) -> Modes:
-    pitch = plane == "pitch"
-    n = int(sizes.pitch_modes if pitch else sizes.yaw_modes)
-    tanks, surfaces = int(sizes.pendulums), int(sizes.surfaces)
-    zeta = vehicle.bending.zeta_pitch if pitch else vehicle.bending.zeta_yaw
-    shapes = schedule.MODE_FIRST + tanks
-
-    def rows(first: int, count: int, every: int = 1) -> Array:
-        """Rows of the plane for its modes, (n, count)."""
-        at = [schedule.mode_column(sizes, int(not pitch), first + every * k) for k in range(count)]
-        return np.array(props[np.array(at, int)[None, :] + np.arange(n)[:, None]])
-
-    def row(which: int) -> Array:
-        return np.array(rows(which, 1)[:, 0])
-
-    stations = tuple(
-        (row(at), row(at + 1)) for at in (int(schedule.gimbal_row(sizes, k)) for k in range(1, int(sizes.gimbals)))
-    )
-    engines = int(sizes.gimbals) - 1 - int(sizes.sensors)
-    of_plane = Modes(
-        omega_radps=vehicle.bending.frequency_factor[:n] * row(schedule.MODE_OMEGA),
-        damping_ratio=np.array(zeta[:n]),
-        generalized_mass_kg=row(schedule.MODE_MASS),
-        phi_gimbal=row(schedule.MODE_PHI_GIMBAL),
-        slope_gimbal_pm=row(schedule.MODE_SLOPE_GIMBAL),
-        slope_gyro_pm=row(schedule.MODE_SLOPE_GYRO),
-        phi_hinge=rows(schedule.MODE_FIRST, tanks),
-        phi_surface=rows(shapes, surfaces, 2),
-        slope_surface_pm=rows(shapes + 1, surfaces, 2),
-        softening_kgpm=float(vehicle.bending.softening_factor) * rows(int(schedule.softening_row(sizes, 0)), n),
-        further_gimbals=stations[:engines],
-        sensors=stations[engines:],
-    )
-    return of_plane if int(sizes.spatial_modes) == 0 else _with_spatial(vehicle, sizes, props, plane, of_plane)
+def total_of(held: HeldStage) -> tuple[Array, Array, Array]:
+    """Return mass (vehicles,), station of the CG (vehicles,) and inertia about y and z (vehicles, 2), liquid frozen."""
+    p = held.properties
+    core, station = p[:, schedule.CORE_MASS], p[:, schedule.CORE_CG]
+    mass, bob = held.tank(schedule.TANK_MASS), held.tank(schedule.TANK_HINGE) + held.tank(schedule.TANK_LENGTH)
+    total = core + mass.sum(axis=1)
+    cg = (core * station + (mass * bob).sum(axis=1)) / total
+    added = core * (station - cg) ** 2 + (mass * (bob - cg[:, None]) ** 2).sum(axis=1)
+    return total, cg, p[:, schedule.CORE_INERTIA + 1 : schedule.CORE_INERTIA + 3] + added[:, None]
 
 
-def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: Plane, of_plane: Modes) -> Modes:
-    n, k = int(sizes.spatial_modes), len(of_plane.omega_radps)
-    across, about, sign = (2, 4, 1.0) if plane == "pitch" else (1, 5, -1.0)
+def axial_load_mps2(held: HeldStage, condition: FlightCondition, trim: Trim) -> float:
+    """Return the axial specific force of the first vehicle, (thrust - drag) / mass, as its modes and pendulums have it.
 
-    def row(which: int) -> Array:
-        first = int(schedule.spatial_column(sizes, which))
-        return np.array(props[first : first + n])
-
-    def at(place: int, component: int) -> Array:
-        return row(schedule.SPATIAL_FIRST + 6 * place + component)
-
-    def each(first: int, count: int, component: int) -> Array:
-        return np.array([at(first + i, component) for i in range(count)]).reshape(count, n).T
-
-    tanks, surfaces = int(sizes.pendulums), int(sizes.surfaces)
-    gimbal, gyro_at = schedule.gimbal_place(sizes, 0), schedule.GYRO_PLACE
-    tank, surface = schedule.tank_place(0), schedule.surface_place(sizes, 0)
-    softening = np.array([row(schedule.spatial_softening_row(sizes, i)) for i in range(n)])
-    both = np.zeros((n + k, n + k))
-    both[:n, :n], both[n:, n:] = float(vehicle.bending.softening_factor) * softening, of_plane.softening_kgpm
-    given = vehicle.spatial_modes
-    mine = {
-        "omega_radps": given.frequency_factor[:n] * row(schedule.SPATIAL_OMEGA),
-        "damping_ratio": np.array(given.zeta[:n]),
-        "generalized_mass_kg": row(schedule.SPATIAL_MASS),
-        "phi_gimbal": at(gimbal, across),
-        "slope_gimbal_pm": sign * at(gimbal, about),
-        "slope_gyro_pm": sign * at(gyro_at, about),
-        "phi_hinge": each(tank, tanks, across),
-        "phi_surface": each(surface, surfaces, across),
-        "slope_surface_pm": sign * each(surface, surfaces, about),
-    }
-    joined = {name: np.concatenate([values, getattr(of_plane, name)]) for name, values in mine.items()}
-    places = [int(schedule.gimbal_place(sizes, k)) for k in range(1, int(sizes.gimbals))]
-    further = tuple(
-        (np.concatenate([at(p, across), phi]), np.concatenate([sign * at(p, about), slope]))
-        for p, (phi, slope) in zip(places, (*of_plane.further_gimbals, *of_plane.sensors), strict=True)
-    )
-    engines = len(of_plane.further_gimbals)
-    beyond = np.array([at(p, 0) for p in places]).reshape(-1, n).T
-    along = Along(
-        gimbals=np.concatenate([at(gimbal, 0)[:, None], beyond[:, :engines]], axis=1),
-        hinges=each(tank, tanks, 0), surfaces=each(surface, surfaces, 0), sensors=beyond[:, engines:],
-    )  # fmt: skip  # three more lines otherwise
-    moves = any(shapes.any() for shapes in vars(along).values())
-    return dataclasses.replace(
-        of_plane, **joined, softening_kgpm=both, spatial=n, roll_gyro_pm=at(gyro_at, 3), along=along if moves else None,
-        further_gimbals=further[:engines], sensors=further[engines:],
-    )  # fmt: skip  # four more lines otherwise
-
-
-def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane) -> tuple[GimballedEngine, ...]:
-    """Each of the simulator's engines. Angles of the other plane, and what allocation sends there, are left out."""
-    vehicle, e, sizes = row.vehicle, row.vehicle.engine, row.vehicle.sizes
-    pitch, n = plane == "pitch", int(sizes.engines)
-    thrusts = [props[schedule.thrust_column(sizes, int(e.curve[k]))] for k in range(n)]
-    flows = [float(e.flow_weight[k] * thrusts[k]) for k in range(n)]
-    gains, out = _gains(packed, row, time_s, plane), []
-    drives = drives_of(row, plane)[1]
-    for k in range(n):
-        mass, arm = float(e.gimballed_mass_kg[k]), float(e.cg_from_gimbal_m[k])
-        side, cg = ("z", props[schedule.CORE_CG + 2]) if pitch else ("y", props[schedule.CORE_CG + 1])
-        beside, nozzle = float(e[f"gimbal_offset_{side}_m"][k]), float(e[f"exit_{side}_m"][k]) - float(cg)
-        swing, compliance = int(e.swings[k]), vehicle.tvc_load
-        load = TvcLoad(float(compliance.stiffness_Nmprad[swing]), float(compliance.damping_Nmsprad[swing]))
-        follows, others = (float(e[f"follows_{name}"][k]) for name in (("pitch", "yaw") if pitch else ("yaw", "pitch")))
-        out.append(
-            GimballedEngine(
-                vacuum_thrust_N=float(e.thrust_factor[k]) * float(thrusts[k]),
-                exit_area_m2=float(e.exit_area_m2[k]),
-                gimbal_station_m=float(e.gimbal_station_m[k]),
-                exit_station_m=float(e.exit_station_m[k]),
-                gimballed_mass_kg=mass,
-                cg_from_gimbal_m=arm,
-                inertia_about_gimbal_kgm2=float(e.inertia_kgm2[k]) + mass * arm * arm,
-                follower=bool(vehicle.follower_thrust),
-                gain=follows * gains[int(e.group[k])],
-                drive=drives[int(e.group[k])] if follows else 0,
-                group=int(e.group[k]),
-                numbers=tuple(n for n, parts in enumerate(e.parts) if parts > 0.0 and int(e.taken_as[n]) == k),
-                tvc_load=load if follows and swing >= 0 else None,
-                gimbal=int(e.gimbal[k]),
-                beside_m=beside,
-                from_cg_m=beside - float(cg),
-                axis=(float(e.rest_x[k]), float(e.rest_y[k]), float(e.rest_z[k])),
-                plane=plane,
-                across=others,
-                flow_share=1.0 if n == 1 else flows[k] / sum(flows) if sum(flows) > 0.0 else 0.0,
-                exit_square_m2=nozzle * nozzle + float(e[f"exit_{side}{side}_m2"][k]),
-            )
-        )
-    return tuple(out)
-
-
-def _gains(packed: Packed, row: Any, time_s: float, plane: Plane) -> list[float]:
-    """Angle of each group per command of the law in this plane."""
-    a, axis = row.computer.allocation, 0 if plane == "pitch" else 1
-    if a.groups == 1:
-        return [1.0]
-    now_s = time_s + 1e-9 * int(row.timeline.stage_start_ns)
-    matrix = table_in(packed.pool, a.matrix)(now_s).reshape(-1, 3)
-    return [float(matrix[2 * group + axis, axis]) for group in range(int(a.groups))]
-
-
-def with_pendulums(vehicle: VehicleAt, pendulums: Pendulums) -> VehicleAt:
-    """The vehicle with other pendulums and the same total mass, CG and inertia, liquid frozen.
-
-    The core makes up the difference. Raises ValueError where no core is left.
+    Between the rows of its tables the total mass is not quite that of core and bobs.
     """
-    old, body = vehicle.pendulums, vehicle.body
-    total = body.core_mass_kg + old.mass_kg.sum(axis=0)
-    centre, inertia = vehicle.total_cg_station_m, vehicle.total_inertia_kgm2
-    sloshing = pendulums.mass_kg.sum(axis=0)
-    mass = total - sloshing
-    if np.min(mass) <= 0.0:
-        raise ValueError(f"sloshing masses of {np.max(sloshing):g} kg in a vehicle of {np.max(total):g} kg")
-    station = (total * centre - (pendulums.mass_kg * pendulums.bob_station_m).sum(axis=0)) / mass
-    bobs = (pendulums.mass_kg * (pendulums.bob_station_m - centre) ** 2).sum(axis=0)
-    core = inertia - bobs - mass * (station - centre) ** 2
-    if np.min(core) <= 0.0:
-        raise ValueError(f"bobs of {np.max(bobs):g} kg m2 in a vehicle of {np.max(inertia):g} kg m2")
-    changed = dataclasses.replace(body, core_mass_kg=mass, core_cg_station_m=station, core_inertia_kgm2=core)
-    return dataclasses.replace(vehicle, body=changed, pendulums=pendulums)
+    one = dataclasses.replace(held, parameters=held.parameters[:1], properties=held.properties[:1])
+    one, y = one.without_sections().prepared(dataclasses.replace(condition, gravity_mps2=0.0), trim)
+    rate, _ = one.differentiated(y, np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))
+    forward = float(rate[0, list(held.coordinates).index("u_mps")])
+    return forward * float(total_of(one)[0][0] / one.properties[0, schedule.TOTAL_MASS])
 
 
+# --- with parts absent
+def without_bending(held: HeldStage) -> HeldStage:
+    """Return a stage whose modes move nothing and are moved by nothing."""
+    held, sizes = held.without_sections().copied(), held.sizes
+    for plane in (schedule.PITCH, schedule.YAW):
+        first = int(schedule.mode_column(sizes, plane, schedule.MODE_PHI_GIMBAL))
+        held.properties[:, first : int(schedule.mode_column(sizes, plane + 1, 0))] = 0.0
+    first = int(schedule.spatial_column(sizes, schedule.SPATIAL_FIRST))
+    last = int(schedule.spatial_column(sizes, schedule.turning_row(sizes, int(sizes.spatial_modes))))
+    held.properties[:, first:last] = 0.0
+    return held
+
+
+def without_engine_inertia(held: HeldStage) -> HeldStage:
+    """Return a stage whose engines have no mass and follow their actuators."""
+    held = held.copied()
+    engine = held.vehicle["engine"]
+    engine["gimballed_mass_kg"], engine["inertia_kgm2"], engine["swings"] = 0.0, 0.0, -1
+    held.vehicle["sizes"]["tvc_loads"] = 0
+    return held
+
+
+def with_frozen_liquid(held: HeldStage) -> HeldStage:
+    """Return a stage whose bobs are fixed to the core."""
+    mass, cg, inertia = total_of(held)
+    held = held.copied()
+    p = held.properties
+    p[:, schedule.CORE_MASS], p[:, schedule.CORE_CG] = mass, cg
+    p[:, schedule.CORE_INERTIA + 1 : schedule.CORE_INERTIA + 3] = inertia
+    for k in range(len(held.swing_rad)):
+        column = schedule.tank_column(k)
+        p[:, column + schedule.TANK_MASS], p[:, column + schedule.TANK_MASS_RATE] = 0.0, 0.0
+    return held
+
+
+def without_lateral_air(held: HeldStage) -> HeldStage:
+    """Return a stage on which the air acts along its axis alone."""
+    held = held.copied()
+    aerodynamics = held.vehicle["aero"]
+    aerodynamics["force_factor"], aerodynamics["damping_factor"] = 0.0, 0.0
+    table = held.parameters[0].vehicle.aero.table
+    first, intervals, columns = int(table.offset) + int(table.n_breaks), int(table.n_breaks) - 1, int(table.n_columns)
+    pool = held.pool.copy()
+    rows = pool[first : first + intervals * 4 * columns].reshape(-1, columns)
+    if columns > aero.CD:  # straight ahead the drag along the wind is an axial force
+        rows[:, aero.CA] += rows[:, aero.CD]
+        rows[:, aero.CD] = 0.0
+    return dataclasses.replace(held, pool=pool)
+
+
+# --- derivatives
 @dataclass(frozen=True)
 class StabilityDerivatives:
-    """Of alpha' = Z and q' = M as the paper defines them (4 to 8): pitch plane, whole mass, liquid frozen.
+    """Of alpha' = Z and q' = M as the paper defines them (4 to 8): whole mass, body rigid, liquid frozen.
 
     Z_alpha and M_alpha are negative for a statically stable vehicle with lift.
     """
 
-    z_alpha_1ps: float  # (4)
+    z_alpha_1ps: float  # (4), with the drag along the wind
     m_alpha_1ps2: float  # (6)
     z_delta_1ps: float  # (5)
     m_delta_1ps2: float  # (8), without the axial load of the engine's mass (erratum 8: +0.2 to 0.4 %)
     m_q_1ps: float  # (7), aerodynamic
 
 
-def stability_derivatives(vehicle: VehicleAt, condition: FlightCondition) -> StabilityDerivatives:
-    """Derivatives at a flight condition. Raises ValueError at rest, where eqs 4 and 5 divide by the speed."""
+def stability_derivatives(
+    held: HeldStage, condition: FlightCondition, trim: Trim, plane: Plane, drives: Drives
+) -> StabilityDerivatives:
+    """Return the derivatives at a flight condition.
+
+    Raises ValueError at rest, where eqs 4 and 5 divide by the speed.
+    """
     if condition.airspeed_mps <= 0.0:
         raise ValueError("stability derivatives are defined for positive airspeed only")
-    a, speed = vehicle.aerodynamics, condition.airspeed_mps
-    mass, inertia, cg = vehicle.body.total_mass_kg, vehicle.total_inertia_kgm2, vehicle.total_cg_station_m
-    force_area = condition.dynamic_pressure_Pa * a.area_m2
-    pushes = [(e, e.gain * e.slope[1] * e.thrust_N(condition.pressure_Pa)) for e in vehicle.engines]
-    moment = sum(push * (e.gimbal_station_m - cg) for e, push in pushes)
-    slope = float(a.slope_pr.sum())
-    # normal force acts upwards (-z) at its own station; aft of the CG it turns the nose down
-    moment_slope_m = slope * cg - float(a.moment_slope_mpr.sum())
-    by_rate = 0.5 * a.chord_m**2 * a.rate_damping + float((a.rate_slope_m * cg - a.rate_moment_m2).sum())
-    damping = 0.5 * condition.density_kgpm3 * speed * a.area_m2 * by_rate
+    rigid = with_frozen_liquid(without_engine_inertia(without_bending(held)))
+    rigid.vehicle["jet_damping"], rigid.vehicle["rate_damping"]["n_columns"] = 0, 0
+    rigid.vehicle["slosh"]["exchange"] = 0
+    rigid.properties[:, schedule.CG_RATE : schedule.CG_RATE + 3] = 0.0
+    a, b, _, _, (_, inputs, _) = rigid.plants(condition, trim, plane, drives)
+    by_angle = sum(b[0, :2, k] for k, name in enumerate(inputs) if name.startswith("delta_rad"))
+    speed = condition.airspeed_mps
+    scale = float(rigid.properties[0, schedule.CORE_MASS] / rigid.properties[0, schedule.TOTAL_MASS])
+    (z_w, _), (m_w, m_q) = a[0, :2, :2]
+    z_delta, m_delta = np.asarray(by_angle, float)
     return StabilityDerivatives(
-        z_alpha_1ps=-force_area * slope / (mass * speed),
-        m_alpha_1ps2=force_area * moment_slope_m / inertia,
-        z_delta_1ps=sum(push for _, push in pushes) / (mass * speed),
-        m_delta_1ps2=moment / inertia,
-        m_q_1ps=damping / inertia,
-    )
+        z_alpha_1ps=float(z_w * scale), m_alpha_1ps2=float(m_w * speed), z_delta_1ps=float(z_delta * scale / speed),
+        m_delta_1ps2=float(m_delta), m_q_1ps=float(m_q),
+    )  # fmt: skip  # four lines more otherwise
 
 
-def incidence_by_acceleration(vehicle: VehicleAt, condition: FlightCondition) -> tuple[float, float]:
-    """What the incidence follows from by an accelerometer and the pitch acceleration (control/laws/load_relief.py):
-    `percussion_m` and `accel_per_incidence_mps2`, of the rigid body.
+def incidence_by_acceleration(
+    vehicle: VehicleAt, derivatives: StabilityDerivatives, speed_mps: float
+) -> tuple[float, float]:
+    """Return what the incidence follows from by an accelerometer and the pitch acceleration
+    (control/laws/load_relief.py): `percussion_m` and `accel_per_incidence_mps2`, of the rigid body.
 
     Raises ValueError without an accelerometer, without air, and without an engine that turns the vehicle.
     """
     station_m = next((at for name, at in vehicle.sensors if name == ACCELERATION), None)
-    d, speed = stability_derivatives(vehicle, condition), condition.airspeed_mps
+    d = derivatives
     if station_m is None or d.z_alpha_1ps == 0.0 or d.m_delta_1ps2 == 0.0:
         missing = "an accelerometer" if station_m is None else "air" if d.m_delta_1ps2 != 0.0 else "an engine"
         raise ValueError(f"no incidence can be estimated without {missing}")
     # from the CG to the centre of percussion, m forward; the accelerometer may lie on either side of it
-    centre_m = d.z_delta_1ps * speed / d.m_delta_1ps2
+    centre_m = d.z_delta_1ps * speed_mps / d.m_delta_1ps2
     forward_m = vehicle.total_cg_station_m - station_m
-    return centre_m - forward_m, d.z_alpha_1ps * speed - centre_m * d.m_alpha_1ps2
+    return centre_m - forward_m, d.z_alpha_1ps * speed_mps - centre_m * d.m_alpha_1ps2

@@ -22,7 +22,7 @@ from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.instruments import ACCELERATION
 from maxq.design.model.node import Node, with_cuts
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.model.vehicle_at import incidence_by_acceleration, stability_derivatives
+from maxq.design.model.vehicle_at import incidence_by_acceleration
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.curves import TOLERANCE, Curves, Indices, PathMesh, mesh_of
 from maxq.design.optimise.features import Bands
@@ -74,7 +74,7 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
             f"node at {node.time_s:g} s: there is no first bending mode whose peak could be made small; "
             f"allowed is objective.kind = {others}"
         )
-    d = stability_derivatives(node.vehicle, node.condition)
+    d = node.derivatives
     return Plant(
         node, path, tuple(bands), _first_lobe(bending), d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed, wind
     )
@@ -85,9 +85,8 @@ def wind_of(path: FixedPath, case: Case) -> WindResponse:
     there are none.
     """
     assert case.wind is not None
-    cuts = path.node.vehicle.cuts
     try:
-        stations_m = case.bending_stations_m(() if cuts is None else tuple(cuts.station_m.tolist()))
+        stations_m = case.bending_stations_m(path.node.vehicle.cut_stations_m)
         return wind_response(path, Spectrum(**dict(case.wind)), stations_m)
     except ValueError as problem:
         raise ValueError(f"node at {path.node.time_s:g} s: {problem}") from None
@@ -160,7 +159,12 @@ class Plants:
         at = np.array([p.node.scheduled(case.gains.over) for p in self.each])
         told = np.zeros((0, 2))
         if case.law == "incidence-relief":
-            told = np.array([incidence_by_acceleration(p.node.vehicle, p.node.condition) for p in self.each])
+            told = np.array(
+                [
+                    incidence_by_acceleration(p.node.vehicle, p.node.derivatives, p.node.condition.airspeed_mps)
+                    for p in self.each
+                ]
+            )
         return Task(
             case, self.times_s, dispersed, self.rigid, limits, self.sample_s, self.first_mode_hz, further, at, told,
             winds,

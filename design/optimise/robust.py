@@ -19,8 +19,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case, LoadedCase, Robust
 from maxq.design.laws.law import DesignedLaw
-from maxq.design.model.dispersion import disperse
-from maxq.design.model.node import Node
+from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import places_of, resolved, root_of_correlation, vehicle_at_places
 from maxq.design.optimise.at_nodes import finished, make_problem, search_best
 from maxq.design.optimise.over_time import COARSE, UNSTABLE_DB, Instants, gains_at_nodes, instants_along, peaks

@@ -19,8 +19,6 @@ import numpy as np
 
 from maxq.design import api
 from maxq.design.model.node import Node, powered_spans
-from maxq.design.model.plant import axial_load_mps2
-from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.suite import Flown, LoadedSuite
 from maxq.sim.run.fly import fly
@@ -224,7 +222,7 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
             "early_s": round(span.begin_s + _EARLY * burn, 1), "late_s": round(span.begin_s + _LATE * burn, 1),
             "strongest_s": round(at_s, 1),
         }  # fmt: skip  # three more lines otherwise
-        moment = abs(stability_derivatives(node.vehicle, node.condition).m_delta_1ps2) * node.vehicle.total_inertia_kgm2
+        moment = abs(node.derivatives.m_delta_1ps2) * node.vehicle.total_inertia_kgm2
         mine["gimbal_moment_Nm"] = float(f"{math.radians(1.0) * moment:.3g}")
         engines = base.vehicle.stage[span.stage].engines
         if len(engines) > 1:
@@ -236,11 +234,11 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
 
 def _tones_hz(node: Node) -> dict[str, float]:
     """Frequencies of the first two bending modes and of the slowest slosh, of those that there are."""
-    modes = np.sort(np.abs(node.vehicle.modes.omega_radps)) / (2.0 * math.pi)
+    modes = np.sort(np.abs(node.vehicle.omega_radps)) / (2.0 * math.pi)
     out = {f"mode_{k + 1}": float(hz) for k, hz in enumerate(modes[:2])}
     bobs = node.vehicle.pendulums
     if len(bobs.mass_kg):
-        load_mps2 = axial_load_mps2(node.vehicle, node.condition)
+        load_mps2 = node.axial_load_mps2
         out["slosh"] = float(np.sqrt(load_mps2 / bobs.length_m).min()) / (2.0 * math.pi)
     return out
 

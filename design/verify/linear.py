@@ -32,10 +32,9 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measured_loop import measure_loop
-from maxq.design.model.dispersion import Dispersion, disperse
-from maxq.design.model.node import Node, at_same_propellant_s, flown_run, flown_to, met_by, node_of
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.node import Node, at_same_propellant_s, disperse, flown_run, flown_to, met_by, node_of
 from maxq.design.model.spread import correlation, places_of, root_of_correlation, vehicle_at_places
-from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.quantities import MEASURED, SWEPT, Convention, LoopLimits
 from maxq.design.verify import suite
 from maxq.design.verify.memory import Memory, counted
@@ -159,7 +158,7 @@ def trajectories_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int,
             node = nodes[k]
             try:
                 at_s = at_same_propellant_s(run, flown, node)
-                out[k] = met_by(flown, node, node_of(run.packed, flown_to(run, at_s) / 1e9, node.stage, node.plane))
+                out[k] = met_by(node, node_of(run.packed, flown_to(run, at_s) / 1e9, node.stage, node.plane))
             except ValueError:
                 return None
         return [out[k] for k in range(len(nodes))]
@@ -407,7 +406,7 @@ def authority(nodes: Sequence[Node], command_limits_rad: Sequence[float]) -> lis
     """Authority at the nodes; the limit is the smaller one of the stage's computer and actuator."""
     out = []
     for node in nodes:
-        d = stability_derivatives(node.vehicle, node.condition)
+        d = node.derivatives
         limit = min(command_limits_rad[node.stage], node.angle_limit_rad)
         ratio = abs(d.m_alpha_1ps2 / d.m_delta_1ps2)
         incidence = limit / ratio if ratio > 0.0 else math.inf

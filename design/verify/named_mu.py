@@ -33,8 +33,7 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.multiloop import Multiloop, multiloop
 from maxq.design.margins.real_mu import Scaling, real_mu_upper
-from maxq.design.model.dispersion import disperse, with_drives_apart
-from maxq.design.model.node import Node, flown_run, flown_to
+from maxq.design.model.node import Node, disperse, flown_run, flown_to, with_drives_apart
 from maxq.design.model.spread import Place, Spread, places_of, root_of_correlation, scenario_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import Packed, pack_flight

@@ -41,7 +41,6 @@ from maxq.design.certificate.measured_margins import amplitude
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.model.node import Node, slosh_columns
-from maxq.design.model.plant import axial_load_mps2
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import Packed
 from maxq.sim.packing.pendulums import WAVE_PER_SWING, ring_damping
@@ -150,9 +149,8 @@ class SloshAdvice:
 
 def percussion_station_m(node: Node) -> float:
     """Centre of percussion for lateral thrust: where its onset causes no lateral acceleration."""
-    v = node.vehicle
-    cg = v.total_cg_station_m
-    return cg - v.total_inertia_kgm2 / (v.body.total_mass_kg * (v.engine.gimbal_station_m - cg))
+    d = node.derivatives
+    return node.vehicle.total_cg_station_m - d.z_delta_1ps * node.condition.airspeed_mps / d.m_delta_1ps2
 
 
 def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
@@ -177,7 +175,7 @@ def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
 
 def _has(node: Node) -> Array:
     """Damping ratios of the tanks in small waves."""
-    return node.vehicle.pendulums.small_wave_damping(axial_load_mps2(node.vehicle, node.condition))
+    return node.vehicle.pendulums.small_wave_damping(node.axial_load_mps2)
 
 
 def _needed(node: Node, design: Design, tank: int) -> float:
@@ -203,11 +201,10 @@ def _growth(node: Node, design: Design, tank: int, ratio: float) -> float:
 
 
 def _damped(node: Node, tank: int, ratio: float) -> Node:
-    bobs = node.vehicle.pendulums
-    ratios, viscous, ring = bobs.damping_ratio.copy(), bobs.viscous.copy(), bobs.ring.copy()
-    ratios[tank], viscous[tank], ring[tank] = ratio, 0.0, 0.0
-    bobs = dataclasses.replace(bobs, damping_ratio=ratios, viscous=viscous, ring=ring)
-    return dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, pendulums=bobs))
+    held = node.held.copied()
+    for name, value in (("damping_ratio", ratio), ("law_factor", 0.0), ("ring_damping", 0.0)):
+        held.vehicle["slosh"][name][:, tank] = value
+    return dataclasses.replace(node, held=held)
 
 
 def _oscillating(loop: Loop) -> ComplexArray:

@@ -25,9 +25,9 @@ from maxq.design.certificate.certificate import NodeCertificate, certify, certif
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
 from maxq.design.certificate.measured_only import MeasuredNode, measure_node
+from maxq.design.model.instruments import Plane
 from maxq.design.model.node import EDGES, Node, loss_text, node_times, powered_flight, powered_spans
 from maxq.design.model.spread import resolved
-from maxq.design.model.vehicle_at import Plane
 from maxq.design.quantities import MEASURED, LoopLimits
 from maxq.design.verify import flown, linear
 from maxq.design.verify.fitted import fit

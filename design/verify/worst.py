@@ -33,9 +33,9 @@ from maxq.design.margins.curve import growing_count, lowest_hz_of
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
-from maxq.design.model.dispersion import disperse, disperse_instruments, dispersed_many, stacked, with_drives_apart
-from maxq.design.model.node import Node
-from maxq.design.model.plant import per_command, vehicle_plants
+from maxq.design.model.dispersion import deviated, disperse_instruments, stacked
+from maxq.design.model.instruments import per_command
+from maxq.design.model.node import Node, disperse, with_drives_apart
 from maxq.design.model.spread import Place, Spread, places_of, root_of_correlation, scenario_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.descent import Region, descend
@@ -159,13 +159,8 @@ def slope(node: Node, design: Design, spread: Spread) -> Callable[[Array, Array,
     def paths(every: Sequence[Array], s: ComplexArray) -> ComplexArray:
         """From the command to what each input of the law follows, (vehicles, frequencies, inputs)."""
         vehicles = [vehicle_at_places(spread, node, places, u) for u in every]
-        if node.vehicle.across is None:
-            count, by = len(vehicles), stacked(vehicles)
-            parts = vehicle_plants(dispersed_many(node, by), node.condition, node.errata)
-            a, b, c, d = (np.moveaxis(np.broadcast_to(x, (*x.shape[:2], count)), -1, 0) for x in parts)
-        else:
-            plants = [disperse(node, by).plant for by in vehicles]
-            a, b, c, d = (np.stack([getattr(plant, name) for plant in plants]) for name in "abcd")
+        held = deviated(node.held, node.condition, node.trim, node.plane, stacked(vehicles), len(vehicles))
+        a, b, c, d, _ = held.plants(node.condition, node.trim, node.plane, node.drives)
         turning = s[:, None, None] * np.eye(a.shape[-1]) - a[:, None]
         response = c[:, None, rows] @ np.linalg.solve(turning, b[:, None][..., columns])
         response = response + d[:, None][:, :, rows][..., columns]

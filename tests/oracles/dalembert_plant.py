@@ -52,10 +52,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.equations import OUTPUTS, mass_flow_momentum, state_names
-from maxq.design.model.plant import axial_load_mps2
+from maxq.design.model.held import OUTPUTS, FlightCondition, state_names
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, VehicleAt
+from maxq.design.paper.equations import mass_flow_momentum
+from maxq.design.paper.plant import axial_load_mps2
+from maxq.design.paper.vehicle_at import PlanarVehicle
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class _Layout:
         return slice(2 + self.modes, self.size)
 
 
-def dalembert_plant(vehicle: VehicleAt, condition: FlightCondition) -> StateSpace:
+def dalembert_plant(vehicle: PlanarVehicle, condition: FlightCondition) -> StateSpace:
     """As `vehicle_plant` with all errata corrected."""
     at = _Layout(len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg))
     load = axial_load_mps2(vehicle, condition)
@@ -107,7 +108,7 @@ def _solve(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, right), np.float64)
 
 
-def _mass_matrix(vehicle: VehicleAt, at: _Layout) -> Array:
+def _mass_matrix(vehicle: PlanarVehicle, at: _Layout) -> Array:
     """Of the generalised accelerations s, q', eta'', G'' (symmetric)."""
     body, bobs = vehicle.body, vehicle.pendulums
     mass = np.zeros((at.size, at.size))
@@ -119,7 +120,7 @@ def _mass_matrix(vehicle: VehicleAt, at: _Layout) -> Array:
     return mass
 
 
-def _stiffness(vehicle: VehicleAt, condition: FlightCondition, load: float, at: _Layout) -> Array:
+def _stiffness(vehicle: PlanarVehicle, condition: FlightCondition, load: float, at: _Layout) -> Array:
     """Forces lost per unit of displacement: elastic, axial load, thrust and incidence of the bent body."""
     modes, bobs, engine = vehicle.modes, vehicle.pendulums, vehicle.engine
     k = np.zeros((at.size, at.size))
@@ -139,7 +140,7 @@ def _stiffness(vehicle: VehicleAt, condition: FlightCondition, load: float, at: 
     return k
 
 
-def _damping(vehicle: VehicleAt, condition: FlightCondition, load: float, at: _Layout) -> Array:
+def _damping(vehicle: PlanarVehicle, condition: FlightCondition, load: float, at: _Layout) -> Array:
     """Forces lost per unit of rate; column 0 is that of w."""
     modes, bobs, air = vehicle.modes, vehicle.pendulums, vehicle.aerodynamics
     c = np.zeros((at.size, at.size))
@@ -156,7 +157,9 @@ def _damping(vehicle: VehicleAt, condition: FlightCondition, load: float, at: _L
     return c
 
 
-def _surfaces(vehicle: VehicleAt, condition: FlightCondition, at: _Layout) -> list[tuple[Array, tuple[Array, Array]]]:
+def _surfaces(
+    vehicle: PlanarVehicle, condition: FlightCondition, at: _Layout
+) -> list[tuple[Array, tuple[Array, Array]]]:
     """Per lifting surface: generalised force per local lateral speed; that speed per rate, U per bend."""
     air, modes, out = vehicle.aerodynamics, vehicle.modes, []
     flow = 0.5 * condition.density_kgpm3 * condition.airspeed_mps * air.area_m2
@@ -172,7 +175,7 @@ def _surfaces(vehicle: VehicleAt, condition: FlightCondition, at: _Layout) -> li
     return out
 
 
-def _mass_flow(vehicle: VehicleAt, at: _Layout) -> Array:
+def _mass_flow(vehicle: PlanarVehicle, at: _Layout) -> Array:
     """Generalised forces lost per pitch rate to what flows through the turning vehicle (jet damping).
 
     The core is a vessel through which mass flows. Reynolds' transport theorem with the Coriolis acceleration
@@ -196,7 +199,7 @@ def _mass_flow(vehicle: VehicleAt, at: _Layout) -> Array:
     return out
 
 
-def _bob_reach(vehicle: VehicleAt, at: _Layout, tank: int) -> Array:
+def _bob_reach(vehicle: PlanarVehicle, at: _Layout, tank: int) -> Array:
     """Lateral displacement of a bob per unit of each coordinate."""
     bobs = vehicle.pendulums
     reach = np.zeros(at.size)
@@ -206,12 +209,12 @@ def _bob_reach(vehicle: VehicleAt, at: _Layout, tank: int) -> Array:
     return reach
 
 
-def _gimbal_arm(vehicle: VehicleAt) -> float:
+def _gimbal_arm(vehicle: PlanarVehicle) -> float:
     """From the core's CG aft to the gimbal, m."""
     return vehicle.engine.gimbal_station_m - vehicle.body.core_cg_station_m
 
 
-def _engine_columns(vehicle: VehicleAt, condition: FlightCondition, load: float, at: _Layout) -> Array:
+def _engine_columns(vehicle: PlanarVehicle, condition: FlightCondition, load: float, at: _Layout) -> Array:
     """Generalised force per engine angle and per engine acceleration."""
     engine, modes, arm = vehicle.engine, vehicle.modes, _gimbal_arm(vehicle)
     thrust, inertia = engine.thrust_N(condition.pressure_Pa), engine.inertia_about_gimbal_kgm2
@@ -225,7 +228,12 @@ def _engine_columns(vehicle: VehicleAt, condition: FlightCondition, load: float,
 
 
 def _first_order(
-    per_position: Array, per_rate: Array, per_engine: Array, vehicle: VehicleAt, condition: FlightCondition, at: _Layout
+    per_position: Array,
+    per_rate: Array,
+    per_engine: Array,
+    vehicle: PlanarVehicle,
+    condition: FlightCondition,
+    at: _Layout,
 ) -> StateSpace:
     """From second order in (lateral, theta, eta, G) to the states w, q, theta, eta, eta', G, G'."""
     n, m = at.modes, at.tanks

@@ -6,18 +6,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from maxq.design import api
 from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictures
-from maxq.design.loop.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.loop.fixed_path import Cut, fixed_path
 from maxq.design.margins.measure import margins
 from maxq.design.margins.multiloop import MultiloopMargins, multiloop_margins
 from maxq.design.model.node import Node, node_times, powered_flight
+from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db
+from maxq.design.paper.nodes import PaperNode
 from maxq.design.verify.judging import Wanted, checks, judge, multiloop_checks
 from maxq.design.verify.verify import stage_name
 from maxq.sim.files import check_writable, write_whole
@@ -46,6 +48,8 @@ QUANTITIES = {
     "phase": "phase margin, deg",
     "slosh": "highest peak of slosh, dB",
 }
+
+N = TypeVar("N", bound=Node)
 
 
 def execute(order: AnalysisOrder) -> int:
@@ -114,9 +118,13 @@ def find_nodes(scenario: LoadedScenario, design: Design, order: AnalysisOrder) -
 
     Raises ScenarioError for a time outside the powered flight.
     """
+    return _found(scenario, design, order, api.nodes)
+
+
+def _found(scenario: LoadedScenario, design: Design, order: AnalysisOrder, make: Callable[..., list[N]]) -> list[N]:
     try:
         times_s = order.times_s or _gain_times(scenario, design, order.every_s)
-        nodes = api.nodes(
+        nodes = make(
             scenario, times_s, plane=order.axis, errata=order.errata, plant=order.plant, faults=order.faults
         )  # fmt: skip  # nine lines otherwise
         for node in nodes:
@@ -145,7 +153,7 @@ def execute_errata(order: AnalysisOrder) -> int:
     """Do it; returns the exit code."""
     scenario, design = load(order.scenario, order.vehicle, order.design)
     with Progress() as progress:
-        nodes = find_nodes(scenario, design, order)
+        nodes = _found(scenario, design, order, api.published_nodes)
         found: list[Effect] = []
         for n, node in enumerate(nodes):
             found += effects([node], design)
@@ -156,7 +164,7 @@ def execute_errata(order: AnalysisOrder) -> int:
     return Exit.OK
 
 
-def effects(nodes: Sequence[Node], design: Design) -> list[Effect]:
+def effects(nodes: Sequence[PaperNode], design: Design) -> list[Effect]:
     """Of every erratum at every node, on the design's loop with the paper's Pade approximants."""
 
     def measure(node: Node, cut: Cut) -> Mapping[str, float]:

@@ -24,7 +24,6 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
-from maxq.design.model.plant import axial_load_mps2
 from maxq.sim.files import check_writable, write_whole
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
@@ -177,7 +176,7 @@ def _path(loaded: LoadedScenario, calm: Flight, time_s: Array) -> Array:
     at = [node.time_s for node in nodes]
     w = [node.plant.states.index("w_mps") for node in nodes]
     rows = (
-        [axial_load_mps2(node.vehicle, node.condition) for node in nodes],
+        [node.axial_load_mps2 for node in nodes],
         [-float(node.plant.a[k, k]) for node, k in zip(nodes, w, strict=True)],
     )
     speed = np.interp(time_s, calm.time_s("airspeed_mps"), calm["airspeed_mps"])

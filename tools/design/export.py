@@ -21,9 +21,9 @@ from maxq.control.kernel.tables import table_in
 from maxq.control.structures import MAX_SECTIONS, Law
 from maxq.design import api
 from maxq.design.laws.design_file import design_path
+from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import Plane
 from maxq.design.verify.memory import content_hash
 from maxq.sim.files import FileError, cannot_write, check_writable, whole_file, write_whole
 from maxq.sim.flight.channels import unit_suffix

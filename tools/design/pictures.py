@@ -14,8 +14,6 @@ from matplotlib.figure import Figure
 from maxq.control.filters import BendingFilter, DiscreteFilter
 from maxq.control.kernel.records import Array
 from maxq.design.model.node import Node
-from maxq.design.model.plant import axial_load_mps2
-from maxq.design.model.vehicle_at import stability_derivatives
 from maxq.design.verify.judging import Judged, Wanted
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design
@@ -35,7 +33,7 @@ _DERIVATIVES = {
 def derivatives(nodes: Sequence[Node], title: str = "") -> Figure:
     """Fig. 4: stability derivatives (eqs 4 to 8)."""
     time_s = [node.time_s for node in nodes]
-    values = [stability_derivatives(node.vehicle, node.condition) for node in nodes]
+    values = [node.derivatives for node in nodes]
     figure, places = sheet(2, 3, height_in=2.0, title=title)
     for place, (key, name) in zip(places, _DERIVATIVES.items(), strict=False):
         place.plot(time_s, [getattr(v, key) for v in values], color=BLUE)
@@ -62,7 +60,7 @@ def bending_frequencies(nodes: Sequence[Node], title: str = "") -> Figure:
 
 def bending_hz(nodes: Sequence[Node]) -> Array:
     """Of the free-free modes, (modes, nodes)."""
-    omega = [node.vehicle.modes.omega_radps for node in nodes]
+    omega = [node.vehicle.omega_radps for node in nodes]
     return np.array([[_entry(own, i) for own in omega] for i in range(max(map(len, omega)))]) / (2.0 * np.pi)
 
 
@@ -74,9 +72,9 @@ def slosh_frequencies(nodes: Sequence[Node], tanks: Sequence[str], title: str = 
         hz, share = [], []
         for node in nodes:
             bobs = node.vehicle.pendulums
-            load = axial_load_mps2(node.vehicle, node.condition)
+            load = node.axial_load_mps2
             hz.append(np.sqrt(max(load, 0.0) / _entry(bobs.length_m, k)) / (2.0 * np.pi))
-            share.append(100.0 * _entry(bobs.mass_kg, k) / node.vehicle.body.total_mass_kg)
+            share.append(100.0 * _entry(bobs.mass_kg, k) / node.vehicle.total_mass_kg)
         places[0].plot(time_s, hz, **curve(k), label=name)
         places[1].plot(time_s, share, **curve(k), label=name)
     for place in places:
@@ -289,7 +287,7 @@ def case_sheets(
 ) -> list[Sheet]:
     """Gains and filter of a design at `nodes`; derivatives, bending and slosh frequencies `along` the flight."""
     sheets: list[Sheet] = [("vehicle-derivatives", lambda: derivatives(along, f"Stability derivatives: {vehicle}"))]
-    if any(len(node.vehicle.modes.omega_radps) for node in along):
+    if any(len(node.vehicle.omega_radps) for node in along):
         sheets.append(("vehicle-bending", lambda: bending_frequencies(along, f"Bending, free-free: {vehicle}")))
     if tanks:
         sheets.append(("vehicle-slosh", lambda: slosh_frequencies(along, tanks, f"Slosh: {vehicle}")))

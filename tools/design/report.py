@@ -18,8 +18,8 @@ from maxq.design.loop.fixed_path import Kind
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.multiloop import MultiloopMargins
+from maxq.design.model.instruments import Plane
 from maxq.design.model.node import loss_text
-from maxq.design.model.vehicle_at import Plane
 from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import RigidBody
 from maxq.design.verify.judging import Check, Judged, Outcome

@@ -25,10 +25,10 @@ import numpy as np
 
 from maxq.design import api
 from maxq.design.case.schema import Robust, read_case
-from maxq.design.loop.errata_effects import EXPLAINED
 from maxq.design.model.node import Node
 from maxq.design.model.spread import places_of
 from maxq.design.optimise.robust import deviated
+from maxq.design.paper.errata_effects import EXPLAINED
 from maxq.design.quantities import MEASURED, SWEPT
 from maxq.design.verify.judging import judge
 from maxq.design.verify.linear import meet_limits, percentiles, study
@@ -222,7 +222,8 @@ def limits() -> list[str]:
 
 def errata() -> list[str]:
     """The largest change that each erratum makes over the nodes."""
-    found = effects(api.nodes("nominal", range(5, 60, 5)), api.load_design("designs/ksr3-default"))
+    nodes = api.published_nodes(load_scenario("nominal"), range(5, 60, 5))
+    found = effects(nodes, api.load_design("designs/ksr3-default"))
     rows = []
     for name in dict.fromkeys(e.erratum for e in found):
         mine = [e for e in found if e.erratum == name]

@@ -58,7 +58,7 @@ PACKAGES = {
     "sim/vehicle": ("sim/vehicle",),
     "sim/flight": ("sim/flight",),
     "design": ("design/case", "design/certificate", "design/laws", "design/loop", "design/margins", "design/model",
-               "design/optimise"),
+               "design/optimise", "design/paper"),
     "statistics": ("sim/campaign", "design/verify"),
 }  # fmt: skip
 OPERATORS: dict[type[ast.AST], tuple[str, tuple[str, ...]]] = {

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.vehicle_at import vehicle_at
+from maxq.design.paper.vehicle_at import vehicle_at
 from maxq.sim.flight.metric_table import figures
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.files import scenarios_folder

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.vehicle_at import FlightCondition, StabilityDerivatives, stability_derivatives, vehicle_at
+from maxq.design.model.held import FlightCondition, hold_stage
+from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivatives
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
@@ -58,8 +59,8 @@ def flown_derivatives(flight: Flight, times_s: Array) -> list[StabilityDerivativ
             pitch_rad=float(np.radians(at["pitch_deg"][k])),
             gravity_mps2=9.80665,  # no derivative depends on it
         )
-        vehicle = vehicle_at(packed, condition.time_s, condition.mach)
-        out.append(stability_derivatives(vehicle, condition))
+        held = hold_stage(packed, condition.time_s)
+        out.append(stability_derivatives(held, condition, (0.0, 0.0), "pitch", [[(0, 1.0)]]))
     return out
 
 

@@ -52,19 +52,17 @@ in yaw. From command to gyro both signs change and the transfer function stays.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.coupled import Coupled
-from maxq.design.model.equations import WIND, Equations, inputs_of, outputs_of, state_names, swings_of
-from maxq.design.model.errata import CORRECTED, Errata
-from maxq.design.model.instruments import DERIVATIVES, actuator_response
-from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, Pendulums, VehicleAt, with_pendulums
-from maxq.sim.vehicle.actuator import Actuator
+from maxq.design.model.held import WIND, FlightCondition, state_names
+from maxq.design.model.state_space import StateSpace
+from maxq.design.paper.coupled import Coupled
+from maxq.design.paper.equations import Equations, inputs_of, outputs_of, swings_of
+from maxq.design.paper.errata import CORRECTED, Errata
+from maxq.design.paper.vehicle_at import Pendulums, PlanarVehicle, with_pendulums
 
 XI = 1.84118378134066
 _SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero
@@ -78,7 +76,7 @@ class Liquids:
     height_m: Array
 
 
-def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
+def axial_load_mps2(vehicle: PlanarVehicle, condition: FlightCondition) -> float:
     """Axial specific force of the whole vehicle, (thrust - drag) / mass, its engines where they hang under it."""
     drag = condition.dynamic_pressure_Pa * vehicle.aerodynamics.area_m2 * vehicle.aerodynamics.axial
     load = (vehicle.thrust_N(condition.pressure_Pa) - drag) / vehicle.body.total_mass_kg
@@ -88,7 +86,7 @@ def axial_load_mps2(vehicle: VehicleAt, condition: FlightCondition) -> float:
 
 
 def vehicle_plant(
-    vehicle: VehicleAt, condition: FlightCondition, errata: Errata = CORRECTED, liquids: Liquids | None = None,
+    vehicle: PlanarVehicle, condition: FlightCondition, errata: Errata = CORRECTED, liquids: Liquids | None = None,
     wind: bool = False,
 ) -> StateSpace:  # fmt: skip  # six lines otherwise
     """Motion of the actuators, which engines follow or swing on -> rates, of body, modes and pendulums.
@@ -120,7 +118,7 @@ def vehicle_plant(
     return Coupled(plane, across, condition, load, errata, held, wind).state_space()
 
 
-def alone(whole: StateSpace, vehicle: VehicleAt, wind: bool = False) -> StateSpace:
+def alone(whole: StateSpace, vehicle: PlanarVehicle, wind: bool = False) -> StateSpace:
     """The plane itself of a plant of both: body, liquid and gimbal of the other are held."""
     if vehicle.across is None:
         return whole
@@ -133,27 +131,12 @@ def alone(whole: StateSpace, vehicle: VehicleAt, wind: bool = False) -> StateSpa
     )  # fmt: skip  # five more lines otherwise
 
 
-def vehicle_plants(
-    vehicle: VehicleAt, condition: FlightCondition, errata: Errata = CORRECTED
-) -> tuple[Array, Array, Array, Array]:
-    """A, B, C, D of many vehicles with the states, inputs and outputs of `vehicle_plant`, along the last axis.
-
-    `vehicle` as `dispersion.dispersed_many` leaves it. Raises ValueError as `vehicle_plant` does, for spatial modes,
-    and for errata of the tanks.
-    """
-    if vehicle.across is not None or not (errata.tank_radius and errata.tank_liquid):
-        raise ValueError("many vehicles at once: allowed are vehicles without spatial modes, and tanks as they are")
-    load = axial_load_mps2(vehicle, condition)
-    _check_load(vehicle, load)
-    return Equations(vehicle, condition, load, errata).matrices()
-
-
-def _check_load(vehicle: VehicleAt, load_mps2: Array | float) -> None:
+def _check_load(vehicle: PlanarVehicle, load_mps2: Array | float) -> None:
     if len(vehicle.pendulums.mass_kg) and np.min(load_mps2) <= 0.0:
         raise ValueError(f"a pendulum needs a positive axial load, not {np.min(load_mps2):g} m/s2")
 
 
-def _with_printed_tanks(vehicle: VehicleAt, errata: Errata, liquids: Liquids | None) -> VehicleAt:
+def _with_printed_tanks(vehicle: PlanarVehicle, errata: Errata, liquids: Liquids | None) -> PlanarVehicle:
     if (errata.tank_radius and errata.tank_liquid) or not len(vehicle.pendulums.mass_kg):
         return vehicle
     if liquids is None:
@@ -161,25 +144,6 @@ def _with_printed_tanks(vehicle: VehicleAt, errata: Errata, liquids: Liquids | N
             "errata tank_radius and tank_liquid need the tanks' radius_m and liquid_height_m, which this vehicle lacks"
         )
     return with_pendulums(vehicle, as_printed(vehicle.pendulums, liquids, errata.tank_radius, errata.tank_liquid))
-
-
-def per_actuator_angle(s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...]) -> list[ComplexArray]:
-    """Response (..., inputs) of a plant, its inputs derivatives of angles, per angle of each drive."""
-    out: dict[str, ComplexArray] = {}
-    for k, name in enumerate(inputs):
-        order = next(n for n, of in enumerate(DERIVATIVES) if name.startswith(of))
-        drive = name.removeprefix(DERIVATIVES[order])
-        out[drive] = np.asarray(out.get(drive, 0.0) + s**order * response[..., k])
-    return list(out.values())
-
-
-def per_command(
-    s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...], actuators: Sequence[Actuator]
-) -> ComplexArray:
-    """The same per command of all drives together, each through its actuator."""
-    drives = zip(per_actuator_angle(s, response, inputs), actuators, strict=True)
-    first, *others = (per_angle if a.ideal else per_angle * actuator_response(a, s) for per_angle, a in drives)
-    return np.asarray(sum(others, first))
 
 
 def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: bool) -> Pendulums:

@@ -11,10 +11,10 @@ import numpy as np
 from maxq.design.loop.fixed_path import Cut
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.resonance import Resonance
-from maxq.design.model.errata import ABOUT, CORRECTED, PAPER, Erratum, one_at_a_time
-from maxq.design.model.node import Node
+from maxq.design.paper.errata import ABOUT, CORRECTED, PAPER, Erratum, one_at_a_time
+from maxq.design.paper.nodes import PaperNode
 
-Measure = Callable[[Node, Cut], Mapping[str, float]]
+Measure = Callable[[PaperNode, Cut], Mapping[str, float]]
 """Named numbers of the loop that stands at a node, opened at a cut."""
 
 OPENED = Erratum("16", "42", "opened from q_c to q", "opened at the gimbal command")
@@ -30,7 +30,7 @@ class Effect:
     """
 
     erratum: str  # a key of EXPLAINED
-    node: Node
+    node: PaperNode
     corrected: Mapping[str, float]
     printed: Mapping[str, float]
     error: str = ""
@@ -44,7 +44,7 @@ class Effect:
         return self.printed.get(name, float("nan")) - self.corrected.get(name, float("nan"))
 
 
-def errata_effects(nodes: Iterable[Node], measure: Measure) -> list[Effect]:
+def errata_effects(nodes: Iterable[PaperNode], measure: Measure) -> list[Effect]:
     """Effects node by node, errata in the order of EXPLAINED; the nodes' own errata do not matter."""
     cut: Cut = "gimbal_command"
     out = []

@@ -10,11 +10,12 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
-from maxq.design.model.incidence import reference_station_m, table_slopes
+from maxq.design.paper.incidence import reference_station_m, table_slopes
 from maxq.sim.vehicle import aero, schedule
 
 if TYPE_CHECKING:
-    from maxq.design.model.vehicle_at import Plane, Trim
+    from maxq.design.model.held import Trim
+    from maxq.design.model.instruments import Plane
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from maxq.design.model.vehicle_at import Plane
+    from maxq.design.model.instruments import Plane
 
 
 @dataclass(frozen=True)

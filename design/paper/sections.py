@@ -17,16 +17,13 @@ tests/test_oracle_wind_bending.py compares the two.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.sim.vehicle import loads as packed_loads
-
-if TYPE_CHECKING:
-    from maxq.design.model.equations import Equations
 
 
 @dataclass(frozen=True)
@@ -70,12 +67,7 @@ def cuts_of(pool: Array, row: Any, clock_s: float, pitch: bool) -> Cuts | None:
     )
 
 
-def moment_name(station_m: float) -> str:
-    """Name of the plant's output at a cut."""
-    return f"bending_{station_m:g}_Nm"
-
-
-def bending_moments(e: Equations, cuts: Cuts, lateral: Array, turning: Array, bending: Array) -> list[Array]:
+def bending_moments(e: Any, cuts: Cuts, lateral: Array, turning: Array, bending: Array) -> list[Array]:
     """A row each cut, N m, from the accelerations of body and modes."""
     total, first, second = cuts.whole
     scale, cg = e.mass / total, e.cg
@@ -108,7 +100,7 @@ def bending_moments(e: Equations, cuts: Cuts, lateral: Array, turning: Array, be
     return out
 
 
-def _of_tank(e: Equations, k: int, station: float, bottom_m: float, here: Array) -> Array:
+def _of_tank(e: Any, k: int, station: float, bottom_m: float, here: Array) -> Array:
     """Of the rod's pull, along the axis at the tank's bottom, and of the damper."""
     bobs, phi = e.vehicle.pendulums, e.vehicle.modes.phi_hinge[:, k]
     hinge, bob, row = e.hinge_station_m[k], e.hinge_station_m[k] + bobs.length_m[k], 0.0 * here
@@ -125,7 +117,7 @@ Lift = tuple[float, Array, Array]
 """Station of a lifting part, its force and that times its station, as rows."""
 
 
-def _air(e: Equations, cuts: Cuts) -> tuple[list[Lift], tuple[Array, Array]]:
+def _air(e: Any, cuts: Cuts) -> tuple[list[Lift], tuple[Array, Array]]:
     """Lifting parts, and the force a metre of the rest over the body: constant and slope, from its nose."""
     air, (nose, tail) = e.vehicle.aerodynamics, cuts.ends_m
     flow = 0.5 * e.condition.density_kgpm3 * e.condition.airspeed_mps * air.area_m2

@@ -7,15 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.engine import GimballedEngine
-from maxq.design.model.errata import Errata
+from maxq.design.model.held import OUTPUTS, WIND, FlightCondition, moment_name, state_names
 from maxq.design.model.instruments import ACCELERATION, DERIVATIVES, of_drive
-from maxq.design.model.sections import bending_moments, moment_name
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, VehicleAt
-
-OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
-WIND = "wind_mps"
+from maxq.design.paper.engine import GimballedEngine
+from maxq.design.paper.errata import Errata
+from maxq.design.paper.sections import bending_moments
+from maxq.design.paper.vehicle_at import PlanarVehicle
 
 
 def dot(shape: Array, rows: Array) -> Array:
@@ -48,7 +46,7 @@ class Equations:
     """Each quantity is a row of coefficients: per state, then per input."""
 
     def __init__(
-        self, vehicle: VehicleAt, condition: FlightCondition, load: float, errata: Errata, wind: bool = False,
+        self, vehicle: PlanarVehicle, condition: FlightCondition, load: float, errata: Errata, wind: bool = False,
         held: Array | None = None,
     ) -> None:  # fmt: skip  # five more lines otherwise
         vehicle = vehicle.hanging(load)
@@ -381,13 +379,13 @@ def swings_of(engine: GimballedEngine) -> list[Swing]:
     return [Swing(engine, engine.slope, own, True), *others]
 
 
-def outputs_of(vehicle: VehicleAt) -> tuple[str, ...]:
+def outputs_of(vehicle: PlanarVehicle) -> tuple[str, ...]:
     """Of a plane: OUTPUTS, then what further sensors measure, then bending moments at the vehicle's cuts."""
     stations = () if vehicle.cuts is None else vehicle.cuts.station_m.tolist()
     return (*OUTPUTS, *(name for name, _ in vehicle.sensors), *(moment_name(at) for at in stations))
 
 
-def inputs_of(vehicle: VehicleAt) -> tuple[str, ...]:
+def inputs_of(vehicle: PlanarVehicle) -> tuple[str, ...]:
     """Of a plane, by drive: the angle, and what else of its motion engines feel."""
     out = []
     for drive in sorted({engine.drive for engine in vehicle.engines}):
@@ -399,18 +397,7 @@ def inputs_of(vehicle: VehicleAt) -> tuple[str, ...]:
     return tuple(out)
 
 
-def state_names(modes: int, tanks: int, loaded: int = 0) -> tuple[str, ...]:
-    """States of the plant."""
-    mode, tank = range(1, modes + 1), range(1, tanks + 1)
-    return (
-        "w_mps", "q_radps", "theta_rad",
-        *[f"eta_{i}_m" for i in mode], *[f"eta_{i}_rate_mps" for i in mode],
-        *[f"slosh_{k}_rad" for k in tank], *[f"slosh_{k}_rate_radps" for k in tank],
-        *[f"engine_{k}_rad" for k in range(1, loaded + 1)], *[f"engine_{k}_rate_radps" for k in range(1, loaded + 1)],
-    )  # fmt: skip  # four more lines otherwise
-
-
-def mass_flow_momentum(vehicle: VehicleAt) -> tuple[float, float]:
+def mass_flow_momentum(vehicle: PlanarVehicle) -> tuple[float, float]:
     """Of the mass flow through the core: lateral momentum P (kg m/s) and pitch damping (kg m2/s) per pitch rate.
 
     Reynolds' transport theorem with the Coriolis acceleration 2 w x v_rel of what flows through a turning vessel (W. T.

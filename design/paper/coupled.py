@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.equations import OUTPUTS, Equations, outputs_of, state_names, without_unknowns
-from maxq.design.model.errata import Errata
+from maxq.design.model.held import OUTPUTS, FlightCondition, state_names
 from maxq.design.model.instruments import ACCELERATION
 from maxq.design.model.state_space import StateSpace
-from maxq.design.model.vehicle_at import FlightCondition, VehicleAt
+from maxq.design.paper.equations import Equations, outputs_of, without_unknowns
+from maxq.design.paper.errata import Errata
+from maxq.design.paper.vehicle_at import PlanarVehicle
 
 
 class Coupled:
@@ -19,7 +20,7 @@ class Coupled:
     """
 
     def __init__(
-        self, vehicle: VehicleAt, across: VehicleAt, condition: FlightCondition, load: float, errata: Errata,
+        self, vehicle: PlanarVehicle, across: PlanarVehicle, condition: FlightCondition, load: float, errata: Errata,
         held: Array, wind: bool = False,
     ) -> None:  # fmt: skip  # nine lines otherwise
         one = Equations(vehicle, condition, load, errata, wind, held)

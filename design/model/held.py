@@ -1,0 +1,392 @@
+"""A stage held at one instant of a flight, and its linear model: the Jacobian of the simulator's derivative.
+
+`HeldStage` has the packed parameters and properties that the simulator flies, of one vehicle or of many that deviate
+from it. For the linear model the vehicle flies straight over a flat Earth in uniform gravity, through uniform air, at
+the speed and pitch angle of a `FlightCondition`, without rotation: each effect of the flown instant but the Earth's
+rotation and curvature is then in the plant, and the vehicle of one plane does not depend on its place. Modes, pendulums
+and engines are at rest; spatial modes, and canted engines on a TVC load, where the loads along the axis hold them. The
+instruments are ideal and the actuators unit oscillators, by which the derivatives by an engine's angle, rate and
+acceleration are told apart.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from maxq.control.kernel.records import Array, IntArray, Records, blank
+from maxq.control.kernel.tables import table_in
+from maxq.design.model import jacobian
+from maxq.design.model.instruments import DERIVATIVES, Plane, of_drive, sensed
+from maxq.design.model.linearised import coordinates_of, differentiate
+from maxq.sim.flight.parameters import Memory
+from maxq.sim.packing.flight import Packed
+from maxq.sim.vehicle import schedule
+from maxq.sim.vehicle import state as layout
+from maxq.sim.vehicle.sensors import ACCELEROMETER
+from maxq.sim.vehicle.state import MAX_STATE
+from maxq.sim.vehicle.workspace import PROPERTIES_SIZE
+from maxq.sim.world.atmosphere import CONSTANT, HEAT_RATIO, GAS_CONSTANT_Jpkg_K
+from maxq.sim.world.earth import FLAT, UNIFORM
+from maxq.sim.world.turbulence import BODY
+
+Trim = tuple[float, float]
+"""Angles of attack and sideslip, rad."""
+OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
+WIND = "wind_mps"
+Drives = Sequence[Sequence[tuple[int, float]]]
+"""Of each drive: the actuators that it moves (twice the group, one more in yaw) with the angle per command."""
+
+_NOISE = 3e-14  # of the largest entry of a row, each times its step: entries below it are rounding
+_SETTLING = 3  # steps of Newton's method
+_UNIT = {"omega_1_radps": 1.0, "zeta_1": 0.5, "order": 2, "bias_rad": 0.0, "backlash_rad": 0.0, "ideal": 0} | {
+    name: math.inf for name in ("angle_limit_rad", "rate_limit_radps", "stop_rad")
+}  # fmt: skip  # angle'' = command - angle - angle'
+
+
+@dataclass(frozen=True)
+class FlightCondition:
+    """Air and path at an instant; the vehicle does not turn."""
+
+    time_s: float  # vehicle clock
+    airspeed_mps: float
+    density_kgpm3: float
+    pressure_Pa: float  # ambient
+    mach: float
+    pitch_rad: float  # of the body axis above the horizon
+    gravity_mps2: float
+
+    @property
+    def dynamic_pressure_Pa(self) -> float:
+        return 0.5 * self.density_kgpm3 * self.airspeed_mps**2
+
+
+@dataclass(frozen=True)
+class HeldStage:
+    """`parameters` (vehicles,) of Parameters, `properties` (vehicles, PROPERTIES_SIZE) at the instant.
+
+    `swing_rad` (pendulums,): amplitude of the swing at which ring baffles damp.
+    """
+
+    parameters: Records
+    pool: Array
+    properties: Array
+    swing_rad: Array
+
+    @property
+    def sizes(self) -> Any:
+        return self.parameters[0].vehicle.sizes
+
+    @property
+    def vehicle(self) -> Any:
+        """Parameters of the vehicles, field by field (vehicles, ...)."""
+        return self.parameters["vehicle"]
+
+    @cached_property
+    def coordinates(self) -> dict[str, float]:
+        return coordinates_of(self.sizes)
+
+    def repeated(self, count: int) -> HeldStage:
+        """As many copies of the first vehicle."""
+        return dataclasses.replace(
+            self, parameters=np.repeat(self.parameters[:1], count), properties=np.repeat(self.properties[:1], count, 0)
+        )
+
+    def copied(self) -> HeldStage:
+        """The same in arrays of its own."""
+        return dataclasses.replace(self, parameters=self.parameters.copy(), properties=self.properties.copy())
+
+    @property
+    def rings(self) -> Array:
+        """What ring baffles add to damping ratios per root of the swing, (vehicles, pendulums), rad^(-1/2)."""
+        n, slosh = len(self.swing_rad), self.vehicle["slosh"]
+        return np.asarray(slosh["law_factor"][:, :n] * self.tank(schedule.TANK_RING) + slosh["ring_damping"][:, :n])
+
+    def tank(self, column: int) -> Array:
+        """A column of `schedule` of each pendulum, (vehicles, pendulums)."""
+        return self.properties[:, [schedule.tank_column(k) + column for k in range(len(self.swing_rad))]]
+
+    # --- the linear model
+    def prepared(self, condition: FlightCondition, trim: Trim) -> tuple[HeldStage, Array]:
+        """The stage in the air of a condition with its rings as dampers, and its states (vehicles, MAX_STATE)."""
+        held, n = self.copied(), len(self.swing_rad)
+        air, earth, air_m = condition, held.parameters["environment"]["earth"], held.parameters["environment"]
+        earth["figure"], earth["gravity"], earth["rate_radps"] = FLAT, UNIFORM, 0.0
+        earth["uniform_mps2"] = air.gravity_mps2
+        kelvin = (air.airspeed_mps / air.mach) ** 2 / (HEAT_RATIO * GAS_CONSTANT_Jpkg_K) if air.mach > 0.0 else 288.15
+        gas = {"density_kgpm3": air.density_kgpm3, "pressure_Pa": air.pressure_Pa, "temperature_K": kelvin}
+        for name, value in {"model": CONSTANT, "density_factor": 1.0, **gas}.items():
+            air_m["atmosphere"][name] = value
+        slosh = held.vehicle["slosh"]
+        slosh["damping_ratio"][:, :n] += self.rings * np.sqrt(self.swing_rad)
+        slosh["ring_damping"][:] = 0.0
+        for k in range(n):
+            held.properties[:, schedule.tank_column(k) + schedule.TANK_RING] = 0.0
+        y = np.zeros((len(held.parameters), MAX_STATE))
+        alpha, beta = trim if int(self.sizes.tables) > 0 else (0.0, 0.0)
+        flow = np.array([math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)])
+        s, c = math.sin(0.5 * air.pitch_rad), math.cos(0.5 * air.pitch_rad)
+        turned = np.array([[c * c - s * s, 0.0, 2.0 * s * c], [0.0, 1.0, 0.0], [-2.0 * s * c, 0.0, c * c - s * s]])
+        y[:, layout.V_I : layout.V_I + 3] = air.airspeed_mps * turned[:, 0]
+        y[:, layout.Q_BI], y[:, layout.Q_BI + 2] = c, s
+        for k in range(n):
+            y[:, int(layout.pendulum_index(self.sizes, k))] = -1.0
+        y = held._settled(y)
+        y[:, layout.V_I : layout.V_I + 3] = air.airspeed_mps * turned @ flow
+        return held, y
+
+    def _settled(self, y: Array) -> Array:
+        """The states with spatial modes and canted engines on a TVC load where the loads of the instant hold them."""
+        names = list(self.coordinates)
+        at = [names.index(f"spatial_{k + 1}_m") for k in range(int(self.sizes.spatial_modes))]
+        engine, places = self.vehicle["engine"], []
+        first, behind = int(layout.spatial_index(self.sizes)), [first_k for first_k in at]
+        states = [first + k for k in range(len(behind))]
+        for k in range(int(self.sizes.tvc_loads)):
+            e = int(self.vehicle["tvc_load"]["engine"][0, k])
+            if engine["rest_y"][0, e] == 0.0 and engine["rest_z"][0, e] == 0.0 and not at:
+                continue
+            for axis, plane in enumerate(("pitch", "yaw")):
+                if engine[f"follows_{plane}"][0, e] > 0.0:
+                    places.append(names.index(f"tvc_load_{k + 1}_{plane}_rad"))
+                    states.append(int(layout.tvc_load_index(self.sizes)) + 6 * k + 3 * axis)
+        rates = [names.index(f"spatial_{k + 1}_rate_mps") for k in range(len(at))] + [k + 1 for k in places]
+        at += places
+        if not at:
+            return y
+        y, steps = y.copy(), np.array([list(self.coordinates.values())[k] for k in at])
+        along = self.copied()
+        along.vehicle["aero"]["force_factor"] = 0.0
+        for _ in range(_SETTLING):
+            rate, slopes = along.differentiated(y, np.array(at), steps, np.array(rates))
+            y[:, states] -= np.linalg.solve(slopes, rate[:, rates, None])[..., 0]
+        return y
+
+    def differentiated(
+        self, y: Array, which: IntArray, steps: Array, wanted: IntArray, levels: int = jacobian.LEVELS
+    ) -> tuple[Array, Array]:
+        """`linearised.differentiate` at states of all vehicles."""
+        memory = blank(Memory)
+        memory["clock"]["started"], memory["held"]["burning"] = 1, 1
+        return differentiate(
+            self.parameters, self.pool, memory, y, 0, which, steps, wanted=wanted, levels=levels,
+            stations=int(self.parameters[0].loads.stations),
+            properties=self.properties,
+        )  # fmt: skip  # ten lines otherwise
+
+    def groups_that_follow(self, plane: Plane) -> set[int]:
+        """Return the groups of engines of which one is gimballed in a plane."""
+        engine, n = self.vehicle["engine"], int(self.sizes.engines)
+        return {int(g) for g, f in zip(engine["group"][0, :n], engine[f"follows_{plane}"][0, :n], strict=True) if f}
+
+    def plants(
+        self, condition: FlightCondition, trim: Trim, plane: Plane, drives: Drives, *, wind: bool = False,
+        moments: bool = False, levels: int = jacobian.LEVELS,
+    ) -> tuple[Array, Array, Array, Array, Names]:  # fmt: skip  # six lines otherwise
+        """A, B, C, D of all vehicles, (vehicles, ...), and the names; see `Node.plant`."""
+        held, y = self.prepared(condition, trim)
+        return held.plants_at(y, plane, drives, wind=wind, moments=moments, levels=levels)
+
+    def plants_at(
+        self, y: Array, plane: Plane, drives: Drives, *, wind: bool, moments: bool, levels: int
+    ) -> tuple[Array, Array, Array, Array, Names]:
+        found = _PlaneOf(self, plane)
+        n, steps = len(self.coordinates), np.array(list(self.coordinates.values()))
+        groups = 1 + int(self.sizes.further_groups)
+        channels = sorted({channel for drive in drives for channel, _ in drive})
+        angles = [self._actuator(channel) for channel in channels]
+        gust = n + 2 * groups + (2 if plane == "pitch" else 1)
+        which = [
+            *found.states,
+            *angles,
+            *(k + 1 for k in angles),
+            *(n + c for c in channels),
+            *([gust] if wind else []),
+        ]
+        size, m = len(found.states), len(channels)
+        stations = int(self.parameters[0].loads.stations) if moments else 0
+        first = n + jacobian.OUTPUTS + (0 if plane == "pitch" else stations)
+        cuts = list(range(first, first + stations))
+        wanted = [*found.states, found.rate, *found.sensed, *cuts]
+        steps = np.array([*(steps[k] if k < n else 4e-3 for k in which[: size + 3 * m]), *([0.5] if wind else [])])
+        held = (self if moments else self.without_sections()).copied()
+        # the other axes are held: no turning about them takes part in that about the plane's own
+        held.properties[:, schedule.CORE_INERTIA + 3 : schedule.CORE_INERTIA + 6] = 0.0
+        _, slopes = held.differentiated(y, np.array(which), steps, np.array(wanted), levels)
+        tilt = found.signs[:, None]
+        down = np.array([found.turn, *found.sensed_signs, *([1.0 if plane == "pitch" else -1.0] * stations)])[:, None]
+        slopes[:, :size] *= tilt
+        slopes[:, size:] *= down
+        slopes[:, :, :size] *= found.signs
+        slopes[:, :, size : size + 3 * m] *= found.turn
+        size_of = np.abs(slopes) * steps
+        slopes[size_of < _NOISE * size_of.max(axis=2, keepdims=True)] = 0.0
+        slopes[:, 1:, 2] = 0.0  # gravity and air are uniform: of the attitude only w' depends
+        a, by_angle = slopes[:, :size, :size], slopes[:, :, size:]
+        command = by_angle[:, :, 2 * m : 3 * m]
+        orders = by_angle[:, :, :m] + command, by_angle[:, :, m : 2 * m] + command, command
+        inputs, b = [], []
+        for k, drive in enumerate(drives):
+            moved = np.zeros(m)
+            for channel, gain in drive:
+                moved[channels.index(channel)] += gain
+            wanted_orders = dict(zip(DERIVATIVES, (True, *found.drives_by(drive)), strict=True))
+            for name, order in zip(DERIVATIVES, orders, strict=True):
+                if wanted_orders[name]:
+                    inputs.append(of_drive(name, k))
+                    b.append(order @ moved)
+        if wind:
+            inputs.append(WIND)
+            b.append(by_angle[:, :, 3 * m])
+        through = np.stack(b, axis=-1)
+        unit = np.broadcast_to(np.eye(size), (len(a), size, size))
+        none = np.zeros((len(a), 1, len(inputs)))
+        c = np.concatenate(
+            [unit[:, 1:2], slopes[:, size : size + 1, :size], unit[:, :1], unit[:, 2:3], slopes[:, size + 1 :, :size]],
+            1,
+        )
+        d = np.concatenate([none, through[:, size : size + 1], none, none, through[:, size + 1 :]], axis=1)
+        outputs = (*OUTPUTS, *found.sensors, *(moment_name(at) for at in self.parameters[0].loads.station_m[:stations]))
+        return a, through[:, :size], c, d, (found.names, tuple(inputs), outputs)
+
+    def without_sections(self) -> HeldStage:
+        if not self.parameters["loads"]["stations"].any():
+            return self
+        held = self.copied()
+        held.parameters["loads"]["stations"] = 0
+        return held
+
+    def _actuator(self, channel: int) -> int:
+        """Coordinate of the angle of an actuator; that of its rate follows."""
+        group, axis = divmod(channel, 2)
+        if group == 0:
+            return jacobian.FLAT + layout.N_ACTUATOR * axis
+        behind = int(layout.pendulum_index(self.sizes, int(self.sizes.pendulums)))
+        tail = len(self.coordinates) - (int(layout.state_size(self.sizes)) - behind)
+        return tail + int(layout.actuator_index(self.sizes, group)) - behind + layout.N_ACTUATOR * axis
+
+
+Names = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
+"""Of states, inputs and outputs."""
+
+
+class _PlaneOf:
+    """Coordinates of one plane among those of a stage, their signs in it, and names.
+
+    The yaw plane is the pitch plane turned about x: w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw,
+    gyro -> -gyro.
+    """
+
+    def __init__(self, held: HeldStage, plane: Plane) -> None:
+        at, sizes = {name: k for k, name in enumerate(held.coordinates)}, held.sizes
+        pitch = plane == "pitch"
+        self.turn = 1.0 if pitch else -1.0
+        body = ("w_mps", "q_radps", "theta_rad") if pitch else ("v_mps", "r_radps", "psi_rad")
+        symbol, modes = ("eta", int(sizes.pitch_modes)) if pitch else ("xi", int(sizes.yaw_modes))
+        spatial, tanks = int(sizes.spatial_modes), int(sizes.pendulums)
+        wanted, signs = list(body), [1.0, self.turn, self.turn]
+        for what in ("m", "rate_mps"):
+            wanted += [f"spatial_{k + 1}_{what}" for k in range(spatial)]
+            wanted += [f"{symbol}_{k + 1}_{what}" for k in range(modes)]
+        for what in ("rad", "rate_radps"):
+            wanted += [f"slosh_{k + 1}_{plane}_{what}" for k in range(tanks)]
+        engine, loads = held.vehicle["engine"], held.vehicle["tvc_load"]
+        swings: list[tuple[int, Plane]] = []
+        self._swinging = set()
+        for k in range(int(sizes.tvc_loads)):
+            e = int(loads["engine"][0, k])
+            other: Plane = "yaw" if pitch else "pitch"
+            if engine[f"follows_{plane}"][0, e] == 0.0:
+                continue
+            self._swinging.add(int(engine["group"][0, e]))
+            swings.append((k, plane))
+            canted = engine["rest_y"][0, e] != 0.0 or engine["rest_z"][0, e] != 0.0
+            if engine[f"follows_{other}"][0, e] > 0.0 and (canted or spatial):
+                swings.append((k, other))
+        for what in ("rad", "rate_radps"):
+            wanted += [f"tvc_load_{k + 1}_{axis}_{what}" for k, axis in swings]
+        self.states = [at[name] for name in wanted]
+        signs += [1.0] * (2 * (spatial + modes + tanks)) + [-1.0 if axis == "yaw" else 1.0 for _, axis in swings] * 2
+        self.signs = np.array(signs)
+        self.names = state_names(spatial + modes, tanks, len(swings))
+        self.rate = at[f"gyro_{plane}_rad"]
+        self.sensors, self.sensed, self.sensed_signs = [], [], []
+        for k in range(int(sizes.sensors)):
+            force = held.vehicle["sensors"]["kind"][0, k] == ACCELEROMETER
+            axis = "zy"[not pitch] if force else "yz"[not pitch]
+            self.sensors.append(sensed(k, held.parameters[0].vehicle.sensors[k]))
+            self.sensed.append(at[f"sensor_{k + 1}_{axis}_integral"])
+            self.sensed_signs.append(1.0 if force else self.turn)
+        self._engines = int(sizes.engines)
+        self._groups = [int(engine["group"][0, e]) for e in range(self._engines)]
+        self._follows = [bool(engine[f"follows_{plane}"][0, e]) for e in range(self._engines)]
+        self._swings = [int(engine["swings"][0, e]) >= 0 for e in range(self._engines)]
+
+    def drives_by(self, drive: Sequence[tuple[int, float]]) -> tuple[bool, bool]:
+        """Whether engines of a drive swing on a load, which its rate drives, and whether some follow it."""
+        moved = {channel // 2 for channel, gain in drive if gain != 0.0}
+        mine = [e for e in range(self._engines) if self._groups[e] in moved and self._follows[e]]
+        swings = any(self._swings[e] for e in mine)
+        return swings, any(not self._swings[e] for e in mine) or not swings
+
+
+def moment_name(station_m: float) -> str:
+    """Name of the plant's output at a station of section loads."""
+    return f"bending_{station_m:g}_Nm"
+
+
+def state_names(modes: int, tanks: int, loaded: int = 0) -> tuple[str, ...]:
+    """States of the plant of one plane."""
+    parts = [("eta_{}_m", "eta_{}_rate_mps", modes), ("slosh_{}_rad", "slosh_{}_rate_radps", tanks)]
+    parts.append(("engine_{}_rad", "engine_{}_rate_radps", loaded))
+    named = [name.format(k + 1) for *pair, count in parts for name in pair for k in range(count)]
+    return ("w_mps", "q_radps", "theta_rad", *named)
+
+
+def table_clock_s(row: Any, time_s: float) -> float:
+    """Return the clock of a packed stage's tables at a time since its start."""
+    return float(row.timeline.frozen_s) if row.timeline.frozen == 1 else float(row.timeline.burn_rate) * time_s
+
+
+def hold_stage(packed: Packed, clock_s: float, stage: int = 0) -> HeldStage:
+    """A packed stage that burns, at an instant of its tables' clock."""
+    rows = packed.parameters[stage : stage + 1].copy()
+    row, sizes = rows[0], packed.parameters[stage].vehicle.sizes
+    properties = np.zeros((1, PROPERTIES_SIZE))
+    columns = table_in(packed.pool, row.vehicle.schedule)(clock_s)
+    properties[0, : len(columns)] = columns
+    timeline, environment, vehicle = rows["timeline"], rows["environment"], rows["vehicle"]
+    timeline["frozen"], timeline["frozen_s"], timeline["stage_start_ns"] = 1, clock_s, 0
+    environment["penetration"], environment["turbulence"]["on"] = 0, 0
+    environment["turbulence"]["frame"] = BODY
+    environment["wind"]["profile"]["n_columns"], environment["wind"]["n_gusts"] = 0, 0
+    rows["injections"]["count"] = 0
+    for actuator in (vehicle["actuator_pitch"], vehicle["actuator_yaw"], vehicle["further_actuators"]):
+        for name, value in _UNIT.items():
+            actuator[name] = value
+    ideal = blank_triad()
+    for triad in (vehicle["gyro"], vehicle["sensors"]["triad"]):
+        for name, value in ideal.items():
+            triad[name] = value
+    engine, loads = vehicle["engine"], vehicle["tvc_load"]
+    engine["turned_pitch_rad"] = np.arctan2(engine["rest_z"], engine["rest_x"])  # as canted, without misalignment
+    engine["turned_yaw_rad"] = -np.arcsin(engine["rest_y"])
+    loads["friction_Nm"], loads["play_pitch_rad"], loads["play_yaw_rad"] = 0.0, 0.0, 0.0
+    loads["stop_pitch_rad"], loads["stop_yaw_rad"] = math.inf, math.inf
+    return HeldStage(rows, packed.pool, properties, np.zeros(int(sizes.pendulums)))
+
+
+def blank_triad() -> dict[str, float]:
+    """Of a gyro or accelerometer: no errors, no dynamics."""
+    errors = [
+        f"{kind}_{axis}{unit}"
+        for axis in "xyz"
+        for kind, unit in (("bias", "_radps"), ("scale", ""), ("misalignment", "_rad"))
+    ]
+    return {**dict.fromkeys(errors, 0.0), "ideal": 1}

@@ -1,0 +1,20 @@
+"""The published planar equations of a node's vehicle: an independent derivation of its linear model."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from maxq.control.kernel.records import blank
+from maxq.design.model.node import Node
+from maxq.design.paper.vehicle_at import PlanarVehicle, vehicle_at
+from maxq.sim.flight.parameters import Memory
+from maxq.sim.packing.flight import Packed
+
+
+def planar_of(node: Node) -> PlanarVehicle:
+    """Return the vehicle that the tables of a node give, in its plane, with all actuators alike; no deviations."""
+    held = node.held
+    packed = Packed(held.parameters, held.pool, blank(Memory), node.held.properties[0], held.sizes)
+    planar = vehicle_at(packed, 0.0, node.condition.mach, node.plane, 0, node.trim)
+    bobs = dataclasses.replace(planar.pendulums, swing_rad=held.swing_rad)
+    return dataclasses.replace(planar, pendulums=bobs)
