@@ -52,16 +52,17 @@ def nodes(
     such as suit the flight, stage by stage under full thrust (`node_times`).
 
     `plant`: the vehicle as flown, or with the derivatives of the paper's Table 2 (design/paper/table2.py).
-    Table 2 and errata left in stand on the published planar equations (design/paper).
-    `errata`: switches, or the name of a preset. `faults`: with what the scenario lets fail.
+    `errata`: switches, or the name of a preset; with one left in, the plant is the published equations (design/paper).
+    `faults`: with what the scenario lets fail.
     """
     if plant not in ("flown", "table2"):
         raise ValueError(f"plant = {plant!r}: allowed is flown, table2")
     loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario)
     times = node_times(loaded) if times_s is None else times_s
-    if plant == "flown" and preset(errata) == CORRECTED:
-        return nodes_along(loaded, times, plane, faults)
-    return list(published_nodes(loaded, times, plane=plane, errata=errata, plant=plant, faults=faults))
+    if preset(errata) != CORRECTED:
+        return list(published_nodes(loaded, times, plane=plane, errata=errata, plant=plant, faults=faults))
+    found = nodes_along(loaded, times, plane, faults)
+    return imposed(found, read_derivatives()) if plant == "table2" else found
 
 
 def published_nodes(

@@ -37,13 +37,12 @@ from maxq.design.laws.pd import Pd, PdDesign
 from maxq.design.loop.fixed_path import KINDS, PadeFixedPath, SampledFixedPath, fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.model.dispersion import Dispersion
-from maxq.design.model.node import nodes_along
+from maxq.design.model.node import Node, nodes_along
 from maxq.design.model.spread import places_of
 from maxq.design.model.state_space import Resolvent
 from maxq.design.model.vehicle_at import without_engine_inertia
 from maxq.design.paper.errata import PAPER
 from maxq.design.paper.errata_effects import peaks_db
-from maxq.design.paper.nodes import PaperNode
 from maxq.design.paper.table2 import COLUMNS, DerivativeTable, imposed, read_derivatives
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
@@ -54,9 +53,18 @@ F = np.geomspace(0.01, 49.0, 120)
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
 
 
-def with_modes(node: PaperNode, **changed: object) -> PaperNode:
-    modes = dataclasses.replace(node.planar.modes, **changed)  # type: ignore[arg-type]  # any field
-    return dataclasses.replace(node, planar=dataclasses.replace(node.planar, modes=modes))
+def with_modes(node: Node, which: list[int]) -> Node:
+    """The node with these of its pitch modes, no other one, and no axial softening."""
+    held = node.held.copied()
+    p, sizes, modes = held.properties, held.sizes, len(node.vehicle.omega_radps)
+    for row in range(int(schedule.mode_rows(sizes))):
+        first = int(schedule.mode_column(sizes, schedule.PITCH, row))
+        p[:, first : first + len(which)] = p[:, [first + k for k in which]]
+        if row >= schedule.MODE_PHI_GIMBAL:
+            p[:, first + len(which) : first + modes] = 0.0
+        if row >= int(schedule.softening_row(sizes, 0)):
+            p[:, first : first + modes] = 0.0
+    return dataclasses.replace(node, held=held)
 
 
 # --- nodes
@@ -258,16 +266,9 @@ def test_a_rigid_body_with_ideal_instruments(kind: api.Kind) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_two_modes_of_equal_frequency(kind: api.Kind) -> None:
     """Twice the same mode is that mode with half its generalised mass, its axial softening apart."""
-    node = with_modes(published_at(40.0), softening_kgpm=np.zeros((3, 3)))
-    m = node.planar.modes
-
-    def pick(which: list[int]) -> PaperNode:
-        rows = {f.name: getattr(m, f.name) for f in dataclasses.fields(m) if f.name != "softening_kgpm"}
-        chosen = {name: value[which] for name, value in rows.items() if isinstance(value, np.ndarray) and len(value)}
-        return with_modes(node, **chosen, softening_kgpm=np.zeros((len(which), len(which))))
-
-    twice, once = pick([0, 0]), pick([0])
-    once = with_modes(once, generalized_mass_kg=0.5 * m.generalized_mass_kg[:1])
+    twice, once = with_modes(node_at(40.0), [0, 0]), with_modes(node_at(40.0), [0])
+    mass = int(schedule.mode_column(once.held.sizes, schedule.PITCH, schedule.MODE_MASS))
+    once.held.properties[:, mass] *= 0.5
     f = np.append(F, [r.frequency_hz for r in fixed_path(once, kind).resonances()])
     np.testing.assert_allclose(fixed_path(twice, kind).response(f), fixed_path(once, kind).response(f), rtol=1e-6)
     labels = [r.label for r in fixed_path(twice, kind).resonances() if r.kind == "bending"]
@@ -397,8 +398,8 @@ def test_imposed_derivatives_span_table_2() -> None:
         np.testing.assert_allclose(after.axial_load_mps2, before.axial_load_mps2, rtol=1e-12)
         rates = [n.derivatives.m_q_1ps for n in (before, after)]
         np.testing.assert_allclose(rates[0], rates[1], rtol=1e-12)
-        assert after.planar.modes is before.planar.modes
-        assert after.planar.pendulums is before.planar.pendulums
+        assert after.vehicle.pendulums.mass_kg.tolist() == before.vehicle.pendulums.mass_kg.tolist()
+        np.testing.assert_array_equal(after.vehicle.omega_radps, before.vehicle.omega_radps)
         assert (api.loop(after, design()).closed_poles().real < 0.0).all()
         assert len(api.loop(after.with_errata(PAPER), design(), kind="pade").closed_poles()) > 0
 

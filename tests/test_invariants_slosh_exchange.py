@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 from flightkit import Mode, Parts, Rig, Tank, oracle_vehicle, rig, scenario_of, to_oracle, with_stage
 from oracles import multibody_sympy
+from oracles.planar.plant import vehicle_plant
+from oracles.planar.vehicle_at import vehicle_at
 from scipy.interpolate import PchipInterpolator
 from test_oracle_linear_model import TOLERANCE, VEHICLE_STATES, flat_earth, plane_states
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.linearised import linearise
-from maxq.design.paper.plant import vehicle_plant
-from maxq.design.paper.vehicle_at import vehicle_at
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario

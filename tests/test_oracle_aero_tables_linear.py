@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from aero_tables import AIR, MODES, OVER_ALPHA_BETA, OVER_TOTAL, PARTS, RATES, REFERENCE, STABILITY, WIND_PLANE, table
 from flightkit import Parts, Rig, Tank, Tree, merged, rig, scenario_of, with_stage
+from oracles.planar.incidence import table_slopes
 
 from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import ExactFixedPath, fixed_path
 from maxq.design.model.instruments import Plane
 from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.node import node_of
-from maxq.design.paper.incidence import table_slopes
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle.workspace import MACH
 

@@ -12,6 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.optimize
+from oracles.planar.engine import GimballedEngine, TvcLoad
+from oracles.planar.equations import inputs_of
+from oracles.planar.plant import vehicle_plant
+from oracles.planar.vehicle_at import stability_derivatives, vehicle_at
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
@@ -21,10 +25,6 @@ from maxq.design.model.held import FlightCondition
 from maxq.design.model.instruments import DERIVATIVES, Plane
 from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.node import disperse, node_of
-from maxq.design.paper.engine import GimballedEngine, TvcLoad
-from maxq.design.paper.equations import inputs_of
-from maxq.design.paper.plant import vehicle_plant
-from maxq.design.paper.vehicle_at import stability_derivatives, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario

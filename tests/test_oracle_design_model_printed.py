@@ -15,17 +15,20 @@ import math
 
 import numpy as np
 import pytest
-from design_nodes import TIMES_S, closed_damping, design, published, published_at, without
+from design_nodes import TIMES_S, closed_damping, design, nominal, published, published_at, without
 from oracles.dalembert_plant import dalembert_plant
+from oracles.hand_model import planar_of
+from oracles.planar.plant import Liquids, axial_load_mps2, vehicle_plant
+from oracles.planar.vehicle_at import stability_derivatives
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
 from maxq.design.loop.fixed_path import Cut, PadeFixedPath
+from maxq.design.model.instruments import Plane
 from maxq.design.paper.errata import ABOUT, CORRECTED, PAPER, PRESETS, Errata, one_at_a_time
 from maxq.design.paper.errata_effects import EXPLAINED, errata_effects, peaks_db
+from maxq.design.paper.model import as_printed
 from maxq.design.paper.nodes import PaperNode
-from maxq.design.paper.plant import as_printed, axial_load_mps2, vehicle_plant
-from maxq.design.paper.vehicle_at import stability_derivatives
 
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
 XI = 1.84118378134066
@@ -34,18 +37,45 @@ XI = 1.84118378134066
 @EVERY_NODE
 def test_all_errata_corrected_make_the_corrected_plant(time_s: float) -> None:
     node = published_at(time_s)
-    ours, theirs = (
-        vehicle_plant(node.planar, node.condition, CORRECTED, node.liquids),
-        dalembert_plant(node.planar, node.condition),
-    )
+    ours, theirs = node.plant, dalembert_plant(planar_of(node), node.condition)
     np.testing.assert_allclose(ours.a, theirs.a, rtol=1e-11, atol=1e-9)
     np.testing.assert_allclose(ours.b, theirs.b, rtol=1e-11, atol=1e-11)
     np.testing.assert_array_equal(ours.c, theirs.c)
 
 
+@pytest.mark.parametrize("plane", ["pitch", "yaw"])
+@pytest.mark.parametrize("exchange", ["true", "false"])
+@EVERY_NODE
+def test_each_erratum_is_that_of_the_general_equations(time_s: float, exchange: str, plane: Plane) -> None:
+    """oracles/planar has engines beside the axis, spatial modes and TVC loads besides, with the same switches."""
+    node = published_at(time_s, plane, f"switches.slosh_exchange={exchange}")
+    assert node.liquids is not None
+    tanks, vehicle = Liquids(node.liquids.radius_m, node.liquids.height_m), planar_of(node)
+    for name, errata in (("all", PAPER), ("none", CORRECTED), *one_at_a_time()):
+        ours = node.with_errata(errata).plant_in_wind()
+        theirs = vehicle_plant(vehicle, node.condition, errata, tanks, wind=True)
+        assert (ours.states, ours.inputs, ours.outputs) == (theirs.states, theirs.inputs, theirs.outputs)
+        for matrix in "abcd":
+            mine, other = getattr(ours, matrix), getattr(theirs, matrix)
+            np.testing.assert_allclose(mine, other, rtol=1e-11, atol=1e-12 * np.abs(other).max(), err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("tvc_load={frequency_hz=15.6, damping_ratio=0.042}", "an engine without TVC load"),
+        ("accelerometer={station_m=4.0, omega_hz=80, zeta=0.7}", "one gyro"),
+    ],
+)
+def test_vehicles_that_the_paper_does_not_describe(change: str, words: str) -> None:
+    scenario = nominal(f"vehicle.stage.0.{change}")
+    with pytest.raises(ValueError, match=rf"node at 40 s: the published equations describe {words} only; allowed is"):
+        _ = api.nodes(scenario, [40.0], errata=PAPER)[0].plant
+
+
 def printed_rates(node: PaperNode, x: dict[str, Array], delta: float, delta_accel: float) -> dict[str, Array]:
     """Eqs 1, 2, 3, 12, 13, 21 as printed: rates of alpha, q, theta, eta', Gamma', and q_m."""
-    vehicle, condition = node.planar, node.condition
+    vehicle, condition = planar_of(node), node.condition
     assert node.liquids is not None
     d = stability_derivatives(vehicle, condition)
     m, i_yy, u = vehicle.body.total_mass_kg, vehicle.total_inertia_kgm2, condition.airspeed_mps
@@ -106,7 +136,7 @@ def printed_rates(node: PaperNode, x: dict[str, Array], delta: float, delta_acce
 def test_preset_paper_is_what_is_printed(time_s: float) -> None:
     node = published_at(time_s).with_errata(PAPER)
     plant, speed = node.plant, node.condition.airspeed_mps
-    n, m = len(node.planar.modes.omega_radps), len(node.planar.pendulums.mass_kg)
+    n, m = len(node.vehicle.omega_radps), len(node.vehicle.pendulums.mass_kg)
     sizes = {"alpha": 1, "q": 1, "theta": 1, "eta": n, "eta_rate": n, "gamma": m, "gamma_rate": m}
     scale = np.array([speed] + [1.0] * (sum(sizes.values()) - 1))  # w = U alpha
     total = len(scale)
@@ -132,7 +162,7 @@ def test_preset_paper_is_what_is_printed(time_s: float) -> None:
 @EVERY_NODE
 def test_switches_change_what_they_are_about_and_nothing_else(time_s: float) -> None:
     node = published_at(time_s)
-    right = vehicle_plant(node.planar, node.condition, CORRECTED, node.liquids)
+    right = node.plant
     for name, errata in one_at_a_time():
         wrong = node.with_errata(errata)
         if name == "actuator_labels":
@@ -200,15 +230,15 @@ def test_tanks_with_the_diameter_for_the_radius() -> None:
     """Erratum 6 at lift-off of the list's vehicle: 1.44 vs 1.02 Hz, 192 vs 383 kg, 0.27 vs 0.53 m."""
     node = published_at(5.0)
     assert node.liquids is not None
-    wrong = as_printed(node.planar.pendulums, node.liquids, radius=False, liquid=True)
+    wrong = as_printed(node.vehicle.pendulums, node.liquids, radius=False, liquid=True)
     load = node.axial_load_mps2
     hz = np.sqrt(load / wrong.length_m) / (2.0 * math.pi)
     np.testing.assert_allclose(hz, 1.02, rtol=0.01)
     np.testing.assert_allclose(wrong.mass_kg[0], 383.0, rtol=0.01)
     np.testing.assert_allclose(wrong.length_m, 0.53, atol=0.01)
-    same = as_printed(node.planar.pendulums, node.liquids, radius=True, liquid=True)
+    same = as_printed(node.vehicle.pendulums, node.liquids, radius=True, liquid=True)
     for f in dataclasses.fields(same):
-        np.testing.assert_allclose(getattr(same, f.name), getattr(node.planar.pendulums, f.name), rtol=1e-12)
+        np.testing.assert_allclose(getattr(same, f.name), getattr(node.vehicle.pendulums, f.name), rtol=1e-12)
 
 
 def test_errata_of_the_tanks_need_tanks_that_are_known() -> None:

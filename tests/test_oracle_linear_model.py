@@ -29,6 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import scipy.optimize
+from oracles.planar.plant import vehicle_plant
+from oracles.planar.vehicle_at import stability_derivatives, vehicle_at
 from zero_incidence import zero_incidence
 
 from maxq.control.kernel.records import Array
@@ -37,8 +39,6 @@ from maxq.design.model.instruments import DERIVATIVES, Plane, actuator, gyro
 from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.node import node_of
 from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.design.paper.plant import vehicle_plant
-from maxq.design.paper.vehicle_at import stability_derivatives, vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at

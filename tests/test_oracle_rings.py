@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from oracles.dalembert_plant import dalembert_plant
 from oracles.hand_model import planar_of
+from oracles.planar.vehicle_at import vehicle_at
 from scipy.integrate import quad, simpson
 from test_oracle_slosh_waves import GRAVITY_MPS2, OMEGA, swinging
 
@@ -28,7 +29,6 @@ from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.response import ring_lines
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import Node, at_swing, disperse, equivalent_swing, with_swings
-from maxq.design.paper.vehicle_at import vehicle_at
 from maxq.sim.packing.flight import Packed
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario

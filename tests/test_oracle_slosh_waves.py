@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import pytest
 from flightkit import Parts, Rig, Tank, flown, rig, scenario_of, with_stage
+from oracles.planar.plant import vehicle_plant
+from oracles.planar.vehicle_at import vehicle_at
 from test_oracle_linear_model import TOLERANCE, flat_earth
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import state_names
 from maxq.design.model.linearised import linearise
-from maxq.design.paper.plant import vehicle_plant
-from maxq.design.paper.vehicle_at import vehicle_at
 from maxq.sim.packing.pendulums import pendulums
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Flight
 from maxq.sim.run.fly import fly

@@ -22,6 +22,8 @@ from aero_tables import OVER_ALPHA_BETA
 from flightkit import Mode, Parts, Rig, Tank, Tree, flown, load, merged, rig, scenario_of, with_stage
 from oracles.hand_model import planar_of
 from oracles.multibody_system import rotation_from_quaternion
+from oracles.planar.plant import alone, vehicle_plant
+from oracles.planar.vehicle_at import vehicle_at
 from test_oracle_aero_tables_linear import ALL, ROUND, symmetric
 from test_oracle_wind_bending import loaded
 from zero_incidence import zero_incidence
@@ -35,8 +37,6 @@ from maxq.design.model.held import WIND, FlightCondition
 from maxq.design.model.instruments import Plane, actuator
 from maxq.design.model.linearised import LinearModel, linearise, settled
 from maxq.design.model.node import disperse, node_of
-from maxq.design.paper.plant import alone, vehicle_plant
-from maxq.design.paper.vehicle_at import vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout

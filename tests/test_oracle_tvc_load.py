@@ -37,11 +37,11 @@ from flightkit import to_simulator as locked_state
 from oracles import multibody_sympy
 from oracles.hand_model import planar_of
 from oracles.multibody_system import State, rotation_from_quaternion
+from oracles.planar.plant import vehicle_plant
+from oracles.planar.vehicle_at import PlanarVehicle
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.node import nodes_along
-from maxq.design.paper.plant import vehicle_plant
-from maxq.design.paper.vehicle_at import PlanarVehicle
 from maxq.sim.scenario.files import scenarios_folder
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout

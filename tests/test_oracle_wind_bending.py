@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 from design_nodes import frozen
 from flightkit import Rig
+from oracles.planar.plant import vehicle_plant
+from oracles.planar.vehicle_at import vehicle_at
 from test_oracle_aero_tables_linear import inclined, symmetric
 from test_oracle_linear_model import flat_earth, plane_states
 from zero_incidence import zero_incidence
@@ -29,8 +31,6 @@ from maxq.design.model.instruments import actuator
 from maxq.design.model.linearised import LinearModel, linearise
 from maxq.design.model.node import node_of, with_cuts
 from maxq.design.model.state_space import StateSpace
-from maxq.design.paper.plant import vehicle_plant
-from maxq.design.paper.vehicle_at import vehicle_at
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.flight import Flight

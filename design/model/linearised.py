@@ -4,7 +4,7 @@
     poles = np.linalg.eigvals(model.a)
 
 The plant of one plane (design/model/held.py) and the loops of several axes (design/loop/multiloop.py) stand on it; in
-the tests the published equations (design/paper/plant.py) are its oracle.
+the tests planar equations derived by hand (tests/oracles/planar) are its oracle.
 
 The state vector of the simulator lies on a manifold (unit quaternion, unit vectors of the pendulums) and
 holds inertial and quasi-velocities. It is therefore expressed in local coordinates, all independent and all
@@ -21,7 +21,7 @@ small-signal quantities of flight mechanics, whose time derivatives follow exact
     actuators of further groups, TVC load      as in the state
 
 Away from equilibrium (an accelerating rocket always is) a linear model depends on its coordinates; these are those of
-design/paper/plant.py. The vehicle's properties are frozen at the instant, their rates (mass flow, moving CG) act.
+the paper. The vehicle's properties are frozen at the instant, their rates (mass flow, moving CG) act.
 The model is continuous: the flight computer is not part of it; inputs are the commands of each group of engines in
 pitch and yaw.
 """

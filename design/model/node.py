@@ -82,14 +82,18 @@ class Node:
 
     def plant_in_wind(self, wind: bool = True) -> StateSpace:
         """`plant`, with the lateral velocity of the air in the plane, m/s, as its last input."""
-        if len(self.vehicle.pendulums.mass_kg) and self.axial_load_mps2 <= 0.0:
-            problem = f"a pendulum needs a positive axial load, not {self.axial_load_mps2:g} m/s2"
-            raise ValueError(f"node at {self.time_s:g} s: {problem}")
+        self.check_axial_load()
         *parts, names = self.held.plants(
             self.condition, self.trim, self.plane, self.drives, wind=wind, moments=bool(self.vehicle.cut_stations_m)
         )
         a, b, c, d = (part[0] for part in parts)
         return StateSpace(a, b, c, d, *names)
+
+    def check_axial_load(self) -> None:
+        """Raise ValueError, naming the node, where pendulums do not hang under a positive axial load."""
+        if len(self.vehicle.pendulums.mass_kg) and self.axial_load_mps2 <= 0.0:
+            problem = f"a pendulum needs a positive axial load, not {self.axial_load_mps2:g} m/s2"
+            raise ValueError(f"node at {self.time_s:g} s: {problem}")
 
     @property
     def drives(self) -> Drives:

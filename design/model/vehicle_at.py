@@ -46,6 +46,7 @@ class VehicleAt:
     total_mass_kg: float
     total_cg_station_m: float
     total_inertia_kgm2: float  # about y (pitch) or z (yaw)
+    core_inertia_kgm2: float  # about the CG of the core, without the sloshing masses
     omega_radps: Array  # of the modes, the spatial ones first
     damping_ratio: Array
     pendulums: Pendulums
@@ -68,6 +69,7 @@ def vehicle_at(held: HeldStage, plane: Plane) -> VehicleAt:
         total_mass_kg=float(p[schedule.TOTAL_MASS]),
         total_cg_station_m=float(cg[0]),
         total_inertia_kgm2=float(inertia[0, int(not pitch)]),
+        core_inertia_kgm2=float(p[schedule.CORE_INERTIA + (1 if pitch else 2)]),
         omega_radps=np.concatenate(omega),
         damping_ratio=np.concatenate([vehicle.spatial_modes.zeta[:s], zeta[:n]]),
         pendulums=pendulums_of(held),

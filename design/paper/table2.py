@@ -1,10 +1,10 @@
 """Stability derivatives imposed on a node: those of the paper's Table 2.
 
-No plausible arrangement of masses reaches the ends of Table 2's M_delta (scenarios/vehicles/ksr3/NOTES.md), so a node
-keeps its mass, speed, pendulums, modes and instruments, and five parameters are changed until eqs 4 to 8 give the
-derivatives that are wanted; what is coupled to them follows:
+No plausible arrangement of masses reaches the ends of Table 2's M_delta (scenarios/vehicles/ksr3/NOTES.md). A node
+therefore keeps its mass, speed, pendulums, modes and instruments, and its held stage deviates until eqs 4 to 8 give the
+required derivatives:
 
-- thrust, for Z_delta (5); drag makes up for it, so that the axial load and with it the slosh frequencies stay
+- thrust, for Z_delta (5); drag makes up for it, so that the axial load and the slosh frequencies stay
 - inertia of the core, for M_delta (8); Cmq, so that M_q (7) stays
 - CN_alpha of all surfaces by one factor, for Z_alpha (4); their stations by one shift, for M_alpha (6).
 """
@@ -16,17 +16,17 @@ import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.held import FlightCondition
-from maxq.design.paper.nodes import PaperNode
-from maxq.design.paper.vehicle_at import PlanarVehicle
+from maxq.design.model.node import Node
 from maxq.sim.scenario.files import scenarios_folder
 
 COLUMNS = ("z_alpha_1ps", "m_alpha_1ps2", "z_delta_1ps", "m_delta_1ps2")
+N = TypeVar("N", bound=Node)
 TABLE_2_FILE = "vehicles/ksr3-table2/derivatives.csv"
 
 
@@ -65,57 +65,28 @@ def read_derivatives(file: str | Path = TABLE_2_FILE) -> DerivativeTable:
     return DerivativeTable(numbers[:, 0], numbers[:, 1:], str(file))
 
 
-def imposed(nodes: Iterable[PaperNode], table: DerivativeTable) -> list[PaperNode]:
-    """Each node with the table's derivatives at its time. Raises ValueError outside the table and where impossible."""
+def imposed(nodes: Iterable[N], table: DerivativeTable) -> list[N]:
+    """Return each node with the table's derivatives at its time.
+
+    Raises ValueError outside the table and where they are impossible.
+    """
     return [impose(node, **table.at(node.time_s)) for node in nodes]
 
 
-def impose(
-    node: PaperNode, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: float, m_delta_1ps2: float
-) -> PaperNode:
-    """The node with these `stability_derivatives` and its own M_q."""
-    condition = node.condition
-    before = node.derivatives
+def impose(node: N, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: float, m_delta_1ps2: float) -> N:
+    """Return the node with these `Node.derivatives` and its own M_q. Raises ValueError where they are impossible."""
+    before, vehicle = node.derivatives, node.vehicle
     if min(before.z_delta_1ps, before.m_delta_1ps2, -before.z_alpha_1ps, z_delta_1ps, m_delta_1ps2) <= 0.0:
         raise ValueError(f"node at {node.time_s:g} s: derivatives can be imposed on a thrusting vehicle with lift only")
-    vehicle = with_lateral_thrust(node.planar, condition, z_delta_1ps / before.z_delta_1ps)
-    old = vehicle.total_inertia_kgm2
-    arm = vehicle.engine.gimbal_station_m - vehicle.total_cg_station_m
-    inertia = vehicle.engine.thrust_N(condition.pressure_Pa) * arm / m_delta_1ps2
-    core = vehicle.body.core_inertia_kgm2 + inertia - old
-    if core <= 0.0:
+    push, lift = z_delta_1ps / before.z_delta_1ps, z_alpha_1ps / before.z_alpha_1ps
+    old, core = vehicle.total_inertia_kgm2, vehicle.core_inertia_kgm2
+    inertia = push * before.m_delta_1ps2 * old / m_delta_1ps2
+    if core + inertia - old <= 0.0:
         raise ValueError(f"node at {node.time_s:g} s: M_delta = {m_delta_1ps2:g} leaves the core no inertia")
-    air = vehicle.aerodynamics
-    slope = air.slope_pr * (z_alpha_1ps / before.z_alpha_1ps)
-    moment = air.moment_slope_mpr * (z_alpha_1ps / before.z_alpha_1ps)
-    force_area = condition.dynamic_pressure_Pa * air.area_m2
-    wanted = float(slope.sum()) * vehicle.total_cg_station_m - m_alpha_1ps2 * inertia / force_area
-    shift = (wanted - float(moment.sum())) / float(slope.sum())
-    return dataclasses.replace(
-        node,
-        planar=dataclasses.replace(
-            vehicle,
-            body=dataclasses.replace(vehicle.body, core_inertia_kgm2=core),
-            aerodynamics=dataclasses.replace(
-                air,
-                slope_pr=slope,
-                moment_slope_mpr=moment + slope * shift,
-                rate_damping=air.rate_damping * inertia / old,
-                rate_slope_m=air.rate_slope_m * inertia / old,
-                rate_moment_m2=air.rate_moment_m2 * inertia / old,
-            ),
-        ),
-    )
-
-
-def with_lateral_thrust(vehicle: PlanarVehicle, condition: FlightCondition, factor: float) -> PlanarVehicle:
-    """Return the vehicle with `factor` times the thrust of all engines; drag makes up for it, so that the axial load
-    stays. Where there is no air the axial load changes with the thrust.
-    """
-    air = vehicle.aerodynamics
-    own = [(engine, (factor - 1.0) * engine.thrust_N(condition.pressure_Pa)) for engine in vehicle.engines]
-    more = sum(engine.rest[0] * push for engine, push in own)
-    engines = tuple(dataclasses.replace(e, vacuum_thrust_N=e.vacuum_thrust_N + push) for e, push in own)
-    if condition.dynamic_pressure_Pa * air.area_m2 > 0.0:
-        air = dataclasses.replace(air, axial=air.axial + more / (condition.dynamic_pressure_Pa * air.area_m2))
-    return dataclasses.replace(vehicle, engines=engines, aerodynamics=air)
+    lift_Nprad = -z_alpha_1ps * vehicle.total_mass_kg * node.condition.airspeed_mps
+    aft_m = (lift * before.m_alpha_1ps2 * old - m_alpha_1ps2 * inertia) / lift_Nprad
+    held = node.with_(
+        thrust=push, normal_force=lift, centre_of_pressure_m=aft_m, inertia=1.0 + (inertia - old) / core
+    ).held
+    held.vehicle["aero"]["damping_factor"] *= inertia / old
+    return dataclasses.replace(node, held=held)

@@ -50,13 +50,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from oracles.planar.equations import mass_flow_momentum
+from oracles.planar.plant import axial_load_mps2
+from oracles.planar.vehicle_at import PlanarVehicle
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import OUTPUTS, FlightCondition, state_names
 from maxq.design.model.state_space import StateSpace
-from maxq.design.paper.equations import mass_flow_momentum
-from maxq.design.paper.plant import axial_load_mps2
-from maxq.design.paper.vehicle_at import PlanarVehicle
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 
+from oracles.planar.vehicle_at import PlanarVehicle, vehicle_at
+
 from maxq.control.kernel.records import blank
 from maxq.design.model.node import Node
-from maxq.design.paper.vehicle_at import PlanarVehicle, vehicle_at
 from maxq.sim.flight.parameters import Memory
 from maxq.sim.packing.flight import Packed
 

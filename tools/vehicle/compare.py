@@ -1,32 +1,51 @@
-"""A vehicle worked out from a layout beside one that is given: what the linear model reads of both, over the burns."""
+"""A vehicle built from a layout compared with a given one: the packed quantities that are flown, over the burns."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.paper.vehicle_at import vehicle_at
+from maxq.control.kernel.tables import table_in
+from maxq.design.model.held import HeldStage, hold_stage, table_clock_s
+from maxq.design.model.vehicle_at import vehicle_at
 from maxq.sim.flight.metric_table import figures
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.files import scenarios_folder
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.vehicle import aero, schedule
 from maxq.tools.cli.terminal import aligned
 from maxq.tools.vehicle.build import Built, burning, spread
 
 ALIKE = 1e-2
 TIMES = 11  # of each burn, at full thrust
-_UNITS = {
-    "kg": "kg", "kgps": "kg/s", "kgpm": "kg/m", "kgm2": "kg m2", "kgm2ps": "kg m2/s", "m": "m", "m2": "m2",
-    "mps": "m/s", "pm": "1/m", "pr": "1/rad", "mpr": "m/rad", "radps": "rad/s", "rad": "rad", "N": "N", "Nms": "N m s",
+_BODY = {
+    "body: core mass, kg": schedule.CORE_MASS, "body: core CG station, m": schedule.CORE_CG,
+    "body: core CG rate, m/s": schedule.CG_RATE, "body: core transverse inertia, kg m2": schedule.CORE_INERTIA + 1,
+    "body: core transverse inertia rate, kg m2/s": schedule.INERTIA_RATE + 1,
+    "body: total mass, kg": schedule.TOTAL_MASS, "body: mass flow, kg/s": schedule.MASS_FLOW,
+    "engine: thrust in vacuum, N": schedule.THRUST_VACUUM,
 }  # fmt: skip  # a table
-_ONE = {"pendulums": "pendulum", "modes": "mode", "aerodynamics": "surface"}
-_SAID = {"phi_": "shape_at_", "slope_g": "slope_at_g", "slope_s": "slope_at_s", "_": " ", "cg": "CG"}
-_NOT_COMPARED = ("follower", "gimbal", "rest", "slope", "flow_share", "gain", "spatial", "local_incidence")
+_TANK = {
+    "mass, kg": schedule.TANK_MASS, "mass rate, kg/s": schedule.TANK_MASS_RATE, "length, m": schedule.TANK_LENGTH,
+    "hinge station, m": schedule.TANK_HINGE, "bob station rate, m/s": schedule.TANK_TRAVEL,
+    "viscous damping": schedule.TANK_VISCOUS, "ring damping": schedule.TANK_RING,
+}  # fmt: skip  # a table
+_MODE = {
+    "frequency, rad/s": schedule.MODE_OMEGA, "generalised mass, kg": schedule.MODE_MASS,
+    "shape at gimbal": schedule.MODE_PHI_GIMBAL, "slope at gimbal, 1/m": schedule.MODE_SLOPE_GIMBAL,
+    "slope at gyro, 1/m": schedule.MODE_SLOPE_GYRO,
+}  # fmt: skip  # a table
+_SPATIAL = {"frequency, rad/s": schedule.SPATIAL_OMEGA, "generalised mass, kg": schedule.SPATIAL_MASS}
+_ENGINE = {
+    "exit area, m2": "exit_area_m2", "gimbal station, m": "gimbal_station_m", "exit station, m": "exit_station_m",
+    "gimballed mass, kg": "gimballed_mass_kg", "CG from gimbal, m": "cg_from_gimbal_m",
+    "inertia, kg m2": "inertia_kgm2",
+}  # fmt: skip  # a table
+_COEFFICIENTS = {"CA": aero.CA, "CD": aero.CD, "pitch damping": aero.CMQ}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +64,7 @@ class Difference:
 
 
 def compared(built: Built, folder: Path, vehicle: str) -> list[Difference]:
-    """Of the files in `folder`, written from `built`, and the vehicle in a folder or of that built-in name.
+    """Compare the files in `folder`, written from `built`, with a vehicle in a folder or of a built-in name.
 
     Raises ScenarioError for a vehicle that cannot be read, ValueError for one of other stages, tanks or modes.
     """
@@ -65,37 +84,54 @@ def _quantities(built: Built, loaded: LoadedScenario) -> dict[str, Array]:
     packed, found = pack_flight(loaded.scenario), dict[str, list[float]]()
     for n in range(len(built.stacks)):
         for p in spread(burning(built, n), TIMES):
-            at = vehicle_at(packed, p.clock_s, p.mach, stage=n)
-            for part in ("body", "pendulums", "modes", "engine", "aerodynamics"):
-                for name, value in _numbers(getattr(at, part), part):
-                    found.setdefault(name, []).append(value)
-            found.setdefault("vehicle: CG station, m", []).append(at.total_cg_station_m)
-            found.setdefault("vehicle: transverse inertia, kg m2", []).append(at.total_inertia_kgm2)
+            held = hold_stage(packed, table_clock_s(packed.parameters[n], p.clock_s), n)
+            for name, value in _numbers(held, p.mach):
+                found.setdefault(name, []).append(value)
     return {name: np.array(values) for name, values in found.items()}
 
 
-def _numbers(part: Any, name: str) -> Iterator[tuple[str, float]]:
-    for field in dataclasses.fields(part):
-        value = getattr(part, field.name)
-        if field.name not in _NOT_COMPARED and isinstance(value, float | np.ndarray):
-            for place, number in np.ndenumerate(value):
-                yield _titled(name, field.name, [k + 1 for k in place]), float(np.nan_to_num(number))
-
-
-def _titled(part: str, field: str, place: list[int]) -> str:
-    """ "pendulum 2: mass rate, kg/s", "modes: shape at hinge 1, 3"."""
-    words, _, unit = field.rpartition("_")
-    if unit not in _UNITS:
-        words, unit = field, ""
-    for name, said in _SAID.items():
-        words = words.replace(name, said)
-    if len(place) == 1:
-        part, place = f"{_ONE.get(part, part)} {place[0]}", []
-    return f"{part}: {' '.join([words, ', '.join(map(str, place))]).rstrip()}" + (f", {_UNITS[unit]}" if unit else "")
+def _numbers(held: HeldStage, mach: float) -> Iterator[tuple[str, float]]:
+    """Yield titles and numbers of a held stage, in the pitch plane."""
+    row, p, sizes, whole = held.parameters[0].vehicle, held.properties[0], held.sizes, vehicle_at(held, "pitch")
+    yield "vehicle: CG station, m", whole.total_cg_station_m
+    yield "vehicle: transverse inertia, kg m2", whole.total_inertia_kgm2
+    for title, column in _BODY.items():
+        yield title, float(p[column])
+    for k in range(len(held.swing_rad)):
+        for title, column in _TANK.items():
+            yield f"pendulum {k + 1}: {title}", float(p[schedule.tank_column(k) + column])
+        yield f"pendulum {k + 1}: damping ratio", float(whole.pendulums.damping_ratio[k])
+    rows = _MODE | {f"shape at hinge {k + 1}": schedule.MODE_FIRST + k for k in range(int(sizes.pendulums))}
+    for s in range(int(sizes.surfaces)):
+        first = int(schedule.surface_row(sizes, s))
+        rows |= {f"shape at surface {s + 1}": first, f"slope at surface {s + 1}, 1/m": first + 1}
+    modes = range(int(sizes.pitch_modes))
+    rows |= {f"softening by mode {n + 1}, kg/m": int(schedule.softening_row(sizes, n)) for n in modes}
+    for n in modes:
+        for title, which in rows.items():
+            yield f"mode {n + 1}: {title}", float(p[int(schedule.mode_column(sizes, schedule.PITCH, which)) + n])
+    for n in range(int(sizes.spatial_modes)):
+        for title, which in _SPATIAL.items():
+            yield f"spatial mode {n + 1}: {title}", float(p[int(schedule.spatial_column(sizes, which)) + n])
+        for title, place in (("gimbal", int(schedule.gimbal_place(sizes, 0))), ("gyro", schedule.GYRO_PLACE)):
+            for component, axis in enumerate(("x", "y", "z", "about x", "about y", "about z")):
+                value = float(p[int(schedule.place_column(sizes, place, component)) + n])
+                yield f"spatial mode {n + 1}: shape at {title}, {axis}", value
+    for title, field in _ENGINE.items():
+        yield f"engine: {title}", float(row.engine[field][0])
+    air = table_in(held.pool, row.aero.table)(mach)
+    yield "aerodynamics: area, m2", float(row.aero.area_m2)
+    yield "aerodynamics: chord, m", float(row.aero.chord_m)
+    for title, column in _COEFFICIENTS.items():
+        yield f"aerodynamics: {title}", float(air[column])
+    for s in range(int(sizes.surfaces) - int(sizes.tables)):
+        at = aero.FIRST_SURFACE + 2 * s
+        yield f"surface {s + 1}: CN_alpha, 1/rad", float(air[at])
+        yield f"surface {s + 1}: CN_alpha times station, m/rad", float(air[at + 1])
 
 
 def comparison(found: list[Difference], vehicle: str) -> str:
-    """The differences as a table, largest first."""
+    """Return the differences as a table, largest first."""
     rows = [("quantity", "here", "there", "off, %")]
     alike = [d for d in found if d.largest < ALIKE]
     for d in sorted((d for d in found if d.largest >= ALIKE), key=lambda d: -d.largest):

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from oracles.planar.incidence import reference_station_m, table_slopes
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
-from maxq.design.paper.incidence import reference_station_m, table_slopes
 from maxq.sim.vehicle import aero, schedule
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """Parameters of a vehicle and its flight condition at one instant, for one plane of one stage.
 
 They are read from the packed tables that the simulator flies, so that both describe the same vehicle; equations are
-not shared (docs/model.md is the simulator's, design/paper/plant.py has its own derivation).
+not shared (docs/model.md is the simulator's, tests/oracles/planar/plant.py has its own derivation).
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from oracles.planar.air import Aerodynamics, aerodynamics_at
+from oracles.planar.engine import GimballedEngine, TvcLoad
+from oracles.planar.sections import Cuts, cuts_of
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.design.model.held import FlightCondition, Trim, table_clock_s
 from maxq.design.model.instruments import Plane, drives_of, sensed
 from maxq.design.model.vehicle_at import StabilityDerivatives
-from maxq.design.paper.air import Aerodynamics, aerodynamics_at
-from maxq.design.paper.engine import GimballedEngine, TvcLoad
-from maxq.design.paper.sections import Cuts, cuts_of
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle import schedule
 

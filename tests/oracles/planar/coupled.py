@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from oracles.planar.equations import Equations, outputs_of, without_unknowns
+from oracles.planar.vehicle_at import PlanarVehicle
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import OUTPUTS, FlightCondition, state_names
 from maxq.design.model.instruments import ACCELERATION
 from maxq.design.model.state_space import StateSpace
-from maxq.design.paper.equations import Equations, outputs_of, without_unknowns
 from maxq.design.paper.errata import Errata
-from maxq.design.paper.vehicle_at import PlanarVehicle
 
 
 class Coupled:

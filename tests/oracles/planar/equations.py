@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from oracles.planar.engine import GimballedEngine
+from oracles.planar.sections import bending_moments
+from oracles.planar.vehicle_at import PlanarVehicle
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import OUTPUTS, WIND, FlightCondition, moment_name, state_names
 from maxq.design.model.instruments import ACCELERATION, DERIVATIVES, of_drive
 from maxq.design.model.state_space import StateSpace
-from maxq.design.paper.engine import GimballedEngine
 from maxq.design.paper.errata import Errata
-from maxq.design.paper.sections import bending_moments
-from maxq.design.paper.vehicle_at import PlanarVehicle
 
 
 def dot(shape: Array, rows: Array) -> Array:

@@ -55,14 +55,14 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
+from oracles.planar.coupled import Coupled
+from oracles.planar.equations import Equations, inputs_of, outputs_of, swings_of
+from oracles.planar.vehicle_at import Pendulums, PlanarVehicle, with_pendulums
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import WIND, FlightCondition, state_names
 from maxq.design.model.state_space import StateSpace
-from maxq.design.paper.coupled import Coupled
-from maxq.design.paper.equations import Equations, inputs_of, outputs_of, swings_of
 from maxq.design.paper.errata import CORRECTED, Errata
-from maxq.design.paper.vehicle_at import Pendulums, PlanarVehicle, with_pendulums
 
 XI = 1.84118378134066
 _SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero
