@@ -140,6 +140,7 @@ CASE = """
 schema = 1
 scenario = "scenario.toml"
 nodes_per_stage = 2
+between_nodes = "ignore"
 gains = {schedule = "linear"}
 objective = {kind = "least-margin"}
 filter = {structure = "F2"}

@@ -8,6 +8,7 @@ import petrelkit as petrel
 import pytest
 
 from maxq.design.case.schema import read_case
+from maxq.design.optimise.solve import solve
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.files import builtin_files
 
@@ -20,6 +21,7 @@ def test_built_in_cases_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         loaded = read_case(name)
         assert loaded.name == name
         assert loaded.case.description
+        assert loaded.case.between_nodes == "ignore"  # designed at the nodes that it states
 
 
 def test_a_case_of_a_vehicle_not_yet_written_says_how_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -34,6 +36,21 @@ def test_relaxed_limits_extend_the_identical_ones() -> None:
     assert (relaxed.limits.rigid_hz, relaxed.limits.rigid_zeta) == (0.48, 0.68)
     assert identical.reference == relaxed.reference
     assert identical.limits.gain_margin_db == relaxed.limits.gain_margin_db == 6.0
+
+
+@pytest.mark.slow
+def test_a_new_case_holds_between_its_nodes(tmp_path: Path) -> None:
+    """Also one with a single node, which has no instants but its own, and the case that simvehicle writes."""
+    mine = tmp_path / "mine.toml"
+    mine.write_text('scenario = "nominal"\nfilter = {structure = "F2"}\nsearch = {starts = 1, leaps = 0}\n')
+    instants = []
+    for nodes in ("[45.0]", "[45.0, 47.0]"):
+        loaded = read_case(mine, [f"nodes_s={nodes}"])
+        assert loaded.case.between_nodes == "hold"
+        instants.append(solve(loaded).certificate.instants)
+    assert instants[0] == 1
+    assert instants[1] >= 9  # a quarter of a second apart
+    assert read_case(petrel.folder() / "case.toml").case.between_nodes == "hold"
 
 
 def test_overrides_and_a_file_of_ones_own(tmp_path: Path) -> None:

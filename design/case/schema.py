@@ -317,9 +317,9 @@ class Case(Section):
         "stages to design for, from 1; others fly as the scenario's own design (default: all that have nodes)"
     )
     between_nodes: Literal["ignore", "hold"] = optional(
-        "ignore: limits at the nodes only, as in the paper; hold: instants between the nodes that are worse by "
-        "0.02 dB or 0.1 deg are searched and become nodes, until none is found; with [robust] for dispersed plants too",
-        "ignore",
+        "hold: instants between the nodes that are worse by 0.02 dB or 0.1 deg are searched and become nodes, until "
+        "none is found; with [robust] for dispersed plants too; ignore: limits at the nodes only, as in the paper",
+        "hold",
     )
     law: Law = optional(
         "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides; load-relief: "

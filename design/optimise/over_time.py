@@ -122,8 +122,9 @@ def gains_at_nodes(loaded: LoadedCase, nominal: Plants) -> LoadedCase:
 
 
 def instants_along(first_s: float, last_s: float, apart_s: float) -> list[float]:
-    """From first to last, about so far apart."""
-    return np.linspace(first_s, last_s, max(2, round((last_s - first_s) / apart_s) + 1)).round(9).tolist()  # type: ignore[no-any-return]  # floats
+    """Return times from the first to the last, about so far apart; a single one where both are the same."""
+    count = 1 if first_s == last_s else max(2, round((last_s - first_s) / apart_s) + 1)
+    return np.linspace(first_s, last_s, count).round(9).tolist()  # type: ignore[no-any-return]  # floats
 
 
 def peaks(over: Array, matters_db: float) -> IntArray:

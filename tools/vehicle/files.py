@@ -472,7 +472,7 @@ def _case(built: Built) -> dict[str, Any]:
         "scenario": "scenario.toml",
         "gains": {"schedule": "free"}, "objective": {"kind": "least-margin"},
         "filter": {"structure": orders[0], "bounds": {"zero_hz": [low, 100.0], "pole_hz": [low, 100.0]}},
-        "between_nodes": "hold", "limits": limits,
+        "limits": limits,
         **({"stage": differing} if any(differing) else {}),
     }  # fmt: skip  # twelve more lines otherwise
 
