@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from maxq.design.optimise import search
+from maxq.design.optimise import search, way_out
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
@@ -122,6 +122,40 @@ def test_limits_that_cannot_be_met_are_named_and_the_best_effort_is_kept(capsys:
     told = record()
     assert (told["feasible"], told["status"]) == (False, "infeasible")
     assert told["missed"][0].startswith("gain margin missed by ")
+    assert sum(limit["gains_db_per_db"] for limit in told["way_out"]["conflict"]) == pytest.approx(1.0, abs=2e-3)
+    wider, higher, faster = told["way_out"]["trials"]
+    assert (higher["change"], higher["settings"]) == ("F3 instead of F2", ["filter.structure=F3"])
+    assert faster["change"] == "a sample every 5 instead of 10 ms"
+    at = lines.index("way out")
+    assert " ".join(lines[at + 1].split()) == "limits in conflict gains dB per dB a dB is at (part)"
+    shown = [f"{t['change']}: reached {t['missing_db']:.3g} dB missing" for t in (wider, higher, faster)]
+    assert lines[-1].endswith(f"; short trials from there: {'; '.join(shown)}")
+    assert f"#   trial: {shown[1]}; filter.structure=F3" in text.splitlines()
+
+
+def test_trials_can_be_left_out(capsys: Printed) -> None:
+    assert run(*SMALL, "--set", "limits.gain_margin_db=25", "--no-trials", "--out", "out") == 1
+    assert "trial" not in capsys.readouterr().out
+    assert record()["way_out"]["trials"] == []
+    assert record()["way_out"]["conflict"][0]["gains_db_per_db"] > 0.1
+
+
+def test_ctrl_c_during_the_trials_keeps_the_design(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
+    honest, begun = way_out.descend, []
+
+    def impatient(*arguments: Any, **more: Any) -> Any:
+        begun.append(1)
+        if len(begun) == 2:
+            raise KeyboardInterrupt
+        return honest(*arguments, **more)
+
+    monkeypatch.setattr(way_out, "descend", impatient)
+    assert run(*SMALL, "--set", "limits.gain_margin_db=25", "--out", "out") == 130
+    assert capsys.readouterr().out.splitlines()[-1].startswith("INFEASIBLE: ")
+    assert "# INFEASIBLE: the best effort" in Path("out/design.toml").read_text()
+    told = record()
+    assert (told["status"], len(told["way_out"]["trials"])) == ("infeasible", 1)
+    assert told["way_out"]["trials"][0]["interrupted"]
 
 
 def test_ctrl_c_keeps_the_best_so_far(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:

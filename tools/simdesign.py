@@ -79,6 +79,7 @@ def _parser() -> Parser:
     add("--share X", about, [_BIAS], type=positive)
     add("--faults", "nodes of the flight with the scenario's faults", [_ANALYSE])
     add("--no-pictures", "tables and files only", [*_CASES, _ANALYSE])
+    add("--no-trials", "of an infeasible case: no trials with wider bounds, higher order, faster samples", _CASES)
     add("--list", "name the built-in cases and designs")
     parser.version_and_help()
     return parser
@@ -126,9 +127,9 @@ def _run(arguments: list[str]) -> int:
         return analyse.execute_errata(filled(report.AnalysisOrder, options, design=names[0] if names else None))
     from maxq.tools.design import run_case  # noqa: PLC0415  # lazy
 
+    said = {"pictures": pictures, "trials": not options.no_trials}
     orders = [
-        filled(run_case.Order, options, case=name, out=_folder(options.out, name, len(names)), pictures=pictures)
-        for name in names
+        filled(run_case.Order, options, case=name, out=_folder(options.out, name, len(names)), **said) for name in names
     ]
     if options.verify:
         from maxq.tools.verify.run import execute_cases  # noqa: PLC0415  # lazy

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from maxq.design.optimise.over_time import COARSE, UNSTABLE_DB, Instants, gains_
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import Found, Progress, search
-from maxq.design.optimise.solution import Solution
+from maxq.design.optimise.solution import Constraint, Solution
 
 WORSE_DB = 0.01  # plants that are worse by less are let be
 BEGINNINGS = 4
@@ -48,6 +48,17 @@ def deviated(node: Node, ranges: Robust, ends: Sequence[int]) -> Node:
     at = np.array(ends) * (ranges.corner_sigmas / 3.0)
     at = root_of_correlation(ranges, places) @ at
     return disperse(node, vehicle_at_places(ranges, node, places, at, f"[{letters}]"))
+
+
+def dispersed_nodes(case: Case, nodes: Sequence[Node], constraints: Iterable[Constraint]) -> list[Node]:
+    """Return the dispersed vehicles of a robust search, made again at `nodes` from the labels of its constraints."""
+    if case.robust is None:
+        return []
+    by_label, out = {node.label: node for node in nodes}, []
+    for label in dict.fromkeys(c.plant for c in constraints if c.dispersed and c.plant is not None):
+        name, _, letters = label.removesuffix("]").rpartition(" [")
+        out.append(deviated(by_label[name], case.robust, [{"-": -1, "0": 0, "+": 1}[letter] for letter in letters]))
+    return out
 
 
 def modes_off(node: Node, ranges: Robust, end: int) -> Ends:

@@ -20,6 +20,7 @@ from maxq.design.optimise.search import Found
 
 Status = Literal["optimal", "infeasible", "interrupted"]
 ACTIVE_DB = 1e-4
+MET_DB = 1e-6  # a limit that is missed by less is met
 EITHER_WAY = ("gain margin", "phase margin")
 """Limits whose values have a sign that tells the side of -1."""
 
@@ -47,11 +48,64 @@ class Constraint:
 
 @dataclass(frozen=True)
 class Bound:
-    """A variable at its bound, and the dB that moving it by one unit (of ln Hz or of damping ratio) would bring."""
+    """A variable at its bound `value` (Hz, ratio or gain).
+
+    `multiplier`: dB that moving it by one unit (of ln Hz, of ln gain, of damping ratio or weight) would bring, of the
+    objective, or of the least violation of an infeasible design.
+    """
 
     variable: str
     side: Literal["lower", "upper"]
+    value: float
     multiplier: float
+
+    @property
+    def _unit(self) -> tuple[float, str]:
+        """Units of the variable in the change that `price_db` is about, and that change in words."""
+        return (math.log(2.0), "octave") if is_logarithmic(self.variable) else (0.1, "0.1")
+
+    @property
+    def price_db(self) -> float:
+        """The dB that moving the bound would bring: by an octave of a frequency or a gain, by 0.1 of others."""
+        return self._unit[0] * self.multiplier
+
+    @property
+    def text(self) -> str:
+        """Name the bound and its price."""
+        unit = " Hz" if self.variable.endswith("_hz") else ""
+        what = f"{self.variable} at its {self.side} bound {self.value:.4g}{unit}"
+        return f"{what} ({self.price_db:.2g} dB per {self._unit[1]})"
+
+
+def is_logarithmic(variable: str) -> bool:
+    """Return True for a variable that is the logarithm of what its name says."""
+    return variable.endswith("_hz") or variable.startswith("k_")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A short search from the best effort of an infeasible case with one change. It claims what it reached.
+
+    `settings`: the change as keys of the case, or of the vehicle. `missing_db`: least violation reached, 0 where all
+    limits are met. `problem`: the reason for which the change could not be tried.
+    """
+
+    change: str
+    settings: tuple[str, ...]
+    missing_db: float
+    unstable: int  # closed-loop poles
+    evaluations: int
+    interrupted: bool = False
+    problem: str = ""
+
+    @property
+    def text(self) -> str:
+        """State the change and the violation that was reached."""
+        if self.problem:
+            return f"{self.change}: not tried, {self.problem}"
+        reached = "meets all limits" if self.missing_db <= MET_DB else f"reached {self.missing_db:.3g} dB missing"
+        reached = "reached no stable design" if self.unstable > 0 else reached
+        return f"{self.change}: {reached}{' (interrupted)' if self.interrupted else ''}"
 
 
 @dataclass(frozen=True)
@@ -102,11 +156,12 @@ class Solution:
     nominal_objective_db: float  # over the nominal plants alone
     nodes: tuple[Node, ...]  # of the nominal plants
     stable_without: tuple[str, ...] = ()  # limits, where no design is stable: without any one of these one is
+    trials: tuple[Trial, ...] = ()  # from an infeasible design
 
     @property
     def feasible(self) -> bool:
         """Whether all limits are met and the loops are stable."""
-        return self.status != "infeasible" and self.violation_db <= 1e-6 and self.certificate.stable
+        return self.status != "infeasible" and self.violation_db <= MET_DB and self.certificate.stable
 
     @property
     def unchecked(self) -> str:
@@ -123,7 +178,7 @@ class Solution:
         """Of an infeasible design: the limits that conflict, the one with the largest part first."""
         if self.feasible:
             return ()
-        blamed = [c for c in self.constraints if c.excess_db > 1e-6 and c.limit is not None]
+        blamed = [c for c in self.constraints if c.excess_db > MET_DB and c.limit is not None]
         return tuple(sorted(blamed, key=lambda c: (-c.multiplier, -c.excess_db)))
 
     def explanation(self) -> str:
@@ -163,8 +218,11 @@ def make_solution(case: Case, plants: Plants, problem: Problem, found: Found, se
         law=problem.law.designed(found.best.variables),
         constraints=_constraints(plants, problem, found, full),
         bounds=tuple(
-            Bound(names[k], side, float(at[k]))  # type: ignore[arg-type]  # one of the two literals
-            for side, at in (("lower", found.optimality.lower), ("upper", found.optimality.upper))
+            Bound(names[k], side, _in_units(names[k], float(ends[k])), float(at[k]))  # type: ignore[arg-type]  # one of the two literals
+            for side, ends, at in (
+                ("lower", problem.lower, found.optimality.lower),
+                ("upper", problem.upper, found.optimality.upper),
+            )
             for k in np.flatnonzero(at > 0.0)
         ),
         certificate=Certificate(
@@ -184,6 +242,11 @@ def make_solution(case: Case, plants: Plants, problem: Problem, found: Found, se
         nominal_objective_db=nominal,
         nodes=tuple(p.node for p in plants.each if not p.dispersed),
     )
+
+
+def _in_units(variable: str, value: float) -> float:
+    """Return the value of a variable in the unit of its name."""
+    return math.exp(value) if is_logarithmic(variable) else value
 
 
 def _constraints(plants: Plants, problem: Problem, found: Found, full: Evaluation) -> tuple[Constraint, ...]:

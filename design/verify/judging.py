@@ -28,7 +28,7 @@ from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.model.node import Node
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.plants import wind_of
-from maxq.design.optimise.robust import deviated
+from maxq.design.optimise.robust import dispersed_nodes
 from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import MEASURED, QUANTITIES, Convention, Quantity, ZoneName, violation
 from maxq.sim.packing.computer import bending_filter
@@ -261,7 +261,8 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
     for n, solution in sorted((s.nodes[0].stage, s) for s in solutions):
         mine, where = solution.case, f"stage {n + 1}: " if len(stages) > 1 else ""
         met = solution.feasible and n not in missed
-        reached = f"{objective_text(solution)}; {'all limits met' if met else 'limits are missed'}"
+        all_met = f"limits met at the nodes; {solution.unchecked}" if solution.unchecked else "all limits met"
+        reached = f"{objective_text(solution)}; {all_met if met else 'limits are missed'}"
         made.append(f"{where}{mine.filter.structure}, {mine.gains.schedule} gains, {mine.loop} loop; {reached}")
     text = ". ".join([*made, case.description] if case.description else made)
 
@@ -354,11 +355,7 @@ def judge_solution(loaded: LoadedCase, solution: Solution, design: Design | None
     found += wind_checks(winds, case.limits, nodes)
     if case.robust is None:
         return Outcome(loaded, design, judged, found, flown, [], wanted, winds)
-    by_label, dispersed = {node.label: node for node in nodes}, []  # rebuilt from the labels of the search
-    for label in dict.fromkeys(c.plant for c in solution.constraints if c.dispersed and c.plant is not None):
-        name, _, letters = label.removesuffix("]").rpartition(" [")
-        ends = [{"-": -1, "0": 0, "+": 1}[letter] for letter in letters]
-        dispersed.append(deviated(by_label[name], case.robust, ends))
+    dispersed = dispersed_nodes(case, nodes, solution.constraints)
     off = checks(judge(dispersed, design, case.loop), design, Wanted.of(case.robust.limits)) if dispersed else []
     if dispersed:
         off += wind_checks(in_wind(case, dispersed, design, None), case.robust.limits, dispersed)

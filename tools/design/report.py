@@ -29,6 +29,7 @@ from maxq.sim.flight.metric_table import figures
 from maxq.sim.run.flight import Event
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.terminal import aligned, printable
+from maxq.tools.design.way_out import way_out_comments, way_out_record, way_out_table
 
 GAIN_HEADS = {
     "time_s": "time, s", "speed_mps": "speed, m/s", "mass_kg": "mass, kg", "dynamic_pressure_Pa": "q, Pa",
@@ -130,8 +131,8 @@ def case_report(outcome: Outcome, solution: Solution) -> str:
         head, limits_table(outcome.found),
         limits_table(off, f"limits of {len(off[0].values)} dispersed plants") if off else [],
         limits_table(flown, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
-        design_table(design), search_table(solution), wind_table(outcome), margins_table(outcome.judged),
-        lobes_table(outcome.judged), nodes_table(outcome.found, outcome.judged),
+        way_out_table(solution), design_table(design), search_table(solution), wind_table(outcome),
+        margins_table(outcome.judged), lobes_table(outcome.judged), nodes_table(outcome.found, outcome.judged),
     )  # fmt: skip  # five more lines otherwise
 
 
@@ -150,6 +151,7 @@ def comments(made: CaseDesign) -> list[str]:
         form = f"{case.filter.structure}, {case.gains.schedule} gains"
         head = f"Written by simdesign for the case {outcome.loaded.name} ({form})."
         lines += [head, *([] if made.interrupted else [state]), *(f"  {line}" for line in outcome.missed)]
+        lines += [f"  {line}" for line in way_out_comments(solution)]
     if made.interrupted:
         lines.append(f"INTERRUPTED: the best so far; {made.claim}.")
     elif made.loss is not None:
@@ -297,7 +299,7 @@ def search_table(solution: Solution) -> list[str]:
     c = solution.certificate
     counts = Counter(x.what for x in solution.constraints if x.active)
     active = [f"{what} ({n} nodes)" if n > 1 else what for what, n in counts.items()]
-    active += [f"{b.variable} at its {b.side} bound" for b in solution.bounds]
+    active += [bound.text for bound in solution.bounds]
     worse = f"{c.worst_instant_db:.2g} dB" if c.worst_instant_db > 0.0 else "no"
     between = f"{c.instants} instants tried; {worse} worse than the worst node at most"
     between = between if c.instants else solution.unchecked
@@ -425,7 +427,7 @@ def case_record(outcome: Outcome, solution: Solution) -> dict[str, Any]:
         "schema": SCHEMA,
         "name": outcome.loaded.name,
         "status": solution.status,
-        "feasible": outcome.feasible and solution.feasible,
+        "feasible": outcome.feasible and solution.feasible and solution.status != "interrupted",
         "missed": outcome.missed,
         "explanation": solution.explanation(),
         "objective_db": solution.objective_db,
@@ -435,6 +437,7 @@ def case_record(outcome: Outcome, solution: Solution) -> dict[str, Any]:
         "search": asdict(c),
         "constraints": [asdict(x) for x in solution.constraints],
         "bounds": [asdict(x) for x in solution.bounds],
+        "way_out": way_out_record(solution) if solution.status == "infeasible" else None,
         "limits": checks_record(outcome.found),
         "limits_as_flown": checks_record(outcome.flown_found),
         "limits_dispersed": checks_record(outcome.dispersed_found),

@@ -31,6 +31,7 @@ from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.search import Progress as Watch
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, solve
+from maxq.design.optimise.way_out import tried
 from maxq.design.verify.judging import Outcome, make_design, objective_text
 from maxq.design.verify.own_flight import CaseDesign, design_case
 from maxq.design.verify.verify import stage_name
@@ -41,6 +42,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit, Interruption
 from maxq.tools.cli.terminal import Progress, aligned, tell
 from maxq.tools.design.report import case_record, case_report, comments, write_record
+from maxq.tools.design.way_out import trials_text
 
 RECORD_NAME = "design.json"
 
@@ -56,6 +58,7 @@ class Order:
     seed: int | None = None
     pictures: bool = True
     orders: bool = False
+    trials: bool = True
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,8 @@ def make(order: Order) -> Made:
         except (UnsolvableError, ValueError) as error:
             raise ScenarioError(loaded.label, str(error)) from None
         orders, interrupted = list[Found](), made.interrupted
+        if order.trials and not interrupted:
+            made, interrupted = _with_trials(made, progress, stop)
         try:
             for stage, mine in zip(made.stages, made.plants, strict=True) if order.orders and not interrupted else ():
                 name = stage_name(loaded.scenario.vehicle, mine.each[0].node.stage)
@@ -141,6 +146,24 @@ def make(order: Order) -> Made:
     return Made(code, folder, made, orders)
 
 
+def _with_trials(made: CaseDesign, progress: Progress, stop: Interruption) -> tuple[CaseDesign, bool]:
+    """Return the design with trials from each infeasible stage, and whether they were interrupted."""
+    results, cut = [], False
+    for stage, (outcome, solution) in zip(made.stages, made.results, strict=True):
+        name = stage_name(stage.scenario.vehicle, _number(outcome))
+
+        def show(done: int, of: int, best_db: float, what: str, name: str = name) -> None:
+            stop.check()
+            note = "" if math.isnan(best_db) else f"reached {best_db:.2f} dB missing"
+            progress.show(": ".join(filter(None, (name, what))), done, of, note)
+
+        if not cut:
+            trials, cut = tried(stage, solution, show)
+            solution = replace(solution, trials=trials)  # noqa: PLW2901  # the same with trials
+        results.append((outcome, solution))
+    return replace(made, results=tuple(results)), cut
+
+
 def _number(outcome: Outcome) -> int:
     """Of the stage, from 0."""
     return outcome.judged[0].node.stage
@@ -162,7 +185,7 @@ def _verdict(made: CaseDesign, folder: Path) -> str:
         return f"fly it with:\n  {fly}\nDESIGNED: {reached}, all limits met"
     said = [f"its own flight is lost: {loss_text(made.loss)}"] if made.loss is not None else []
     said += [
-        w + (solution.explanation() or "; ".join(outcome.missed))
+        w + "; ".join(filter(None, (solution.explanation() or "; ".join(outcome.missed), trials_text(solution))))
         for w, (outcome, solution) in zip(where, results, strict=True)
         if not (outcome.feasible and solution.feasible)
     ]

@@ -1,0 +1,237 @@
+"""Ways out of a case whose limits cannot be met together.
+
+`conflict` states which limits hold the least violation and what relief of each would bring, by the multipliers of the
+minimax problem (`sqp.optimality`): they are derivatives, exact for small changes. `tried` makes short searches from the
+best effort with wider bounds of the filter, with a filter of the next order, and with a computer that samples twice as
+fast. A trial begins at the best effort and goes on from the law's own starts until it has used its share of the
+search's evaluations. It is no proof that a change does not suffice.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from threadpoolctl import threadpool_limits
+
+from maxq.control.kernel.records import Array
+from maxq.control.structures import MAX_SECTIONS, STRUCTURES
+from maxq.design.case.schema import Case, LoadedCase
+from maxq.design.model.node import Node
+from maxq.design.optimise.at_nodes import make_problem
+from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
+from maxq.design.optimise.problem import Evaluation, Problem
+from maxq.design.optimise.robust import dispersed_nodes
+from maxq.design.optimise.search import PATIENCE, Progress
+from maxq.design.optimise.solution import MET_DB, Constraint, Solution, Trial
+from maxq.design.optimise.sqp import descend
+
+WIDER = {
+    "zero_hz": (1.0, 100.0), "zero_zeta": (0.1, 2.0), "pole_hz": (1.0, 100.0), "pole_zeta": (0.05, 2.0),
+    "first_order_zero_hz": (1.0, 200.0), "first_order_pole_hz": (1.0, 200.0),
+}  # fmt: skip  # a table
+"""Bounds of the filter's variables in a trial, by key of `filter.bounds`; a case that has wider ones keeps them."""
+FASTER = 2  # times the sample rate
+STEPS, FINE_DB = 150, 1e-7  # of a descent
+LEAST_EVALUATIONS = 60  # of a trial
+LEAST_SHARE = 1e-3  # multipliers that are smaller are not shown
+
+
+@dataclass(frozen=True)
+class Relief:
+    """A limit that holds the least violation. A dB of relief on it gains `gains_db`; the sum over all limits is 1.
+
+    `by`: a dB in the limit's own unit. `points`: the operating points at which it holds, the largest part first.
+    """
+
+    what: str
+    dispersed: bool
+    gains_db: float
+    by: str
+    points: tuple[Constraint, ...]
+
+    @property
+    def name(self) -> str:
+        """The limit, and whether it is that of dispersed plants."""
+        return f"{self.what}{' of dispersed plants' if self.dispersed else ''}"
+
+
+def conflict(solution: Solution) -> tuple[Relief, ...]:
+    """Return the limits that hold the violation of an infeasible, stable design, the largest part first."""
+    if solution.status != "infeasible" or not solution.certificate.stable:
+        return ()
+    by_limit = defaultdict[tuple[str, bool], list[Constraint]](list)
+    for c in solution.constraints:
+        if c.multiplier > LEAST_SHARE and c.limit is not None:
+            by_limit[c.what, c.dispersed].append(c)
+    found = []
+    for (what, dispersed), points in by_limit.items():
+        points.sort(key=lambda c: -c.multiplier)
+        gains_db = sum(c.multiplier for c in points)
+        found.append(Relief(what, dispersed, gains_db, _a_db(solution.case, points[0]), tuple(points)))
+    return tuple(sorted(found, key=lambda relief: -relief.gains_db))
+
+
+def _a_db(case: Case, at: Constraint) -> str:
+    """Return a dB of a limit in its own unit: as the optimiser counts phases, and as a share of others."""
+    if at.unit == "dB":
+        return "1 dB"
+    if at.unit == "deg":
+        limits = case.robust.limits if at.dispersed and case.robust is not None else case.limits
+        return f"{limits.phase_margin_deg / limits.gain_margin_db:.3g} deg"
+    assert at.limit is not None
+    share = 10.0 ** (1.0 / 20.0) - 1.0 if at.value > at.limit else 1.0 - 10.0 ** (-1.0 / 20.0)
+    return f"{100.0 * share:.0f} %"
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change that is tried: in words, as settings, and the case and the operating points with it."""
+
+    about: str
+    settings: tuple[str, ...]
+    case: Case
+    nodes: Sequence[Node]
+
+
+def changes_of(case: Case, nodes: Sequence[Node]) -> list[Change]:
+    """Return the changes that a case can be tried with."""
+    found = []
+    bounds = case.filter.bounds
+    wider = {
+        key: (min(low, ends[0]), max(high, ends[1]))
+        for key, (low, high) in WIDER.items()
+        if _in_use(case, key) and not ((ends := getattr(bounds, key))[0] <= low and high <= ends[1])
+    }
+    if wider:
+        changed = _with_filter(case, bounds=bounds.model_copy(update=wider))
+        settings = tuple(f"filter.bounds.{key}=[{low:g},{high:g}]" for key, (low, high) in wider.items())
+        said = [
+            f"{name} from {wider[key][0]:g}{unit}"
+            for key, name, unit in (("pole_hz", "roots", " Hz"), ("pole_zeta", "pole damping", ""))
+            if key in wider and wider[key][0] < getattr(bounds, key)[0]
+        ]
+        about = f"wider filter bounds ({', '.join(said)})" if said else "wider filter bounds"
+        found.append(Change(about, settings, changed, nodes))
+    if (higher := _higher(case)) is not None:
+        found.append(Change(*higher, nodes))
+    faster = [_faster(node) for node in nodes]
+    sample_s, before_s = (some[0].instruments.sample_s for some in (faster, nodes))
+    setting = (f"vehicle.computer.sample_s={sample_s:g}",)
+    found.append(Change(f"a sample every {1e3 * sample_s:g} instead of {1e3 * before_s:g} ms", setting, case, faster))
+    return found
+
+
+def _in_use(case: Case, key: str) -> bool:
+    """Return True where the case's filters have sections with the variable."""
+    each = (case.filter.sections, *case.loop_filters.each)
+    return any(sections[1 if key.startswith("first_order") else 0] > 0 for sections in each)
+
+
+def _with_filter(case: Case, **changes: object) -> Case:
+    return case.model_copy(update={"filter": case.filter.model_copy(update=changes)})
+
+
+def _higher(case: Case) -> tuple[str, tuple[str, ...], Case] | None:
+    """Return the case with the bending filter of the next order; None where the flight computer has no room for one."""
+    names = [name for name, sections in STRUCTURES.items() if sum(sections)]
+    before = case.filter.structure
+    if before in names[:-1]:
+        name = names[names.index(before) + 1]
+        return f"{name} instead of {before}", (f"filter.structure={name}",), _with_filter(case, structure=name)
+    quadratic, first_order = case.filter.sections
+    if quadratic + first_order >= MAX_SECTIONS:
+        return None
+    form = {"structure": "sections", "quadratic": quadratic, "first_order": first_order + 1}
+    settings = tuple(f"filter.{key}={value}" for key, value in form.items())
+    return "one more first-order section", settings, _with_filter(case, **form)
+
+
+def _faster(node: Node) -> Node:
+    """Return the operating point with a computer that samples faster; latencies of sensors keep their time."""
+    own = node.instruments
+    sample_s = own.sample_s / FASTER
+    sensors = tuple((name, dynamics, FASTER * late) for name, dynamics, late in own.sensors)
+    timing = replace(own, sample_s=sample_s, delay_s=min(own.delay_s, sample_s), sensors=sensors)
+    return replace(node, instruments=timing)
+
+
+def plants_of(case: Case, nodes: Sequence[Node], solution: Solution) -> Plants:
+    """Return the plants of a solution: those at the nodes, and the dispersed ones that its search has taken."""
+    nominal = [make_plant(node, case) for node in nodes]
+    dispersed = dispersed_nodes(case, nodes, solution.constraints)
+    return make_plants([*nominal, *(make_plant(node, case, dispersed=True) for node in dispersed)])
+
+
+def tried(loaded: LoadedCase, solution: Solution, progress: Progress | None = None) -> tuple[tuple[Trial, ...], bool]:
+    """Return the trials from an infeasible solution, and whether they were interrupted.
+
+    `loaded`: the case of the stage along the flight of its search. The trials together use about as many evaluations
+    as the search. A KeyboardInterrupt ends them; those made so far are returned.
+    """
+    if solution.status != "infeasible":
+        return (), False
+    out: list[Trial] = []
+    try:
+        with threadpool_limits(limits=1, user_api="blas"):
+            nodes = nodes_of(loaded, [node.time_s for node in solution.nodes])
+            changes = changes_of(solution.case, nodes)
+            most = max(LEAST_EVALUATIONS, solution.certificate.evaluations // len(changes))
+            for number, change in enumerate(changes):
+                shown = None if progress is None else partial(progress, number, len(changes))
+                trial = _tried(change, solution, most, shown)
+                out.append(trial)
+                if trial.interrupted:
+                    return tuple(out), True
+    except KeyboardInterrupt:
+        return tuple(out), True
+    return tuple(out), False
+
+
+def _tried(change: Change, solution: Solution, most: int, progress: Callable[[float, str], None] | None) -> Trial:
+    """Search with a change, with `most` evaluations."""
+    best: Evaluation | None = None
+    problem: Problem | None = None
+    interrupted, refused = False, ""
+
+    def watch(count: int, at: Evaluation) -> bool:
+        nonlocal best
+        assert problem is not None
+        best = at if best is None else min(best, at, key=_rank)
+        if progress is not None:
+            progress(best.violation_db if best.unstable == 0 else float("nan"), f"trial: {change.about}")
+        return problem.evaluations >= most or (count >= PATIENCE and at.unstable > best.unstable)
+
+    try:
+        problem = make_problem(change.case, plants_of(change.case, change.nodes, solution))
+        for start in starts_of(problem, change.case, solution):
+            end = descend(problem, start, STEPS, FINE_DB, limits_only=True, give_up=watch)
+            watch(0, end)
+            if problem.evaluations >= most or _met(best):
+                break
+    except KeyboardInterrupt:
+        interrupted = True
+        if best is None:
+            raise
+    except ValueError as error:
+        refused = str(error)
+    missing_db, unstable = (best.violation_db, best.unstable) if best is not None else (float("nan"), 0)
+    missing_db = 0.0 if missing_db <= MET_DB else missing_db
+    count = 0 if problem is None else problem.evaluations
+    return Trial(change.about, change.settings, missing_db, unstable, count, interrupted, refused)
+
+
+def starts_of(problem: Problem, case: Case, solution: Solution) -> list[Array]:
+    """Return the best effort, then the law's own starts."""
+    warm = problem.law.variables_of(solution.law)
+    return [*([] if warm is None else [warm]), *problem.law.starts(case.search.starts, case.search.seed)]
+
+
+def _rank(at: Evaluation) -> tuple[int, float]:
+    return at.unstable, at.violation_db
+
+
+def _met(best: Evaluation | None) -> bool:
+    return best is not None and best.unstable == 0 and best.violation_db <= MET_DB

@@ -1,0 +1,79 @@
+"""The ways out of an infeasible case as `simdesign` prints and writes them: conflict, bounds and trials."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from maxq.design.optimise.solution import Bound, Constraint, Solution
+from maxq.design.optimise.way_out import conflict
+from maxq.tools.cli.terminal import aligned
+
+POINTS = 3  # of a limit, in a table
+UNCERTAIN = 1e-3  # residual of the optimality conditions above which multipliers are called uncertain
+
+
+def way_out_table(solution: Solution) -> list[str]:
+    """Return the limits that conflict, the bounds at which variables are, and the trials, of an infeasible design."""
+    found = conflict(solution)
+    if not found and not solution.trials:
+        return []
+    lines = ["way out"]
+    if found:
+        rows = [("limits in conflict", "gains dB per dB", "a dB is", "at (part)")]
+        rows += [(each.name, f"{each.gains_db:.3f}", each.by, _at(each.points)) for each in found]
+        lines += aligned(rows, "  ", right=(1, 2))
+        if (residual := solution.certificate.kkt_residual) > UNCERTAIN:
+            lines.append(f"  uncertain: the optimality conditions are met to {residual:.1e} only")
+        if solution.bounds:
+            lines.append("  bounds of variables, and what moving them gains")
+            lines += [f"    {bound.text}" for bound in _dearest(solution)]
+    if solution.trials:
+        lines.append(f"  short trials from the best effort, which misses {solution.violation_db:.3g} dB")
+        lines += [f"    {text}" for text in _trials(solution, settings=True)]
+    return lines
+
+
+def way_out_comments(solution: Solution) -> list[str]:
+    """Return the same for the head of a design file, a line each."""
+    found = conflict(solution)
+    parts = ", ".join(f"{each.name} {each.gains_db:.2f}" for each in found)
+    lines = [f"in conflict at {solution.violation_db:.3g} dB (dB gained by a dB of relief): {parts}"] if found else []
+    lines += [bound.text for bound in _dearest(solution)] if found else []
+    return [*lines, *(f"trial: {text}" for text in _trials(solution, settings=True))]
+
+
+def trials_text(solution: Solution) -> str:
+    """Return what the trials reached in a clause; empty without trials."""
+    said = _trials(solution)
+    return f"short trials from there: {'; '.join(said)}" if said else ""
+
+
+def way_out_record(solution: Solution) -> dict[str, Any]:
+    """Return conflict and trials for design.json."""
+    limits = [
+        {
+            "limit": each.name, "gains_db_per_db": each.gains_db, "a_db_is": each.by,
+            "at": [
+                {"point": c.plant, "time_s": c.time_s, "frequency_hz": c.frequency_hz, "part": c.multiplier}
+                for c in each.points
+            ],
+        }
+        for each in conflict(solution)
+    ]  # fmt: skip  # more lines otherwise
+    return {"missing_db": solution.violation_db, "conflict": limits, "trials": [asdict(t) for t in solution.trials]}
+
+
+def _trials(solution: Solution, settings: bool = False) -> list[str]:
+    return [t.text + (f"; {' '.join(t.settings)}" if settings else "") for t in solution.trials]
+
+
+def _dearest(solution: Solution) -> list[Bound]:
+    """Return the bounds at which variables are, the most expensive first."""
+    return sorted(solution.bounds, key=lambda bound: -bound.price_db)
+
+
+def _at(points: tuple[Constraint, ...]) -> str:
+    """Return the operating points at which a limit holds, with their parts, the largest first."""
+    said = [f"{c.plant or 'filter'} ({c.multiplier:.2f})" for c in points[:POINTS]]
+    return ", ".join(said) + (f" and {len(points) - POINTS} more" if len(points) > POINTS else "")
