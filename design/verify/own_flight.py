@@ -82,8 +82,9 @@ class CaseDesign:
 
     @property
     def feasible(self) -> bool:
-        """All limits are met, and the flight of the design is held."""
-        return self.loss is None and all(outcome.feasible and s.feasible for outcome, s in self.results)
+        """All limits are met, the flight of the design is held, and nothing was left out by an interruption."""
+        met = all(outcome.feasible and solution.feasible for outcome, solution in self.results)
+        return met and self.loss is None and not self.interrupted
 
     @property
     def claim(self) -> str:
