@@ -73,7 +73,7 @@ def test_plants_of_many_are_those_of_each(change: tuple[str, ...]) -> None:
     """To the bit but for sums; with engines on compliance the hinges are solved for, and canted ones sag by thrust."""
     node = api.nodes(design_nodes.nominal(*change), [45.0])[0]
     every = drawn(node, 20)
-    held = deviated(node.held, node.condition, node.trim, node.plane, stacked(every), len(every))
+    held = deviated(node.held, node.plane, stacked(every), len(every))
     *matrices, _ = held.plants(node.condition, node.trim, node.plane, node.drives)
     for k, by in enumerate(every):
         plant = disperse(node, by).plant

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,10 +15,10 @@ import scipy.linalg
 import scipy.optimize
 
 from maxq.design import api
-from maxq.design.case.schema import read_case
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
+from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import NOMINAL, Dispersion
 from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import (
@@ -27,7 +26,6 @@ from maxq.design.model.spread import (
     Correlated,
     Spread,
     places_of,
-    resolved,
     scenario_of,
     vehicle_at_places,
     vehicle_of,
@@ -35,9 +33,8 @@ from maxq.design.model.spread import (
 from maxq.design.verify import worst
 from maxq.design.verify.descent import Region, descend
 from maxq.design.verify.linear import vehicles
-from maxq.design.verify.suite import LinearMargins, WorstWanted, read_suite
+from maxq.design.verify.suite import LinearMargins, WorstWanted
 from maxq.design.verify.worst import WorstVehicle, distance, search_node, slope, worst_requirements
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 
@@ -62,7 +59,7 @@ def exact(node: Node, by: Dispersion) -> float:
 
 
 def vehicle(node: Node, spread: Spread, u: np.ndarray) -> Dispersion:
-    return vehicle_at_places(spread, node, places_of(node), u)
+    return deviations_of(spread, node).at(u)
 
 
 @pytest.mark.slow
@@ -70,14 +67,8 @@ def test_no_corner_of_a_small_box_is_worse() -> None:
     """All 2^8 corners of three mode frequencies, two slosh frequencies and masses, and the delay, by exact margins."""
     node = design_nodes.node_at(50.0)
     spread = Spread(**FEW, **NONE)
-    places = places_of(node)
-    free = [k for k, (name, _) in enumerate(places) if name in FEW]
-    assert len(free) == 8
-    corners = []
-    for signs in product((-1.0, 1.0), repeat=len(free)):
-        u = np.zeros(len(places))
-        u[free] = signs
-        corners.append(exact(node, vehicle(node, spread, u)))
+    assert len(deviations_of(spread, node).places) == 8
+    corners = [exact(node, vehicle(node, spread, np.array(u))) for u in product((-1.0, 1.0), repeat=8)]
     wanted = WorstWanted(region="box", starts=4)
     found, u, _ = search_node(node, design_nodes.design(), spread, wanted)
     reached = exact(node, vehicle(node, spread, u))
@@ -128,12 +119,10 @@ def test_distance_of_an_unstable_loop_is_negative() -> None:
     """Least |1 + L| of a dense grid, its sign by the closed loop's poles: a delay that the loop does not bear."""
     node = design_nodes.node_at(45.0)
     spread = Spread(**NONE, bending_frequency=(0.0,), slosh_frequency=0.0, slosh_mass=0.0, delay_s=0.1)
-    late = [k for k, (name, _) in enumerate(places_of(node)) if name == "delay_s"]
     hz = np.geomspace(0.01, 49.9, 200_000)
     signs = []
     for share in (0.0, 1.0):
-        u = np.zeros(len(places_of(node)))
-        u[late] = share
+        u = np.array([share])
         loop = Loop(fixed_path(disperse(node, vehicle(node, spread, u))), api.law_at(design_nodes.design(), node))
         value, _ = distance(node, design_nodes.design(), spread)(u)
         signs.append(1.0 if margins(loop).stable else -1.0)
@@ -223,15 +212,17 @@ def test_the_worst_of_all_nodes_is_measured_and_flown(
     nodes: Any = [SimpleNamespace(time_s=t, plane="yaw", found=v) for t, v in ((5.0, 0.5), (9.0, 0.2), (13.0, 0.4))]
     measured = SimpleNamespace(modulus=0.21, stable=stable)
     stand_in = {
-        "places_of": lambda node: [("thrust", -1)],
         "search_node": lambda node, *_: (node.found, np.array([node.found]), 7),
-        "vehicle_at_places": lambda *_: None,
         "disperse": lambda node, by: node,
         "fixed_path": lambda node: node,
         "Loop": lambda node, law: SimpleNamespace(fixed=SimpleNamespace(resonances=list)),
         "api": SimpleNamespace(law_at=lambda design, node: None),
         "margins": lambda loop, resonances: measured,
-        "scenario_of": lambda base, node, by: (SimpleNamespace(as_flown=f"at {node.time_s:g}"), ["aero.nothing"]),
+        "deviations_of": lambda described, node: SimpleNamespace(
+            places=[("thrust", -1)],
+            at=lambda *_: None,
+            scenario=lambda base, u: (SimpleNamespace(as_flown=f"at {node.time_s:g}"), ["aero.nothing"]),
+        ),
         "fly": lambda scenario, log: SimpleNamespace(failures=failures),
     }
     for name, value in stand_in.items():
@@ -255,17 +246,18 @@ def test_the_worst_between_nodes_and_along_other_flights_is_found(monkeypatch: p
         return SimpleNamespace(time_s=t, plane="yaw", least=0.5 + 0.01 * (t - 8.33) ** 2 - lower)
 
     stand_in = {
-        "places_of": lambda node: [("thrust", k) for k in range(3)],
-        "root_of_correlation": lambda spread, places: np.eye(3),
         "distances": lambda node, *_: lambda every: [(float(node.least + a @ u), np.ones(1)) for u in every],
         "slope": lambda node, *_: lambda u, hz, steps: (np.array([node.least + a @ u]), a[None]),
-        "vehicle_at_places": lambda *_: None,
         "disperse": lambda node, by: node,
         "fixed_path": lambda node: node,
         "Loop": lambda node, law: SimpleNamespace(fixed=SimpleNamespace(resonances=list), node=node),
         "api": SimpleNamespace(law_at=lambda design, node: None),
         "margins": lambda loop, resonances: SimpleNamespace(modulus=loop.node.least, stable=True),
-        "scenario_of": lambda base, node, by: (SimpleNamespace(as_flown=""), []),
+        "deviations_of": lambda described, node: SimpleNamespace(
+            places=[("thrust", k) for k in range(3)],
+            at=lambda *_: None,
+            scenario=lambda base, u: (SimpleNamespace(as_flown=""), []),
+        ),
         "fly": lambda scenario, log: SimpleNamespace(failures=()),
     }
     for name, value in stand_in.items():
@@ -403,43 +395,19 @@ def going_together(*pairs: tuple[tuple[str, str], float]) -> Spread:
     return Spread(correlated=tuple(Correlated(of=of, coefficient=value) for of, value in pairs))
 
 
-def test_search_follows_correlations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """c + a . u is least at c - sqrt(a' R a) in the ellipsoid u' R^-1 u <= 1 of deviations with correlations R."""
+def test_corners_follow_correlations() -> None:
+    """Deviations are sqrt(R) times independent scores (SciPy's root), at corners and of a search."""
     node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, held=HELD)
-    places = places_of(node)
-    a = np.random.default_rng(3).normal(size=len(places))
-    together = np.eye(len(places))
-    for (one, other), value in (((0, 1), 0.9), ((3, 4), -0.6)):
-        together[one, other] = together[other, one] = value
-    names = [name if n < 0 else f"{name}.{n}" for name, n in places]
-    spread = going_together(((names[0], names[1]), 0.9), ((names[3], names[4]), -0.6))
-    c = 2.0 + np.abs(a).sum()
-    monkeypatch.setattr(worst, "distances", lambda *_: lambda every: [(float(c + a @ u), np.ones(1)) for u in every])
-    monkeypatch.setattr(worst, "slope", lambda *_: lambda u, hz, steps: (np.array([c + a @ u]), a[None]))
-    none: Any = None
-    found, u, _ = search_node(node, none, spread, WorstWanted(starts=2))
-    assert found == pytest.approx(c - np.sqrt(a @ together @ a), abs=2e-3)
-    assert u @ np.linalg.solve(together, u) == pytest.approx(1.0, abs=1e-6)
-
-
-def test_box_and_corners_follow_correlations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """u = sqrt(R) v of independent v (SciPy's root): c + a . u is least at c - sum |sqrt(R) a| in the box."""
-    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, held=HELD)
-    places = places_of(node)
     spread = going_together((("slosh_mass.0", "slosh_mass.1"), 0.8), (("thrust", "inertia"), -0.5))
+    places, scores = places_of(node), np.random.default_rng(5).normal(size=len(places_of(node)))
     together = np.eye(len(places))
     for one, other, value in ((("slosh_mass", 0), ("slosh_mass", 1), 0.8), (("thrust", -1), ("inertia", -1), -0.5)):
         i, j = places.index(one), places.index(other)
         together[i, j] = together[j, i] = value
     root = scipy.linalg.sqrtm(together).real
-    a = np.random.default_rng(5).normal(size=len(places))
-    c = 2.0 + np.abs(root @ a).sum()
-    monkeypatch.setattr(worst, "distances", lambda *_: lambda every: [(float(c + a @ u), np.ones(1)) for u in every])
-    monkeypatch.setattr(worst, "slope", lambda *_: lambda u, hz, steps: (np.array([c + a @ u]), a[None]))
-    none: Any = None
-    found, u, _ = search_node(node, none, spread, WorstWanted(region="box", starts=2))
-    assert found == pytest.approx(2.0, abs=2e-3)
-    np.testing.assert_allclose(u, -root @ np.sign(root @ a), atol=1e-9)
+    together, apart = deviations_of(spread, node).at(scores), deviations_of(Spread(), node).at(root @ scores)
+    for name in DEVIATIONS:
+        assert getattr(together, name) == pytest.approx(getattr(apart, name), rel=1e-9)
     wanted = LinearMargins(cases=0, corner_sigmas=1.5)
     alone = vehicles(wanted, node)[0]
     corners = vehicles(wanted.model_copy(update={"three_sigma": spread}), node)[0]
@@ -449,82 +417,6 @@ def test_box_and_corners_follow_correlations(monkeypatch: pytest.MonkeyPatch) ->
         masses = 1.0 + 0.1 * 0.5 * scipy.linalg.sqrtm(np.array([[1.0, 0.8], [0.8, 1.0]])).real @ signs
         assert one.slosh_mass == pytest.approx(masses, rel=1e-9)
         assert one.bending_frequency == pytest.approx(before.bending_frequency)
-
-
-COVARIANT = """\
-extends = "nominal.toml"
-[campaign]
-runs = 2000
-[[disperse]]
-keys = [
-    "vehicle.stage.0.tank.0.mass_factor", "vehicle.stage.0.tank.1.mass_factor", "vehicle.stage.0.tank.0.length_factor",
-]
-distribution = "normal"
-covariance = [[4e-4, 2.4e-4, -1e-4], [2.4e-4, 9e-4, 0.0], [-1e-4, 0.0, 4e-4]]
-[[disperse]]
-keys = ["vehicle.stage.0.tank.0.damping_ratio", "vehicle.stage.0.tank.1.damping_ratio"]
-distribution = "normal"
-apply = "scale"
-sigma = 0.1
-[[disperse]]
-key = "vehicle.stage.0.aero.centre_shift_m"
-distribution = "normal"
-three_sigma = 0.4
-[[disperse]]
-key = "vehicle.computer.delay_s"
-distribution = "uniform"
-low = 0.0
-high = 0.005
-"""
-
-
-def test_deviations_and_correlations_are_those_that_the_campaign_flies(tmp_path: Path) -> None:
-    """Against statistics of 4,000 of its own draws; what it does not disperse is as the suite says."""
-    path = tmp_path / "covariant.toml"
-    path.write_text(COVARIANT)
-    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, held=HELD, stage=0)
-    spread = resolved(Spread(campaign=str(path), thrust=0.07), node)
-    draws = load_campaign(path).plan.draw(0, 4000).draws
-    prefix = "vehicle.stage.0.tank."
-    masses = np.array([draws[f"{prefix}{n}.mass_factor"] for n in (0, 1)])
-    faster = draws[f"{prefix}0.length_factor"] ** -0.5
-    assert spread.slosh_mass == pytest.approx(3.0 * masses.std(axis=1), rel=0.05)
-    frequency = spread.slosh_frequency
-    assert isinstance(frequency, tuple)
-    assert frequency[0] == pytest.approx(3.0 * faster.std(), rel=0.05)
-    assert frequency[1] == 0.05
-    assert spread.slosh_damping == pytest.approx((0.3, 0.3))
-    assert (spread.centre_of_pressure_m, spread.thrust) == pytest.approx((0.4, 0.07))
-    assert spread.delay_s == pytest.approx(0.0025)
-    found = {frozenset(pair.of): pair.coefficient for pair in spread.correlated}
-    known = {
-        frozenset(("slosh_mass.0", "slosh_mass.1")): np.corrcoef(masses)[0, 1],
-        frozenset(("slosh_mass.0", "slosh_frequency.0")): np.corrcoef(masses[0], faster)[0, 1],
-        frozenset(("slosh_damping.0", "slosh_damping.1")): 1.0,
-    }
-    assert found.keys() == known.keys()
-    for pair, value in known.items():
-        assert found[pair] == pytest.approx(value, abs=0.05)
-
-
-@pytest.mark.parametrize(
-    "text", ["[margins.three_sigma]\ncampaign = {}", "scenario = 'nominal'\nnodes_s = [40.0]\n[robust]\ncampaign = {}"]
-)
-def test_a_campaign_is_looked_for_beside_the_file_that_names_it(tmp_path: Path, text: str) -> None:
-    (tmp_path / "covariant.toml").write_text(COVARIANT)
-    path = tmp_path / "file.toml"
-    path.write_text("schema = 1\n" + text.format('"covariant"') + "\n")
-    node: Any = SimpleNamespace(time_s=40.0, vehicle=VEHICLE, held=HELD, stage=0)
-    if "margins" in text:
-        margins = read_suite(path).suite.margins
-        assert margins is not None
-        spread: Spread = margins.three_sigma
-    else:
-        robust = read_case(path).case.robust
-        assert robust is not None
-        spread = robust
-    assert resolved(spread, node).slosh_mass == pytest.approx((0.06, 0.09))
-    assert resolved(spread, node).campaign is None
 
 
 def test_random_vehicles_have_the_correlations_they_are_given() -> None:

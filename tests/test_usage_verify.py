@@ -489,16 +489,16 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     loaded = read_suite("standard", ["margins.seed=7"])
     *_, row = margin_requirements(study, wanted, lambda label: loaded.command("designs/ksr3-robust.toml", None, label))
     assert row.found == "51 of 60; phase margin, rigid body: 14.10 deg, wanted >= 15 deg"
-    assert row.where == "vehicle 60, 40 s, yaw"
+    assert row.where == "vehicle 59, 40 s, yaw"
     *_, of_stage = margin_requirements(dataclasses.replace(study, stage="stage 1 (first)"), wanted)
     assert "; phase margin, rigid body, stage 1 (first): 14.10 deg" in of_stage.found
-    assert row.again == "simverify ksr3-robust --set margins.seed=7 'vehicle 60'"
-    only = dataclasses.replace(study, random=values[59:], first=60)
-    alone = margin_requirements(only, wanted.model_copy(update={"only": "vehicle 60"}))
+    assert row.again == "simverify ksr3-robust --set margins.seed=7 'vehicle 59'"
+    only = dataclasses.replace(study, random=values[59:], first=59)
+    alone = margin_requirements(only, wanted.model_copy(update={"only": "vehicle 59"}))
     assert [(r.found, r.judgement) for r in alone] == [("stable", ACCEPTED), ("14.10 deg", REJECTED)]
     corners, drawn = vehicles_of(wanted.model_copy(update={"only": "vehicle 812"}), NODE)
     assert ([d.label for d in drawn], corners) == (["vehicle 812"], [])
-    assert drawn[0] == vehicles_of(LinearMargins(cases=812), NODE)[1][811]
+    assert drawn[0] == vehicles_of(LinearMargins(cases=813), NODE)[1][812]
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from maxq.design.loop.loop import Loop
 from maxq.design.loop.resonance import owner_of
 from maxq.design.margins import many
 from maxq.design.margins.packed import controller_factors
-from maxq.design.model.dispersion import Dispersion, deviated, stacked, unlike_drives
+from maxq.design.model.dispersion import Dispersion, deviated, section_factors, stacked, unlike_drives
 from maxq.design.model.instruments import DERIVATIVES, actuator_poles, lag, of_drive
 from maxq.design.model.node import Node, with_drives_apart
 from maxq.design.model.state_space import ComplexArray
@@ -147,7 +147,7 @@ class ManyLoops:
         """Poles of the continuous path, (vehicles, poles), residues, owners, and where all of that is exact."""
         states, inputs, names, row = self._kept
         drives, orders = self._drives
-        held = deviated(node.held, node.condition, node.trim, node.plane, by, n)
+        held = deviated(node.held, node.plane, by, n)
         a, b, c, _, _ = held.plants(node.condition, node.trim, node.plane, node.drives, levels=LEVELS)
         a, b, c = a[:, states[:, None], states], b[:, states[:, None], inputs], c[:, row, states]
         # states of unlike sizes: the same scaling for all, that of the vehicle as it is
@@ -158,17 +158,15 @@ class ManyLoops:
         left = np.linalg.inv(vectors)
         good = np.linalg.norm(vectors, axis=(1, 2)) * np.linalg.norm(left, axis=(1, 2)) < _WORST_BASIS
         per_input = np.einsum("vs,vsp->vp", c, vectors)[..., None] * (left @ b)
-        frequency, damping = np.asarray(by.actuator_frequency), _column(by.actuator_damping)
-        pairs = [
-            []
-            if record.ideal
-            else [
-                (w * _column(frequency[groups[0]] if frequency.ndim > 1 else frequency), z * damping)
-                for w, z in actuator_poles(record)
-            ]
-            for record, groups in zip(node.actuators, node.instruments.groups, strict=True)
-        ]
-        zeros = [(r.omega_4_radps, r.zeta_4) if r.order == 6 and not r.ideal else None for r in node.actuators]
+        groups = 1 + max(group for mine in node.instruments.groups for group in mine)
+        factors = section_factors(by, groups, n)[..., None]
+        pairs, zeros = [], []
+        for record, (group, *_) in zip(node.actuators, node.instruments.groups, strict=True):
+            mine = factors[:, group]
+            poles_of = [] if record.ideal else actuator_poles(record)
+            pairs.append([(w * mine[k], z * mine[4 + k]) for k, (w, z) in enumerate(poles_of)])
+            with_zero = record.order == 6 and not record.ideal
+            zeros.append((record.omega_4_radps * mine[3], record.zeta_4 * mine[7]) if with_zero else None)
         sensed = node.instruments.gyro
         gyro_pair = None if sensed.ideal else (sensed.omega_radps * _column(by.gyro_frequency), sensed.zeta)
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.held import FlightCondition, HeldStage, Trim
+from maxq.control.kernel.tables import table_in
+from maxq.design.model.held import HeldStage
 from maxq.design.model.instruments import Instruments, Plane
-from maxq.design.model.vehicle_at import axial_load_mps2, total_of
+from maxq.sim.packing.schedule import without_bobs
 from maxq.sim.vehicle import schedule
 
 Factors = float | Sequence[float]
@@ -22,25 +23,37 @@ Factors = float | Sequence[float]
 class Dispersion:
     """Factors unless a unit is named; the default changes nothing.
 
-    `slosh_*` keep the vehicle with its liquid frozen as it is (the core makes up the difference) and the hinges in
-    place. `actuator_frequency` multiplies the poles of (28), not the zero. `inertia` is that of the core.
+    Each acts on packed parameters and properties as packing a scenario with that change would: `slosh_*`, `inertia` and
+    `centre_of_gravity_m` keep the whole vehicle as it is otherwise (the core makes up the difference) and the hinges in
+    place. A pendulum of another frequency has another length.
     """
 
-    bending_frequency: Factors = 1.0  # per mode
+    bending_frequency: Factors = 1.0  # per mode, the spatial ones first
     bending_damping: Factors = 1.0
     bending_slope: Factors = 1.0  # at the gyro and other sensors
-    bending_shape: Factors = 1.0  # displacement and slope at the gimbal: what excites the mode
-    slosh_frequency: Factors = 1.0  # per tank
+    bending_shape: Factors = 1.0  # displacement and slope at the gimbals: what excites the mode
+    slosh_frequency: Factors = 1.0  # per pendulum
     slosh_mass: Factors = 1.0
-    slosh_damping: Factors = 1.0
-    actuator_frequency: Factors = 1.0  # per group of engines
+    slosh_damping: Factors = 1.0  # with that of walls and rings
+    slosh_damping_ratio: Factors = 1.0  # without it
+    actuator_frequency: Factors = 1.0  # of the poles, not the zero, per group of engines
     actuator_damping: float = 1.0
+    actuator_sections: Factors = 1.0  # eight per group: frequencies of three poles and the zero, then damping ratios
     gyro_frequency: float = 1.0
     delay_s: float = 0.0  # on top of the computer's; below zero less, down to none
-    thrust: Factors = 1.0  # per engine: its lateral authority; the axial load stays
+    thrust: Factors = 1.0  # per engine, at its mass flow
+    mass_flow: Factors = 1.0  # per engine, with its thrust: the burn rate
     normal_force: float = 1.0
+    axial_force: float = 1.0
+    rate_damping: float = 1.0  # aerodynamic, by body rates
     centre_of_pressure_m: float = 0.0  # moved aft
-    inertia: float = 1.0
+    inertia: Factors = 1.0  # of the whole vehicle about y and z
+    roll_inertia: float = 1.0
+    mass: float = 1.0  # of the whole vehicle, at its inertia
+    mass_kg: float = 0.0  # added likewise
+    centre_of_gravity_m: float = 0.0  # of the whole vehicle, moved aft
+    centre_of_gravity_y_m: float = 0.0
+    centre_of_gravity_z_m: float = 0.0
     label: str = ""
 
     def __post_init__(self) -> None:
@@ -48,13 +61,27 @@ class Dispersion:
             if f.name == "label":
                 continue
             value = np.atleast_1d(np.asarray(getattr(self, f.name), float))
-            signed = f.name in ("bending_slope", "bending_shape", "centre_of_pressure_m", "normal_force", "delay_s")
+            signed = f.name in SIGNED
             floor = -np.inf if signed else 0.0
-            positive = f.name.endswith(("frequency", "inertia", "thrust"))
+            positive = f.name in POSITIVE
             if not np.isfinite(value).all() or (value < floor).any() or (positive and (value <= 0.0).any()):
                 bound = "" if signed else " above 0" if positive else " from 0"
                 raise ValueError(f"{f.name} = {getattr(self, f.name)}: allowed are finite numbers{bound}")
 
+
+ADDED = (
+    "delay_s", "centre_of_pressure_m", "mass_kg", "centre_of_gravity_m", "centre_of_gravity_y_m",
+    "centre_of_gravity_z_m",
+)  # fmt: skip  # a line for each otherwise
+"""The fields that are added; all others multiply."""
+SIGNED = (*ADDED, "bending_slope", "bending_shape", "normal_force")
+POSITIVE = (
+    "bending_frequency", "slosh_frequency", "actuator_frequency", "actuator_sections", "gyro_frequency", "thrust",
+    "mass_flow", "inertia", "roll_inertia", "mass",
+)  # fmt: skip  # a line for each otherwise
+_RATE_STEP_S = 1e-3
+SECTIONS = 8
+"""Numbers of an actuator in `Dispersion.actuator_sections`."""
 
 NOMINAL = Dispersion()
 
@@ -70,15 +97,13 @@ def stacked(every: Sequence[Dispersion]) -> Dispersion:
     return Dispersion(**out)  # type: ignore[arg-type]  # floats and arrays
 
 
-def deviated(
-    held: HeldStage, condition: FlightCondition, trim: Trim, plane: Plane, by: Dispersion, count: int = 1
-) -> HeldStage:
+def deviated(held: HeldStage, plane: Plane, by: Dispersion, count: int = 1) -> HeldStage:
     """Return the held stages of `count` deviations at once, changes of the packed parameters and properties.
 
     Each number of `by` may be one, one for each part, or have the vehicles along its last axis (`stacked`). Raises
     ValueError for too many factors, and where no core is left.
     """
-    nominal, held = held, held.repeated(count)
+    held = held.repeated(count)
     vehicle, sizes = held.vehicle, held.sizes
     spatial, planar = int(sizes.spatial_modes), int(sizes.pitch_modes if plane == "pitch" else sizes.yaw_modes)
     n, m = spatial + planar, len(held.swing_rad)
@@ -97,105 +122,132 @@ def deviated(
     for axis in ("pitch", "yaw"):
         vehicle["bending"][f"zeta_{axis}"][:, :planar] *= damping[:, spatial:]
     _scale_shapes(held, each("bending_shape", n), each("bending_slope", n))
-    _deviate_liquid(held, each("slosh_mass", m), each("slosh_frequency", m))
     liquid = each("slosh_damping", m)
+    vehicle["slosh"]["damping_ratio"][:, :m] *= each("slosh_damping_ratio", m)
     for name in ("damping_ratio", "law_factor", "ring_damping"):
         vehicle["slosh"][name][:, :m] *= liquid
-    about = slice(schedule.CORE_INERTIA + 1, schedule.CORE_INERTIA + 3)
-    held.properties[:, about] *= one("inertia")[:, None]
-    vehicle["aero"]["force_factor"] *= one("normal_force")
+    for name, field in (("force", "normal_force"), ("axial", "axial_force"), ("damping", "rate_damping")):
+        vehicle["aero"][f"{name}_factor"] *= one(field)
     vehicle["aero"]["centre_shift_m"] += one("centre_of_pressure_m")
+    moved = [one(f"centre_of_gravity{axis}_m") for axis in ("", "_y", "_z")]
+    inertia = np.concatenate([one("roll_inertia")[:, None], each("inertia", 2)], axis=1)
+    _deviate_masses(
+        held, one("mass"), one("mass_kg"), np.stack(moved, axis=1), inertia, each("slosh_mass", m),
+        each("slosh_frequency", m),
+    )  # fmt: skip  # eight lines otherwise
     engines = int(np.sum(vehicle["engine"]["parts"][0] > 0.0))
-    thrust = _each(by.thrust, engines, "thrust", count).T
-    if (thrust != 1.0).any():
-        load = axial_load_mps2(nominal, condition, trim)
-        _deviate_thrust(held, condition, load, thrust)
+    _deviate_engines(held, each("thrust", engines), each("mass_flow", engines))
     return held
 
 
 def _scale_shapes(held: HeldStage, shape: Array, slope: Array) -> None:
-    """Scale the modes' shapes at the first gimbal, and their slopes at the gyro and all at other sensors, in place."""
+    """Scale the modes' shapes at the gimbals, and their slopes at the gyro and all at other sensors, in place."""
     sizes, p = held.sizes, held.properties
     spatial, gimbals, sensors = int(sizes.spatial_modes), int(sizes.gimbals), int(sizes.sensors)
+    by_gimbal = [slope if k >= gimbals - sensors else shape for k in range(gimbals)]
     for plane in (schedule.PITCH, schedule.YAW):
         planar = min(shape.shape[1] - spatial, int(sizes.yaw_modes if plane else sizes.pitch_modes))
-        rows = [
-            (schedule.MODE_PHI_GIMBAL, shape),
-            (schedule.MODE_SLOPE_GIMBAL, shape),
-            (schedule.MODE_SLOPE_GYRO, slope),
-        ]
-        for k in range(gimbals - sensors, gimbals):
+        rows = [(schedule.MODE_SLOPE_GYRO, slope)]
+        for k, factor in enumerate(by_gimbal):
             row = int(schedule.gimbal_row(sizes, k))
-            rows += [(row, slope), (row + 1, slope)]
+            rows += [(row, factor), (row + 1, factor)]
         for row, factor in rows:
             first = int(schedule.mode_column(sizes, plane, row))
             p[:, first : first + planar] *= factor[:, spatial : spatial + planar]
-    places = [(schedule.GYRO_PLACE, (4, 5), slope), (int(schedule.gimbal_place(sizes, 0)), (1, 2, 4, 5), shape)]
-    places += [(int(schedule.gimbal_place(sizes, k)), (1, 2, 4, 5), slope) for k in range(gimbals - sensors, gimbals)]
+    places = [(schedule.GYRO_PLACE, range(3, 6), slope)]
+    places += [(int(schedule.gimbal_place(sizes, k)), range(6), by_gimbal[k]) for k in range(gimbals)]
     for place, components, factor in places if spatial else []:
         for component in components:
             first = int(schedule.place_column(sizes, place, component))
             p[:, first : first + spatial] *= factor[:, :spatial]
 
 
-def _deviate_liquid(held: HeldStage, mass: Array, frequency: Array) -> None:
-    """Scale the sloshing masses and the pendulums' frequencies in place; the core makes up the difference.
+def _deviate_masses(
+    held: HeldStage, mass: Array, mass_kg: Array, moved_m: Array, inertia: Array, slosh_mass: Array, frequency: Array
+) -> None:
+    """Change mass, CG (aft, y, z) and inertia (x, y, z) of the whole vehicle, and its pendulums, in place.
 
-    Total mass, CG and inertia with the liquid frozen stay. Raises ValueError where no core is left.
+    The core is what the bobs leave, as `sim/packing/schedule.py` has it at each row of its tables; packing joins the
+    cores between rows, so that there the two differ by the error of that interpolation. Rates change by differences
+    over the clock of the tables. Raises ValueError where no core is left.
     """
-    if (mass == 1.0).all() and (frequency == 1.0).all():
+    alike = all((factor == 1.0).all() for factor in (mass, inertia, slosh_mass, frequency))
+    if alike and not mass_kg.any() and not moved_m.any():
         return
-    total, centre, inertia = total_of(held)
-    p = held.properties
-    for k in range(mass.shape[1]):
-        column = schedule.tank_column(k)
-        p[:, column + schedule.TANK_MASS] *= mass[:, k]
-        p[:, column + schedule.TANK_MASS_RATE] *= mass[:, k]
-        p[:, column + schedule.TANK_LENGTH] /= frequency[:, k] ** 2
-    bobs, places = held.tank(schedule.TANK_MASS), held.tank(schedule.TANK_HINGE) + held.tank(schedule.TANK_LENGTH)
-    core = total - bobs.sum(axis=1)
-    if core.min() <= 0.0:
-        raise ValueError(f"sloshing masses of {bobs.sum(axis=1).max():g} kg in a vehicle of {total.max():g} kg")
-    station = (total * centre - (bobs * places).sum(axis=1)) / core
-    apart = (bobs * (places - centre[:, None]) ** 2).sum(axis=1)
-    own = inertia - (apart + core * (station - centre) ** 2)[:, None]
-    if own.min() <= 0.0:
-        raise ValueError(f"bobs of {apart.max():g} kg m2 in a vehicle of {inertia.max():g} kg m2")
-    p[:, schedule.CORE_MASS], p[:, schedule.CORE_CG] = core, station
-    p[:, schedule.CORE_INERTIA + 1 : schedule.CORE_INERTIA + 3] = own
+    p, row = held.properties, held.parameters[0]
+    columns = np.array([schedule.tank_column(k) for k in range(slosh_mass.shape[1])], int)
+    tank = np.stack([slosh_mass, frequency**-2.0, np.ones_like(slosh_mass)], axis=-1)  # of mass, length, hinge
+
+    def deviated_at(rows: Array) -> tuple[Array, Array]:
+        """Core (vehicles, 10) and bobs (tanks, vehicles, 3) of rows of the schedule."""
+        bobs = [rows[:, c + schedule.TANK_MASS : c + schedule.TANK_HINGE + 1] for c in columns]
+        total = without_bobs(rows[:, : schedule.CG_RATE], [bob * (-1.0, 1.0, 1.0) for bob in bobs])  # put back
+        total[:, 0] = total[:, 0] * mass + mass_kg
+        total[:, 1:4] += moved_m
+        total[:, 4:7] *= inertia
+        bobs = [bob * tank[:, k] for k, bob in enumerate(bobs)]
+        sloshing = sum((bob[:, 0] for bob in bobs), np.zeros(len(total)))
+        if (total[:, 0] - sloshing).min() <= 0.0:
+            raise ValueError(f"sloshing masses of {sloshing.max():g} kg in a vehicle of {total[:, 0].max():g} kg")
+        core = without_bobs(total, bobs)
+        if core[:, 4:7].min() <= 0.0:
+            least = total[:, 4:7].min()
+            raise ValueError(f"bobs of {least - core[:, 4:7].min():g} kg m2 in a vehicle of {least:g} kg m2")
+        return core, np.array(bobs)
+
+    core, bobs = deviated_at(p)
+    table, clock_s = table_in(held.pool, row.vehicle.schedule), float(row.timeline.frozen_s)
+    ends = [np.broadcast_to(table(clock_s + at), (len(p), table.n_columns)) for at in (-_RATE_STEP_S, _RATE_STEP_S)]
+    (core_0, bobs_0), (core_1, bobs_1) = (deviated_at(end) for end in ends)
+    per_s = float(row.timeline.burn_rate) / (2.0 * _RATE_STEP_S)
+    if p[:, schedule.CG_RATE : schedule.TOTAL_MASS].any():  # else they are switched off
+        before = (ends[1] - ends[0])[:, 1 : schedule.CG_RATE]
+        p[:, schedule.CG_RATE : schedule.TOTAL_MASS] += ((core_1 - core_0)[:, 1:] - before) * per_s
+    for k, c in enumerate(columns):
+        if p[:, c + schedule.TANK_TRAVEL].any():
+            before = (ends[1] - ends[0])[:, c + schedule.TANK_LENGTH : c + schedule.TANK_HINGE + 1]
+            p[:, c + schedule.TANK_TRAVEL] += ((bobs_1 - bobs_0)[k, :, 1:] - before).sum(axis=1) * per_s
+        p[:, c + schedule.TANK_MASS_RATE] *= slosh_mass[:, k]
+        p[:, c + schedule.TANK_MASS : c + schedule.TANK_HINGE + 1] = bobs[k]
+    p[:, schedule.TOTAL_MASS] = p[:, schedule.TOTAL_MASS] * mass + mass_kg
+    p[:, schedule.MASS_FLOW] *= mass
+    p[:, : schedule.CG_RATE] = core
 
 
-def _deviate_thrust(held: HeldStage, condition: FlightCondition, load_mps2: float, factor: Array) -> None:
-    """Scale the thrust of each engine of the vehicle (vehicles, engines) in place; drag makes up for it, so that the
-    axial load stays. Where there is no air the axial load changes with the thrust.
+def _deviate_engines(held: HeldStage, thrust: Array, mass_flow: Array) -> None:
+    """Scale thrust and mass flow of each engine of the vehicle (vehicles, engines) in place, and the rates of the
+    masses.
+
+    Alike engines are one in the record: it has the mean of their factors.
     """
-    engine, more, axial = held.vehicle["engine"], np.zeros(len(factor)), 0.0
+    if (thrust == 1.0).all() and (mass_flow == 1.0).all():
+        return
+    engine, p, rates = held.vehicle["engine"], held.properties, []
     parts, taken_as = engine["parts"][0], engine["taken_as"][0]
     for k in range(int(held.sizes.engines)):
-        vacuum = held.properties[0, int(schedule.thrust_column(held.sizes, int(engine["curve"][0, k])))]
-        before = float(engine["thrust_factor"][0, k]) * vacuum
-        strength = max(before - condition.pressure_Pa * float(engine["exit_area_m2"][0, k]), 0.0)
-        mine = factor[:, [j for j in range(factor.shape[1]) if parts[j] > 0.0 and taken_as[j] == k]].mean(axis=1)
-        added = (mine - 1.0) * strength
-        if vacuum > 0.0:
-            engine["thrust_factor"][:, k] = (before + added) / vacuum
-        more = more + float(engine["rest_x"][0, k]) * added
-        axial += float(engine["rest_x"][0, k]) * strength
-    if condition.dynamic_pressure_Pa * float(held.vehicle["aero"]["area_m2"][0]) > 0.0:
-        drag_N = axial - load_mps2 * float(held.properties[0, schedule.TOTAL_MASS])
-        held.vehicle["aero"]["axial_factor"] *= 1.0 + more / drag_N
+        mine = [j for j in range(thrust.shape[1]) if parts[j] > 0.0 and taken_as[j] == k]
+        vacuum = float(p[0, int(schedule.thrust_column(held.sizes, int(engine["curve"][0, k])))])
+        rates += [(vacuum, mass_flow[:, j]) for j in mine]
+        engine["thrust_factor"][:, k] *= (thrust * mass_flow)[:, mine].mean(axis=1)
+        engine["flow_weight"][:, k] *= mass_flow[:, mine].mean(axis=1)
+    whole = sum(vacuum for vacuum, _ in rates)
+    pace = sum((vacuum * flow for vacuum, flow in rates), np.zeros(len(p))) / whole if whole > 0.0 else mass_flow[:, 0]
+    p[:, schedule.CG_RATE : schedule.TOTAL_MASS] *= pace[:, None]
+    p[:, schedule.MASS_FLOW] *= pace
+    for k in range(len(held.swing_rad)):
+        column = schedule.tank_column(k)
+        p[:, [column + schedule.TANK_MASS_RATE, column + schedule.TANK_TRAVEL]] *= pace[:, None]
 
 
 def disperse_instruments(instruments: Instruments, by: Dispersion) -> Instruments:
     """Actuators, gyro and delay with the deviations applied."""
     g = instruments.gyro
     count = 1 + max(group for groups in instruments.groups for group in groups)
-    frequency = _each(by.actuator_frequency, count, "actuator_frequency")[:, 0]
+    factors = section_factors(by, count)[..., 0]
     actuators = []
     for a, groups in zip(instruments.actuators, instruments.groups, strict=True):
-        factors = {"omega_{}_radps": float(frequency[groups[0]]), "zeta_{}": by.actuator_damping}
-        poles = [(name.format(k), factor) for name, factor in factors.items() for k in (1, 2, 3)]
-        actuators.append(dataclasses.replace(a, **{name: getattr(a, name) * factor for name, factor in poles}))
+        values = {name: getattr(a, name) * float(factors[k, groups[0]]) for k, name in enumerate(_SECTION_FIELDS)}
+        actuators.append(dataclasses.replace(a, **values))
     return dataclasses.replace(
         instruments,
         actuators=tuple(actuators),
@@ -208,9 +260,23 @@ def disperse_instruments(instruments: Instruments, by: Dispersion) -> Instrument
     )
 
 
+_SECTION_FIELDS = (*(f"omega_{k}_radps" for k in range(1, 5)), *(f"zeta_{k}" for k in range(1, 5)))
+
+
+def section_factors(by: Dispersion, groups: int, count: int = 1) -> Array:
+    """Return the factors of each actuator's frequencies and damping ratios, (SECTIONS, groups, vehicles)."""
+    out = _each(by.actuator_sections, SECTIONS * groups, "actuator_sections", count)
+    out = out.reshape(groups, SECTIONS, count).transpose(1, 0, 2).copy()
+    out[:3] *= _each(by.actuator_frequency, groups, "actuator_frequency", count)
+    out[4:7] *= np.asarray(by.actuator_damping, float)
+    return out
+
+
 def unlike_drives(by: Dispersion) -> bool:
-    """Whether the actuators of a vehicle's groups of engines deviate from each other."""
-    return np.size(by.actuator_frequency) > 1 and bool(np.ptp(np.asarray(by.actuator_frequency)) > 0.0)
+    """Return True if the actuators of a vehicle's groups of engines deviate from each other."""
+    sections = np.asarray(by.actuator_sections, float)
+    apart = sections.ndim > 0 and bool(np.ptp(sections.reshape(-1, SECTIONS), axis=0).any())
+    return apart or (np.size(by.actuator_frequency) > 1 and bool(np.ptp(np.asarray(by.actuator_frequency)) > 0.0))
 
 
 def for_each(values: Sequence[float], count: int) -> tuple[float, ...]:

@@ -404,7 +404,7 @@ def disperse(node: Node, by: Dispersion) -> Node:
         node = with_drives_apart(node)
     return dataclasses.replace(
         node,
-        held=deviated(node.held, node.condition, node.trim, node.plane, by),
+        held=deviated(node.held, node.plane, by),
         instruments=disperse_instruments(node.instruments, by),
         label=label,
     )

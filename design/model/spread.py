@@ -1,17 +1,14 @@
-"""How far vehicles deviate, and together: one description for flights, suites and robust cases.
+"""Deviations of a vehicle that has no campaign: normal ones, by their three sigma.
 
-Every mode, tank, engine and actuator deviates by itself (actuators by groups of engines, both planes alike). What
-deviates is told by a `Place`, how far in units of three sigma. A
-`Spread` that names a campaign takes from it what that one disperses: random vehicles, corners, the worst search and
-robust cases then stand on the numbers and covariances that are flown.
+Every mode, tank, engine and actuator deviates by itself (actuators by groups of engines, both planes alike). A `Place`
+names a deviation, and its size is in units of three sigma. A `Spread` that names a campaign has the draws of that
+campaign instead (`deviations.py`).
 """
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
@@ -20,10 +17,8 @@ from pydantic_core import PydanticCustomError
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import Dispersion, for_each, unlike_drives
 from maxq.design.model.node import Node
-from maxq.sim.campaign.plan import Draw as CampaignDraw
-from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.campaign.targets import Change, Dispersed, find_target
-from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.errors import ScenarioError, refuse
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_values import LIST_FORM, TABLE_FORM, NotNegative, Section, optional
 from maxq.sim.scenario.schema_vehicle import Vehicle
@@ -39,7 +34,6 @@ Place = tuple[str, int]
 """A key of `Spread`, and of which mode, tank, engine or group of engines, from 0; -1 where there is one of it."""
 Draw = Callable[[str, int], float]
 """A deviation in units of three sigma, of a place."""
-S = TypeVar("S", bound="Spread")
 
 
 class Correlated(Section):
@@ -70,9 +64,13 @@ class Spread(Section):
     delay_s: NotNegative = optional("either way, s; never below no delay", 0.002)
     correlated: tuple[Correlated, ...] = optional("pairs of deviations that go together", ())
     campaign: str | None = optional(
-        "a campaign (file, or name of a built-in one): what it disperses deviates as far, and together, as there, in "
-        "place of what is said here"
+        "a campaign (file, or name of a built-in one), whose draws these deviations are; no other key may be given"
     )
+
+    def _check(self) -> None:
+        given = sorted(self.model_fields_set & {*DEVIATIONS, "correlated"})
+        if self.campaign is not None and given:
+            raise refuse("cannot be combined with campaign, whose draws the deviations are", "no such key", given[0])
 
 
 _ABOUT = ("correlated", "campaign")
@@ -133,69 +131,6 @@ def keys_of(vehicle: Vehicle, stage: int, place: Place, also: bool = False) -> l
             count = min(len(getattr(one, last[:-2]) or ()), _POLES) if last.endswith(".*") else 1
             out += [f"{at}.{last[:-1]}{k}" for k in range(count)] if last.endswith(".*") else [f"{at}.{last}"]
     return out
-
-
-def resolved(spread: S, node: Node) -> S:
-    """The spread at a node with what its campaign says in place. Raises ScenarioError for one that cannot be read.
-
-    How far: half of what lies between three sigma either way, or of a bounded distribution between its ends. Of several
-    draws that act on one deviation the largest counts. Two deviations by one draw go together wholly; by draws with a
-    covariance as this says.
-    """
-    if spread.campaign is None:
-        return spread
-    campaign = load_campaign(spread.campaign)
-    vehicle, sizes, drawn = campaign.base.vehicle, dict[Place, float](), dict[Place, tuple[CampaignDraw, float]]()
-    places = places_of(node)
-    if node.stage < len(vehicle.stage):
-        for place in places:
-            wanted = set(keys_of(vehicle, node.stage, place, also=True))
-            every = [(abs(by), by, d) for d in campaign.plan.draws for by in _half(campaign, d, place, wanted)]
-            if every:
-                size, by, draw = max(every, key=lambda one: one[0])
-                sizes[place], drawn[place] = min(size, 0.99) if not KEYS[place[0]].added else size, (draw, by)
-    update: dict[str, Any] = {"campaign": None}
-    for key in DEVIATIONS:
-        mine = [place for place in places if place[0] == key]
-        if not sizes.keys() & set(mine):
-            continue
-        before = _sizes(spread, key, len(mine))
-        values = tuple(sizes.get(place, own) for place, own in zip(mine, before, strict=True))
-        update[key] = values if mine[0][1] >= 0 else values[0]
-    pairs = [
-        Correlated(of=(_name(one), _name(other)), coefficient=together)
-        for one, other in itertools.combinations(drawn, 2)
-        if (together := _together(drawn[one], drawn[other]))
-    ]
-    named = {frozenset(pair.of) for pair in pairs}
-    pairs += [pair for pair in spread.correlated if frozenset(pair.of) not in named]
-    return spread.model_copy(update={**update, "correlated": tuple(pairs)})
-
-
-def _half(campaign: LoadedCampaign, d: CampaignDraw, place: Place, wanted: set[str]) -> list[float]:
-    """By how much a draw lets a place deviate, with the sign in which it acts; empty where it does not."""
-    target = next((t for t in d.targets if t.key in wanted and not d.where), None)
-    ends = campaign.boxes().get(d.name)
-    if target is None or ends is None or not all(map(math.isfinite, ends)):
-        return []
-    keys, low_high = KEYS[place[0]], target.result(d.spec.apply, np.array(ends))
-    if not keys.added:
-        factor = low_high if target.kind == "column" else low_high / target.nominal
-        low_high = np.maximum(factor, 1e-9) ** (1.0 / keys.power)
-    return [0.5 * float(low_high[1] - low_high[0])]
-
-
-def _together(one: tuple[CampaignDraw, float], other: tuple[CampaignDraw, float]) -> float:
-    """Coefficient of correlation of what two draws, each with its sign, let deviate."""
-    (a, by_a), (b, by_b) = one, other
-    sign = math.copysign(1.0, by_a * by_b)
-    if a.name == b.name:
-        return sign
-    if a.group is None or b.group is None or a.entry != b.entry or a.spec.covariance is None:
-        return 0.0
-    c, i, j = a.spec.covariance, a.group[1], b.group[1]
-    variances = c[i][i] * c[j][j]
-    return sign * max(-1.0, min(c[i][j] / math.sqrt(variances), 1.0)) if variances > 0.0 else 0.0
 
 
 def _name(place: Place) -> str:

@@ -19,8 +19,8 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case, LoadedCase, Robust
 from maxq.design.laws.law import DesignedLaw
+from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node, disperse
-from maxq.design.model.spread import places_of, resolved, root_of_correlation, vehicle_at_places
 from maxq.design.optimise.at_nodes import finished, make_problem, search_best
 from maxq.design.optimise.over_time import COARSE, UNSTABLE_DB, Instants, gains_at_nodes, instants_along, peaks
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
@@ -36,18 +36,13 @@ AT_ONCE = 100  # plants that are judged together
 
 
 Ends = tuple[int, ...]
-"""Of each place that deviates (`places_of`), an end (-1, +1) or the middle (0) of its range."""
+"""Of each place that deviates, an end (-1, +1) or the middle (0) of its range."""
 
 
 def deviated(node: Node, ranges: Robust, ends: Sequence[int]) -> Node:
-    """The node with each deviation at an end or in the middle of its range, in the order of `places_of`.
-
-    Where some go together, with what belongs to independent deviations there.
-    """
-    letters, places = "".join({-1: "-", 0: "0", 1: "+"}[end] for end in ends), places_of(node, ranges)
-    at = np.array(ends) * (ranges.corner_sigmas / 3.0)
-    at = root_of_correlation(ranges, places) @ at
-    return disperse(node, vehicle_at_places(ranges, node, places, at, f"[{letters}]"))
+    """Return the node with the score of each deviation at an end or in the middle of its range."""
+    letters = "".join({-1: "-", 0: "0", 1: "+"}[end] for end in ends)
+    return disperse(node, deviations_of(ranges, node).at(np.array(ends) * (ranges.corner_sigmas / 3.0), f"[{letters}]"))
 
 
 def dispersed_nodes(case: Case, nodes: Sequence[Node], constraints: Iterable[Constraint]) -> list[Node]:
@@ -64,7 +59,7 @@ def dispersed_nodes(case: Case, nodes: Sequence[Node], constraints: Iterable[Con
 def modes_off(node: Node, ranges: Robust, end: int) -> Ends:
     """All modes at one end of their frequency and the large one of their slope, the rest as it is."""
     wanted = {"bending_frequency": end, "bending_slope": 1}
-    return tuple(wanted.get(name, 0) for name, _ in places_of(node, ranges))
+    return tuple(wanted.get(field, 0) for field in deviations_of(ranges, node).fields)
 
 
 @dataclasses.dataclass
@@ -174,7 +169,7 @@ def solve_robust(
     case = loaded.case
     assert case.robust is not None
     nodes = [p.node for p in nominal.each]
-    ranges = resolved(case.robust, nodes[0])
+    ranges = case.robust
     taken = {(node.time_s, modes_off(node, ranges, end)) for node in nodes for end in (-1, 1)}
 
     def dispersed(few: Sequence[tuple[Node, Ends]]) -> list[Plant]:

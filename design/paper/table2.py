@@ -5,7 +5,7 @@ therefore keeps its mass, speed, pendulums, modes and instruments, and its held 
 required derivatives:
 
 - thrust, for Z_delta (5); drag makes up for it, so that the axial load and the slosh frequencies stay
-- inertia of the core, for M_delta (8); Cmq, so that M_q (7) stays
+- inertia, for M_delta (8); Cmq, so that M_q (7) stays
 - CN_alpha of all surfaces by one factor, for Z_alpha (4); their stations by one shift, for M_alpha (6).
 """
 
@@ -24,6 +24,7 @@ from scipy.interpolate import PchipInterpolator
 from maxq.control.kernel.records import Array
 from maxq.design.model.node import Node
 from maxq.sim.scenario.files import scenarios_folder
+from maxq.sim.vehicle import schedule
 
 COLUMNS = ("z_alpha_1ps", "m_alpha_1ps2", "z_delta_1ps", "m_delta_1ps2")
 N = TypeVar("N", bound=Node)
@@ -85,8 +86,24 @@ def impose(node: N, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: float,
         raise ValueError(f"node at {node.time_s:g} s: M_delta = {m_delta_1ps2:g} leaves the core no inertia")
     lift_Nprad = -z_alpha_1ps * vehicle.total_mass_kg * node.condition.airspeed_mps
     aft_m = (lift * before.m_alpha_1ps2 * old - m_alpha_1ps2 * inertia) / lift_Nprad
+    vacuum_N, net_N = _axial_thrust(node)
+    drag_N = net_N - node.axial_load_mps2 * float(node.held.properties[0, schedule.TOTAL_MASS])
     held = node.with_(
-        thrust=push, normal_force=lift, centre_of_pressure_m=aft_m, inertia=1.0 + (inertia - old) / core
-    ).held
-    held.vehicle["aero"]["damping_factor"] *= inertia / old
+        thrust=1.0 + (push - 1.0) * net_N / vacuum_N, normal_force=lift, centre_of_pressure_m=aft_m,
+        inertia=inertia / old, rate_damping=inertia / old,
+    ).held  # fmt: skip  # seven lines otherwise
+    held.vehicle["aero"]["axial_factor"] *= 1.0 + (push - 1.0) * net_N / drag_N  # below zero where thrust is added
     return dataclasses.replace(node, held=held)
+
+
+def _axial_thrust(node: Node) -> tuple[float, float]:
+    """Return the axial thrust of all engines, in vacuum and in the air of the node, N."""
+    held, vacuum_N, net_N = node.held, 0.0, 0.0
+    engine = held.vehicle["engine"][0]
+    for k in range(int(held.sizes.engines)):
+        column = int(schedule.thrust_column(held.sizes, int(engine["curve"][k])))
+        thrust_N = float(engine["thrust_factor"][k] * held.properties[0, column])
+        vacuum_N += float(engine["rest_x"][k]) * thrust_N
+        lost_N = node.condition.pressure_Pa * float(engine["exit_area_m2"][k])
+        net_N += float(engine["rest_x"][k]) * max(thrust_N - lost_N, 0.0)
+    return vacuum_N, net_N

@@ -2,8 +2,8 @@
 
 Margins are measured as designed, at the corners of the dispersions, and for random vehicles. A dispersed vehicle has
 the same deviations at every node. Corners: a two-level screening design (Plackett & Burman, Biometrika 33, 1946) of
-twelve runs and their mirror images, in which every pair of factors is uncorrelated. Random vehicles: independent normal
-deviations with the suite's three sigma, each along one of a few dispersed trajectories (`trajectories_of`). They are
+twelve runs and their mirror images, in which every pair of factors is uncorrelated. Random vehicles: vehicle N is run N
+of the campaign (design/model/deviations.py), along one of a few dispersed trajectories (`trajectories_of`). They are
 measured by the compiled margins of design/margins/dispersed.py; those whose margin lies within `NEAR` of a limit, and
 those that these do not serve, once more by `margins`.
 
@@ -32,14 +32,13 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measured_loop import measure_loop
+from maxq.design.model.deviations import Described, deviations_of, told_of
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import Node, at_same_propellant_s, disperse, flown_run, flown_to, met_by, node_of
-from maxq.design.model.spread import correlation, places_of, root_of_correlation, vehicle_at_places
 from maxq.design.quantities import MEASURED, SWEPT, Convention, LoopLimits
 from maxq.design.verify import suite
 from maxq.design.verify.memory import Memory, counted
 from maxq.design.verify.suite import AS_DESIGNED, LinearMargins, Requirement
-from maxq.sim.campaign.draws import cholesky
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.statistics import allowed_failures, judge_failures, tolerance_bound
 from maxq.sim.scenario.errors import ScenarioError
@@ -58,6 +57,12 @@ _FACTORS = (
     "bending_frequency", "bending_slope", "bending_damping", "slosh_frequency", "slosh_mass", "slosh_damping",
     "actuator_frequency", "delay_s", "normal_force", "centre_of_pressure_m", "inertia",
 )  # fmt: skip  # nine more lines otherwise
+_WITH = {
+    "bending_shape": "bending_slope", "slosh_damping_ratio": "slosh_damping", "actuator_sections": "actuator_frequency",
+    "rate_damping": "normal_force", "centre_of_gravity_m": "centre_of_pressure_m", "axial_force": "inertia",
+    "thrust": "inertia", "mass_flow": "inertia", "mass": "inertia", "mass_kg": "inertia", "roll_inertia": "inertia",
+}  # fmt: skip  # a line for each otherwise
+"""The factor with which a deviation goes that has none of its own; any other one stays in the middle."""
 
 
 Measured = dict[str, float]
@@ -87,7 +92,7 @@ class MarginStudy:
     nominal: MarginCase
     corners: tuple[MarginCase, ...]
     random: Array
-    first: int = 1
+    first: int = 0
     exact: int = 0
 
     def case(self, k: int) -> MarginCase:
@@ -175,37 +180,26 @@ def trajectories_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int,
     return found
 
 
-def vehicles(wanted: LinearMargins, node: Node) -> tuple[list[Dispersion], list[Dispersion]]:
-    """Corners, where thrust goes with the last factor and all modes and tanks together, and random vehicles, of which
-    each mode and tank deviates by itself. Corners are those of independent deviations, and as likely where some go
-    together. `node`: of their stage.
+def vehicles(
+    wanted: LinearMargins, node: Node, described: Described | None = None
+) -> tuple[list[Dispersion], list[Dispersion]]:
+    """Return the corners, at which all deviations of a factor go together, and random vehicles, runs of the campaign.
 
-    Where `wanted.only` names one, this alone, whatever the number of random vehicles.
+    Corners are those of independent scores, and as likely where some go together. `node`: of their stage. `described`:
+    default `wanted.three_sigma`. Where `wanted.only` names one, this alone, whatever the number of random vehicles.
     """
-    corners, places = [], places_of(node)
+    corners, deviations = [], deviations_of(wanted.three_sigma if described is None else described, node)
     if wanted.corner_sigmas > 0.0:
-        root = root_of_correlation(wanted.three_sigma, places)
         rows = [np.roll(_GENERATOR, k) for k in range(len(_GENERATOR))] + [-np.ones(len(_GENERATOR))]
         for n, row in enumerate(np.array([*rows, *[-np.asarray(r) for r in rows]], float)):
             signs = dict(zip(_FACTORS, (row * (wanted.corner_sigmas / 3.0)).tolist(), strict=True))
-            signs["thrust"] = signs[_FACTORS[-1]]
-            deviations = root @ np.array([signs[name] for name, _ in places])
-            corners.append(vehicle_at_places(wanted.three_sigma, node, places, deviations, f"corner {n + 1}"))
+            scores = np.array([signs.get(_WITH.get(field, field), 0.0) for field in deviations.fields])
+            corners.append(deviations.at(scores, f"corner {n + 1}"))
     found = suite.VEHICLE_LABEL.fullmatch(wanted.only)
     numbers = range(0 if wanted.only else wanted.cases)
-    if found is not None and found[1] == "vehicle":
-        numbers = range(int(found[2]) - 1, int(found[2]))
-    factor = cholesky(correlation(wanted.three_sigma, places))
-    drawn = [
-        vehicle_at_places(wanted.three_sigma, node, places, deviates(wanted.seed, n, factor), f"vehicle {n + 1}")
-        for n in numbers
-    ]
-    return [c for c in corners if wanted.only in ("", c.label)], drawn
-
-
-def deviates(seed: int, number: int, factor: Array) -> Array:
-    """Normal deviates of a vehicle in units of three sigma; `factor`: lower factor of their correlation matrix."""
-    return np.asarray(factor @ np.random.default_rng([seed, number]).normal(size=len(factor)) / 3.0)
+    if found is not None and found[1] is not None:
+        numbers = range(int(found[1]), int(found[1]) + 1)
+    return [c for c in corners if wanted.only in ("", c.label)], deviations.drawn(numbers, wanted.seed)
 
 
 def study(
@@ -217,14 +211,15 @@ def study(
     workers: int = 2,
     stage: str = "",
     trajectories: Sequence[Sequence[Node]] = (),
+    described: Described | None = None,
 ) -> MarginStudy:
     """Margins at all nodes of one plane and stage, of the vehicle as it is, at the corners and of random ones.
 
-    `trajectories`: the nodes as other flights meet them; vehicle n flies along number n - 1, beginning again after the
-    last.
+    `trajectories`: the nodes as other flights meet them; vehicle n flies along number n, beginning again after the
+    last. `described`: see `vehicles`.
     """
-    corners, drawn = vehicles(wanted, nodes[0])
-    first = int(drawn[0].label.removeprefix("vehicle ")) if drawn else 1
+    corners, drawn = vehicles(wanted, nodes[0], described)
+    first = int(drawn[0].label.removeprefix("vehicle ")) if drawn else 0
     loops = 1 + len(corners) + len(drawn)
 
     def at_node(k: int) -> tuple[Measured, Array, int]:
@@ -237,13 +232,13 @@ def study(
             dispersed = _Dispersed(node, design, wanted.dispersed)
             table, exact = np.full((len(corners) + len(drawn), len(SWEPT)), math.nan), 0
             for j, flight in enumerate(flown):
-                mine = np.arange((j - first + 1) % len(flown), len(drawn), len(flown)) + len(corners)
+                mine = np.arange((j - first) % len(flown), len(drawn), len(flown)) + len(corners)
                 exact += dispersed.measure(flight, [drawn[i - len(corners)] for i in mine], table, mine)
             exact += dispersed.measure(node, corners, table, np.arange(len(corners)))
             return nominal, table, exact
 
         depends = (node, law, flown, wanted.seed, first, len(drawn), [c.label for c in corners], wanted.corner_sigmas)
-        limits = (told(wanted.three_sigma), told(wanted.dispersed))
+        limits = (told_of(wanted.three_sigma if described is None else described), told(wanted.dispersed))
         return memory.recall("margins", (*depends, *limits), work_out)
 
     with ThreadPoolExecutor(max_workers=workers) as pool:

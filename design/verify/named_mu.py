@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -33,8 +33,8 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.multiloop import Multiloop, multiloop
 from maxq.design.margins.real_mu import Scaling, real_mu_upper
+from maxq.design.model.deviations import Described, Deviations, deviations_of
 from maxq.design.model.node import Node, disperse, flown_run, flown_to, with_drives_apart
-from maxq.design.model.spread import Place, Spread, places_of, root_of_correlation, scenario_of, vehicle_at_places
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.scenario.loader import LoadedScenario
@@ -110,63 +110,62 @@ class Uncertain:
         return taken, ranks
 
 
-def uncertain(node: Node, spread: Spread) -> Uncertain:
-    """Of a node's deviations, each from -1 to 1 (three sigma) where they are independent."""
-    places, node = places_of(node), with_drives_apart(node)
+def uncertain(node: Node, described: Described) -> Uncertain:
+    """Return the plant of a node about the middle of its deviations, the score of each from -1 to 1 (three sigma)."""
+    deviations, node = deviations_of(described, node), with_drives_apart(node)
 
     def whole(u: Array) -> Array:
-        path = fixed_path(disperse(node, vehicle_at_places(spread, node, places, u))).continuous
+        path = fixed_path(disperse(node, deviations.at(u))).continuous
         return np.block([[path.a, path.b], [path.c[:1], path.d[:1]]])
 
-    return _balanced(whole, root_of_correlation(spread, places), places, spread, 1, _RANK)
+    return _balanced(whole, deviations, 1, _RANK)
 
 
-def uncertain_together(flown: Packed, base: LoadedScenario, design: Design, node: Node, spread: Spread) -> Uncertain:
-    """The same of pitch, yaw and roll together: each deviation in the scenario that flies it, at the state `flown`.
+def uncertain_together(
+    flown: Packed, base: LoadedScenario, design: Design, node: Node, described: Described
+) -> Uncertain:  # fmt: skip  # one more line otherwise
+    """Return the same of pitch, yaw and roll together: each deviation in the scenario that flies it, at `flown`.
 
     Raises ValueError where a deviated vehicle has other states: unlike engines of a group, each on a TVC load.
     """
-    places = places_of(node, spread)
+    deviations = deviations_of(described, node)
 
     def whole(u: Array) -> Array:
-        there = flown
-        if u.any():
-            scenario, _ = scenario_of(base, node, vehicle_at_places(spread, node, places, u))
-            packed = pack_flight(scenario.scenario)
-            parameters = packed.parameters.copy()
-            parameters["timeline"] = flown.parameters["timeline"]
-            there = dataclasses.replace(flown, parameters=parameters, pool=packed.pool)
-            mine, other = (int(state_size(p[node.stage].vehicle.sizes)) for p in (parameters, flown.parameters))
-            if mine != other:
-                raise ValueError(f"{mine} states of a deviated vehicle: allowed are as many as of the nominal, {other}")
+        there = flown_as(deviations, base, flown, node.stage, u)
         plant = multiloop(there, design, node.time_s).plant
         assert plant is not None
         n = plant.b.shape[1]
         return np.block([[plant.a, plant.b], [plant.c[:n], plant.d[:n]]])
 
     axes = len(multiloop(flown, design, node.time_s).axes)
-    return _balanced(whole, root_of_correlation(spread, places), places, spread, axes, _RANK_TOGETHER)
+    return _balanced(whole, deviations, axes, _RANK_TOGETHER)
 
 
-def _balanced(
-    whole: Callable[[Array], Array], root: Array, places: Sequence[Place], spread: Spread, axes: int, rank: float
-) -> Uncertain:
-    late = next((k for k, (name, _) in enumerate(places) if name == "delay_s"), len(places))
+def flown_as(deviations: Deviations, base: LoadedScenario, flown: Packed, stage: int, u: Array) -> Packed:
+    """Return the packed flight `flown` of the vehicle of scores, at its own state and clock.
 
-    middle = whole(np.zeros(len(places)))
+    Raises ValueError where that vehicle has other states.
+    """
+    packed = pack_flight(deviations.scenario(base, u)[0].scenario)
+    parameters = packed.parameters.copy()
+    parameters["timeline"] = flown.parameters["timeline"]
+    mine, other = (int(state_size(p[stage].vehicle.sizes)) for p in (parameters, flown.parameters))
+    if mine != other:
+        raise ValueError(f"{mine} states of a deviated vehicle: allowed are as many as of the nominal, {other}")
+    return dataclasses.replace(flown, parameters=parameters, pool=packed.pool)
 
-    def end(u: Array) -> Array:
-        u = np.where(np.arange(len(places)) == late, 0.0, u)
-        return whole(u) if u.any() else middle
 
-    ends = np.array([[end(root @ unit) - middle, middle - end(-root @ unit)] for unit in np.eye(len(places))])
+def _balanced(whole: Callable[[Array], Array], deviations: Deviations, axes: int, rank: float) -> Uncertain:
+    units = np.eye(len(deviations.places))
+    middle = whole(np.zeros(len(units)))
+    ends = np.array([[whole(unit) - middle, middle - whole(-unit)] for unit in units])
     changes = 0.5 * ends.sum(axis=1)
     sizes = np.abs(middle) + np.abs(changes).sum(axis=0)
     scale = scipy.linalg.matrix_balance(sizes, permute=False, separate=True)[1][0]
     scale[-axes:] = 1.0
     changes, ends = changes / scale[:, None] * scale, ends / scale[:, None] * scale
     size = np.linalg.norm(changes, axis=(1, 2))
-    late_s = spread.delay_s * root[late] if late < len(places) else np.zeros(len(places))
+    late_s = np.array([0.5 * (deviations.at(unit).delay_s - deviations.at(-unit).delay_s) for unit in units])
     farther = np.linalg.norm(ends, axis=(2, 3)).max(axis=1) / np.where(size > 0.0, size, 1.0)
     return Uncertain(middle / scale[:, None] * scale, tuple(changes), late_s, np.maximum(farther, 1.0), axes, rank)
 
@@ -180,16 +179,17 @@ class Within:
     tried: int
 
 
-def stable_within(node: Node, design: Design, spread: Spread) -> Within | None:
+def stable_within(node: Node, design: Design, described: Described) -> Within | None:
     """Of the deviations at a node; None for a law that takes more than the gyro."""
     law = api.law_at(design, node)
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
-    loop = Loop(fixed_path(node), law)
-    return _within(uncertain(node, spread), loop, loop.closed_poles())
+    deviations = deviations_of(described, node)
+    loop = Loop(fixed_path(disperse(node, deviations.at(np.zeros(len(deviations.places))))), law)
+    return _within(uncertain(node, described), loop, loop.closed_poles())
 
 
-def stable_together(base: LoadedScenario, design: Design, node: Node, spread: Spread) -> Within | None:
+def stable_together(base: LoadedScenario, design: Design, node: Node, described: Described) -> Within | None:
     """Of the deviations at a node, with the loops of pitch, yaw and roll together as the simulator couples them.
 
     None for a law that takes more than the gyro, and where engines of a group are on TVC loads.
@@ -198,11 +198,13 @@ def stable_together(base: LoadedScenario, design: Design, node: Node, spread: Sp
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
     flown_to(run, node.time_s)
-    loop = multiloop(run.packed, design, node.time_s)
+    deviations = deviations_of(described, node)
     try:
-        every = uncertain_together(run.packed, base, design, node, spread)
+        middle = flown_as(deviations, base, run.packed, node.stage, np.zeros(len(deviations.places)))
+        every = uncertain_together(run.packed, base, design, node, described)
     except ValueError:
         return None
+    loop = multiloop(middle, design, node.time_s)
     return _within(every, loop, loop.poles(range(len(loop.axes))))
 
 

@@ -90,7 +90,7 @@ def room_left(value: float, bound: float, sense: str, unit: str = "") -> float:
 
 
 AS_DESIGNED, CERTIFICATE, WORST = "as designed", "certificate", "worst"
-VEHICLE_LABEL = re.compile(r"(corner|vehicle) ([1-9][0-9]*)")
+VEHICLE_LABEL = re.compile(r"corner [1-9][0-9]*|vehicle (0|[1-9][0-9]*)")
 Level = Annotated[float, Field(gt=0.0, lt=1.0)]
 Plane = Literal["pitch", "yaw"]
 
@@ -290,7 +290,7 @@ class LoadedSuite:
     label: str  # as the user named it
     overrides: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why
-    along: CampaignWanted | None = None  # whose flights a random vehicle that is measured alone meets the nodes in
+    along: CampaignWanted | None = None  # whose draws and flights a vehicle that is measured alone has
 
     def command(self, design: str, vehicle: str | None = None, *more: str) -> str:
         """The command that judges a design by this suite; `more`: further words."""
@@ -317,7 +317,7 @@ class LoadedSuite:
             margins = margins.model_copy(update={"only": label})
         wind = suite.wind_limit_mps if label == AS_DESIGNED else None
         update = {"flight": flights, "margins": margins, "certificate": certificate, "campaign": ()}
-        along = next(iter(suite.campaign), None) if label.startswith("vehicle ") else None
+        along = next(iter(suite.campaign), None) if margins is not None and label != AS_DESIGNED else None
         return replace(self, suite=suite.model_copy(update={**update, "wind_limit_mps": wind}), along=along)
 
 

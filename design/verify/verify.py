@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -25,9 +25,9 @@ from maxq.design.certificate.certificate import NodeCertificate, certify, certif
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
 from maxq.design.certificate.measured_only import MeasuredNode, measure_node
+from maxq.design.model.deviations import Described, deviations_of, told_of
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import EDGES, Node, loss_text, node_times, powered_flight, powered_spans
-from maxq.design.model.spread import resolved
 from maxq.design.quantities import MEASURED, LoopLimits
 from maxq.design.verify import flown, linear
 from maxq.design.verify.fitted import fit
@@ -51,7 +51,7 @@ from maxq.design.verify.suite import (
     room_left,
 )
 from maxq.design.verify.worst import WorstVehicle, search_plane, worst_requirements
-from maxq.sim.campaign.read import LoadedCampaign, description_of
+from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
 from maxq.sim.campaign.runner import Progress
 from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
@@ -87,6 +87,7 @@ class Verification:
     wall_s: float
     walls_s: dict[str, float]
     cpus_s: dict[str, float]  # of all threads
+    deviations: str = ""  # the description of the dispersed vehicles, for people
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{len(found)} {j}" for j in (ACCEPTED, REJECTED, UNDECIDED) if (found := self.of(j)))
@@ -153,8 +154,9 @@ def verify(
         flown.load_wanted(loaded, wanted, design, vehicle) for wanted in suite.campaign or filter(None, [loaded.along])
     ]
     job = _Job(
-        suite, scenario, scenario.design, along, kept, interruptible, workers, next(iter(campaigns_loaded), None)
-    )
+        suite, scenario, scenario.design, along, kept, interruptible, workers, next(iter(campaigns_loaded), None),
+        flown.design_changes(design, vehicle),
+    )  # fmt: skip  # eight more lines otherwise
     with timed("scenarios"):
         flights = flown.fly_suite(loaded, design, vehicle, kept, partial(interruptible, "scenarios"), workers)
     with timed("linear margins"):  # nothing but what was asked for, where a part alone is repeated
@@ -206,6 +208,7 @@ def verify(
         tuple(measured), loaded.left_out,
         hashes=hashes, versions=versions(), recalled=kept.recalled,
         worked_out=kept.worked_out, wall_s=time.perf_counter() - begun, walls_s=walls, cpus_s=cpus,
+        deviations=job.deviations,
     )  # fmt: skip  # fourteen more lines otherwise
 
 
@@ -244,7 +247,8 @@ class _Job:
     memory: Memory
     watch: Watch
     workers: int
-    campaign: LoadedCampaign | None = None  # whose runs are the trajectories of random vehicles
+    campaign: LoadedCampaign | None = None  # whose runs are random vehicles and their trajectories
+    changes: Sequence[str] = ()  # of design and vehicle
 
     def times_s(self, part: LinearMargins | CertificateWanted) -> tuple[float, ...]:
         """Of a part's nodes: the suite's, or such as suit the flight."""
@@ -285,10 +289,38 @@ class _Job:
         out, parts = [], list(self._by_stage("margins", wanted))
         flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts] if wanted.cases else [])
         for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):
-            spread = resolved(wanted.three_sigma, nodes[0])
-            here = wanted.model_copy(update={"three_sigma": spread})
-            out.append(linear.study(nodes, design, here, self.memory, watch, self.workers, stage, mine))
+            run = partial(linear.study, nodes, design, wanted, self.memory, watch, self.workers, stage, mine)
+            out.append(run(self.described))
         return out
+
+    @cached_property
+    def described(self) -> Described:
+        """The deviations of vehicles: the draws of the suite's campaign, unless its margins have their own."""
+        wanted = self.suite.margins
+        assert wanted is not None
+        given = wanted.three_sigma
+        if given.campaign is not None:
+            return load_campaign(given.campaign, self.changes)
+        return given if self.campaign is None or "three_sigma" in wanted.model_fields_set else self.campaign
+
+    @property
+    def deviations(self) -> str:
+        """State which description the dispersed vehicles have, and its draws that no margin follows."""
+        wanted = self.suite.margins
+        if wanted is None or self.design is None or not (wanted.cases or wanted.corner_sigmas or wanted.worst):
+            return ""
+        described = self.described
+        if not isinstance(described, LoadedCampaign):
+            own = (
+                "the suite has no campaign" if self.campaign is None else f"not draws of campaign {self.campaign.name}"
+            )
+            return f"dispersed vehicles: normal deviations of [margins.three_sigma], {own}"
+        text = f"dispersed vehicles: draws of campaign {described.name}, vehicle N is its run N"
+        if self.campaign is not None and described is not self.campaign:
+            text += f"; not of campaign {self.campaign.name}, which the suite flies"
+        stages = {node.stage: node for node in self.nodes(wanted.planes[0])}.values()
+        left = dict.fromkeys(name for node in stages for name in deviations_of(described, node).left_out)
+        return f"{text}; without {', '.join(left)}" if left else text
 
     def _trajectories(self, wanted: LinearMargins, parts: Sequence[Sequence[Node]]) -> list[list[list[Node]]]:
         """Return the nodes of each part as dispersed flights meet them, (parts, flights, nodes); empty without any."""
@@ -323,14 +355,15 @@ class _Job:
             end_s = next(span.end_s for span in spans if span.holds(at[0].time_s))  # flown as far as that stage burns
             run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
             loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
-            spread = resolved(wanted.three_sigma, at[0])
             between = partial(api.nodes, self.along, plane=at[0].plane) if wanted.between_nodes == "hold" else None
             depends = (
-                loaded.as_flown, repr(design), at, told(spread), told(wanted.worst), wanted.between_nodes, flown_along
+                loaded.as_flown, repr(design), at, told_of(self.described), told(wanted.worst), wanted.between_nodes,
+                flown_along,
             )  # fmt: skip  # four more lines otherwise
             search = partial(
-                search_plane, at, design, spread, wanted.worst, loaded, name, watch, self.workers, between, flown_along
-            )
+                search_plane, at, design, self.described, wanted.worst, loaded, name, watch, self.workers, between,
+                flown_along,
+            )  # fmt: skip  # five more lines otherwise
             out.append(self.memory.recall("worst", depends, search))
         return out
 

@@ -1,8 +1,8 @@
 """The worst vehicle that the dispersions allow: a search, node by node, for the least distance of L from -1.
 
-Every mode, every tank and everything else of `Spread` deviates independently, within an ellipsoid (together no less
-likely than one deviation alone at that many sigma) or a box (each up to that many). Where some go together, that is the
-region of the independent deviations behind them (`spread.root_of_correlation`): both are searched there.
+Each draw of the campaign that changes the vehicle deviates independently, within an ellipsoid (together no less likely
+than one deviation alone at that many sigma) or a box (each up to that many). The search is among the independent scores
+behind the deviations (`deviations.py`), by which a uniform draw stays within its bounds.
 From each start the search goes along the gradient to the point of that region where the linearised distance is least,
 back towards the start until the distance has fallen, and again (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956); in a
 box it goes on to the corner that no single deviation makes worse. The gradient is that of L at the frequency nearest to
@@ -33,10 +33,11 @@ from maxq.design.margins.curve import growing_count, lowest_hz_of
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
+from maxq.design.model.deviations import Described, deviations_of
 from maxq.design.model.dispersion import deviated, disperse_instruments, stacked
 from maxq.design.model.instruments import per_command
 from maxq.design.model.node import Node, disperse, with_drives_apart
-from maxq.design.model.spread import Place, Spread, places_of, root_of_correlation, scenario_of, vehicle_at_places
+from maxq.design.model.spread import Place
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.descent import Region, descend
 from maxq.design.verify.memory import counted
@@ -59,7 +60,7 @@ _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 
 @dataclass(frozen=True)
 class WorstVehicle:
-    """The worst one found in a plane of a stage: deviations in sigma by `Place`, and what a flight of it came to.
+    """The worst one found in a plane of a stage: scores of its deviations by `Place`, and the outcome of its flight.
 
     `modulus` is its least |1 + L|, 0 where it is unstable; `searches` over all nodes; `text` its scenario (TOML), and
     `not_flown` what that scenario cannot express.
@@ -96,18 +97,18 @@ class WorstVehicle:
 Looks = list[tuple[float, Array]]
 
 
-def distances(node: Node, design: Design, spread: Spread) -> Callable[[Sequence[Array]], Looks]:
-    """Of loops from -1, and at what frequencies (Hz) each has minima, the least first, as a function of deviations
-    (places,) in units of three sigma. The distance is negative where the loop is unstable.
+def distances(node: Node, design: Design, described: Described) -> Callable[[Sequence[Array]], Looks]:
+    """Return a function of scores (places,), in units of three sigma: the distances of loops from -1, and at what
+    frequencies (Hz) each has minima, the least first. The distance is negative where the loop is unstable.
     """
-    one, places = distance(node, design, spread), places_of(node)
+    one, deviations = distance(node, design, described), deviations_of(described, node)
     try:
         loops = ManyLoops(node, api.law_at(design, node))
     except NotServedError:
         return lambda every: [one(u) for u in every]
 
     def at(every: Sequence[Array]) -> Looks:
-        values, status = loops.measure([vehicle_at_places(spread, node, places, u) for u in every], 0.0)
+        values, status = loops.measure(deviations.of_scores(every), 0.0)
         near, hz = values["distance"], values["distance_hz"]
         out = list[tuple[float, Array]]()
         for u, at_hz, least, verdict in zip(every, hz, near[:, 0], status, strict=True):
@@ -118,12 +119,12 @@ def distances(node: Node, design: Design, spread: Spread) -> Callable[[Sequence[
     return at
 
 
-def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], tuple[float, Array]]:
+def distance(node: Node, design: Design, described: Described) -> Callable[[Array], tuple[float, Array]]:
     """`distances` of one loop, measured by itself."""
-    places, law = places_of(node), api.law_at(design, node)
+    deviations, law = deviations_of(described, node), api.law_at(design, node)
 
     def at(u: Array) -> tuple[float, Array]:
-        loop = Loop(fixed_path(disperse(node, vehicle_at_places(spread, node, places, u))), law)
+        loop = Loop(fixed_path(disperse(node, deviations.at(u))), law)
         hz = [np.geomspace(_LOWEST_HZ, loop.highest_hz, _GRID)]
         hz += [r.frequency_hz + max(r.half_width_hz, 1e-3) * _AROUND for r in loop.fixed.resonances()]
         grid = np.unique(np.clip(np.concatenate(hz), _LOWEST_HZ, loop.highest_hz))
@@ -142,14 +143,14 @@ def distance(node: Node, design: Design, spread: Spread) -> Callable[[Array], tu
     return at
 
 
-def slope(node: Node, design: Design, spread: Spread) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
-    """|1 + L| at frequencies (Hz), and its change by `steps` (places,) of the deviations, per step: (frequencies,
+def slope(node: Node, design: Design, described: Described) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+    """|1 + L| at frequencies (Hz), and its change by `steps` (places,) of the scores, per step: (frequencies,
     places).
 
     L changes as actuator, vehicle and delay do, for each sensor in its own way: what sampling adds changes little, and
     the search measures where it arrives.
     """
-    places, law, node = places_of(node), api.law_at(design, node), with_drives_apart(node)
+    deviations, law, node = deviations_of(described, node), api.law_at(design, node), with_drives_apart(node)
     plant, ideal = node.plant, bool(node.actuator.ideal)
     inputs = tuple(x for x in plant.inputs if not ideal or x.startswith("delta_rad"))
     columns = [plant.inputs.index(x) for x in inputs]
@@ -158,8 +159,8 @@ def slope(node: Node, design: Design, spread: Spread) -> Callable[[Array, Array,
 
     def paths(every: Sequence[Array], s: ComplexArray) -> ComplexArray:
         """From the command to what each input of the law follows, (vehicles, frequencies, inputs)."""
-        vehicles = [vehicle_at_places(spread, node, places, u) for u in every]
-        held = deviated(node.held, node.condition, node.trim, node.plane, stacked(vehicles), len(vehicles))
+        vehicles = deviations.of_scores(every)
+        held = deviated(node.held, node.plane, stacked(vehicles), len(vehicles))
         a, b, c, d, _ = held.plants(node.condition, node.trim, node.plane, node.drives)
         turning = s[:, None, None] * np.eye(a.shape[-1]) - a[:, None]
         response = c[:, None, rows] @ np.linalg.solve(turning, b[:, None][..., columns])
@@ -172,7 +173,7 @@ def slope(node: Node, design: Design, spread: Spread) -> Callable[[Array, Array,
 
     def at(u: Array, hz: Array, steps: Array) -> tuple[Array, Array]:
         s = np.asarray(2j * np.pi * hz, np.complex128)
-        loop = Loop(fixed_path(disperse(node, vehicle_at_places(spread, node, places, u))), law)
+        loop = Loop(fixed_path(disperse(node, deviations.at(u))), law)
         fixed, by_law = loop.fixed, law.response(hz) * loop.fixed.response(hz)[:, None]
         here = np.stack([by_law[:, i] * fixed.ratio(name, hz) for i, name in enumerate(law.inputs)], axis=-1)
         first, *moved = paths([u, *(u + step * unit for step, unit in zip(steps, np.eye(len(u)), strict=True))], s)
@@ -184,16 +185,15 @@ def slope(node: Node, design: Design, spread: Spread) -> Callable[[Array, Array,
 
 
 def search_node(
-    node: Node, design: Design, spread: Spread, wanted: WorstWanted, starts: Sequence[int] | None = None
+    node: Node, design: Design, described: Described, wanted: WorstWanted, starts: Sequence[int] | None = None
 ) -> tuple[float, Array, int]:
-    """Return the least distance found at a node, its deviations in units of three sigma, and the loops measured.
+    """Return the least distance found at a node, its scores in units of three sigma, and the loops measured.
 
     `starts` by their numbers, 0 being the vehicle as it is (default: all). The best point ends in a local descent.
     """
-    places = places_of(node)
-    region, count, root = Region(wanted.region, wanted.sigmas / 3.0), len(places), root_of_correlation(spread, places)
-    look = _Look(distances(node, design, spread), root)
-    change = slope(node, design, spread)
+    region, count = Region(wanted.region, wanted.sigmas / 3.0), len(deviations_of(described, node).places)
+    look = _Look(distances(node, design, described))
+    change = slope(node, design, described)
 
     best, worst_u = math.inf, np.zeros(count)
     for start in range(wanted.starts) if starts is None else starts:
@@ -202,8 +202,7 @@ def search_node(
         ((value, hz),) = look([u])
         for _ in range(_ROUNDS):
             steps = np.where(u > 0.0, -_STEP, _STEP) * region.reach
-            near, slopes = change(root @ u, hz, steps)
-            slopes = slopes @ root
+            near, slopes = change(u, hz, steps)
             # an unstable loop is to go further beyond; else the minima that promise to become least
             goals = [region.farthest(-by) for by in slopes] if value > 0.0 else [region.farthest(slopes[0])]
             promised = [at + by @ (goal - u) for at, by, goal in zip(near, slopes, goals, strict=False)]
@@ -219,33 +218,30 @@ def search_node(
         if value < best:
             best, worst_u = value, u
     worst_u, best = descend(look.values, worst_u, best, region)
-    return best, root @ worst_u, look.loops
+    return best, worst_u, look.loops
 
 
 def refine_at(
-    node: Node, design: Design, spread: Spread, wanted: WorstWanted, points: Sequence[Array]
+    node: Node, design: Design, described: Described, wanted: WorstWanted, points: Sequence[Array]
 ) -> tuple[float, Array, int]:
-    """Return as `search_node` does from a descent at the worst of `points`, deviations in units of three sigma."""
-    root = root_of_correlation(spread, places_of(node))
-    look = _Look(distances(node, design, spread), root)
-    starts = [np.asarray(np.linalg.lstsq(root, u, rcond=None)[0], float) for u in points]
-    values = look.values(starts)
+    """Return as `search_node` does from a descent at the worst of `points`, scores in units of three sigma."""
+    look = _Look(distances(node, design, described))
+    values = look.values(points)
     k = int(np.argmin(values))
-    u, best = descend(look.values, starts[k], values[k], Region(wanted.region, wanted.sigmas / 3.0))
-    return best, root @ u, look.loops
+    u, best = descend(look.values, points[k], values[k], Region(wanted.region, wanted.sigmas / 3.0))
+    return best, u, look.loops
 
 
 @dataclass
 class _Look:
-    """Distances at points of independent deviations; counts the loops."""
+    """Distances at points; counts the loops."""
 
     measure: Callable[[Sequence[Array]], Looks]
-    root: Array
     loops: int = 0
 
     def __call__(self, every: Sequence[Array]) -> Looks:
         self.loops += len(every)
-        return self.measure([self.root @ u for u in every])
+        return self.measure(every)
 
     def values(self, every: Sequence[Array]) -> list[float]:
         return [value for value, _ in self(every)]
@@ -273,7 +269,7 @@ def _corner(u: Array, look: Callable[[Sequence[Array]], Looks], reach: float) ->
 def search_plane(
     nodes: Sequence[Node],
     design: Design,
-    spread: Spread,
+    described: Described,
     wanted: WorstWanted,
     base: LoadedScenario,
     stage: str = "",
@@ -290,7 +286,7 @@ def search_plane(
     further = min(FURTHER, len(nodes)) if wanted.starts > 1 else 0
 
     def search(node: Node, starts: Sequence[int]) -> tuple[float, Array, int]:
-        return search_node(node, design, spread, wanted, starts)
+        return search_node(node, design, described, wanted, starts)
 
     one = counted(search, watch, len(nodes) + further)
     with ThreadPoolExecutor(max_workers=workers) as pool:
@@ -308,25 +304,24 @@ def search_plane(
             known_s = {node.time_s for node, _ in searched}
             instants = np.arange(begin, end, max(step_s, (end - begin) / _MOST_INSTANTS)).round(6).tolist()
             found, count = _refined_beside(
-                nodes_at([t for t in instants if t not in known_s]), searched, design, spread, wanted, workers
+                nodes_at([t for t in instants if t not in known_s]), searched, design, described, wanted, workers
             )
             searched, loops, searches = [*searched, *found], loops + count, searches + len(found)
     for number, flown in enumerate(trajectories, 1):
-        found, count = _refined_beside(flown, searched, design, spread, wanted, workers, 1)
+        found, count = _refined_beside(flown, searched, design, described, wanted, workers, 1)
         searched, loops, searches = [*searched, *found], loops + count, searches + len(found)
         flight_of |= {id(node): number for node, _ in found}
     node, (_, u, _) = min(searched, key=lambda each: each[1][0])
-    places = places_of(node)
-    by = vehicle_at_places(spread, node, places, u, "worst")
-    loop = Loop(fixed_path(disperse(node, by)), api.law_at(design, node))
+    deviations = deviations_of(described, node)
+    loop = Loop(fixed_path(disperse(node, deviations.at(u, "worst"))), api.law_at(design, node))
     exact = margins(loop, resonances=loop.fixed.resonances())
-    scenario, missing = scenario_of(base, node, by)
+    scenario, missing = deviations.scenario(base, u)
     flight = fly(scenario, log=False)
     lost = flight.failures
-    within = stable_within(node, design, spread) if wanted.bound else None
-    together = stable_together(base, design, node, spread) if wanted.together else None
+    within = stable_within(node, design, described) if wanted.bound else None
+    together = stable_together(base, design, node, described) if wanted.together else None
     return WorstVehicle(
-        stage, node.plane, node.time_s, dict(zip(places, (3.0 * u).tolist(), strict=True)),
+        stage, node.plane, node.time_s, dict(zip(deviations.places, (3.0 * u).tolist(), strict=True)),
         exact.modulus if exact.stable else 0.0, searches, loops,
         "; ".join(lost) or "control kept", not lost, scenario.as_flown, tuple(missing),
         *((within.sigmas, within.at_hz, within.tried) if within is not None else (math.nan, math.nan, 0)),
@@ -338,7 +333,7 @@ Searched = tuple[Node, tuple[float, Array, int]]
 
 
 def _refined_beside(
-    nodes: Sequence[Node], searched: Sequence[Searched], design: Design, spread: Spread, wanted: WorstWanted,
+    nodes: Sequence[Node], searched: Sequence[Searched], design: Design, described: Described, wanted: WorstWanted,
     workers: int, most: int = FURTHER,
 ) -> tuple[list[Searched], int]:  # fmt: skip  # one line for each otherwise
     """Return descents at the `most` nodes where the worst vehicles known are worst, and the loops of all.
@@ -352,10 +347,10 @@ def _refined_beside(
         return [*(u for _, (_, u, _) in near), worst_u]
 
     def value(node: Node) -> float:
-        return min(value for value, _ in distances(node, design, spread)(points(node)))
+        return min(value for value, _ in distances(node, design, described)(points(node)))
 
     def refine(node: Node) -> Searched:
-        return node, refine_at(node, design, spread, wanted, points(node))
+        return node, refine_at(node, design, described, wanted, points(node))
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         order = np.argsort(list(pool.map(value, nodes)), kind="stable")[:most]

@@ -133,7 +133,7 @@ def _core(stage: Stage, burn: Burn, tanks: Sequence[Cubics], method: Method, mov
     core = merge([total])
     if tanks:
         breaks = union(total, *tanks)
-        core = fit(breaks, _without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks]), method)
+        core = fit(breaks, without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks]), method)
     core, total = on_clock(core, burn), on_clock(total, burn)
     rates = _derivative(core, _pace(stage, burn))
     if not moving_cg:
@@ -145,7 +145,7 @@ def _core(stage: Stage, burn: Burn, tanks: Sequence[Cubics], method: Method, mov
     return merge([core, _columns(rates, list(range(1, 10))), mass, outflow])
 
 
-def _without_bobs(total: Array, bobs: list[Array]) -> Array:
+def without_bobs(total: Array, bobs: list[Array]) -> Array:
     """Rows (n, 10) of mass, CG and inertia of the vehicle less its bobs, each at rest below its hinge.
 
     Sums are written out: a linear-algebra library adds in an order that depends on the processor.

@@ -25,8 +25,8 @@ import numpy as np
 
 from maxq.design import api
 from maxq.design.case.schema import Robust, read_case
+from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node
-from maxq.design.model.spread import places_of
 from maxq.design.optimise.robust import deviated
 from maxq.design.paper.errata_effects import EXPLAINED
 from maxq.design.quantities import MEASURED, SWEPT
@@ -245,7 +245,7 @@ def errata() -> list[str]:
 def robust() -> list[str]:
     """Worst over all nodes on the sampled loop: nominal, and at forty corners of all ranges drawn at random."""
     nodes, ranges, rows = api.nodes("nominal", range(5, 60, 5)), Robust(), []
-    ends = np.random.default_rng(2002).choice([-1, 1], (40, len(places_of(nodes[0], ranges))))
+    ends = np.random.default_rng(2002).choice([-1, 1], (40, len(deviations_of(ranges, nodes[0]).places)))
     for name in ("ksr3-default", "ksr3-two-phase", "ksr3-linear", "ksr3-sampled", "ksr3-robust"):
         design = api.load_design(f"designs/{name}")
         nominal = worst(nodes, design)

@@ -87,7 +87,7 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
         nodes = sum(len(m.times_s) for m in found.margins)
         asked["margins"] = f"linear margins of the design at {nodes} nodes, {' and '.join(margins.planes)}"
         vehicles = len(found.margins[0].random) + len(found.margins[0].corners) if found.margins else 0
-        asked["dispersed"] = f"the same of {vehicles} dispersed vehicles"
+        asked["dispersed"] = f"the same of {vehicles} {found.deviations or 'dispersed vehicles'}"
     if suite.certificate is not None:
         nodes = len(found.certificates)
         asked["certificate"] = f"linear loop and flight agree at {nodes} node{'s' * (nodes != 1)}"
@@ -207,7 +207,12 @@ def report(found: Verification, title: str) -> list[str]:
         for r, _ in group:
             room = f"{100.0 * r.room:.0f} %" if math.isfinite(r.room) else ""
             rows.append((printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
-    return [title, "", *aligned(rows, "  ", right=(4,), drop=(5, 4))]
+    return [
+        title,
+        *([printable(from_here(found.deviations))] if found.deviations else []),
+        "",
+        *aligned(rows, "  ", right=(4,), drop=(5, 4)),
+    ]
 
 
 def _mark(judgement: str) -> str:
@@ -275,6 +280,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "verdict": found.judgement,
         "lacks": found.suite.lacks,
         "left_out": found.left_out,
+        "deviations": found.deviations,
         "more_runs": found.more_runs,
         "command": command,
         "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],

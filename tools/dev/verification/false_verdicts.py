@@ -15,18 +15,16 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections import Counter
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
 
-from maxq.design.model.spread import places_of
 from maxq.design.quantities import SWEPT, LoopLimits
 from maxq.design.verify.flown import CampaignResult, campaign_requirements
-from maxq.design.verify.linear import MarginCase, MarginStudy, deviates, margin_requirements
+from maxq.design.verify.linear import MarginCase, MarginStudy, margin_requirements
 from maxq.design.verify.suite import (
     ACCEPTED,
     REJECTED,
@@ -45,11 +43,6 @@ MOST_STEPS, MOST_VEHICLES, MOST_RUNS = 6, 30_000, 100_000
 LIMIT_DEG, LIMIT_ALPHA_DEG = 15.0, 1.0  # of the phase margin, and as CAMPAIGN says
 SHARES = ((0.0, 0.0), (0.1, 0.1), (0.5, 0.5), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (0.0, 2.0), (2.0, 0.0), (2.0, 2.0))
 """Probability of failure over what is allowed, of linear vehicles and of flights."""
-NODE: Any = SimpleNamespace(  # what the draws ask of a node: how many modes and tanks there are
-    vehicle=SimpleNamespace(
-        modes=SimpleNamespace(omega_radps=np.ones(3)), pendulums=SimpleNamespace(mass_kg=np.ones(2))
-    )
-)
 CAMPAIGN = """\
 schema = 1
 extends = "nominal.toml"
@@ -95,23 +88,15 @@ def threshold(p: float) -> float:
     return float(ndtri(1.0 - p)) if p > 0.0 else 99.0
 
 
-@lru_cache(maxsize=8)
-def drawn_so_far(seed: int) -> list[float]:
-    return []
+def thrust_sigmas(loaded: LoadedCampaign, count: int) -> np.ndarray:
+    """Return the deviations of the thrust of the first runs, in sigma."""
+    return np.asarray((loaded.plan.draw(0, count).draws["vehicle.stage.0.engine.thrust_factor"] - 1.0) / 0.01)
 
 
-def thrust_sigmas(seed: int, count: int) -> np.ndarray:
-    """Deviations of the thrust of the first random vehicles as the harness draws them, in sigma."""
-    places, known = places_of(NODE), drawn_so_far(seed)
-    thrust, apart = places.index(("thrust", -1)), np.eye(len(places))
-    known += [3.0 * float(deviates(seed, n, apart)[thrust]) for n in range(len(known) + 1, count + 1)]
-    return np.array(known[:count])
-
-
-def linear_part(wanted: LinearMargins, p: float) -> list[Requirement]:
-    """Random vehicles whose phase margin falls short where the thrust drawn for them is too large."""
+def linear_part(wanted: LinearMargins, loaded: LoadedCampaign, p: float) -> list[Requirement]:
+    """Judge random vehicles whose phase margin falls short where the thrust drawn for them is too large."""
     cases = np.full((wanted.cases, 1, len(SWEPT)), np.inf)
-    cases[:, 0, SWEPT.index("rigid_phase_deg")] = LIMIT_DEG + threshold(p) - thrust_sigmas(wanted.seed, wanted.cases)
+    cases[:, 0, SWEPT.index("rigid_phase_deg")] = LIMIT_DEG + threshold(p) - thrust_sigmas(loaded, wanted.cases)
     nominal = MarginCase("", ({"rigid_phase_deg": 40.0},))
     return margin_requirements(MarginStudy("", "pitch", (40.0,), nominal, (), cases), wanted)
 
@@ -119,8 +104,7 @@ def linear_part(wanted: LinearMargins, p: float) -> list[Requirement]:
 def flown_part(loaded: LoadedCampaign, p: float) -> list[Requirement]:
     """Flights that miss their limit where the thrust drawn for them is too large."""
     runs = loaded.campaign.runs
-    factor = loaded.plan.draw(0, runs).draws["vehicle.stage.0.engine.thrust_factor"]
-    data = Formula(loaded, LIMIT_ALPHA_DEG + (factor - 1.0) / 0.01 - threshold(p))
+    data = Formula(loaded, LIMIT_ALPHA_DEG + thrust_sigmas(loaded, runs) - threshold(p))
     level = loaded.campaign.success, loaded.campaign.confidence
     return campaign_requirements(CampaignResult("", "", Path(), runs, False, *level, tuple(judged(data)), "", None))
 
@@ -131,14 +115,12 @@ def settled(changes: list[str], seed: int, shares: tuple[float, float], steps: i
     margins, flights = suite.margins, suite.campaign[0]
     assert margins is not None
     limits = LoopLimits(rigid_phase_deg=LIMIT_DEG)
-    wanted = margins.model_copy(
-        update={"nominal": limits, "dispersed": limits, "corner_sigmas": 0.0, "seed": margins.seed + 1000 * seed}
-    )
+    wanted = margins.model_copy(update={"nominal": limits, "dispersed": limits, "corner_sigmas": 0.0})
     level = {k: getattr(flights, k) or getattr(campaign().campaign, k) for k in ("runs", "success", "confidence")}
     loaded = campaign().with_campaign(**level, seed=(flights.seed or 0) + 1000 * seed + 500)
     p = [share * (1.0 - success) for share, success in zip(shares, (wanted.success, level["success"]), strict=True)]
     for step in range(steps + 1):
-        linear, flown = linear_part(wanted, p[0]), flown_part(loaded, p[1])
+        linear, flown = linear_part(wanted, loaded, p[0]), flown_part(loaded, p[1])
         more = max(r.more_runs for r in linear), max(r.more_runs for r in flown)
         verdict = overall([*linear, *flown])
         if (

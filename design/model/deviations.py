@@ -1,0 +1,413 @@
+"""How far vehicles deviate, and together: the draws of a campaign as changes of a node's packed parameters.
+
+Vehicle N of a sweep is run N of the campaign: `drawn` takes the same draws, by `Plan.draw`, and changes the record with
+the key paths of the table `RULES` as drawing, rebuilding and packing the scenario does, for many vehicles at once.
+Air, wind and noise of a run belong to its flight and are not changed here.
+
+Corners, ellipsoids and bounds need a scale for each deviation. It is the score of a normal distribution: a deviation of
+k sigma is the value that the campaign's distribution exceeds as often as a normal quantity exceeds k sigma
+(`Plan.of_scores`). So a normal deviation is k times its standard deviation; a uniform one is at 0.86 of its half-range
+at 1.5 sigma and at 0.997 of it at 3 sigma, and never beyond its bound; a log-normal or triangular one has its own
+tails. The middle is the median of every distribution, which is the nominal value where the campaign is symmetric about
+it.
+
+`Spread` describes deviations of a vehicle that has no campaign, all normal.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.design.model.dispersion import ADDED, SECTIONS, Dispersion
+from maxq.design.model.node import Node
+from maxq.design.model.spread import (
+    Place,
+    Spread,
+    correlation,
+    places_of,
+    root_of_correlation,
+    scenario_of,
+    vehicle_at_places,
+)
+from maxq.sim.campaign.draws import cholesky
+from maxq.sim.campaign.plan import Draw, Drawn, Plan
+from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
+from maxq.sim.campaign.targets import Refused, Target
+from maxq.sim.packing.remembered import cached_by_identity
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import LoadedScenario, told
+from maxq.sim.scenario.schema_vehicle import Stage
+
+_LEAST = 0.05  # of the nominal value, where a search leaves a distribution that cannot be negative
+
+
+class Rule(NamedTuple):
+    """The field of `Dispersion` that a key of a stage changes, by the result to the `power`; `planes` it acts in."""
+
+    field: str
+    power: float = 1.0
+    planes: tuple[str, ...] = ("pitch", "yaw")
+
+
+RULES = {
+    "bending.frequency_factor.#": Rule("bending_frequency"),
+    "bending.damping_ratio.#": Rule("bending_damping"),
+    "bending.gyro_slope_factor.#": Rule("bending_slope"),
+    "bending.gimbal_shape_factor.#": Rule("bending_shape"),
+    "spatial_modes.frequency_factor.#": Rule("bending_frequency"),
+    "spatial_modes.damping_ratio.#": Rule("bending_damping"),
+    "spatial_modes.gyro_slope_factor.#": Rule("bending_slope"),
+    "spatial_modes.gimbal_shape_factor.#": Rule("bending_shape"),
+    "tank.#.length_factor": Rule("slosh_frequency", -0.5),
+    "tank.#.mass_factor": Rule("slosh_mass"),
+    "tank.#.damping_ratio": Rule("slosh_damping_ratio"),
+    "tank.#.second_damping_ratio": Rule("slosh_damping_ratio"),
+    "actuator.#.omega_hz.#": Rule("actuator_sections"),
+    "actuator.#.zeta.#": Rule("actuator_sections"),
+    "actuator.#.yaw.omega_hz.#": Rule("actuator_sections", planes=("yaw",)),
+    "actuator.#.yaw.zeta.#": Rule("actuator_sections", planes=("yaw",)),
+    "computer.delay_s": Rule("delay_s"),
+    "engine.#.thrust_factor": Rule("thrust"),
+    "engine.#.mass_flow_factor": Rule("mass_flow"),
+    "aero.force_factor": Rule("normal_force"),
+    "aero.axial_factor": Rule("axial_force"),
+    "aero.damping_factor": Rule("rate_damping"),
+    "aero.centre_shift_m": Rule("centre_of_pressure_m"),
+    "mass.table.mass_kg": Rule("mass"),
+    "mass.table.x_cg_m": Rule("centre_of_gravity_m"),
+    "mass.table.y_cg_m": Rule("centre_of_gravity_y_m"),
+    "mass.table.z_cg_m": Rule("centre_of_gravity_z_m"),
+    "mass.table.Ixx_kgm2": Rule("roll_inertia"),
+    "mass.table.Iyy_kgm2": Rule("inertia"),
+    "mass.table.Izz_kgm2": Rule("inertia"),
+    "mass.mass_kg": Rule("mass"),
+    "mass.x_cg_m": Rule("centre_of_gravity_m"),
+    "mass.y_cg_m": Rule("centre_of_gravity_y_m"),
+    "mass.z_cg_m": Rule("centre_of_gravity_z_m"),
+}
+"""By key of a stage, without the number of an only engine or actuator; # is a number."""
+UNREAD = re.compile(
+    r"engine(\.#)?\.misalignment_deg\.#|actuator(\.#)?(\.yaw)?\.(rate_limit_degps|angle_limit_deg|stop_deg|backlash_deg|bias_deg\.#)"
+    r"|gyro\.(bias_degph|scale_factor|misalignment_deg)\.#|gyro\.noise_deg_rt_h|computer\.command_limit_deg"
+    r"|mass\.table\.I(xy|xz|yz)_kgm2"
+)
+"""Keys of a stage that no margin depends on: errors and limits of instruments, which a linear model leaves out."""
+_ACTUATOR, _OF_ONE = re.compile(r"^(actuator|engine)\.(?!#\.)"), r"\1.#."
+
+
+class Act(NamedTuple):
+    """The change of one number of a `Dispersion` by one target of a draw."""
+
+    draw: Draw
+    target: int
+    field: str
+    part: int  # of the field
+    power: float
+    of_whole: bool  # the result is a factor or an amount, and no new value
+
+    def change(self, result: Array) -> Array:
+        """Return the factor or the amount of results of the draw, (vehicles,)."""
+        target, added = self.draw.targets[self.target], self.field in ADDED
+        if not self.of_whole:
+            result = result - np.nan_to_num(target.nominal) if added else result / target.nominal
+        return result if added else np.power(result, self.power)
+
+
+@cached_by_identity
+def _loaded(spread: Spread) -> LoadedCampaign:
+    assert spread.campaign is not None
+    return load_campaign(spread.campaign)
+
+
+@dataclass(frozen=True)
+class OfSpread:
+    """Normal deviations by the numbers of a `Spread`; members as those of `OfCampaign`."""
+
+    spread: Spread
+    node: Node
+    left_out: tuple[str, ...] = ()
+
+    @cached_property
+    def places(self) -> tuple[Place, ...]:
+        return tuple(places_of(self.node, self.spread))
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        return tuple(name for name, _ in self.places)
+
+    def at(self, u: Array, label: str = "") -> Dispersion:
+        return self.of_scores([u], [label])[0]
+
+    @cached_property
+    def _root(self) -> Array:
+        return root_of_correlation(self.spread, self.places)
+
+    def of_scores(self, every: Sequence[Array], labels: Sequence[str] = ()) -> list[Dispersion]:
+        named = labels or [""] * len(every)
+        return [
+            vehicle_at_places(self.spread, self.node, self.places, self._root @ u, label)
+            for u, label in zip(every, named, strict=True)
+        ]
+
+    def drawn(self, numbers: range, seed: int) -> list[Dispersion]:
+        factor = cholesky(correlation(self.spread, self.places))
+        return [
+            vehicle_at_places(
+                self.spread, self.node, self.places,
+                factor @ np.random.default_rng([seed, n]).normal(size=len(factor)) / 3.0, f"vehicle {n}",
+            )
+            for n in numbers
+        ]  # fmt: skip  # four lines otherwise
+
+    def scenario(self, base: LoadedScenario, u: Array) -> tuple[LoadedScenario, list[str]]:
+        return scenario_of(base, self.node, self.at(u))
+
+
+@dataclass(frozen=True)
+class OfCampaign:
+    """The draws of a campaign that change the stage of a node.
+
+    Scores `u` (places,) are independent, in the order of `places`, and in units of three sigma.
+    """
+
+    campaign: LoadedCampaign
+    node: Node
+
+    @cached_property
+    def _found(self) -> tuple[list[Act], list[str]]:
+        vehicle, node, left_out = self.campaign.base.vehicle, self.node, []
+        acts = list[Act]()
+        if node.stage >= len(vehicle.stage):
+            return acts, []
+        for draw in self.campaign.plan.draws:
+            for n, target in enumerate(draw.targets):
+                key = _key_in_stage(target.key, vehicle.stage[node.stage], node.stage)
+                if key is None or UNREAD.fullmatch(re.sub(r"\.\d+", ".#", key)):
+                    continue
+                mine = (
+                    []
+                    if draw.is_text or draw.where
+                    else list(_acts(draw, n, target, key, vehicle.stage[node.stage], node))
+                )
+                acts += mine
+                if not mine and not any(node.plane not in r.planes for r in [_rule_of(key)] if r):
+                    left_out.append(draw.name)
+        return acts, left_out
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Draws that change the stage in a way that `RULES` does not follow."""
+        return tuple(dict.fromkeys(self._found[1]))
+
+    @cached_property
+    def _plan(self) -> Plan:
+        """The draws that act, and those that they are correlated with."""
+        names = {act.draw.name for act in self._found[0]}
+        entries = {act.draw.entry for act in self._found[0] if act.draw.group is not None}
+        every = self.campaign.plan
+        draws = tuple(d for d in every.draws if d.name in names or (d.group is not None and d.entry in entries))
+        return Plan(every.campaign, draws, None)
+
+    @cached_property
+    def places(self) -> tuple[Place, ...]:
+        labels = [d.label for d in self._plan.draws]
+        by_stream = {d.stream: d for d in reversed(self._plan.draws)}
+        each = [by_stream[stream] for stream in self._plan.score_names]
+        return tuple((d.label if labels.count(d.label) == 1 else d.name, -1) for d in each)
+
+    @cached_property
+    def fields(self) -> tuple[str, ...]:
+        """The field of `Dispersion` that each place changes first."""
+        first: dict[str, str] = {}
+        for act in self._found[0]:
+            first.setdefault(act.draw.stream, act.field)
+        return tuple(first.get(stream, "") for stream in self._plan.score_names)
+
+    def at(self, u: Array, label: str = "") -> Dispersion:
+        """Return the vehicle of scores."""
+        return self.of_scores([u], [label])[0]
+
+    def of_scores(self, every: Sequence[Array], labels: Sequence[str] = ()) -> list[Dispersion]:
+        """Return the vehicles of scores."""
+        z = 3.0 * np.reshape(np.asarray(every, float), (len(every), len(self.places)))
+        drawn, _ = self._plan.of_scores(z, np.zeros(len(z), np.int64))
+        return self._dispersions(self._within(drawn), labels or [""] * len(every))
+
+    def drawn(self, numbers: range, seed: int) -> list[Dispersion]:
+        """Return the vehicles of runs of the campaign, whose seed is its own; `seed` is of a `Spread`.
+
+        A run whose values exclude each other, which the campaign draws again as a whole, is not drawn again here.
+        """
+        plan = dataclasses.replace(self.campaign.plan, wind=None)  # its draws are streams of their own
+        found = plan.draw(numbers.start, len(numbers)) if len(numbers) else Drawn(0, np.zeros(0, np.int64))
+        results = {place: np.array(found.flown.get(place, ()), float) for place in self._wanted}
+        return self._dispersions(results, [f"vehicle {n}" for n in numbers])
+
+    def scenario(self, base: LoadedScenario, u: Array) -> tuple[LoadedScenario, list[str]]:
+        """Return the scenario in which the vehicle of scores flies, and the keys that it does not have.
+
+        Raises ScenarioError where no such vehicle is possible.
+        """
+        drawn, _ = self._plan.of_scores(3.0 * np.reshape(u, (1, -1)), np.zeros(1, np.int64))
+        values = {place: float(result[0]) for place, result in self._within(drawn).items()}
+        try:
+            return dataclasses.replace(self.campaign, base=base).changed({}, values), []
+        except Refused as refused:
+            raise ScenarioError(
+                self.campaign.name, f"a deviated vehicle is not possible: {refused}", "disperse"
+            ) from None
+
+    @cached_property
+    def _wanted(self) -> list[tuple[str, int]]:
+        return [(d.name, n) for d in self._plan.draws for n in range(len(d.targets)) if not d.is_text]
+
+    def _within(self, drawn: Drawn) -> dict[tuple[str, int], Array]:
+        """Return the results by draw and target, where the draws' own bounds keep them."""
+        out = {}
+        for d in self._plan.draws:
+            for n, target in enumerate(() if d.is_text else d.targets):
+                result = np.clip(
+                    np.array(drawn.flown[d.name, n], float),
+                    -np.inf if d.spec.at_least is None else d.spec.at_least,
+                    np.inf if d.spec.at_most is None else d.spec.at_most,
+                )
+                for mark, bound in target.bounds:  # a search goes on where a draw is drawn again
+                    if mark in ("gt", "ge"):
+                        least = bound + (_LEAST * abs(target.nominal) if mark == "gt" else 0.0)
+                        result = np.maximum(result, least)
+                    else:
+                        result = np.minimum(result, bound)
+                out[d.name, n] = result
+        return out
+
+    def _dispersions(self, results: dict[tuple[str, int], Array], labels: Sequence[str]) -> list[Dispersion]:
+        """Return the changes of packed parameters by results of all vehicles, by draw and target."""
+        fields: dict[str, Array] = {}
+        for act in self._found[0]:
+            if act.field not in fields:
+                shape = (self._parts(act.field), len(labels))
+                fields[act.field] = np.zeros(shape) if act.field in ADDED else np.ones(shape)
+            change, mine = act.change(results[act.draw.name, act.target]), fields[act.field]
+            mine[act.part] = mine[act.part] + change if act.field in ADDED else mine[act.part] * change
+        each = {name: values.T.tolist() for name, values in fields.items()}
+        single = [name for name, values in fields.items() if len(values) == 1 and self._parts(name) == 1]
+        out = []
+        for k, label in enumerate(labels):
+            values: dict[str, Any] = {name: rows[k][0] if name in single else rows[k] for name, rows in each.items()}
+            out.append(Dispersion(**values, label=label))
+        return out
+
+    def _parts(self, field: str) -> int:
+        return _parts_of(field, self.node)
+
+
+Deviations = OfSpread | OfCampaign
+Described = Spread | LoadedCampaign
+
+
+@cached_by_identity
+def deviations_of(described: Described, node: Node) -> Deviations:
+    """Return the deviations of a description at a node. Raises ScenarioError for a campaign that cannot be read."""
+    if isinstance(described, Spread) and described.campaign is not None:
+        described = _loaded(described)
+    return OfCampaign(described, node) if isinstance(described, LoadedCampaign) else OfSpread(described, node)
+
+
+def told_of(described: Described) -> object:
+    """Return a description as plain data, by which results are kept."""
+    return description_of(described) if isinstance(described, LoadedCampaign) else told(described)
+
+
+def _parts_of(field: str, node: Node) -> int:
+    sizes, engine = node.held.sizes, node.held.vehicle["engine"]
+    if field.startswith("bending"):
+        return len(node.vehicle.omega_radps)
+    if field.startswith("slosh"):
+        return len(node.held.swing_rad)
+    many = {"thrust": int(np.sum(engine["parts"][0] > 0.0)), "inertia": 2}
+    many |= {"mass_flow": many["thrust"], "actuator_sections": SECTIONS * (1 + int(sizes.further_groups))}
+    return many.get(field, 1)
+
+
+def _key_in_stage(key: str, stage: Stage, number: int) -> str | None:
+    """Return a key path of the scenario as a key of a stage; None where it is none of this stage's."""
+    prefix = f"vehicle.stage.{number}."
+    if key.startswith(prefix):
+        return key.removeprefix(prefix)
+    name = key.removeprefix("vehicle.computer.")
+    own = stage.computer is not None and getattr(stage.computer, name, None) is not None
+    return None if name == key or own else f"computer.{name}"
+
+
+def _rule_of(key: str) -> Rule | None:
+    pattern = re.sub(r"\.\d+", ".#", key)
+    return RULES.get(pattern) or RULES.get(_ACTUATOR.sub(_OF_ONE, pattern))
+
+
+def _acts(draw: Draw, n: int, target: Target, key: str, stage: Stage, node: Node) -> Iterator[Act]:
+    """Yield the changes by the target of a draw; nothing where `RULES` has none, or not for such a draw."""
+    rule = _rule_of(key)
+    if rule is None or node.plane not in rule.planes:
+        return
+    field, numbers, whole = rule.field, [int(part) for part in re.findall(r"\.(\d+)", key)], target.kind == "column"
+    apply = draw.spec.apply
+    if field == "mass" and whole and apply == "add":
+        field = "mass_kg"
+    if whole and (apply != "add" if field in ADDED else apply != "scale"):
+        return
+    if not whole and field not in ADDED and not target.nominal > 0.0:
+        return
+    for index in _indices(key, numbers, stage, node):
+        if index < _parts_of(field, node):
+            yield Act(draw, n, field, index, rule.power, whole)
+
+
+def _indices(key: str, numbers: list[int], stage: Stage, node: Node) -> Sequence[int]:
+    """Return the parts of a field that a key of a stage names."""
+    part = key.partition(".")[0]
+    spatial = int(node.held.sizes.spatial_modes)
+    if part == "bending":
+        return [spatial + numbers[0]]
+    if part == "spatial_modes":
+        return [numbers[0]] if numbers[0] < spatial else []
+    if part == "tank":
+        return _pendulums_of(stage, numbers[0], key)
+    if part == "engine":
+        return [numbers[0] if numbers else 0]
+    if part == "actuator":
+        return _sections(key, numbers, stage, node)
+    return [int(key == "mass.table.Izz_kgm2")]
+
+
+def _sections(key: str, numbers: list[int], stage: Stage, node: Node) -> list[int]:
+    """Return the parts of `actuator_sections` in the node's plane that a key of the actuators names."""
+    several = isinstance(stage.actuator, tuple)
+    given = stage.actuator[numbers[0]] if isinstance(stage.actuator, tuple) else stage.actuator
+    assert given is not None
+    section = numbers[-1]
+    of_yaw = given.yaw is not None and getattr(given.yaw, "omega_hz" if ".omega_hz." in key else "zeta") is not None
+    if of_yaw and ".yaw." not in key and node.plane == "yaw":
+        return []
+    if given.axes[node.plane == "yaw"].exchange_a3_a4 and section >= 2:
+        section = 5 - section
+    section += 4 if ".zeta." in key else 0
+    groups = range(len(stage.engine_groups)) if not several else [stage.engine_groups.index(given.group or "")]
+    return [SECTIONS * group + section for group in groups]
+
+
+def _pendulums_of(stage: Stage, tank: int, key: str) -> list[int]:
+    """Return the pendulums of a tank that a key changes: all of its modes, or one that has a damping of its own."""
+    first = sum(each.pendulums for each in stage.tank[:tank])
+    mine = list(range(first, first + stage.tank[tank].pendulums))
+    if key.endswith("second_damping_ratio"):
+        return mine[1:]
+    own = key.endswith("damping_ratio") and stage.tank[tank].second_damping_ratio is not None
+    return mine[:1] if own else mine

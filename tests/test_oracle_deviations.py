@@ -1,0 +1,313 @@
+"""Vehicle N of a margin sweep is run N of its campaign: the same numbers, and the same vehicle as when it is packed.
+
+The other way is the campaign's own: the scenario of the run is rebuilt, checked and packed, and the packed stage held
+at the clock of the node.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from maxq.control.kernel.records import Array
+from maxq.design import api
+from maxq.design.laws.pd import Pd
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import Loop
+from maxq.design.margins.dispersed import ManyLoops
+from maxq.design.margins.many import DONE
+from maxq.design.margins.measure import margins
+from maxq.design.model.deviations import OfCampaign, deviations_of
+from maxq.design.model.dispersion import Dispersion, deviated, stacked
+from maxq.design.model.held import HeldStage, hold_stage
+from maxq.design.model.instruments import Instruments, instruments_of
+from maxq.design.model.node import Node, disperse
+from maxq.design.model.spread import Spread
+from maxq.design.verify.flown import load_wanted
+from maxq.design.verify.linear import vehicles
+from maxq.design.verify.memory import Memory
+from maxq.design.verify.suite import LinearMargins, read_suite
+from maxq.design.verify.verify import _Job
+from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq.sim.packing.flight import pack_flight
+from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle import schedule
+
+RUNS = 21
+CAMPAIGNS = ("campaigns/first", "campaigns/ksr3", "campaigns/ksr3-ringed", "campaigns/ksr3-months")
+AT_A_ROW_S, BETWEEN_ROWS_S = 35.0, 45.3
+DELAY, DAMPING = "vehicle.computer.delay_s", "vehicle.stage.0.bending.damping_ratio.0"
+UNREAD = ("environment", "computer", "timeline", "actuator_pitch", "actuator_yaw", "further_actuators", "offset")
+"""Parts of a record that the linear model does not read at a node, and where the pool holds its tables."""
+
+
+@cache
+def loaded(name: str) -> LoadedCampaign:
+    return load_campaign(name)
+
+
+@cache
+def node_of_campaign(name: str, time_s: float, plane: Any = "pitch") -> Node:
+    return api.nodes(loaded(name).base, [time_s], plane=plane)[0]
+
+
+def packed_as_flown(campaign: LoadedCampaign, run: int, node: Node) -> tuple[HeldStage, Instruments]:
+    """The stage of a node in the scenario of a run, packed as the campaign packs it."""
+    packed = pack_flight(campaign.scenario_of(run).scenario)
+    held = hold_stage(packed, float(node.held.parameters[0].timeline.frozen_s), node.stage)
+    there = dataclasses.replace(held, swing_rad=node.held.swing_rad)
+    return there, instruments_of(packed.parameters[node.stage], node.plane)
+
+
+def differing(a: Any, b: Any, path: str = "") -> list[str]:
+    """Fields of two records in which they differ by more than rounding."""
+    if a.dtype.names is None:
+        return [] if np.allclose(a, b, rtol=1e-12, atol=0.0, equal_nan=True) else [path]
+    names = (name for name in a.dtype.names if name not in UNREAD)
+    return [field for name in names for field in differing(a[name], b[name], f"{path}.{name}")]
+
+
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_a_drawn_record_is_that_of_the_packed_scenario(name: str) -> None:
+    """Runs 0 to 20: parameters and instruments to rounding, properties too at the rows of the tables.
+
+    Between rows packing joins the cores of the rows, and the sweep takes the bobs out of what is joined: 1e-7 of mass,
+    CG and inertia (1e-4 of the millimetres by which the CG is off the axis). Rates of the core, which jet damping alone
+    reads, are differences: 1e-4 of those along the axis.
+    """
+    campaign = loaded(name)
+    for time_s, core in ((AT_A_ROW_S, 1e-12), (BETWEEN_ROWS_S, 2e-7)):
+        node = node_of_campaign(name, time_s)
+        deviations = deviations_of(campaign, node)
+        assert deviations.left_out == ()
+        every = deviations.drawn(range(RUNS), 0)
+        found = deviated(node.held, node.plane, stacked(every), RUNS)
+        for run in range(RUNS):
+            held, instruments = packed_as_flown(campaign, run, node)
+            assert differing(held.parameters, found.parameters[run : run + 1]) == []
+            theirs, ours = held.properties[0], found.properties[run]
+            rates = [*range(schedule.CG_RATE, schedule.TOTAL_MASS)]
+            rates += [schedule.tank_column(k) + schedule.TANK_TRAVEL for k in range(len(held.swing_rad))]
+            along = np.isin(np.arange(len(ours)), [schedule.CG_RATE, *range(13, 16), *rates[9:]])
+            off_axis = np.isin(np.arange(len(ours)), [2, 3, 7, 8, 9])  # of the core's CG and products of inertia
+            rest = ~np.isin(np.arange(len(ours)), rates) & ~off_axis
+            np.testing.assert_allclose(ours[rest], theirs[rest], rtol=core)
+            np.testing.assert_allclose(ours[off_axis], theirs[off_axis], rtol=500.0 * core, atol=1e-12)
+            np.testing.assert_allclose(ours[along], theirs[along], rtol=1e-4)
+            moved = disperse(node, every[run]).instruments
+            assert moved.delay_s == pytest.approx(instruments.delay_s, rel=1e-12)
+            for a, b in zip(moved.actuators, instruments.actuators, strict=True):
+                assert dataclasses.astuple(a)[:8] == pytest.approx(dataclasses.astuple(b)[:8], rel=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plane", ["pitch", "yaw"])
+def test_the_loop_of_a_vehicle_is_that_of_its_run(plane: Any) -> None:
+    """From 0.05 Hz to 45 Hz to 1e-4 dB, and its least distance from -1 as the sweep of many measures it."""
+    campaign, design = loaded("campaigns/ksr3"), api.load_design("designs/ksr3-robust")
+    node = node_of_campaign("campaigns/ksr3", BETWEEN_ROWS_S, plane)
+    every, hz = deviations_of(campaign, node).drawn(range(8), 0), np.geomspace(0.05, 45.0, 200)
+    law = api.law_at(design, node)
+    values, status = ManyLoops(node, law).measure(every, -6.0)
+    for run, by in enumerate(every):
+        held, instruments = packed_as_flown(campaign, run, node)
+        flown = Loop(fixed_path(dataclasses.replace(node, held=held, instruments=instruments)), law)
+        here = Loop(fixed_path(disperse(node, by)), law)
+        apart_db = 20.0 * np.log10(np.abs(flown.response(hz) / here.response(hz)))
+        assert np.abs(apart_db).max() < 1e-4
+        assert status[run] == DONE
+        assert values["distance"][run, 0] == pytest.approx(margins(flown).modulus, abs=1e-5)
+
+
+def test_draws_are_the_campaigns_own_numbers() -> None:
+    """Of 2,000 vehicles, and of any of them alone; the delay is uniform and the damping triangular, as it is flown."""
+    campaign, node = loaded("campaigns/ksr3"), node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
+    drawn, every = campaign.plan.draw(0, 2000).draws, deviations_of(campaign, node).drawn(range(2000), 0)
+    delay_s = np.array([by.delay_s for by in every]) + node.instruments.delay_s
+    np.testing.assert_allclose(delay_s, np.rint(1e9 * drawn[DELAY]) / 1e9, rtol=0.0, atol=1e-15)
+    assert 1e3 * delay_s.std() == pytest.approx(1.44, abs=0.03)  # 5 ms over the root of twelve; known to 1.6 %
+    assert stats.kstest(delay_s, stats.uniform(0.0, 0.005).cdf).pvalue > 0.01
+    damping = 0.005 * np.array([by.bending_damping for by in every])
+    np.testing.assert_allclose(damping[:, 0], drawn[DAMPING], rtol=1e-12)
+    triangle = stats.triang(1.0 / 3.0, 0.0025, 0.0075)
+    assert min(stats.kstest(damping[:, k], triangle.cdf).pvalue for k in range(3)) > 0.01
+    waves = np.log([by.slosh_damping_ratio for by in every])
+    assert waves.std(axis=0) == pytest.approx([np.log(2.0) / 3.0] * 2, rel=0.05)
+    shapes = np.array([by.bending_shape for by in every])
+    assert shapes.std(axis=0) == pytest.approx([0.2 / 3.0] * 3, rel=0.05)
+    alone = vehicles(LinearMargins(cases=5, only="vehicle 417", corner_sigmas=0.0), node, campaign)[1]
+    assert alone == [every[417]]
+    assert campaign.scenario_of(417).scenario.vehicle.computer.delay_s == pytest.approx(delay_s[417], abs=1e-12)  # type: ignore[union-attr]
+
+
+def test_another_seed_and_sampling_are_followed() -> None:
+    node = node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
+    for changes in ({"seed": 5}, {"sampling": "latin-hypercube", "stratum": 50}, {"sampling": "sobol"}):
+        campaign = loaded("campaigns/ksr3").with_campaign(**changes)
+        every = deviations_of(campaign, node).drawn(range(7, 11), 0)
+        wanted = [campaign.inputs(run).recorded[DELAY] for run in range(7, 11)]
+        found = [by.delay_s + node.instruments.delay_s for by in every]
+        assert found == pytest.approx(wanted, abs=1e-12)
+        assert [by.label for by in every] == [f"vehicle {run}" for run in range(7, 11)]
+
+
+def by_name(deviations: OfCampaign, name: str, sigmas: float) -> Dispersion:
+    """The vehicle with one deviation alone."""
+    u = np.zeros(len(deviations.places))
+    u[deviations.places.index((name, -1))] = sigmas / 3.0
+    return deviations.at(u)
+
+
+def test_k_sigma_of_a_draw_is_the_quantile_of_its_distribution() -> None:
+    """SciPy's quantiles at the probability of k sigma of a normal quantity: none passes its bound."""
+    deviations = deviations_of(loaded("campaigns/ksr3"), node_of_campaign("campaigns/ksr3", AT_A_ROW_S))
+    assert isinstance(deviations, OfCampaign)
+    triangle = stats.triang(1.0 / 3.0, 0.0025, 0.0075)
+    for k in (-6.0, -3.0, -1.5, 0.0, 2.0, 3.0, 6.0):
+        p = stats.norm.cdf(k)
+        assert by_name(deviations, "compute delay", k).delay_s == pytest.approx(0.005 * p - 0.003, abs=1e-9)
+        damping: Any = by_name(deviations, "bending damping 2", k).bending_damping
+        assert 0.005 * damping[1] == pytest.approx(triangle.ppf(p), rel=1e-9)
+        waves: Any = by_name(deviations, "slosh damping, lox", k).slosh_damping_ratio
+        assert waves[0] == pytest.approx(2.0 ** (k / 3.0), rel=1e-4)
+        mass: Any = by_name(deviations, "slosh mass, lox", k).slosh_mass
+        assert mass[0] == pytest.approx(1.0 + 0.1 * k / 3.0, rel=1e-9)
+    assert by_name(deviations, "compute delay", 1.5).delay_s == pytest.approx(0.0025 * (1.0 + 0.866) - 0.003, abs=2e-6)
+
+
+def test_the_scenario_of_scores_flies_that_vehicle() -> None:
+    """Draws of many kinds at once: packed, it is the vehicle that the search has measured."""
+    campaign, node = loaded("campaigns/ksr3"), node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
+    deviations = deviations_of(campaign, node)
+    u = np.random.default_rng(4).normal(size=len(deviations.places)) / 3.0
+    scenario, missing = deviations.scenario(campaign.base, u)
+    assert missing == []
+    held = hold_stage(pack_flight(scenario.scenario), float(node.held.parameters[0].timeline.frozen_s))
+    found = deviated(node.held, node.plane, deviations.at(u))
+    assert differing(held.parameters, found.parameters) == []
+    bobs = [schedule.tank_column(k) + c for k in range(2) for c in (schedule.TANK_MASS, schedule.TANK_LENGTH)]
+    for column in (schedule.CORE_MASS, schedule.CORE_CG, 5, 6, schedule.TOTAL_MASS, *bobs):
+        assert found.properties[0, column] == pytest.approx(held.properties[0, column], rel=1e-12)
+
+
+OWN = """\
+extends = "nominal.toml"
+[campaign]
+runs = 200
+[[disperse]]
+keys = [
+    "vehicle.stage.0.tank.0.mass_factor", "vehicle.stage.0.tank.1.mass_factor", "vehicle.stage.0.tank.0.length_factor",
+]
+distribution = "normal"
+covariance = [[4e-4, 2.4e-4, -1e-4], [2.4e-4, 9e-4, 0.0], [-1e-4, 0.0, 4e-4]]
+[[disperse]]
+key = "vehicle.stage.0.actuator.zeta.*"
+apply = "scale"
+distribution = "uniform"
+low = 0.8
+high = 1.2
+[[disperse]]
+key = "vehicle.stage.0.engine.gimballed_mass_kg"
+apply = "scale"
+distribution = "normal"
+sigma = 0.01
+[[disperse]]
+key = "vehicle.stage.0.gyro.scale_factor.1"
+distribution = "normal"
+sigma = 0.001
+"""
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    path = tmp_path / "own.toml"
+    path.write_text(OWN)
+    return path
+
+
+def test_deviations_that_go_together_and_those_that_are_not_followed(own: Path) -> None:
+    """Scores are independent, the covariance is the campaign's; a draw that no rule follows is named."""
+    campaign = load_campaign(own)
+    node = api.nodes(campaign.base, [AT_A_ROW_S])[0]
+    deviations = deviations_of(campaign, node)
+    assert deviations.left_out == ("vehicle.stage.0.engine.gimballed_mass_kg",)
+    assert [field for field in deviations.fields if field.startswith("act")] == ["actuator_sections"] * 4
+    scores = np.random.default_rng(1).normal(size=(4000, len(deviations.places))) / 3.0
+    every = deviations.of_scores(list(scores))
+    mass = np.array([by.slosh_mass for by in every])
+    length = np.array([by.slosh_frequency for by in every])[:, 0] ** -2.0
+    found = np.cov(np.column_stack([mass, length]).T)
+    np.testing.assert_allclose(found, [[4e-4, 2.4e-4, -1e-4], [2.4e-4, 9e-4, 0.0], [-1e-4, 0.0, 4e-4]], atol=4e-5)
+    held = packed_as_flown(campaign, 3, node)[1]
+    moved = disperse(node, deviations.drawn(range(3, 4), 0)[0]).instruments
+    assert dataclasses.astuple(moved.actuator)[:8] == pytest.approx(dataclasses.astuple(held.actuator)[:8], rel=1e-12)
+
+
+def test_a_suite_takes_the_draws_of_its_campaign(own: Path, tmp_path: Path) -> None:
+    """`campaign` of [margins.three_sigma] is looked for beside the suite, and takes no other number beside it."""
+    suite = tmp_path / "suite.toml"
+    suite.write_text('schema = 1\n[margins.three_sigma]\ncampaign = "own"\n')
+    wanted = read_suite(suite).suite.margins
+    assert wanted is not None
+    node = api.nodes(load_campaign(own).base, [AT_A_ROW_S])[0]
+    found = vehicles(wanted.model_copy(update={"cases": 3, "corner_sigmas": 0.0}), node)[1]
+    assert found == deviations_of(load_campaign(own), node).drawn(range(3), 0)
+    suite.write_text('schema = 1\n[margins.three_sigma]\ncampaign = "own"\nthrust = 0.1\n')
+    with pytest.raises(ScenarioError, match=r"three_sigma.thrust.*cannot be combined with campaign"):
+        read_suite(suite)
+
+
+def test_corners_hold_all_deviations_of_a_factor_together() -> None:
+    """24 corners of a Plackett-Burman design; every draw of the shipped campaign that a loop feels has its factor."""
+    node = node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
+    corners, _ = vehicles(LinearMargins(cases=0, corner_sigmas=1.5), node, loaded("campaigns/ksr3"))
+    assert len(corners) == 24
+    shapes: Any = [by.bending_shape for by in corners]
+    assert {tuple(np.round(shape, 9)) for shape in shapes} == {(0.9,) * 3, (1.1,) * 3}
+    ends = 0.005 * stats.norm.cdf([-1.5, 1.5]) - 0.003
+    assert sorted({round(by.delay_s, 9) for by in corners}) == pytest.approx(ends, abs=1e-9)
+
+
+def test_vehicles_of_a_spread_are_normal_as_before() -> None:
+    node = node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
+    every = deviations_of(Spread(thrust=0.3), node).drawn(range(900), 3)
+    thrust: Array = np.array([by.thrust for by in every])
+    assert thrust.std() == pytest.approx(0.1, rel=0.1)
+    assert ManyLoops(node, Pd(0.9, 0.4)).measure(every[:3], -6.0)[1].tolist() == [DONE] * 3
+
+
+FLIES_FIRST = '[{file="campaigns/first"}]'
+
+
+@pytest.mark.parametrize(
+    ("given", "campaigns", "said"),
+    [
+        ("", FLIES_FIRST, "draws of campaign first, vehicle N is its run N"),
+        ("three_sigma={thrust=0.05}", FLIES_FIRST,
+         "normal deviations of [margins.three_sigma], not draws of campaign first"),
+        ("three_sigma={thrust=0.05}", "[]", "normal deviations of [margins.three_sigma], the suite has no campaign"),
+        ("three_sigma={campaign='{own}'}", FLIES_FIRST,
+         "draws of campaign own, vehicle N is its run N; not of campaign first, which the suite flies; "
+         "without vehicle.stage.0.engine.gimballed_mass_kg"),
+    ],
+)  # fmt: skip  # texts as they are printed
+def test_a_verification_says_which_description_its_vehicles_have(
+    given: str, campaigns: str, said: str, own: Path
+) -> None:
+    changes = [f"margins.{given.replace('{own}', str(own))}"] if given else []
+    small = ["margins.times_s=[35.0]", "margins.planes=['pitch']", "margins.between_nodes='ignore'"]
+    read = read_suite("quick", [*small, "margins.cases=5", f"campaign={campaigns}", *changes])
+    flies = [load_wanted(read, wanted, "designs/ksr3-default.toml", None) for wanted in read.suite.campaign]
+    scenario = load_scenario("nominal", ["design='designs/ksr3-default.toml'"])
+    job = _Job(
+        read.suite, scenario, scenario.design, scenario, Memory(None), lambda *_: None, 1, next(iter(flies), None)
+    )
+    assert job.deviations == f"dispersed vehicles: {said}"
+    assert [d.label for d in vehicles(read.suite.margins, job.nodes("pitch")[0], job.described)[1]][-1] == "vehicle 4"  # type: ignore[arg-type]
