@@ -91,7 +91,10 @@ def test_file_and_report_name_them(
     assert capsys.readouterr().out.splitlines()[-1] == f"INTERRUPTED: the best so far is kept; {SAID}"
     text = (tmp_path / "design.toml").read_text()
     head = [line for line in text.splitlines() if line.startswith("#")]
-    assert head[-1] == f"# INTERRUPTED: the best so far; {SAID}."
+    assert f"# INTERRUPTED: the best so far; {SAID}." in head
+    between = "between the operating points, where no limit was checked"
+    assert f"# not covered: stage 2 (second), 140 to 142 s: {between}" in head
+    assert head[-1] == "# not covered: stage 3 (second, fairing off), 163.4 to 465 s: under thrust, no operating point"
     assert "All limits of the case are met" not in text
     told = json.loads((tmp_path / "design.json").read_text())
     assert (told["feasible"], told["not_designed"]) == (False, [3])

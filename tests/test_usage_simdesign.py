@@ -52,8 +52,18 @@ def test_a_case_leaves_a_design_that_flies(capsys: Printed) -> None:
     assert lines[-2] == "  simrun nominal --set design=out/design.toml"
     assert sum("  met  " in line for line in lines) == 14, "seven limits, of the case's loop and as flown"
     assert sum(line.split()[1:2] == ["pass"] for line in lines) == 2
+    at = lines.index("not covered by operating points")
+    gaps = [
+        "0.1069 to 10 s: under thrust, before the first operating point",
+        "10 to 40 s: between the operating points, where no limit was checked",
+        "40 to 59.09 s: under thrust, after the last operating point",
+        "59.09 to 59.29 s: tail-off, with less than half of the largest thrust",
+    ]
+    assert lines[at + 1 : at + 5] == [f"  {gap}" for gap in gaps]
+    assert [f"{one['begin_s']:.4g} to {one['end_s']:.4g} s: {one['why']}" for one in record()["not_covered"]] == gaps
     assert sorted(path.name for path in Path("out").iterdir()) == ["design.json", "design.toml"]
     text = Path("out/design.toml").read_text()
+    assert [line for line in text.splitlines() if line.startswith("# not")] == [f"# not covered: {gap}" for gap in gaps]
     assert text.startswith(
         "# Written by simdesign for the case ksr3-relaxed (F2, linear gains).\n# All limits of the case are met.\n"
     )

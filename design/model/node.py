@@ -278,7 +278,7 @@ def node_times(
     for span in powered_spans(scenario):
         mine = stages[span.stage]
         if stage in (None, span.stage) and any(engine.gimbal != "fixed" for engine in mine.engines):
-            full = _full_thrust(mine, burns[span.stage])
+            full = full_thrust(mine, burns[span.stage])
             begin, end = max(span.begin_s, full[0]), min(span.end_s, full[1])
             first, last = begin + edges[0] * (end - begin), end - edges[1] * (end - begin)
             chosen = np.linspace(first, last, count) if count > 1 else [0.5 * (first + last)]
@@ -289,8 +289,8 @@ def node_times(
     return tuple(times)
 
 
-def _full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
-    """First and last instant on the vehicle clock of half the largest thrust by the tables."""
+def full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
+    """Return the first and last instant on the vehicle clock of half the largest thrust by the tables."""
     tables = [engine.table for engine in stage.engines]
     if any(len(table) == 1 for table in tables):
         return -math.inf, math.inf

@@ -23,6 +23,7 @@ from maxq.design.optimise.search import Progress
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, nominal_plants, solve
 from maxq.design.verify.judging import Outcome, judge_solution, make_design
+from maxq.design.verify.uncovered import Uncovered, uncovered
 from maxq.design.verify.verify import stage_name
 from maxq.sim.run.flight import Event
 from maxq.sim.scenario.loader import LoadedScenario
@@ -69,7 +70,7 @@ class CaseDesign:
     """The design of a case, and how each stage is judged along the design's own flight.
 
     `loss`: of that flight; None if it is held. `stages` and `plants`: of all stages with operating points, whether
-    they were designed before an interruption or not.
+    they were designed before an interruption or not. `uncovered`: intervals of that flight without operating points.
     """
 
     design: Design
@@ -79,6 +80,7 @@ class CaseDesign:
     rounds: tuple[Round, ...]
     loss: Event | None
     interrupted: bool
+    uncovered: tuple[Uncovered, ...]
 
     @property
     def feasible(self) -> bool:
@@ -154,7 +156,7 @@ def design_case(
         stages, plants = _problems(loaded, flight, loss)
     return CaseDesign(
         judged.design, tuple(judged.by_stage.values()), tuple(stages), tuple(plants), tuple(rounds), judged.loss,
-        interrupted,
+        interrupted, _uncovered(judged, loaded),
     )  # fmt: skip  # two more lines otherwise
 
 
@@ -201,6 +203,18 @@ def _judged(
             by_stage[n] = judge_solution(own, solution, design), solution
     missed = [n for n, (outcome, _) in by_stage.items() if not outcome.feasible]
     return _Judged(make_design(loaded, *found.values(), missed=missed), flight, loss, by_stage)
+
+
+def _uncovered(judged: _Judged, loaded: LoadedCase) -> tuple[Uncovered, ...]:
+    """Return the intervals of the design's flight at which its limits were not checked."""
+    points_s = {n: sorted({node.time_s for node in s.nodes}) for n, (_, s) in judged.by_stage.items()}
+    between = [
+        Uncovered(n, points_s[n][0], points_s[n][-1], "between the operating points, where no limit was checked")
+        for n, (_, solution) in judged.by_stage.items()
+        if solution.certificate.instants == 0 and len(points_s[n]) > 1
+    ]
+    found = [*between, *uncovered(judged.flight, points_s, loaded.case.plane)]
+    return tuple(sorted(found, key=lambda one: one.begin_s))
 
 
 def along(loaded: LoadedCase, solution: Solution) -> Solution:

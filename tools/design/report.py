@@ -24,6 +24,7 @@ from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import RigidBody
 from maxq.design.verify.judging import Check, Judged, Outcome
 from maxq.design.verify.own_flight import CaseDesign
+from maxq.design.verify.verify import stage_name
 from maxq.sim.files import write_whole
 from maxq.sim.flight.metric_table import figures
 from maxq.sim.run.flight import Event
@@ -156,7 +157,14 @@ def comments(made: CaseDesign) -> list[str]:
         lines.append(f"INTERRUPTED: the best so far; {made.claim}.")
     elif made.loss is not None:
         lines.append(f"LOST: the flight of this design is lost ({loss_text(made.loss)}); {made.claim}.")
-    return lines
+    return [*lines, *(f"not covered: {line}" for line in uncovered_lines(made))]
+
+
+def uncovered_lines(made: CaseDesign) -> list[str]:
+    """Return the intervals of the design's flight without operating points, a line each, with the name of the stage."""
+    vehicle = made.results[0][0].loaded.scenario.vehicle
+    names = [stage_name(vehicle, one.stage) for one in made.uncovered]
+    return [f"{f'{name}, ' if name else ''}{one.text}" for name, one in zip(names, made.uncovered, strict=True)]
 
 
 # tables

@@ -1,0 +1,121 @@
+"""Intervals of a flight that have no operating points: the report of a design names them.
+
+Under thrust these are the times before the first operating point of a stage and after its last, the tail-off in which
+the thrust decays, and stages without any. Without thrust they are the coasts in which the airframe is unstable: no
+gimbal can hold it there, and a disturbance grows by exp(integral of sqrt(M_alpha) dt), with M_alpha the restoring
+derivative of the rigid body along the flight; damping by the air is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from maxq.design.model.instruments import Plane
+from maxq.design.model.node import Span, flown_run, full_thrust, loss_of, node_of, powered_flight
+from maxq.sim.run.fly import FlightRun
+from maxq.sim.scenario.burn import stage_burns
+from maxq.sim.scenario.loader import LoadedScenario
+
+BRIEF_S = 1e-6  # intervals that are shorter are not named
+COAST_STEP_S = 0.1  # between the instants at which a coast to the next burn is examined
+LAST_STEP_S = 1.0  # likewise of the coast after the last burnout
+MOST_INSTANTS = 300  # of a coast
+GROWS = 2.0  # by this factor at least a disturbance grows in a coast that is named
+ENDS = ("apogee", "impact")  # events after which a coast is not examined
+
+
+@dataclass(frozen=True)
+class Uncovered:
+    """An interval, s on the vehicle clock, of a stage, from 0, and the reason for which it has no operating points."""
+
+    stage: int
+    begin_s: float
+    end_s: float
+    why: str
+
+    @property
+    def text(self) -> str:
+        """One line for people."""
+        return f"{self.begin_s:.4g} to {self.end_s:.4g} s: {self.why}"
+
+
+def uncovered(
+    flight: LoadedScenario, points_s: Mapping[int, Sequence[float]], plane: Plane = "pitch"
+) -> tuple[Uncovered, ...]:
+    """Return the intervals of a flight up to its loss that the operating points of its stages leave out.
+
+    `points_s`: times of the operating points by stage, from 0.
+    """
+    spans, loss = powered_flight(flight)
+    burns = stage_burns(flight.vehicle.stage, ())
+    found: list[Uncovered] = []
+    for span in spans:
+        full_end_s = full_thrust(flight.vehicle.stage[span.stage], burns[span.stage])[1]
+        found += _of_span(span, sorted(points_s.get(span.stage, ())), full_end_s)
+    if loss is None:
+        found += _unstable_coasts(flight, spans, plane)
+    return tuple(sorted(found, key=lambda each: each.begin_s))
+
+
+def _of_span(span: Span, points_s: Sequence[float], full_end_s: float) -> list[Uncovered]:
+    if not points_s:
+        return [Uncovered(span.stage, span.begin_s, span.end_s, "under thrust, no operating point")]
+    last_s, tail_s = points_s[-1], min(max(full_end_s, points_s[-1]), span.end_s)
+    parts = (
+        (span.begin_s, points_s[0], "under thrust, before the first operating point"),
+        (last_s, tail_s, "under thrust, after the last operating point"),
+        (tail_s, span.end_s, "tail-off, with less than half of the largest thrust"),
+    )
+    return [Uncovered(span.stage, *part) for part in parts if part[1] - part[0] > BRIEF_S]
+
+
+def _unstable_coasts(flight: LoadedScenario, spans: Sequence[Span], plane: Plane) -> list[Uncovered]:
+    """Return the stretches of coasts, up to apogee, in which the airframe is unstable."""
+    ends = [(span.end_s, after.begin_s) for span, after in pairwise(spans)]
+    coasts = [(a, b) for a, b in ends if b - a > COAST_STEP_S]
+    if spans:
+        coasts.append((spans[-1].end_s, math.inf))
+    run, out = flown_run(flight, faults=False), list[Uncovered]()
+    for begin_s, end_s in coasts:
+        times_s, m_alpha, stage = list[float](), list[float](), 0
+        step_s = LAST_STEP_S if math.isinf(end_s) else max(COAST_STEP_S, (end_s - begin_s) / (MOST_INSTANTS - 1))
+        for time_s in (min(begin_s + k * step_s, end_s - BRIEF_S) for k in range(MOST_INSTANTS)):
+            if (times_s and time_s <= times_s[-1]) or not _flies_to(run, time_s):
+                break
+            stage = int(run.memory.clock.stage)
+            node = node_of(run.packed, run.now_s, stage, plane)
+            times_s.append(run.now_s)
+            m_alpha.append(node.derivatives.m_alpha_1ps2 if node.condition.airspeed_mps > 0.0 else 0.0)
+        out += _unstable_parts(np.array(times_s), np.array(m_alpha), stage)
+    return out
+
+
+def _flies_to(run: FlightRun, time_s: float) -> bool:
+    """Fly on to the step nearest to a time; return False where the flight, or what is examined of it, has ended."""
+    step_ns = int(run.packed.parameters[0].timeline.step_ns)
+    at_ns = round(time_s * 1e9 / step_ns) * step_ns
+    while not run.finished and round(run.now_s * 1e9) < at_ns:
+        run.fly_segment(at_ns)
+    over = run.finished or loss_of(run.events) is not None
+    return not over and not any(event.name in ENDS for event in run.events)
+
+
+def _unstable_parts(times_s: np.ndarray, m_alpha: np.ndarray, stage: int) -> list[Uncovered]:
+    """Return the runs of instants with M_alpha > 0 in which a disturbance grows by `GROWS` or more."""
+    out = []
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], m_alpha > 0.0, [False]]).astype(int)))
+    for first, after in zip(edges[::2], edges[1::2], strict=True):
+        mine, rates = times_s[first:after], np.sqrt(m_alpha[first:after])
+        growth = math.exp(float(np.trapezoid(rates, mine)))
+        if growth >= GROWS:
+            why = (
+                f"coast, the airframe is unstable (M_alpha up to {float(rates.max()) ** 2:.3g} 1/s2, a disturbance "
+                f"grows {growth:.3g} times) and no gimbal can hold it"
+            )
+            out.append(Uncovered(stage, float(mine[0]), float(mine[-1]), why))
+    return out
