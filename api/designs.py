@@ -75,7 +75,7 @@ def bode(design: str | Path, time_s: float, scenario: str | Path = "nominal", pl
     found = api.load_design(design_path(str(design)), flown)
     judged: Sequence[Judged] = judge(api.nodes(flown, [time_s], plane=plane), found)
     title = f"{flown.vehicle.name}: {found.name or design}"
-    return _drawn(judged[0], title, Wanted.of(found.limits))
+    return _drawn(judged[0], title, Wanted.stated_by(found))
 
 
 def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) -> Verification:

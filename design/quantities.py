@@ -55,6 +55,10 @@ class MeasuredLoop(Protocol):
     def rigid(self, body: RigidBody) -> tuple[float, float]:
         """Return frequency (Hz) and damping ratio of the rigid body's motion."""
 
+    @property
+    def integral_hz(self) -> float:
+        """The corner of the law's integral, Hz."""
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -173,6 +177,10 @@ def _declared(section: type[Section]) -> dict[str, Quantity]:
     return {key: marks[0] for key, marks in found.items() if marks}
 
 
+def _integral_hz(loop: MeasuredLoop, _: Convention) -> float:
+    return loop.integral_hz
+
+
 MEASURED = _declared(LoopLimits)
 """Quantities that the margins of a loop give, by key, in the order of reports."""
 SWEPT = (
@@ -184,8 +192,8 @@ QUANTITIES: dict[str, Quantity] = MEASURED | {
     "unstable_poles": Quantity("unstable poles", "unstable", "", "<="),
     "zone": Quantity("Nichols zone", "zone", "", ">="),
     "filter_gain_at_infinity": Quantity("|F(j inf)|", "|F(j inf)|", "", "<="),
-    "integral_hz": Quantity("least corner of the integral", "integral Hz", "Hz", ">="),
-    "most_integral_hz": Quantity("largest corner of the integral", "integral Hz", "Hz", "<="),
+    "integral_hz": Quantity("least corner of the integral", "integral Hz", "Hz", ">=", _integral_hz),
+    "most_integral_hz": Quantity("largest corner of the integral", "integral Hz", "Hz", "<=", _integral_hz),
     "q_alpha_Padeg": Quantity("load q alpha in wind, rms", "q alpha", "Pa deg", "<="),
     "drift_mps": Quantity("drift in wind, rms", "drift", "m/s", "<="),
     "bending_moment": Quantity("bending moment in wind, rms", "M", "N m", "<="),

@@ -79,7 +79,7 @@ table = "wind_model.csv"
 correlation_length_m = 3000.0
 """
 CASE = """\
-schema = 1
+schema = 2
 scenario = "ascent"
 nodes_s = [5.0, 30.0, 55.0]
 loop = "sampled"
@@ -102,7 +102,7 @@ bending_frequency = [0.05, 0.1]
 starts = 2
 """
 SUITE = """\
-schema = 1
+schema = 2
 scenario = "ascent.toml"
 wind_limit_mps = 20.0
 [margins]

@@ -13,7 +13,7 @@ from maxq.tools.vehicle.layout import read_layout
 
 LAYOUTS = Path(__file__).parent / "data" / "layouts"
 WEAK = """\
-schema = 1
+schema = 2
 name = "weak gains"
 
 [gains]

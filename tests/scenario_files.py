@@ -87,7 +87,7 @@ TABLES = {
 }
 
 DESIGN = """\
-schema = 1
+schema = 2
 name = "trial"
 [gains]
 table = [{time_s = 5.0, k_p = 1.2, k_d_s = 0.5}, {time_s = 55.0, k_p = 0.7, k_d_s = 0.3}]

@@ -188,7 +188,7 @@ def test_margin_at_half_the_sample_rate(tmp_path: Path) -> None:
     """Of two blended gyros, bounded at 50 Hz, where all samples of a sine that begins at one of them are 0: with such a
     burst 17.1 dB were measured in place of 9.6."""
     (tmp_path / "design.toml").write_text(
-        "schema = 1\n[gains]\ntable = [{time_s=57.9, k_p=0.407, k_d_s=0.246}]\n[blend]\npitch = [0.4192, 0.5808]\n"
+        "schema = 2\n[gains]\ntable = [{time_s=57.9, k_p=0.407, k_d_s=0.246}]\n[blend]\npitch = [0.4192, 0.5808]\n"
         "[filter]\nstructure = 'F4'\nprewarp_hz = 9.7\nquadratic = [{zero_hz=42.4, zero_zeta=0.1, pole_hz=12.94, "
         "pole_zeta=0.3}, {zero_hz=3.226, zero_zeta=0.739, pole_hz=7.19, pole_zeta=0.3}]\n"
     )

@@ -23,7 +23,7 @@ from maxq.design.verify.verify import Verification, verify
 from maxq.sim.scenario.files import builtin_files
 
 SUITE = """
-schema = 1
+schema = 2
 [margins]
 times_s = [20.0, 30.0, 40.0]
 cases = 4

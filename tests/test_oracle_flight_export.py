@@ -32,7 +32,7 @@ from maxq.tools import simdesign, simvehicle
 POWERED = ["run.duration_s=59", "requirement="]
 COMMANDS = ("gimbal_pitch_command_deg", "gimbal_yaw_command_deg")
 ODD = """
-schema = 1
+schema = 2
 name = "odd"
 [gains]
 table = [{time_s=2.0, k_p=1.1, k_d_s=0.47}, {time_s=20.0, k_p=0.9, k_d_s=0.45}, {time_s=50.0, k_p=0.7, k_d_s=0.37}]
@@ -47,7 +47,7 @@ first_order = [{zero_hz=9.0, pole_hz=9.5}, {zero_hz=8.0, pole_hz=8.2}, {zero_hz=
 discretization = "bilinear"
 """
 BARE = """
-schema = 1
+schema = 2
 name = "bare"
 [gains]
 table = [{time_s=5.0, k_p=1.1, k_d_s=0.47}]
@@ -55,7 +55,7 @@ yaw = "pitch"
 """
 
 PID = """
-schema = 1
+schema = 2
 name = "pid"
 law = "pid"
 [gains]
@@ -68,7 +68,7 @@ damper_gain_pdeg2s = 300.0
 high_pass_hz = 2.0
 """
 OVER = """
-schema = 1
+schema = 2
 [gains]
 table = [
     {dynamic_pressure_Pa=100.0, k_p=1.1, k_d_s=0.47}, {dynamic_pressure_Pa=20000.0, k_p=0.9, k_d_s=0.4},
@@ -76,7 +76,7 @@ table = [
 ]
 """
 RELIEF = """
-schema = 1
+schema = 2
 name = "relief"
 law = "load-relief"
 [gains]
@@ -90,7 +90,7 @@ yaw = [0.6, 0.4]
 
 
 INCIDENCE = """
-schema = 1
+schema = 2
 name = "relief by incidence"
 law = "incidence-relief"
 [gains]

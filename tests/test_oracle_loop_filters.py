@@ -317,7 +317,7 @@ def test_the_estimate_is_the_incidence_that_is_flown(tmp_path: Path) -> None:
         gains = f"k_p=1.0, k_d_s=0.45, k_alpha=0.1, percussion_m={lever_m}, accel_per_incidence_mps2={slope}"
         rows.append(f"{{time_s={node.time_s}, {gains}}}")
     text = (
-        f"schema = 1\nlaw = 'incidence-relief'\n[gains]\ntable = [{', '.join(rows)}]\n[load_relief]\ncorner_hz = 1.0\n"
+        f"schema = 2\nlaw = 'incidence-relief'\n[gains]\ntable = [{', '.join(rows)}]\n[load_relief]\ncorner_hz = 1.0\n"
     )
     (tmp_path / "d.toml").write_text(text)
     changes = ["run.duration_s=55", "requirement=", "wind.speed_mps=12.0", "wind.from_deg=200"]

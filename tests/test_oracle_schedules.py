@@ -40,7 +40,7 @@ K_P, K_D = [1.2, 0.9, 0.6], [0.5, 0.4, 0.3]
 def design(folder: Path, over: str) -> Path:
     rows = ", ".join(f"{{{over}={x}, k_p={p}, k_d_s={d}}}" for x, p, d in zip(ROWS[over], K_P, K_D, strict=True))
     path = folder / f"{over}.toml"
-    path.write_text(f"schema = 1\n[gains]\ntable = [{rows}]\n")
+    path.write_text(f"schema = 2\n[gains]\ntable = [{rows}]\n")
     return path
 
 

@@ -137,7 +137,7 @@ def test_a_sine_of_a_hundredth_of_a_hertz_neither_grows_nor_decays_on_its_bounda
 
 
 CASE = """
-schema = 1
+schema = 2
 scenario = "scenario.toml"
 nodes_per_stage = 2
 between_nodes = "ignore"

@@ -68,6 +68,6 @@ def test_it_meets_its_limits_in_both_planes() -> None:
         own = design.of_stage(stage)
         for plane in ("pitch", "yaw"):
             judged = judge(api.nodes(petrel.scenario(), times_s, plane=plane), own, "sampled")
-            for check in checks(judged, own, Wanted.of(own.limits)):
+            for check in checks(judged, own, Wanted.stated_by(design, stage)):
                 slack = check.values[check.worst] - check.limit
                 assert check.passed or abs(slack) < {"dB": 0.05, "deg": 0.3}.get(check.unit, 0.002), check.text

@@ -77,7 +77,7 @@ distribution = "normal"
 three_sigma = 0.03
 """
 SUITE = f"""\
-schema = 1
+schema = 2
 name = "{QUOTED} suite"
 scenario = "short.toml"
 [[flight]]

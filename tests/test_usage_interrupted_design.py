@@ -21,7 +21,7 @@ from maxq.tools import simdesign
 from maxq.tools.design import run_case
 
 STAGES = """
-schema = 1
+schema = 2
 scenario = "scenario.toml"
 nodes_s = [40.0, 42.0, 140.0, 142.0, 300.0, 302.0]
 gains = {schedule = "linear"}

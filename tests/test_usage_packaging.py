@@ -118,7 +118,8 @@ NAMES_ONE = {
     "tools/simvehicle.py": "examples in help", "tools/simverify.py": "examples in help",
 }  # fmt: skip  # a line each otherwise
 PAPER_MODE = {
-    "control/structures.py", "design/case/schema.py", "design/paper/errata_effects.py", "design/paper/errata.py",
+    "control/structures.py", "design/case/basis.py",
+    "design/case/schema.py", "design/paper/errata_effects.py", "design/paper/errata.py",
     "design/paper/model.py", "design/paper/nodes.py", "design/quantities.py",
     "design/verify/judging.py", "sim/scenario/schema_design.py",
     "sim/scenario/schema_stage.py", "sim/scenario/schema_vehicle.py", "tools/design/analyse.py",

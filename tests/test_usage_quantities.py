@@ -15,7 +15,8 @@ import math
 import pytest
 
 from maxq.design import api
-from maxq.design.case.schema import Limits, read_case
+from maxq.design.case.basis import Limits
+from maxq.design.case.schema import read_case
 from maxq.design.margins import many
 from maxq.design.margins.measured_loop import measure_loop
 from maxq.design.optimise import criteria

@@ -228,11 +228,11 @@ def test_a_design_that_is_written_reads_back_the_same_and_flies_the_same() -> No
     design = default_design()
     again = design_file.design_of(
         name=design.name, description=design.description, vehicle=design.vehicle,
-        law=designed_law(design), roll=design.roll, limits=design.limits,
+        law=designed_law(design), roll=design.roll, basis=design.basis,
     )  # fmt: skip  # four more lines otherwise
     assert again == design
     write_whole(Path("again.toml"), design_file.design_text(again, ["a comment", "and one more"]))
-    assert Path("again.toml").read_text().startswith("# a comment\n# and one more\nschema = 1\n")
+    assert Path("again.toml").read_text().startswith("# a comment\n# and one more\nschema = 2\n")
     short = ["run.duration_s=1.0"]
     one = fly(load_scenario("nominal", [*short, 'design="designs/ksr3-default.toml"']), log=False)
     other = fly(load_scenario("nominal", [*short, 'design="again.toml"']), log=False)

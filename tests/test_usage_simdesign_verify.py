@@ -15,7 +15,7 @@ Printed = pytest.CaptureFixture[str]
 CASES = ("ksr3-identical", "ksr3-relaxed")
 SMALL = ("--starts", "2", "--set", "nodes_s=[10, 40]", "--set", "filter.structure=F2", "--no-pictures")
 SUITE = """
-schema = 1
+schema = 2
 [margins]
 times_s = [20.0, 40.0]
 cases = 0

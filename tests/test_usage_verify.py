@@ -60,7 +60,7 @@ from maxq.tools.verify.report import page_of, ranked
 from maxq.tools.verify.run import campaigns_of
 
 SMALL = """
-schema = 1
+schema = 2
 description = "as little as can be judged"
 
 [margins]
@@ -208,7 +208,7 @@ def test_a_wrong_part_is_refused_before_anything_is_flown(
 def test_dispersed_limits_stand_in_for_the_scenarios_own(tmp_path: Path) -> None:
     path = tmp_path / "limits.toml"
     path.write_text("""
-schema = 1
+schema = 2
 [[dispersed_limit]]
 requirement = "slosh angle"
 limit = 17.0
@@ -378,7 +378,7 @@ def test_a_suite_for_several_stages_and_engines() -> None:
 )
 def test_a_wrong_mark_is_named(flight: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "marks.toml"
-    path.write_text(f'schema = 1\nflight = [{{name="a", {flight}}}]\n')
+    path.write_text(f'schema = 2\nflight = [{{name="a", {flight}}}]\n')
     with pytest.raises(ScenarioError, match=re.escape(said)) as found:
         _fitted(path, "nominal", STAGE_MARKS)
     assert "flight a" in str(found.value)

@@ -4,19 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
+from maxq.design.case.basis import Basis
 from maxq.design.case.schema import Case
 from maxq.design.verify.suite import Suite
 from maxq.sim.campaign.schema import CampaignFile
 from maxq.sim.scenario.ranges import range_of
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import Section
+from maxq.sim.scenario.schema_values import Section, optional
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.vehicle.layout import Layout
 
+
+class DesignFile(Design):
+    """A file in designs/."""
+
+    basis: Basis | None = optional("what the law was designed under; of the design without stages, or of all stages")  # type: ignore[assignment]  # a table to sim
+
+
 MODELS: dict[str, type[Section]] = {
-    "scenario": Scenario, "vehicle": Vehicle, "design": Design, "campaign": CampaignFile, "case": Case, "suite": Suite,
-    "layout": Layout,
+    "scenario": Scenario, "vehicle": Vehicle, "design": DesignFile, "campaign": CampaignFile, "case": Case,
+    "suite": Suite, "layout": Layout,
 }  # fmt: skip  # five more lines otherwise
 KINDS = tuple(MODELS)
 _EXTENDS = {"type": "string", "description": "file on top of which this one lies"}

@@ -63,17 +63,31 @@ def _parser() -> Parser:
     add("--verify", "then try what was designed, best first, until simverify accepts one", _CASES)
     add("--suite SUITE", "what has to be passed (default: standard)", [_VERIFY])
     add("--at T...", "vehicle time, s", _ON_A_DESIGN, type=seconds, dest="times_s")
-    about = "seconds between the nodes, where no --at is given (default: 5); 0.25 finds what lies between"
+    about = "judge at the rows of the gain tables and every S seconds, not at the operating points as designed"
     add("--every S", about, [_ANALYSE], type=positive, dest="every_s")
-    add("--scenario S", "scenario whose flight gives the nodes (default: nominal)", _ON_A_DESIGN)
+    add(
+        "--scenario S",
+        "scenario whose flight gives the nodes (default: nominal; of analyse: the design's, if built in)",
+        _ON_A_DESIGN,
+    )
     add("--vehicle V", "vehicle folder instead of the scenario's", _ON_A_DESIGN)
-    add("--kind sampled|pade|exact", "model of the computer (default: sampled, as it flies)", [_ANALYSE])
-    add("--axis pitch|yaw", "plane (default: pitch; of an export: both)", [_ANALYSE, _EXPORT])
+    add(
+        "--kind sampled|pade|exact",
+        "model of the computer (default: as designed, else sampled, as it flies)",
+        [_ANALYSE],
+    )
+    add("--axis pitch|yaw", "plane (default: as designed, else pitch; of an export: both)", [_ANALYSE, _EXPORT])
     add("--c DIR", "the law as C99 sources with tables, unit test and CMake file", [_EXPORT])
     about = "plant, law and loop at the nodes as A, B, C, D for MATLAB, NumPy or any reader"
     add("--format mat|npz|json", about, [_EXPORT])
-    add("--errata corrected|paper", "equations corrected (default) or as the paper prints them", [_ANALYSE])
-    add("--plant flown|table2", "vehicle as flown (default), or with the ranges of Table 2", _JUDGED)
+    add(
+        "--errata corrected|paper", "equations corrected or as the paper prints them (default: as designed)", [_ANALYSE]
+    )
+    add(
+        "--plant flown|table2",
+        "vehicle as flown (default, unless designed otherwise), or with the ranges of Table 2",
+        _JUDGED,
+    )
     add("--wind PROFILE", "measured wind over altitude (.csv) instead of the scenario's", [_BIAS])
     about = "of the incidence that the wind adds, to be taken away: 0 to 1 (default: 1)"
     add("--share X", about, [_BIAS], type=positive)
@@ -106,7 +120,13 @@ def _run(arguments: list[str]) -> int:
     if mode == _ANALYSE:
         from maxq.tools.design import analyse, report  # noqa: PLC0415  # lazy, as all imports here: --help is quick
 
-        return analyse.execute(filled(report.AnalysisOrder, options, design=names[0], pictures=pictures))
+        given = tuple(
+            key
+            for key in ("scenario", "kind", "axis", "errata", "plant", "every_s")
+            if getattr(options, key) is not None
+        )
+        order = filled(report.AnalysisOrder, options, design=names[0], pictures=pictures, given=given)
+        return analyse.execute(order)
     if mode == _EXPORT:
         from maxq.tools.design import export  # noqa: PLC0415  # lazy
 

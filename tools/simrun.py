@@ -20,7 +20,7 @@ simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log] [--view [--realtime 
        simrun --from DIR --run N [--view | --shrink] [--out DIR]
        simrun --from DIR --search METRIC [--runs N] [--workers K]
        simrun --from DIR --rare METRIC [--runs N] [--workers K]
-       simrun --list | --copy NAME DIR | --schema KIND | --version | --help"""
+       simrun --list | --copy NAME DIR | --schema KIND | --upgrade FILE | --version | --help"""
 _EXAMPLES = """\
   simrun nominal                           fly the built-in scenario of that name
   simrun nominal --set wind.profile=winds/anheung-november.csv --out runs/windy
@@ -83,6 +83,7 @@ def _parser() -> Parser:
     kinds = f"{', '.join(_KINDS[:-1])}; or flight-software: the C header maxq_fsw.h"
     add("--schema KIND", f"print the JSON Schema of a file: {kinds}", choices=_KINDS)
     add("--copy NAME DIR", "copy a built-in scenario with all it refers to")
+    add("--upgrade FILE", "convert a design, case or suite of an earlier version to the present format")
     parser.version_and_help()
     return parser
 
@@ -92,7 +93,14 @@ def _run(arguments: list[str]) -> int:
     options = parser.read(arguments, extra="one scenario at a time: what is {!r}?")
     options.realtime = _real_time(options, parser)
     action = parser.only(
-        options, _SCENARIO, "--from", "--list", "--copy", "--schema", none="give a scenario, e.g. simrun nominal"
+        options,
+        _SCENARIO,
+        "--from",
+        "--list",
+        "--copy",
+        "--schema",
+        "--upgrade",
+        none="give a scenario, e.g. simrun nominal",
     )
     mode = _mode(options, action)
     if mode in _FLIGHTS and parser.stray(options, mode):
@@ -100,6 +108,10 @@ def _run(arguments: list[str]) -> int:
     parser.check(options, mode)
     if options.schema:
         return _print_schema(options.schema)
+    if options.upgrade:
+        from maxq.tools import simrun_upgrade  # noqa: PLC0415  # lazy
+
+        return simrun_upgrade.execute(options.upgrade)
     if options.list:
         return show_list({"scenario": "scenarios (simrun SCENARIO)", "campaign": "campaigns (simrun CAMPAIGN)"})
     if options.copy:

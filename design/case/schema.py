@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
@@ -17,30 +16,30 @@ from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_STAGES
 from maxq.control.structures import MAX_SECTIONS, RELIEF, STRUCTURES, DesignedStructure, Law, Over
-from maxq.design.model.spread import Shares, Spread
-from maxq.design.quantities import CommonLimits, Degrees, RigidBody, ZoneName
+from maxq.design.case.basis import (
+    BETWEEN,
+    WIND_KEYS,
+    Basis,
+    BetweenNodes,
+    DesignLimits,
+    Limits,
+    Range,
+    check_range,
+    check_rising,
+    limit_of,
+)
 from maxq.sim.scenario.documents import Text
 from maxq.sim.scenario.errors import ScenarioError, refuse
 from maxq.sim.scenario.files import builtin_files, find, shown
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
 from maxq.sim.scenario.schema_design import Design, LoadRelief
-from maxq.sim.scenario.schema_values import NotNegative, Positive, PositiveOverTime, Section, optional
-
-LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
+from maxq.sim.scenario.schema_values import Positive, Section, at_time, optional
 
 ObjectiveName = Literal["first-mode-peak", "least-margin", "load", "bending-moment"]
 """Keys of `design.optimise.criteria.OBJECTIVES`."""
 
 Model = TypeVar("Model", bound=Section)
-Range = tuple[float, float]
-
-
-def _check_range(value: Range, key: str, lowest: float) -> None:
-    low, high = value
-    if not lowest < low:
-        raise refuse("reaches down to an unstable or right-half-plane root", "numbers above 0", key)
-    if not low < high:
-        raise refuse("is empty", "two numbers, the lower one first", key)
+CORNER = 0.1  # of the rigid body's least frequency: corner of the integral where the case does not say
 
 
 class Gains(Section):
@@ -65,12 +64,7 @@ class Gains(Section):
         self.only_with((other,), False, when)
         if self.schedule == "nodes":
             unit = "times, s" if mine == "nodes_s" else f"values of {self.over}"
-            _rising(self.needs(mine, 'schedule is "nodes"', f"rising {unit}"), mine)
-
-
-def _rising(values: tuple[float, ...], key: str) -> None:
-    if len(values) == 0 or any(b <= a for a, b in pairwise(values)):
-        raise refuse("does not rise", "one rising number or more", key)
+            check_rising(self.needs(mine, 'schedule is "nodes"', f"rising {unit}"), mine)
 
 
 class FilterBounds(Section):
@@ -96,7 +90,7 @@ class FilterBounds(Section):
 
     def _check(self) -> None:
         for key in type(self).model_fields:
-            _check_range(getattr(self, key), key, 0.0)
+            check_range(getattr(self, key), key, 0.0)
 
 
 class Sections(Section):
@@ -165,73 +159,7 @@ class Objective(Section):
     def _check(self) -> None:
         self.only_with(("stations_m",), self.kind == "bending-moment", 'kind = "bending-moment"')
         if self.stations_m is not None:
-            _rising(self.stations_m, "stations_m")
-
-
-class SectionLimit(Section):
-    """A station and the bending moment that is allowed there."""
-
-    station_m: float = Field(description="one of the stage's loads.stations_m, m aft of the nose")
-    rms_Nm: Positive = Field(description="largest rms in the wind of [wind], N m")
-
-
-class DesignLimits(CommonLimits):
-    """Limits of one plant; a key that is absent sets none."""
-
-    renamed: ClassVar[dict[str, str]] = {"higher_modes_db": "modes_from_3_db"}
-
-    q_alpha_Padeg: Positive | None = optional("largest rms of dynamic pressure times incidence in the wind of [wind]")
-    drift_mps: Positive | None = optional("largest rms of the lateral velocity in the wind of [wind]")
-    bending_moment: tuple[SectionLimit, ...] = optional("largest rms of the bending moment in the wind of [wind]", ())
-    without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ())
-
-
-class MarginLimits(DesignLimits):
-    """Limits of a loop; margins hold at every crossing, and the closed loop must be stable."""
-
-    gain_margin_db: Positive = optional("GM_R (44): customary, the paper gives none", 6.0)
-    phase_margin_deg: Degrees = optional("PM_R (45): customary, the paper gives none", 30.0)
-    second_mode_db: float = optional("P2_UL (43): as low as the gain margin asks; not in the paper", -6.0)
-    rigid_hz: PositiveOverTime = optional(
-        "omega_RB,min (47): what the paper's reference design was held to; a table {time_s, value} for one over the "
-        "vehicle clock, linear between its times",
-        0.5,
-    )
-    rigid_zeta: PositiveOverTime = optional("zeta_RB,min (48): likewise", 0.7)
-
-
-class Limits(MarginLimits):
-    """Limits of the nominal plants, and those of filter and method."""
-
-    zone: ZoneName = optional(
-        "keep L out of a zone around -1 in the Nichols plane, half axes gain_margin_db, phase_margin_deg", "none"
-    )
-    filter_gain_at_infinity: Positive = optional(
-        "P^F, largest |F(j inf)| (46): 1, a filter that amplifies no noise; not in the paper", 1.0
-    )
-    integral_hz: Positive | None = optional(
-        "law pid: least corner k_i / (2 pi k_p) of the integral, Hz (default there: a tenth of rigid_hz)"
-    )
-    most_integral_hz: Positive | None = optional("law pid: largest corner of the integral, Hz (default: none)")
-    rigid_body: RigidBody = optional(
-        "frequency and damping ratio by (35), (36), or with M_alpha and M_q in them (erratum 12)", "paper"
-    )
-
-
-class Wind(Section):
-    """Lateral wind that load and drift are limited in: a spectrum of MIL-F-8785C."""
-
-    sigma_mps: Positive = Field(description="intensity, m/s")
-    length_v_m: Positive = optional("scale length, m", 533.0)
-    model: Literal["dryden", "von-karman"] = optional("form of the spectrum", "dryden")
-    band_hz: Range = optional(
-        "frequencies that count, from 0.02 Hz to less than half the sample rate: shears lie below some tenths of one, "
-        "where a law can give way; bending modes count if they lie within",
-        (0.02, 5.0),
-    )
-
-    def _check(self) -> None:
-        _check_range(self.band_hz, "band_hz", 0.0)
+            check_rising(self.stations_m, "stations_m")
 
 
 class Reference(Section):
@@ -239,34 +167,6 @@ class Reference(Section):
 
     rigid_hz: Positive = optional("natural frequency at every node, Hz (paper, 5.1)", 0.5)
     rigid_zeta: Positive = optional("damping ratio at every node (paper, 5.1)", 0.7)
-
-
-class DispersedLimits(MarginLimits):
-    """Limits of the dispersed plants: half the nominal ones, as is practice."""
-
-    gain_margin_db: Positive = optional("customary: half the nominal one", 3.0)
-    phase_margin_deg: Degrees = optional("customary: half the nominal one", 15.0)
-    second_mode_db: float = optional("as low as the gain margin asks", -3.0)
-    without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ("rigid_hz", "rigid_zeta"))
-
-
-class Robust(Spread):
-    """Plants other than the nominal one for which the design must hold: half ranges, shares unless a unit is named.
-
-    Every mode and every tank by itself. The defaults are 3-sigma ranges after a modal survey: bending 5, 10, 15 %,
-    slopes 20 %. Plants are corners at which all deviate at once: n deviations of one sigma each are sqrt(n) sigma away.
-    Where some go together, corners are those of the independent deviations behind them, and as likely.
-    """
-
-    where: ClassVar[tuple[str, str]] = ("case", "robust")
-
-    corner_sigmas: Annotated[float, Field(gt=0.0, le=3.0)] = optional("each deviation at a corner, sigma", 2.0)
-    bending_damping: Shares = optional("of each mode", 0.0)
-    delay_s: NotNegative = optional("either way, s; never below no delay", 0.005)
-    rounds: Annotated[int, Field(ge=1, le=50)] = optional(
-        "times that the worst plants are searched, added, and the design is made anew", 8
-    )
-    limits: DispersedLimits = DispersedLimits()
 
 
 class Search(Section):
@@ -293,33 +193,25 @@ class StageCase(Section):
     reference: Reference | None = optional("see [reference]")
 
 
-class Case(Section):
-    """A case file, in designs/cases/."""
+class CaseHead(Section):
+    """The head of a case file."""
 
-    schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
+    schema_version: Literal[2] = optional("version of the format", 2, alias="schema")
     name: str = optional("name of the case", "")
     description: str = optional("what it is, in a sentence", "")
+
+
+class Case(Basis, CaseHead):
+    """A case file, in designs/cases/."""
+
+    earlier: ClassVar[dict[str, str]] = {"between_nodes": "ignore"}
+
     scenario: str = Field(description="whose flight gives speed, air and attitude at the nodes")
-    plant: Literal["flown", "table2"] = optional(
-        "the scenario's vehicle, or with derivatives that span the paper's Table 2", "flown"
-    )
-    errata: Literal["corrected", "paper"] = optional("the paper's model corrected or as printed", "corrected")
-    loop: Literal["pade", "sampled", "exact"] = optional(
-        "pade: the paper's continuous model (30 to 32); sampled: as the computer runs it", "sampled"
-    )
-    plane: Literal["pitch", "yaw"] = optional("plane of the model", "pitch")
-    nodes_s: tuple[float, ...] | None = optional(
-        "vehicle times at which the limits are checked, s (default: chosen from the flight, in every stage under full "
-        "thrust)"
-    )
+    between_nodes: BetweenNodes = optional(BETWEEN, "hold")
+    limits: Limits = Limits()
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where nodes_s is not given", 11)
     stages: tuple[Annotated[int, Field(ge=1, le=MAX_STAGES)], ...] | None = optional(
         "stages to design for, from 1; others fly as the scenario's own design (default: all that have nodes)"
-    )
-    between_nodes: Literal["ignore", "hold"] = optional(
-        "hold: instants between the nodes that are worse by 0.02 dB or 0.1 deg are searched and become nodes, until "
-        "none is found; with [robust] for dispersed plants too; ignore: limits at the nodes only, as in the paper",
-        "hold",
     )
     law: Law = optional(
         "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides; load-relief: "
@@ -330,38 +222,27 @@ class Case(Section):
         "bounds of the weights of the vehicle's further rate gyros, which are variables (default: the first gyro alone)"
     )
     load_relief: LoadRelief = optional("accelerometer's lag, of both laws of load relief", LoadRelief(corner_hz=1.0))
-    wind: Wind | None = optional("absent: no limits of load and drift")
     gains: Gains = Gains()
     filter: Filter = Filter()
     loop_filters: LoopFilters = LoopFilters()
     objective: Objective = Objective()
-    limits: Limits = Limits()
     reference: Reference = Reference()
-    robust: Robust | None = optional("absent: the nominal plants only")
     search: Search = Search()
     stage: tuple[StageCase, ...] = optional(
         "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
     )
 
     def _check(self) -> None:
-        if self.nodes_s is not None:
-            _rising(self.nodes_s, "nodes_s")
+        super()._check()
         if self.blend is not None and not self.blend[0] < self.blend[1]:
             raise refuse("is empty", "two numbers, the lower one first", "blend")
-        of_wind = ("q_alpha_Padeg", "drift_mps", "bending_moment")
-        objective = {"load": of_wind[0], "bending-moment": of_wind[2]}.get(self.objective.kind)
+        objective = {"load": WIND_KEYS[0], "bending-moment": WIND_KEYS[2]}.get(self.objective.kind)
         if objective is not None and self.wind is None:
             raise refuse("needs a wind", "a table [wind]", ("objective", "kind"))
         small_m = self.objective.stations_m  # a limit of a moment may be about another station
         made_small = small_m is None or any(one.station_m in small_m for one in self.limits.bending_moment)
-        for key in of_wind:
-            asked = getattr(self.limits, key) not in (None, ())
-            if asked and self.wind is None:
-                raise refuse("needs a wind", "a table [wind]", ("limits", key))
-            if asked and key == objective and made_small:
-                raise refuse("is the objective", "no limit of it", ("limits", key))
-        if self.bends and self.errata == "paper":
-            raise refuse("has no bending moments", "errata = 'corrected'", "errata")
+        if objective is not None and made_small and getattr(self.limits, objective) not in (None, ()):
+            raise refuse("is the objective", "no limit of it", ("limits", objective))
         if self.loop_filters.acceleration is not None and self.law not in RELIEF:
             allowed = f"law = {' or '.join(map(repr, RELIEF))}"
             raise refuse(f"the law {self.law} takes no acceleration", allowed, ("loop_filters", "acceleration"))
@@ -370,41 +251,41 @@ class Case(Section):
         for name in ("integral_hz", "most_integral_hz"):
             if self.law != "pid" and getattr(self.limits, name) is not None:
                 raise refuse(f"the law {self.law} has no integral", "with law = 'pid' only", ("limits", name))
-        least, most = self.limits.integral_hz, self.limits.most_integral_hz
-        if most is not None and least is not None and most < least:
-            raise refuse("is below integral_hz", f"at least {least:g}", ("limits", "most_integral_hz"), value=most)
 
     @property
     def bends(self) -> bool:
-        """Whether bending moments are asked for, of any stage."""
-        limits: list[MarginLimits | None] = [self.limits, *(stage.limits for stage in self.stage)]
-        limits.append(None if self.robust is None else self.robust.limits)
-        objectives = [self.objective, *(stage.objective for stage in self.stage)]
-        return any(each is not None and len(each.bending_moment) > 0 for each in limits) or any(
-            each is not None and each.kind == "bending-moment" for each in objectives
-        )
+        """Bending moments are limited, or the objective, in any stage."""
+        limits = [stage.limits for stage in self.stage if stage.limits is not None]
+        objectives = [self.objective, *(stage.objective for stage in self.stage if stage.objective is not None)]
+        asked = any(each.bending_moment for each in limits) or any(o.kind == "bending-moment" for o in objectives)
+        return asked or super().bends
 
-    def bending_stations_m(self, known: tuple[float, ...]) -> tuple[float, ...]:
-        """Of a case of one stage: where moments are asked for, among the stations that the stage has.
-
-        Raises ValueError for others.
-        """
-        limits = [self.limits, *([] if self.robust is None else [self.robust.limits])]
-        asked = {one.station_m for each in limits for one in each.bending_moment}
-        asked |= set(self.objective_stations_m(known))
-        if not asked <= set(known):
-            strange = ", ".join(f"{x:g}" for x in sorted(asked - set(known)))
-            raise ValueError(
-                f"bending moment at {strange} m: allowed are the stage's loads.stations_m, "
-                f"{', '.join(f'{x:g}' for x in known) or 'of which it has none'}"
-            )
-        return tuple(sorted(asked))
+    def _stations_m(self, known: tuple[float, ...]) -> set[float]:
+        return super()._stations_m(known) | set(self.objective_stations_m(known))
 
     def objective_stations_m(self, known: tuple[float, ...]) -> tuple[float, ...]:
         """Those where the moment is made small."""
         if self.objective.kind != "bending-moment":
             return ()
         return known if self.objective.stations_m is None else self.objective.stations_m
+
+    def integral_hz(self, times_s: Any) -> float:
+        """Return the least corner of the integral of the law pid, at vehicle times (s), Hz."""
+        least = self.limits.integral_hz
+        return CORNER * float(at_time(self.limits.rigid_hz, times_s).min()) if least is None else least
+
+    def basis(self, scenario: str, nodes_s: tuple[float, ...]) -> Basis:
+        """Return what a design of this case states: the limits that were imposed, at the nodes of one stage.
+
+        A two-phase design is held to the rigid-body motion of [reference]. `scenario`: its name.
+        """
+        stated = {key: limit_of(self.limits, key) for key in DesignLimits.model_fields}
+        if self.gains.schedule == "two-phase":
+            stated |= {key: getattr(self.reference, key) for key in ("rigid_hz", "rigid_zeta")}
+        if self.law == "pid":
+            stated["integral_hz"] = self.integral_hz(nodes_s)
+        given = {key: getattr(self, key) for key in Basis.model_fields}
+        return Basis(**given | {"scenario": scenario, "nodes_s": nodes_s, "limits": DesignLimits(**stated)})
 
     @property
     def times_s(self) -> tuple[float, ...]:

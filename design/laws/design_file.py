@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,10 +13,12 @@ from maxq.design.laws.law import DesignedLaw
 from maxq.sim.scenario.documents import Source, adopt, plain
 from maxq.sim.scenario.errors import ScenarioError, suggestion
 from maxq.sim.scenario.files import builtin_files
-from maxq.sim.scenario.schema_design import Design, Limits, Roll, StageLaw
+from maxq.sim.scenario.schema_design import Basis, Design, Roll, StageLaw
 
 DESIGN_NAME = "design.toml"
 _DIGITS = 9
+_PLAIN_LIST = re.compile(r"\[\n((?: +[-+.\w\"]+,\n)+) *\]")
+"""A list of numbers or words, each in a line of its own."""
 
 
 def design_path(name: str) -> str:
@@ -41,19 +44,13 @@ def design_path(name: str) -> str:
 
 
 def design_of(
-    *,
-    name: str,
-    description: str,
-    vehicle: str,
-    law: DesignedLaw,
-    roll: Roll | None = None,
-    limits: Limits | None = None,
+    *, name: str, description: str, vehicle: str, law: DesignedLaw, roll: Roll | None = None, basis: Basis | None = None
 ) -> Design:
     """A design with numbers of nine digits: what is written, judged and flown are the same numbers."""
     rounded = json.loads(json.dumps(law.tables()), parse_float=lambda text: float(f"{float(text):.{_DIGITS}g}"))
-    given = {"schema": 1, "name": name, "description": description, "vehicle": vehicle, **rounded}
+    given = {"schema": 2, "name": name, "description": description, "vehicle": vehicle, **rounded}
     design = Design.model_validate(plain(adopt(given, Source("design"))))
-    return design.model_copy(update={"roll": roll, "limits": limits})
+    return design.model_copy(update={"roll": roll, "basis": basis})
 
 
 def design_text(design: Design, comments: Sequence[str] = ()) -> str:
@@ -74,7 +71,8 @@ def design_text(design: Design, comments: Sequence[str] = ()) -> str:
                 mine["gains"][key] = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
         if "yaw_table" not in mine["gains"]:
             mine["gains"]["yaw"] = "pitch"
-    return "".join(f"{f'# {line}'.rstrip()}\n" for line in comments) + tomli_w.dumps(content)
+    text = _PLAIN_LIST.sub(lambda m: f"[{', '.join(m[1].replace(',', ' ').split())}]", tomli_w.dumps(content))
+    return "".join(f"{f'# {line}'.rstrip()}\n" for line in comments) + text
 
 
 def forget_pictures(folder: Path) -> None:

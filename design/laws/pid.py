@@ -20,9 +20,6 @@ from maxq.control.kernel.records import Array
 from maxq.design.laws.law import MEASUREMENTS, LawLimit, LimitValues
 from maxq.design.laws.pd_variables import GAIN_FACTOR, PdVariables
 from maxq.design.laws.task import DB, Task
-from maxq.sim.scenario.schema_values import at_time
-
-CORNER = 0.1  # of the rigid body's least frequency: corner of the integral where the case does not say
 
 
 class PidVariables(PdVariables):
@@ -34,8 +31,7 @@ class PidVariables(PdVariables):
     def __init__(self, task: Task, like: PdVariables | None = None, schedule: str | None = None) -> None:
         super().__init__(task, like, schedule)
         given = task.case.limits
-        slowest_hz = CORNER * float(at_time(given.rigid_hz, task.times_s).min())
-        self.integral_hz = slowest_hz if given.integral_hz is None else given.integral_hz
+        self.integral_hz = task.case.integral_hz(task.times_s)
         self.corners = [(self.integral_hz, 1.0)]  # Hz, and 1 for a bound from below, -1 from above
         if given.most_integral_hz is not None:
             self.corners.append((given.most_integral_hz, -1.0))

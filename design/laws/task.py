@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
-from maxq.design.case.schema import Case, MarginLimits
+from maxq.design.case.basis import MarginLimits, limit_of
+from maxq.design.case.schema import Case
 from maxq.design.laws.wind import Winds
 from maxq.sim.scenario.schema_values import at_time
 
@@ -49,13 +49,6 @@ class PlantLimits:
     def asked(self, name: str | float) -> bool:
         """Whether any plant is held to it."""
         return not bool(np.isnan(self[name]).all())
-
-
-def limit_of(limits: MarginLimits, name: str | float) -> Any:
-    """A limit by its name, or of a bending moment by its station (m); None where it is not asked for."""
-    if isinstance(name, str):
-        return None if name in limits.without else getattr(limits, name)
-    return next((one.rms_Nm for one in limits.bending_moment if one.station_m == name), None)
 
 
 @dataclass(frozen=True)

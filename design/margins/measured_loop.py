@@ -85,6 +85,12 @@ class LoopAtPoint:
         damping = d.m_delta_1ps2 * sum(law.static_gain(name) for name in rates) - m_q
         return omega / (2.0 * math.pi), damping / (2.0 * omega)
 
+    @property
+    def integral_hz(self) -> float:
+        """The corner k_i / (2 pi k_p) of the law's integral, Hz; 0 without one."""
+        law = self.loop.law
+        return law.static_gain("angle_integral_rads") / (2.0 * math.pi * law.static_gain("angle_rad"))
+
     def quantities(self, by: Convention) -> dict[str, float]:
         """Return all quantities of `MEASURED` by key."""
         return {key: float(about.value(self, by)) for key, about in MEASURED.items() if about.value is not None}

@@ -9,7 +9,8 @@ from typing import get_args
 
 import numpy as np
 
-from maxq.design.case.schema import LIMIT_NAMES, Case, LoadedCase
+from maxq.design.case.basis import LIMIT_NAMES
+from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.law import DesignedLaw, LawVariables
 from maxq.design.laws.registry import law_kind
 from maxq.design.loop.fixed_path import ExactFixedPath

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
-from maxq.design.case.schema import Limits, ObjectiveName
+from maxq.design.case.basis import Limits
+from maxq.design.case.schema import ObjectiveName
 from maxq.design.laws.task import DB, PlantLimits
 from maxq.design.optimise import features
 from maxq.design.optimise.curves import Indices

@@ -10,6 +10,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
+from maxq.design.case.basis import Basis
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.laws.registry import law_kind
@@ -80,7 +81,7 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
     )
 
 
-def wind_of(path: FixedPath, case: Case) -> WindResponse:
+def wind_of(path: FixedPath, case: Basis) -> WindResponse:
     """The path in the case's wind, with the bending moments that it asks for. Raises ValueError, naming the node, where
     there are none.
     """

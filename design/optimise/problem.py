@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
-from maxq.design.case.schema import Limits
+from maxq.design.case.basis import Limits
 from maxq.design.laws.law import LawLimit, LimitValues
 from maxq.design.laws.task import DB, PlantLimits
 from maxq.design.optimise import features

@@ -17,7 +17,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.case.schema import Case, LoadedCase, Robust
+from maxq.design.case.basis import Robust
+from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.law import DesignedLaw
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node, disperse

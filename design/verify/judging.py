@@ -15,9 +15,9 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
-from maxq.design.case.schema import Case, LoadedCase, MarginLimits
+from maxq.design.case.basis import Basis, LoadLimits, limit_of, stated_basis
+from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.design_file import design_of
-from maxq.design.laws.task import limit_of
 from maxq.design.laws.wind import WIND_LIMITS, Key, quantity
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.margins.budget import Budget, crossing_budgets
@@ -33,11 +33,11 @@ from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import MEASURED, QUANTITIES, Convention, Quantity, ZoneName, violation
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.schema_design import Adaptive, Design, Limits, LoopFilters, StageLaw
+from maxq.sim.scenario.schema_design import Adaptive, Design, LoopFilters, StageLaw
 from maxq.sim.scenario.schema_values import OverTime, at_time
 from maxq.sim.scenario.tables_csv import CsvTable
 
-JUDGED = (*MEASURED, "filter_gain_at_infinity")
+JUDGED = (*MEASURED, "filter_gain_at_infinity", "integral_hz", "most_integral_hz")
 """Keys of the limits that a design is judged by at its operating points, in the order in which they are shown."""
 ZONE = "clear of the {0.shape} {0.gain_db:g} dB, {0.phase_deg:g} deg"
 
@@ -59,6 +59,12 @@ class Wanted:
         shape: ZoneName = getattr(limits, "zone", None) or "none"
         zone = None if shape == "none" else Zone(shape, limits.phase_margin_deg, limits.gain_margin_db)
         return Wanted(known, zone, Convention(rigid_body=getattr(limits, "rigid_body", None) or "paper"))
+
+    @staticmethod
+    def stated_by(design: Design, stage: int = 0) -> Wanted:
+        """Return the limits in the basis of a design; none where it states none. Raises ScenarioError."""
+        basis = stated_basis(design, stage)
+        return Wanted.of(None if basis is None else basis.limits)
 
     def constant(self, key: str) -> float | None:
         """Return a limit that does not change over time; None where it does, or is not set."""
@@ -267,13 +273,11 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
     text = ". ".join([*made, case.description] if case.description else made)
 
     def alone(solution: Solution) -> Design:
-        wanted, stage = wanted_of(solution.case), solution.nodes[0].stage
-        given: dict[str, Any] = {name: wanted.limits.get(name) for name in Limits.model_fields}
-        given["rigid_body"] = None if wanted.by.rigid_body == "paper" else wanted.by.rigid_body
+        stage, at_s = solution.nodes[0].stage, tuple(node.time_s for node in solution.nodes)
         rolls = own.of_stage(stage) if own else None
         designed = design_of(
             name=loaded.name, description=text, vehicle=loaded.scenario.vehicle.name, law=solution.law,
-            roll=rolls.roll if rolls else None, limits=Limits(**given),
+            roll=rolls.roll if rolls else None, basis=solution.case.basis(loaded.scenario.name, at_s).as_table(),
         )  # fmt: skip  # four more lines otherwise
         return designed.model_copy(update={"roll_gimbal": rolls.roll_gimbal if rolls else None})
 
@@ -289,7 +293,7 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
     for n, d in enumerate(flown):
         said = {k: getattr(d, k) for k in names if k != "fade_s"} | {"loop_filters": d.loop_filters or none}
         laws.append(StageLaw(**said, fade_s=own.stage[n].fade_s if own and n < len(own.stage) else None))
-    return first.model_copy(update={"stage": tuple(laws)})
+    return first.model_copy(update={"stage": tuple(laws), "basis": None})
 
 
 def with_law(own: Design, other: Design) -> Design:
@@ -332,12 +336,8 @@ def objective_text(solution: Solution) -> str:
 
 
 def wanted_of(case: Case) -> Wanted:
-    """The case's limits; a two-phase design is held to the reference's rigid-body motion."""
-    wanted = Wanted.of(case.limits)
-    if case.gains.schedule == "two-phase":
-        reference = {"rigid_hz": case.reference.rigid_hz, "rigid_zeta": case.reference.rigid_zeta}
-        wanted = replace(wanted, limits={**wanted.limits, **reference})
-    return wanted
+    """Return the limits that a case of one stage imposes."""
+    return Wanted.of(case.basis("", case.times_s).limits)
 
 
 def judge_solution(loaded: LoadedCase, solution: Solution, design: Design | None = None) -> Outcome:
@@ -362,8 +362,8 @@ def judge_solution(loaded: LoadedCase, solution: Solution, design: Design | None
     return Outcome(loaded, design, judged, found, flown, off, wanted, winds)
 
 
-def in_wind(case: Case, nodes: Sequence[Node], design: Design, before: Design | None) -> list[InWind]:
-    """All quantities that the case can limit, at its stations; nothing without a wind."""
+def in_wind(case: Basis, nodes: Sequence[Node], design: Design, before: Design | None) -> list[InWind]:
+    """Return the quantities that a case or a basis can limit, at its stations; none without a wind."""
     if case.wind is None:
         return []
     keys, rms = _rms(case, nodes, design)
@@ -371,7 +371,7 @@ def in_wind(case: Case, nodes: Sequence[Node], design: Design, before: Design | 
     return [InWind(key, rms[k], None if own is None else own[k]) for k, key in enumerate(keys)]
 
 
-def _rms(case: Case, nodes: Sequence[Node], design: Design) -> tuple[list[Key], Array]:
+def _rms(case: Basis, nodes: Sequence[Node], design: Design) -> tuple[list[Key], Array]:
     """Quantities, and their values (quantities, nodes)."""
     found, keys = [], list[Key](WIND_LIMITS)
     for loop in api.loops(nodes, design, kind=case.loop):
@@ -385,7 +385,7 @@ def _rms(case: Case, nodes: Sequence[Node], design: Design) -> tuple[list[Key], 
     return keys, np.array(found).T
 
 
-def wind_checks(found: Sequence[InWind], limits: MarginLimits, nodes: Sequence[Node]) -> list[Check]:
+def wind_checks(found: Sequence[InWind], limits: LoadLimits, nodes: Sequence[Node]) -> list[Check]:
     """The limits of what wind does."""
     time_s, out = np.array([node.time_s for node in nodes]), []
     for one in found:

@@ -248,7 +248,7 @@ class CampaignWanted(Section):
 class Suite(Section):
     """A suite file."""
 
-    schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
+    schema_version: Literal[2] = optional("version of the format", 2, alias="schema")
     name: str = optional("default: the file's name", "")
     description: str = optional("what it is for, in a sentence", "")
     scenario: str = optional("base of the scenarios, and flight along which nodes lie", "nominal")

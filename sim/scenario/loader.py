@@ -25,6 +25,7 @@ from maxq.sim.scenario.documents import (
     Source,
     Table,
     Text,
+    adopt,
     apply,
     leaves,
     parse,
@@ -54,6 +55,7 @@ from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.scenario.upgrade import upgraded
 
 AS_FLOWN = "scenario as flown"
 CAMPAIGN_SECTIONS = ("campaign", "disperse", "wind_model")
@@ -155,6 +157,8 @@ def load_scenario_text(text: str, overrides: Iterable[str] = (), label: str = AS
     for key in ("extends", "unset"):
         if key in tree:
             raise ScenarioError(label, "a scenario given as text must be self-contained", key, value=tree[key])
+    if isinstance(tree.get("design"), dict):  # of an earlier version of maxq
+        tree["design"] = adopt(upgraded(tree["design"], Design, tree.source)[0], tree.source)
     reading = Reading()
     _assemble(reading, tree, parsed, ())
     return _scenario(reading, tree, label, "scenario")
@@ -291,6 +295,8 @@ def told(value: Any) -> Any:
         return {key: told(item) for key, item in fields.items() if item is not None}
     if isinstance(value, CsvTable):
         return value.told()
+    if isinstance(value, dict):
+        return {key: told(item) for key, item in value.items()}
     return [told(item) for item in value] if isinstance(value, tuple) else value
 
 

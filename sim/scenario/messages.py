@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from maxq.sim.scenario.documents import Table, source_of
+from maxq.sim.scenario.documents import COMMAND_LINE, Table, source_of
 from maxq.sim.scenario.errors import NOTHING, Path, ScenarioError, suggestion
 from maxq.sim.scenario.files import PARTS, WANTED
 from maxq.sim.scenario.schema_values import LIST_FORM, TABLE_FORM, Section
@@ -29,6 +29,7 @@ _PROBLEMS = {
     "too_short": "has too few elements",
 }
 _MANY_KEYS = 24
+_NOW = "is now "
 _IN_FILES_ONLY = {
     "extends": 'a file of your own that begins with, e.g., extends = "nominal"',
     "unset": "--set KEY= to remove a key, or a file of your own with extends and unset",
@@ -63,6 +64,11 @@ def explain(error: ValidationError, tree: Table, model: type[Section]) -> Scenar
             hint = suggestion(str(value), [c.strip("'") for c in allowed.split(", ")])
             problem += f"; {hint}" if hint else ""
     source = source_of(tree, path)
+    earlier = path[-1:] == ("schema",) and isinstance(value, int) and allowed.isdecimal() and value < int(allowed)
+    if earlier:
+        problem = "is an earlier version of the format"
+    if (earlier or problem.startswith(_NOW)) and source.label != COMMAND_LINE:
+        allowed = f"what simrun --upgrade {source.label} writes"
     return source.error(path, problem, value=value, allowed=allowed, more=more)
 
 
@@ -98,7 +104,7 @@ def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
     section = section_of(unwrap(annotation)[0]) or model
     known = keys_of(section)
     if path[-1] in section.renamed:
-        return f"is now {section.renamed[str(path[-1])]}", ""
+        return f"{_NOW}{section.renamed[str(path[-1])]}", ""
     if path[:-1] == ():
         known += _SCENARIO_KEYS if "vehicle" in model.model_fields else _DOCUMENT_KEYS
     elif len(path) == 2 and path[0] in PARTS:

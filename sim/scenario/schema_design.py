@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_SENSORS, MAX_STAGES
 from maxq.control.structures import GAIN_NAMES, GAINS, MAX_SECTIONS, OVER, RELIEF, STRUCTURES, Law, Over, Structure
 from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import NotNegative, Positive, PositiveOverTime, Section, optional
+from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, optional
 from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 if TYPE_CHECKING:
@@ -210,23 +210,15 @@ class Adaptive(Section):
             raise refuse("is not above the reference model", f"above {self.reference_hz:g}", "high_pass_hz")
 
 
-class Limits(Section):
-    """What the design was made to; for people, nothing in the flight depends on it."""
-
-    gain_margin_db: float | None = optional("least gain margin, dB")
-    phase_margin_deg: float | None = optional("least phase margin, deg")
-    rigid_hz: PositiveOverTime | None = optional(
-        "least frequency of the rigid-body motion, Hz; a table {time_s, value} for one over the vehicle clock"
-    )
-    rigid_zeta: PositiveOverTime | None = optional("least damping ratio of the rigid-body motion; likewise")
-    second_mode_db: float | None = optional("largest peak of the second bending mode, dB")
-    rigid_body: Literal["paper", "aerodynamic"] | None = optional(
-        "rigid-body motion without aerodynamics (eqs 35, 36; the default), or with M_alpha and M_q"
-    )
+RENAMED = {"limits": "basis.limits"}
+Basis = dict[str, Any]
+"""The basis of a design: nothing in a flight depends on it (design/case/basis.py reads it)."""
 
 
 class StageLaw(Section):
     """What differs in a stage; whatever is absent is the design's own."""
+
+    renamed: ClassVar[dict[str, str]] = RENAMED
 
     gains: Gains | None = optional("own gains")
     filter: Filter | None = optional("own bending filter, which starts settled at the separation")
@@ -237,13 +229,15 @@ class StageLaw(Section):
     blend: Blend | None = optional("own weights of rate gyros")
     load_relief: LoadRelief | None = optional("own lag of the accelerometer")
     adaptive: Adaptive | None = optional("own adaptation, which starts anew at the separation")
-    limits: Limits | None = optional("what it was made to; for people")
+    basis: Basis | None = optional("own basis")
 
 
 class Design(Section):
     """A file in designs/."""
 
-    schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
+    renamed: ClassVar[dict[str, str]] = RENAMED
+
+    schema_version: Literal[2] = optional("version of the format", 2, alias="schema")
     name: str = optional("name of the design", "")
     description: str = optional("what it is, in a sentence", "")
     vehicle: str = optional("name of the vehicle that it was made for; another one has to be asked for", "")
@@ -260,7 +254,9 @@ class Design(Section):
     blend: Blend | None = optional("absent: the first gyro alone")
     load_relief: LoadRelief | None = optional("of the laws load-relief and incidence-relief")
     adaptive: Adaptive | None = optional("absent: no adaptation; with any law")
-    limits: Limits | None = optional("what the design was made to; for people")
+    basis: Basis | None = optional(
+        "what the law was designed under: loop, operating points, limits; simdesign and simverify judge by it"
+    )
     stage: tuple[StageLaw, ...] = optional(
         "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
     )

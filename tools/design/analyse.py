@@ -6,24 +6,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from maxq.design import api
+from maxq.design.case.basis import Basis, stated_basis
 from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictures
-from maxq.design.loop.fixed_path import Cut, fixed_path
+from maxq.design.loop.fixed_path import Cut, Kind, fixed_path
 from maxq.design.margins.measure import margins
 from maxq.design.margins.multiloop import MultiloopMargins, multiloop_margins
-from maxq.design.model.node import Node, node_times, powered_flight
+from maxq.design.model.node import Node, node_times, powered_flight, with_cuts
+from maxq.design.optimise.over_time import INSTANTS_S, instants_along
 from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.paper.nodes import PaperNode
-from maxq.design.verify.judging import Wanted, checks, judge, multiloop_checks
+from maxq.design.verify.judging import Check, Judged, Wanted, checks, in_wind, judge, multiloop_checks, wind_checks
 from maxq.design.verify.verify import stage_name
 from maxq.sim.files import check_writable, write_whole
+from maxq.sim.scenario.documents import Source, Text
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.files import Reading, builtin_files, find, scenarios_folder
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit
@@ -54,33 +59,48 @@ N = TypeVar("N", bound=Node)
 
 def execute(order: AnalysisOrder) -> int:
     """Do it; returns the exit code."""
+    if "scenario" not in order.given:
+        order = replace(order, scenario=designed_along(order.design))
     scenario, design = load(order.scenario, order.vehicle, order.design)
     path = Path(order.design)
     name = path.parent.name if path.name == DESIGN_NAME and path.parent.name else path.name.removesuffix(".toml")
     folder = Path(order.out) if order.out is not None else Path("runs") / f"analyse-{name}" if order.pictures else None
+    bases = bases_of(scenario, design, path.name)
+    order = by_basis(order, bases)
     with Progress() as progress:
-        nodes, loss = find_nodes(scenario, design, order), powered_flight(scenario, order.faults)[1]
+        points_s = operating_points_s(scenario, design, order, bases)
+        between_s = instants_between(points_s, scenario, order, bases)
+        nodes, loss = (
+            _found(scenario, order, sorted([*points_s, *between_s]) if between_s else points_s, api.nodes),
+            powered_flight(scenario, order.faults)[1],
+        )
+        if any(basis.bends for basis in bases.values()):
+            nodes = with_cuts(nodes, scenario)
         if folder is not None:
             check_writable(folder)
         judged = judge(nodes, design, order.kind, lambda n: progress.show("measuring margins", n, len(nodes)))
         groups = []
         for stage in sorted({node.stage for node in nodes}):
-            wanted, mine = Wanted.of(design.of_stage(stage).limits), [j for j in judged if j.node.stage == stage]
+            basis, every = bases.get(stage, Basis()), [j for j in judged if j.node.stage == stage]
+            worst_s = {float(c.time_s[c.worst]) for c in stage_checks(every, design, basis, order.kind)}
+            mine = [j for j in every if j.time_s in worst_s.union(points_s)]
+            found = stage_checks(mine, design, basis, order.kind)
             together = all_axes(scenario, design, [j.time_s for j in mine], order, progress)
-            coupled = multiloop_checks(together, wanted)
-            name_of = stage_name(scenario.vehicle, stage)
-            groups.append(Group(name_of, mine, checks(mine, design, wanted), together, coupled))
+            coupled = multiloop_checks(together, Wanted.of(basis.limits))
+            groups.append(Group(stage_name(scenario.vehicle, stage), mine, found, together, coupled))
+        judged = [j for group in groups for j in group.judged]
+        judged_by = judged_by_text(order, scenario, bases, len(points_s), len(between_s))
         files = []
         if folder is not None:
             forget_pictures(folder)
-            files.append(write_record(folder / RECORD_NAME, analysis_record(name, order, groups, loss)))
+            files.append(write_record(folder / RECORD_NAME, analysis_record(name, order, groups, judged_by, loss)))
             if order.pictures:
                 from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
 
                 title = f"{scenario.vehicle.name}: {design.name or name}, {order.kind}"
-                sheets = pictures.judged_sheets(judged, title, Wanted.of(design.limits))
+                sheets = pictures.judged_sheets(judged, title, Wanted.stated_by(design, judged[0].node.stage))
                 files += pictures.draw_all(sheets, folder, progress.show)
-    tell(analysis_report(name, order, design, groups, loss))
+    tell(analysis_report(name, order, design, groups, judged_by, loss))
     tell(f"\n{len(files)} files in {folder}/" if files else "")
     verdict = analysis_verdict(groups, loss)
     tell(verdict)
@@ -112,18 +132,113 @@ def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenari
     return flown, flown.design
 
 
-def find_nodes(scenario: LoadedScenario, design: Design, order: AnalysisOrder) -> list[Node]:
-    """Nodes along the flight, by default at the rows of the gain tables and every `every_s` between their ends, as far
-    as they lie under thrust.
+def stage_checks(judged: Sequence[Judged], design: Design, basis: Basis, kind: Kind) -> list[Check]:
+    """Return all limits of a stage's basis, of wind too."""
+    nodes, here = [j.node for j in judged], basis.model_copy(update={"loop": kind})
+    found = checks(judged, design, Wanted.of(basis.limits))
+    return found + wind_checks(in_wind(here, nodes, design, None), basis.limits, nodes)
 
-    Raises ScenarioError for a time outside the powered flight.
+
+# the design's own basis
+
+_OPTIONS = {"kind": "loop", "axis": "plane", "errata": "errata", "plant": "plant"}
+"""Options and the keys of a basis that they stand for."""
+_MOST_INSTANTS = 400  # of a stage
+
+
+def designed_along(design: str) -> str:
+    """Return the built-in scenario that a design was designed along; "nominal" where it names none of these."""
+    path, reading = find(Text.of(design_path(design), Source("", (Path.cwd(), scenarios_folder())))), Reading()
+    tree = {} if path is None else reading.document(path, design, "design")
+    found = [each.get("basis") for each in (tree, *tree.get("stage", ())) if isinstance(each, dict)]
+    names = [basis.get("scenario") for basis in found if isinstance(basis, dict)]
+    return next((str(name) for name in names if name in builtin_files("scenario")), "nominal")
+
+
+def bases_of(scenario: LoadedScenario, design: Design, label: str) -> dict[int, Basis]:
+    """Return the basis of each stage, from 0, that states one. Raises ScenarioError."""
+    found = {n: stated_basis(design, n, label) for n in range(len(scenario.vehicle.stage))}
+    return {n: basis for n, basis in found.items() if basis is not None}
+
+
+def by_basis(order: AnalysisOrder, bases: Mapping[int, Basis]) -> AnalysisOrder:
+    """Return the order with the loop, plane, errata and plant of the first basis, where no option is given."""
+    first = next(iter(bases.values()), Basis())
+    return replace(order, **{key: getattr(first, of) for key, of in _OPTIONS.items() if key not in order.given})
+
+
+def operating_points_s(
+    scenario: LoadedScenario, design: Design, order: AnalysisOrder, bases: Mapping[int, Basis]
+) -> list[float]:
+    """Return the vehicle times to judge at, s: those of the order; else those of each stage's basis that are under
+    thrust; else the rows of the gain tables and every `every_s` between their ends.
     """
-    return _found(scenario, design, order, api.nodes)
+    if order.times_s:
+        return list(dict.fromkeys(order.times_s))
+    times: set[float] = set()
+    for span in powered_flight(scenario)[0]:
+        gains, stated = design.of_stage(span.stage).gains, bases.get(span.stage, Basis()).nodes_s
+        if stated is not None and "every_s" not in order.given:
+            times |= {t for t in stated if span.holds(t)}
+        elif gains.over != "time_s":
+            times |= {t for t in node_times(scenario) if span.holds(t)}
+        else:
+            rows = [float(t) for t in gains.table["time_s"]]
+            between = (round(float(t), 9) for t in np.arange(rows[0], rows[-1], order.every_s))
+            times |= {t for t in (*rows, *between) if span.begin_s < t < span.end_s}
+    return sorted(times) or list(node_times(scenario))
 
 
-def _found(scenario: LoadedScenario, design: Design, order: AnalysisOrder, make: Callable[..., list[N]]) -> list[N]:
+def instants_between(
+    points_s: Iterable[float], scenario: LoadedScenario, order: AnalysisOrder, bases: Mapping[int, Basis]
+) -> list[float]:
+    """Return instants between the first and the last operating point of each stage whose limits hold between them."""
+    out: list[float] = []
+    if order.times_s or "every_s" in order.given:
+        return out
+    for span in powered_flight(scenario)[0]:
+        mine = [t for t in points_s if span.holds(t)]
+        if mine and bases.get(span.stage, Basis()).between_nodes == "hold":
+            apart_s = max(INSTANTS_S, (max(mine) - min(mine)) / _MOST_INSTANTS)
+            out += [t for t in instants_along(min(mine), max(mine), apart_s) if t not in mine]
+    return out
+
+
+def judged_by_text(
+    order: AnalysisOrder, scenario: LoadedScenario, bases: Mapping[int, Basis], points: int, between: int
+) -> str:
+    """Return one line: that a design is judged by its own basis, or by which others, and its extent."""
+    count = f"{points} operating point{'s' * (points != 1)}"
+    if not bases:
+        return f"the design states no basis: judged on the {order.kind} loop at {count}, without limits"
+    first = next(iter(bases.values()))
+    limits = len({key for basis in bases.values() for key in basis.limits.asked})
+    parts = [f"{order.kind} loop", count, f"{limits} limit{'s' * (limits != 1)}"]
+    parts += [f"held between them ({between} instants)"] if between else []
+    parts += ["of the nominal vehicle, not of its dispersed ones"] * any(b.robust is not None for b in bases.values())
+    stated = len({t for basis in bases.values() for t in basis.nodes_s or ()})
+    others = [
+        f"{getattr(order, key)} {option}, designed for {getattr(first, key_of)}"
+        for key, key_of in _OPTIONS.items()
+        for option in (("loop" if key == "kind" else key),)
+        if getattr(order, key) != getattr(first, key_of)
+    ]
+    if (stated and points != stated) or order.times_s or "every_s" in order.given:
+        others.append(f"{count}, designed for {stated or 'those of its flight'}")
+    if first.scenario not in ("", scenario.name):
+        others.append(f"along {scenario.name}, designed along {first.scenario}")
+    unstated = [stage_name(scenario.vehicle, n) for n in range(len(scenario.vehicle.stage)) if n not in bases]
+    others += [f"{', '.join(unstated)} without limits"] if unstated else []
+    if others:
+        return f"judged by other conditions than the design's own: {'; '.join(others)}; here {', '.join(parts)}"
+    return f"judged by the design's own basis: {', '.join(parts)}"
+
+
+def _found(
+    scenario: LoadedScenario, order: AnalysisOrder, times_s: Iterable[float], make: Callable[..., list[N]]
+) -> list[N]:
+    """Return nodes along the flight. Raises ScenarioError for a time outside the powered flight."""
     try:
-        times_s = order.times_s or _gain_times(scenario, design, order.every_s)
         nodes = make(
             scenario, times_s, plane=order.axis, errata=order.errata, plant=order.plant, faults=order.faults
         )  # fmt: skip  # nine lines otherwise
@@ -134,18 +249,6 @@ def _found(scenario: LoadedScenario, design: Design, order: AnalysisOrder, make:
     return nodes
 
 
-def _gain_times(scenario: LoadedScenario, design: Design, every_s: float) -> list[float]:
-    times: set[float] = set()
-    for span in powered_flight(scenario)[0]:
-        gains = design.of_stage(span.stage).gains
-        if gains.over != "time_s":
-            return list(node_times(scenario))
-        rows = [float(t) for t in gains.table["time_s"]]
-        between = (round(float(t), 9) for t in np.arange(rows[0], rows[-1], every_s))
-        times |= {t for t in (*rows, *between) if span.begin_s < t < span.end_s}
-    return sorted(times) or list(node_times(scenario))
-
-
 # errata
 
 
@@ -153,7 +256,7 @@ def execute_errata(order: AnalysisOrder) -> int:
     """Do it; returns the exit code."""
     scenario, design = load(order.scenario, order.vehicle, order.design)
     with Progress() as progress:
-        nodes = _found(scenario, design, order, api.published_nodes)
+        nodes = _found(scenario, order, operating_points_s(scenario, design, order, {}), api.published_nodes)
         found: list[Effect] = []
         for n, node in enumerate(nodes):
             found += effects([node], design)

@@ -56,6 +56,7 @@ class AnalysisOrder:
     errata: str = "corrected"
     plant: Plant = "flown"
     faults: bool = False
+    given: tuple[str, ...] = ()  # options that differ from the design's basis by the user's wish
     out: str | None = None
     pictures: bool = True
 
@@ -76,14 +77,14 @@ class Group:
 
 
 def analysis_report(
-    name: str, order: AnalysisOrder, design: Design, groups: Sequence[Group], loss: Event | None = None
+    name: str, order: AnalysisOrder, design: Design, groups: Sequence[Group], judged_by: str, loss: Event | None = None
 ) -> str:
-    """Of `simdesign analyse`. `loss`: of the flight of the design."""
+    """Return the report of `simdesign analyse`. `judged_by`: `judged_by_text`; `loss`: of the flight of the design."""
     where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {_KINDS[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
         where += f"; errata: {order.errata}; plant: {order.plant}"
     parts: list[Sequence[str]] = [
-        [printable(f"{name}: {design.name}" if design.name not in ("", name) else name), where]
+        [printable(f"{name}: {design.name}" if design.name not in ("", name) else name), where, judged_by]
     ]
     if loss is not None:
         parts[0] = [*parts[0], f"the flight is lost: {loss_text(loss)}; no operating point is after that"]
@@ -404,7 +405,7 @@ def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
 
 
 def analysis_record(
-    name: str, order: AnalysisOrder, groups: Sequence[Group], loss: Event | None = None
+    name: str, order: AnalysisOrder, groups: Sequence[Group], judged_by: str, loss: Event | None = None
 ) -> dict[str, Any]:
     """Of `simdesign analyse`."""
     checks = [check for group in groups for check in group.checks]
@@ -412,6 +413,7 @@ def analysis_record(
         "schema": SCHEMA,
         "design": name,
         **{key: getattr(order, key) for key in ("scenario", "axis", "kind", "errata", "plant")},
+        "judged_by": judged_by,
         "passed": loss is None and all(check.passed for check in checks),
         "lost": None if loss is None else loss_text(loss),
         "limits": checks_record(checks),

@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from maxq.design import api
-from maxq.design.case.schema import Robust, read_case
+from maxq.design.case.basis import Robust
+from maxq.design.case.schema import read_case
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node
 from maxq.design.optimise.robust import deviated

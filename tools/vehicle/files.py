@@ -351,7 +351,7 @@ def _roll(built: Built, n: int) -> dict[str, Any]:
 def _design(built: Built) -> dict[str, Any]:
     table = [{"time_s": t, "k_p": float(f"{k_p:.6g}"), "k_d_s": float(f"{k_d:.6g}")} for t, k_p, k_d in built.gains]
     out: dict[str, Any] = {
-        "schema": 1, "name": f"{built.layout.name}, first gains", "vehicle": built.layout.name,
+        "schema": 2, "name": f"{built.layout.name}, first gains", "vehicle": built.layout.name,
         "gains": {"table": table, "yaw": "pitch"},
     }  # fmt: skip  # two more lines otherwise
     first, *others = ({"filter": _filter(built, n), **_roll(built, n)} for n in range(len(built.stacks)))
@@ -468,7 +468,7 @@ def _case(built: Built) -> dict[str, Any]:
     orders = ["F4" if len(_filter(built, n).get("quadratic", ())) > 1 else "F2" for n in range(len(built.stacks))]
     differing = [{"filter": {"structure": order}} if order != orders[0] else {} for order in orders]
     return {
-        "schema": 1, "description": f"{built.layout.name}, every stage: largest least |1 + L|",
+        "schema": 2, "description": f"{built.layout.name}, every stage: largest least |1 + L|",
         "scenario": "scenario.toml",
         "gains": {"schedule": "free"}, "objective": {"kind": "least-margin"},
         "filter": {"structure": orders[0], "bounds": {"zero_hz": [low, 100.0], "pole_hz": [low, 100.0]}},
@@ -485,7 +485,7 @@ def _suite(built: Built) -> dict[str, Any]:
     why = "what 60 vehicles can show with none or one that fails"
     margins: dict[str, Any] = {"nodes_per_stage": 7, "cases": 60, "success": 0.95, "why": why}
     return {
-        "schema": 1, "extends": SUITE, "scenario": "scenario.toml", "limit_wind": LIMIT_WIND,
+        "schema": 2, "extends": SUITE, "scenario": "scenario.toml", "limit_wind": LIMIT_WIND,
         "description": f"{built.layout.name}, to begin with: the suite of any launcher with fewer nodes and vehicles",
         "margins": margins, "certificate": {"nodes_per_stage": 2}, "campaign": [campaign],
     }  # fmt: skip  # four more lines otherwise

@@ -16,6 +16,7 @@ from typing import Any
 
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.certificate.measured_only import MeasuredNode
+from maxq.design.verify.compared import against_basis
 from maxq.design.verify.flown import FlownResult
 from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, Requirement
 from maxq.design.verify.verify import Verification, tank_name
@@ -284,6 +285,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "more_runs": found.more_runs,
         "command": command,
         "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],
+        "against_basis": against_basis(found.suite, found.scenario),
         "flights": [{key: getattr(f, key) for key in _FLIGHT} for f in found.flights],
         "certificate": [_node(c) for c in found.certificates],
         "measured_only": [_measured(n) for n in found.measured],

@@ -14,6 +14,7 @@ from maxq.design.laws.design_file import DESIGN_NAME, design_path
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify import memory
 from maxq.design.verify import suite as suites
+from maxq.design.verify.compared import against_basis
 from maxq.design.verify.fitted import fit, named
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.judging import judge
@@ -86,7 +87,11 @@ def execute(order: Order) -> int:
             progress.show(f"writing {name}", 0, 1)
             signed = report.Signed(order.author, order.revision, order.date)
             files = report.write_pack(one, folder, loaded.command(name, order.vehicle, *words), order.pack, signed)
-            tell(*report.report(one, f"{name} by the suite {one.suite.name}"), *report.reasons(one))
+            tell(
+                *against_basis(one.suite, one.scenario),
+                *report.report(one, f"{name} by the suite {one.suite.name}"),
+                *report.reasons(one),
+            )
             for left in one.left_out:
                 tell(f"left out: {printable(left)}")
             for warning in one.scenario.warnings:

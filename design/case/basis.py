@@ -1,0 +1,248 @@
+"""The basis of a design: plant, loop, operating points and limits that a law is designed under and judged by.
+
+A case is a basis with a problem to be solved; a design file carries the basis of its law in `[basis]`, or one of each
+stage in `[stage.basis]`. `stated_basis` reads it.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, ValidationError
+
+from maxq.design.model.spread import Shares, Spread
+from maxq.design.quantities import CommonLimits, Degrees, RigidBody, ZoneName
+from maxq.sim.scenario.documents import Source, adopt, plain
+from maxq.sim.scenario.errors import refuse
+from maxq.sim.scenario.loader import told
+from maxq.sim.scenario.messages import explain
+from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_values import NotNegative, Positive, PositiveOverTime, Section, optional
+
+LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
+
+Range = tuple[float, float]
+BetweenNodes = Literal["ignore", "hold"]
+BETWEEN = (
+    "hold: instants between the nodes that are worse by 0.02 dB or 0.1 deg are searched and become nodes, until "
+    "none is found; with [robust] for dispersed plants too; ignore: limits at the nodes only, as in the paper"
+)
+WIND_KEYS = ("q_alpha_Padeg", "drift_mps", "bending_moment")
+"""Limits that need a wind."""
+
+
+def check_range(value: Range, key: str, lowest: float) -> None:
+    low, high = value
+    if not lowest < low:
+        raise refuse("reaches down to an unstable or right-half-plane root", "numbers above 0", key)
+    if not low < high:
+        raise refuse("is empty", "two numbers, the lower one first", key)
+
+
+def check_rising(values: tuple[float, ...], key: str) -> None:
+    if len(values) == 0 or any(b <= a for a, b in pairwise(values)):
+        raise refuse("does not rise", "one rising number or more", key)
+
+
+class SectionLimit(Section):
+    """A station and the bending moment that is allowed there."""
+
+    station_m: float = Field(description="one of the stage's loads.stations_m, m aft of the nose")
+    rms_Nm: Positive = Field(description="largest rms in the wind of [wind], N m")
+
+
+class LoadLimits(CommonLimits):
+    """Limits of one plant in still air and in wind; a key that is absent sets none."""
+
+    renamed: ClassVar[dict[str, str]] = {"higher_modes_db": "modes_from_3_db"}
+
+    q_alpha_Padeg: Positive | None = optional("largest rms of dynamic pressure times incidence in the wind of [wind]")
+    drift_mps: Positive | None = optional("largest rms of the lateral velocity in the wind of [wind]")
+    bending_moment: tuple[SectionLimit, ...] = optional("largest rms of the bending moment in the wind of [wind]", ())
+
+
+class DesignLimits(LoadLimits):
+    """Limits that a law was designed to; a key that is absent sets none."""
+
+    zone: ZoneName = optional(
+        "keep L out of a zone around -1 in the Nichols plane, half axes gain_margin_db, phase_margin_deg", "none"
+    )
+    filter_gain_at_infinity: Positive | None = optional("P^F, largest |F(j inf)| (46)")
+    integral_hz: Positive | None = optional(
+        "law pid: least corner k_i / (2 pi k_p) of the integral, Hz (default of a case: a tenth of rigid_hz)"
+    )
+    most_integral_hz: Positive | None = optional("law pid: largest corner of the integral, Hz (default: none)")
+    rigid_body: RigidBody = optional(
+        "frequency and damping ratio by (35), (36), or with M_alpha and M_q in them (erratum 12)", "paper"
+    )
+
+    def _check(self) -> None:
+        if self.zone != "none":
+            for key in ("gain_margin_db", "phase_margin_deg"):
+                self.needs(key, "it is a half axis of the zone", "a number > 0")
+        least, most = self.integral_hz, self.most_integral_hz
+        if most is not None and least is not None and most < least:
+            raise refuse("is below integral_hz", f"at least {least:g}", "most_integral_hz")
+
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """Keys of the limits that are set."""
+        return tuple(k for k, v in dict(self).items() if k != "rigid_body" and v not in (None, (), "none"))
+
+
+class MarginLimits(LoadLimits):
+    """Limits of a loop; margins hold at every crossing, and the closed loop must be stable."""
+
+    gain_margin_db: Positive = optional("GM_R (44): customary, the paper gives none", 6.0)
+    phase_margin_deg: Degrees = optional("PM_R (45): customary, the paper gives none", 30.0)
+    second_mode_db: float = optional("P2_UL (43): as low as the gain margin asks; not in the paper", -6.0)
+    rigid_hz: PositiveOverTime = optional(
+        "omega_RB,min (47): what the paper's reference design was held to; a table {time_s, value} for one over the "
+        "vehicle clock, linear between its times",
+        0.5,
+    )
+    rigid_zeta: PositiveOverTime = optional("zeta_RB,min (48): likewise", 0.7)
+    without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ())
+
+
+class Limits(MarginLimits, DesignLimits):
+    """Limits of the nominal plants, and those of filter and method."""
+
+    filter_gain_at_infinity: Positive = optional(
+        "P^F, largest |F(j inf)| (46): 1, a filter that amplifies no noise; not in the paper", 1.0
+    )
+
+
+class Wind(Section):
+    """Lateral wind that load and drift are limited in: a spectrum of MIL-F-8785C."""
+
+    sigma_mps: Positive = Field(description="intensity, m/s")
+    length_v_m: Positive = optional("scale length, m", 533.0)
+    model: Literal["dryden", "von-karman"] = optional("form of the spectrum", "dryden")
+    band_hz: Range = optional(
+        "frequencies that count, from 0.02 Hz to less than half the sample rate: shears lie below some tenths of one, "
+        "where a law can give way; bending modes count if they lie within",
+        (0.02, 5.0),
+    )
+
+    def _check(self) -> None:
+        check_range(self.band_hz, "band_hz", 0.0)
+
+
+class DispersedLimits(MarginLimits):
+    """Limits of the dispersed plants: half the nominal ones, as is practice."""
+
+    gain_margin_db: Positive = optional("customary: half the nominal one", 3.0)
+    phase_margin_deg: Degrees = optional("customary: half the nominal one", 15.0)
+    second_mode_db: float = optional("as low as the gain margin asks", -3.0)
+    without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ("rigid_hz", "rigid_zeta"))
+
+
+class Robust(Spread):
+    """Plants other than the nominal one for which the design must hold: half ranges, shares unless a unit is named.
+
+    Every mode and every tank by itself. The defaults are 3-sigma ranges after a modal survey: bending 5, 10, 15 %,
+    slopes 20 %. Plants are corners at which all deviate at once: n deviations of one sigma each are sqrt(n) sigma away.
+    Where some go together, corners are those of the independent deviations behind them, and as likely.
+    """
+
+    where: ClassVar[tuple[str, str]] = ("case", "robust")
+
+    corner_sigmas: Annotated[float, Field(gt=0.0, le=3.0)] = optional("each deviation at a corner, sigma", 2.0)
+    bending_damping: Shares = optional("of each mode", 0.0)
+    delay_s: NotNegative = optional("either way, s; never below no delay", 0.005)
+    rounds: Annotated[int, Field(ge=1, le=50)] = optional(
+        "times that the worst plants are searched, added, and the design is made anew", 8
+    )
+    limits: DispersedLimits = DispersedLimits()
+
+
+class Basis(Section):
+    """The plant, the loop, the operating points and the limits that a law was designed under."""
+
+    scenario: str = optional("name of the scenario whose flight gave the operating points", "")
+    plant: Literal["flown", "table2"] = optional(
+        "the scenario's vehicle, or with derivatives that span the paper's Table 2", "flown"
+    )
+    errata: Literal["corrected", "paper"] = optional("the paper's model corrected or as printed", "corrected")
+    loop: Literal["pade", "sampled", "exact"] = optional(
+        "pade: the paper's continuous model (30 to 32); sampled: as the computer runs it", "sampled"
+    )
+    plane: Literal["pitch", "yaw"] = optional("plane of the model", "pitch")
+    nodes_s: tuple[float, ...] | None = optional(
+        "vehicle times at which the limits are checked, s (default: chosen from the flight, in every stage under full "
+        "thrust)"
+    )
+    between_nodes: BetweenNodes = optional(BETWEEN, "ignore")
+    wind: Wind | None = optional("absent: no limits of load and drift")
+    limits: DesignLimits = DesignLimits()
+    robust: Robust | None = optional("absent: the nominal plants only")
+
+    def _check(self) -> None:
+        if self.nodes_s is not None:
+            check_rising(self.nodes_s, "nodes_s")
+        for key in WIND_KEYS:
+            if self.wind is None and getattr(self.limits, key) not in (None, ()):
+                raise refuse("needs a wind", "a table [wind]", ("limits", key))
+        if self.bends and self.errata == "paper":
+            raise refuse("has no bending moments", "errata = 'corrected'", "errata")
+
+    @property
+    def bends(self) -> bool:
+        """Bending moments are limited."""
+        return len(self._stations_m(())) > 0
+
+    def bending_stations_m(self, known: tuple[float, ...]) -> tuple[float, ...]:
+        """Return where moments are asked for, in one stage, which has the stations `known`.
+
+        Raises ValueError for a station that is not among them.
+        """
+        asked = self._stations_m(known)
+        if not asked <= set(known):
+            strange = ", ".join(f"{x:g}" for x in sorted(asked - set(known)))
+            raise ValueError(
+                f"bending moment at {strange} m: allowed are the stage's loads.stations_m, "
+                f"{', '.join(f'{x:g}' for x in known) or 'of which it has none'}"
+            )
+        return tuple(sorted(asked))
+
+    def _stations_m(self, known: tuple[float, ...]) -> set[float]:
+        del known  # the objective of a case may be about all of them
+        limits: list[LoadLimits] = [self.limits, *([] if self.robust is None else [self.robust.limits])]
+        return {one.station_m for each in limits for one in each.bending_moment}
+
+    def as_table(self) -> dict[str, Any]:
+        """Return the basis as a design file has it: keys that set nothing are left out."""
+        table: dict[str, Any] = _what_sets(plain(told(self)))
+        return table
+
+
+def _what_sets(value: Any) -> Any:
+    """Return a table without keys that set nothing, and without limits that are not asked for."""
+    if not isinstance(value, dict):
+        return value
+    left_out = value.get("without", ())
+    return {k: _what_sets(v) for k, v in value.items() if v not in ((), "none", "") and k not in left_out}
+
+
+def limit_of(limits: LoadLimits, key: str | float) -> Any:
+    """Return a limit by its key, or of a bending moment by its station (m); None where it is not asked for."""
+    if isinstance(key, str):
+        return None if key in getattr(limits, "without", ()) else getattr(limits, key)
+    return next((one.rms_Nm for one in limits.bending_moment if one.station_m == key), None)
+
+
+def stated_basis(design: Design, stage: int = 0, label: str = "") -> Basis | None:
+    """Return the basis that a design states for a stage, from 0; None where it states none.
+
+    Raises ScenarioError, about a file that is called `label`, for one that is wrong.
+    """
+    given = design.of_stage(stage).basis
+    if given is None:
+        return None
+    try:
+        return Basis.model_validate(plain(told(given)))
+    except ValidationError as error:
+        source = Source(label or design.name or "design", shown_as=("basis",))
+        raise explain(error, adopt(told(given), source), Basis) from None
