@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import petrelkit
 import pytest
 from scipy import stats
 
@@ -195,6 +196,32 @@ def test_the_scenario_of_scores_flies_that_vehicle() -> None:
     bobs = [schedule.tank_column(k) + c for k in range(2) for c in (schedule.TANK_MASS, schedule.TANK_LENGTH)]
     for column in (schedule.CORE_MASS, schedule.CORE_CG, 5, 6, schedule.TOTAL_MASS, *bobs):
         assert found.properties[0, column] == pytest.approx(held.properties[0, column], rel=1e-12)
+
+
+@pytest.mark.slow
+def test_engines_of_a_cluster_deviate_each_by_itself() -> None:
+    """Petrel's campaign: unlike burn rates make nine engines of three in the record, and the tables of its throttled
+    first stage run on another clock: at the same propellant the loops are those of the packed scenario."""
+    campaign = load_campaign(petrelkit.folder() / "campaign.toml")
+    hz = np.geomspace(0.3, 45.0, 100)
+    for time_s, stage in ((40.0, 0), (150.0, 1)):
+        (node,) = api.nodes(campaign.base, [time_s], plane="yaw")
+        deviations = deviations_of(campaign, node)
+        assert (node.stage, deviations.left_out) == (stage, ())
+        counts = {field: deviations.fields.count(field) for field in ("mass_flow", "actuator_sections", "slosh_mass")}
+        assert counts == {"mass_flow": (9, 1)[stage], "actuator_sections": (3, 1)[stage], "slosh_mass": 2}
+        for run, by in enumerate(deviations.drawn(range(3), 0)):
+            packed = pack_flight(campaign.scenario_of(run).scenario)
+            clock_s = float(node.held.parameters[0].timeline.frozen_s)
+            clock_s /= float(np.mean(by.mass_flow)) if stage == 0 else 1.0
+            flown = dataclasses.replace(
+                node,
+                held=hold_stage(packed, clock_s, stage),
+                instruments=instruments_of(packed.parameters[stage], "yaw"),
+            )
+            law = Pd(0.8, 0.4)
+            ratio = Loop(fixed_path(flown), law).response(hz) / Loop(fixed_path(disperse(node, by)), law).response(hz)
+            assert np.abs(20.0 * np.log10(np.abs(ratio))).max() < 1e-4
 
 
 OWN = """\

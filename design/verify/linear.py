@@ -3,7 +3,7 @@
 Margins are measured as designed, at the corners of the dispersions, and for random vehicles. A dispersed vehicle has
 the same deviations at every node. Corners: a two-level screening design (Plackett & Burman, Biometrika 33, 1946) of
 twelve runs and their mirror images, in which every pair of factors is uncorrelated. Random vehicles: vehicle N is run N
-of the campaign (design/model/deviations.py), along one of a few dispersed trajectories (`trajectories_of`). They are
+of the campaign (design/model/deviations.py), along one of a few dispersed trajectories (`conditions_of`). They are
 measured by the compiled margins of design/margins/dispersed.py; those whose margin lies within `NEAR` of a limit, and
 those that these do not serve, once more by `margins`.
 
@@ -34,6 +34,7 @@ from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measured_loop import measure_loop
 from maxq.design.model.deviations import Described, deviations_of, told_of
 from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.held import FlightCondition, Trim
 from maxq.design.model.node import Node, at_same_propellant_s, disperse, flown_run, flown_to, met_by, node_of
 from maxq.design.quantities import MEASURED, SWEPT, Convention, LoopLimits
 from maxq.design.verify import suite
@@ -147,8 +148,12 @@ def worst_instants(
     return sorted(out)
 
 
-def trajectories_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, workers: int = 2) -> list[list[Node]]:
-    """The nodes as dispersed flights meet them: their speed, air and attitude, and the vehicle as it is.
+Met = tuple[FlightCondition, Trim]
+"""Air and path of a flight at a node, and its angles of attack and sideslip."""
+
+
+def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, workers: int = 2) -> list[list[Met]]:
+    """Return the speed, air and attitude in which dispersed flights meet the nodes.
 
     Of the first `count` runs of a campaign that are under thrust at all nodes; (flights, nodes). A node is met with the
     propellant that it has in the flight as designed, so that an engine that burns faster meets it earlier. The vehicle
@@ -157,18 +162,19 @@ def trajectories_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int,
     flown = flown_run(campaign.base, faults=False).packed
     order = sorted(range(len(nodes)), key=lambda k: nodes[k].time_s)
 
-    def fly_one(number: int) -> list[Node] | None:
-        run, out = flown_run(campaign.scenario_of(number), faults=False), dict[int, Node]()
+    def fly_one(number: int) -> list[Met] | None:
+        run, out = flown_run(campaign.scenario_of(number), faults=False), dict[int, Met]()
         for k in order:
             node = nodes[k]
             try:
                 at_s = at_same_propellant_s(run, flown, node)
-                out[k] = met_by(node, node_of(run.packed, flown_to(run, at_s) / 1e9, node.stage, node.plane))
+                met = met_by(node, node_of(run.packed, flown_to(run, at_s) / 1e9, node.stage, node.plane))
+                out[k] = met.condition, met.trim
             except ValueError:
                 return None
         return [out[k] for k in range(len(nodes))]
 
-    found: list[list[Node]] = []
+    found: list[list[Met]] = []
     with ThreadPoolExecutor(max_workers=workers) as pool:
         for number in range(0, 2 * count, workers):
             found += [one for one in pool.map(fly_one, range(number, number + workers)) if one is not None]

@@ -249,6 +249,7 @@ class _Job:
     workers: int
     campaign: LoadedCampaign | None = None  # whose runs are random vehicles and their trajectories
     changes: Sequence[str] = ()  # of design and vehicle
+    known: dict[Plane, list[Node]] = field(default_factory=dict)  # nodes by plane
 
     def times_s(self, part: LinearMargins | CertificateWanted) -> tuple[float, ...]:
         """Of a part's nodes: the suite's, or such as suit the flight."""
@@ -259,7 +260,12 @@ class _Job:
         return self.memory.recall("times", (self.along.as_flown, part.nodes_per_stage, edges), times)
 
     def nodes(self, plane: Plane) -> list[Node]:
-        """Nodes of the linear margins, which depend on all of the flight."""
+        """Return the nodes of the linear margins, which depend on all of the flight."""
+        if plane not in self.known:
+            self.known[plane] = self._nodes(plane)
+        return self.known[plane]
+
+    def _nodes(self, plane: Plane) -> list[Node]:
         wanted, design = self.suite.margins, self.design
         assert wanted is not None
         times_s = self.times_s(wanted)
@@ -278,7 +284,7 @@ class _Job:
             limits = told(wanted.nominal)
             found = self.memory.recall("instants", (*depends, repr(design), limits), between)
             times_s = tuple(sorted({*times_s, *found}))
-        return self.memory.recall("nodes", (self.along.as_flown, times_s, plane), lambda: along(times_s))
+        return along(times_s)
 
     def margins(self) -> list[linear.MarginStudy]:
         """Of every stage that has nodes, plane by plane."""
@@ -328,8 +334,12 @@ class _Job:
         if not (wanted.trajectories and every and self.campaign is not None):
             return []
         depends = (description_of(self.campaign), every, wanted.trajectories)
-        fly = partial(linear.trajectories_of, self.campaign, every, wanted.trajectories, self.workers)
-        flights = self.memory.recall("trajectories", depends, fly)
+        fly = partial(linear.conditions_of, self.campaign, every, wanted.trajectories, self.workers)
+        met = self.memory.recall("trajectories", depends, fly)
+        flights = [
+            [replace(node, condition=condition, trim=trim) for node, (condition, trim) in zip(every, each, strict=True)]
+            for each in met
+        ]
         ends = list(itertools.accumulate((len(nodes) for nodes in parts), initial=0))
         return [[flight[a:b] for flight in flights] for a, b in itertools.pairwise(ends)]
 

@@ -8,6 +8,7 @@ QUANTITIES = "design/quantities.py"
 SUITE, ANALYSIS, DRAWS = "design/verify/suite.py", "sim/campaign/analysis.py", "sim/campaign/draws.py"
 PLAN, ROBUST, JUDGING = "sim/campaign/plan.py", "design/optimise/robust.py", "design/verify/judging.py"
 SPREAD, RARE = "design/model/spread.py", "sim/campaign/rare.py"
+DEVIATIONS = "design/model/deviations.py"
 MU, MONTHS, SOUNDINGS = "design/verify/named_mu.py", "sim/campaign/availability.py", "sim/scenario/soundings.py"
 FLOWN, ALLOCATION = "design/verify/flown.py", "sim/packing/allocation.py"
 
@@ -38,13 +39,21 @@ NAMED = (
     (ANALYSIS, "return np.asarray(~causes «&» ~self.void)", "|", "a run that lost control has kept it"),
     (LINEAR, "np.array([*rows, *[«-np.asarray(r)» for r in rows]], float)", "np.asarray(r)", "mirror corners left out"),
     (LINEAR, "[np.roll(_GENERATOR, k) for k in range(len(_GENERATOR)«»)]", " - 1", "a corner left out"),
-    (LINEAR, "np.random.default_rng([seed, «number»])", "0", "seed reused: all vehicles alike"),
-    (LINEAR, "np.random.default_rng([«seed», number])", "0", "seed ignored"),
-    (LINEAR, ".normal(size=len(factor)) / «3.0»)", "9.0", "three sigma taken as nine"),
+    (DEVIATIONS, "np.random.default_rng([seed, «n»])", "0", "seed reused: all vehicles alike"),
+    (DEVIATIONS, "np.random.default_rng([«seed», n])", "0", "seed ignored"),
+    (DEVIATIONS, ".normal(size=len(factor)) / «3.0»", "9.0", "three sigma taken as nine"),
+    (DEVIATIONS, "found = plan.draw(numbers.«start», len(numbers))", "stop", "other runs than those of the campaign"),
+    (DEVIATIONS, 'Rule("slosh_frequency", «-0.5»)', "0.5", "longer pendulums swing faster"),
+    (
+        DEVIATIONS,
+        "first = sum(each.pendulums for each in stage.tank[:«tank»])",
+        "0",
+        "every tank by the first one's draw",
+    ),
+    (DEVIATIONS, "section = «5 - section»", "section", "pole and zero not exchanged"),
     (SPREAD, '"slosh": len(vehicle.pendulums.mass_kg)«»}', " - 1", "one tank not dispersed"),
-    (SPREAD, '"bending": «len(vehicle.modes.omega_radps)»', "1", "higher modes not dispersed"),
-    (SPREAD, "size * draw(key, «n»), 0.05) for n, size", "0", "all modes and tanks by the first one's draw"),
-    (SPREAD, "values[key] = getattr(spread, key) «*» draw(key, -1)", "* 0.0 *", "delay not dispersed"),
+    (SPREAD, '"bending": «len(vehicle.omega_radps)»', "1", "higher modes not dispersed"),
+    (SPREAD, "by = [size * draw(key, «n») for size, n", "0", "all modes and tanks by the first one's draw"),
     (LINEAR, "if found.margins.stable else {«}»", '"rigid_phase_deg": 0.0}', "unstable loop taken for a margin"),
     (LINEAR, "return np.asarray(met.«all»(axis=-1))", "any", "one node met is enough"),
     (LINEAR, "value, limit, where, command = «max»(rows", "min", "best vehicle reported as the worst"),
@@ -61,15 +70,7 @@ NAMED = (
     (WORST, "if found[k] «>» value - 1e-6:", "<", "corner made better"),
     (SPREAD, 'length_factor",), power=«-2.0»)', "2.0", "scenario with the inverse slosh frequency"),
     (SPREAD, "vectors * np.sqrt(np.maximum(sizes, 0.0))) @ vectors.«T»", "conj()", "root of the correlations turned"),
-    (SPREAD, "sign = math.copysign(1.0, «by_a * by_b»)", "1.0", "sign of a correlation of the campaign lost"),
-    (LINEAR, "deviations = «root» @ np.array", "np.eye(len(places))", "corners without correlations"),
-    (
-        ROBUST,
-        "at = «root_of_correlation(ranges, node, places)» @ at",
-        "np.eye(len(places))",
-        "robust without correlations",
-    ),
-    (WORST, "return measure([«root» @ u for u in every])", "np.eye(count)", "worst search without correlations"),
+    (DEVIATIONS, "self.places, «self._root» @ u, label", "np.eye(len(u))", "scores without correlations"),
     (RARE, "p *= «len(beyond)» / n", "chains - 1", "conditional probability one chain short"),
     (RARE, "math.sqrt(1.0 - step_size**2) * z «+»", "* 1.1 +", "chains leave the distribution"),
     (RARE, "there > «level»", "-np.inf", "chains that leave their level"),
@@ -78,7 +79,7 @@ NAMED = (
     (WORST, "exact.modulus if exact.stable else «0.0»", "exact.modulus", "unstable vehicle with its distance"),
     (DRAWS, "cells[inside] = _permutation(seed, key, «hypercube», stratum)", "0", "every hypercube the same"),
     (DRAWS, "np.uint32(hashed & «0xFFFFFFFF»)", "0", "Sobol' points of all inputs scrambled alike"),
-    (ROBUST, "at = np.«array»(ends) *", "abs", "deviations to one side only"),
+    (ROBUST, "at(np.«array»(ends) *", "abs", "deviations to one side only"),
     (ROBUST, "for end in («-1», 0, 1):", "1", "lower ends not searched"),
     (ROBUST, "best = «max»(beginnings, key=score)", "min", "search from the best beginning"),
     (

@@ -24,6 +24,7 @@ from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.beam import Beam
 from maxq.tools.vehicle.build import Built, burning, least_rigid_hz
+from maxq.tools.vehicle.campaign import LIMIT_WIND, campaign_of
 from maxq.tools.vehicle.masses import Stack, engine_inertia
 from maxq.tools.vehicle.trajectory import Point
 
@@ -34,11 +35,6 @@ ROOM_DB, ROOM_DEG = 0.5, 2.0  # by which a case asks for more than its suite: no
 ROLL_SHARE = 0.25  # of the gimbals' angle that roll may take
 FASTER = 0.1  # share of its burn by which a part's tables go on where the next part burns on
 SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
-LIMIT_WIND = "vehicle/limit_wind.csv"
-SPREAD = {
-    "thrust at equal impulse": 0.03, "normal force": 0.15, "axial force": 0.1, "actuator poles": 0.15,
-    "frequency of mode 1": 0.05,
-}  # fmt: skip  # two more lines otherwise
 Table = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
 Tables = dict[str, Table]  # by the file's name
 
@@ -55,7 +51,7 @@ def write(built: Built, folder: Path) -> list[Path]:
     made = f"# {layout.name}: an estimate from a layout by simvehicle, to begin with.\n"
     documents = {
         "vehicle/vehicle.toml": _rounded(vehicle), "design.toml": _design(built), "scenario.toml": _scenario(built),
-        "campaign.toml": _campaign(built), "case.toml": _case(built), "suite.toml": _suite(built),
+        "campaign.toml": campaign_of(built), "case.toml": _case(built), "suite.toml": _suite(built),
     }  # fmt: skip  # seven more lines otherwise
     for name, content in documents.items():
         files.append(write_whole(folder / name, made + tomli_w.dumps(content)))
@@ -407,45 +403,6 @@ def _closed_loop(built: Built) -> dict[str, Any]:
             "isp_s": float(f"{last.impulse_Ns / spent / STANDARD_GRAVITY_mps2:.6g}"),
         }
     }
-
-
-def _campaign(built: Built) -> dict[str, Any]:
-    """All stages, each with deviations of its own, in winds from any side up to the limit wind, and in turbulence."""
-    spread = [
-        {"name": "share of the limit wind", "key": "wind.profile.speed_mps", "apply": "scale",
-         "distribution": "uniform", "low": 0.0, "high": 1.0, "source": "assumed, to begin with"},
-        {"name": "direction of the wind", "key": "wind.turn_deg", "distribution": "uniform", "low": 0.0, "high": 360.0,
-         "source": "assumed, to begin with"},
-    ]  # fmt: skip  # ten more lines otherwise
-    for of_layout, stage in enumerate(built.layout.stage):
-        parts = [n for n, stack in enumerate(built.stacks) if stack.number == of_layout]  # two if it drops the fairing
-        e = stage.engine
-        engines, groups, poles = _each(len(e.positions_m)), _each(len(set(e.groups))), range(len(e.servo_hz))
-        keys = {
-            "thrust at equal impulse": [(n, f"engine{one}.mass_flow_factor") for n, one in engines],
-            "normal force": [("", "aero.force_factor")],
-            "axial force": [("", "aero.axial_factor")],
-            "actuator poles": [(f"{n} {p + 1}", f"actuator{one}.omega_hz.{p}") for n, one in groups for p in poles],
-        }
-        if built.modes[parts[0]][1][0] and stage.spatial_modes is None:
-            keys["frequency of mode 1"] = [("", "bending.frequency_factor.0")]
-        of = f", {stage.name}" if len(built.layout.stage) > 1 else ""
-        for name, elements in keys.items():
-            spread += [
-                {"name": f"{name}{of}{number}", "keys": [f"vehicle.stage.{n}.{one}" for n in parts], "apply": "scale",
-                 "distribution": "normal", "three_sigma": SPREAD[name], "source": "assumed, to begin with"}
-                for number, one in elements
-            ]  # fmt: skip  # five more lines otherwise
-    return {
-        "schema": 1, "extends": "scenario.toml", "description": f"{built.layout.name}, dispersed, in wind",
-        "campaign": {"runs": 100, "seed": 1},
-        "wind": {"profile": LIMIT_WIND, "turbulence": {"model": "dryden", "exceedance": "light"}}, "disperse": spread,
-    }  # fmt: skip  # four more lines otherwise
-
-
-def _each(count: int) -> list[tuple[str, str]]:
-    """What tells the elements of a list from each other in names and in key paths; nothing for a single one."""
-    return [(f" {k + 1}", f".{k}") for k in range(count)] if count > 1 else [("", "")]
 
 
 def _case(built: Built) -> dict[str, Any]:
