@@ -16,7 +16,7 @@ from maxq.design.optimise.problem import Evaluation
 from maxq.design.optimise.solution import Solution, Trial
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import descend
-from maxq.design.optimise.way_out import conflict, plants_of, tried
+from maxq.design.optimise.way_out import case_as_searched, conflict, plants_of, tried
 from maxq.sim.scenario.loader import load_scenario
 
 SHORT = ("loop=sampled", "search.starts=4", "search.leaps=0")
@@ -160,6 +160,40 @@ def test_an_interrupted_trial_claims_what_it_reached(margin: tuple[LoadedCase, S
     assert trials[1].missing_db <= s.violation_db + 1e-6
     assert trials[1].text.endswith(" dB missing (interrupted)")
     assert trials[1].evaluations < trials[0].evaluations + 50
+
+
+def test_a_best_effort_that_is_not_settled_is_first_searched_without_a_change(
+    margin: tuple[LoadedCase, Solution, tuple[Trial, ...]],
+) -> None:
+    """Else a trial could claim for its change what a longer search gains; and multipliers say nothing there."""
+    loaded, s, trials = margin
+    loose = dataclasses.replace(s, certificate=dataclasses.replace(s.certificate, kkt_residual=0.1))
+    plain, wider, *_ = tried(loaded, loose)[0]
+    assert (plain.change, plain.settings) == ("no change", ())
+    assert plain.missing_db == pytest.approx(s.violation_db, abs=1e-4)  # the best effort was the best
+    assert wider.missing_db == trials[0].missing_db
+    assert conflict(dataclasses.replace(s, certificate=dataclasses.replace(s.certificate, stable=False))) == ()
+
+
+@pytest.mark.slow
+def test_trials_of_a_robust_case_hold_its_dispersed_vehicles() -> None:
+    """The vehicles are made again from the labels of the search; the violation of the best effort is the same."""
+    limits = ("limits.gain_margin_db=14", "limits.phase_margin_deg=50", "robust.limits.gain_margin_db=8")
+    few = ("nodes_s=[45.0]", "search.starts=2", "search.leaps=0", "robust.rounds=1", "robust.corner_sigmas=1")
+    loaded = kit.case(*limits, *few, name="ksr3-robust")
+    s = solve(loaded)
+    assert s.violation_db == pytest.approx(0.4968, abs=1e-3)
+    case = case_as_searched(s)  # prewarped where the mean of the first search's modes is
+    plants = plants_of(case, nodes_of(loaded, [45.0]), s)
+    assert len(plants) == s.certificate.plants == 4
+    assert make_problem(case, plants).evaluate(s.variables).violation_db == pytest.approx(s.violation_db, abs=1e-9)
+    gains_db = {relief.name: relief.gains_db for relief in conflict(s)}
+    assert gains_db["gain margin"] == pytest.approx(0.485, abs=0.01)
+    assert sum(gains_db.values()) == pytest.approx(1.0, abs=1e-3)
+    wider, higher, faster = tried(loaded, s)[0]
+    assert wider.missing_db == 0.0
+    assert faster.missing_db < higher.missing_db < s.violation_db
+    assert solve(kit.case(*limits, *few, *wider.settings, name="ksr3-robust"), also_from=[s.law]).feasible
 
 
 def test_a_design_that_meets_its_limits_has_no_way_out_to_look_for() -> None:

@@ -20,7 +20,7 @@ from maxq.control.kernel.records import Array
 from maxq.control.structures import MAX_SECTIONS, STRUCTURES
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.model.node import Node
-from maxq.design.optimise.at_nodes import make_problem
+from maxq.design.optimise.at_nodes import MORE_STARTS, make_problem
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.problem import Evaluation, Problem
 from maxq.design.optimise.robust import dispersed_nodes
@@ -36,6 +36,7 @@ WIDER = {
 FASTER = 2  # times the sample rate
 STEPS, FINE_DB = 150, 1e-7  # of a descent
 LEAST_EVALUATIONS = 60  # of a trial
+UNSETTLED = 1e-3  # residual of the optimality conditions of a best effort from which a search may well go on
 LEAST_SHARE = 1e-3  # multipliers that are smaller are not shown
 
 
@@ -96,9 +97,12 @@ class Change:
     nodes: Sequence[Node]
 
 
-def changes_of(case: Case, nodes: Sequence[Node]) -> list[Change]:
-    """Return the changes that a case can be tried with."""
-    found = []
+def changes_of(case: Case, nodes: Sequence[Node], settled: bool = True) -> list[Change]:
+    """Return the changes that a case can be tried with.
+
+    First none, where the best effort is not `settled`: a trial may then gain by searching on, whatever its change.
+    """
+    found = [] if settled else [Change("no change", (), case, nodes)]
     bounds = case.filter.bounds
     wider = {
         key: (min(low, ends[0]), max(high, ends[1]))
@@ -158,6 +162,12 @@ def _faster(node: Node) -> Node:
     return replace(node, instruments=timing)
 
 
+def case_as_searched(solution: Solution) -> Case:
+    """Return the case with its filter prewarped where that of the best effort is."""
+    prewarp_hz = getattr(solution.law, "prewarp_hz", None)
+    return solution.case if prewarp_hz is None else _with_filter(solution.case, prewarp_hz=prewarp_hz)
+
+
 def plants_of(case: Case, nodes: Sequence[Node], solution: Solution) -> Plants:
     """Return the plants of a solution: those at the nodes, and the dispersed ones that its search has taken."""
     nominal = [make_plant(node, case) for node in nodes]
@@ -177,8 +187,10 @@ def tried(loaded: LoadedCase, solution: Solution, progress: Progress | None = No
     try:
         with threadpool_limits(limits=1, user_api="blas"):
             nodes = nodes_of(loaded, [node.time_s for node in solution.nodes])
-            changes = changes_of(solution.case, nodes)
-            most = max(LEAST_EVALUATIONS, solution.certificate.evaluations // len(changes))
+            certificate = solution.certificate
+            settled = certificate.stable and certificate.kkt_residual <= UNSETTLED
+            changes = changes_of(case_as_searched(solution), nodes, settled)
+            most = max(LEAST_EVALUATIONS, certificate.evaluations // len(changes))
             for number, change in enumerate(changes):
                 shown = None if progress is None else partial(progress, number, len(changes))
                 trial = _tried(change, solution, most, shown)
@@ -226,7 +238,7 @@ def _tried(change: Change, solution: Solution, most: int, progress: Callable[[fl
 def starts_of(problem: Problem, case: Case, solution: Solution) -> list[Array]:
     """Return the best effort, then the law's own starts."""
     warm = problem.law.variables_of(solution.law)
-    return [*([] if warm is None else [warm]), *problem.law.starts(case.search.starts, case.search.seed)]
+    return [*([] if warm is None else [warm]), *problem.law.starts(MORE_STARTS * case.search.starts, case.search.seed)]
 
 
 def _rank(at: Evaluation) -> tuple[int, float]:

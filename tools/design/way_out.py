@@ -6,11 +6,10 @@ from dataclasses import asdict
 from typing import Any
 
 from maxq.design.optimise.solution import Bound, Constraint, Solution
-from maxq.design.optimise.way_out import conflict
+from maxq.design.optimise.way_out import UNSETTLED, conflict
 from maxq.tools.cli.terminal import aligned
 
 POINTS = 3  # of a limit, in a table
-UNCERTAIN = 1e-3  # residual of the optimality conditions above which multipliers are called uncertain
 
 
 def way_out_table(solution: Solution) -> list[str]:
@@ -23,7 +22,7 @@ def way_out_table(solution: Solution) -> list[str]:
         rows = [("limits in conflict", "gains dB per dB", "a dB is", "at (part)")]
         rows += [(each.name, f"{each.gains_db:.3f}", each.by, _at(each.points)) for each in found]
         lines += aligned(rows, "  ", right=(1, 2))
-        if (residual := solution.certificate.kkt_residual) > UNCERTAIN:
+        if (residual := solution.certificate.kkt_residual) > UNSETTLED:
             lines.append(f"  uncertain: the optimality conditions are met to {residual:.1e} only")
         if solution.bounds:
             lines.append("  bounds of variables, and what moving them gains")
