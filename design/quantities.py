@@ -114,7 +114,7 @@ class CommonLimits(Section):
     ] = optional("modulus margin: least |1 + L|, dB")
     first_mode_db: Annotated[
         float | None, Quantity("peak of mode 1", "mode 1 dB", "dB", "<=", lambda j, _: j.mode_peak_db(1, 1))
-    ] = optional("peak of mode 1, dB: the largest |L| in the lobe of the mode")
+    ] = optional("peak of mode 1, dB: the largest |L| at its frequency, as far as it is the mode's own")
     second_mode_db: Annotated[
         float | None, Quantity("peak of mode 2", "mode 2 dB", "dB", "<=", lambda j, _: j.mode_peak_db(2, 2))
     ] = optional("peak of mode 2, dB; likewise")
@@ -128,7 +128,7 @@ class CommonLimits(Section):
     ] = optional("largest peak of modes 3 and above, dB; likewise")
     first_mode_phase_deg: Annotated[
         Degrees | None, Quantity("phase margin at mode 1", "mode 1 deg", "deg", ">=", lambda j, _: j.mode_phase_deg(1))
-    ] = optional("phase margin of the lobe of mode 1 where it rises above 0 dB, deg")
+    ] = optional("phase margin over the crossings of 0 dB that belong to mode 1, deg")
     rigid_hz: Annotated[
         PositiveOverTime | None,
         Quantity("rigid-body frequency", "rigid Hz", "Hz", ">=", lambda j, by: j.rigid(by.rigid_body)[0]),

@@ -38,7 +38,8 @@ def _source_files() -> tuple[Path, ...]:
     """Python sources that may hold a kernel or a constant that one uses, wherever they are installed."""
     layers = Path(__file__).resolve().parents[2]
     held = (sorted((layers / layer).rglob("*.py")) for layer in ("control", "sim"))
-    alone = sorted((layers / "design/margins").glob("*.py"))  # design/ and tools/ hold no others
+    # design/ and tools/ hold no others
+    alone = [*sorted((layers / "design/margins").glob("*.py")), layers / "design/loop/own_part.py"]
     of_layers = (p for paths in held for p in paths if not _KERNEL_FREE.intersection(p.relative_to(layers).parts))
     return (*alone, *of_layers)
 

@@ -150,11 +150,6 @@ class Objective(Section):
         "where the bending moment is made small, of the stage's loads.stations_m (default: at all of them); with "
         "bending-moment"
     )
-    band: Annotated[float, Field(gt=0.0, lt=0.5)] = optional(
-        "half width of the band around each coupled bending frequency in which its peak is sought, as a "
-        "share of it; the paper evaluates at the uncoupled frequency, which can miss the peak by 1 dB (erratum 17)",
-        0.03,
-    )
 
     def _check(self) -> None:
         self.only_with(("stations_m",), self.kind == "bending-moment", 'kind = "bending-moment"')

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import abc
 import math
+from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar, Literal, get_args
 
@@ -32,6 +33,7 @@ from numpy.typing import ArrayLike
 
 from maxq.control.kernel.records import Array
 from maxq.design.laws.law import ANGLES, MEASUREMENTS
+from maxq.design.loop.own_part import centre_of, dominance, folded_hz
 from maxq.design.loop.rational import Rational, average, converter_pade, delay_pade, hold_pade
 from maxq.design.loop.resonance import NamedPole, Resonance, named, resonances, vehicle_poles
 from maxq.design.loop.sampling import SampledPlant, sample
@@ -43,6 +45,7 @@ Kind = Literal["sampled", "pade", "exact"]
 Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 CUTS: tuple[Cut, ...] = get_args(Cut)
+IMAGES = 8  # on either side of a mode's own part; they fall with the third power of their number at least
 
 
 class FixedPath(abc.ABC):
@@ -176,8 +179,43 @@ class FixedPath(abc.ABC):
         return found if self.sample_s is None else folded(found, self.sample_s)
 
     def resonances(self, below_zeta: float = 0.3) -> list[Resonance]:
-        """Oscillatory poles with a damping ratio below `below_zeta`, by frequency."""
-        return resonances(self.named_poles(), below_zeta, self.sample_s)
+        """Return the oscillatory poles with a damping ratio below `below_zeta`, by frequency."""
+        found = resonances(self.named_poles(), below_zeta, self.sample_s)
+        return [replace(r, part=self._own_parts[r.number]) if r.kind == "bending" else r for r in found]
+
+    @cached_property
+    def _own_parts(self) -> dict[int, complex]:
+        """Return `Resonance.part` of each bending mode by its number.
+
+        With further sensors it is that of the measurement in which the mode is strongest against the rest.
+        """
+        modes = [p for p in self._vehicle_poles if p.kind == "bending" and p.pole_radps.imag > 0.0]
+        if not modes:
+            return {}
+        poles, residue = np.array([p.pole_radps for p in modes]), np.array([p.residue for p in modes])[:, None]
+        s = image_points(poles, self.sample_s)
+        at, pole = s[..., None, None], poles[:, None, None, None]
+        way = residue / (at - pole) + residue.conj() / (at - pole.conj())
+        late = [0, *(samples for _, _, samples in self.sensors)]
+        period, computer = self.node.instruments.sample_s, self.computer_at(s)
+        each = [
+            (self._sensed(s, way[..., k, :], k) * computer * np.exp(-s * n * period)).sum(axis=1)
+            for k, n in enumerate(late)
+        ]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            parts = np.stack(each, axis=-1) / self.responses(s.imag[:, s.shape[1] // 2] / (2.0 * math.pi))
+        parts = np.where(np.isfinite(parts), parts, 1.0)  # of an undamped mode
+        return {p.number: complex(max(row.tolist(), key=dominance)) for p, row in zip(modes, parts, strict=True)}
+
+    def _sensed(self, s: ComplexArray, vehicle: ComplexArray, output: int) -> ComplexArray:
+        """Return a response (..., inputs) of the vehicle through the actuators and the gyro, or sensor `output`."""
+        out = per_command(s, vehicle, self.vehicle.inputs, self.node.actuators)
+        sensor = self.sensors[output - 1][1] if output > 0 else self.node.instruments.gyro
+        return out if sensor.ideal or not self.takes_rate else out * lag(s, sensor.omega_radps, sensor.zeta)
+
+    @abc.abstractmethod
+    def computer_at(self, s: ComplexArray) -> ComplexArray:
+        """Return converter, delay and hold at complex s, rad/s; without aliasing."""
 
     @cached_property
     def continuous(self) -> StateSpace:
@@ -250,16 +288,7 @@ class _ContinuousFixedPath(FixedPath):
 
     def plant_at(self, s: ComplexArray, output: int = 0) -> ComplexArray:
         """Actuator, vehicle and gyro, or further sensor number `output`."""
-        way = self._turning(s)[..., output, :] + self.vehicle.d[output]
-        out = per_command(s, way, self.vehicle.inputs, self.node.actuators)
-        sensor = self.sensors[output - 1][1] if output > 0 else self.node.instruments.gyro
-        if not sensor.ideal and self.takes_rate:
-            out = out * lag(s, sensor.omega_radps, sensor.zeta)
-        return out
-
-    @abc.abstractmethod
-    def computer_at(self, s: ComplexArray) -> ComplexArray:
-        """Converter, delay and hold."""
+        return self._sensed(s, self._turning(s)[..., output, :] + self.vehicle.d[output], output)
 
 
 class PadeFixedPath(_ContinuousFixedPath):
@@ -318,6 +347,9 @@ class SampledFixedPath(FixedPath):
         self.sampled: SampledPlant = sample(self.continuous, node.instruments.sample_s, node.instruments.delay_s)
         self._resolvent = self.sampled.resolvent()
 
+    def computer_at(self, s: ComplexArray) -> ComplexArray:
+        return sampled_computer(s, self.sample_s, self.node.instruments.delay_s)
+
     @property
     def highest_hz(self) -> float:
         return 0.5 / self.node.instruments.sample_s
@@ -371,6 +403,26 @@ def folded(poles_radps: ComplexArray, sample_s: float) -> ComplexArray:
     turn = 2.0 * math.pi / sample_s
     imaginary = poles_radps.imag - turn * np.round(poles_radps.imag / turn)
     return poles_radps.real + 1j * imaginary
+
+
+def sampled_computer(s: ComplexArray, sample_s: float, delay_s: Array | float) -> ComplexArray:
+    """Return converter, delay and hold of a sampled path for one of its images, at complex s, rad/s."""
+    return np.asarray(average(s, sample_s) ** 2 * np.exp(-delay_s * np.asarray(s)))
+
+
+def image_points(poles_radps: ComplexArray, sample_s: float | None) -> ComplexArray:
+    """Return the points s on the imaginary axis, (poles, images), that the response at each pole's frequency is from.
+
+    The frequency (`own_part.centre_of`) is in the middle; a continuous path (`sample_s` None) has no other image.
+    """
+    rate_hz = 1.0 / (sample_s or 1e-300)
+    widths_hz = np.abs(poles_radps.real) / (2.0 * math.pi)
+    centres = [centre_of(folded_hz(p, rate_hz), w, 0.5 * rate_hz) for p, w in zip(poles_radps, widths_hz, strict=True)]
+    images = np.zeros(1)
+    if sample_s is not None:
+        most = IMAGES + math.ceil(np.abs(poles_radps).max() * sample_s / (2.0 * math.pi))
+        images = np.arange(-most, most + 1) * rate_hz
+    return np.asarray(2j * np.pi * (np.array(centres)[:, None] + images))
 
 
 def _integrated(

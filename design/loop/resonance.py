@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
+from maxq.design.loop.own_part import centre_of, folded_hz
 from maxq.design.model.state_space import ComplexArray, StateSpace
 
 
@@ -24,6 +25,14 @@ class Resonance:
     number: int
     frequency_hz: float
     pole_radps: complex
+    highest_hz: float = math.inf  # end of the loop
+    part: complex = complex(math.nan, math.nan)  # own part over the whole at `centre_hz`; NaN but for bending modes
+
+    @property
+    def centre_hz(self) -> float:
+        """The frequency at which the resonance is examined; see `centre_of` for a bending mode."""
+        bends = not math.isnan(self.part.real)
+        return centre_of(self.frequency_hz, self.half_width_hz, self.highest_hz) if bends else self.frequency_hz
 
     @property
     def label(self) -> str:
@@ -46,6 +55,7 @@ class NamedPole:
     pole_radps: complex
     kind: str
     number: int = 0
+    residue: ComplexArray | None = None  # (outputs, inputs) of the vehicle there; None: a pole of another part
 
 
 def named(poles: ComplexArray, kind: str, number: int = 0) -> list[NamedPole]:
@@ -63,7 +73,8 @@ def vehicle_poles(plant: StateSpace) -> list[NamedPole]:
     poles = poles.astype(np.complex128)
     names = [owner_of(state) for state in plant.states]
     owners = list(dict.fromkeys(names))
-    share = np.abs(vectors * np.linalg.pinv(vectors).T) if len(poles) else np.zeros((0, 0))
+    left = np.linalg.pinv(vectors) if len(poles) else vectors
+    share = np.abs(vectors * left.T)
     per_owner = np.array([[share[[n == o for n in names], i].sum() for o in owners] for i in range(len(poles))])
     out = []
     swinging = [i for i in range(len(poles)) if poles[i].imag > 0.0]
@@ -71,7 +82,9 @@ def vehicle_poles(plant: StateSpace) -> list[NamedPole]:
         pairs, found = scipy.optimize.linear_sum_assignment(per_owner[swinging], maximize=True)
         for pair, owner in zip(pairs, found, strict=True):
             pole = complex(poles[swinging[pair]])
-            out += [NamedPole(pole, *owners[owner]), NamedPole(pole.conjugate(), *owners[owner])]
+            residue = np.outer(plant.c @ vectors[:, swinging[pair]], left[swinging[pair]] @ plant.b)
+            out.append(NamedPole(pole, *owners[owner], residue))
+            out.append(NamedPole(pole.conjugate(), *owners[owner], residue.conj()))
     for i in np.flatnonzero(poles.imag == 0.0):
         out.append(NamedPole(complex(poles[i]), *owners[int(np.argmax(per_owner[i]))]))
     return out
@@ -87,13 +100,11 @@ def owner_of(state: str) -> tuple[str, int]:
 
 
 def resonances(poles: list[NamedPole], below_zeta: float, sample_s: float | None) -> list[Resonance]:
-    """Oscillatory poles with a damping ratio below `below_zeta`, in rising order of frequency."""
-    out = []
+    """Return the oscillatory poles with a damping ratio below `below_zeta`, in rising order of frequency."""
+    out, highest_hz = [], math.inf if sample_s is None else 0.5 / sample_s
     for p in poles:
         if p.pole_radps.imag <= 0.0 or -p.pole_radps.real >= below_zeta * abs(p.pole_radps):
             continue
-        frequency_hz = p.pole_radps.imag / (2.0 * math.pi)
-        if sample_s is not None:
-            frequency_hz = abs(frequency_hz - round(frequency_hz * sample_s) / sample_s)
-        out.append(Resonance(p.kind, p.number, frequency_hz, p.pole_radps))
+        frequency_hz = folded_hz(p.pole_radps, 1.0 / (sample_s or 1e-300))
+        out.append(Resonance(p.kind, p.number, frequency_hz, p.pole_radps, highest_hz))
     return sorted(out, key=lambda r: r.frequency_hz)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.design.laws.law import MEASUREMENTS, Controller
-from maxq.design.loop.fixed_path import SampledFixedPath
+from maxq.design.loop.fixed_path import SampledFixedPath, image_points, sampled_computer
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.resonance import owner_of
 from maxq.design.margins import many
@@ -93,9 +93,9 @@ class ManyLoops:
 
     def _measure(self, by: Dispersion, peak_db: float, node: Node, values: NDArray[np.void], status: IntArray) -> None:
         period = self.node.instruments.sample_s
-        poles, residues, owner, good = self._modes(node, by, len(status))
-        status[~good] = many.HANDED_BACK
         delay = np.broadcast_to(np.maximum(node.instruments.delay_s + by.delay_s, 0.0), status.shape)
+        poles, residues, owner, own_part, good = self._modes(node, by, delay)
+        status[~good] = many.HANDED_BACK
         whole = (delay / period * (1.0 + 1e-12)).astype(np.int64)
         rest = delay - whole * period
         rest[rest < 1e-9 * period] = 0.0
@@ -105,8 +105,9 @@ class ManyLoops:
             which = (whole == periods) & ((rest > 0.0) == bool(rests))
             found, stated = values[which], status[which]
             many.measure_many(
-                poles[which], residues[which], owner[which], period, whole[which], rest[which], zeros, law_poles, gain,
-                np.asarray(self.law.poles()).astype(np.complex128), not self._nominal.fixed.rests_at_dc,
+                poles[which], residues[which], owner[which], own_part[which], period, whole[which], rest[which],
+                zeros, law_poles, gain, np.asarray(self.law.poles()).astype(np.complex128),
+                not self._nominal.fixed.rests_at_dc,
                 self._start(periods, bool(rests)), peak_db, found, stated,
             )  # fmt: skip  # fifteen lines otherwise
             values[which], status[which] = found, stated
@@ -142,9 +143,12 @@ class ManyLoops:
         return states, inputs, list(body.states), plant.outputs.index("local_rate_radps")
 
     def _modes(
-        self, node: Node, by: Dispersion, n: int
-    ) -> tuple[ComplexArray, ComplexArray, IntArray, NDArray[np.bool_]]:
-        """Poles of the continuous path, (vehicles, poles), residues, owners, and where all of that is exact."""
+        self, node: Node, by: Dispersion, delay_s: Array
+    ) -> tuple[ComplexArray, ComplexArray, IntArray, ComplexArray, NDArray[np.bool_]]:
+        """Return the poles of the continuous path, (vehicles, poles), their residues and owners, the own parts of
+        modes (`resonance.Resonance.part` times the path), and where all of that is exact.
+        """
+        n = len(delay_s)
         states, inputs, names, row = self._kept
         drives, orders = self._drives
         held = deviated(node.held, node.plane, by, n)
@@ -201,9 +205,21 @@ class ManyLoops:
             residues.append(residue * whole)
         owner = np.zeros((n, sum(p.shape[1] for p in all_poles)), np.int64)
         owner[:, : poles.shape[1]] = _owners(names, poles, vectors, left)
+        own_part = np.full(owner.shape, complex(np.nan, np.nan))
+        swings = np.where(poles.imag > 0.0, owner[:, : poles.shape[1]], 0)
+        timing, every = node.instruments, np.arange(n)
+        for mode in np.unique(swings[swings > 0]).tolist():
+            which = (swings == mode).argmax(axis=1)
+            pole, residue = poles[every, which, None, None], per_input[every, which, None]
+            s = image_points(pole[:, 0, 0], timing.sample_s)
+            at = s[..., None]
+            way = residue / (at - pole) + residue.conj() / (at - pole.conj())
+            through = sum(way[..., k] * s ** orders[k] * actuator(int(drives[k]), s) for k in range(len(drives)))
+            own = (through * gyro(s) * sampled_computer(s, timing.sample_s, delay_s[:, None])).sum(axis=1)
+            own_part[every, which] = np.where(swings[every, which] == mode, own, own_part[every, which])
         found, parts = np.concatenate(all_poles, axis=1), np.concatenate(residues, axis=1)
         finite = np.isfinite(parts).all(axis=1)
-        return found, np.where(finite[:, None], parts, 0.0), owner, good & finite
+        return found, np.where(finite[:, None], parts, 0.0), owner, own_part, good & finite
 
     @cached_property
     def _drives(self) -> tuple[IntArray, IntArray]:

@@ -2,8 +2,10 @@
 
 Near a pole at p = -sigma + j w0 the response is R / (s - p) plus what the rest of the loop contributes. The second
 difference over the half width, u = 2 L(w0) - L(w0 + sigma) - L(w0 - sigma), is R / sigma up to the curvature of the
-rest. The lobe is where that term is larger than SHARE times the rest, at least LEAST half widths to either side. It
-ends where another lobe's term is larger, and in the valleys of |L| on both sides of its peak.
+rest. Of a bending mode that term is known (`resonance.Resonance.part`). The lobe is where it is larger than SHARE times
+the rest, at least LEAST half widths to either side. It ends where another lobe's term is larger, and in the valleys of
+|L| on both sides of its peak. A bending mode whose own part at its frequency is smaller than the rest has no lobe but
+that frequency; the peaks of bending modes are those of own_part.py.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.jit import routine
 from maxq.control.kernel.records import Array
+from maxq.design.loop.own_part import LEAST, NEAREST_NYQUIST, SHARE, attribution, dominance, peak_band
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins import solving
 from maxq.design.margins.curve import Crossings, Trace, merged
@@ -23,9 +26,7 @@ from maxq.design.margins.response import LoopResponse, reciprocal, values_at
 from maxq.design.margins.solving import DB, TINY, angle, log_abs
 from maxq.design.model.state_space import ComplexArray
 
-SHARE = 0.5
 VALLEY = 0.5  # a minimum of |L| below this share of the peak ends a lobe
-LEAST = 2.0
 LIGHT = 0.1  # damping ratio below which an unnamed pole makes a lobe
 SECTION, SECTIONS = 16, 5  # a lobe's end is searched among so many parts of a step, so many times: a millionth of it
 VISIBLE = 0.01  # an unnamed pole whose term is a smaller share of |L| than this makes none
@@ -40,8 +41,9 @@ class Lobe:
 
     `stabilised` is "gain" where the peak lies at least the limit below 0 dB, whatever its phase, else "phase". Lag and
     lead margins of a phase-stabilised lobe are the least over its crossings of |L| = 1, or, without one inside it, over
-    its points above 0 dB; those of a gain-stabilised one are infinite. `conditional`: less gain would destabilise, for
-    the lobe crosses the negative real axis beyond -1.
+    its points above 0 dB; those of a gain-stabilised one are infinite. Of a bending mode only crossings count, at which
+    its own part is larger than SHARE times the rest and the largest of all modes. `conditional`: less gain would
+    destabilise, for the lobe crosses the negative real axis beyond -1.
     """
 
     label: str
@@ -50,7 +52,7 @@ class Lobe:
     damping_ratio: float
     low_hz: float
     high_hz: float
-    peak_db: float
+    peak_db: float  # of a bending mode that is weak against the rest, less than |L|
     peak_hz: float
     peak_phase_deg: float  # of L at the peak, beyond the nearest -180 + 360 k, in (-180, 180]
     stabilised: Stabilised
@@ -59,7 +61,7 @@ class Lobe:
     lag_deg: float
     lead_deg: float
     modulus: float  # least |1 + L|
-    contribution: float  # |u| / |L| at the pole: how much of the response there is the resonance
+    contribution: float  # |u| / |L| at the pole, or |part|: how much of the response there is the resonance
 
     @property
     def conditional(self) -> bool:
@@ -102,40 +104,58 @@ def lightly_damped(open_poles: ComplexArray, lowest_radps: float) -> list[Resona
 
 @routine
 def find_lobes(
-    t: Trace, every: Crossings, centre: Array, width: Array, least_share: float, limit_db: float, on_axis: Array,
-    source: LoopResponse,
+    t: Trace, every: Crossings, centre: Array, width: Array, part: ComplexArray, least_share: float, limit_db: float,
+    on_axis: Array, source: LoopResponse,
 ) -> Array:  # fmt: skip  # one line for each otherwise
-    """Return the lobes of resonances at `centre` Hz with these half widths, (lobes, COLUMNS).
+    """Return the lobes of resonances at `centre` Hz with these half widths and own parts, (lobes, COLUMNS).
 
-    Poles whose share of L is below `least_share` make none. `on_axis`: frequencies at which L is infinite. `t` must
-    hold extremes and crossings.
+    Poles whose share of L is below `least_share` make none. `part`: NaN for what is no bending mode. `on_axis`:
+    frequencies at which L is infinite. `t` must hold extremes and crossings.
     """
     f, loop = t.frequency_hz, t.loop
-    kept = np.flatnonzero((centre > f[0]) & (centre < f[len(f) - 1]))
-    strength, share = _strengths(t, centre[kept], width[kept], on_axis, source)
+    last = len(f) - 1
+    top = f[last] * NEAREST_NYQUIST if t.finite_end else f[last]
+    kept = np.flatnonzero((centre > f[0]) & (centre < f[last]))
+    strength, share = _strengths(t, centre[kept], width[kept], part[kept], on_axis, source)
     shown = np.flatnonzero(share > least_share)
     kept, strength, share = kept[shown], strength[shown], share[shown]
-    centre, width, n = centre[kept], width[kept], len(kept)
+    centre, width, part, n = centre[kept], width[kept], part[kept], len(kept)
     out = np.empty((n, len(COLUMNS)))
     if n == 0:
         return out
     ends = _ends(t, strength, centre, width, source)
-    borders = np.empty(2 * n)
+    borders, bands = np.empty((n, 2)), np.empty((n, 2))
     for j in range(n):
-        borders[2 * j] = max(min(ends[j, 0], centre[j] - LEAST * width[j]), f[0])
-        borders[2 * j + 1] = min(max(ends[j, 1], centre[j] + LEAST * width[j]), f[len(f) - 1])
-    f, loop, _ = merged(f, loop, borders, source)
+        known = not np.isnan(part[j].real)
+        gap = np.inf
+        for i in range(n):
+            if i != j and not np.isnan(part[i].real):
+                gap = min(gap, abs(centre[i] - centre[j]))
+        bands[j, 0], bands[j, 1] = centre[j], centre[j]
+        if known:
+            bands[j, 0], bands[j, 1] = peak_band(centre[j], width[j], part[j], gap, top)
+        if known and dominance(part[j]) <= 1.0:
+            borders[j, 0] = borders[j, 1] = centre[j]
+        else:
+            borders[j, 0] = max(min(ends[j, 0], centre[j] - LEAST * width[j]), f[0])
+            borders[j, 1] = min(max(ends[j, 1], centre[j] + LEAST * width[j]), f[last])
+    added = np.concatenate((borders.ravel(), bands.ravel(), centre))
+    f, loop, _ = merged(f, loop, added, source)
     for j in range(n):
-        _judge(f, loop, every, centre[j], borders[2 * j], borders[2 * j + 1], limit_db, out[j], source)
+        _judge(f, loop, every, centre[j], borders[j, 0], borders[j, 1], limit_db, out[j], source)
+        if not np.isnan(part[j].real):
+            _judge_mode(f, loop, every, strength, centre, width, part, j, bands[j], limit_db, out[j])
         out[j, CONTRIBUTION], out[j, NUMBER] = share[j], kept[j]
     return out
 
 
 @routine
 def _strengths(
-    t: Trace, centre: Array, width: Array, on_axis: Array, source: LoopResponse
+    t: Trace, centre: Array, width: Array, part: ComplexArray, on_axis: Array, source: LoopResponse
 ) -> tuple[ComplexArray, Array]:  # fmt: skip  # as ruff would, but for a line of one bracket
-    """Return u, and its size over that of L at the pole's frequency. A fold at Nyquist mirrors L into its conjugate."""
+    """Return u, or the own part, and its size over that of L at the pole's frequency. A fold at Nyquist mirrors L into
+    its conjugate.
+    """
     n, top, low = len(centre), t.frequency_hz[len(t.frequency_hz) - 1], t.frequency_hz[0]
     f = np.concatenate((centre, centre + width, centre - width))
     at, mirrored = np.empty(3 * n), np.zeros(3 * n, np.bool_)
@@ -151,6 +171,8 @@ def _strengths(
         values[k] = values[k].conjugate() if mirrored[k] else values[k]
     for k in range(n):
         u[k] = 2.0 * values[k] - values[n + k] - values[2 * n + k]
+        if not np.isnan(part[k].real):
+            u[k] = part[k] * values[k]
         share[k] = abs(u[k]) / max(abs(values[k]), TINY)
     return u, share
 
@@ -272,6 +294,42 @@ def _judge(
     out[LOW], out[HIGH], out[PEAK_DB], out[PEAK_HZ] = low, high, DB * np.log(max(size[top], TINY)), f[begin + top]
     out[PEAK_PHASE], out[GAIN_STABILISED] = np.degrees(angle(-loop[begin + top])), 1.0 if by_gain else 0.0
     out[UP], out[DOWN], out[LAG], out[LEAD], out[MODULUS] = up, down, lag, lead, distance.min()
+
+
+@routine
+def _judge_mode(
+    f: Array, loop: ComplexArray, every: Crossings, strength: ComplexArray, centre: Array, width: Array,
+    part: ComplexArray, j: int, band: Array, limit_db: float, out: Array,
+) -> None:  # fmt: skip  # one line for each otherwise
+    """Enter peak, lag and lead of a bending mode: the peak in its band, the turns of the crossings that are its own."""
+    begin, stop = np.searchsorted(f, band[0]), np.searchsorted(f, band[1], side="right")
+    top = begin + int(np.argmax(np.abs(loop[begin:stop])))
+    out[PEAK_DB] = DB * (log_abs(loop[top]) + attribution(part[j]))
+    out[PEAK_HZ], out[PEAK_PHASE] = f[top], np.degrees(angle(-loop[top]))
+    lag = lead = np.inf
+    if dominance(part[j]) > 1.0:
+        for k in range(len(every.gain_hz)):
+            if _owns(every.gain_hz[k], every.gain_loop[k], strength, centre, width, part, j):
+                turn = lag_of(every.gain_loop[k])
+                lag, lead = min(lag, turn), min(lead, 360.0 - turn)
+    elif out[PEAK_DB] <= ROUNDING_DB - limit_db:
+        out[GAIN_STABILISED] = 1.0
+    out[LAG], out[LEAD] = lag, lead
+
+
+@routine
+def _owns(
+    hz: float, value: complex, strength: ComplexArray, centre: Array, width: Array, part: ComplexArray, j: int
+) -> bool:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Return True where the term of a bending mode is large against the rest and the largest of all modes."""
+    term = strength[j] * reciprocal(complex(1.0, (hz - centre[j]) / width[j]))
+    if abs(term) <= SHARE * abs(value - term):
+        return False
+    for i in range(len(strength)):
+        other = abs(strength[i] * reciprocal(complex(1.0, (hz - centre[i]) / width[i])))
+        if not np.isnan(part[i].real) and other > abs(term):
+            return False
+    return True
 
 
 @routine

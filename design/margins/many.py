@@ -13,6 +13,7 @@ import numpy as np
 
 from maxq.control.kernel.jit import entry, routine
 from maxq.control.kernel.records import Array, IntArray
+from maxq.design.loop.own_part import centre_of, folded_hz
 from maxq.design.margins import curve, lobes, measure, response, solving
 from maxq.design.margins.response import FASTEST, TWO_PI, LoopResponse, values_at
 from maxq.design.model.state_space import ComplexArray
@@ -58,9 +59,9 @@ def _nearest(f: Array, loop: ComplexArray, source: LoopResponse, distance: Array
 
 @routine
 def margins_of_vehicle(
-    poles: ComplexArray, residues: ComplexArray, owner: IntArray, sample_s: float, whole: int, rest_s: float, zeros:
-    ComplexArray, law_poles: ComplexArray, gain: float, law_radps: ComplexArray, integrates: bool, start: ComplexArray,
-    out: Any, peak_db: float,
+    poles: ComplexArray, residues: ComplexArray, owner: IntArray, own_part: ComplexArray, sample_s: float, whole: int,
+    rest_s: float, zeros: ComplexArray, law_poles: ComplexArray, gain: float, law_radps: ComplexArray, integrates: bool,
+    start: ComplexArray, out: Any, peak_db: float,
 ) -> int:  # fmt: skip  # one line for each otherwise
     """Find the measures of one vehicle; return DONE, UNSTABLE or HANDED_BACK."""
     n = len(poles)
@@ -85,9 +86,12 @@ def margins_of_vehicle(
         return HANDED_BACK
     f, loop = curve.with_extremes(t.frequency_hz, t.loop, source)
     t = curve.Trace(f, loop, t.slope_at_zero, t.at_zero, t.slope_at_end, t.finite_end, 0)
-    centre, width, whose = _resonances(poles, owner, 1.0 / sample_s)
+    centre, width, own, whose = _resonances(poles, owner, own_part, 1.0 / sample_s)
+    none = np.zeros(0, np.complex128)
+    path = LoopResponse(sample_s, pairs, singles, direct, none, none, 1.0 / sample_s, whole + 1, 0, 0)
+    part = own / values_at(centre, path)
     after, _, growing, encircled, table, bounds, _ = measure.measured(
-        t, open_, closed, centre, width, whose < 0, -1.0, 0.0, source
+        t, open_, closed, centre, width, part, whose < 0, -1.0, 0.0, source
     )
     _nearest(after.frequency_hz, after.loop, source, out.distance, out.distance_hz)
     if growing > 0 or encircled != 0:
@@ -137,28 +141,35 @@ def _in_radps(roots: ComplexArray, sample_s: float) -> ComplexArray:
 
 
 @routine
-def _resonances(poles: ComplexArray, owner: IntArray, fold: float) -> tuple[Array, Array, IntArray]:
-    """Return frequency (Hz), half width and owner of the lightly damped poles of modes and tanks."""
+def _resonances(
+    poles: ComplexArray, owner: IntArray, own_part: ComplexArray, fold: float
+) -> tuple[Array, Array, ComplexArray, IntArray]:
+    """Return frequency (Hz), half width, own part and owner of the lightly damped poles of modes and tanks."""
     centre, width, whose, n = np.empty(len(poles)), np.empty(len(poles)), np.zeros(len(poles), np.int64), 0
+    own = np.empty(len(poles), np.complex128)
     for i in range(len(poles)):
         p = poles[i]
         if owner[i] != 0 and p.imag > 0.0 and -p.real < _LIGHT * abs(p):
-            hz = abs(p.imag / TWO_PI - np.round(p.imag / TWO_PI / fold) * fold)
+            hz = folded_hz(p, fold)
+            if owner[i] > 0:
+                hz = centre_of(hz, abs(p.real) / TWO_PI, 0.5 * fold)
             centre[n], width[n], whose[n] = hz, max(abs(p.real) / TWO_PI, 1e-9 * hz), owner[i]
+            own[n] = own_part[i]
             n += 1
-    return centre[:n].copy(), width[:n].copy(), whose[:n].copy()
+    return centre[:n].copy(), width[:n].copy(), own[:n].copy(), whose[:n].copy()
 
 
 @entry
 def measure_many(
-    poles: ComplexArray, residues: ComplexArray, owner: IntArray, sample_s: float, whole: IntArray, rest_s: Array,
-    zeros: ComplexArray, law_poles: ComplexArray, gain: float, law_radps: ComplexArray, integrates: bool, start:
-    ComplexArray, peak_db: float, values: Any, status: IntArray,
+    poles: ComplexArray, residues: ComplexArray, owner: IntArray, own_part: ComplexArray, sample_s: float, whole:
+    IntArray, rest_s: Array, zeros: ComplexArray, law_poles: ComplexArray, gain: float, law_radps: ComplexArray,
+    integrates: bool, start: ComplexArray, peak_db: float, values: Any, status: IntArray,
 ) -> None:  # fmt: skip  # one line for each otherwise
     """Margins of vehicles into `values` (vehicles,) of MEASURES, `status` (vehicles,): DONE, UNSTABLE or HANDED_BACK.
 
     `poles` (vehicles, n) of the continuous path, rad/s, both of each pair, and its residues; `owner` of each: +k mode
-    k, -k tank k, 0 nothing. Delay of each: `whole` periods and `rest_s`. The law from mean rate to command: `zeros`,
+    k, -k tank k, 0 nothing; `own_part` of the path at each mode's frequency (`own_part.centre_of`),
+    NaN but for modes. Delay of each: `whole` periods and `rest_s`. The law from mean rate to command: `zeros`,
     `law_poles` in w = z - 1, `gain`, and its poles besides integrators, rad/s. `integrates`: no zero of the path takes
     the integrator's pole away. `start`: zeros of 1 + L of a vehicle like these, in w. `status` may come as HANDED_BACK:
     such a vehicle is left out.
@@ -166,6 +177,6 @@ def measure_many(
     for v in range(len(poles)):
         if status[v] != HANDED_BACK:
             status[v] = margins_of_vehicle(
-                poles[v], residues[v], owner[v], sample_s, whole[v], rest_s[v], zeros, law_poles, gain, law_radps,
-                integrates, start, values[v], peak_db,
+                poles[v], residues[v], owner[v], own_part[v], sample_s, whole[v], rest_s[v], zeros, law_poles, gain,
+                law_radps, integrates, start, values[v], peak_db,
             )  # fmt: skip  # sixteen lines otherwise

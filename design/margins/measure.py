@@ -132,7 +132,7 @@ def margins(
     closed_poles = curves.finite(loop.closed_poles(), "closed")
     named = None if resonances is None else [r for r in resonances if r.kind in BENDING_KINDS]
     known = lightly_damped(open_poles, 2.0 * np.pi * lowest_hz) if named is None else named
-    centre = np.array([r.frequency_hz for r in known], float)
+    centre, part = np.array([r.centre_hz for r in known], float), np.array([r.part for r in known], complex)
     width = np.maximum(np.array([r.half_width_hz for r in known], float), 1e-9 * centre)  # an undamped one: the grid's
     slosh = np.array([r.kind == "slosh" for r in known], bool)
     numbers = packed(loop)
@@ -147,7 +147,9 @@ def margins(
         f, values = separated(loop, t.frequency_hz, t.loop)
         t = t._replace(frequency_hz=f, loop=values)
         rows, share = as_rows(tuple(zones)), VISIBLE if named is None else -1.0
-        found = _measure(t, open_poles, closed_poles, centre, width, slosh, share, gain_stabilised_db, rows, source)
+        found = _measure(
+            t, open_poles, closed_poles, centre, width, part, slosh, share, gain_stabilised_db, rows, source
+        )
     every, after, bounds, table = found.crossings, found.trace, found.bounds, found.lobes
     clearances, at = found.nearest
     curve = Curve(
@@ -205,18 +207,18 @@ def _trace(open_: ComplexArray, closed: ComplexArray, lowest: float, end: float,
 
 @entry
 def _measure(
-    t: Trace, open_: ComplexArray, closed: ComplexArray, centre: Array, width: Array, slosh: NDArray[np.bool_],
-    least_share: float, limit_db: float, zones: Array, source: LoopResponse,
+    t: Trace, open_: ComplexArray, closed: ComplexArray, centre: Array, width: Array, part: ComplexArray,
+    slosh: NDArray[np.bool_], least_share: float, limit_db: float, zones: Array, source: LoopResponse,
 ) -> Found:  # fmt: skip  # one line for each otherwise
-    found = measured(t, open_, closed, centre, width, slosh, least_share, limit_db, source)
+    found = measured(t, open_, closed, centre, width, part, slosh, least_share, limit_db, source)
     nearest = find_clearances(found[0], found[1], zones, source)
     return Found(*found, nearest)
 
 
 @routine
 def measured(
-    t: Trace, open_: ComplexArray, closed: ComplexArray, centre: Array, width: Array, slosh: NDArray[np.bool_],
-    least_share: float, limit_db: float, source: LoopResponse,
+    t: Trace, open_: ComplexArray, closed: ComplexArray, centre: Array, width: Array, part: ComplexArray,
+    slosh: NDArray[np.bool_], least_share: float, limit_db: float, source: LoopResponse,
 ) -> tuple[Trace, Crossings, int, int, Array, Array, Array]:  # fmt: skip  # one line for each otherwise
     """Return the fields of `Found` but the last, from a curve with its turning points."""
     past = curves.steps_past_poles(t.frequency_hz, open_, closed)
@@ -225,7 +227,7 @@ def measured(
     growing = curves.growing_count(closed, 2.0 * np.pi * f[0])
     encircled = curves.encirclement_count(after, every, past, t, open_)
     on_axis = open_.imag[open_.real == 0.0] / (2.0 * np.pi)
-    table = find_lobes(after, every, centre, width, least_share, limit_db, on_axis, source)
+    table = find_lobes(after, every, centre, width, part, least_share, limit_db, on_axis, source)
     return after, every, growing, encircled, table, bounds_of(after, every, table, slosh), least_distances(after)
 
 

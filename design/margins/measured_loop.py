@@ -49,11 +49,11 @@ class LoopAtPoint:
         return {int(lobe.label.split()[1]): lobe for lobe in self.lobes if lobe.kind == "bending"}
 
     def mode_peak_db(self, first: int, last: int) -> float:
-        """Return the largest peak in the lobes of these bending modes, -inf where the loop has none."""
+        """Return the largest peak of these bending modes (`loop.own_part`), -inf where the loop has none."""
         return max((lobe.peak_db for n, lobe in self.bending.items() if first <= n <= last), default=-math.inf)
 
     def mode_phase_deg(self, mode: int) -> float:
-        """Return the lesser of lag and lead at the lobe of a mode: inf where it is gain-stabilised or absent, NaN of an
+        """Return the least lag or lead over the crossings of 0 dB that belong to a mode: inf without one, NaN of an
         unstable loop."""
         if not self.margins.stable:
             return math.nan

@@ -33,8 +33,7 @@ def make_problem(case: Case, plants: Plants, like: LawVariables | None = None) -
 def _problem_of(case: Case, plants: Plants, law: LawVariables) -> Problem:
     loops = Loops(plants.curves, plants.unstable_open, law)
     objective, limits = OBJECTIVES[case.objective.kind], plants.task(case).limits
-    first_lobes = np.array([p.first_lobe_hz for p in plants.each])
-    return Problem(loops, plants.bands, limits, case.limits, objective, first_lobes)
+    return Problem(loops, plants.bands, limits, case.limits, objective)
 
 
 def solve_at_nodes(

@@ -30,16 +30,18 @@ from maxq.design.quantities import LAST_MODE, QUANTITIES
 class Seen:
     """Features of all loops at a point of the variables; arrays are (features,).
 
-    `mode`: of a bending peak, else 0. `in_first_lobe`: at a frequency where mode 1 of the same plant rules.
+    `mode`: of a bending peak, else 0; `weight_db` of the peak (`features.Mode`). `of_first_mode`: crossings of 0 dB
+    that belong to mode 1 of the same plant.
     """
 
     kind: NDArray[np.int8]
     plant: Indices
     mode: Indices
+    weight_db: Array
     at: LogLoop
     cross: Cross
     limits: PlantLimits
-    in_first_lobe: Mask
+    of_first_mode: Mask
 
     @cached_property
     def gain_db(self) -> Array:
@@ -121,7 +123,8 @@ def _peak(key: str, first: int, last: int) -> Callable[[Seen], list[Part]]:
     def parts(seen: Seen) -> list[Part]:
         most = seen.limit(key) if key else seen.none
         which = (seen.mode >= first) & (seen.mode <= last)
-        return [(which, seen.gain_db, most, seen.gain_db - (most if key else 0.0))]
+        peak_db = seen.gain_db + seen.weight_db
+        return [(which, peak_db, most, peak_db - (most if key else 0.0))]
 
     return parts
 
@@ -177,8 +180,8 @@ def _phase_margin(seen: Seen) -> list[Part]:
 
 
 def _first_mode_phase(seen: Seen) -> list[Part]:
-    least, inside = seen.limit("first_mode_phase_deg"), (seen.kind == Kind.PHASE_CROSSING) & seen.in_first_lobe
-    return [(inside, seen.beside_deg, least, (least - np.abs(seen.beside_deg)) * seen.db_per_deg)]
+    least = seen.limit("first_mode_phase_deg")
+    return [(seen.of_first_mode, seen.beside_deg, least, (least - np.abs(seen.beside_deg)) * seen.db_per_deg)]
 
 
 def _modulus(seen: Seen) -> list[Part]:

@@ -18,6 +18,7 @@ from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import FixedPath
+from maxq.design.loop.own_part import NEAREST_NYQUIST
 from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.state_space import ComplexArray
 
@@ -26,9 +27,9 @@ Indices = NDArray[np.int64]
 BASE = "rate_radps"  # the measurement that the fixed path's response is to
 TOLERANCE = 2e-7  # of ln P
 HIGHEST_HZ = 200.0  # of a loop that has no Nyquist frequency
-NEAREST_NYQUIST = 1.0 - 1e-6
 PER_DECADE = 24
 MOST_ROUNDS = 14
+CLOSEST = 1e-6  # points, in ln f
 
 
 Log = tuple[ComplexArray, ComplexArray, ComplexArray]
@@ -88,7 +89,7 @@ class PathMesh:
 
 
 def mesh_of(path: FixedPath, kept_hz: Array, tolerance: float = TOLERANCE) -> PathMesh:
-    """`kept_hz`: frequencies that must be mesh points (ends of bands)."""
+    """Return the mesh of a path; `kept_hz`: frequencies that must be mesh points (bands of modes)."""
     top = HIGHEST_HZ if math.isinf(path.highest_hz) else path.highest_hz * NEAREST_NYQUIST
     names = [name for name in path.measurements if name != BASE]
 
@@ -141,5 +142,8 @@ def _first_frequencies(path: FixedPath, top_hz: float, kept_hz: Array) -> Array:
     joined = np.unique(np.concatenate(parts))
     joined = joined[(joined >= low_hz) & (joined <= top_hz)]
     # no two points closer than the spline can bear; the kept ones stay
-    apart = np.concatenate([[True], np.diff(np.log(joined)) > 1e-6]) | np.isin(joined, kept_hz)
+    kept = np.isin(joined, kept_hz)
+    close = np.abs(np.log(joined[:, None] / joined[kept])).min(axis=1, initial=math.inf) <= CLOSEST
+    joined = joined[kept | ~close]
+    apart = np.concatenate([[True], np.diff(np.log(joined)) > CLOSEST]) | np.isin(joined, kept_hz)
     return np.asarray(joined[apart])

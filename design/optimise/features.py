@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from maxq.control.kernel.records import Array
 from maxq.design.laws.law import Axis
 from maxq.design.laws.task import DB
+from maxq.design.loop.own_part import SHARE, dominance
 from maxq.design.margins import solving
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.optimise.curves import Curves, Indices
@@ -124,13 +125,65 @@ def wrapped(log_loop: ComplexArray) -> Array:
 
 
 @dataclass(frozen=True)
+class Mode:
+    """A bending mode of a plant, as `loop.own_part` describes it.
+
+    `log_weight`: ln of the factor that makes max |L| in its band the peak of the mode.
+    """
+
+    number: int  # 1, 2, ...
+    centre_hz: float
+    half_width_hz: float
+    part: complex
+    band_hz: tuple[float, float]
+    log_weight: float
+
+
+@dataclass(frozen=True)
 class Bands:
-    """Frequency bands by mode: mesh points [first, last] of each, ends included."""
+    """Frequency bands of the peaks of modes: mesh points [first, last] of each, ends included.
+
+    `centre`: the mesh point of the mode's frequency.
+    """
 
     first: Indices
     last: Indices
-    mode: Indices  # 1, 2, ...
+    centre: Indices
     plant: Indices
+    each: tuple[Mode, ...]
+
+    @cached_property
+    def mode(self) -> Indices:
+        return np.array([mode.number for mode in self.each], np.int64)
+
+    @cached_property
+    def weight_db(self) -> Array:
+        return DB * np.array([mode.log_weight for mode in self.each])
+
+    @cached_property
+    def _by_plant(self) -> tuple[Indices, Indices, ComplexArray, Array, Array]:
+        """Numbers of modes, and of each at each plant, (modes, plants): mesh point, own part, frequency, half width."""
+        numbers, row = np.unique(self.mode, return_inverse=True)
+        shape, at = (len(numbers), int(self.plant.max(initial=-1)) + 1), (row, self.plant)
+        centre, part = np.zeros(shape, np.int64), np.zeros(shape, np.complex128)
+        hz, width = np.ones(shape), np.ones(shape)
+        centre[at], part[at] = self.centre, [mode.part for mode in self.each]
+        hz[at], width[at] = [mode.centre_hz for mode in self.each], [mode.half_width_hz for mode in self.each]
+        return numbers, centre, part, hz, width
+
+    def own_crossings(self, number: int, plant: Indices, x: Array, value: ComplexArray, loop: ComplexArray) -> Mask:
+        """Return True for points (x = ln f, L = `value`) of plants at which a mode's own part is larger than SHARE
+        times the rest and the largest of all modes; `loop`: L on the mesh. The rule is that of `margins.lobes`.
+        """
+        numbers, centre, part, hz, width = self._by_plant
+        if number not in numbers:
+            return np.zeros(len(x), bool)
+        part = part[:, plant]
+        terms = part * loop[centre[:, plant]] / (1.0 + 1j * (np.exp(x) - hz[:, plant]) / width[:, plant])
+        row = int(np.searchsorted(numbers, number))
+        own, sizes = terms[row], np.abs(terms)
+        strong = np.array([dominance(p) > 1.0 for p in part[row]], bool)
+        return np.asarray(strong & (sizes[row] > SHARE * np.abs(value - own)) & (sizes[row] >= sizes.max(axis=0)))
 
     @cached_property
     def points(self) -> tuple[Indices, Indices, Indices, Indices]:

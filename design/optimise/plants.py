@@ -17,7 +17,7 @@ from maxq.design.laws.registry import law_kind
 from maxq.design.laws.task import PlantLimits, Rigid, Task
 from maxq.design.laws.wind import Spectrum, WindResponse
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
-from maxq.design.loop.resonance import Resonance
+from maxq.design.loop.own_part import NEAREST_NYQUIST, attribution, peak_band
 from maxq.design.loop.wind import wind_response
 from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.instruments import ACCELERATION
@@ -25,12 +25,9 @@ from maxq.design.model.node import Node, with_cuts
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import incidence_by_acceleration
 from maxq.design.optimise.criteria import OBJECTIVES
-from maxq.design.optimise.curves import TOLERANCE, Curves, Indices, PathMesh, mesh_of
-from maxq.design.optimise.features import Bands
+from maxq.design.optimise.curves import HIGHEST_HZ, TOLERANCE, Curves, Indices, PathMesh, mesh_of
+from maxq.design.optimise.features import Bands, Mode
 from maxq.design.optimise.problem import bands_of
-
-MODE_BANDS_END = 0.999  # of the Nyquist frequency
-FIRST_LOBE = 1.3  # crossings of 0 dB up to this factor from mode 1, or half way to its neighbour, are that lobe's
 
 
 @dataclass(frozen=True)
@@ -39,13 +36,17 @@ class Plant:
 
     node: Node
     path: FixedPath
-    bands_hz: tuple[tuple[int, float, float], ...]  # mode, low, high
-    first_lobe_hz: tuple[float, float]  # where mode 1 rules the loop; empty (inf, 0) without one
+    modes: tuple[Mode, ...]
     m_delta: float
     m_alpha: float
     m_q: float
     dispersed: bool = False
     wind: WindResponse | None = None
+
+    @property
+    def bands_hz(self) -> list[tuple[int, float, float]]:
+        """Number of each mode, and the frequencies between which its peak lies."""
+        return [(mode.number, *mode.band_hz) for mode in self.modes]
 
     def without_drift(self, poles: ComplexArray) -> ComplexArray:
         """Those of open or closed loop (rad/s) that are not slower than its curve begins."""
@@ -63,22 +64,15 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
                 f"node at {node.time_s:g} s: the vehicle has no accelerometer, which the law {case.law} takes"
             )
     wind = None if case.wind is None else wind_of(path, case)
-    share, top = case.objective.band, path.highest_hz * MODE_BANDS_END
-    bands, bending = [], [r for r in path.resonances(0.5) if r.kind == "bending"]
-    for r in bending:
-        low, high = r.frequency_hz * (1.0 - share), min(r.frequency_hz * (1.0 + share), top)
-        if low < high:
-            bands.append((r.number, low, high))
-    if OBJECTIVES[case.objective.kind].needs_mode and not any(mode == 1 for mode, *_ in bands):
+    modes = modes_of(path)
+    if OBJECTIVES[case.objective.kind].needs_mode and not any(mode.number == 1 for mode in modes):
         others = " or ".join(f'"{name}"' for name, objective in OBJECTIVES.items() if not objective.needs_mode)
         raise ValueError(
             f"node at {node.time_s:g} s: there is no first bending mode whose peak could be made small; "
             f"allowed is objective.kind = {others}"
         )
     d = node.derivatives
-    return Plant(
-        node, path, tuple(bands), _first_lobe(bending), d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed, wind
-    )
+    return Plant(node, path, modes, d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed, wind)
 
 
 def wind_of(path: FixedPath, case: Basis) -> WindResponse:
@@ -100,16 +94,15 @@ def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> list[Node]:
     return with_cuts(nodes, loaded.along) if case.bends else nodes
 
 
-def _first_lobe(bending: Sequence[Resonance]) -> tuple[float, float]:
-    """Frequencies, Hz, at which mode 1 is the nearest of the modes (by ratio), and not far."""
-    first = next((r.frequency_hz for r in bending if r.number == 1), 0.0)
-    if first == 0.0:
-        return math.inf, 0.0
-    others = [math.sqrt(first * r.frequency_hz) for r in bending if r.number != 1]
-    return (
-        max([first / FIRST_LOBE, *(f for f in others if f < first)]),
-        min([first * FIRST_LOBE, *(f for f in others if f > first)]),
-    )
+def modes_of(path: FixedPath) -> tuple[Mode, ...]:
+    """Return the bending modes of a path below its end, with the bands of their peaks (`loop.own_part`)."""
+    top_hz, out = min(NEAREST_NYQUIST * path.highest_hz, HIGHEST_HZ), []
+    bending = [r for r in path.resonances() if r.kind == "bending" and r.centre_hz <= top_hz]
+    for r in bending:
+        gap_hz = min((abs(r.centre_hz - o.centre_hz) for o in bending if o is not r), default=math.inf)
+        band_hz = peak_band(r.centre_hz, r.half_width_hz, r.part, gap_hz, top_hz)
+        out.append(Mode(r.number, r.centre_hz, r.half_width_hz, r.part, band_hz, attribution(r.part)))
+    return tuple(out)
 
 
 def _further_gyros(node: Node) -> tuple[str, ...]:
@@ -146,9 +139,9 @@ class Plants:
 
     @property
     def first_mode_hz(self) -> float:
-        """Mean frequency of the first mode; that of the lowest band where there is none, else 10 Hz."""
-        low = [band for p in self.each for band in p.bands_hz if band[0] == 1]
-        return float(np.mean([0.5 * (a + b) for _, a, b in low])) if low else 10.0
+        """Mean frequency of the first mode; 10 Hz where there is none."""
+        first = [mode.centre_hz for p in self.each for mode in p.modes if mode.number == 1]
+        return float(np.mean(first)) if first else 10.0
 
     def task(self, case: Case) -> Task:
         """What a law is designed for."""
@@ -184,8 +177,9 @@ def make_plants(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> Plants
 
 
 def _meshes(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> list[PathMesh]:
-    return [mesh_of(p.path, np.array([hz for _, *ends in p.bands_hz for hz in ends]), tolerance) for p in plants]
+    kept = [np.array([hz for mode in p.modes for hz in (*mode.band_hz, mode.centre_hz)]) for p in plants]
+    return [mesh_of(p.path, hz, tolerance) for p, hz in zip(plants, kept, strict=True)]
 
 
 def _with_curves(plants: tuple[Plant, ...], curves: Curves) -> Plants:
-    return Plants(plants, curves, bands_of(curves, [p.bands_hz for p in plants]))
+    return Plants(plants, curves, bands_of(curves, [p.modes for p in plants]))

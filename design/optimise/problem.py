@@ -20,7 +20,7 @@ from maxq.design.laws.task import DB, PlantLimits
 from maxq.design.optimise import features
 from maxq.design.optimise.criteria import LIMITS, Criterion, Objective, Part, Seen
 from maxq.design.optimise.curves import Curves, Indices
-from maxq.design.optimise.features import Bands, Cross, Kind, Mask, Mesh, Places, Search, joined
+from maxq.design.optimise.features import Bands, Cross, Kind, Mask, Mesh, Mode, Places, Search, joined
 from maxq.design.optimise.loops import Loops
 
 FARTHEST_DB = 20.0  # rows that are met by more are left out
@@ -88,14 +88,9 @@ class Evaluation:
 class Problem:
     """Loops with an objective and limits; the variables are the law's."""
 
-    def __init__(
-        self, loops: Loops, bands: Bands, limits: PlantLimits, common: Limits, objective: Objective, first_lobes: Array
-    ) -> None:
-        """`limits` of each plant; `common`: of the case, for what does not depend on the plant; `first_lobes`
-        (plants, 2): Hz between which a crossing of 0 dB belongs to mode 1.
-        """
+    def __init__(self, loops: Loops, bands: Bands, limits: PlantLimits, common: Limits, objective: Objective) -> None:
+        """`limits` of each plant; `common`: of the case, for what does not depend on the plant."""
         self.loops, self.bands, self.limits, self.law = loops, bands, limits, loops.law
-        self._first_lobes = np.log(np.maximum(first_lobes, 1e-9))
         self.lower, self.upper = self.law.lower, self.law.upper
         self.criteria = [objective.criterion, *LIMITS]
         self.kinds: list[Criterion | LawLimit] = [*self.criteria, *self.law.limits]
@@ -130,10 +125,11 @@ class Problem:
         plant = curves.plant[places.cell]
         x, at = self.loops.refined(own[plant], places, self.cross.of(plant))
         places = replace(places, x=x)
-        low, high = self._first_lobes[plant].T
-        mode, peak = np.zeros(len(x), np.int64), places.kind == Kind.PEAK
-        mode[peak] = self.bands.mode[places.tag[peak]]
-        seen = Seen(places.kind, plant, mode, at, self.cross.of(plant), self.limits, (low <= x) & (x <= high))
+        mode, weight_db, peak = np.zeros(len(x), np.int64), np.zeros(len(x)), places.kind == Kind.PEAK
+        mode[peak], weight_db[peak] = self.bands.mode[places.tag[peak]], self.bands.weight_db[places.tag[peak]]
+        first = places.kind == Kind.PHASE_CROSSING
+        first[first] = self.bands.own_crossings(1, plant[first], x[first], np.exp(at.value[first]), loop)
+        seen = Seen(places.kind, plant, mode, weight_db, at, self.cross.of(plant), self.limits, first)
         parts = [self._feature_rows(seen, places, math.inf if complete else FARTHEST_DB)]
         for values in self.law.limit_values(own):
             made_small = self.law.limits[values.number].objective
@@ -211,16 +207,14 @@ class Problem:
         return out
 
 
-def bands_of(curves: Curves, bands_hz: Sequence[Sequence[tuple[int, float, float]]]) -> Bands:
-    """Bands (mode, low, high) of every plant as mesh points; ends are mesh points that `Curves` was told to keep."""
-    found: list[tuple[int, int, int, int]] = []
-    for p, bands in enumerate(bands_hz):
+def bands_of(curves: Curves, modes: Sequence[Sequence[Mode]]) -> Bands:
+    """Return the bands of every plant's modes as mesh points; ends are points that `Curves` was told to keep."""
+    found, each = [], []
+    for p, mine in enumerate(modes):
         begin, end = int(curves.start[p]), int(curves.start[p + 1])
-        f = curves.frequency_hz[begin:end]
-        for mode, low, high in bands:
-            i = int(np.searchsorted(f, low * (1.0 - 1e-9)))
-            j = int(np.searchsorted(f, high * (1.0 + 1e-9))) - 1
-            if j > i:
-                found.append((begin + i, begin + j, mode, p))
+        for mode in mine:
+            hz = np.array([*mode.band_hz, mode.centre_hz])
+            found.append([*(begin + np.abs(curves.frequency_hz[begin:end, None] - hz).argmin(axis=0)).tolist(), p])
+            each.append(mode)
     columns = np.array(found, np.int64).reshape(-1, 4).T
-    return Bands(columns[0], columns[1], columns[2], columns[3])
+    return Bands(columns[0], columns[1], columns[2], columns[3], tuple(each))

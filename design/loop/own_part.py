@@ -1,0 +1,70 @@
+"""The own part of a bending mode in L, and what of L is attributed to the mode.
+
+The own part of a bending mode is the response through its pair of poles alone: the term of the vehicle's partial
+fractions, through actuators, sensor and computer. At the mode's frequency it is `part` times the whole response. A law
+on one gyro multiplies both alike, so that the ratio belongs to the plant and not to the design.
+
+| own part | peak of the mode |
+|---|---|
+| larger than the rest | max abs(L) in `peak_band`: near the frequency, where the own part exceeds half the rest |
+| half the rest or less | the own part at the frequency |
+| between | max abs(L) in that band, times abs(part) to a power from 0 to 1 |
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from maxq.control.kernel.jit import formula
+
+BAND = 0.03  # of a mode's frequency: half width of the band in which its peak lies
+LEAST = 2.0  # half widths of the resonance that the band has at least
+POINT = 1e-4  # of the frequency: a narrower band is that frequency alone
+SHARE = 0.5  # of the rest: where the own part is larger than that, a crossing belongs to the mode
+NEAREST_NYQUIST = 1.0 - 1e-6
+
+
+@formula
+def folded_hz(pole_radps: complex, rate_hz: float) -> float:
+    """Return the frequency at which a pole shows in a loop sampled at `rate_hz`."""
+    hz = pole_radps.imag / (2.0 * math.pi)
+    return float(abs(hz - np.round(hz / rate_hz) * rate_hz))
+
+
+@formula
+def centre_of(frequency_hz: float, half_width_hz: float, highest_hz: float) -> float:
+    """Return the frequency at which a mode is examined: the size of its folded pole, inside the loop's range.
+
+    That differs from `frequency_hz` only where damping does not let the resonance stand out.
+    """
+    return float(min(math.hypot(frequency_hz, half_width_hz), NEAREST_NYQUIST * highest_hz))
+
+
+@formula
+def dominance(part: complex) -> float:
+    """Return the size of a mode's own part over that of the rest, both at its frequency."""
+    return float(abs(part) / max(abs(1.0 - part), 1e-9))
+
+
+@formula
+def attribution(part: complex) -> float:
+    """Return ln of the factor that makes |L| at a mode's frequency the peak of the mode: 0 where it dominates."""
+    power = min(max(2.0 * (1.0 - dominance(part)), 0.0), 1.0)
+    return float(power * math.log(max(abs(part), 1e-30)))
+
+
+@formula
+def peak_band(
+    centre_hz: float, half_width_hz: float, part: complex, gap_hz: float, top_hz: float
+) -> tuple[float, float]:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Return the frequencies (Hz) between which the peak of a mode lies; the same one twice for a single point.
+
+    The rest is taken as constant over the band. `gap_hz`: distance to the nearest other mode; `top_hz`: the loop's end.
+    """
+    strong = half_width_hz * (dominance(part) / SHARE - 1.0)
+    half = min(max(BAND * centre_hz, LEAST * half_width_hz), 0.5 * gap_hz, strong)
+    if half < POINT * centre_hz:
+        return centre_hz, centre_hz
+    return max(centre_hz - half, 0.5 * centre_hz), min(centre_hz + half, top_hz)
