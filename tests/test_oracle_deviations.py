@@ -280,13 +280,13 @@ def test_deviations_that_go_together_and_those_that_are_not_followed(own: Path) 
 def test_a_suite_takes_the_draws_of_its_campaign(own: Path, tmp_path: Path) -> None:
     """`campaign` of [margins.three_sigma] is looked for beside the suite, and takes no other number beside it."""
     suite = tmp_path / "suite.toml"
-    suite.write_text('schema = 1\n[margins.three_sigma]\ncampaign = "own"\n')
+    suite.write_text('schema = 2\n[margins.three_sigma]\ncampaign = "own"\n')
     wanted = read_suite(suite).suite.margins
     assert wanted is not None
     node = api.nodes(load_campaign(own).base, [AT_A_ROW_S])[0]
     found = vehicles(wanted.model_copy(update={"cases": 3, "corner_sigmas": 0.0}), node)[1]
     assert found == deviations_of(load_campaign(own), node).drawn(range(3), 0)
-    suite.write_text('schema = 1\n[margins.three_sigma]\ncampaign = "own"\nthrust = 0.1\n')
+    suite.write_text('schema = 2\n[margins.three_sigma]\ncampaign = "own"\nthrust = 0.1\n')
     with pytest.raises(ScenarioError, match=r"three_sigma.thrust.*cannot be combined with campaign"):
         read_suite(suite)
 
