@@ -107,7 +107,7 @@ def test_an_analysis_of_a_lost_flight_says_so(capsys: pytest.CaptureFixture[str]
     words = ["analyse", str(design), "--scenario", str(scenario), "--no-pictures"]
     assert simdesign.main([*words, "--out", str(tmp_path)]) == 1
     lines = capsys.readouterr().out.splitlines()
-    assert lines[2] == f"the flight is lost: {loss_text(loss)}; no operating point is after that"
+    assert lines[3] == f"the flight is lost: {loss_text(loss)}; no operating point is after that"
     assert lines[-1].startswith(f"FAILED: {loss_text(loss)}")
     told = json.loads((tmp_path / "analysis.json").read_text())
     assert (told["passed"], told["lost"]) == (False, loss_text(loss))

@@ -110,9 +110,14 @@ def test_accepted_design_leaves_verdict_and_pack(
     out = tmp_path / "out"
     code, said, _ = _run(capsys, "ksr3-robust", "--suite", str(suite), "--out", str(out))
     assert code == 0, said
+    assert said.splitlines()[0] == (
+        "the suite does not ask for: gain margin 6 dB, phase margin 30 deg, peak of mode 2 -6 dB, rigid-body frequency "
+        "0.5 Hz, rigid-body damping ratio 0.7"
+    )
     assert said.rstrip().splitlines()[-1].startswith("PASSED SCREENING: no dispersed flight flown, no certificate; ")
     verdict = json.loads((out / "verdict.json").read_text())
     assert verdict["verdict"] == "passed screening"
+    assert verdict["against_basis"] == said.splitlines()[:2]
     assert {r["part"] for r in verdict["requirements"]} == {"scenarios", "margins", "dispersed"}
     assert verdict["flights"][0]["again"].startswith("simrun nominal --set 'design=")
     page = (out / "review.html").read_text()

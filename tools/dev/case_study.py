@@ -461,7 +461,7 @@ def copy_pictures() -> None:
     for kind, schedule in itertools.product(("gains", "filters"), SCHEDULES):
         shutil.copy(drawn / f"orders-{kind}-{schedule}.png", PICTURES / f"{kind}-{schedule}.png")
     for name in COMPARED:
-        kept(f"analysis-{name}/analysis.json", "simdesign", "analyse", name)
+        kept(f"analysis-{name}/analysis.json", "simdesign", "analyse", name, "--kind", "sampled")
         folder = RUNS / f"analysis-{name}"
         shutil.copy(folder / "loop-040.0s.png", PICTURES / f"loop-{name}.png")
         shutil.copy(folder / "lobes.png", PICTURES / f"lobes-{name}.png")
