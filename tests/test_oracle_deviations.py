@@ -18,6 +18,7 @@ from scipy import stats
 
 from maxq.control.kernel.records import Array
 from maxq.design import api
+from maxq.design.case.schema import read_case
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
@@ -30,6 +31,8 @@ from maxq.design.model.held import HeldStage, hold_stage
 from maxq.design.model.instruments import Instruments, instruments_of
 from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import Spread
+from maxq.design.optimise.robust import deviated as plant_at
+from maxq.design.optimise.robust import modes_off
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.linear import vehicles
 from maxq.design.verify.memory import Memory
@@ -308,6 +311,26 @@ def test_vehicles_of_a_spread_are_normal_as_before() -> None:
     thrust: Array = np.array([by.thrust for by in every])
     assert thrust.std() == pytest.approx(0.1, rel=0.1)
     assert ManyLoops(node, Pd(0.9, 0.4)).measure(every[:3], -6.0)[1].tolist() == [DONE] * 3
+
+
+def test_a_robust_case_takes_the_draws_of_a_campaign(own: Path, tmp_path: Path) -> None:
+    """Ends of a uniform draw at two sigma each: 0.977 of the way; masses by the covariance's Cholesky factor."""
+    case = tmp_path / "case.toml"
+    case.write_text('schema = 2\nscenario = "nominal"\nnodes_s = [35.0]\n[robust]\ncampaign = "own"\n')
+    ranges = read_case(case).case.robust
+    assert ranges is not None
+    node = node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
+    fields = deviations_of(ranges, node).fields
+    assert fields == ("slosh_mass", "slosh_mass", "slosh_frequency", *["actuator_sections"] * 4)
+    there = plant_at(node, ranges, [1, -1, 0, 1, 0, -1, 0])
+    low, high = 0.8 + 0.4 * stats.norm.cdf([-2.0, 2.0])
+    before, after = node.instruments.actuator, there.instruments.actuator
+    ratios = [getattr(after, f"zeta_{k}") / getattr(before, f"zeta_{k}") for k in range(1, 5)]
+    assert ratios == pytest.approx([high, 1.0, low, 1.0], rel=1e-9)
+    factor = np.linalg.cholesky([[4e-4, 2.4e-4], [2.4e-4, 9e-4]])
+    masses = there.vehicle.pendulums.mass_kg / node.vehicle.pendulums.mass_kg
+    np.testing.assert_allclose(masses, 1.0 + factor @ [2.0, -2.0], rtol=1e-9)
+    assert [f for f, end in zip(fields, modes_off(node, ranges, 1), strict=True) if end] == []  # no mode deviates
 
 
 FLIES_FIRST = '[{file="campaigns/first"}]'

@@ -79,13 +79,11 @@ DEVIATIONS = tuple(key for key in Spread.model_fields if key not in _ABOUT)
 
 
 class Keys(NamedTuple):
-    """Where a deviation stands in a scenario: {stage}, {n} of the mode or tank, * of engine or actuator, for each pole.
-
-    Those of `also` act likewise in a campaign. What stands there is the deviated factor to the `power`, or is added.
+    """The key paths of a deviation in a scenario: {stage}, {n} of the mode or tank, * of engine or actuator, for each
+    pole. The value there is multiplied by the deviated factor to the `power`, or the deviation is added to it.
     """
 
     keys: tuple[str, ...]
-    also: tuple[str, ...] = ()
     power: float = 1.0
     added: bool = False
 
@@ -93,29 +91,28 @@ class Keys(NamedTuple):
 _S = "vehicle.stage.{stage}."
 _POLES = 3  # the fourth frequency of an actuator is that of its zero, which stays
 KEYS = {
-    "bending_frequency": Keys((_S + "bending.frequency_factor.{n}",), (_S + "spatial_modes.frequency_factor.{n}",)),
+    "bending_frequency": Keys((_S + "bending.frequency_factor.{n}",)),
     "bending_slope": Keys((_S + "bending.gyro_slope_factor.{n}",)),
-    "bending_damping": Keys((_S + "bending.damping_ratio.{n}",), (_S + "spatial_modes.damping_ratio.{n}",)),
+    "bending_damping": Keys((_S + "bending.damping_ratio.{n}",)),
     "slosh_frequency": Keys((_S + "tank.{n}.length_factor",), power=-2.0),
     "slosh_mass": Keys((_S + "tank.{n}.mass_factor",)),
     "slosh_damping": Keys((_S + "tank.{n}.damping_ratio",)),
     "actuator_frequency": Keys((_S + "actuator.*.omega_hz.*",)),
-    "thrust": Keys((_S + "engine.*.thrust_factor",), (_S + "engine.*.mass_flow_factor",)),
+    "thrust": Keys((_S + "engine.*.thrust_factor",)),
     "normal_force": Keys((_S + "aero.force_factor",)),
     "inertia": Keys((_S + "mass.table.Iyy_kgm2", _S + "mass.table.Izz_kgm2")),
     "centre_of_pressure_m": Keys((_S + "aero.centre_shift_m",), added=True),
-    "delay_s": Keys((_S + "computer.delay_s",), ("vehicle.computer.delay_s",), added=True),
+    "delay_s": Keys((_S + "computer.delay_s",), added=True),
 }
 
 
-def keys_of(vehicle: Vehicle, stage: int, place: Place, also: bool = False) -> list[str]:
-    """Key paths of a deviation in a vehicle's scenario; `also`: those too that a campaign may use in their place."""
+def keys_of(vehicle: Vehicle, stage: int, place: Place) -> list[str]:
+    """Return the key paths of a deviation in a vehicle's scenario."""
     name, n = place
     flies, out = vehicle.stage[stage], list[str]()
-    if name == "delay_s" and not also:
-        own = flies.computer is not None and flies.computer.delay_s is not None
-        return [(KEYS[name].keys if own else KEYS[name].also)[0].format(stage=stage)]
-    for pattern in (*KEYS[name].keys, *(KEYS[name].also if also else ())):
+    if name == "delay_s" and (flies.computer is None or flies.computer.delay_s is None):
+        return ["vehicle.computer.delay_s"]
+    for pattern in KEYS[name].keys:
         key = pattern.format(stage=stage, n=n)
         head, _, tail = key.partition(".*")
         if not tail:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections import Counter
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -88,9 +88,16 @@ def threshold(p: float) -> float:
     return float(ndtri(1.0 - p)) if p > 0.0 else 99.0
 
 
-def thrust_sigmas(loaded: LoadedCampaign, count: int) -> np.ndarray:
+@lru_cache(maxsize=8)
+def drawn(seed: int, count: int) -> np.ndarray:
     """Return the deviations of the thrust of the first runs, in sigma."""
-    return np.asarray((loaded.plan.draw(0, count).draws["vehicle.stage.0.engine.thrust_factor"] - 1.0) / 0.01)
+    plan = campaign().with_campaign(seed=seed).plan
+    return np.asarray((plan.draw(0, count).draws["vehicle.stage.0.engine.thrust_factor"] - 1.0) / 0.01)
+
+
+def thrust_sigmas(loaded: LoadedCampaign, count: int) -> np.ndarray:
+    """Return as `drawn` for the seed of a campaign; those of a seed are drawn once."""
+    return drawn(loaded.campaign.seed, MOST_RUNS)[:count]
 
 
 def linear_part(wanted: LinearMargins, loaded: LoadedCampaign, p: float) -> list[Requirement]:
