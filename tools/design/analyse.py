@@ -24,6 +24,7 @@ from maxq.design.optimise.over_time import INSTANTS_S, instants_along
 from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.paper.nodes import PaperNode
 from maxq.design.verify.judging import Check, Judged, Wanted, checks, in_wind, judge, multiloop_checks, wind_checks
+from maxq.design.verify.uncovered import Uncovered, uncovered
 from maxq.design.verify.verify import stage_name
 from maxq.sim.files import check_writable, write_whole
 from maxq.sim.scenario.documents import Source, Text
@@ -39,6 +40,8 @@ from maxq.tools.design.report import (
     analysis_record,
     analysis_report,
     analysis_verdict,
+    uncovered_record,
+    uncovered_table,
     write_record,
 )
 
@@ -90,10 +93,16 @@ def execute(order: AnalysisOrder) -> int:
             groups.append(Group(stage_name(scenario.vehicle, stage), mine, found, together, coupled))
         judged = [j for group in groups for j in group.judged]
         judged_by = judged_by_text(order, scenario, bases, len(points_s), len(between_s))
+        gaps: tuple[Uncovered, ...] = ()
+        if not order.times_s and not order.faults:
+            gaps = uncovered(
+                scenario, {g.judged[0].node.stage: [j.time_s for j in g.judged] for g in groups}, order.axis
+            )
         files = []
         if folder is not None:
             forget_pictures(folder)
-            files.append(write_record(folder / RECORD_NAME, analysis_record(name, order, groups, judged_by, loss)))
+            record = analysis_record(name, order, groups, judged_by, loss)
+            files.append(write_record(folder / RECORD_NAME, record | {"not_covered": uncovered_record(gaps)}))
             if order.pictures:
                 from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
 
@@ -101,6 +110,8 @@ def execute(order: AnalysisOrder) -> int:
                 sheets = pictures.judged_sheets(judged, title, Wanted.stated_by(design, judged[0].node.stage))
                 files += pictures.draw_all(sheets, folder, progress.show)
     tell(analysis_report(name, order, design, groups, judged_by, loss))
+    if gaps:
+        tell("", *uncovered_table(scenario.vehicle, gaps))
     tell(f"\n{len(files)} files in {folder}/" if files else "")
     verdict = analysis_verdict(groups, loss)
     tell(verdict)

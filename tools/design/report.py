@@ -24,11 +24,13 @@ from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import RigidBody
 from maxq.design.verify.judging import Check, Judged, Outcome
 from maxq.design.verify.own_flight import CaseDesign
+from maxq.design.verify.uncovered import Uncovered
 from maxq.design.verify.verify import stage_name
 from maxq.sim.files import write_whole
 from maxq.sim.flight.metric_table import figures
 from maxq.sim.run.flight import Event
 from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.way_out import way_out_comments, way_out_record, way_out_table
 
@@ -158,14 +160,24 @@ def comments(made: CaseDesign) -> list[str]:
         lines.append(f"INTERRUPTED: the best so far; {made.claim}.")
     elif made.loss is not None:
         lines.append(f"LOST: the flight of this design is lost ({loss_text(made.loss)}); {made.claim}.")
-    return [*lines, *(f"not covered: {line}" for line in uncovered_lines(made))]
-
-
-def uncovered_lines(made: CaseDesign) -> list[str]:
-    """Return the intervals of the design's flight without operating points, a line each, with the name of the stage."""
     vehicle = made.results[0][0].loaded.scenario.vehicle
-    names = [stage_name(vehicle, one.stage) for one in made.uncovered]
-    return [f"{f'{name}, ' if name else ''}{one.text}" for name, one in zip(names, made.uncovered, strict=True)]
+    return [*lines, *(f"not covered: {line}" for line in uncovered_lines(vehicle, made.uncovered))]
+
+
+def uncovered_lines(vehicle: Vehicle, found: Sequence[Uncovered]) -> list[str]:
+    """Return the intervals of a design's flight without operating points, a line each, with the name of the stage."""
+    names = [stage_name(vehicle, one.stage) for one in found]
+    return [f"{f'{name}, ' if name else ''}{one.text}" for name, one in zip(names, found, strict=True)]
+
+
+def uncovered_table(vehicle: Vehicle, found: Sequence[Uncovered]) -> list[str]:
+    """Return the same below a title; nothing where there are none."""
+    return ["not covered by operating points", *(f"  {line}" for line in uncovered_lines(vehicle, found))] * bool(found)
+
+
+def uncovered_record(found: Sequence[Uncovered]) -> list[dict[str, Any]]:
+    """Return the same for JSON."""
+    return [asdict(one) | {"stage": one.stage + 1} for one in found]
 
 
 # tables

@@ -41,7 +41,7 @@ from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit, Interruption
 from maxq.tools.cli.terminal import Progress, aligned, tell
-from maxq.tools.design.report import case_record, case_report, comments, uncovered_lines, write_record
+from maxq.tools.design.report import case_record, case_report, comments, uncovered_record, uncovered_table, write_record
 from maxq.tools.design.way_out import trials_text
 
 RECORD_NAME = "design.json"
@@ -141,7 +141,7 @@ def make(order: Order) -> Made:
             tell("\n" + "\n".join(orders_table(found)))
     tell("\nflights", *(f"  {one.text}" for one in made.rounds))
     if made.uncovered:
-        tell("\nnot covered by operating points", *(f"  {line}" for line in uncovered_lines(made)))
+        tell("", *uncovered_table(loaded.scenario.vehicle, made.uncovered))
     tell(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
     tell(_verdict(made, folder))
     code = Exit.INTERRUPTED if interrupted or interruption.requested else Exit.OK if made.feasible else Exit.FAILED
@@ -208,10 +208,7 @@ def _write(folder: Path, made: CaseDesign, orders: Sequence[Found]) -> list[Path
         "feasible": made.feasible, "flights": [one.text for one in made.rounds],
         "lost": None if made.loss is None else loss_text(made.loss),
         "not_designed": [n + 1 for n in made.not_designed],
-        "not_covered": [
-            {"stage": one.stage + 1, "begin_s": one.begin_s, "end_s": one.end_s, "why": one.why}
-            for one in made.uncovered
-        ],
+        "not_covered": uncovered_record(made.uncovered),
     }  # fmt: skip  # two more lines otherwise
     text = design_text(made.design, comments(made))
     files = [write_whole(folder / DESIGN_NAME, text), write_record(folder / RECORD_NAME, record)]
