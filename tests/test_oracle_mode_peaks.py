@@ -156,6 +156,7 @@ def shipped() -> list[tuple[LoadedCase, Design]]:
     return [*found, *((part, design) for part in parts)]
 
 
+@pytest.mark.slow
 def test_optimiser_and_judge_find_the_same_peaks_and_phases() -> None:
     """To 1e-9 dB with curves of 1e-10; those of the search, of 2e-7, give 1e-6 dB."""
     peaks, phases, weak = 0, 0, 0
