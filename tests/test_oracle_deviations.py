@@ -292,6 +292,9 @@ def test_a_suite_takes_the_draws_of_its_campaign(own: Path, tmp_path: Path) -> N
     suite.write_text('schema = 2\n[margins.three_sigma]\ncampaign = "own"\nthrust = 0.1\n')
     with pytest.raises(ScenarioError, match=r"three_sigma.thrust.*cannot be combined with campaign"):
         read_suite(suite)
+    own.write_text(WIND_ONLY)
+    with pytest.raises(ScenarioError, match=r"three_sigma.campaign.*changes nothing that a loop depends on"):
+        deviations_of(Spread(campaign=str(own)), node)
 
 
 def test_corners_hold_all_deviations_of_a_factor_together() -> None:
@@ -333,6 +336,16 @@ def test_a_robust_case_takes_the_draws_of_a_campaign(own: Path, tmp_path: Path) 
     assert [f for f, end in zip(fields, modes_off(node, ranges, 1), strict=True) if end] == []  # no mode deviates
 
 
+WIND_ONLY = """\
+extends = "nominal.toml"
+[campaign]
+runs = 10
+[[disperse]]
+key = "wind.factor"
+distribution = "uniform"
+low = 0.5
+high = 1.0
+"""
 FLIES_FIRST = '[{file="campaigns/first"}]'
 
 
@@ -343,6 +356,8 @@ FLIES_FIRST = '[{file="campaigns/first"}]'
         ("three_sigma={thrust=0.05}", FLIES_FIRST,
          "normal deviations of [margins.three_sigma], not draws of campaign first"),
         ("three_sigma={thrust=0.05}", "[]", "normal deviations of [margins.three_sigma], the suite has no campaign"),
+        ("", "[{file='{wind}'}]",
+         "normal deviations of [margins.three_sigma]; campaign wind changes nothing that a loop depends on"),
         ("three_sigma={campaign='{own}'}", FLIES_FIRST,
          "draws of campaign own, vehicle N is its run N; not of campaign first, which the suite flies; "
          "without vehicle.stage.0.engine.gimballed_mass_kg"),
@@ -351,13 +366,18 @@ FLIES_FIRST = '[{file="campaigns/first"}]'
 def test_a_verification_says_which_description_its_vehicles_have(
     given: str, campaigns: str, said: str, own: Path
 ) -> None:
+    wind = own.with_name("wind.toml")
+    wind.write_text(WIND_ONLY)
     changes = [f"margins.{given.replace('{own}', str(own))}"] if given else []
     small = ["margins.times_s=[35.0]", "margins.planes=['pitch']", "margins.between_nodes='ignore'"]
-    read = read_suite("quick", [*small, "margins.cases=5", f"campaign={campaigns}", *changes])
+    read = read_suite(
+        "quick", [*small, "margins.cases=5", f"campaign={campaigns.replace('{wind}', str(wind))}", *changes]
+    )
     flies = [load_wanted(read, wanted, "designs/ksr3-default.toml", None) for wanted in read.suite.campaign]
     scenario = load_scenario("nominal", ["design='designs/ksr3-default.toml'"])
     job = _Job(
         read.suite, scenario, scenario.design, scenario, Memory(None), lambda *_: None, 1, next(iter(flies), None)
     )
     assert job.deviations == f"dispersed vehicles: {said}"
-    assert [d.label for d in vehicles(read.suite.margins, job.nodes("pitch")[0], job.described)[1]][-1] == "vehicle 4"  # type: ignore[arg-type]
+    (node,) = job.nodes("pitch")
+    assert [d.label for d in vehicles(read.suite.margins, node, job.described(node))[1]][-1] == "vehicle 4"  # type: ignore[arg-type]

@@ -315,10 +315,23 @@ Described = Spread | LoadedCampaign
 
 @cached_by_identity
 def deviations_of(described: Described, node: Node) -> Deviations:
-    """Return the deviations of a description at a node. Raises ScenarioError for a campaign that cannot be read."""
-    if isinstance(described, Spread) and described.campaign is not None:
-        described = _loaded(described)
-    return OfCampaign(described, node) if isinstance(described, LoadedCampaign) else OfSpread(described, node)
+    """Return the deviations of a description at a node.
+
+    Raises ScenarioError for a campaign that cannot be read, or that a `Spread` names and that changes nothing there.
+    """
+    if isinstance(described, LoadedCampaign):
+        return OfCampaign(described, node)
+    if described.campaign is None:
+        return OfSpread(described, node)
+    found = OfCampaign(_loaded(described), node)
+    if not found.places:
+        source, at = described.where
+        problem, allowed = (
+            "changes nothing that a loop depends on",
+            "one that disperses the vehicle, or three sigma here",
+        )
+        raise ScenarioError(source, problem, f"{at}.campaign", value=described.campaign, allowed=allowed)
+    return found
 
 
 def told_of(described: Described) -> object:

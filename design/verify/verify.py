@@ -296,18 +296,25 @@ class _Job:
         flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts] if wanted.cases else [])
         for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):
             run = partial(linear.study, nodes, design, wanted, self.memory, watch, self.workers, stage, mine)
-            out.append(run(self.described))
+            out.append(run(self.described(nodes[0])))
         return out
 
     @cached_property
-    def described(self) -> Described:
-        """The deviations of vehicles: the draws of the suite's campaign, unless its margins have their own."""
+    def _named(self) -> LoadedCampaign | None:
+        """The campaign whose draws dispersed vehicles have: the suite's, unless its margins have deviations of their
+        own."""
         wanted = self.suite.margins
         assert wanted is not None
-        given = wanted.three_sigma
-        if given.campaign is not None:
-            return load_campaign(given.campaign, self.changes)
-        return given if self.campaign is None or "three_sigma" in wanted.model_fields_set else self.campaign
+        if wanted.three_sigma.campaign is not None:
+            return load_campaign(wanted.three_sigma.campaign, self.changes)
+        return None if "three_sigma" in wanted.model_fields_set else self.campaign
+
+    def described(self, node: Node) -> Described:
+        """Return the description of the deviations at a node: that of `_named` where it changes the loop."""
+        wanted = self.suite.margins
+        assert wanted is not None
+        named = self._named
+        return named if named is not None and deviations_of(named, node).places else wanted.three_sigma
 
     @property
     def deviations(self) -> str:
@@ -315,17 +322,21 @@ class _Job:
         wanted = self.suite.margins
         if wanted is None or self.design is None or not (wanted.cases or wanted.corner_sigmas or wanted.worst):
             return ""
-        described = self.described
-        if not isinstance(described, LoadedCampaign):
+        normal, named = "normal deviations of [margins.three_sigma]", self._named
+        if named is None:
             own = (
                 "the suite has no campaign" if self.campaign is None else f"not draws of campaign {self.campaign.name}"
             )
-            return f"dispersed vehicles: normal deviations of [margins.three_sigma], {own}"
-        text = f"dispersed vehicles: draws of campaign {described.name}, vehicle N is its run N"
-        if self.campaign is not None and described is not self.campaign:
+            return f"dispersed vehicles: {normal}, {own}"
+        stages = {node.stage: node for node in self.nodes(wanted.planes[0])}
+        without = [str(n + 1) for n, node in stages.items() if self.described(node) is not named]
+        if len(without) == len(stages):
+            return f"dispersed vehicles: {normal}; campaign {named.name} changes nothing that a loop depends on"
+        text = f"dispersed vehicles: draws of campaign {named.name}, vehicle N is its run N"
+        if self.campaign is not None and named is not self.campaign:
             text += f"; not of campaign {self.campaign.name}, which the suite flies"
-        stages = {node.stage: node for node in self.nodes(wanted.planes[0])}.values()
-        left = dict.fromkeys(name for node in stages for name in deviations_of(described, node).left_out)
+        text += f"; {normal} in stage {', '.join(without)}, which it leaves alone" if without else ""
+        left = dict.fromkeys(name for node in stages.values() for name in deviations_of(named, node).left_out)
         return f"{text}; without {', '.join(left)}" if left else text
 
     def _trajectories(self, wanted: LinearMargins, parts: Sequence[Sequence[Node]]) -> list[list[list[Node]]]:
@@ -366,12 +377,13 @@ class _Job:
             run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
             loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
             between = partial(api.nodes, self.along, plane=at[0].plane) if wanted.between_nodes == "hold" else None
+            described = self.described(at[0])
             depends = (
-                loaded.as_flown, repr(design), at, told_of(self.described), told(wanted.worst), wanted.between_nodes,
+                loaded.as_flown, repr(design), at, told_of(described), told(wanted.worst), wanted.between_nodes,
                 flown_along,
             )  # fmt: skip  # four more lines otherwise
             search = partial(
-                search_plane, at, design, self.described, wanted.worst, loaded, name, watch, self.workers, between,
+                search_plane, at, design, described, wanted.worst, loaded, name, watch, self.workers, between,
                 flown_along,
             )  # fmt: skip  # five more lines otherwise
             out.append(self.memory.recall("worst", depends, search))
