@@ -113,6 +113,10 @@ def test_plant_of_a_cluster_is_the_linearised_simulator(cant_deg: float, fault: 
     for axis, plane in enumerate(("pitch", "yaw")):
         vehicle = vehicle_at(packed, TIME_S, condition_of(packed).mach, plane)
         model = vehicle_plant(vehicle, condition_of(packed))
+        plant = node_of(packed, TIME_S, 0, plane).plant
+        assert (plant.states, plant.inputs, plant.outputs) == (model.states, model.inputs, model.outputs)
+        for matrix in "abcd":
+            np.testing.assert_allclose(getattr(plant, matrix), getattr(model, matrix), rtol=TOLERANCE, atol=1e-8)
         core_and_bobs = vehicle.body.core_mass_kg + vehicle.pendulums.mass_kg.sum()
         assert (abs(core_and_bobs / vehicle.body.total_mass_kg - 1.0) > 1e-5) == bool(fault)
         i = [simulated.states.index(name) for name in states_of(plane)]
