@@ -160,6 +160,26 @@ def test_a_shipped_robust_design_is_judged_by_all_of_its_limits() -> None:
         assert {check.key: check.limit for check in found} == expected
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(builtin_files("design")))
+def test_a_shipped_design_meets_every_limit_of_its_basis(name: str) -> None:
+    change = f'design="designs/{name}.toml"'
+    if name == "petrel-robust":
+        scenario = petrel.scenario(change)
+    else:
+        stated = stated_basis(api.load_design(f"designs/{name}.toml"))
+        assert stated is not None
+        scenario = load_scenario(stated.scenario, [change])
+    design = scenario.design
+    assert design is not None
+    for basis in bases_of(scenario, design, name).values():
+        assert basis.nodes_s is not None
+        nodes = api.nodes(scenario, basis.nodes_s, plane=basis.plane, errata=basis.errata, plant=basis.plant)
+        found = stage_checks(judge(nodes, design, basis.loop), design, basis, basis.loop)
+        assert len(found) == 1 + len(basis.limits.asked)
+        assert [(check.key, check.values[check.worst]) for check in found if not check.passed] == []
+
+
 def test_limits_in_wind_are_judged() -> None:
     scenario = load_scenario("load-relief", ['design="designs/ksr3-load-relief.toml"'])
     assert scenario.design is not None

@@ -174,6 +174,15 @@ class Solution:
         return "; ".join(found)
 
     @property
+    def met(self) -> str:
+        """State where a feasible design meets its limits: "all limits met at its 11 operating points"."""
+        if self.unchecked:
+            return f"limits met at the nodes; {self.unchecked}"
+        count = len(self.nodes)
+        where = "" if self.case.between_nodes == "hold" else f" at its {count} operating point{'s' * (count != 1)}"
+        return f"all limits met{where}"
+
+    @property
     def in_the_way(self) -> tuple[Constraint, ...]:
         """Of an infeasible design: the limits that conflict, the one with the largest part first."""
         if self.feasible:

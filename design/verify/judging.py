@@ -267,8 +267,7 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
     for n, solution in sorted((s.nodes[0].stage, s) for s in solutions):
         mine, where = solution.case, f"stage {n + 1}: " if len(stages) > 1 else ""
         met = solution.feasible and n not in missed
-        all_met = f"limits met at the nodes; {solution.unchecked}" if solution.unchecked else "all limits met"
-        reached = f"{objective_text(solution)}; {all_met if met else 'limits are missed'}"
+        reached = f"{objective_text(solution)}; {solution.met if met else 'limits are missed'}"
         made.append(f"{where}{mine.filter.structure}, {mine.gains.schedule} gains, {mine.loop} loop; {reached}")
     text = ". ".join([*made, case.description] if case.description else made)
 

@@ -151,7 +151,7 @@ def comments(made: CaseDesign) -> list[str]:
         case = outcome.loaded.case
         state = "INFEASIBLE: the best effort misses limits of the case:"
         if outcome.feasible and solution.feasible:
-            state = "All limits of the case are met."
+            state = f"{solution.met[0].upper()}{solution.met[1:]}."
         form = f"{case.filter.structure}, {case.gains.schedule} gains"
         head = f"Written by simdesign for the case {outcome.loaded.name} ({form})."
         lines += [head, *([] if made.interrupted else [state]), *(f"  {line}" for line in outcome.missed)]

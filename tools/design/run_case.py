@@ -180,11 +180,12 @@ def _verdict(made: CaseDesign, folder: Path) -> str:
     where = [f"stage {_number(outcome) + 1}: " if several else "" for outcome, _ in results]
     if made.feasible:
         reached = "; ".join(w + objective_text(solution) for w, (_, solution) in zip(where, results, strict=True))
+        met = "; ".join(dict.fromkeys(solution.met for _, solution in results))
         file = loaded.case.scenario if loaded.case.scenario in builtin_files("scenario") else loaded.scenario.label
         if Path(file).is_relative_to(Path.cwd()):
             file = str(Path(file).relative_to(Path.cwd()))
         fly = f"simrun {shlex.quote(file)} --set {shlex.quote(f'design={folder}/{DESIGN_NAME}')}"
-        return f"fly it with:\n  {fly}\nDESIGNED: {reached}, all limits met"
+        return f"fly it with:\n  {fly}\nDESIGNED: {reached}, {met}"
     said = [f"its own flight is lost: {loss_text(made.loss)}"] if made.loss is not None else []
     said += [
         w + "; ".join(filter(None, (solution.explanation() or "; ".join(outcome.missed), trials_text(solution))))
