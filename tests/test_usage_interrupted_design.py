@@ -95,7 +95,7 @@ def test_file_and_report_name_them(
     between = "between the operating points, where no limit was checked"
     assert f"# not covered: stage 2 (second), 140 to 142 s: {between}" in head
     assert head[-1] == "# not covered: stage 3 (second, fairing off), 163.4 to 465 s: under thrust, no operating point"
-    assert "All limits of the case are met" not in text
+    assert "# All limits met" not in text
     told = json.loads((tmp_path / "design.json").read_text())
     assert (told["feasible"], told["not_designed"]) == (False, [3])
     assert [stage["feasible"] for stage in told["stages"]] == [True, False]

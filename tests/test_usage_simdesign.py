@@ -48,7 +48,7 @@ def test_a_case_leaves_a_design_that_flies(capsys: Printed) -> None:
     lines = printed.out.splitlines()
     assert lines[0].startswith("ksr3-relaxed: KSR-III")
     assert lines[-1].startswith("DESIGNED: largest peak of mode 1 ")
-    assert lines[-1].endswith("all limits met")
+    assert lines[-1].endswith("all limits met at its 2 operating points")
     assert lines[-2] == "  simrun nominal --set design=out/design.toml"
     assert sum("  met  " in line for line in lines) == 14, "seven limits, of the case's loop and as flown"
     assert sum(line.split()[1:2] == ["pass"] for line in lines) == 2
@@ -65,7 +65,7 @@ def test_a_case_leaves_a_design_that_flies(capsys: Printed) -> None:
     text = Path("out/design.toml").read_text()
     assert [line for line in text.splitlines() if line.startswith("# not")] == [f"# not covered: {gap}" for gap in gaps]
     assert text.startswith(
-        "# Written by simdesign for the case ksr3-relaxed (F2, linear gains).\n# All limits of the case are met.\n"
+        "# Written by simdesign for the case ksr3-relaxed (F2, linear gains).\n# All limits met at its 2 operating points.\n"
     )
     design = tomllib.loads(text)
     told = record()
