@@ -32,7 +32,7 @@ from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools import simdesign
-from maxq.tools.design.analyse import bases_of, stage_checks
+from maxq.tools.design.analyse import bases_of, designed_along, stage_checks
 
 NODES_S = (10.0, 50.0)
 LIMITS = {
@@ -163,13 +163,8 @@ def test_a_shipped_robust_design_is_judged_by_all_of_its_limits() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(builtin_files("design")))
 def test_a_shipped_design_meets_every_limit_of_its_basis(name: str) -> None:
-    change = f'design="designs/{name}.toml"'
-    if name == "petrel-robust":
-        scenario = petrel.scenario(change)
-    else:
-        stated = stated_basis(api.load_design(f"designs/{name}.toml"))
-        assert stated is not None
-        scenario = load_scenario(stated.scenario, [change])
+    change, along = f'design="designs/{name}.toml"', designed_along(name)
+    scenario = petrel.scenario(change) if name == "petrel-robust" else load_scenario(along, [change])
     design = scenario.design
     assert design is not None
     for basis in bases_of(scenario, design, name).values():
