@@ -65,7 +65,8 @@ def test_a_case_leaves_a_design_that_flies(capsys: Printed) -> None:
     text = Path("out/design.toml").read_text()
     assert [line for line in text.splitlines() if line.startswith("# not")] == [f"# not covered: {gap}" for gap in gaps]
     assert text.startswith(
-        "# Written by simdesign for the case ksr3-relaxed (F2, linear gains).\n# All limits met at its 2 operating points.\n"
+        "# Written by simdesign for the case ksr3-relaxed (F2, linear gains).\n"
+        "# All limits met at its 2 operating points.\n"
     )
     design = tomllib.loads(text)
     told = record()
