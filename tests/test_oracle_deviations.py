@@ -380,4 +380,4 @@ def test_a_verification_says_which_description_its_vehicles_have(
     )
     assert job.deviations == f"dispersed vehicles: {said}"
     (node,) = job.nodes("pitch")
-    assert [d.label for d in vehicles(read.suite.margins, node, job.described(node))[1]][-1] == "vehicle 4"  # type: ignore[arg-type]
+    assert [d.label for d in vehicles(read.suite.margins, node, job.described.at(node))[1]][-1] == "vehicle 4"  # type: ignore[arg-type]

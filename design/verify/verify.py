@@ -25,11 +25,12 @@ from maxq.design.certificate.certificate import NodeCertificate, certify, certif
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
 from maxq.design.certificate.measured_only import MeasuredNode, measure_node
-from maxq.design.model.deviations import Described, deviations_of, told_of
+from maxq.design.model.deviations import told_of
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import EDGES, Node, loss_text, node_times, powered_flight, powered_spans
 from maxq.design.quantities import MEASURED, LoopLimits
 from maxq.design.verify import flown, linear
+from maxq.design.verify.described import DescribedVehicles
 from maxq.design.verify.fitted import fit
 from maxq.design.verify.memory import Memory, code_hash, content_hash, counted
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
@@ -51,7 +52,7 @@ from maxq.design.verify.suite import (
     room_left,
 )
 from maxq.design.verify.worst import WorstVehicle, search_plane, worst_requirements
-from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
+from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.campaign.runner import Progress
 from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
@@ -296,48 +297,21 @@ class _Job:
         flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts] if wanted.cases else [])
         for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):
             run = partial(linear.study, nodes, design, wanted, self.memory, watch, self.workers, stage, mine)
-            out.append(run(self.described(nodes[0])))
+            out.append(run(self.described.at(nodes[0])))
         return out
 
     @cached_property
-    def _named(self) -> LoadedCampaign | None:
-        """The campaign whose draws dispersed vehicles have: the suite's, unless its margins have deviations of their
-        own."""
-        wanted = self.suite.margins
-        assert wanted is not None
-        if wanted.three_sigma.campaign is not None:
-            return load_campaign(wanted.three_sigma.campaign, self.changes)
-        return None if "three_sigma" in wanted.model_fields_set else self.campaign
-
-    def described(self, node: Node) -> Described:
-        """Return the description of the deviations at a node: that of `_named` where it changes the loop."""
-        wanted = self.suite.margins
-        assert wanted is not None
-        named = self._named
-        return named if named is not None and deviations_of(named, node).places else wanted.three_sigma
+    def described(self) -> DescribedVehicles:
+        assert self.suite.margins is not None
+        return DescribedVehicles(self.suite.margins, self.campaign, self.changes)
 
     @property
     def deviations(self) -> str:
-        """State which description the dispersed vehicles have, and its draws that no margin follows."""
+        """State which description the dispersed vehicles have; "" where there are none."""
         wanted = self.suite.margins
         if wanted is None or self.design is None or not (wanted.cases or wanted.corner_sigmas or wanted.worst):
             return ""
-        normal, named = "normal deviations of [margins.three_sigma]", self._named
-        if named is None:
-            own = (
-                "the suite has no campaign" if self.campaign is None else f"not draws of campaign {self.campaign.name}"
-            )
-            return f"dispersed vehicles: {normal}, {own}"
-        stages = {node.stage: node for node in self.nodes(wanted.planes[0])}
-        without = [str(n + 1) for n, node in stages.items() if self.described(node) is not named]
-        if len(without) == len(stages):
-            return f"dispersed vehicles: {normal}; campaign {named.name} changes nothing that a loop depends on"
-        text = f"dispersed vehicles: draws of campaign {named.name}, vehicle N is its run N"
-        if self.campaign is not None and named is not self.campaign:
-            text += f"; not of campaign {self.campaign.name}, which the suite flies"
-        text += f"; {normal} in stage {', '.join(without)}, which it leaves alone" if without else ""
-        left = dict.fromkeys(name for node in stages.values() for name in deviations_of(named, node).left_out)
-        return f"{text}; without {', '.join(left)}" if left else text
+        return self.described.text(self.nodes(wanted.planes[0]))
 
     def _trajectories(self, wanted: LinearMargins, parts: Sequence[Sequence[Node]]) -> list[list[list[Node]]]:
         """Return the nodes of each part as dispersed flights meet them, (parts, flights, nodes); empty without any."""
@@ -377,7 +351,7 @@ class _Job:
             run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
             loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
             between = partial(api.nodes, self.along, plane=at[0].plane) if wanted.between_nodes == "hold" else None
-            described = self.described(at[0])
+            described = self.described.at(at[0])
             depends = (
                 loaded.as_flown, repr(design), at, told_of(described), told(wanted.worst), wanted.between_nodes,
                 flown_along,

@@ -1,0 +1,52 @@
+"""The description of deviations that the vehicles of a suite's margins have: its campaign's draws, or its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from maxq.design.model.deviations import Described, deviations_of
+from maxq.design.model.node import Node
+from maxq.design.verify.suite import LinearMargins
+from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+
+NORMAL = "normal deviations of [margins.three_sigma]"
+
+
+@dataclass(frozen=True)
+class DescribedVehicles:
+    """Dispersed vehicles of `wanted` in a suite that flies `campaign`; `changes`: of design and vehicle, key=value."""
+
+    wanted: LinearMargins
+    campaign: LoadedCampaign | None
+    changes: Sequence[str] = ()
+
+    @cached_property
+    def named(self) -> LoadedCampaign | None:
+        """The campaign whose draws the vehicles have: the suite's, unless its margins have deviations of their own."""
+        if self.wanted.three_sigma.campaign is not None:
+            return load_campaign(self.wanted.three_sigma.campaign, self.changes)
+        return None if "three_sigma" in self.wanted.model_fields_set else self.campaign
+
+    def at(self, node: Node) -> Described:
+        """Return the description at a node: `named` where it changes the loop."""
+        named = self.named
+        return named if named is not None and deviations_of(named, node).places else self.wanted.three_sigma
+
+    def text(self, nodes: Sequence[Node]) -> str:
+        """State the description at nodes for people, and its draws that no margin follows."""
+        named, flies = self.named, self.campaign
+        if named is None:
+            own = "the suite has no campaign" if flies is None else f"not draws of campaign {flies.name}"
+            return f"dispersed vehicles: {NORMAL}, {own}"
+        stages = {node.stage: node for node in nodes}
+        without = [str(n + 1) for n, node in stages.items() if self.at(node) is not named]
+        if len(without) == len(stages):
+            return f"dispersed vehicles: {NORMAL}; campaign {named.name} changes nothing that a loop depends on"
+        text = f"dispersed vehicles: draws of campaign {named.name}, vehicle N is its run N"
+        if flies is not None and named is not flies:
+            text += f"; not of campaign {flies.name}, which the suite flies"
+        text += f"; {NORMAL} in stage {', '.join(without)}, which it leaves alone" if without else ""
+        left = dict.fromkeys(name for node in stages.values() for name in deviations_of(named, node).left_out)
+        return f"{text}; without {', '.join(left)}" if left else text
