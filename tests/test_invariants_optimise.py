@@ -356,6 +356,15 @@ def test_multipliers_cancel_the_gradients() -> None:
 
 
 @pytest.mark.slow
+def test_a_point_at_which_no_row_leads_is_certified_by_nothing() -> None:
+    p = kit.problem("filter.structure=F2", "nodes_s=[10.0]")
+    at = p.evaluate(0.5 * (p.lower + p.upper))
+    found = optimality(p, dataclasses.replace(at, violation_db=at.rows.excess_db.max() + 1.0), worst_violation=True)
+    assert found.residual == math.inf
+    assert (found.multipliers.any(), found.lower.any(), found.upper.any()) == (False, False, False)
+    assert found.multipliers.shape == at.rows.excess_db.shape
+
+
 def test_multipliers_are_what_a_limit_costs() -> None:
     """The gain margin moved by 0.02 dB either way: the optimum changes as the certificate says."""
     change = ("filter.structure=F2", "gains.schedule=linear", "search.starts=2", "search.leaps=2")

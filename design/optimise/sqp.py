@@ -18,6 +18,7 @@ better than this in 0.6 to 2 s (docs/performance.md, tools/dev/bench/optimise.py
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -213,7 +214,10 @@ class Optimality:
 
 
 def optimality(problem: Problem, at: Evaluation, worst_violation: bool = False) -> Optimality:
-    """By non-negative least squares. `worst_violation`: of the problem whose objective is the largest excess."""
+    """Return the multipliers of a point by non-negative least squares; no row that leads leaves an infinite residual.
+
+    `worst_violation`: of the problem whose objective is the largest excess.
+    """
     rows, n = at.rows, problem.size
     if worst_violation:
         leads, others = ~rows.objective & (rows.excess_db > at.violation_db - ACTIVE_DB), np.zeros(len(rows), bool)
@@ -221,6 +225,8 @@ def optimality(problem: Problem, at: Evaluation, worst_violation: bool = False) 
         leads = rows.objective & (rows.excess_db > at.objective_db - ACTIVE_DB)
         others = ~rows.objective & (rows.excess_db > -ACTIVE_DB)
     lead, other = np.flatnonzero(leads), np.flatnonzero(others)
+    if not len(lead):  # an unstable point may have none (SciPy's nnls ends the process on a matrix without columns)
+        return Optimality(np.zeros(len(rows)), np.zeros(n), np.zeros(n), math.inf)
     low = np.flatnonzero(at.variables <= problem.lower + AT_BOUND)
     high = np.flatnonzero(at.variables >= problem.upper - AT_BOUND)
     gradients = at.gradient[np.concatenate([lead, other])]
