@@ -151,5 +151,5 @@ def _with_more_gain(design: Design, time_s: float) -> Design:
         for t, p, d in zip(table["time_s"], table["k_p"], table["k_d_s"], strict=True)
     ]
     assert any(row["time_s"] == time_s for row in rows)
-    given = {"schema": 1, "gains": {"table": rows}, "filter": design.filter.model_dump(exclude_none=True)}
+    given = {"schema": 2, "gains": {"table": rows}, "filter": design.filter.model_dump(exclude_none=True)}
     return Design.model_validate(plain(adopt(given, Source("design"))))
