@@ -231,7 +231,8 @@ def test_loads_on_the_modes_are_the_virtual_work_of_thrust_and_reaction(loads: l
                 own = e["inertia_about_gimbal_kgm2"] - mass * arm**2
                 work += e["table"][0]["thrust_vacuum_N"] * d @ (shift + np.cross(turn, off))
                 lever = off if any(e.get("cant_deg", [0, 0])) else np.zeros(3)  # without cant of second order
-                work += mass * arm * d2 @ (shift + np.cross(turn, lever - arm * d0))
+                carried = np.cross([dy[layout.W_BI_B], 0.0, 0.0], arm * (d - d0))  # the displaced mass, rolling
+                work += mass * (arm * d2 + carried) @ (shift + np.cross(turn, lever - arm * d0))
                 work -= own * np.cross(d, d2) @ turn
                 # the weight under the axial load, of the displaced engine less that at rest
                 work += -mass * load * np.array([1.0, 0, 0]) @ np.cross(turn, -arm * (d - d0))

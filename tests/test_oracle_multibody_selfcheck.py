@@ -337,7 +337,8 @@ def energy_by_hand(vehicle: Vehicle, state: State) -> float:
     offset, offset_rate = -engine.length_m * (d - X_HAT), -engine.length_m * d_dot
     locked = v + np.cross(w, engine.gimbal_B_m - engine.length_m * X_HAT)
     moved = locked + offset_rate + np.cross(w, offset)
-    total += engine.mass_kg * (0.5 * (moved @ moved - locked @ locked) + offset_rate @ flexible)
+    rolled = offset_rate + np.cross([w[0], 0.0, 0.0], offset)
+    total += engine.mass_kg * (0.5 * (moved @ moved - locked @ locked) + rolled @ flexible)
     mount = w + leaning
     turning = mount + np.cross(d, d_dot)
     return float(total + 0.5 * engine.inertia_kgm2 * (turning @ turning - mount @ mount))

@@ -62,9 +62,11 @@ def test_a_node_after_the_loss_is_refused() -> None:
             take(scenario, [10.0, 24.0])
 
 
+# limits that are met with some margin: 4 dB and 20 deg are at the edge of what the law can do, where a short search
+# finds a design or none by its seed
 LIMITS = (
-    "limits.gain_margin_db=4.0",
-    "limits.phase_margin_deg=20",
+    "limits.gain_margin_db=3.0",
+    "limits.phase_margin_deg=15",
     "limits.rigid_hz={time_s=[0.0, 5.0, 25.0], value=[0.3, 0.3, 1.2]}",
 )
 SHORT = ("search.starts=2", "search.leaps=0", "between_nodes=ignore", "nodes_per_stage=6")
@@ -96,8 +98,8 @@ def test_a_case_is_designed_along_the_flight_of_its_own_design(designed: tuple[i
     assert max(node["time_s"] for node in times) > loss.time_s + 4.0
     assert own.design is not None
     judged = judge(nodes_along(own, [node["time_s"] for node in times]), own.design)
-    assert min(j.gain_margin_db for j in judged) > 4.0 - 5e-4
-    assert min(j.margins.phase_deg.value for j in judged) > 20.0 - 5e-4
+    assert min(j.gain_margin_db for j in judged) > 3.0 - 5e-4
+    assert min(j.margins.phase_deg.value for j in judged) > 15.0 - 5e-4
 
 
 def test_an_analysis_of_a_lost_flight_says_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -13,8 +13,10 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import slosh
-from maxq.sim.vehicle.bending import add_to_modes, free_modal_accelerations, modal_sum, of_plane
+from maxq.sim.vehicle.bending import add_to_modes, modal_accelerations, modal_sum, of_plane
 from maxq.sim.vehicle.block import Counts
+from maxq.sim.vehicle.engine_modes import add_roll_to_modes, roll_moment_of_modes
+from maxq.sim.vehicle.rigid import Balance
 from maxq.sim.vehicle.spatial_modes import (
     add_tension_to_spatial,
     apply_spatial_load,
@@ -35,30 +37,46 @@ from maxq.sim.vehicle.tvc_load import (
     load_spatial,
     moment_about_hinge,
 )
-from maxq.sim.vehicle.workspace import ACCEL, FORCE, GRAM, MAX_UNKNOWNS, SPATIAL_ACCEL, SPATIAL_FORCE, TENSION
+from maxq.sim.vehicle.workspace import (
+    ACCEL,
+    FORCE,
+    GRAM,
+    MAX_UNKNOWNS,
+    ROLL,
+    SPATIAL_ACCEL,
+    SPATIAL_FORCE,
+    SPATIAL_ROLL,
+    TENSION,
+)
 
 
 @kernel
 def accelerate(
-    sizes: Counts, on_pad: int, offset: vec.Vector, inverse: vec.Symmetric, force: vec.Vector, moment: vec.Vector,
+    sizes: Counts, on_pad: int, balanced: Balance, force: vec.Vector, moment: vec.Vector,
     pad_accel: vec.Vector, properties: Array, y: Array, first: int, work: Array,
-) -> tuple[vec.Vector, vec.Vector]:  # fmt: skip  # thirteen lines otherwise
+) -> tuple[vec.Vector, vec.Vector]:  # fmt: skip  # twelve lines otherwise
     """Specific force at the core CG and angular acceleration, in B; modal accelerations and tensions (N) in `work`.
 
-    `force` and `moment` (about the core CG) are those without the rods' tensions; `offset` leads from the core CG to
-    the CG with the engine deflected, `inverse` is the inverse inertia about the latter. The pendulums' states begin at
-    y[first]. On the pad the body has the accelerations of the pad, and only modes and bobs respond.
+    `force` and `moment` (about the core CG) are those without the rods' tensions, `balanced` CG and inertia with the
+    engines deflected. The pendulums' states begin at y[first]. On the pad the body has the accelerations of the pad,
+    and only modes and bobs respond.
     """
+    offset, inverse = balanced.offset, balanced.inverse_inertia
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_CORE_MASS]
     accel = vec.scaled(inverse_mass, force)  # of the CG with the engine deflected, without tensions
     if on_pad == 1:
         inverse_mass, accel, inverse = 0.0, pad_accel, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    alpha = vec.symmetric_times(inverse, vec.add(moment, vec.scaled(-1.0, vec.cross(offset, force))))
+    rolls_modes = balanced.given_way_kgm2 > 0.0  # else no deflected mass couples roll and modes
     for k in range(sizes.pendulums):
         b = slosh.tank_block(k)
         _add_damper_to_modes(sizes, k, work[b + slosh.DAMPER_FORCE], work[b + slosh.DAMPER_FORCE + 1], properties, work)
+        if rolls_modes:
+            _arm_through_modes(sizes, k, vec.vector_at(y, first + slosh.N_PENDULUM * k), properties, work)
         vec.set_vector(work, b + slosh.ALPHA, vec.symmetric_times(inverse, vec.vector_at(work, b + slosh.ARM)))
-    free_modal_accelerations(sizes, properties, work)
+    if rolls_modes:
+        moment = (moment[0] + roll_moment_of_modes(sizes, FORCE, SPATIAL_FORCE, work), moment[1], moment[2])
+    alpha = vec.symmetric_times(inverse, vec.add(moment, vec.scaled(-1.0, vec.cross(offset, force))))
+    modal_accelerations(sizes, properties, work, FORCE, ACCEL)
     if sizes.spatial_modes > 0:
         free_spatial_accelerations(sizes, properties, work)
     if sizes.tvc_loads > 0:
@@ -76,6 +94,12 @@ def accelerate(
         accel = vec.add(accel, vec.scaled(swing, vec.vector_at(work, b + RIGID_ACCEL)))
         alpha = vec.add(alpha, vec.scaled(swing, vec.vector_at(work, b + LOAD_ALPHA)))
         add_load_to_modes(sizes, k, swing, work)
+    if rolls_modes:
+        add_roll_to_modes(sizes, alpha[0], work)
+        for k in range(sizes.pendulums):
+            b = slosh.tank_block(k)
+            work[b + slosh.BENDING_ACCEL] += alpha[0] * work[b + slosh.ROLL_BEND]
+            work[b + slosh.BENDING_ACCEL + 1] += alpha[0] * work[b + slosh.ROLL_BEND + 1]
     if sizes.spatial_modes > 0:
         for k in range(sizes.pendulums):
             b, moved = slosh.tank_block(k), spatial_motion(sizes, properties, sch.tank_place(k), work, SPATIAL_ACCEL)
@@ -83,6 +107,19 @@ def accelerate(
             work[b + slosh.BENDING_ACCEL] += moved[1]
             work[b + slosh.BENDING_ACCEL + 1] += moved[2]
     return vec.add(accel, vec.cross(offset, alpha)), alpha
+
+
+@kernel
+def _arm_through_modes(sizes: Counts, k: int, u: vec.Vector, properties: Array, work: Array) -> None:
+    """Add to the roll arm of tank k what its tension moves of deflected engines through the modes (7.3)."""
+    b = slosh.tank_block(k)
+    y, z = _bending_acceleration(sizes, k, properties, work, ROLL)
+    work[b + slosh.ROLL_BEND], work[b + slosh.ROLL_BEND + 1] = y, z
+    roll = u[1] * y + u[2] * z
+    if sizes.spatial_modes > 0:
+        moved = spatial_motion(sizes, properties, sch.tank_place(k), work, SPATIAL_ROLL)
+        roll += u[0] * moved[0] + u[1] * moved[1] + u[2] * moved[2]
+    work[b + slosh.ARM] += roll
 
 
 @kernel

@@ -104,11 +104,39 @@ def _add_to_four(properties: Array, r: int, amount: float, work: Array, q: int) 
 
 
 @kernel
-def free_modal_accelerations(sizes: Counts, properties: Array, work: Array) -> None:
-    """Accelerations of the modes under their generalised forces, without the tensions of the pendulums."""
+def clear_modes(sizes: Counts, work: Array, quantity: int) -> None:
+    """Set a quantity of the modes of both planes to zero."""
+    for plane in (sch.PITCH, sch.YAW):
+        q = of_plane(quantity, plane)
+        if sizes.mode_groups > 0:
+            work[q], work[q + 1], work[q + 2], work[q + 3] = 0.0, 0.0, 0.0, 0.0
+        if sizes.mode_groups > 1:
+            work[q + 4], work[q + 5], work[q + 6], work[q + 7] = 0.0, 0.0, 0.0, 0.0
+        if sizes.mode_groups > 2:
+            work[q + 8], work[q + 9], work[q + 10], work[q + 11] = 0.0, 0.0, 0.0, 0.0
+
+
+@kernel
+def product_of_modes(sizes: Counts, work: Array, first: int, second: int) -> float:
+    """Return the sum of the products of two quantities over the modes of both planes."""
+    in_pitch: float = modal_sum(sizes, work, of_plane(first, sch.PITCH), work, of_plane(second, sch.PITCH))
+    in_yaw: float = modal_sum(sizes, work, of_plane(first, sch.YAW), work, of_plane(second, sch.YAW))
+    return in_pitch + in_yaw
+
+
+@kernel
+def add_multiple_of_modes(sizes: Counts, work: Array, of: int, amount: float, quantity: int) -> None:
+    """Add `amount` times the modal quantity `of` to another one, in both planes."""
+    for plane in (sch.PITCH, sch.YAW):
+        add_to_modes(sizes, work, of_plane(of, plane), amount, work, of_plane(quantity, plane))
+
+
+@kernel
+def modal_accelerations(sizes: Counts, properties: Array, work: Array, forces: int, accelerations: int) -> None:
+    """Set the accelerations of the modes of both planes under generalised forces (FORCE and ACCEL, say)."""
     for plane in (sch.PITCH, sch.YAW):
         row = sch.derived_column(sizes, plane, sch.MODE_INVERSE_MASS)
-        force, accel = of_plane(FORCE, plane), of_plane(ACCEL, plane)
+        force, accel = of_plane(forces, plane), of_plane(accelerations, plane)
         if sizes.mode_groups > 0:
             _accelerate_four(properties, row, work, force, accel)
         if sizes.mode_groups > 1:
@@ -202,10 +230,12 @@ def bending_rate_at_gyro(sizes: Counts, properties: Array, work: Array) -> tuple
 
 
 @kernel
-def apply_gimbal_load(sizes: Counts, properties: Array, gimbal: int, load: Load, work: Array) -> None:
-    """Add the generalised forces of a load on the body at a gimbal's station."""
+def apply_gimbal_load(
+    sizes: Counts, properties: Array, gimbal: int, load: Load, work: Array, quantity: int
+) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Add the generalised forces of a load on the body at a gimbal's station to a modal quantity (FORCE, ROLL)."""
     _, force_y, force_z, _, moment_y, moment_z = load
-    pitch, yaw, phi = of_plane(FORCE, sch.PITCH), of_plane(FORCE, sch.YAW), sch.gimbal_row(sizes, gimbal)
+    pitch, yaw, phi = of_plane(quantity, sch.PITCH), of_plane(quantity, sch.YAW), sch.gimbal_row(sizes, gimbal)
     add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi), force_z, work, pitch)
     add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi + 1), moment_y, work, pitch)
     add_to_modes(sizes, properties, sch.mode_column(sizes, sch.YAW, phi), force_y, work, yaw)

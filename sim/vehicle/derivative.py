@@ -52,6 +52,7 @@ from maxq.sim.vehicle.engine import (
     put_deflected,
     thrust,
 )
+from maxq.sim.vehicle.engine_modes import Rates, engine_velocity, gimbal_rates, modal_roll_response
 from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration, winds_along_body
 from maxq.sim.vehicle.faults import N_FAULT_SLOTS
 from maxq.sim.vehicle.gyro import Gyro, gyro_derivative, sensed_rate
@@ -68,6 +69,7 @@ from maxq.sim.vehicle.spatial_modes import (
     spatial_motion,
     spatial_rate_at_gyro,
     spatial_state,
+    sum_of_loads,
 )
 from maxq.sim.vehicle.tvc_load import TvcLoad, load_derivative, prepare_loads, swing_engines
 from maxq.sim.world.earth import gravity_gradient_torque
@@ -196,22 +198,26 @@ def derivative(
 
     if sizes.spatial_modes > 0:
         moment = add(moment, outer_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), gimbal_load, work))
-    reaction_load, momentum = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), rigid.engine_momentum(vehicle.engine, 0, engine)
+    reaction_load, momentum = (
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        rigid.engine_momentum(vehicle.engine, 0, engine, rate[0]),
+    )
+    first_rates = gimbal_rates(sizes, properties, 0, work)
     if vehicle.engine.gimballed_mass_kg[0] > 0.0 or vehicle.engine.inertia_kgm2[0] > 0.0:
         reaction_force, reaction_moment, reaction_load = rigid.engine_reaction(
-            vehicle.engine, 0, engine, rate, axial_load
+            vehicle.engine, 0, engine, rate, axial_load, engine_velocity(vehicle.engine, 0, first_rates)
         )
         force, moment = add(force, reaction_force), add(moment, reaction_moment)
     if sizes.engines > 1:
         further_force, further_moment, reaction_load, momentum = further_reactions(
-            vehicle.engine, vehicle.sizes, rate, axial_load, reaction_load, momentum, properties, work
-        )  # fmt: skip  # twelve lines otherwise
+            vehicle.engine, vehicle.sizes, rate, axial_load, first_rates, reaction_load, momentum, properties, work
+        )  # fmt: skip  # thirteen lines otherwise
         force, moment = add(force, further_force), add(moment, further_moment)
     if sizes.spatial_modes > 0:
         apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), reaction_load, work, ws.SPATIAL_FORCE)
         apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), momentum, work, ws.SPATIAL_MOMENTUM)
     if sizes.pitch_modes + sizes.yaw_modes > 0:
-        apply_gimbal_load(sizes, properties, 0, sum_of_loads(gimbal_load, reaction_load), work)
+        apply_gimbal_load(sizes, properties, 0, sum_of_loads(gimbal_load, reaction_load), work, ws.FORCE)
         gyroscopic = gyroscopic_forces(sizes, properties, 0, rate, momentum, work)
         roll = elastic_forces(vehicle.bending, sizes, properties, axial_load, work)
         moment = add(moment, (gyroscopic[0] + roll, gyroscopic[1], gyroscopic[2]))
@@ -231,13 +237,10 @@ def derivative(
 
     if sizes.tvc_loads > 0:
         prepare_loads(
-            vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, axial_load, at, loads,
-            held.faults, work,
+            vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, first_rates, axial_load, at,
+            loads, held.faults, work,
         )  # fmt: skip  # eleven lines otherwise
-    specific_force, alpha = accelerate(
-        sizes, held.on_pad, balanced.offset, balanced.inverse_inertia, force, moment, pad, properties,
-        y, pendulums, work,
-    )  # fmt: skip  # fourteen lines otherwise
+    specific_force, alpha = accelerate(sizes, held.on_pad, balanced, force, moment, pad, properties, y, pendulums, work)
 
     rigid.kinematics(
         environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy
@@ -300,7 +303,10 @@ def engine_motion(
     first = deflected_engine(vehicle.engine, 0, axis, axis_rate, axis_accel, properties)
     if sizes.engines > 1:
         further_motion(vehicle.engine, vehicle.sizes, properties, work, aux)
-    return first, rigid.balance(vehicle.engine, sizes, first, properties, work)
+    given_way = 0.0
+    if sizes.mode_groups + sizes.spatial_modes > 0:
+        given_way = modal_roll_response(vehicle.engine, vehicle.sizes, first.delta, properties, work)
+    return first, rigid.balance(vehicle.engine, sizes, first, given_way, properties, work)
 
 
 @routine
@@ -408,11 +414,6 @@ def thrust_load(
     return force, moment, (force[0], force[1], force[2], couple[0], couple[1], couple[2])
 
 
-@kernel
-def sum_of_loads(a: Load, b: Load) -> Load:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
-
-
 @routine
 def further_thrusts(
     e: Engine, of: Sizes, follower: int, load: Load, first_bend: Bend, properties: Array, work: Array, aux: Array
@@ -432,7 +433,7 @@ def further_thrusts(
         if gimbal == 0:
             load = sum_of_loads(load, own_load)
             continue
-        apply_gimbal_load(sizes, properties, gimbal, own_load, work)
+        apply_gimbal_load(sizes, properties, gimbal, own_load, work, ws.FORCE)
         if sizes.spatial_modes > 0:
             place = sch.gimbal_place(sizes, gimbal)
             moment = add(moment, outer_spatial_load(sizes, properties, place, own_load, work))
@@ -441,8 +442,9 @@ def further_thrusts(
 
 @routine
 def further_reactions(
-    e: Engine, of: Sizes, rate: Vector, axial_load: float, load: Load, momentum: Load, properties: Array, work: Array
-) -> tuple[Vector, Vector, Load, Load]:
+    e: Engine, of: Sizes, rate: Vector, axial_load: float, first_rates: Rates, load: Load, momentum: Load,
+    properties: Array, work: Array,
+) -> tuple[Vector, Vector, Load, Load]:  # fmt: skip  # eleven lines otherwise
     """Reaction of the engines beyond the first: force, moment; `load` and `momentum` with theirs at the first station.
 
     What acts at other stations goes to the modes at once, and their gyroscopic moment into the moment.
@@ -451,13 +453,18 @@ def further_reactions(
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(1, sizes.engines):
         engine, gimbal = deflected_at(work, k), e.gimbal[k]
-        own_force, own_moment, own_load = rigid.engine_reaction(e, k, engine, rate, axial_load)
-        own_momentum = rigid.engine_momentum(e, k, engine)
+        rates = first_rates
+        if gimbal > 0:
+            rates = gimbal_rates(sizes, properties, gimbal, work)
+        own_force, own_moment, own_load = rigid.engine_reaction(
+            e, k, engine, rate, axial_load, engine_velocity(e, k, rates)
+        )
+        own_momentum = rigid.engine_momentum(e, k, engine, rate[0])
         force, moment = add(force, own_force), add(moment, own_moment)
         if gimbal == 0:
             load, momentum = sum_of_loads(load, own_load), sum_of_loads(momentum, own_momentum)
             continue
-        apply_gimbal_load(sizes, properties, gimbal, own_load, work)
+        apply_gimbal_load(sizes, properties, gimbal, own_load, work, ws.FORCE)
         moment = add(moment, gyroscopic_forces(sizes, properties, gimbal, rate, own_momentum, work))
         if sizes.spatial_modes > 0:
             place = sch.gimbal_place(sizes, gimbal)

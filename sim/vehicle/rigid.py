@@ -22,7 +22,8 @@ from maxq.control.kernel.vectors import (
 )
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts
-from maxq.sim.vehicle.engine import Deflected, Engine, beside_axis, deflected_at, flow_share
+from maxq.sim.vehicle.engine import Deflected, Engine, deflected_at, flow_share
+from maxq.sim.vehicle.engine_modes import load_at_gimbal
 from maxq.sim.vehicle.slosh import pendulum_length
 from maxq.sim.vehicle.spatial_modes import Load
 from maxq.sim.world.earth import Earth
@@ -33,7 +34,8 @@ class Balance(NamedTuple):
 
     offset: Vector  # of the CG from the core CG
     inertia: Symmetric  # about the core CG
-    inverse_inertia: Symmetric  # inverse of the tensor about that CG
+    inverse_inertia: Symmetric  # inverse of the tensor about that CG, the modes giving way to roll
+    given_way_kgm2: float  # roll inertia that the modes take from the body, see engine_modes.py
 
 
 @kernel
@@ -51,8 +53,10 @@ def displaced_inertia(e: Engine, k: int, engine: Deflected, inertia: Symmetric) 
 
 
 @kernel
-def balance(e: Engine, sizes: Counts, first: Deflected, properties: Array, work: Array) -> Balance:
-    """With the first engine as it is, and further ones as the workspace holds them."""
+def balance(
+    e: Engine, sizes: Counts, first: Deflected, given_way_kgm2: float, properties: Array, work: Array
+) -> Balance:
+    """Return CG and inertia with the first engine as it is, and further ones as the workspace holds them."""
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_CORE_MASS]
     inertia = displaced_inertia(e, 0, first, symmetric_at(properties, sch.CORE_INERTIA))
     offset = scaled(e.gimballed_mass_kg[0] * inverse_mass, first.delta)
@@ -60,8 +64,8 @@ def balance(e: Engine, sizes: Counts, first: Deflected, properties: Array, work:
         engine = deflected_at(work, k)
         inertia = displaced_inertia(e, k, engine, inertia)
         offset = add(offset, scaled(e.gimballed_mass_kg[k] * inverse_mass, engine.delta))
-    about_cg = _plus_point(inertia, -properties[sch.CORE_MASS], offset)
-    return Balance(offset, inertia, inverse_inertia(about_cg))
+    xx, yy, zz, xy, xz, yz = _plus_point(inertia, -properties[sch.CORE_MASS], offset)
+    return Balance(offset, inertia, inverse_inertia((xx - given_way_kgm2, yy, zz, xy, xz, yz)), given_way_kgm2)
 
 
 @kernel
@@ -80,11 +84,12 @@ def _plus_point(j: Symmetric, mass: float, at: Vector) -> Symmetric:
 
 @kernel
 def engine_reaction(
-    e: Engine, k: int, engine: Deflected, rate: Vector, axial_load: float
+    e: Engine, k: int, engine: Deflected, rate: Vector, axial_load: float, bending: Vector
 ) -> tuple[Vector, Vector, Load]:
     """Force and moment (about the core CG) of the moving engine k on the vehicle, in B ("tail wags dog").
 
-    The third result is the load at the gimbal that excites the modes.
+    The third result is the load at the gimbal that excites the modes. `bending`: velocity that the modes give the
+    engine's CG at rest (`engine_velocity`), m/s.
 
     Terms in the unknown accelerations are in the mass matrix (`Balance`). The axial load on the displaced engine bends
     the body as well: a first-order effect of the deflection.
@@ -96,24 +101,25 @@ def engine_reaction(
     moment = scaled(-mass, cross(at, relative))
     spin = add(engine.relative_accel, cross(rate, engine.relative_rate))
     moment = add(moment, scaled(-inertia, spin))
-    aft, to_y, to_z = e.lever_x_m[k], e.lever_y_m[k], e.lever_z_m[k]
-    inertial = scaled(-mass, engine.delta_accel)
-    moment_y = aft * inertial[2] - inertia * engine.relative_accel[1] - mass * axial_load * engine.delta[2]
-    moment_z = -aft * inertial[1] - inertia * engine.relative_accel[2] + mass * axial_load * engine.delta[1]
-    moment_y, moment_z = moment_y + to_z * inertial[0], moment_z - to_y * inertial[0]
-    beside_y, beside_z = beside_axis(e, k)
-    moment_x = beside_y * inertial[2] - beside_z * inertial[1] - inertia * engine.relative_accel[0]
-    return force, moment, (inertial[0], inertial[1], inertial[2], moment_x, moment_y, moment_z)
+    # the angular momentum about x of the displaced mass that the modes move, and its rate without their accelerations
+    delta, delta_rate = engine.delta, engine.delta_rate
+    roll = mass * (delta[1] * bending[2] - delta[2] * bending[1])
+    growth = mass * (delta_rate[1] * bending[2] - delta_rate[2] * bending[1])
+    moment = add(moment, (-growth, -rate[2] * roll, rate[1] * roll))
+    accel = engine.delta_accel
+    inertial = scaled(-mass, (accel[0], accel[1] - rate[0] * delta_rate[2], accel[2] + rate[0] * delta_rate[1]))
+    couple = scaled(-inertia, engine.relative_accel)
+    couple = add(couple, (0.0, -mass * axial_load * delta[2], mass * axial_load * delta[1]))
+    return force, moment, load_at_gimbal(e, k, inertial, couple)
 
 
 @kernel
-def engine_momentum(e: Engine, k: int, engine: Deflected) -> Load:
-    """What the moving engine k adds to the momentum of the modes, as a load at its gimbal: N s, N m s (3.4, 4.9)."""
-    x, y, z = scaled(e.gimballed_mass_kg[k], engine.delta_rate)
-    spin, aft = scaled(e.inertia_kgm2[k], engine.relative_rate), e.lever_x_m[k]
-    beside_y, beside_z = beside_axis(e, k)
-    about_x = spin[0] + (beside_y * z - beside_z * y)
-    return x, y, z, about_x, spin[1] + aft * z + e.lever_z_m[k] * x, spin[2] - aft * y - e.lever_y_m[k] * x
+def engine_momentum(e: Engine, k: int, engine: Deflected, roll_rate: float) -> Load:
+    """Return the momentum that engine k adds to that of the modes, as a load at its gimbal: N s, N m s (3.4, 4.1)."""
+    delta, moving = engine.delta, engine.delta_rate
+    velocity = (moving[0], moving[1] - roll_rate * delta[2], moving[2] + roll_rate * delta[1])
+    spin = scaled(e.inertia_kgm2[k], engine.relative_rate)
+    return load_at_gimbal(e, k, scaled(e.gimballed_mass_kg[k], velocity), spin)
 
 
 @kernel

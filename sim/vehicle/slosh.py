@@ -55,6 +55,7 @@ BENDING_ACCEL = 22  # acceleration of the hinge by bending: y, z, m/s2 (2)
 BOB_PLACE = 24  # bob relative to the core CG, B, m (3); this and the next only with `Slosh.exchange`
 BOB_VELOCITY = 27  # bob's velocity relative to the core CG, B, m/s (3)
 ALONG_X = 30  # by spatial modes, along x: SHIFT, ASYMMETRY, DAMPER_FORCE, BENDING_ACCEL (4)
+ROLL_BEND = 34  # acceleration of the hinge by planar modes per roll acceleration with engines deflected: y, z, m (2)
 
 
 @kernel

@@ -32,6 +32,11 @@ NU_SPATIAL_STATES = StateBlock({"nu_spatial_{}_mps": "m/s"}, "spatial_modes")
 Load = tuple[float, float, float, float, float, float]  # force and moment of B, or displacement and rotation
 
 
+@kernel
+def sum_of_loads(a: Load, b: Load) -> Load:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
+
+
 @dataclass(frozen=True)
 class SpatialModes:
     zeta: Annotated[Array, (MAX_MODES,)]

@@ -39,9 +39,17 @@ from maxq.control.kernel.vectors import (
 )
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import workspace as ws
-from maxq.sim.vehicle.bending import add_to_modes, gimbal_displacement, modal_sum, of_plane
+from maxq.sim.vehicle.bending import (
+    add_multiple_of_modes,
+    apply_gimbal_load,
+    clear_modes,
+    gimbal_displacement,
+    modal_accelerations,
+    product_of_modes,
+)
 from maxq.sim.vehicle.block import Counts, Sizes, StateBlock
-from maxq.sim.vehicle.engine import Deflected, Engine, beside_axis, deflected_at, group_angles
+from maxq.sim.vehicle.engine import Deflected, Engine, deflected_at, group_angles
+from maxq.sim.vehicle.engine_modes import Rates, engine_velocity, gimbal_rates, load_at_gimbal, roll_moment_of_modes
 from maxq.sim.vehicle.faults import ACTUATOR_FAULT, FLOATING
 from maxq.sim.vehicle.spatial_modes import apply_spatial_load, spatial_motion
 
@@ -58,7 +66,7 @@ N_AXIS = N_TVC_LOAD // 2
 
 # an unknown's block of the workspace: per unit of angular acceleration of the engine, 1/(rad/s2)
 FORCE = 0  # on the vehicle, B, N (3)
-MOMENT = 3  # about the CG with the engine deflected, B, N m (3)
+MOMENT = 3  # about the CG with the engine deflected, that through the modes included, B, N m (3)
 RIGID_ACCEL = 6  # of that CG, m/s2 (3)
 ALPHA = 9  # angular acceleration of the body, rad/s2 (3)
 KNOWN = 12  # moment about the hinge without the accelerations sought, N m
@@ -141,12 +149,13 @@ def hinge_moment(
 
 @routine
 def prepare_loads(
-    load: TvcLoad, e: Engine, first: Deflected, offset: Vector, sizes: Counts, rate: Vector, axial_load: float,
-    at: ws.Evaluation, states: int, faults: Array, work: Array,
+    load: TvcLoad, e: Engine, first: Deflected, offset: Vector, sizes: Counts, rate: Vector, first_rates: Rates,
+    axial_load: float, at: ws.Evaluation, states: int, faults: Array, work: Array,
 ) -> None:  # fmt: skip  # twelve lines otherwise
     """Fill the blocks of both unknowns of each load; their states lie at y[states:].
 
-    `first`: the first engine. `offset` leads from the core CG to the CG with the engines deflected.
+    `first`: the first engine; `first_rates`: those of its gimbal. `offset` leads from the core CG to the CG with the
+    engines deflected.
     """
     properties, y, aux = at.properties, at.y, at.aux
     for n in range(sizes.tvc_loads):
@@ -158,20 +167,17 @@ def prepare_loads(
         sy, cy = sine_cosine(y[i + N_AXIS] + e.turned_yaw_rad[k])
         pitch_rate, yaw_rate = y[i + 1], y[i + N_AXIS + 1]
         _, _, slope_y, slope_z = gimbal_displacement(sizes, properties, e.gimbal[k], work)
-        row = sch.gimbal_row(sizes, e.gimbal[k]) + 1
-        turning_y = modal_sum(
-            sizes, properties, sch.mode_column(sizes, sch.PITCH, row), work, of_plane(ws.NU, sch.PITCH)
-        )
-        turning_z = -modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, row), work, of_plane(ws.NU, sch.YAW))
-        turning = (rate[0], rate[1] + turning_y, rate[2] + turning_z)
+        rates = first_rates
+        if e.gimbal[k] > 0:
+            rates = gimbal_rates(sizes, properties, e.gimbal[k], work)
+        moved, turning = engine_velocity(e, k, rates), add(rate, rates[1])
         if sizes.spatial_modes > 0:
             place = sch.gimbal_place(sizes, e.gimbal[k])
             bent = spatial_motion(sizes, properties, place, work, ws.SPATIAL_ETA)
-            turned = spatial_motion(sizes, properties, place, work, ws.SPATIAL_NU)
             slope_y, slope_z = slope_y + bent[4], slope_z + bent[5]
-            turning = add(turning, (turned[3], turned[4], turned[5]))
         cg = add(engine.gimbal, scaled(-arm, engine.axis))
         apparent = add(cross(rate, cross(rate, cg)), scaled(2.0, cross(rate, engine.delta_rate)))
+        apparent = add(apparent, (0.0, -rate[0] * moved[2], rate[0] * moved[1]))  # quasi-velocities hold the other half
         spin = scaled(2.0, cross(turning, cross(engine.relative_rate, engine.axis)))
         for axis in range(2):
             unknown = 2 * n + axis
@@ -197,6 +203,7 @@ def prepare_loads(
             known += unbalance * axial_load * (slope_y * along[2] - slope_z * along[1]) + about_hinge * own
             work[b + KNOWN] = known
             _modal_forces(sizes, properties, e, k, force, scaled(-inertia, turn), unknown, work)
+            work[b + MOMENT] += roll_moment_of_modes(sizes, load_modal(unknown, 0), load_spatial(unknown, 0), work)
 
 
 @routine
@@ -204,23 +211,13 @@ def _modal_forces(
     sizes: Counts, properties: Array, e: Engine, k: int, force: Vector, couple: Vector, unknown: int, work: Array
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Of a force at the CG of engine k at rest and a couple, at its gimbal (3.4)."""
-    pitch, yaw = of_plane(load_modal(unknown, 0), sch.PITCH), of_plane(load_modal(unknown, 0), sch.YAW)
-    for j in range(sch.padded_modes(sizes)):
-        work[pitch + j], work[yaw + j] = 0.0, 0.0
-    aft, row = e.lever_x_m[k], sch.gimbal_row(sizes, e.gimbal[k])
-    about_y = couple[1] + aft * force[2] + e.lever_z_m[k] * force[0]
-    about_z = couple[2] - aft * force[1] - e.lever_y_m[k] * force[0]
-    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, row), force[2], work, pitch)
-    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, row + 1), about_y, work, pitch)
-    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.YAW, row), force[1], work, yaw)
-    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.YAW, row + 1), -about_z, work, yaw)
+    clear_modes(sizes, work, load_modal(unknown, 0))
+    at_gimbal = load_at_gimbal(e, k, force, couple)
+    apply_gimbal_load(sizes, properties, e.gimbal[k], at_gimbal, work, load_modal(unknown, 0))
     if sizes.spatial_modes > 0:
         spatial = load_spatial(unknown, 0)
         for j in range(sizes.spatial_modes):
             work[spatial + j] = 0.0
-        beside_y, beside_z = beside_axis(e, k)
-        about_x = couple[0] + beside_y * force[2] - beside_z * force[1]
-        at_gimbal = (force[0], force[1], force[2], about_x, about_y, about_z)
         apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, e.gimbal[k]), at_gimbal, work, spatial)
 
 
@@ -228,13 +225,10 @@ def _modal_forces(
 def load_responses(sizes: Counts, inverse_mass: float, inverse: Symmetric, properties: Array, work: Array) -> None:
     """Accelerations of body and modes per unit of each unknown, without pendulums."""
     for k in range(2 * sizes.tvc_loads):
-        b, force, accel = load_block(k), load_modal(k, 0), load_modal(k, 1)
+        b = load_block(k)
         set_vector(work, b + RIGID_ACCEL, scaled(inverse_mass, vector_at(work, b + FORCE)))
         set_vector(work, b + ALPHA, symmetric_times(inverse, vector_at(work, b + MOMENT)))
-        for plane in (sch.PITCH, sch.YAW):
-            inverse_at = sch.derived_column(sizes, plane, sch.MODE_INVERSE_MASS)
-            for j in range(sch.padded_modes(sizes)):
-                work[of_plane(accel, plane) + j] = work[of_plane(force, plane) + j] * properties[inverse_at + j]
+        modal_accelerations(sizes, properties, work, load_modal(k, 0), load_modal(k, 1))
         for j in range(sizes.spatial_modes):
             inverse_mass_j = properties[sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS) + j]
             work[load_spatial(k, 1) + j] = work[load_spatial(k, 0) + j] * inverse_mass_j
@@ -245,11 +239,9 @@ def moment_about_hinge(
     sizes: Counts, k: int, accel: Vector, alpha: Vector, modal: int, spatial: int, work: Array
 ) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Moment on the hinge of unknown k by accelerations of the CG, of the body's rotation and of the modes, N m."""
-    b, force = load_block(k), load_modal(k, 0)
+    b = load_block(k)
     total: float = dot(vector_at(work, b + FORCE), accel) + dot(vector_at(work, b + MOMENT), alpha)
-    for plane in (sch.PITCH, sch.YAW):
-        for j in range(sch.padded_modes(sizes)):
-            total += work[of_plane(force, plane) + j] * work[of_plane(modal, plane) + j]
+    total += product_of_modes(sizes, work, load_modal(k, 0), modal)
     for j in range(sizes.spatial_modes):
         total += work[load_spatial(k, 0) + j] * work[spatial + j]
     return total
@@ -258,10 +250,7 @@ def moment_about_hinge(
 @routine
 def add_load_to_modes(sizes: Counts, k: int, amount: float, work: Array) -> None:
     """Add what the acceleration `amount` of unknown k does to the modal accelerations."""
-    modal = load_modal(k, 1)
-    for plane in (sch.PITCH, sch.YAW):
-        for j in range(sch.padded_modes(sizes)):
-            work[of_plane(ws.ACCEL, plane) + j] += amount * work[of_plane(modal, plane) + j]
+    add_multiple_of_modes(sizes, work, load_modal(k, 1), amount, ws.ACCEL)
     for j in range(sizes.spatial_modes):
         work[ws.SPATIAL_ACCEL + j] += amount * work[load_spatial(k, 1) + j]
 

@@ -6,7 +6,7 @@ defined one plus exactly M (q eta - r xi)^2 / 2 per pair, the axial velocity whi
 eta = xi = 0 that term has no part in the equations of motion: there both agree to rounding, at any rates.
 
 A moving engine is one more particle (its own inertia must be zero). The definition also drops
-m_E (w x Delta) . (flexible velocity) and the turn of Delta with the bent mount; the first vanishes where the
+m_E (0, q, r) x Delta . (flexible velocity) and the turn of Delta with the bent mount; the first vanishes where the
 deflection and its rate are zero, the second is off unless `mount_turns_engine` asks for it.
 """
 

@@ -18,10 +18,11 @@ Energies (rigid velocity v0 of C0 and w = (p, q, r), all in B; nu_eta = etadot +
     engine    m_E |v_E + Deltadot + w x Delta|^2 / 2 - m_E |v_E|^2 / 2, Delta = -l_E (d - x),
               + I_t (|w + d x ddot|^2 - |w|^2) / 2
     engine on pair
-              m_E Deltadot . (0, phi_Ey nu_xi, phi_Ez nu_eta) + I_t (d x ddot) . (0, sz nu_eta, -sy nu_xi)
+              m_E (Deltadot + p x cross Delta) . (0, phi_Ey nu_xi, phi_Ez nu_eta)
+              + I_t (d x ddot) . (0, sz nu_eta, -sy nu_xi)
 Modal damping acts on etadot and xidot, pendulum damping on L udot_B; both are internal.
-Limits: parameters frozen in time; terms of order (q, r) * bending of the core and Delta * bending dropped by
-definition.
+Limits: parameters frozen in time; terms of order (q, r) * bending of the core, (q, r) * Delta * bending and the turn of
+Delta with the bent mount dropped by definition.
 """
 
 from __future__ import annotations
@@ -179,13 +180,13 @@ def _pair() -> _Compiled:
     mass_z, mass_y, omega_z, omega_y = sp.symbols("M_z M_y w_z w_y", real=True)
     phi_z, phi_y, sigma_z, sigma_y = sp.symbols("phi_gz phi_gy sigma_gz sigma_gy", real=True)
     mass, inertia, length = sp.symbols("m_E I_t l_E", real=True)
-    _, delta_dot, spin = _engine_motion(length)
+    delta, delta_dot, spin = _engine_motion(length)
     nu_eta, nu_xi = eta_dot + _W[0] * xi, xi_dot - _W[0] * eta
     engine_velocity = sp.Matrix([0, (phi_y + length * sigma_y) * nu_xi, (phi_z + length * sigma_z) * nu_eta])
     w_mount = sp.Matrix([0, sigma_z * nu_eta, -sigma_y * nu_xi])
     kinetic = (
         (mass_z * nu_eta**2 + mass_y * nu_xi**2) / 2
-        + mass * delta_dot.dot(engine_velocity)
+        + mass * (delta_dot + _W[0] * _X_HAT.cross(delta)).dot(engine_velocity)
         + inertia * spin.dot(w_mount)
     )
     strain = (mass_z * omega_z**2 * eta**2 + mass_y * omega_y**2 * xi**2) / 2
