@@ -48,11 +48,8 @@ def loaded(file: Path | str) -> LoadedScenario:
 
 def along_the_axis(node: Node) -> Node:
     """Without what the flown incidence adds beside the tables: cross-flow above all."""
-    air = planar_of(node).aerodynamics
-    assert abs(air.slope_pr[-1]) > 1e-3, "a vehicle without tables is taken at zero incidence"
-    none = np.where(np.arange(len(air.slope_pr)) < len(air.slope_pr) - len(air.beyond), 1.0, 0.0)
-    air = dataclasses.replace(air, slope_pr=none * air.slope_pr, moment_slope_mpr=none * air.moment_slope_mpr)
-    return dataclasses.replace(node, vehicle=dataclasses.replace(node.vehicle, aerodynamics=air))
+    assert abs(planar_of(node).aerodynamics.slope_pr[-1]) > 1e-3, "a vehicle without tables is taken at zero incidence"
+    return dataclasses.replace(node, trim=(0.0, 0.0))
 
 
 @pytest.mark.slow

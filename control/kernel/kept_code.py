@@ -39,7 +39,8 @@ def _source_files() -> tuple[Path, ...]:
     layers = Path(__file__).resolve().parents[2]
     held = (sorted((layers / layer).rglob("*.py")) for layer in ("control", "sim"))
     # design/ and tools/ hold no others
-    alone = [*sorted((layers / "design/margins").glob("*.py")), layers / "design/loop/own_part.py"]
+    named = ("margins/*.py", "loop/own_part.py", "model/jacobian.py")
+    alone = [p for each in named for p in sorted((layers / "design").glob(each))]
     of_layers = (p for paths in held for p in paths if not _KERNEL_FREE.intersection(p.relative_to(layers).parts))
     return (*alone, *of_layers)
 

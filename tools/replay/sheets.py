@@ -361,6 +361,7 @@ def _phase_plane(shown: Flights) -> Figure:
             error, rate = flight.log[f"error_{axis}_deg"][k], flight.log[f"body_{axis}_rate_degps"][k]
             place.plot(error, rate, **(shown.look(flight) | {"linewidth": 0.7}))
         place.set(xlabel=f"{axis} error (deg)", ylabel=f"{axis} rate (deg/s)", title=axis)
+        place.locator_params(axis="x", nbins=4)  # small angles have wide labels
         place.axhline(0.0, color=GREY, linewidth=0.6)
         place.axvline(0.0, color=GREY, linewidth=0.6)
     return figure
