@@ -1,6 +1,8 @@
 """Kernels that are compiled for one vehicle's sizes fly the same bits as those for all vehicles."""
 
 import dataclasses
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -88,3 +90,24 @@ def test_the_cache_follows_the_sources_wherever_they_lie(tmp_path, monkeypatch):
     (tmp_path / "run" / "sim" / "log").mkdir(parents=True)
     (tmp_path / "run" / "sim" / "log" / "writer.py").write_text("")
     assert list(kept_code._source_files()) == [here / "kept_code.py"]  # what holds no kernel compiles nothing anew
+
+
+LAYOUTS = {"short": [("a", "f8"), ("b", "f8")], "long": [("c", "f8"), ("a", "f8"), ("b", "f8")]}
+MANGLED = """
+import numpy, sys
+import maxq.control.kernel.jit
+from numba.np.numpy_support import from_dtype
+print(*(from_dtype(numpy.dtype(fields, align=True)).mangling_args[1][0] for fields in {fields}))
+"""
+
+
+def test_names_in_machine_code_tell_layouts_whatever_a_process_has_met_before():
+    """The loader takes equal names in kept entries of several processes for one function."""
+    told = {}
+    for order in (("short", "long"), ("long", "short")):
+        program = MANGLED.format(fields=[LAYOUTS[name] for name in order])
+        printed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+        told[order] = dict(zip(order, printed.split(), strict=True))
+    (first, second) = told.values()
+    assert first == second
+    assert first["short"] != first["long"]

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 import gc
+import hashlib
 import os
 import secrets
 import sys
@@ -140,6 +141,16 @@ BaseFunction.get_call_type = _known_type  # type: ignore[method-assign]  # of al
 
 # A record handed over from Python is typed by its layout, field by field, at every call: 2 ms for a flight computer's.
 numpy_support.from_struct_dtype = functools.cache(numpy_support.from_struct_dtype)  # a pure function, too
+
+
+@functools.cache
+def _mangled_layout(name: str) -> tuple[str, tuple[int]]:
+    return "Record", (int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "big"),)
+
+
+# Names in machine code hold the layout of records. Numba writes a number that counts the records of a process, so that
+# code for other layouts, kept by other processes, can have the same name: the loader then takes the first of both.
+types.Record.mangling_args = property(lambda of: _mangled_layout(of.name))  # type: ignore[method-assign, assignment]
 
 _PASSES = (
     TranslateByteCode, FixupArgs, IRProcessing, GenericRewrites, ReconstructSSA,
