@@ -3,6 +3,7 @@
 | what | expected |
 |---|---|
 | designs, cases, suites of schema 1 with comments | the present keys, every other byte as it was |
+| keys in `unset` and in the changes of a design | likewise; an obsolete key is taken away |
 | a document whose keys are written in an unusual way | the same document, without its comments, which is reported |
 | a file of schema 2 | left alone |
 | a log and a scenario text of schema 1 | read as they are |
@@ -159,6 +160,62 @@ def test_keys_in_quotes_cost_the_comments(capsys: Printed) -> None:
     assert {key: found[key] for key in ("name", "vehicle", "gains")} == {
         k: old[k] for k in ("name", "vehicle", "gains")
     }
+
+
+OLD_PATHS = {
+    "unset": (
+        'extends = "ksr3-robust"  # mine\nunset = [\n    "limits.higher_modes_db",  # of modes 3 and above\n'
+        '    \'robust.limits.higher_modes_db\', "objective.band", "search.seed",\n]\n',
+        'extends = "ksr3-robust"  # mine\nunset = [\n    "limits.modes_from_3_db",  # of modes 3 and above\n'
+        "    'robust.limits.modes_from_3_db', \"search.seed\",\n]\n",
+        [
+            "unset: limits.higher_modes_db is now limits.modes_from_3_db",
+            "unset: robust.limits.higher_modes_db is now robust.limits.modes_from_3_db",
+            "unset: objective.band is obsolete",
+        ],
+    ),
+    "obsolete key": (
+        'schema = 1\nextends = "ksr3-robust"\n\n[objective]\nband = 0.05  # of a share\nkind = "least-margin"\n',
+        'schema = 2\nextends = "ksr3-robust"\n\n[objective]\nkind = "least-margin"\n',
+        ["schema is now 2", "objective.band is obsolete"],
+    ),
+    "obsolete key in a line": (
+        'extends = "ksr3-robust"\nobjective = { band = 0.05, kind = "least-margin" }  # mine\n',
+        'extends = "ksr3-robust"\nobjective = { kind = "least-margin" }  # mine\n',
+        ["objective.band is obsolete"],
+    ),
+    "obsolete dotted key": (
+        'extends = "ksr3-robust"  # mine\nobjective.band = 0.05\nobjective.kind = "least-margin"\n',
+        'extends = "ksr3-robust"  # mine\nobjective.kind = "least-margin"\n',
+        ["objective.band is obsolete"],
+    ),
+    "changes of a design": (
+        'extends = "nominal"\nunset = ["design.limits", "design.stage.0.limits.rigid_hz"]\n\n'
+        "[design_overrides]  # mine\nlimits.gain_margin_db = 5.0\n",
+        'extends = "nominal"\nunset = ["design.basis.limits", "design.stage.0.basis.limits.rigid_hz"]\n\n'
+        "[design_overrides]  # mine\nbasis.limits.gain_margin_db = 5.0\n",
+        [
+            "unset: design.limits is now design.basis.limits",
+            "unset: design.stage.0.limits.rigid_hz is now design.stage.0.basis.limits.rigid_hz",
+            "design_overrides.limits is now basis.limits",
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "expected", "changes"), OLD_PATHS.values(), ids=OLD_PATHS)
+def test_paths_and_obsolete_keys(text: str, expected: str, changes: list[str], capsys: Printed) -> None:
+    code, said, _ = upgrade("old.toml", text, capsys)
+    assert (code, said.splitlines()) == (0, ["old.toml: upgraded", *(f"  {change}" for change in changes)])
+    assert Path("old.toml").read_text() == expected
+    assert upgrade("old.toml", None, capsys)[1].startswith("old.toml: nothing to change")
+
+
+def test_an_obsolete_key_is_answered_by_the_command(capsys: Printed) -> None:
+    Path("case.toml").write_text(OLD_PATHS["obsolete dotted key"][0])
+    assert simdesign.main(["case.toml"]) == 2
+    said = "simdesign: case.toml: objective.band = 0.05: is obsolete; allowed: what simrun --upgrade case.toml writes\n"
+    assert capsys.readouterr().err == said
 
 
 @pytest.mark.parametrize("text", [DESIGN, CASE, SUITE])

@@ -45,7 +45,7 @@ def role_of(path: Path, label: str, reading: Reading) -> str:
     problem: ScenarioError | None = None
     for role in ("suite", "case", "design", "scenario"):
         try:
-            found = _role_by_keys(reading.document(path, label, role))
+            found = _role_by_keys(reading.document(path, label, role, ignore_unset=True))
         except ScenarioError as error:  # what it extends is of another kind
             problem = problem or error
             continue

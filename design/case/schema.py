@@ -137,7 +137,9 @@ class LoopFilters(Section):
 
 
 class Objective(Section):
-    """What is made best."""
+    """The quantity that a design optimises."""
+
+    renamed: ClassVar[dict[str, str]] = {"band": ""}
 
     kind: ObjectiveName = optional(
         "first-mode-peak: least peak of mode 1 over all nodes (42). least-margin: largest of the least "

@@ -218,12 +218,20 @@ class Reading:
                 return [name.like(f"{name}/{p.name}") for p in sorted((folder / name).iterdir()) if kind(p) == "file"]
         return [name]
 
-    def document(self, path: Path, label: str, role: str, chain: tuple[Path, ...] = ()) -> Table:
-        """The document in a file, with what it extends below it. `role` is a kind of WANTED."""
+    def document(
+        self, path: Path, label: str, role: str, chain: tuple[Path, ...] = (), *, ignore_unset: bool = False
+    ) -> Table:
+        """Return the document in a file on top of the one that it extends. `role` is a kind of WANTED.
+
+        `ignore_unset`: keep the keys that the file removes, as one of an earlier version may name them by other names.
+        """
         within = (role,) if role in PARTS else ()
         beside = scenarios_folder() / FOLDERS[role] if role in ("case", "suite", "layout") else scenarios_folder()
         source = Source(label, (path.parent, beside), within)
-        return self.extended(parse(self.text(path, label, "a TOML file"), source), role, (*chain, path))
+        table = parse(self.text(path, label, "a TOML file"), source)
+        if ignore_unset and "extends" in table:
+            table.pop("unset", None)
+        return self.extended(table, role, (*chain, path))
 
     def named(self, name: Text, where: Source, key: tuple[str, ...], role: str, chain: tuple[Path, ...] = ()) -> Table:
         """The document in the file that the value `name` of `key` names."""

@@ -29,7 +29,8 @@ _PROBLEMS = {
     "too_short": "has too few elements",
 }
 _MANY_KEYS = 24
-_NOW = "is now "
+_NOW, OBSOLETE = "is now ", "is obsolete"
+"""Problems of keys of an earlier version: with a present name, and without one."""
 _IN_FILES_ONLY = {
     "extends": 'a file of your own that begins with, e.g., extends = "nominal"',
     "unset": "--set KEY= to remove a key, or a file of your own with extends and unset",
@@ -67,7 +68,7 @@ def explain(error: ValidationError, tree: Table, model: type[Section]) -> Scenar
     earlier = path[-1:] == ("schema",) and isinstance(value, int) and allowed.isdecimal() and value < int(allowed)
     if earlier:
         problem = "is an earlier version of the format"
-    if (earlier or problem.startswith(_NOW)) and source.label != COMMAND_LINE:
+    if (earlier or problem.startswith((_NOW, OBSOLETE))) and source.label != COMMAND_LINE:
         allowed = f"what simrun --upgrade {source.label} writes"
     return source.error(path, problem, value=value, allowed=allowed, more=more)
 
@@ -104,7 +105,8 @@ def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
     section = section_of(unwrap(annotation)[0]) or model
     known = keys_of(section)
     if path[-1] in section.renamed:
-        return f"{_NOW}{section.renamed[str(path[-1])]}", ""
+        new = section.renamed[str(path[-1])]
+        return f"{_NOW}{new}" if new else OBSOLETE, ""
     if path[:-1] == ():
         known += _SCENARIO_KEYS if "vehicle" in model.model_fields else _DOCUMENT_KEYS
     elif len(path) == 2 and path[0] in PARTS:

@@ -69,7 +69,7 @@ class Section(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
     renamed: ClassVar[dict[str, str]] = {}
-    """Earlier names of keys, by which a person is told the present ones."""
+    """The present names of keys by their earlier names; "" of a key that is obsolete."""
     earlier: ClassVar[dict[str, str]] = {}
     """Values of keys that the version before had by default, where the present default is another one."""
 

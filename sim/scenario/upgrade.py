@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, get_args
 
 import tomli_w
 
 from maxq.sim.scenario.documents import Source, parse
-from maxq.sim.scenario.messages import section_of
+from maxq.sim.scenario.messages import OBSOLETE, section_of
 from maxq.sim.scenario.schema_values import Section
 
 VERSION = "schema_version"
@@ -36,21 +36,26 @@ def upgraded(given: dict[str, Any], section: type[Section], source: Source) -> t
 def _upgraded(
     given: dict[str, Any], section: type[Section], source: Source, path: tuple[str | int, ...], changes: list[str]
 ) -> dict[str, Any]:
-    fields = {field.alias or name: field for name, field in section.model_fields.items()}
     out: dict[str, Any] = {}
     for key, value in given.items():
-        here, at, below = (*path, key), out, section_of(fields[key].annotation) if key in fields else None
+        here, at, below = (*path, key), out, _below(section, key)
+        where = ".".join(map(str, here))
         if key in section.renamed:
-            changes.append(f"{'.'.join(map(str, here))} is now {section.renamed[key]}")
+            if not section.renamed[key]:
+                changes.append(f"{where} {OBSOLETE}")
+                continue
+            changes.append(f"{where} is now {section.renamed[key]}")
+        elif key == "unset" and isinstance(value, list):
+            value = _present_paths(value, section, where, changes)  # noqa: PLW2901  # the value to be put
         elif below is not None and isinstance(value, dict):
-            value = _upgraded(value, below, source, here, changes)  # noqa: PLW2901  # the value to be put
+            value = _upgraded(value, below, source, here, changes)  # noqa: PLW2901  # likewise
         elif below is not None and isinstance(value, list):
             value = [  # noqa: PLW2901  # likewise
                 _upgraded(item, below, source, (*here, n), changes) if isinstance(item, dict) else item
                 for n, item in enumerate(value)
             ]
         elif key == "schema" and value == (newest := newest_version(section)) - 1:
-            changes.append(f"{'.'.join(map(str, here))} is now {newest}")
+            changes.append(f"{where} is now {newest}")
             value = newest  # noqa: PLW2901  # likewise
         *tables, last = section.renamed.get(key, key).split(".")
         for table in tables:
@@ -59,6 +64,38 @@ def _upgraded(
             raise source.error(here, f"is given besides {section.renamed.get(key, key)}", allowed="one of them")
         at[last] = value
     return out
+
+
+def _below(section: type[Section] | None, key: str) -> type[Section] | None:
+    """Return the section that a key holds, also the key of the changes of a part; None where it holds none."""
+    if section is None:
+        return None
+    fields = {field.alias or name: field for name, field in section.model_fields.items()}
+    field = fields.get(key) or fields.get(key.removesuffix("_overrides"))
+    return section_of(field.annotation) if field is not None else None
+
+
+def _present_paths(old: list[Any], section: type[Section], where: str, changes: list[str]) -> list[Any]:
+    """Return the paths of keys in a list `unset` with their present names, without those that are obsolete."""
+    out = []
+    for path in old:
+        new = _present_path(path, section) if isinstance(path, str) else path
+        if new != path:
+            changes.append(f"{where}: {path} {f'is now {new}' if new else OBSOLETE}")
+        out += [new] if new else []
+    return out
+
+
+def _present_path(path: str, section: type[Section]) -> str:
+    """Return the present form of a path of keys, e.g. "limits.higher_modes_db"; empty where a key is obsolete."""
+    parts, at = list[str](), section or None
+    for part in path.split("."):
+        new = part if at is None else at.renamed.get(part, part)
+        if not new:
+            return ""
+        parts.append(new)
+        at = at if part.isdecimal() else _below(at, part)
+    return ".".join(parts)
 
 
 def newest_version(section: type[Section]) -> int:
@@ -77,8 +114,17 @@ def upgraded_text(text: str, section: type[Section], source: Source) -> tuple[st
     if not changes:
         return text, changes
     names = dict(_renamed(section, set()))
-    found = re.compile(rf"(?<![\w\"'-])({'|'.join(map(re.escape, names)) or '(?!)'})(?=\s*[=.\]])")
-    renamed = found.sub(lambda m: names[m[1]], text)
+    obsolete = _any_of(name for name, new in names.items() if not new)
+    kept = re.sub(rf"^[ \t]*(?:[\w-]+\.)*{obsolete}\s*=.*\n?", "", text, flags=re.MULTILINE)  # on lines of their own
+    kept = re.sub(rf"(?<=[{{,])\s*{obsolete}\s*=[^,}}\n]*(?:,|(?=\}}))", "", kept)  # in tables on one line
+    kept = re.sub(rf"""(["'])(?:[\w-]+\.)*{obsolete}\1\s*,?\s*""", "", kept)  # in `unset`
+    in_paths = re.compile(rf"""(?<=["'.]){_any_of(names)}(?=(?:\.[\w-]+)*["'])""")
+    in_keys = rf"""(?<![\w"'-]){_any_of(names)}(?=\s*[=.\]])"""
+
+    def present(found: re.Match[str]) -> str:
+        return in_paths.sub(lambda m: names[m[0]], found[0]) if found[0] not in names else names[found[0]]
+
+    renamed = re.sub(rf"\bunset\s*=\s*\[[^\]]*\]|{in_keys}", present, kept)
     added = "".join(
         f'{key} = "{value}"\n' for key, value in section.earlier.items() if key in wanted.keys() - old.keys()
     )
@@ -95,6 +141,11 @@ def upgraded_text(text: str, section: type[Section], source: Source) -> tuple[st
         except tomllib.TOMLDecodeError:
             continue
     return tomli_w.dumps(wanted), [*changes, "comments and layout are lost"]
+
+
+def _any_of(names: Iterable[str]) -> str:
+    """Return a regular expression of one of some names."""
+    return f"(?:{'|'.join(map(re.escape, names)) or '(?!)'})"
 
 
 def _renamed(section: type[Section], known: set[type[Section]]) -> Iterator[tuple[str, str]]:
