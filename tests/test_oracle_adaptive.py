@@ -26,8 +26,8 @@ from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.design import api
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.margins.measure import margins
+from maxq.design.verify.certified import certificate_requirements
 from maxq.design.verify.judging import Wanted, checks, judge
-from maxq.design.verify.verify import certificate_requirements
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError

@@ -36,8 +36,8 @@ from maxq.design.optimise.robust import modes_off
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.linear import vehicles
 from maxq.design.verify.memory import Memory
+from maxq.design.verify.parts import Parts
 from maxq.design.verify.suite import LinearMargins, read_suite
-from maxq.design.verify.verify import _Job
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.errors import ScenarioError
@@ -375,9 +375,7 @@ def test_a_verification_says_which_description_its_vehicles_have(
     )
     flies = [load_wanted(read, wanted, "designs/ksr3-default.toml", None) for wanted in read.suite.campaign]
     scenario = load_scenario("nominal", ["design='designs/ksr3-default.toml'"])
-    job = _Job(
-        read.suite, scenario, scenario.design, scenario, Memory(None), lambda *_: None, 1, next(iter(flies), None)
-    )
+    job = Parts(read.suite, scenario, scenario, Memory(None), lambda *_: None, 1, next(iter(flies), None))
     assert job.deviations == f"dispersed vehicles: {said}"
     (node,) = job.nodes("pitch")
     assert [d.label for d in vehicles(read.suite.margins, node, job.described.at(node))[1]][-1] == "vehicle 4"  # type: ignore[arg-type]

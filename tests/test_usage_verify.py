@@ -33,6 +33,7 @@ from maxq.design.verify.linear import (
 )
 from maxq.design.verify.linear import vehicles as vehicles_of
 from maxq.design.verify.memory import Memory, content_hash, from_plain, to_plain
+from maxq.design.verify.parts import Parts
 from maxq.design.verify.suite import (
     ACCEPTED,
     REJECTED,
@@ -120,7 +121,17 @@ def test_accepted_design_leaves_verdict_and_pack(
     assert verdict["against_basis"] == said.splitlines()[:2]
     assert {r["part"] for r in verdict["requirements"]} == {"scenarios", "margins", "dispersed"}
     assert verdict["flights"][0]["again"].startswith("simrun nominal --set 'design=")
+    gaps = [
+        "0.1069 to 20 s: under thrust, before the first operating point",
+        "40 to 59.09 s: under thrust, after the last operating point",
+        "59.09 to 59.29 s: tail-off, with less than half of the largest thrust",
+    ]
+    lines = said.splitlines()
+    assert lines[lines.index("not covered by operating points") + 1 :][:4] == [*(f"  {gap}" for gap in gaps), ""]
+    recorded = [f"{one['begin_s']:.4g} to {one['end_s']:.4g} s: {one['why']}" for one in verdict["not_covered"]]
+    assert recorded == gaps
     page = (out / "review.html").read_text()
+    assert re.findall(r"<li[^>]*>not covered by operating points: ([^<]*)</li>", page) == gaps
     assert set(re.findall(r"https?:[^\"']*", page)) == {"http://www.w3.org/2000/svg"}  # nothing from outside
     assert {"flights.csv", "margins-pitch.csv", "nichols-pitch.csv"} <= {f.name for f in (out / "figures").iterdir()}
     assert verdict["command"] in page.replace("&#x27;", "'")
@@ -195,6 +206,14 @@ def test_the_pack_of_another_vehicle_has_no_word_of_the_first(
     assert "petrel" in text
     assert "margins" in text
     assert not re.search(r"ksr|anheung|korea|reconstruct|\bkari\b|\bpaper\b|\bLee\b", text, re.IGNORECASE)
+    whys = [(one["stage"], one["why"]) for one in json.loads((tmp_path / "verdict.json").read_text())["not_covered"]]
+    assert whys[:3] == [
+        (1, "under thrust, before the first operating point"),
+        (1, "under thrust, after the last operating point"),
+        (1, "tail-off, with less than half of the largest thrust"),
+    ]
+    assert whys[3][1].startswith("coast, the airframe is unstable (M_alpha up to ")
+    assert {why for stage, why in whys[4:] if not why.startswith("coast")} == {"under thrust, no operating point"}
     assert not re.search(r"ksr|reconstruct", (tmp_path / "verdict.json").read_text(), re.IGNORECASE)
 
 
@@ -527,7 +546,7 @@ def test_no_slosh_advice_where_nothing_sloshes() -> None:
     """Tanks there are, but the suite's scenario holds their liquid still."""
     still = load_scenario("nominal", ["switches.slosh=false"])
     none: Any = None
-    job = verify_module._Job(SimpleNamespace(margins=LinearMargins()), still, still.design, still, none, none, 1)
+    job = Parts(SimpleNamespace(margins=LinearMargins()), still, still, none, none, 1)
     assert job.slosh() == []
 
 

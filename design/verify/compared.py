@@ -8,8 +8,8 @@ import numpy as np
 
 from maxq.design.case.basis import Basis, stated_basis
 from maxq.design.quantities import QUANTITIES
+from maxq.design.verify.names import stage_name
 from maxq.design.verify.suite import LinearMargins, Suite
-from maxq.design.verify.verify import stage_name
 from maxq.sim.scenario.loader import LoadedScenario
 
 IMPLIED = {

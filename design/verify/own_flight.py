@@ -23,8 +23,8 @@ from maxq.design.optimise.search import Progress
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, nominal_plants, solve
 from maxq.design.verify.judging import Outcome, judge_solution, make_design
+from maxq.design.verify.names import stage_name
 from maxq.design.verify.uncovered import Uncovered, uncovered
-from maxq.design.verify.verify import stage_name
 from maxq.sim.run.flight import Event
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
@@ -208,13 +208,8 @@ def _judged(
 def _uncovered(judged: _Judged, loaded: LoadedCase) -> tuple[Uncovered, ...]:
     """Return the intervals of the design's flight at which its limits were not checked."""
     points_s = {n: sorted({node.time_s for node in s.nodes}) for n, (_, s) in judged.by_stage.items()}
-    between = [
-        Uncovered(n, points_s[n][0], points_s[n][-1], "between the operating points, where no limit was checked")
-        for n, (_, solution) in judged.by_stage.items()
-        if solution.certificate.instants == 0 and len(points_s[n]) > 1
-    ]
-    found = [*between, *uncovered(judged.flight, points_s, loaded.case.plane)]
-    return tuple(sorted(found, key=lambda one: one.begin_s))
+    alone = [n for n, (_, solution) in judged.by_stage.items() if solution.certificate.instants == 0]
+    return uncovered(judged.flight, points_s, loaded.case.plane, alone)
 
 
 def along(loaded: LoadedCase, solution: Solution) -> Solution:

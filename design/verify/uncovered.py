@@ -9,7 +9,7 @@ derivative of the rigid body along the flight; damping by the air is left out.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,6 +21,7 @@ from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.burn import stage_burns
 from maxq.sim.scenario.loader import LoadedScenario
 
+BETWEEN = "between the operating points, where no limit was checked"
 BRIEF_S = 1e-6  # intervals that are shorter are not named
 COAST_STEP_S = 0.1  # between the instants at which a coast to the next burn is examined
 LAST_STEP_S = 1.0  # likewise of the coast after the last burnout
@@ -45,11 +46,15 @@ class Uncovered:
 
 
 def uncovered(
-    flight: LoadedScenario, points_s: Mapping[int, Sequence[float]], plane: Plane = "pitch"
+    flight: LoadedScenario,
+    points_s: Mapping[int, Sequence[float]],
+    plane: Plane = "pitch",
+    at_points_only: Collection[int] = (),
 ) -> tuple[Uncovered, ...]:
     """Return the intervals of a flight up to its loss that the operating points of its stages leave out.
 
-    `points_s`: times of the operating points by stage, from 0.
+    `points_s`: times of the operating points by stage, from 0. `at_points_only`: stages in which nothing was checked
+    between these.
     """
     spans, loss = powered_flight(flight)
     burns = stage_burns(flight.vehicle.stage, ())
@@ -57,6 +62,9 @@ def uncovered(
     for span in spans:
         full_end_s = full_thrust(flight.vehicle.stage[span.stage], burns[span.stage])[1]
         found += _of_span(span, sorted(points_s.get(span.stage, ())), full_end_s)
+        mine = sorted(points_s.get(span.stage, ()))
+        if span.stage in at_points_only and len(mine) > 1:
+            found.append(Uncovered(span.stage, mine[0], mine[-1], BETWEEN))
     if loss is None:
         found += _unstable_coasts(flight, spans, plane)
     return tuple(sorted(found, key=lambda each: each.begin_s))

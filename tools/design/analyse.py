@@ -24,8 +24,8 @@ from maxq.design.optimise.over_time import INSTANTS_S, instants_along
 from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.paper.nodes import PaperNode
 from maxq.design.verify.judging import Check, Judged, Wanted, checks, in_wind, judge, multiloop_checks, wind_checks
+from maxq.design.verify.names import stage_name
 from maxq.design.verify.uncovered import Uncovered, uncovered
-from maxq.design.verify.verify import stage_name
 from maxq.sim.files import check_writable, write_whole
 from maxq.sim.scenario.documents import Source, Text
 from maxq.sim.scenario.errors import ScenarioError

@@ -23,9 +23,9 @@ from maxq.design.model.node import loss_text
 from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import RigidBody
 from maxq.design.verify.judging import Check, Judged, Outcome
+from maxq.design.verify.names import stage_name
 from maxq.design.verify.own_flight import CaseDesign
 from maxq.design.verify.uncovered import Uncovered
-from maxq.design.verify.verify import stage_name
 from maxq.sim.files import write_whole
 from maxq.sim.flight.metric_table import figures
 from maxq.sim.run.flight import Event

@@ -33,8 +33,8 @@ from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, solve
 from maxq.design.optimise.way_out import tried
 from maxq.design.verify.judging import Outcome, make_design, objective_text
+from maxq.design.verify.names import stage_name
 from maxq.design.verify.own_flight import CaseDesign, design_case
-from maxq.design.verify.verify import stage_name
 from maxq.sim.files import check_writable, plain_name, write_whole
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.files import builtin_files

@@ -14,8 +14,9 @@ from maxq.design.quantities import MEASURED, SWEPT
 from maxq.design.verify.flown import FlownResult
 from maxq.design.verify.judging import Judged, judge
 from maxq.design.verify.linear import MarginCase, MarginStudy, percentiles
+from maxq.design.verify.names import tank_name
 from maxq.design.verify.suite import LinearMargins
-from maxq.design.verify.verify import Verification, tank_name
+from maxq.design.verify.verify import Verification
 from maxq.sim.campaign import analysis
 from maxq.sim.campaign.read import channel_units
 from maxq.sim.campaign.store import campaign_in

@@ -18,15 +18,16 @@ from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.verify.compared import against_basis
 from maxq.design.verify.flown import FlownResult
+from maxq.design.verify.names import tank_name
 from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, Requirement
-from maxq.design.verify.verify import Verification, tank_name
+from maxq.design.verify.verify import Verification
 from maxq.design.verify.worst import WorstVehicle
 from maxq.sim.campaign.statistics import MET
 from maxq.sim.files import plain_name, write_whole
 from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.run.metrics import Verdict
 from maxq.tools.cli.terminal import aligned, printable
-from maxq.tools.design.report import write_record
+from maxq.tools.design.report import uncovered_lines, uncovered_record, uncovered_table, write_record
 from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot, as_csv
 
@@ -76,7 +77,7 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
     return render(
         "review.html.j2", plots, found=found, command=command, headline=headline(found), tank_name=tank_name,
         signed=signed, summary=_summary(found), limiting=_limiting(found), matrix=_matrix(found.flights),
-        loop=_loop(found), **dated,
+        loop=_loop(found), not_covered=uncovered_lines(found.scenario.vehicle, found.uncovered), **dated,
     )  # fmt: skip  # nine more lines otherwise
 
 
@@ -213,6 +214,7 @@ def report(found: Verification, title: str) -> list[str]:
         *([printable(from_here(found.deviations))] if found.deviations else []),
         "",
         *aligned(rows, "  ", right=(4,), drop=(5, 4)),
+        *(["", *uncovered_table(found.scenario.vehicle, found.uncovered)] if found.uncovered else []),
     ]
 
 
@@ -282,6 +284,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "lacks": found.suite.lacks,
         "left_out": found.left_out,
         "deviations": found.deviations,
+        "not_covered": uncovered_record(found.uncovered),
         "more_runs": found.more_runs,
         "command": command,
         "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],

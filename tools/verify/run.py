@@ -18,7 +18,8 @@ from maxq.design.verify.compared import against_basis
 from maxq.design.verify.fitted import fit, named
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.judging import judge
-from maxq.design.verify.verify import Verification, Watch, flight_of, verify
+from maxq.design.verify.parts import Watch
+from maxq.design.verify.verify import Verification, flight_of, verify
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.files import check_writable, plain_name
 from maxq.sim.scenario.errors import ScenarioError

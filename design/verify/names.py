@@ -1,0 +1,19 @@
+"""Names of stages and tanks for people."""
+
+from __future__ import annotations
+
+from maxq.sim.scenario.schema_vehicle import Vehicle
+
+
+def stage_name(vehicle: Vehicle, stage: int) -> str:
+    """For people; "" of the only one."""
+    if len(vehicle.stage) == 1:
+        return ""
+    name = vehicle.stage[stage].name
+    return f"stage {stage + 1}" + (f" ({name})" if name and name != str(stage + 1) else "")
+
+
+def tank_name(vehicle: Vehicle, stage: int, tank: int) -> str:
+    """Of a slosh mode, for people; with its stage where there are several."""
+    name = vehicle.stage[stage].pendulum_names[tank]
+    return name if len(vehicle.stage) == 1 else f"{name}, stage {stage + 1}"

@@ -1,0 +1,262 @@
+"""The parts of a verification that work at operating points: margins, authority, slosh, worst vehicle, certificate."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from itertools import groupby
+from operator import attrgetter
+
+import numpy as np
+
+from maxq.design import api
+from maxq.design.certificate.certificate import NodeCertificate, certify, certify_node
+from maxq.design.certificate.held_flight import hold
+from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
+from maxq.design.certificate.measured_only import MeasuredNode, measure_node
+from maxq.design.model.deviations import told_of
+from maxq.design.model.instruments import Plane
+from maxq.design.model.node import EDGES, Node, node_times, powered_spans
+from maxq.design.verify import linear
+from maxq.design.verify.described import DescribedVehicles
+from maxq.design.verify.memory import Memory, counted
+from maxq.design.verify.names import stage_name
+from maxq.design.verify.slosh import SloshAdvice, advise, confirm
+from maxq.design.verify.suite import WORST, CertificateWanted, LinearMargins, Suite
+from maxq.design.verify.uncovered import Uncovered, uncovered
+from maxq.design.verify.worst import WorstVehicle, search_plane
+from maxq.sim.campaign.read import LoadedCampaign, description_of
+from maxq.sim.scenario.loader import LoadedScenario, told
+from maxq.sim.scenario.schema_design import Design
+
+Watch = Callable[[str, int, int], None]
+"""Called with what is under way, how much of it is done, and of how much."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The inputs of the linear parts and of the certificate, and their results.
+
+    `along`: the flight that the nodes lie on, that of the suite's scenario with its own design unless it is lost
+    (`flight_of`). So all candidates are measured in the same conditions, and a changed gain leaves other nodes alone.
+    """
+
+    suite: Suite
+    scenario: LoadedScenario
+    along: LoadedScenario
+    memory: Memory
+    watch: Watch
+    workers: int
+    campaign: LoadedCampaign | None = None  # whose runs are random vehicles and their trajectories
+    changes: Sequence[str] = ()  # of design and vehicle
+    known: dict[Plane, list[Node]] = field(default_factory=dict)  # nodes by plane
+
+    @property
+    def design(self) -> Design | None:
+        """The design that is judged; None of flight code without a linear model."""
+        return self.scenario.design
+
+    def times_s(self, part: LinearMargins | CertificateWanted) -> tuple[float, ...]:
+        """Return the times of a part's nodes: the suite's, or some that suit the flight."""
+        if part.times_s is not None:
+            return part.times_s
+        edges = part.edges if isinstance(part, LinearMargins) else EDGES
+        times = partial(node_times, self.along, part.nodes_per_stage, edges=edges)
+        return self.memory.recall("times", (self.along.as_flown, part.nodes_per_stage, edges), times)
+
+    def nodes(self, plane: Plane) -> list[Node]:
+        """Return the nodes of the linear margins, which depend on all of the flight."""
+        if plane not in self.known:
+            self.known[plane] = self._nodes(plane)
+        return self.known[plane]
+
+    def _nodes(self, plane: Plane) -> list[Node]:
+        wanted, design = self.suite.margins, self.design
+        assert wanted is not None
+        times_s = self.times_s(wanted)
+        depends = (self.along.as_flown, times_s, plane)
+
+        def along(at_s: Sequence[float]) -> list[Node]:
+            return api.nodes(self.along, at_s, plane=plane)
+
+        if design is not None and wanted.between_nodes == "hold":
+
+            def between() -> tuple[float, ...]:
+                """Of every stage: its nodes lie in one powered span."""
+                spans = [[t for t in times_s if span.holds(t)] for span in powered_spans(self.along)]
+                return tuple(t for mine in spans for t in linear.worst_instants(along, design, mine, wanted.nominal))
+
+            limits = told(wanted.nominal)
+            found = self.memory.recall("instants", (*depends, repr(design), limits), between)
+            times_s = tuple(sorted({*times_s, *found}))
+        return along(times_s)
+
+    def margins(self) -> list[linear.MarginStudy]:
+        """Of every stage that has nodes, plane by plane."""
+        wanted, design = self.suite.margins, self.design
+        if wanted is None or design is None:
+            return []
+        self.watch("nodes of the linear model", 0, 0)
+        out, parts = [], list(self._by_stage("margins", wanted))
+        flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts] if wanted.cases else [])
+        for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):
+            run = partial(linear.study, nodes, design, wanted, self.memory, watch, self.workers, stage, mine)
+            out.append(run(self.described.at(nodes[0])))
+        return out
+
+    @cached_property
+    def described(self) -> DescribedVehicles:
+        assert self.suite.margins is not None
+        return DescribedVehicles(self.suite.margins, self.campaign, self.changes)
+
+    @property
+    def deviations(self) -> str:
+        """State which description the dispersed vehicles have; "" where there are none."""
+        wanted = self.suite.margins
+        if wanted is None or self.design is None or not (wanted.cases or wanted.corner_sigmas or wanted.worst):
+            return ""
+        return self.described.text(self.nodes(wanted.planes[0]))
+
+    def _trajectories(self, wanted: LinearMargins, parts: Sequence[Sequence[Node]]) -> list[list[list[Node]]]:
+        """Return the nodes of each part as dispersed flights meet them, (parts, flights, nodes); empty without any."""
+        every = [node for nodes in parts for node in nodes]
+        if not (wanted.trajectories and every and self.campaign is not None):
+            return []
+        depends = (description_of(self.campaign), every, wanted.trajectories)
+        fly = partial(linear.conditions_of, self.campaign, every, wanted.trajectories, self.workers)
+        met = self.memory.recall("trajectories", depends, fly)
+        flights = [
+            [replace(node, condition=condition, trim=trim) for node, (condition, trim) in zip(every, each, strict=True)]
+            for each in met
+        ]
+        ends = list(itertools.accumulate((len(nodes) for nodes in parts), initial=0))
+        return [[flight[a:b] for flight in flights] for a, b in itertools.pairwise(ends)]
+
+    def _by_stage(
+        self, what: str, wanted: LinearMargins
+    ) -> Iterator[tuple[list[Node], str, Callable[[int, int], None]]]:
+        """Nodes of each plane and stage, the stage's name, and what is told of the progress with them."""
+        stage_of = attrgetter("stage")
+        for plane in wanted.planes:
+            for number, nodes in groupby(sorted(self.nodes(plane), key=stage_of), stage_of):
+                stage = stage_name(self.scenario.vehicle, number)
+                yield list(nodes), stage, partial(self.watch, ", ".join(filter(None, (what, plane, stage))))
+
+    def worst(self) -> list[WorstVehicle]:
+        """In every plane and stage that has nodes, where the suite asks for it."""
+        wanted, design, out = self.suite.margins, self.design, []
+        if wanted is None or design is None or wanted.worst is None or wanted.only not in ("", WORST):
+            return []
+        base, spans = self.scenario.scenario, powered_spans(self.along)
+        parts = list(self._by_stage("worst vehicle", wanted))
+        flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts])
+        for (at, name, watch), flown_along in zip(parts, flights or itertools.repeat([]), strict=False):
+            end_s = next(span.end_s for span in spans if span.holds(at[0].time_s))  # flown as far as that stage burns
+            run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
+            loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
+            between = partial(api.nodes, self.along, plane=at[0].plane) if wanted.between_nodes == "hold" else None
+            described = self.described.at(at[0])
+            depends = (
+                loaded.as_flown, repr(design), at, told_of(described), told(wanted.worst), wanted.between_nodes,
+                flown_along,
+            )  # fmt: skip  # four more lines otherwise
+            search = partial(
+                search_plane, at, design, described, wanted.worst, loaded, name, watch, self.workers, between,
+                flown_along,
+            )  # fmt: skip  # five more lines otherwise
+            out.append(self.memory.recall("worst", depends, search))
+        return out
+
+    def _points_s(self, *parts: LinearMargins | CertificateWanted | None) -> dict[int, list[float]]:
+        """Return the times of the operating points of parts of the suite, by stage; empty without parts."""
+        times = sorted({t for part in parts if part is not None for t in self.times_s(part)})
+        return self._by_span(times) if times else {}
+
+    def _by_span(self, times: Sequence[float]) -> dict[int, list[float]]:
+        return {span.stage: [t for t in times if span.holds(t)] for span in powered_spans(self.along)}
+
+    def uncovered(self) -> tuple[Uncovered, ...]:
+        """Return the intervals without operating points; none where the suite asks for nothing at such points."""
+        margins = self.suite.margins if self.design is not None else None
+        points_s = self._points_s(margins, self.suite.certificate)
+        if not points_s:
+            return ()
+        alone = () if margins is not None and margins.between_nodes == "hold" else tuple(points_s)
+        return self.memory.recall(
+            "uncovered", (self.along.as_flown, points_s, alone), lambda: uncovered(self.along, points_s, "pitch", alone)
+        )
+
+    def authority(self) -> list[linear.Authority]:
+        """Return the authority every second between the first and the last time that the suite names in each stage."""
+        named = self._points_s(self.suite.margins, self.suite.certificate)
+        if not named:
+            named = {
+                span.stage: [t for t in node_times(self.along) if span.holds(t)] for span in powered_spans(self.along)
+            }
+        times: list[float] = []
+        for mine in filter(None, named.values()):
+            times += [t for t in np.arange(mine[0], mine[-1] + 0.5, 1.0).tolist() if t <= mine[-1]]
+        computers = [self.scenario.vehicle.computer_of(n) for n in range(len(self.scenario.vehicle.stage))]
+        self.watch("control authority", 0, 0)
+        limits_rad = [math.inf if c is None else math.radians(c.command_limit_deg) for c in computers]
+        return linear.authority(api.nodes(self.along, times), limits_rad)
+
+    def slosh(self) -> list[SloshAdvice]:
+        """Damping needed at every node; the worst case is flown."""
+        vehicle, wanted, design = self.scenario.vehicle, self.suite.margins, self.design
+        tanks = any(stage.tank for stage in vehicle.stage)
+        if wanted is None or design is None or not tanks or not self.scenario.scenario.switches.slosh:
+            return []
+        self.watch("slosh", 0, 0)
+        nodes = self.nodes("pitch")
+        depends = (self.scenario.as_flown, tuple(node.time_s for node in nodes))
+        found = self.memory.recall("slosh", depends, lambda: advise(nodes, design))
+        worst = max((a for a in found if 0.0 < a.needed < math.inf), key=lambda a: a.needed, default=None)
+        if worst is None:
+            return found
+        node = next(n for n in nodes if n.time_s == worst.time_s)
+        confirmed = self.memory.recall("slosh-flown", (*depends, worst), lambda: confirm(self.scenario, node, worst))
+        return [confirmed if a is worst else a for a in found]
+
+    def certificates(self) -> tuple[list[NodeCertificate], list[InFlightResponse]]:
+        wanted, scenario, memory, design = self.suite.certificate, self.scenario, self.memory, self.design
+        if wanted is None or design is None:
+            return [], []
+        times_s, planes = self.times_s(wanted), wanted.planes
+
+        def one(loaded: LoadedScenario, node: Node) -> NodeCertificate:
+            held = hold(loaded, node)
+            law, computer = api.law_at(design, node), repr(loaded.vehicle.computer)
+            depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law, computer)
+            return memory.recall("node", depends, lambda: certify_node(loaded, node))
+
+        one_told = counted(one, partial(self.watch, "certificate"), len(times_s) * len(planes))
+        found = certify(scenario, times_s, planes, workers=self.workers, one=one_told, along=self.along)
+        stable = [c.time_s for c in found if c.stable and c.plane == planes[0]]
+        if wanted.times_s is None and wanted.in_flight:  # what the flight chooses may lie at the ends of thrust
+            spans = powered_spans(scenario)
+            stable = [t for t in stable if fits(t, spans)]
+        through: list[InFlightResponse] = []
+        for plane in planes if wanted.in_flight and stable else ():
+            fly = partial(in_flight_response, scenario, stable, plane)
+            through += memory.recall("through", (scenario.as_flown, stable, plane), fly)
+        return found, through
+
+    def measured(self) -> list[MeasuredNode]:
+        """Of flight code without a linear model, at the nodes and in the planes of the certificate."""
+        wanted = self.suite.certificate
+        if wanted is None or self.design is not None:
+            return []
+        times_s = self.times_s(wanted)
+        nodes = [node for plane in wanted.planes for node in api.nodes(self.along, times_s, plane=plane)]
+
+        def one(node: Node) -> MeasuredNode:
+            depends = (self.scenario.as_flown, node)
+            return self.memory.recall("measured", depends, partial(measure_node, self.scenario, node))
+
+        with ThreadPoolExecutor(max_workers=self.workers) as pool:
+            return list(pool.map(counted(one, partial(self.watch, "measuring in flight"), len(nodes)), nodes))
