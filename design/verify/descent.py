@@ -72,3 +72,21 @@ def descend(
         else:
             step *= 0.5
     return u, value
+
+
+def to_corner(
+    values_at: Callable[[Sequence[Array]], Sequence[float]], start: Array, box: Region
+) -> tuple[Array, float]:
+    """Return the corner of a box near `start` that no single coordinate at either end makes worse, and its value.
+
+    The coordinate that lowers the value most is moved first.
+    """
+    u = box.reach * np.where(start >= 0.0, 1.0, -1.0)
+    (value,) = values_at([u])
+    while trials := [np.where(np.arange(len(u)) == k, -u, u) for k in range(len(u))]:
+        found = values_at(trials)
+        k = int(np.argmin(found))
+        if found[k] > value - 1e-6:
+            break
+        u, value = trials[k], found[k]
+    return u, value

@@ -39,7 +39,7 @@ from maxq.design.model.instruments import per_command
 from maxq.design.model.node import Node, disperse, with_drives_apart
 from maxq.design.model.spread import Place
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.verify.descent import Region, descend
+from maxq.design.verify.descent import Region, descend, to_corner
 from maxq.design.verify.memory import counted
 from maxq.design.verify.named_mu import stable_together, stable_within
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
@@ -214,7 +214,7 @@ def search_node(
                 break
             u, (value, hz) = trials[k], found[k]
         if wanted.region == "box":
-            u, value = _corner(u, look, region.reach)
+            u, value = to_corner(look.values, u, region)
         if value < best:
             best, worst_u = value, u
     worst_u, best = descend(look.values, worst_u, best, region)
@@ -251,19 +251,6 @@ def _towards(u: Array, goal: Array, share: float, region: Region) -> Array:
     """Return a point part of the way; in an ellipsoid on its surface, inside of which the worst hardly ever lies."""
     there = u + share * (goal - u)
     return there if region.shape == "box" else region.farthest(there)
-
-
-def _corner(u: Array, look: Callable[[Sequence[Array]], Looks], reach: float) -> tuple[Array, float]:
-    """Return the corner of the box near u that no single deviation at either end makes worse, the worst moved first."""
-    u = reach * np.where(u >= 0.0, 1.0, -1.0)
-    ((value, _),) = look([u])
-    while True:
-        trials = [np.where(np.arange(len(u)) == k, -u, u) for k in range(len(u))]
-        found = [distance for distance, _ in look(trials)]
-        k = int(np.argmin(found))
-        if found[k] > value - 1e-6:
-            return u, value
-        u, value = trials[k], found[k]
 
 
 def search_plane(

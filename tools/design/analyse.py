@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -23,6 +24,7 @@ from maxq.design.model.node import Node, node_times, powered_flight, with_cuts
 from maxq.design.optimise.over_time import INSTANTS_S, instants_along
 from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.paper.nodes import PaperNode
+from maxq.design.verify.dispersed_limits import WorstOfBasis, worst_of_basis
 from maxq.design.verify.judging import Check, Judged, Wanted, checks, in_wind, judge, multiloop_checks, wind_checks
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.uncovered import Uncovered, uncovered
@@ -90,7 +92,9 @@ def execute(order: AnalysisOrder) -> int:
             found = stage_checks(mine, design, basis, order.kind)
             together = all_axes(scenario, design, [j.time_s for j in mine], order, progress)
             coupled = multiloop_checks(together, Wanted.of(basis.limits))
-            groups.append(Group(stage_name(scenario.vehicle, stage), mine, found, together, coupled))
+            worst, off = dispersed_checks(every, points_s, design, basis, order, progress)
+            stage_called = stage_name(scenario.vehicle, stage)
+            groups.append(Group(stage_called, mine, found, together, coupled, worst, off))
         judged = [j for group in groups for j in group.judged]
         judged_by = judged_by_text(order, scenario, bases, len(points_s), len(between_s))
         gaps: tuple[Uncovered, ...] = ()
@@ -122,7 +126,7 @@ def all_axes(
     scenario: LoadedScenario, design: Design, times_s: Sequence[float], order: AnalysisOrder, progress: Progress
 ) -> list[MultiloopMargins]:
     """Margins of all axes together; none of a vehicle or a computer other than what flies."""
-    if (order.kind, order.errata, order.plant) != ("sampled", "corrected", "flown"):
+    if not flies_as_measured(order):
         return []
     out = []
     progress.show("measuring all axes together", 0, len(set(times_s)))
@@ -148,6 +152,34 @@ def stage_checks(judged: Sequence[Judged], design: Design, basis: Basis, kind: K
     nodes, here = [j.node for j in judged], basis.model_copy(update={"loop": kind})
     found = checks(judged, design, Wanted.of(basis.limits))
     return found + wind_checks(in_wind(here, nodes, design, None), basis.limits, nodes)
+
+
+def dispersed_checks(
+    judged: Sequence[Judged],
+    points_s: Sequence[float],
+    design: Design,
+    basis: Basis,
+    order: AnalysisOrder,
+    progress: Progress,
+) -> tuple[WorstOfBasis | None, list[Check]]:
+    """Return the worst vehicles found of a stage's robust basis, and its limits of them; nothing without such a basis.
+
+    Vehicles are searched for on the sampled loop of what flies only; between the points where limits hold there.
+    """
+    if basis.robust is None or not flies_as_measured(order):
+        return None, []
+    at = [j.node for j in judged if j.time_s in points_s]
+    beside = [j.node for j in judged if j.time_s not in points_s]
+    show = partial(progress.show, "searching dispersed vehicles")
+    worst = worst_of_basis(at, beside, design, basis.robust, basis.robust, show)
+    limits = basis.model_copy(update={"limits": basis.robust.limits})
+    found = stage_checks(judge(worst.nodes, design, order.kind), design, limits, order.kind)
+    return worst, [replace(c, key=f"dispersed_{c.key}", text=f"{c.text}, dispersed", short=c.heading) for c in found]
+
+
+def flies_as_measured(order: AnalysisOrder) -> bool:
+    """Return True for the simulator's loop and plant, on which all axes and dispersed vehicles are measured."""
+    return (order.kind, order.errata, order.plant) == ("sampled", "corrected", "flown")
 
 
 # the design's own basis
@@ -226,7 +258,9 @@ def judged_by_text(
     limits = len({key for basis in bases.values() for key in basis.limits.asked})
     parts = [f"{order.kind} loop", count, f"{limits} limit{'s' * (limits != 1)}"]
     parts += [f"held between them ({between} instants)"] if between else []
-    parts += ["of the nominal vehicle, not of its dispersed ones"] * any(b.robust is not None for b in bases.values())
+    if any(b.robust is not None for b in bases.values()):
+        searched = "and those of dispersed vehicles at the worst found"
+        parts.append(searched if flies_as_measured(order) else "of the nominal vehicle, not of its dispersed ones")
     stated = len({t for basis in bases.values() for t in basis.nodes_s or ()})
     others = [
         f"{getattr(order, key)} {option}, designed for {getattr(first, key_of)}"

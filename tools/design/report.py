@@ -22,6 +22,7 @@ from maxq.design.model.instruments import Plane
 from maxq.design.model.node import loss_text
 from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import RigidBody
+from maxq.design.verify.dispersed_limits import WorstOfBasis
 from maxq.design.verify.judging import Check, Judged, Outcome
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.own_flight import CaseDesign
@@ -65,17 +66,22 @@ class AnalysisOrder:
 
 @dataclass(frozen=True)
 class Group:
-    """What was found of a stage; its name for people, "" of the only one. `together`: margins of all axes."""
+    """The results of a stage; its name for people, "" of the only one. `together`: margins of all axes.
+
+    `worst` and `dispersed`: the dispersed vehicles that were searched, and the limits of those found.
+    """
 
     stage: str
     judged: Sequence[Judged]
     found: Sequence[Check]
     together: Sequence[MultiloopMargins]
     coupled: Sequence[Check]
+    worst: WorstOfBasis | None
+    dispersed: Sequence[Check]
 
     @property
     def checks(self) -> list[Check]:
-        return [*self.found, *self.coupled]
+        return [*self.found, *self.coupled, *self.dispersed]
 
 
 def analysis_report(
@@ -94,7 +100,8 @@ def analysis_report(
         judged, found = group.judged, group.found
         parts += [
             [f"--- {group.stage}"] if group.stage else [],
-            limits_table(group.checks),
+            limits_table([*found, *group.coupled]),
+            limits_table(group.dispersed, f"limits of dispersed vehicles: {group.worst.text}") if group.worst else [],
             margins_table(judged),
             lobes_table(judged),
             budget_table(judged, "phase margin", "phase_deg"),
@@ -107,7 +114,10 @@ def analysis_report(
 
 def analysis_verdict(groups: Sequence[Group], loss: Event | None = None) -> str:
     """The last line. A design whose own flight is lost has failed, whatever its margins before."""
-    words = {"unstable_poles": "unstable", "coupled_unstable": "unstable with all axes"}
+    words = {
+        "unstable_poles": "unstable", "coupled_unstable": "unstable with all axes",
+        "dispersed_unstable_poles": "a dispersed vehicle is unstable",
+    }  # fmt: skip  # a table
     missed = [] if loss is None else [loss_text(loss)]
     missed += [
         (f"{group.stage}: " if group.stage else "") + words.get(c.key, f"{c.text} missed")
@@ -428,6 +438,7 @@ def analysis_record(
         "judged_by": judged_by,
         "passed": loss is None and all(check.passed for check in checks),
         "lost": None if loss is None else loss_text(loss),
+        "dispersed": [{"loops": g.worst.loops, "instants": g.worst.instants} for g in groups if g.worst is not None],
         "limits": checks_record(checks),
         "nodes": [node_record(j) for group in groups for j in group.judged],
         "all_axes": [

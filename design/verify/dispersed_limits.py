@@ -1,0 +1,170 @@
+"""The dispersed limits of a robust basis: a search at operating points for the vehicles that come nearest to them.
+
+Vehicles are those of `[basis.robust]`: each deviation up to `corner_sigmas` either way. At an operating point the
+search goes from several corners of that box to one that no single deviation makes worse (`descent.to_corner`), and at
+the worst operating points on by a descent that also leaves the corners (`descent.descend`). The value that it lowers is
+the least share of a limit that is left, over the limits that the margin sweep measures (`guides`). Between operating
+points the worst vehicles of the neighbours are measured, and the descent is repeated where they are worst. The search
+bounds nothing: other vehicles of the box may be worse than those found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.design import api
+from maxq.design.case.basis import LoadLimits, Robust
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import Loop
+from maxq.design.margins.dispersed import ManyLoops, NotServedError
+from maxq.design.margins.many import DONE, UNSTABLE
+from maxq.design.model.deviations import Described, deviations_of
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.node import Node, disperse
+from maxq.design.quantities import MEASURED, SWEPT, LoopLimits
+from maxq.design.verify.compared import IMPLIED
+from maxq.design.verify.descent import Region, descend, to_corner
+from maxq.design.verify.judging import Wanted
+from maxq.design.verify.linear import measured
+from maxq.design.verify.memory import counted
+from maxq.sim.scenario.schema_design import Design
+
+CORNERS = 4  # from which a search at an operating point begins
+REFINED = 3  # operating points, and instants between them, at which a descent leaves the corners
+SEED = 1
+_LOST, _FREE = -1.0, 10.0  # value of an unstable loop, and of one that nothing limits
+_SLOSH_DB = LoopLimits().slosh_peak_db
+
+Rooms = Callable[[Sequence[Array]], list[float]]
+"""The least share of a limit that is left at scores (places,) in units of three sigma; -1 of an unstable loop."""
+
+
+@dataclass(frozen=True)
+class WorstOfBasis:
+    """The worst vehicles found, one an operating point or instant, in the order of time.
+
+    `guides`: labels of the limits that were searched for. `loops`: measured in all; `instants`: tried between the
+    operating points.
+    """
+
+    nodes: tuple[Node, ...]
+    guides: tuple[str, ...]
+    loops: int
+    instants: int
+
+    @property
+    def text(self) -> str:
+        """State the extent of the search for people."""
+        between = f" and {self.instants} instants between" if self.instants else ""
+        wanted = ", ".join(("stability", *self.guides))
+        return f"the worst of each point{between} in a search of {self.loops} loops for {wanted}"
+
+
+def guides(limits: LoadLimits) -> dict[str, float]:
+    """Return the limits of the margin sweep (`SWEPT`) that those of dispersed vehicles imply, by key."""
+    out: dict[str, float] = {}
+    for key, limit in Wanted.of(limits).limits.items():
+        for part in (key,) if key in SWEPT else IMPLIED.get(key, ()):
+            if isinstance(limit, float | int):
+                out[part] = min(float(limit), out.get(part, float(limit)), key=MEASURED[part].badness)
+    return out
+
+
+def rooms(node: Node, design: Design, described: Described, wanted: Mapping[str, float]) -> Rooms:
+    """Return a function of the scores of vehicles at a node; `wanted`: limits by key of SWEPT."""
+    deviations, law = deviations_of(described, node), api.law_at(design, node)
+
+    def left(found: Mapping[str, float]) -> float:
+        each = [
+            (MEASURED[k].badness(limit) - MEASURED[k].badness(found[k])) / abs(limit) for k, limit in wanted.items()
+        ]
+        return float(np.clip(min(each, default=_FREE), _LOST, _FREE))
+
+    def alone(by: Dispersion) -> float:
+        found = measured(Loop(fixed_path(disperse(node, by)), law), _SLOSH_DB)
+        return left(found) if found else _LOST
+
+    try:
+        loops = ManyLoops(node, law)
+    except NotServedError:
+        return lambda every: [alone(by) for by in deviations.of_scores(every)]
+
+    def at(every: Sequence[Array]) -> list[float]:
+        vehicles = deviations.of_scores(every)
+        values, status = loops.measure(vehicles, _SLOSH_DB)
+        out = []
+        for by, row, verdict in zip(vehicles, values, status, strict=True):
+            found = {k: 1e3 * float(row["delay_s"]) if k == "delay_ms" else float(row[k]) for k in wanted}
+            out.append(left(found) if verdict == DONE else _LOST if verdict == UNSTABLE else alone(by))
+        return out
+
+    return at
+
+
+def worst_of_basis(
+    nodes: Sequence[Node],
+    between: Sequence[Node],
+    design: Design,
+    robust: Robust,
+    described: Described,
+    watch: Callable[[int, int], None] = lambda done, of: None,
+    workers: int = 2,
+) -> WorstOfBasis:
+    """Search the vehicles of a robust basis at the operating points of one stage, and at instants between them."""
+    wanted, region = guides(robust.limits), Region("box", robust.corner_sigmas / 3.0)
+    tried: list[int] = []
+
+    def looked(node: Node) -> Rooms:
+        values = rooms(node, design, described, wanted)
+
+        def look(every: Sequence[Array]) -> list[float]:
+            tried.append(len(every))
+            return values(every)
+
+        return look
+
+    def search(node: Node) -> tuple[float, Array]:
+        fields, look = deviations_of(described, node).fields, looked(node)
+        rng = np.random.default_rng([SEED, round(1e3 * node.time_s)])
+        starts = [rng.choice([-1.0, 1.0], len(fields)) for _ in range(CORNERS)]
+        for end, start in zip((-1.0, 1.0), starts, strict=False):  # modes off: at one end, well seen by the gyro
+            start[[k for k, name in enumerate(fields) if name == "bending_frequency"]] = end
+            start[[k for k, name in enumerate(fields) if name == "bending_slope"]] = 1.0
+        found = [to_corner(look, start, region) for start in starts]
+        u, value = min(found, key=lambda each: each[1])
+        return value, u
+
+    def refine(node: Node, value: float, u: Array) -> tuple[float, Array]:
+        if value <= _LOST:
+            return value, u
+        u, value = descend(looked(node), u, value, region)
+        return value, u
+
+    def beside(node: Node) -> tuple[float, Array]:
+        near = sorted(range(len(nodes)), key=lambda k: abs(nodes[k].time_s - node.time_s))[:2]
+        points = [found[k][1] for k in near]
+        values = looked(node)(points)
+        k = int(np.argmin(values))
+        return values[k], points[k]
+
+    count = len(nodes) + len(between) + REFINED * (1 + bool(between))
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        found = list(pool.map(counted(search, watch, count), nodes))
+        every = [(node, *each) for node, each in zip(nodes, found, strict=True)]
+        beyond = [(node, *each) for node, each in zip(between, pool.map(beside, between), strict=True)]
+        for some in filter(None, (every, beyond)):
+            worst = sorted(range(len(some)), key=lambda k: some[k][1])[:REFINED]
+            for k, each in zip(worst, pool.map(refine, *zip(*(some[k] for k in worst), strict=True)), strict=True):
+                some[k] = (some[k][0], *each)
+    beyond = sorted(beyond, key=lambda each: each[1])[:REFINED]
+    vehicles = [
+        disperse(node, deviations_of(described, node).at(u, "worst found"))
+        for node, _, u in sorted((*every, *beyond), key=lambda each: each[0].time_s)
+    ]
+    labels = tuple(MEASURED[key].label for key in wanted)
+    return WorstOfBasis(tuple(vehicles), labels, sum(tried), len(between))
