@@ -26,6 +26,7 @@ from maxq.sim.world.wind import wind_components
 
 SEED_KEY, WIND_KEY, MONTH_KEY, DATE_KEY = "run.seed", "wind.profile", "wind.month", "wind.date"
 MOST_ATTEMPTS = 1000
+_INSIDE = 1e-300, 1.0 - 1e-16  # of (0, 1), for a distribution's quantiles
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,11 @@ class Draw:
         return f"cases\0{self.entry}" if self.spec.distribution == "cases" else self.name
 
     def results(self, values: np.ndarray) -> list[Array]:
-        """What becomes of draws at each target; nothing of texts and tables."""
-        return [] if self.is_text else [target.result(self.spec.apply, values) for target in self.targets]
+        """Return what becomes of draws at each target; nothing of texts and tables."""
+        if self.is_text:
+            return []
+        values = values if self.spec.power is None else np.power(values, self.spec.power)
+        return [target.result(self.spec.apply, values) for target in self.targets]
 
     def allowed(self, results: list[Array]) -> np.ndarray:
         """Where the bounds of all targets hold, and those of the draw."""
@@ -105,7 +109,7 @@ class Plan:
         use_sobol = self.campaign.sampling == "sobol" and attempt == 0 and bool(self.draws)
         sobol = Sobol(seed, tuple(d.name for d in self.draws), first, count) if use_sobol else None
         drawn = Drawn(first, np.zeros(count, np.int64))
-        raw = {d.name: self._uniforms(d, first, count, attempt, sobol) for d in self.draws}
+        raw = self._together({d.name: self._uniforms(d, first, count, attempt, sobol) for d in self.draws})
         groups: dict[int, list[Array]] = {}
         for d in self.draws:
             values = self._values(d, first, raw, groups)
@@ -114,6 +118,44 @@ class Plan:
         if self.wind is not None:
             drawn.wind = self.wind.scores(seed, first, count, attempt)
         return drawn
+
+    @cached_property
+    def pairs(self) -> list[tuple[str, str, float]]:
+        """Names of the draws of each correlated pair, and its coefficient, where both are among `draws`."""
+        found = []
+        for pair in self.campaign.correlated:
+            i, j = ([d.name for d in self.draws if name in (d.name, d.label)] for name in pair.of)
+            if len(i) == len(j) == 1:
+                found.append((i[0], j[0], pair.coefficient))
+        return found
+
+    @cached_property
+    def correlation(self) -> tuple[list[str], Array]:
+        """Names of the correlated draws, and the matrix of their coefficients."""
+        names = list(dict.fromkeys(name for i, j, _ in self.pairs for name in (i, j)))
+        matrix = np.eye(len(names))
+        for i, j, coefficient in self.pairs:
+            at = names.index(i), names.index(j)
+            matrix[at] = matrix[at[::-1]] = coefficient
+        return names, matrix
+
+    @cached_property
+    def _root(self) -> Array:
+        """Symmetric root of `correlation`: spheres of independent scores stay spheres of scores that are as likely.
+
+        It is rounded, so that draws do not depend on the processor that decomposes the matrix.
+        """
+        sizes, vectors = np.linalg.eigh(self.correlation[1])
+        return np.asarray(np.round((vectors * np.sqrt(np.maximum(sizes, 0.0))) @ vectors.T, 12))
+
+    def _together(self, raw: dict[str, Array]) -> dict[str, Array]:
+        """Return uniform numbers by draw with those of correlated draws mixed, from independent ones."""
+        if not self.pairs:
+            return raw
+        names = self.correlation[0]
+        z = [ndtri(raw[name]) for name in names]
+        mixed = [sum((r * each for r, each in zip(row, z, strict=True)), np.zeros_like(z[0])) for row in self._root]
+        return raw | {name: np.clip(ndtr(x), *_INSIDE) for name, x in zip(names, mixed, strict=True)}
 
     @cached_property
     def score_names(self) -> list[str]:
@@ -130,8 +172,8 @@ class Plan:
         Samples, cases and profiles that are taken in turn are taken at random here.
         """
         good, groups = np.ones(len(z), bool), dict[int, list[Array]]()
-        u = dict(zip(self._streams, np.clip(ndtr(z.T), 1e-300, 1.0 - 1e-16), strict=False))
-        raw = {d.name: u[d.stream] for d in self.draws}
+        u = dict(zip(self._streams, np.clip(ndtr(z.T), *_INSIDE), strict=False))
+        raw = self._together({d.name: u[d.stream] for d in self.draws})
         drawn = Drawn(0, np.zeros(len(z), np.int64))
         for d in self.draws:
             values = self._values(_at_random(d), 0, raw, groups)
@@ -217,8 +259,10 @@ class Plan:
     def _single(self, d: Draw, run: int, attempt: int) -> np.ndarray:
         """One draw anew; of a correlated group with new scores for all of it."""
         group = [other for other in self.draws if other.entry == d.entry] if d.group is not None else [d]
+        together = d.name in self.correlation[0]
+        group = [other for other in self.draws if other.name in self.correlation[0]] if together else group
         raw = {m.name: uniforms(self.campaign.seed, m.stream, run, 1, attempt) for m in group}
-        return self._values(_at_random(d), run, raw, {})
+        return self._values(_at_random(d), run, self._together(raw) if together else raw, {})
 
 
 def _at_random(d: Draw) -> Draw:

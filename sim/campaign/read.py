@@ -123,9 +123,9 @@ class LoadedCampaign:
         """
         values: dict[Place, Any] = dict(further or {})
         for d in self.plan.draws:
-            for n, target in enumerate(d.targets):
-                if d.name in draws:
-                    values[d.name, n] = float(target.result(d.spec.apply, np.array([float(draws[d.name])]))[0])
+            if d.name in draws:
+                results = d.results(np.array([float(draws[d.name])]))
+                values |= {(d.name, n): float(result[0]) for n, result in enumerate(results)}
         return self._loaded(values)
 
     def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[Place, Any]:
@@ -180,7 +180,7 @@ class LoadedCampaign:
         for d in self.plan.draws:
             if d.name not in boxes or d.targets[0].is_angle:
                 continue
-            low, high = (float(d.targets[0].result(d.spec.apply, np.array([end]))[0]) for end in boxes[d.name])
+            low, high = sorted(d.results(np.array(boxes[d.name]))[0].tolist())
             spec = d.spec
             low = low if spec.at_least is None else max(low, spec.at_least)
             high = high if spec.at_most is None else min(high, spec.at_most)
@@ -255,7 +255,25 @@ def made_of(
         if channel not in known:
             path = ("campaign", "envelope", "channels", n)
             raise refuse("is no log channel (docs/telemetry.md)", key=path, value=channel)
-    return LoadedCampaign(loaded, file, Plan(file.campaign, tuple(found), wind))
+    plan = Plan(file.campaign, tuple(found), wind)
+    _check_correlated(plan)
+    return LoadedCampaign(loaded, file, plan)
+
+
+_CONTINUOUS = ("normal", "truncated-normal", "uniform", "log-normal", "triangular")
+
+
+def _check_correlated(plan: Plan) -> None:
+    """Raise what `refuse` makes for a pair that is no two such draws, and for coefficients that exclude each other."""
+    free = [d for d in plan.draws if d.spec.distribution in _CONTINUOUS and d.group is None]
+    for n, pair in enumerate(plan.campaign.correlated):
+        found = [[d.name for d in free if name in (d.name, d.label)] for name in pair.of]
+        if [len(names) for names in found] != [1, 1] or found[0] == found[1]:
+            allowed = f"two of {', '.join(d.label for d in free) or 'no draws'}"
+            raise refuse("are no two draws", allowed, ("campaign", "correlated", n, "of"), value=pair.of)
+    if plan.pairs and np.linalg.eigvalsh(plan.correlation[1])[0] < -1e-9:
+        problem, allowed = "no draws have all of these coefficients together", "those of a positive semidefinite matrix"
+        raise refuse(problem, allowed, ("campaign", "correlated"), value=len(plan.campaign.correlated))
 
 
 def _check_overlaps(file: CampaignFile, found: list[Draw]) -> None:

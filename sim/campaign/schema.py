@@ -69,6 +69,13 @@ class Envelope(Section):
     )
 
 
+class Correlated(Section):
+    """Two draws whose normal scores are correlated, whatever their distributions (a Gaussian copula)."""
+
+    of: tuple[str, str] = Field(description="names or key paths of two draws of continuous distributions")
+    coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="of correlation of their scores")
+
+
 class Campaign(Section):
     """How many runs, from which draws, and what is to be shown."""
 
@@ -92,6 +99,7 @@ class Campaign(Section):
     )
     success: Level = optional("share of flights that must meet a requirement", 0.9973)
     confidence: Level = optional("confidence with which that is to be shown", 0.90)
+    correlated: tuple[Correlated, ...] = optional("pairs of draws that go together", ())
     batch: Annotated[int, Field(gt=0)] | None = optional(
         "runs in a file of the data set (default: a 32nd of the runs, 64 to 1024)"
     )
@@ -143,6 +151,7 @@ class Disperse(Section):
     apply: Literal["set", "scale", "add"] = optional(
         "the draw replaces the value, multiplies it, or is added to it", "set"
     )
+    power: float | None = optional("with apply = 'scale': power of the draw that multiplies the value (default 1)")
     where: dict[str, float] | None = optional(
         "of a table: only rows in which these columns have these values, e.g. {mode = 1}"
     )
@@ -195,6 +204,7 @@ class Disperse(Section):
                     raise refuse("the columns of the file are the keys", "no key with 'cases'", key)
         elif (self.key is None) == (self.keys is None):
             raise refuse("needs one of key, keys", "a key path", "key")
+        self.only_with(("power",), self.apply == "scale", "apply = 'scale'")
         if self.keys is not None and (not self.keys or len(set(self.keys)) != len(self.keys)):
             raise refuse("names no key, or one twice", "different keys", "keys")
         meaningful = _MEANINGFUL[self.distribution]

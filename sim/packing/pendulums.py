@@ -48,7 +48,8 @@ class Pendulum:
     def damping_ratio(self) -> float:
         """At small waves, beside what a smooth wall adds."""
         second = self.tank.second_damping_ratio
-        return self.tank.damping_ratio if self.mode == 1 or second is None else second
+        own = self.tank.damping_ratio if self.mode == 1 or second is None else second
+        return own * self.tank.damping_factor
 
     @property
     def breaking_height_m(self) -> float:

@@ -96,6 +96,7 @@ class Tank(Section):
         "of the pendulum at small waves, as a ratio to critical (default 0 with viscosity_m2ps or baffles)", 0.0
     )
     second_damping_ratio: Fraction | None = optional("of the second mode's pendulum (default: as damping_ratio)")
+    damping_factor: NotNegative = optional("multiplies all damping: of the pendulums, smooth walls and baffles", 1.0)
     viscosity_m2ps: Positive | None = optional("kinematic, m2/s: adds the damping of a smooth wall")
     baffles: Baffles | None = optional("ring baffles: they damp the first mode the more the higher the wave")
     mass_factor: NotNegative = optional("multiplies the sloshing mass; the vehicle's mass stays as it is", 1.0)

@@ -78,16 +78,12 @@ class Slosh:
 def pack_slosh(pendulums: Sequence[Any], bending: Any, exchange: bool) -> Slosh:
     """From the stage's pendulums (sim/packing/pendulums.py), and `bending` (or None)."""
     n = len(pendulums)
-    zeta, height, ones, none = (
-        np.zeros(MAX_PENDULUMS),
-        np.zeros(MAX_PENDULUMS),
-        np.ones(MAX_PENDULUMS),
-        np.zeros(MAX_PENDULUMS),
-    )
+    zeta, height, factor, none = (np.full(MAX_PENDULUMS, x) for x in (0.0, 0.0, 1.0, 0.0))
     zeta[:n], height[:n] = [p.damping_ratio for p in pendulums], [p.breaking_height_m for p in pendulums]
+    factor[:n] = [p.tank.damping_factor for p in pendulums]
     law = any(p.has_law for p in pendulums)
     planes_differ = bending is not None and bending.pitch != bending.yaw
-    return Slosh(int(planes_differ), zeta, int(law), ones, none, height, int(exchange))
+    return Slosh(int(planes_differ), zeta, int(law), factor, none, height, int(exchange))
 
 
 @kernel
