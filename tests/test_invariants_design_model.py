@@ -36,9 +36,10 @@ from maxq.design import api
 from maxq.design.laws.pd import Pd, PdDesign
 from maxq.design.loop.fixed_path import KINDS, PadeFixedPath, SampledFixedPath, fixed_path
 from maxq.design.loop.loop import Loop
+from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import Node, nodes_along
-from maxq.design.model.spread import places_of
+from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.model.state_space import Resolvent
 from maxq.design.model.vehicle_at import without_engine_inertia
 from maxq.design.paper.errata import PAPER
@@ -181,11 +182,12 @@ def test_deviations_of_modes_and_instruments() -> None:
 def test_every_mode_and_every_tank_deviates() -> None:
     node = node_at(40.0)
     modes, tanks = len(node.vehicle.omega_radps), len(node.vehicle.pendulums.mass_kg)
-    places = places_of(node)
-    assert len(set(places)) == len(places)
+    deviations = deviations_of(campaign_of(Spread(), nominal()), node)
+    assert len(set(deviations.places)) == len(deviations.places)
     for kind, count in (("bending_", modes), ("slosh_", tanks)):
-        names = {name for name, _ in places if name.startswith(kind)}
-        assert {(name, n) for name, n in places if name in names} == {(m, n) for m in names for n in range(count)}
+        fields = [field for field in deviations.fields if field.startswith(kind)]
+        assert {field: fields.count(field) for field in fields} == dict.fromkeys(fields, count)
+        assert len(set(fields)) == 3
 
 
 @pytest.mark.parametrize(

@@ -31,12 +31,13 @@ from maxq.design.laws.pd import Pd, as_flown
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
+from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node
-from maxq.design.model.spread import Correlated, places_of
+from maxq.design.model.spread import Correlated
 from maxq.design.optimise import robust
 from maxq.design.optimise.features import _extremes
 from maxq.design.optimise.plants import Plants, make_plant, make_plants
-from maxq.design.optimise.robust import deviated, modes_off
+from maxq.design.optimise.robust import Ranges, deviated, modes_off, ranges_of
 from maxq.design.optimise.solution import Certificate, Solution
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import optimality
@@ -182,13 +183,25 @@ def test_rigid_limits_over_time(tmp_path: Path) -> None:
     assert (missed.worst, missed.wanted) == (2, 0.8)
 
 
+def ranges_of_case(**changes: Any) -> Ranges:
+    """The ranges of ksr3-robust."""
+    loaded = kit.case(name="ksr3-robust")
+    assert loaded.case.robust is not None
+    case = loaded.case.model_copy(update={"robust": loaded.case.robust.model_copy(update=changes)})
+    found = ranges_of(dataclasses.replace(loaded, case=case), [kit.all_nodes().each[3].node])
+    assert found is not None
+    return found
+
+
 def test_both_ends_of_a_range_are_searched_and_lie_on_either_side() -> None:
     node = kit.all_nodes().each[3].node
-    ranges = kit.case(name="ksr3-robust").case.robust
-    assert ranges is not None
+    ranges = ranges_of_case()
     low, middle, high = (
         np.concatenate([v.omega_radps, [v.pendulums.mass_kg.sum()]])
-        for v in (deviated(node, ranges, [end] * len(places_of(node, ranges))).vehicle for end in (-1, 0, 1))
+        for v in (
+            deviated(node, ranges, [end] * len(deviations_of(ranges.campaign, node).places)).vehicle
+            for end in (-1, 0, 1)
+        )
     )
     np.testing.assert_allclose(high - middle, middle - low, rtol=1e-9)
     assert (high > 1.001 * middle).all()
@@ -198,14 +211,15 @@ def test_corners_follow_correlations() -> None:
     """Masses of two tanks that go together by R deviate by sqrt(R) times the ends (SciPy's root)."""
     node = kit.all_nodes().each[3].node
     pair = Correlated(of=("slosh_mass.0", "slosh_mass.1"), coefficient=0.6)
-    found = kit.case(name="ksr3-robust").case.robust
-    assert found is not None
-    ranges = found.model_copy(update={"correlated": (pair,)})
-    places, root = places_of(node, ranges), scipy.linalg.sqrtm(np.array([[1.0, 0.6], [0.6, 1.0]])).real
+    ranges = ranges_of_case(correlated=(pair,))
+    places, root = (
+        deviations_of(ranges.campaign, node).places,
+        scipy.linalg.sqrtm(np.array([[1.0, 0.6], [0.6, 1.0]])).real,
+    )
     for ends in ((1, 1), (1, -1), (0, 1)):
-        signs = dict(zip((("slosh_mass", 0), ("slosh_mass", 1)), ends, strict=True))
+        signs = dict(zip(("slosh mass 1", "slosh mass 2"), ends, strict=True))
         there = deviated(node, ranges, [signs.get(place, 0) for place in places]).vehicle.pendulums.mass_kg
-        wanted = 1.0 + ranges.slosh_mass * ranges.corner_sigmas / 3.0 * root @ ends
+        wanted = 1.0 + 0.1 * ranges.sigmas / 3.0 * root @ ends
         np.testing.assert_allclose(there / node.vehicle.pendulums.mass_kg, wanted, rtol=1e-12)
 
 
@@ -213,9 +227,8 @@ def test_corners_follow_correlations() -> None:
 def test_search_of_the_worst_corner(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where each place counts by itself the worst end of all; on a random landscape no less than where it began."""
     node, rng = kit.all_nodes().each[3].node, np.random.default_rng(seed)
-    ranges = kit.case(name="ksr3-robust").case.robust
-    assert ranges is not None
-    places = len(places_of(node, ranges))
+    ranges = ranges_of_case()
+    places = len(deviations_of(ranges.campaign, node).places)
     each, noise = rng.normal(size=(places, 3)), dict[tuple[int, ...], float]()
     none: Any = None
 
@@ -236,9 +249,9 @@ def test_an_instant_that_is_worse_becomes_a_node_with_its_worst_plant(monkeypatc
     loaded = dataclasses.replace(loaded, case=loaded.case.model_copy(update={"loop": "pade"}))
     nominal = nominal_plants(loaded)
     between = api.nodes(loaded.scenario, [33.0])[0]
-    ranges = loaded.case.robust
+    ranges = ranges_of(loaded, [between])
     assert ranges is not None
-    ends = tuple([1] * len(places_of(between, ranges)))
+    ends = tuple([1] * len(deviations_of(ranges.campaign, between).places))
     asked: list[list[float]] = []
 
     def at(self: Any, node: Node, taken: set[Any]) -> tuple[float, tuple[int, ...]]:
@@ -292,7 +305,7 @@ def test_dispersed_plants_hold_between_the_nodes_where_they_are_asked_to() -> No
     changes = ("nodes_s=[45.0, 50.0, 55.0]", "search.starts=2", "search.leaps=0", *none)
     loaded = kit.case(*changes, "between_nodes='hold'", name="ksr3-robust")
     held = solve(loaded)
-    ranges = loaded.case.robust
+    ranges = ranges_of(loaded, [])
     assert ranges is not None
     nodes = api.nodes(loaded.scenario, np.arange(45.0, 55.05, 0.4).round(3))
     corners = [[0] * 7, *np.random.default_rng(1).choice([-1, 1], (12, 7)).tolist()]  # three modes, two of each tank

@@ -23,16 +23,16 @@ from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.dispersed import ManyLoops
-from maxq.design.margins.many import DONE
+from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
-from maxq.design.model.deviations import OfCampaign, deviations_of
+from maxq.design.model.deviations import Deviations, acting_at, deviations_of
 from maxq.design.model.dispersion import Dispersion, deviated, stacked
 from maxq.design.model.held import HeldStage, hold_stage
 from maxq.design.model.instruments import Instruments, instruments_of
 from maxq.design.model.node import Node, disperse
-from maxq.design.model.spread import Spread
+from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.optimise.robust import deviated as plant_at
-from maxq.design.optimise.robust import modes_off
+from maxq.design.optimise.robust import modes_off, ranges_of
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.linear import vehicles
 from maxq.design.verify.memory import Memory
@@ -91,7 +91,7 @@ def test_a_drawn_record_is_that_of_the_packed_scenario(name: str) -> None:
         node = node_of_campaign(name, time_s)
         deviations = deviations_of(campaign, node)
         assert deviations.left_out == ()
-        every = deviations.drawn(range(RUNS), 0)
+        every = deviations.drawn(range(RUNS))
         found = deviated(node.held, node.plane, stacked(every), RUNS)
         for run in range(RUNS):
             held, instruments = packed_as_flown(campaign, run, node)
@@ -117,7 +117,7 @@ def test_the_loop_of_a_vehicle_is_that_of_its_run(plane: Any) -> None:
     """From 0.05 Hz to 45 Hz to 1e-4 dB, and its least distance from -1 as the sweep of many measures it."""
     campaign, design = loaded("campaigns/ksr3"), api.load_design("designs/ksr3-robust")
     node = node_of_campaign("campaigns/ksr3", BETWEEN_ROWS_S, plane)
-    every, hz = deviations_of(campaign, node).drawn(range(8), 0), np.geomspace(0.05, 45.0, 200)
+    every, hz = deviations_of(campaign, node).drawn(range(8)), np.geomspace(0.05, 45.0, 200)
     law = api.law_at(design, node)
     values, status = ManyLoops(node, law).measure(every, -6.0)
     for run, by in enumerate(every):
@@ -133,7 +133,7 @@ def test_the_loop_of_a_vehicle_is_that_of_its_run(plane: Any) -> None:
 def test_draws_are_the_campaigns_own_numbers() -> None:
     """Of 2,000 vehicles, and of any of them alone; the delay is uniform and the damping triangular, as it is flown."""
     campaign, node = loaded("campaigns/ksr3"), node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
-    drawn, every = campaign.plan.draw(0, 2000).draws, deviations_of(campaign, node).drawn(range(2000), 0)
+    drawn, every = campaign.plan.draw(0, 2000).draws, deviations_of(campaign, node).drawn(range(2000))
     delay_s = np.array([by.delay_s for by in every]) + node.instruments.delay_s
     np.testing.assert_allclose(delay_s, np.rint(1e9 * drawn[DELAY]) / 1e9, rtol=0.0, atol=1e-15)
     assert 1e3 * delay_s.std() == pytest.approx(1.44, abs=0.03)  # 5 ms over the root of twelve; known to 1.6 %
@@ -155,24 +155,23 @@ def test_another_seed_and_sampling_are_followed() -> None:
     node = node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
     for changes in ({"seed": 5}, {"sampling": "latin-hypercube", "stratum": 50}, {"sampling": "sobol"}):
         campaign = loaded("campaigns/ksr3").with_campaign(**changes)
-        every = deviations_of(campaign, node).drawn(range(7, 11), 0)
+        every = deviations_of(campaign, node).drawn(range(7, 11))
         wanted = [campaign.inputs(run).recorded[DELAY] for run in range(7, 11)]
         found = [by.delay_s + node.instruments.delay_s for by in every]
         assert found == pytest.approx(wanted, abs=1e-12)
         assert [by.label for by in every] == [f"vehicle {run}" for run in range(7, 11)]
 
 
-def by_name(deviations: OfCampaign, name: str, sigmas: float) -> Dispersion:
+def by_name(deviations: Deviations, name: str, sigmas: float) -> Dispersion:
     """The vehicle with one deviation alone."""
     u = np.zeros(len(deviations.places))
-    u[deviations.places.index((name, -1))] = sigmas / 3.0
+    u[deviations.places.index(name)] = sigmas / 3.0
     return deviations.at(u)
 
 
 def test_k_sigma_of_a_draw_is_the_quantile_of_its_distribution() -> None:
     """SciPy's quantiles at the probability of k sigma of a normal quantity: none passes its bound."""
     deviations = deviations_of(loaded("campaigns/ksr3"), node_of_campaign("campaigns/ksr3", AT_A_ROW_S))
-    assert isinstance(deviations, OfCampaign)
     triangle = stats.triang(1.0 / 3.0, 0.0025, 0.0075)
     for k in (-6.0, -3.0, -1.5, 0.0, 2.0, 3.0, 6.0):
         p = stats.norm.cdf(k)
@@ -191,8 +190,7 @@ def test_the_scenario_of_scores_flies_that_vehicle() -> None:
     campaign, node = loaded("campaigns/ksr3"), node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
     deviations = deviations_of(campaign, node)
     u = np.random.default_rng(4).normal(size=len(deviations.places)) / 3.0
-    scenario, missing = deviations.scenario(campaign.base, u)
-    assert missing == []
+    scenario = deviations.scenario(campaign.base, u)
     held = hold_stage(pack_flight(scenario.scenario), float(node.held.parameters[0].timeline.frozen_s))
     found = deviated(node.held, node.plane, deviations.at(u))
     assert differing(held.parameters, found.parameters) == []
@@ -213,7 +211,7 @@ def test_engines_of_a_cluster_deviate_each_by_itself() -> None:
         assert (node.stage, deviations.left_out) == (stage, ())
         counts = {field: deviations.fields.count(field) for field in ("mass_flow", "actuator_sections", "slosh_mass")}
         assert counts == {"mass_flow": (9, 1)[stage], "actuator_sections": (3, 1)[stage], "slosh_mass": 2}
-        for run, by in enumerate(deviations.drawn(range(3), 0)):
+        for run, by in enumerate(deviations.drawn(range(3))):
             packed = pack_flight(campaign.scenario_of(run).scenario)
             clock_s = float(node.held.parameters[0].timeline.frozen_s)
             clock_s /= float(np.mean(by.mass_flow)) if stage == 0 else 1.0
@@ -276,7 +274,7 @@ def test_deviations_that_go_together_and_those_that_are_not_followed(own: Path) 
     found = np.cov(np.column_stack([mass, length]).T)
     np.testing.assert_allclose(found, [[4e-4, 2.4e-4, -1e-4], [2.4e-4, 9e-4, 0.0], [-1e-4, 0.0, 4e-4]], atol=4e-5)
     held = packed_as_flown(campaign, 3, node)[1]
-    moved = disperse(node, deviations.drawn(range(3, 4), 0)[0]).instruments
+    moved = disperse(node, deviations.drawn(range(3, 4))[0]).instruments
     assert dataclasses.astuple(moved.actuator)[:8] == pytest.approx(dataclasses.astuple(held.actuator)[:8], rel=1e-12)
 
 
@@ -287,14 +285,15 @@ def test_a_suite_takes_the_draws_of_its_campaign(own: Path, tmp_path: Path) -> N
     wanted = read_suite(suite).suite.margins
     assert wanted is not None
     node = api.nodes(load_campaign(own).base, [AT_A_ROW_S])[0]
-    found = vehicles(wanted.model_copy(update={"cases": 3, "corner_sigmas": 0.0}), node)[1]
-    assert found == deviations_of(load_campaign(own), node).drawn(range(3), 0)
+    few = wanted.model_copy(update={"cases": 3, "corner_sigmas": 0.0})
+    found = vehicles(few, node, campaign_of(wanted.three_sigma, load_scenario("nominal")))[1]
+    assert found == deviations_of(load_campaign(own), node).drawn(range(3))
     suite.write_text('schema = 2\n[margins.three_sigma]\ncampaign = "own"\nthrust = 0.1\n')
     with pytest.raises(ScenarioError, match=r"three_sigma.thrust.*cannot be combined with campaign"):
         read_suite(suite)
     own.write_text(WIND_ONLY)
     with pytest.raises(ScenarioError, match=r"three_sigma.campaign.*changes nothing that a loop depends on"):
-        deviations_of(Spread(campaign=str(own)), node)
+        acting_at(load_campaign(own), Spread(campaign=str(own)), node)
 
 
 def test_corners_hold_all_deviations_of_a_factor_together() -> None:
@@ -310,20 +309,20 @@ def test_corners_hold_all_deviations_of_a_factor_together() -> None:
 
 def test_vehicles_of_a_spread_are_normal_as_before() -> None:
     node = node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
-    every = deviations_of(Spread(thrust=0.3), node).drawn(range(900), 3)
-    thrust: Array = np.array([by.thrust for by in every])
+    every = deviations_of(campaign_of(Spread(thrust=0.3), load_scenario("nominal"), 3), node).drawn(range(900))
+    thrust: Array = np.ravel([by.thrust for by in every])
     assert thrust.std() == pytest.approx(0.1, rel=0.1)
-    assert ManyLoops(node, Pd(0.9, 0.4)).measure(every[:3], -6.0)[1].tolist() == [DONE] * 3
+    assert HANDED_BACK not in ManyLoops(node, Pd(0.9, 0.4)).measure(every[:3], -6.0)[1]
 
 
 def test_a_robust_case_takes_the_draws_of_a_campaign(own: Path, tmp_path: Path) -> None:
     """Ends of a uniform draw at two sigma each: 0.977 of the way; masses by the covariance's Cholesky factor."""
     case = tmp_path / "case.toml"
     case.write_text('schema = 2\nscenario = "nominal"\nnodes_s = [35.0]\n[robust]\ncampaign = "own"\n')
-    ranges = read_case(case).case.robust
-    assert ranges is not None
     node = node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
-    fields = deviations_of(ranges, node).fields
+    ranges = ranges_of(read_case(case), [node])
+    assert ranges is not None
+    fields = deviations_of(ranges.campaign, node).fields
     assert fields == ("slosh_mass", "slosh_mass", "slosh_frequency", *["actuator_sections"] * 4)
     there = plant_at(node, ranges, [1, -1, 0, 1, 0, -1, 0])
     low, high = 0.8 + 0.4 * stats.norm.cdf([-2.0, 2.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from itertools import product
 from pathlib import Path
 
@@ -17,9 +18,11 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.measured_loop import measure_loop
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node, disperse
+from maxq.design.model.spread import campaign_of
 from maxq.design.quantities import MEASURED, Convention
 from maxq.design.verify.descent import Region, to_corner
 from maxq.design.verify.dispersed_limits import guides, rooms, worst_of_basis
+from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign
@@ -30,9 +33,14 @@ FEW = Robust(bending_frequency=(0.08,), slosh_frequency=0.1, delay_s=0.004, corn
 """Of modes and tanks, and the delay."""
 
 
-def single(node: Node, u: np.ndarray, robust: Robust) -> dict[str, float]:
-    """Return the quantities of a vehicle measured alone; empty where it is unstable."""
-    vehicle = disperse(node, deviations_of(robust, node).at(u))
+@cache
+def few() -> LoadedCampaign:
+    return campaign_of(FEW, design_nodes.nominal())
+
+
+def single(node: Node, u: np.ndarray) -> dict[str, float]:
+    """Return the quantities of a vehicle of `FEW` measured alone; empty where it is unstable."""
+    vehicle = disperse(node, deviations_of(few(), node).at(u))
     found = measure_loop(Loop(fixed_path(vehicle), api.law_at(design_nodes.design(), vehicle)))
     return found.quantities(Convention()) if found.margins.stable else {}
 
@@ -56,9 +64,9 @@ def test_limits_of_a_design_as_those_of_the_sweep() -> None:
 def test_what_is_searched_is_what_single_loops_have() -> None:
     node, wanted = design_nodes.flown()[6], guides(DispersedLimits())
     rng = np.random.default_rng(7)
-    every = list(rng.uniform(-9.0, 9.0, (12, len(deviations_of(FEW, node).places))))
-    found = rooms(node, design_nodes.design(), FEW, wanted)(every)
-    expected = [left(single(node, u, FEW), wanted) for u in every]
+    every = list(rng.uniform(-9.0, 9.0, (12, len(deviations_of(few(), node).places))))
+    found = rooms(node, design_nodes.design(), few(), wanted)(every)
+    expected = [left(single(node, u), wanted) for u in every]
     assert min(expected) == -1.0, "some are unstable"
     assert max(expected) > 0.1
     np.testing.assert_allclose(found, expected, atol=1e-5)
@@ -67,11 +75,11 @@ def test_what_is_searched_is_what_single_loops_have() -> None:
 def test_no_corner_and_no_random_vehicle_is_worse() -> None:
     """All corners of the box, and 400 vehicles inside; the descent leaves the corner where a mode is worst between."""
     node, wanted = design_nodes.flown()[6], guides(DispersedLimits())
-    look = rooms(node, design_nodes.design(), FEW, wanted)
-    count = len(deviations_of(FEW, node).places)
+    look = rooms(node, design_nodes.design(), few(), wanted)
+    count = len(deviations_of(few(), node).places)
     corners = look([np.array(ends) for ends in product((-1.0, 1.0), repeat=count)])
     inside = look(list(np.random.default_rng(8).uniform(-1.0, 1.0, (400, count))))
-    found = worst_of_basis([node], [], design_nodes.design(), FEW, FEW)
+    found = worst_of_basis([node], [], design_nodes.design(), FEW, few())
     (worst,) = found.nodes
     value = left(measure(worst), wanted)
     assert value <= min(*corners, *inside) + 1e-6
@@ -150,11 +158,12 @@ def test_vehicles_of_a_shipped_basis_are_the_worst_of_2000() -> None:
     assert basis.robust is not None
     wanted, rng = guides(basis.robust.limits), np.random.default_rng(9)
     nodes = api.nodes(scenario, [10.0, 45.0])
-    found = worst_of_basis(nodes, [], scenario.design, basis.robust, basis.robust)
+    campaign = campaign_of(basis.robust, scenario)
+    found = worst_of_basis(nodes, [], scenario.design, basis.robust, campaign)
     for node, worst in zip(nodes, found.nodes, strict=True):
-        count, reach = len(deviations_of(basis.robust, node).places), basis.robust.corner_sigmas / 3.0
+        count, reach = len(deviations_of(campaign, node).places), basis.robust.corner_sigmas / 3.0
         every = [*rng.choice([-reach, reach], (1000, count)), *rng.uniform(-reach, reach, (1000, count))]
-        lowest = min(rooms(node, scenario.design, basis.robust, wanted)(every))
+        lowest = min(rooms(node, scenario.design, campaign, wanted)(every))
         loop = measure_loop(Loop(fixed_path(worst), api.law_at(scenario.design, worst)))
         value = left(loop.quantities(Convention()), wanted)
         assert value < lowest

@@ -23,22 +23,33 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK, UNSTABLE
 from maxq.design.margins.measure import margins
+from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import Dispersion, deviated, stacked
 from maxq.design.model.node import Node, disperse
-from maxq.design.model.spread import Spread, places_of, scenario_of
+from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.quantities import SWEPT
 from maxq.design.verify.linear import measured, vehicles
 from maxq.design.verify.suite import LinearMargins
+from maxq.sim.scenario.loader import LoadedScenario
 
 WIDE = Spread(
-    bending_frequency=(0.2, 0.3, 0.4), bending_slope=0.8, slosh_frequency=0.3, slosh_mass=0.5, delay_s=0.02,
+    bending_frequency=(0.2, 0.3, 0.4), bending_slope=0.8, slosh_frequency=0.3, slosh_mass=0.5,
     thrust=0.3, inertia=0.3, normal_force=0.8, centre_of_pressure_m=2.0,
 )  # fmt: skip  # a line for each otherwise
 """Far more than any suite asks for: some vehicles are unstable, some have delays of more than a sample."""
 
 
-def drawn(node: Node, count: int, spread: Spread = WIDE) -> list[Dispersion]:
-    return vehicles(LinearMargins(cases=count, corner_sigmas=0.0, three_sigma=spread), node)[1]
+USUAL = Spread()
+
+
+def drawn(node: Node, count: int, spread: Spread = WIDE, base: LoadedScenario | None = None) -> list[Dispersion]:
+    """Random vehicles; of `WIDE` with delays up to three samples, which no scenario allows."""
+    campaign = campaign_of(spread, base or design_nodes.nominal())
+    found = vehicles(LinearMargins(cases=count, corner_sigmas=0.0), node, campaign)[1]
+    if spread is not WIDE:
+        return found
+    late_s = np.random.default_rng(1).normal(scale=0.02 / 3.0, size=count)
+    return [dataclasses.replace(by, delay_s=float(late)) for by, late in zip(found, late_s, strict=True)]
 
 
 def margins_in(values: NDArray[np.void]) -> Array:
@@ -104,12 +115,14 @@ def test_margins_are_those_of_each_vehicle_by_itself() -> None:
 def test_margins_where_engines_and_actuators_deviate_each_by_itself() -> None:
     """Petrel's first stage has nine engines in three groups: vehicles with alike actuators among unlike ones."""
     (node,) = petrelkit.nodes(40.0)
-    places = places_of(node)
-    assert [n for name, n in places if name == "thrust"] == [*range(9)]
-    assert [n for name, n in places if name == "actuator_frequency"] == [*range(3)]
-    every = drawn(node, 30, Spread(actuator_frequency=0.4, thrust=(0.3, 0.1)))
+    base = petrelkit.scenario("vehicle.stage.0.actuator={omega_hz=[7.0],zeta=[0.7],"
+        "model='second-order',angle_limit_deg=6.0,rate_limit_degps=20.0}")  # fmt: skip  # one table of all groups
+    spread = Spread(actuator_frequency=0.4, thrust=(0.3, 0.1))
+    deviations = deviations_of(campaign_of(spread, base), node)
+    assert (deviations.fields.count("thrust"), deviations.fields.count("actuator_sections")) == (9, 3)
+    every = drawn(node, 30, spread, petrelkit.scenario())
     law = api.law_at(petrelkit.scenario().design, node)
-    alike = [dataclasses.replace(by, actuator_frequency=(0.9,) * 3) for by in every[:3]]
+    alike = [dataclasses.replace(by, actuator_frequency=(0.9,) * 3, actuator_sections=1.0) for by in every[:3]]
     worst, _, back = compared(node, law, [*every[:10], *alike, *every[10:]])
     assert worst.max() < 1e-3
     assert back == 0
@@ -121,12 +134,13 @@ def test_margins_where_engines_and_actuators_deviate_each_by_itself() -> None:
     assert 1e-3 < abs(here / there - 1.0) < 0.2
     assert here == pytest.approx(beside, rel=1e-9)  # groups of three engines each
     # the vehicle is flown with an actuator for each group
-    scenario, missing = scenario_of(petrelkit.scenario("vehicle.stage.0.actuator={omega_hz=[7.0],zeta=[0.7],"
-        "model='second-order',angle_limit_deg=6.0,rate_limit_degps=20.0}"), node, every[0])  # fmt: skip
-    stage = scenario.vehicle.stage[0]
-    assert missing == []
-    assert [a.omega_hz[0] / 7.0 for a in stage.actuators] == pytest.approx(every[0].actuator_frequency)
-    assert [e.thrust_factor for e in stage.engines] == pytest.approx(every[0].thrust)
+    u = np.random.default_rng(2).normal(size=len(deviations.places)) / 3.0
+    by = deviations.at(u)
+    stage = deviations.scenario(base, u).vehicle.stage[0]
+    assert len({a.omega_hz[0] for a in stage.actuators}) == 3
+    sections = np.reshape(by.actuator_sections, (3, -1))
+    assert [a.omega_hz[0] / 7.0 for a in stage.actuators] == pytest.approx(sections[:, 0])
+    assert [e.thrust_factor for e in stage.engines] == pytest.approx(by.thrust)
 
 
 @pytest.mark.slow
@@ -134,11 +148,11 @@ def test_margins_of_an_unstable_body_and_with_an_integral() -> None:
     first, second = petrelkit.nodes(40.0, 150.0)
     for node, k_p, k_d in ((first, 1.2, 0.8), (second, 0.8, 0.6)):
         law = Pd(k_p, k_d)
-        worst, _, back = compared(node, law, drawn(node, 30, Spread()))
+        worst, _, back = compared(node, law, drawn(node, 30, USUAL, petrelkit.scenario()))
         assert worst.max() < 1e-3, worst
         assert back <= 2
     node = design_nodes.node_at(45.0)
-    worst, unstable, back = compared(node, Pd(0.9, 0.4, k_i_ps=0.05), drawn(node, 30, Spread()))
+    worst, unstable, back = compared(node, Pd(0.9, 0.4, k_i_ps=0.05), drawn(node, 30, USUAL))
     assert worst.max() < 1e-3
     assert (unstable, back) != (30, 30)
 
@@ -149,7 +163,7 @@ def test_a_flight_of_its_own() -> None:
     node, other = design_nodes.node_at(35.0), design_nodes.node_at(45.0)
     law = api.law_at(api.load_design("designs/ksr3-robust"), node)
     met = dataclasses.replace(node, condition=dataclasses.replace(other.condition, time_s=node.time_s))
-    every = drawn(node, 5, Spread())
+    every = drawn(node, 5, USUAL)
     values, status = ManyLoops(node, law).measure(every, -6.0, met)
     assert (status == DONE).all()
     for by, row, distance in zip(every, margins_in(values), values["distance"], strict=True):

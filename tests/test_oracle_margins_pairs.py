@@ -25,11 +25,13 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.bounds import Factors
 from maxq.design.margins.measure import margins
+from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import disperse
-from maxq.design.model.spread import Spread, vehicle_of
+from maxq.design.model.spread import Spread, campaign_of
 
 LOWEST_HZ, HIGHEST_HZ, FLOOR = 1e-3, 300.0, 1.001e-4
 PAIRS = (663,)
+SPREAD = Spread()
 
 
 @cache
@@ -38,7 +40,8 @@ def random_loop(seed: int) -> Loop:
     rng = np.random.default_rng([2, seed])
     nodes = design_nodes.flown()
     node = nodes[rng.integers(len(nodes))]
-    node = disperse(node, vehicle_of(Spread(), node, lambda name, n: float(rng.normal() / 3.0), ""))
+    deviations = deviations_of(campaign_of(SPREAD, design_nodes.nominal()), node)
+    node = disperse(node, deviations.at(rng.normal(size=len(deviations.places)) / 3.0))
     sampled, deep = bool(rng.random() < 0.5), rng.random() < 0.4
     sections = [
         QuadraticSection(

@@ -17,8 +17,9 @@ from maxq.design.loop.loop import Loop
 from maxq.design.loop.multiloop import multiloop
 from maxq.design.margins.multiloop import LOWEST_HZ
 from maxq.design.margins.real_mu import bound, descent, real_mu_upper
+from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import disperse, flown_run, flown_to
-from maxq.design.model.spread import DEVIATIONS, Spread, places_of, scenario_of, vehicle_at_places
+from maxq.design.model.spread import DEVIATIONS, Spread, campaign_of
 from maxq.design.verify.named_mu import Uncertain, stable_together, stable_within, uncertain
 from maxq.design.verify.suite import WorstWanted
 from maxq.design.verify.worst import search_node
@@ -73,8 +74,9 @@ def test_slopes_of_the_descent_are_differences() -> None:
 def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
     """det(1 - M d) is the ratio of det(s - A(d)) (1 + L(d)), by differences of the loop that is judged; the actuator by
     1 %, since with 15 % its poles bend between their ends."""
-    node, spread = design_nodes.node_at(45.0), Spread(actuator_frequency=0.01)
-    every, places, law = uncertain(node, spread), places_of(node), api.law_at(design_nodes.design(), node)
+    node, campaign = design_nodes.node_at(45.0), campaign_of(Spread(actuator_frequency=0.01), design_nodes.nominal())
+    deviations, law = deviations_of(campaign, node), api.law_at(design_nodes.design(), node)
+    every = uncertain(node, campaign)
     hz, step = np.array([0.7, 1.3, 3.0, 9.0]), 1e-4
     here, n = Loop(fixed_path(node), law), len(every.whole) - 1
     for f in hz:
@@ -83,8 +85,8 @@ def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
         nominal = here.response([f])[0]
         m, ranks = every.matrix(float(f), complex(nominal / path))
         found, wanted = [], []
-        for unit in np.eye(len(places)):
-            there = Loop(fixed_path(disperse(node, vehicle_at_places(spread, node, places, step * unit))), law)
+        for unit in np.eye(len(deviations.places)):
+            there = Loop(fixed_path(disperse(node, deviations.at(step * unit))), law)
             open_, as_it_is = (np.linalg.det(2j * np.pi * f * np.eye(n) - x.fixed.continuous.a) for x in (there, here))
             wanted.append((1.0 + there.response([f])[0]) / (1.0 + nominal) * (open_ / as_it_is) - 1.0)
             found.append(np.linalg.det(np.eye(len(m)) - m * np.repeat(step * unit, ranks)) - 1.0)
@@ -96,20 +98,23 @@ def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
 def test_no_vehicle_of_the_box_is_unstable_and_one_farther_out_is() -> None:
     """400 vehicles at corners and by chance in the box that mu leaves, by the loop that is judged; a search finds one
     that is unstable in a box a quarter larger."""
-    node, spread, design = design_nodes.node_at(45.0), Spread(), design_nodes.design()
-    found = stable_within(node, design, spread)
+    node, campaign = design_nodes.node_at(45.0), campaign_of(Spread(), design_nodes.nominal())
+    deviations, design = deviations_of(campaign, node), design_nodes.design()
+    found = stable_within(node, design, campaign)
     assert found is not None
     assert 1.0 < found.sigmas < 6.0
     rng, law = np.random.default_rng(3), api.law_at(design, node)
-    places, reach = places_of(node), found.sigmas / 3.0
+    places, reach = deviations.places, found.sigmas / 3.0
 
     def unstable(u: np.ndarray) -> bool:
-        loop = Loop(fixed_path(disperse(node, vehicle_at_places(spread, node, places, u))), law)
+        loop = Loop(fixed_path(disperse(node, deviations.at(u))), law)
         return not bool((loop.closed_poles().real < 0.0).all())
 
     corners = reach * rng.choice([-1.0, 1.0], size=(300, len(places)))
     assert not any(unstable(u) for u in [*corners, *rng.uniform(-reach, reach, size=(100, len(places)))])
-    least, worst, _ = search_node(node, design, spread, WorstWanted(region="box", sigmas=1.25 * found.sigmas, starts=2))
+    least, worst, _ = search_node(
+        node, design, campaign, WorstWanted(region="box", sigmas=1.25 * found.sigmas, starts=2)
+    )
     assert least < 0.0
     assert unstable(worst)
 
@@ -168,21 +173,23 @@ def test_no_vehicle_within_the_bound_of_all_axes_is_unstable_and_one_beyond_is(v
     design = base.design
     assert design is not None
     node = design_nodes.node_at(time_s) if vehicle == "ksr3" else petrelkit.nodes(time_s)[0]
-    found = stable_together(base, design, node, FEW)
+    campaign = campaign_of(FEW, base)
+    found = stable_together(base, design, node, campaign)
     assert found is not None
-    run, places = flown_run(base, faults=False), places_of(node, FEW)
+    run, deviations = flown_run(base, faults=False), deviations_of(campaign, node)
     flown_to(run, time_s)
     assert len(multiloop(run.packed, design, time_s).axes) == (2 if vehicle == "ksr3" else 3)
 
     def unstable(u: Array) -> bool:
-        scenario, missing = scenario_of(base, node, vehicle_at_places(FEW, node, places, u))
-        packed = pack_flight(scenario.scenario)
+        packed = pack_flight(deviations.scenario(base, u).scenario)
         loop = multiloop(
             dataclasses.replace(run.packed, parameters=packed.parameters, pool=packed.pool), design, time_s
         )
         poles = loop.poles(range(len(loop.axes)))
-        return not missing and bool((poles.real[np.abs(poles) > 2.0 * np.pi * LOWEST_HZ] >= 0.0).any())
+        return bool((poles.real[np.abs(poles) > 2.0 * np.pi * LOWEST_HZ] >= 0.0).any())
 
-    corners = [np.array(ends) * found.sigmas / 3.0 for ends in itertools.product((-1.0, 1.0), repeat=len(places))]
+    corners = [
+        np.array(ends) * found.sigmas / 3.0 for ends in itertools.product((-1.0, 1.0), repeat=len(deviations.places))
+    ]
     assert not any(unstable(0.99 * corner) for corner in corners)
     assert any(unstable(beyond * corner) for corner in reversed(corners))

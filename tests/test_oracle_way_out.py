@@ -13,6 +13,7 @@ from maxq.design.optimise import way_out
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.plants import nodes_of
 from maxq.design.optimise.problem import Evaluation
+from maxq.design.optimise.robust import ranges_of
 from maxq.design.optimise.solution import Solution, Trial
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import descend
@@ -35,7 +36,9 @@ def two_nodes() -> tuple[LoadedCase, Solution]:
 def solved_again(case: Case, start: Solution, loaded: LoadedCase) -> float:
     """Return the least violation of a case near a solution of another one."""
     nodes = nodes_of(loaded, [node.time_s for node in start.nodes])
-    return descend(make_problem(case, plants_of(case, nodes, start)), start.variables, 150, 1e-9, True).violation_db
+    return descend(
+        make_problem(case, plants_of(case, nodes, start, None)), start.variables, 150, 1e-9, True
+    ).violation_db
 
 
 def test_a_multiplier_is_what_relief_of_its_limit_gains(two_nodes: tuple[LoadedCase, Solution]) -> None:
@@ -140,7 +143,7 @@ def test_a_faster_computer_is_that_of_the_vehicle_file(margin: tuple[LoadedCase,
     flown = dataclasses.replace(loaded, scenario=load_scenario("nominal", [setting]))
     change = way_out.changes_of(s.case, nodes_of(loaded, [45.0]))[-1]
     found: list[Evaluation] = []
-    for plants in (plants_of(s.case, change.nodes, s), nominal_plants(flown)):
+    for plants in (plants_of(s.case, change.nodes, s, None), nominal_plants(flown)):
         assert plants.sample_s == 0.005
         found.append(make_problem(s.case, plants).evaluate(s.variables))
     assert found[0].violation_db == pytest.approx(found[1].violation_db, abs=2e-3)
@@ -188,7 +191,8 @@ def test_trials_of_a_robust_case_hold_its_dispersed_vehicles() -> None:
     s = solve(loaded)
     assert s.violation_db == pytest.approx(0.4968, abs=1e-3)
     case = case_as_searched(s)  # prewarped where the mean of the first search's modes is
-    plants = plants_of(case, nodes_of(loaded, [45.0]), s)
+    nodes = nodes_of(loaded, [45.0])
+    plants = plants_of(case, nodes, s, ranges_of(loaded, nodes))
     assert len(plants) == s.certificate.plants == 4
     assert make_problem(case, plants).evaluate(s.variables).violation_db == pytest.approx(s.violation_db, abs=1e-9)
     gains_db = {relief.name: relief.gains_db for relief in conflict(s)}

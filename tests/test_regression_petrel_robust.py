@@ -16,7 +16,7 @@ import pytest
 
 from maxq.design import api
 from maxq.design.case.schema import read_case
-from maxq.design.model.spread import Spread
+from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.verify.judging import Wanted, checks, judge
 from maxq.design.verify.suite import WorstWanted
 from maxq.design.verify.worst import search_node
@@ -42,12 +42,11 @@ def test_no_worse_corner_is_found_of_the_ranges_it_was_made_for(
     monkeypatch.chdir(tmp_path)
     ranges, design = read_case("petrel-robust").case.robust, shipped()
     assert ranges is not None
+    campaign, every = (campaign_of(spread, petrel.scenario()) for spread in (ranges, Spread()))
     corners = WorstWanted(region="box", sigmas=ranges.corner_sigmas, starts=2, seed=77)
-    found = [search_node(node, design, ranges, corners)[0] for node in petrel.nodes(*NODES_S[stage])]
+    found = [search_node(node, design, campaign, corners)[0] for node in petrel.nodes(*NODES_S[stage])]
     assert min(found) == pytest.approx(STATED[stage], abs=0.02)
-    within = [
-        search_node(n, design, Spread(), WorstWanted(starts=2, seed=77))[0] for n in petrel.nodes(*NODES_S[stage])
-    ]
+    within = [search_node(n, design, every, WorstWanted(starts=2, seed=77))[0] for n in petrel.nodes(*NODES_S[stage])]
     assert min(within) > 0.5
 
 
@@ -57,7 +56,8 @@ def test_the_first_gains_come_nearer() -> None:
     plain = petrel.scenario().design
     assert plain is not None
     (node,) = petrel.nodes(3.0)
-    nearest = [search_node(node, d, Spread(), WorstWanted(starts=2, seed=77))[0] for d in (plain, shipped())]
+    every = campaign_of(Spread(), petrel.scenario())
+    nearest = [search_node(node, d, every, WorstWanted(starts=2, seed=77))[0] for d in (plain, shipped())]
     assert nearest[0] < 0.45
     assert nearest[1] > 0.55
 

@@ -11,12 +11,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import design_nodes
 import numpy as np
 import petrelkit as petrel
 import pytest
 
 from maxq.design.model.dispersion import NOMINAL, Dispersion
-from maxq.design.model.spread import Spread
+from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.quantities import SWEPT, LoopLimits, violation
 from maxq.design.verify import fitted as fitted_module
 from maxq.design.verify import verify as verify_module
@@ -497,12 +498,6 @@ def test_one_comparison_for_designs_and_verdicts() -> None:
     assert room_left(29.0, 30.0, ">=", "deg") == pytest.approx(-1.0 / 30.0)
 
 
-NODE: Any = SimpleNamespace(
-    vehicle=SimpleNamespace(omega_radps=np.ones(3), pendulums=SimpleNamespace(mass_kg=np.ones(2))),
-    held=SimpleNamespace(sizes=SimpleNamespace(further_groups=0), vehicle={"engine": {"parts": np.ones((1, 1))}}),
-)
-
-
 def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     """Of random vehicles the worst is named, with the command that measures it alone."""
     wanted = LinearMargins(cases=60, dispersed=LoopLimits(rigid_phase_deg=15.0))
@@ -520,9 +515,10 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     only = dataclasses.replace(study, random=values[59:], first=59)
     alone = margin_requirements(only, wanted.model_copy(update={"only": "vehicle 59"}))
     assert [(r.found, r.judgement) for r in alone] == [("stable", ACCEPTED), ("14.10 deg", REJECTED)]
-    corners, drawn = vehicles_of(wanted.model_copy(update={"only": "vehicle 812"}), NODE)
+    node, campaign = design_nodes.node_at(40.0), campaign_of(Spread(), design_nodes.nominal())
+    corners, drawn = vehicles_of(wanted.model_copy(update={"only": "vehicle 812"}), node, campaign)
     assert ([d.label for d in drawn], corners) == (["vehicle 812"], [])
-    assert drawn[0] == vehicles_of(LinearMargins(cases=813), NODE)[1][812]
+    assert drawn[0] == vehicles_of(LinearMargins(cases=813), node, campaign)[1][812]
 
 
 @pytest.mark.slow

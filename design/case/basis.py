@@ -144,7 +144,7 @@ class Robust(Spread):
 
     Every mode and every tank by itself. The defaults are 3-sigma ranges after a modal survey: bending 5, 10, 15 %,
     slopes 20 %. Plants are corners at which all deviate at once: n deviations of one sigma each are sqrt(n) sigma away.
-    Where some go together, corners are those of the independent deviations behind them, and as likely.
+    Where some go together, corners are those of the independent scores behind them, and as likely.
     """
 
     where: ClassVar[tuple[str, str]] = ("case", "robust")

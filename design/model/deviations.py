@@ -11,7 +11,7 @@ at 1.5 sigma and at 0.997 of it at 3 sigma, and never beyond its bound; a log-no
 tails. The middle is the median of every distribution, which is the nominal value where the campaign is symmetric about
 it.
 
-`Spread` describes deviations of a vehicle that has no campaign, all normal.
+`campaign_of` (spread.py) writes a campaign of normal deviations by their three sigma.
 """
 
 from __future__ import annotations
@@ -28,22 +28,13 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.model.dispersion import ADDED, SECTIONS, Dispersion
 from maxq.design.model.node import Node
-from maxq.design.model.spread import (
-    Place,
-    Spread,
-    correlation,
-    places_of,
-    root_of_correlation,
-    scenario_of,
-    vehicle_at_places,
-)
-from maxq.sim.campaign.draws import cholesky
+from maxq.design.model.spread import Spread, with_actuators_apart
 from maxq.sim.campaign.plan import Draw, Drawn, Plan
-from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
+from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.targets import Refused, Target
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import LoadedScenario, told
+from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import Stage
 
 _LEAST = 0.05  # of the nominal value, where a search leaves a distribution that cannot be negative
@@ -68,6 +59,7 @@ RULES = {
     "spatial_modes.gimbal_shape_factor.#": Rule("bending_shape"),
     "tank.#.length_factor": Rule("slosh_frequency", -0.5),
     "tank.#.mass_factor": Rule("slosh_mass"),
+    "tank.#.damping_factor": Rule("slosh_damping"),
     "tank.#.damping_ratio": Rule("slosh_damping_ratio"),
     "tank.#.second_damping_ratio": Rule("slosh_damping_ratio"),
     "actuator.#.omega_hz.#": Rule("actuator_sections"),
@@ -88,6 +80,7 @@ RULES = {
     "mass.table.Ixx_kgm2": Rule("roll_inertia"),
     "mass.table.Iyy_kgm2": Rule("inertia"),
     "mass.table.Izz_kgm2": Rule("inertia"),
+    "mass.inertia_kgm2.#.#": Rule("inertia"),
     "mass.mass_kg": Rule("mass"),
     "mass.x_cg_m": Rule("centre_of_gravity_m"),
     "mass.y_cg_m": Rule("centre_of_gravity_y_m"),
@@ -121,58 +114,8 @@ class Act(NamedTuple):
         return result if added else np.power(result, self.power)
 
 
-@cached_by_identity
-def _loaded(spread: Spread) -> LoadedCampaign:
-    assert spread.campaign is not None
-    return load_campaign(spread.campaign)
-
-
 @dataclass(frozen=True)
-class OfSpread:
-    """Normal deviations by the numbers of a `Spread`; members as those of `OfCampaign`."""
-
-    spread: Spread
-    node: Node
-    left_out: tuple[str, ...] = ()
-
-    @cached_property
-    def places(self) -> tuple[Place, ...]:
-        return tuple(places_of(self.node, self.spread))
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        return tuple(name for name, _ in self.places)
-
-    def at(self, u: Array, label: str = "") -> Dispersion:
-        return self.of_scores([u], [label])[0]
-
-    @cached_property
-    def _root(self) -> Array:
-        return root_of_correlation(self.spread, self.places)
-
-    def of_scores(self, every: Sequence[Array], labels: Sequence[str] = ()) -> list[Dispersion]:
-        named = labels or [""] * len(every)
-        return [
-            vehicle_at_places(self.spread, self.node, self.places, self._root @ u, label)
-            for u, label in zip(every, named, strict=True)
-        ]
-
-    def drawn(self, numbers: range, seed: int) -> list[Dispersion]:
-        factor = cholesky(correlation(self.spread, self.places))
-        return [
-            vehicle_at_places(
-                self.spread, self.node, self.places,
-                factor @ np.random.default_rng([seed, n]).normal(size=len(factor)) / 3.0, f"vehicle {n}",
-            )
-            for n in numbers
-        ]  # fmt: skip  # four lines otherwise
-
-    def scenario(self, base: LoadedScenario, u: Array) -> tuple[LoadedScenario, list[str]]:
-        return scenario_of(base, self.node, self.at(u))
-
-
-@dataclass(frozen=True)
-class OfCampaign:
+class Deviations:
     """The draws of a campaign that change the stage of a node.
 
     Scores `u` (places,) are independent, in the order of `places`, and in units of three sigma.
@@ -205,7 +148,8 @@ class OfCampaign:
     @property
     def left_out(self) -> tuple[str, ...]:
         """Draws that change the stage in a way that `RULES` does not follow."""
-        return tuple(dict.fromkeys(self._found[1]))
+        acting = {act.draw.name for act in self._found[0]}
+        return tuple(dict.fromkeys(name for name in self._found[1] if name not in acting))
 
     @cached_property
     def _plan(self) -> Plan:
@@ -213,15 +157,18 @@ class OfCampaign:
         names = {act.draw.name for act in self._found[0]}
         entries = {act.draw.entry for act in self._found[0] if act.draw.group is not None}
         every = self.campaign.plan
+        while more := {name for i, j, _ in every.pairs if {i, j} & names for name in (i, j)} - names:
+            names |= more
         draws = tuple(d for d in every.draws if d.name in names or (d.group is not None and d.entry in entries))
         return Plan(every.campaign, draws, None)
 
     @cached_property
-    def places(self) -> tuple[Place, ...]:
+    def places(self) -> tuple[str, ...]:
+        """The name of each score: that of its draw."""
         labels = [d.label for d in self._plan.draws]
         by_stream = {d.stream: d for d in reversed(self._plan.draws)}
         each = [by_stream[stream] for stream in self._plan.score_names]
-        return tuple((d.label if labels.count(d.label) == 1 else d.name, -1) for d in each)
+        return tuple(d.label if labels.count(d.label) == 1 else d.name for d in each)
 
     @cached_property
     def fields(self) -> tuple[str, ...]:
@@ -241,8 +188,8 @@ class OfCampaign:
         drawn, _ = self._plan.of_scores(z, np.zeros(len(z), np.int64))
         return self._dispersions(self._within(drawn), labels or [""] * len(every))
 
-    def drawn(self, numbers: range, seed: int) -> list[Dispersion]:
-        """Return the vehicles of runs of the campaign, whose seed is its own; `seed` is of a `Spread`.
+    def drawn(self, numbers: range) -> list[Dispersion]:
+        """Return the vehicles of runs of the campaign.
 
         A run whose values exclude each other, which the campaign draws again as a whole, is not drawn again here.
         """
@@ -251,15 +198,16 @@ class OfCampaign:
         results = {place: np.array(found.flown.get(place, ()), float) for place in self._wanted}
         return self._dispersions(results, [f"vehicle {n}" for n in numbers])
 
-    def scenario(self, base: LoadedScenario, u: Array) -> tuple[LoadedScenario, list[str]]:
-        """Return the scenario in which the vehicle of scores flies, and the keys that it does not have.
+    def scenario(self, base: LoadedScenario, u: Array) -> LoadedScenario:
+        """Return the scenario `base` flown by the vehicle of scores.
 
         Raises ScenarioError where no such vehicle is possible.
         """
         drawn, _ = self._plan.of_scores(3.0 * np.reshape(u, (1, -1)), np.zeros(1, np.int64))
         values = {place: float(result[0]) for place, result in self._within(drawn).items()}
+        base = with_actuators_apart(base, self.campaign.base.vehicle)
         try:
-            return dataclasses.replace(self.campaign, base=base).changed({}, values), []
+            return dataclasses.replace(self.campaign, base=base).changed({}, values)
         except Refused as refused:
             raise ScenarioError(
                 self.campaign.name, f"a deviated vehicle is not possible: {refused}", "disperse"
@@ -309,34 +257,22 @@ class OfCampaign:
         return _parts_of(field, self.node)
 
 
-Deviations = OfSpread | OfCampaign
-Described = Spread | LoadedCampaign
-
-
 @cached_by_identity
-def deviations_of(described: Described, node: Node) -> Deviations:
-    """Return the deviations of a description at a node.
+def deviations_of(campaign: LoadedCampaign, node: Node) -> Deviations:
+    """Return the deviations of a campaign's draws at a node."""
+    return Deviations(campaign, node)
 
-    Raises ScenarioError for a campaign that cannot be read, or that a `Spread` names and that changes nothing there.
-    """
-    if isinstance(described, LoadedCampaign):
-        return OfCampaign(described, node)
-    if described.campaign is None:
-        return OfSpread(described, node)
-    found = OfCampaign(_loaded(described), node)
-    if not found.places:
-        source, at = described.where
+
+def acting_at(campaign: LoadedCampaign, spread: Spread, node: Node) -> LoadedCampaign:
+    """Return the campaign; raises ScenarioError where `spread` names it and it changes nothing at a node."""
+    if spread.campaign is not None and not deviations_of(campaign, node).places:
+        source, at = spread.where
         problem, allowed = (
             "changes nothing that a loop depends on",
             "one that disperses the vehicle, or three sigma here",
         )
-        raise ScenarioError(source, problem, f"{at}.campaign", value=described.campaign, allowed=allowed)
-    return found
-
-
-def told_of(described: Described) -> object:
-    """Return a description as plain data, by which results are kept."""
-    return description_of(described) if isinstance(described, LoadedCampaign) else told(described)
+        raise ScenarioError(source, problem, f"{at}.campaign", value=spread.campaign, allowed=allowed)
+    return campaign
 
 
 def _parts_of(field: str, node: Node) -> int:
@@ -397,6 +333,8 @@ def _indices(key: str, numbers: list[int], stage: Stage, node: Node) -> Sequence
         return [numbers[0] if numbers else 0]
     if part == "actuator":
         return _sections(key, numbers, stage, node)
+    if part == "mass" and numbers:
+        return [numbers[0] - 1] if numbers[0] == numbers[1] > 0 else []
     return [int(key == "mass.table.Izz_kgm2")]
 
 

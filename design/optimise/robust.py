@@ -17,17 +17,18 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.case.basis import Robust
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.law import DesignedLaw
-from maxq.design.model.deviations import deviations_of
+from maxq.design.model.deviations import acting_at, deviations_of
 from maxq.design.model.node import Node, disperse
+from maxq.design.model.spread import campaign_of
 from maxq.design.optimise.at_nodes import finished, make_problem, search_best
 from maxq.design.optimise.over_time import COARSE, UNSTABLE_DB, Instants, gains_at_nodes, instants_along, peaks
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import Found, Progress, search
 from maxq.design.optimise.solution import Constraint, Solution
+from maxq.sim.campaign.read import LoadedCampaign
 
 WORSE_DB = 0.01  # plants that are worse by less are let be
 BEGINNINGS = 4
@@ -40,27 +41,50 @@ Ends = tuple[int, ...]
 """Of each place that deviates, an end (-1, +1) or the middle (0) of its range."""
 
 
-def deviated(node: Node, ranges: Robust, ends: Sequence[int]) -> Node:
+@dataclasses.dataclass(frozen=True)
+class Ranges:
+    """The campaign whose draws deviate, and how many sigma the end of each is away."""
+
+    campaign: LoadedCampaign
+    sigmas: float
+
+
+def ranges_of(loaded: LoadedCase, nodes: Sequence[Node]) -> Ranges | None:
+    """Return the ranges of a case with [robust]; None without.
+
+    Raises ScenarioError for a campaign that changes nothing at the first of `nodes`.
+    """
+    robust = loaded.case.robust
+    if robust is None:
+        return None
+    campaign = campaign_of(robust, loaded.scenario)
+    for node in nodes[:1]:
+        acting_at(campaign, robust, node)
+    return Ranges(campaign, robust.corner_sigmas)
+
+
+def deviated(node: Node, ranges: Ranges, ends: Sequence[int]) -> Node:
     """Return the node with the score of each deviation at an end or in the middle of its range."""
     letters = "".join({-1: "-", 0: "0", 1: "+"}[end] for end in ends)
-    return disperse(node, deviations_of(ranges, node).at(np.array(ends) * (ranges.corner_sigmas / 3.0), f"[{letters}]"))
+    scores = np.array(ends) * (ranges.sigmas / 3.0)
+    return disperse(node, deviations_of(ranges.campaign, node).at(scores, f"[{letters}]"))
 
 
-def dispersed_nodes(case: Case, nodes: Sequence[Node], constraints: Iterable[Constraint]) -> list[Node]:
+def dispersed_nodes(ranges: Ranges | None, nodes: Sequence[Node], constraints: Iterable[Constraint]) -> list[Node]:
     """Return the dispersed vehicles of a robust search, made again at `nodes` from the labels of its constraints."""
-    if case.robust is None:
+    if ranges is None:
         return []
     by_label, out = {node.label: node for node in nodes}, []
     for label in dict.fromkeys(c.plant for c in constraints if c.dispersed and c.plant is not None):
         name, _, letters = label.removesuffix("]").rpartition(" [")
-        out.append(deviated(by_label[name], case.robust, [{"-": -1, "0": 0, "+": 1}[letter] for letter in letters]))
+        out.append(deviated(by_label[name], ranges, [{"-": -1, "0": 0, "+": 1}[letter] for letter in letters]))
     return out
 
 
-def modes_off(node: Node, ranges: Robust, end: int) -> Ends:
+def modes_off(node: Node, ranges: Ranges, end: int) -> Ends:
     """All modes at one end of their frequency and the large one of their slope, the rest as it is."""
     wanted = {"bending_frequency": end, "bending_slope": 1}
-    return tuple(wanted.get(field, 0) for field in deviations_of(ranges, node).fields)
+    return tuple(wanted.get(field, 0) for field in deviations_of(ranges.campaign, node).fields)
 
 
 @dataclasses.dataclass
@@ -68,7 +92,7 @@ class _Worst:
     """Search for the worst plant of each node, for one design."""
 
     case: Case
-    ranges: Robust
+    ranges: Ranges
     problem: Problem
     found: Found
     rng: np.random.Generator
@@ -168,9 +192,10 @@ def solve_robust(
         loaded = gains_at_nodes(loaded, nominal)
         instants = Instants(loaded, {p.node.time_s: p for p in nominal.each})
     case = loaded.case
-    assert case.robust is not None
     nodes = [p.node for p in nominal.each]
-    ranges = case.robust
+    ranges = ranges_of(loaded, nodes)
+    assert case.robust is not None
+    assert ranges is not None
     taken = {(node.time_s, modes_off(node, ranges, end)) for node in nodes for end in (-1, 1)}
 
     def dispersed(few: Sequence[tuple[Node, Ends]]) -> list[Plant]:
@@ -180,7 +205,7 @@ def solve_robust(
     problem, found = search_best(case, plants, also_from, progress)
     rng, tried, worst_db, instant_db = np.random.default_rng(case.search.seed), 0, np.nan, np.nan
     interrupted = found.interrupted
-    rounds = ranges.rounds + (0 if instants is None else ROUNDS)
+    rounds = case.robust.rounds + (0 if instants is None else ROUNDS)
     try:
         for number in range(rounds + 1 if not interrupted else 0):  # the last one judges the last design
             worst = _Worst(case, ranges, problem, found, rng)

@@ -23,7 +23,7 @@ from maxq.design.model.node import Node
 from maxq.design.optimise.at_nodes import MORE_STARTS, make_problem
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.problem import Evaluation, Problem
-from maxq.design.optimise.robust import dispersed_nodes
+from maxq.design.optimise.robust import Ranges, dispersed_nodes, ranges_of
 from maxq.design.optimise.search import PATIENCE, Progress
 from maxq.design.optimise.solution import MET_DB, Constraint, Solution, Trial
 from maxq.design.optimise.sqp import descend
@@ -168,10 +168,10 @@ def case_as_searched(solution: Solution) -> Case:
     return solution.case if prewarp_hz is None else _with_filter(solution.case, prewarp_hz=prewarp_hz)
 
 
-def plants_of(case: Case, nodes: Sequence[Node], solution: Solution) -> Plants:
+def plants_of(case: Case, nodes: Sequence[Node], solution: Solution, ranges: Ranges | None) -> Plants:
     """Return the plants of a solution: those at the nodes, and the dispersed ones that its search has taken."""
     nominal = [make_plant(node, case) for node in nodes]
-    dispersed = dispersed_nodes(case, nodes, solution.constraints)
+    dispersed = dispersed_nodes(ranges, nodes, solution.constraints)
     return make_plants([*nominal, *(make_plant(node, case, dispersed=True) for node in dispersed)])
 
 
@@ -187,13 +187,13 @@ def tried(loaded: LoadedCase, solution: Solution, progress: Progress | None = No
     try:
         with threadpool_limits(limits=1, user_api="blas"):
             nodes = nodes_of(loaded, [node.time_s for node in solution.nodes])
-            certificate = solution.certificate
+            certificate, ranges = solution.certificate, ranges_of(loaded, nodes)
             settled = certificate.stable and certificate.kkt_residual <= UNSETTLED
             changes = changes_of(case_as_searched(solution), nodes, settled)
             most = max(LEAST_EVALUATIONS, certificate.evaluations // len(changes))
             for number, change in enumerate(changes):
                 shown = None if progress is None else partial(progress, number, len(changes))
-                trial = _tried(change, solution, most, shown)
+                trial = _tried(change, solution, ranges, most, shown)
                 out.append(trial)
                 if trial.interrupted:
                     return tuple(out), True
@@ -202,7 +202,10 @@ def tried(loaded: LoadedCase, solution: Solution, progress: Progress | None = No
     return tuple(out), False
 
 
-def _tried(change: Change, solution: Solution, most: int, progress: Callable[[float, str], None] | None) -> Trial:
+def _tried(
+    change: Change, solution: Solution, ranges: Ranges | None, most: int,
+    progress: Callable[[float, str], None] | None,
+) -> Trial:  # fmt: skip  # one line for each otherwise
     """Search with a change, with `most` evaluations."""
     best: Evaluation | None = None
     problem: Problem | None = None
@@ -217,7 +220,7 @@ def _tried(change: Change, solution: Solution, most: int, progress: Callable[[fl
         return problem.evaluations >= most or (count >= PATIENCE and at.unstable > best.unstable)
 
     try:
-        problem = make_problem(change.case, plants_of(change.case, change.nodes, solution))
+        problem = make_problem(change.case, plants_of(change.case, change.nodes, solution, ranges))
         for start in starts_of(problem, change.case, solution):
             end = descend(problem, start, STEPS, FINE_DB, limits_only=True, give_up=watch)
             watch(0, end)

@@ -6,19 +6,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from maxq.design.model.deviations import Described, deviations_of
+from maxq.design.model.deviations import acting_at, deviations_of
 from maxq.design.model.node import Node
+from maxq.design.model.spread import campaign_of
 from maxq.design.verify.suite import LinearMargins
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq.sim.scenario.loader import LoadedScenario
 
 NORMAL = "normal deviations of [margins.three_sigma]"
 
 
 @dataclass(frozen=True)
 class DescribedVehicles:
-    """Dispersed vehicles of `wanted` in a suite that flies `campaign`; `changes`: of design and vehicle, key=value."""
+    """Dispersed vehicles of `wanted` in a suite that flies `campaign`; `changes`: of design and vehicle, key=value.
+
+    `base`: the scenario that deviations of the suite's own are of.
+    """
 
     wanted: LinearMargins
+    base: LoadedScenario
     campaign: LoadedCampaign | None
     changes: Sequence[str] = ()
 
@@ -29,10 +35,15 @@ class DescribedVehicles:
             return load_campaign(self.wanted.three_sigma.campaign, self.changes)
         return None if "three_sigma" in self.wanted.model_fields_set else self.campaign
 
-    def at(self, node: Node) -> Described:
-        """Return the description at a node: `named` where it changes the loop."""
-        named = self.named
-        return named if named is not None and deviations_of(named, node).places else self.wanted.three_sigma
+    def at(self, node: Node) -> LoadedCampaign:
+        """Return the campaign of a node's vehicles: `named` where it changes the loop, else that of `three_sigma`.
+
+        Raises ScenarioError where a campaign of the suite's margins changes nothing there.
+        """
+        named, own = self.named, self.wanted.three_sigma
+        if named is not None and deviations_of(named, node).places:
+            return named
+        return acting_at(campaign_of(own, self.base, self.wanted.seed), own, node)
 
     def text(self, nodes: Sequence[Node]) -> str:
         """State the description at nodes for people, and its draws that no margin follows."""

@@ -23,7 +23,7 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, UNSTABLE
-from maxq.design.model.deviations import Described, deviations_of
+from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import Node, disperse
 from maxq.design.quantities import MEASURED, SWEPT, LoopLimits
@@ -32,6 +32,7 @@ from maxq.design.verify.descent import Region, descend, to_corner
 from maxq.design.verify.judging import Wanted
 from maxq.design.verify.linear import measured
 from maxq.design.verify.memory import counted
+from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.scenario.schema_design import Design
 
 CORNERS = 4  # from which a search at an operating point begins
@@ -75,9 +76,9 @@ def guides(limits: LoadLimits) -> dict[str, float]:
     return out
 
 
-def rooms(node: Node, design: Design, described: Described, wanted: Mapping[str, float]) -> Rooms:
+def rooms(node: Node, design: Design, campaign: LoadedCampaign, wanted: Mapping[str, float]) -> Rooms:
     """Return a function of the scores of vehicles at a node; `wanted`: limits by key of SWEPT."""
-    deviations, law = deviations_of(described, node), api.law_at(design, node)
+    deviations, law = deviations_of(campaign, node), api.law_at(design, node)
 
     def left(found: Mapping[str, float]) -> float:
         each = [
@@ -111,7 +112,7 @@ def worst_of_basis(
     between: Sequence[Node],
     design: Design,
     robust: Robust,
-    described: Described,
+    campaign: LoadedCampaign,
     watch: Callable[[int, int], None] = lambda done, of: None,
     workers: int = 2,
 ) -> WorstOfBasis:
@@ -120,7 +121,7 @@ def worst_of_basis(
     tried: list[int] = []
 
     def looked(node: Node) -> Rooms:
-        values = rooms(node, design, described, wanted)
+        values = rooms(node, design, campaign, wanted)
 
         def look(every: Sequence[Array]) -> list[float]:
             tried.append(len(every))
@@ -129,7 +130,7 @@ def worst_of_basis(
         return look
 
     def search(node: Node) -> tuple[float, Array]:
-        fields, look = deviations_of(described, node).fields, looked(node)
+        fields, look = deviations_of(campaign, node).fields, looked(node)
         rng = np.random.default_rng([SEED, round(1e3 * node.time_s)])
         starts = [rng.choice([-1.0, 1.0], len(fields)) for _ in range(CORNERS)]
         for end, start in zip((-1.0, 1.0), starts, strict=False):  # modes off: at one end, well seen by the gyro
@@ -163,7 +164,7 @@ def worst_of_basis(
                 some[k] = (some[k][0], *each)
     beyond = sorted(beyond, key=lambda each: each[1])[:REFINED]
     vehicles = [
-        disperse(node, deviations_of(described, node).at(u, "worst found"))
+        disperse(node, deviations_of(campaign, node).at(u, "worst found"))
         for node, _, u in sorted((*every, *beyond), key=lambda each: each[0].time_s)
     ]
     labels = tuple(MEASURED[key].label for key in wanted)

@@ -28,7 +28,7 @@ from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.model.node import Node
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.plants import wind_of
-from maxq.design.optimise.robust import dispersed_nodes
+from maxq.design.optimise.robust import dispersed_nodes, ranges_of
 from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import MEASURED, QUANTITIES, Convention, Quantity, ZoneName, violation
 from maxq.sim.packing.computer import bending_filter
@@ -354,7 +354,7 @@ def judge_solution(loaded: LoadedCase, solution: Solution, design: Design | None
     found += wind_checks(winds, case.limits, nodes)
     if case.robust is None:
         return Outcome(loaded, design, judged, found, flown, [], wanted, winds)
-    dispersed = dispersed_nodes(case, nodes, solution.constraints)
+    dispersed = dispersed_nodes(ranges_of(loaded, nodes), nodes, solution.constraints)
     off = checks(judge(dispersed, design, case.loop), design, Wanted.of(case.robust.limits)) if dispersed else []
     if dispersed:
         off += wind_checks(in_wind(case, dispersed, design, None), case.robust.limits, dispersed)

@@ -32,8 +32,8 @@ from maxq.design.loop.loop import Loop
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measured_loop import measure_loop
-from maxq.design.model.deviations import Described, deviations_of, told_of
-from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.deviations import deviations_of
+from maxq.design.model.dispersion import Dispersion, stacked
 from maxq.design.model.held import FlightCondition, Trim
 from maxq.design.model.node import Node, at_same_propellant_s, disperse, flown_run, flown_to, met_by, node_of
 from maxq.design.quantities import MEASURED, SWEPT, Convention, LoopLimits
@@ -186,15 +186,13 @@ def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, w
     return found
 
 
-def vehicles(
-    wanted: LinearMargins, node: Node, described: Described | None = None
-) -> tuple[list[Dispersion], list[Dispersion]]:
+def vehicles(wanted: LinearMargins, node: Node, campaign: LoadedCampaign) -> tuple[list[Dispersion], list[Dispersion]]:
     """Return the corners, at which all deviations of a factor go together, and random vehicles, runs of the campaign.
 
-    Corners are those of independent scores, and as likely where some go together. `node`: of their stage. `described`:
-    default `wanted.three_sigma`. Where `wanted.only` names one, this alone, whatever the number of random vehicles.
+    Corners are those of independent scores, and as likely where some go together. `node`: of their stage. Where
+    `wanted.only` names one, this alone, whatever the number of random vehicles.
     """
-    corners, deviations = [], deviations_of(wanted.three_sigma if described is None else described, node)
+    corners, deviations = [], deviations_of(campaign, node)
     if wanted.corner_sigmas > 0.0:
         rows = [np.roll(_GENERATOR, k) for k in range(len(_GENERATOR))] + [-np.ones(len(_GENERATOR))]
         for n, row in enumerate(np.array([*rows, *[-np.asarray(r) for r in rows]], float)):
@@ -205,26 +203,27 @@ def vehicles(
     numbers = range(0 if wanted.only else wanted.cases)
     if found is not None and found[1] is not None:
         numbers = range(int(found[1]), int(found[1]) + 1)
-    return [c for c in corners if wanted.only in ("", c.label)], deviations.drawn(numbers, wanted.seed)
+    return [c for c in corners if wanted.only in ("", c.label)], deviations.drawn(numbers)
 
 
 def study(
     nodes: Sequence[Node],
     design: Design,
     wanted: LinearMargins,
+    campaign: LoadedCampaign,
     memory: Memory,
     watch: Callable[[int, int], None] = lambda done, of: None,
     workers: int = 2,
     stage: str = "",
     trajectories: Sequence[Sequence[Node]] = (),
-    described: Described | None = None,
 ) -> MarginStudy:
     """Margins at all nodes of one plane and stage, of the vehicle as it is, at the corners and of random ones.
 
     `trajectories`: the nodes as other flights meet them; vehicle n flies along number n, beginning again after the
-    last. `described`: see `vehicles`.
+    last. `campaign`: see `vehicles`.
     """
-    corners, drawn = vehicles(wanted, nodes[0], described)
+    corners, drawn = vehicles(wanted, nodes[0], campaign)
+    dispersed_by = stacked([*corners, *drawn])
     first = int(drawn[0].label.removeprefix("vehicle ")) if drawn else 0
     loops = 1 + len(corners) + len(drawn)
 
@@ -243,9 +242,8 @@ def study(
             exact += dispersed.measure(node, corners, table, np.arange(len(corners)))
             return nominal, table, exact
 
-        depends = (node, law, flown, wanted.seed, first, len(drawn), [c.label for c in corners], wanted.corner_sigmas)
-        limits = (told_of(wanted.three_sigma if described is None else described), told(wanted.dispersed))
-        return memory.recall("margins", (*depends, *limits), work_out)
+        depends = (node, law, flown, dispersed_by, first, len(corners), told(wanted.dispersed))
+        return memory.recall("margins", depends, work_out)
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         table = list(pool.map(counted(at_node, watch, loops * len(nodes), loops), range(len(nodes))))

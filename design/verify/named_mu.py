@@ -33,9 +33,10 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.multiloop import Multiloop, multiloop
 from maxq.design.margins.real_mu import Scaling, real_mu_upper
-from maxq.design.model.deviations import Described, Deviations, deviations_of
+from maxq.design.model.deviations import Deviations, deviations_of
 from maxq.design.model.node import Node, disperse, flown_run, flown_to, with_drives_apart
 from maxq.design.model.state_space import ComplexArray
+from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
@@ -110,9 +111,9 @@ class Uncertain:
         return taken, ranks
 
 
-def uncertain(node: Node, described: Described) -> Uncertain:
+def uncertain(node: Node, campaign: LoadedCampaign) -> Uncertain:
     """Return the plant of a node about the middle of its deviations, the score of each from -1 to 1 (three sigma)."""
-    deviations, node = deviations_of(described, node), with_drives_apart(node)
+    deviations, node = deviations_of(campaign, node), with_drives_apart(node)
 
     def whole(u: Array) -> Array:
         path = fixed_path(disperse(node, deviations.at(u))).continuous
@@ -122,13 +123,13 @@ def uncertain(node: Node, described: Described) -> Uncertain:
 
 
 def uncertain_together(
-    flown: Packed, base: LoadedScenario, design: Design, node: Node, described: Described
+    flown: Packed, base: LoadedScenario, design: Design, node: Node, campaign: LoadedCampaign
 ) -> Uncertain:  # fmt: skip  # one more line otherwise
     """Return the same of pitch, yaw and roll together: each deviation in the scenario that flies it, at `flown`.
 
     Raises ValueError where a deviated vehicle has other states: unlike engines of a group, each on a TVC load.
     """
-    deviations = deviations_of(described, node)
+    deviations = deviations_of(campaign, node)
 
     def whole(u: Array) -> Array:
         there = flown_as(deviations, base, flown, node.stage, u)
@@ -146,7 +147,7 @@ def flown_as(deviations: Deviations, base: LoadedScenario, flown: Packed, stage:
 
     Raises ValueError where that vehicle has other states.
     """
-    packed = pack_flight(deviations.scenario(base, u)[0].scenario)
+    packed = pack_flight(deviations.scenario(base, u).scenario)
     parameters = packed.parameters.copy()
     parameters["timeline"] = flown.parameters["timeline"]
     mine, other = (int(state_size(p[stage].vehicle.sizes)) for p in (parameters, flown.parameters))
@@ -179,17 +180,17 @@ class Within:
     tried: int
 
 
-def stable_within(node: Node, design: Design, described: Described) -> Within | None:
+def stable_within(node: Node, design: Design, campaign: LoadedCampaign) -> Within | None:
     """Of the deviations at a node; None for a law that takes more than the gyro."""
     law = api.law_at(design, node)
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
-    deviations = deviations_of(described, node)
+    deviations = deviations_of(campaign, node)
     loop = Loop(fixed_path(disperse(node, deviations.at(np.zeros(len(deviations.places))))), law)
-    return _within(uncertain(node, described), loop, loop.closed_poles())
+    return _within(uncertain(node, campaign), loop, loop.closed_poles())
 
 
-def stable_together(base: LoadedScenario, design: Design, node: Node, described: Described) -> Within | None:
+def stable_together(base: LoadedScenario, design: Design, node: Node, campaign: LoadedCampaign) -> Within | None:
     """Of the deviations at a node, with the loops of pitch, yaw and roll together as the simulator couples them.
 
     None for a law that takes more than the gyro, and where engines of a group are on TVC loads.
@@ -198,10 +199,10 @@ def stable_together(base: LoadedScenario, design: Design, node: Node, described:
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
     flown_to(run, node.time_s)
-    deviations = deviations_of(described, node)
+    deviations = deviations_of(campaign, node)
     try:
         middle = flown_as(deviations, base, run.packed, node.stage, np.zeros(len(deviations.places)))
-        every = uncertain_together(run.packed, base, design, node, described)
+        every = uncertain_together(run.packed, base, design, node, campaign)
     except ValueError:
         return None
     loop = multiloop(middle, design, node.time_s)

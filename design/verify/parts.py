@@ -18,7 +18,6 @@ from maxq.design.certificate.certificate import NodeCertificate, certify, certif
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
 from maxq.design.certificate.measured_only import MeasuredNode, measure_node
-from maxq.design.model.deviations import told_of
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import EDGES, Node, node_times, powered_spans
 from maxq.design.verify import linear
@@ -104,14 +103,14 @@ class Parts:
         out, parts = [], list(self._by_stage("margins", wanted))
         flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts] if wanted.cases else [])
         for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):
-            run = partial(linear.study, nodes, design, wanted, self.memory, watch, self.workers, stage, mine)
-            out.append(run(self.described.at(nodes[0])))
+            campaign = self.described.at(nodes[0])
+            out.append(linear.study(nodes, design, wanted, campaign, self.memory, watch, self.workers, stage, mine))
         return out
 
     @cached_property
     def described(self) -> DescribedVehicles:
         assert self.suite.margins is not None
-        return DescribedVehicles(self.suite.margins, self.campaign, self.changes)
+        return DescribedVehicles(self.suite.margins, self.scenario, self.campaign, self.changes)
 
     @property
     def deviations(self) -> str:
@@ -161,7 +160,7 @@ class Parts:
             between = partial(api.nodes, self.along, plane=at[0].plane) if wanted.between_nodes == "hold" else None
             described = self.described.at(at[0])
             depends = (
-                loaded.as_flown, repr(design), at, told_of(described), told(wanted.worst), wanted.between_nodes,
+                loaded.as_flown, repr(design), at, description_of(described), told(wanted.worst), wanted.between_nodes,
                 flown_along,
             )  # fmt: skip  # four more lines otherwise
             search = partial(

@@ -33,16 +33,16 @@ from maxq.design.margins.curve import growing_count, lowest_hz_of
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
-from maxq.design.model.deviations import Described, deviations_of
+from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import deviated, disperse_instruments, stacked
 from maxq.design.model.instruments import per_command
 from maxq.design.model.node import Node, disperse, with_drives_apart
-from maxq.design.model.spread import Place
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.descent import Region, descend, to_corner
 from maxq.design.verify.memory import counted
 from maxq.design.verify.named_mu import stable_together, stable_within
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
+from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
@@ -60,23 +60,21 @@ _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 
 @dataclass(frozen=True)
 class WorstVehicle:
-    """The worst one found in a plane of a stage: scores of its deviations by `Place`, and the outcome of its flight.
+    """The worst one found in a plane of a stage: scores of its deviations by name, and the outcome of its flight.
 
-    `modulus` is its least |1 + L|, 0 where it is unstable; `searches` over all nodes; `text` its scenario (TOML), and
-    `not_flown` what that scenario cannot express.
+    `modulus` is its least |1 + L|, 0 where it is unstable; `searches` over all nodes; `text` its scenario (TOML).
     """
 
     stage: str
     plane: str
     time_s: float
-    sigmas: dict[Place, float]
+    sigmas: dict[str, float]
     modulus: float
     searches: int
     loops: int
     flown: str = ""
     kept_control: bool = True
     text: str = ""
-    not_flown: tuple[str, ...] = ()
     within_sigmas: float = math.nan  # of each deviation, at that node: no vehicle is unstable (named_mu.py)
     within_hz: float = math.nan
     within_tried: int = 0  # frequencies
@@ -87,9 +85,7 @@ class WorstVehicle:
     def label(self) -> str:
         """The largest deviations, in words."""
         largest = sorted(self.sigmas.items(), key=lambda item: -abs(item[1]))[:5]
-        words = [
-            f"{name.replace('_', ' ')}{f' {n + 1}' if n >= 0 else ''} {value:+.1f}" for (name, n), value in largest
-        ]
+        words = [f"{name} {value:+.1f}" for name, value in largest]
         along = f", trajectory {self.trajectory}" if self.trajectory else ""
         return f"{self.time_s:g} s, {self.plane}{along}; sigmas: {', '.join(words)}, ..."
 
@@ -97,11 +93,11 @@ class WorstVehicle:
 Looks = list[tuple[float, Array]]
 
 
-def distances(node: Node, design: Design, described: Described) -> Callable[[Sequence[Array]], Looks]:
+def distances(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Sequence[Array]], Looks]:
     """Return a function of scores (places,), in units of three sigma: the distances of loops from -1, and at what
     frequencies (Hz) each has minima, the least first. The distance is negative where the loop is unstable.
     """
-    one, deviations = distance(node, design, described), deviations_of(described, node)
+    one, deviations = distance(node, design, campaign), deviations_of(campaign, node)
     try:
         loops = ManyLoops(node, api.law_at(design, node))
     except NotServedError:
@@ -119,9 +115,9 @@ def distances(node: Node, design: Design, described: Described) -> Callable[[Seq
     return at
 
 
-def distance(node: Node, design: Design, described: Described) -> Callable[[Array], tuple[float, Array]]:
+def distance(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Array], tuple[float, Array]]:
     """`distances` of one loop, measured by itself."""
-    deviations, law = deviations_of(described, node), api.law_at(design, node)
+    deviations, law = deviations_of(campaign, node), api.law_at(design, node)
 
     def at(u: Array) -> tuple[float, Array]:
         loop = Loop(fixed_path(disperse(node, deviations.at(u))), law)
@@ -143,14 +139,14 @@ def distance(node: Node, design: Design, described: Described) -> Callable[[Arra
     return at
 
 
-def slope(node: Node, design: Design, described: Described) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
     """|1 + L| at frequencies (Hz), and its change by `steps` (places,) of the scores, per step: (frequencies,
     places).
 
     L changes as actuator, vehicle and delay do, for each sensor in its own way: what sampling adds changes little, and
     the search measures where it arrives.
     """
-    deviations, law, node = deviations_of(described, node), api.law_at(design, node), with_drives_apart(node)
+    deviations, law, node = deviations_of(campaign, node), api.law_at(design, node), with_drives_apart(node)
     plant, ideal = node.plant, bool(node.actuator.ideal)
     inputs = tuple(x for x in plant.inputs if not ideal or x.startswith("delta_rad"))
     columns = [plant.inputs.index(x) for x in inputs]
@@ -185,15 +181,15 @@ def slope(node: Node, design: Design, described: Described) -> Callable[[Array, 
 
 
 def search_node(
-    node: Node, design: Design, described: Described, wanted: WorstWanted, starts: Sequence[int] | None = None
+    node: Node, design: Design, campaign: LoadedCampaign, wanted: WorstWanted, starts: Sequence[int] | None = None
 ) -> tuple[float, Array, int]:
     """Return the least distance found at a node, its scores in units of three sigma, and the loops measured.
 
     `starts` by their numbers, 0 being the vehicle as it is (default: all). The best point ends in a local descent.
     """
-    region, count = Region(wanted.region, wanted.sigmas / 3.0), len(deviations_of(described, node).places)
-    look = _Look(distances(node, design, described))
-    change = slope(node, design, described)
+    region, count = Region(wanted.region, wanted.sigmas / 3.0), len(deviations_of(campaign, node).places)
+    look = _Look(distances(node, design, campaign))
+    change = slope(node, design, campaign)
 
     best, worst_u = math.inf, np.zeros(count)
     for start in range(wanted.starts) if starts is None else starts:
@@ -222,10 +218,10 @@ def search_node(
 
 
 def refine_at(
-    node: Node, design: Design, described: Described, wanted: WorstWanted, points: Sequence[Array]
+    node: Node, design: Design, campaign: LoadedCampaign, wanted: WorstWanted, points: Sequence[Array]
 ) -> tuple[float, Array, int]:
     """Return as `search_node` does from a descent at the worst of `points`, scores in units of three sigma."""
-    look = _Look(distances(node, design, described))
+    look = _Look(distances(node, design, campaign))
     values = look.values(points)
     k = int(np.argmin(values))
     u, best = descend(look.values, points[k], values[k], Region(wanted.region, wanted.sigmas / 3.0))
@@ -256,7 +252,7 @@ def _towards(u: Array, goal: Array, share: float, region: Region) -> Array:
 def search_plane(
     nodes: Sequence[Node],
     design: Design,
-    described: Described,
+    campaign: LoadedCampaign,
     wanted: WorstWanted,
     base: LoadedScenario,
     stage: str = "",
@@ -273,7 +269,7 @@ def search_plane(
     further = min(FURTHER, len(nodes)) if wanted.starts > 1 else 0
 
     def search(node: Node, starts: Sequence[int]) -> tuple[float, Array, int]:
-        return search_node(node, design, described, wanted, starts)
+        return search_node(node, design, campaign, wanted, starts)
 
     one = counted(search, watch, len(nodes) + further)
     with ThreadPoolExecutor(max_workers=workers) as pool:
@@ -291,26 +287,26 @@ def search_plane(
             known_s = {node.time_s for node, _ in searched}
             instants = np.arange(begin, end, max(step_s, (end - begin) / _MOST_INSTANTS)).round(6).tolist()
             found, count = _refined_beside(
-                nodes_at([t for t in instants if t not in known_s]), searched, design, described, wanted, workers
+                nodes_at([t for t in instants if t not in known_s]), searched, design, campaign, wanted, workers
             )
             searched, loops, searches = [*searched, *found], loops + count, searches + len(found)
     for number, flown in enumerate(trajectories, 1):
-        found, count = _refined_beside(flown, searched, design, described, wanted, workers, 1)
+        found, count = _refined_beside(flown, searched, design, campaign, wanted, workers, 1)
         searched, loops, searches = [*searched, *found], loops + count, searches + len(found)
         flight_of |= {id(node): number for node, _ in found}
     node, (_, u, _) = min(searched, key=lambda each: each[1][0])
-    deviations = deviations_of(described, node)
+    deviations = deviations_of(campaign, node)
     loop = Loop(fixed_path(disperse(node, deviations.at(u, "worst"))), api.law_at(design, node))
     exact = margins(loop, resonances=loop.fixed.resonances())
-    scenario, missing = deviations.scenario(base, u)
+    scenario = deviations.scenario(base, u)
     flight = fly(scenario, log=False)
     lost = flight.failures
-    within = stable_within(node, design, described) if wanted.bound else None
-    together = stable_together(base, design, node, described) if wanted.together else None
+    within = stable_within(node, design, campaign) if wanted.bound else None
+    together = stable_together(base, design, node, campaign) if wanted.together else None
     return WorstVehicle(
         stage, node.plane, node.time_s, dict(zip(deviations.places, (3.0 * u).tolist(), strict=True)),
         exact.modulus if exact.stable else 0.0, searches, loops,
-        "; ".join(lost) or "control kept", not lost, scenario.as_flown, tuple(missing),
+        "; ".join(lost) or "control kept", not lost, scenario.as_flown,
         *((within.sigmas, within.at_hz, within.tried) if within is not None else (math.nan, math.nan, 0)),
         together.sigmas if together is not None else math.nan, flight_of.get(id(node), 0),
     )  # fmt: skip  # nine more lines otherwise
@@ -320,7 +316,7 @@ Searched = tuple[Node, tuple[float, Array, int]]
 
 
 def _refined_beside(
-    nodes: Sequence[Node], searched: Sequence[Searched], design: Design, described: Described, wanted: WorstWanted,
+    nodes: Sequence[Node], searched: Sequence[Searched], design: Design, campaign: LoadedCampaign, wanted: WorstWanted,
     workers: int, most: int = FURTHER,
 ) -> tuple[list[Searched], int]:  # fmt: skip  # one line for each otherwise
     """Return descents at the `most` nodes where the worst vehicles known are worst, and the loops of all.
@@ -334,10 +330,10 @@ def _refined_beside(
         return [*(u for _, (_, u, _) in near), worst_u]
 
     def value(node: Node) -> float:
-        return min(value for value, _ in distances(node, design, described)(points(node)))
+        return min(value for value, _ in distances(node, design, campaign)(points(node)))
 
     def refine(node: Node) -> Searched:
-        return node, refine_at(node, design, described, wanted, points(node))
+        return node, refine_at(node, design, campaign, wanted, points(node))
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         order = np.argsort(list(pool.map(value, nodes)), kind="stable")[:most]
@@ -355,8 +351,7 @@ def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> 
         said += f"({found.within_tried} frequencies, {found.within_hz:.3g} Hz)"
     if not math.isnan(found.together_sigmas):
         said += f"; pitch, yaw and roll together within {found.together_sigmas:.2g} sigma each"
-    flown = found.flown + (f"; without {', '.join(found.not_flown)}" if found.not_flown else "")
-    rows = [(f"that vehicle flown, {whose}", "control kept", flown, found.kept_control, math.nan)]
+    rows = [(f"that vehicle flown, {whose}", "control kept", found.flown, found.kept_control, math.nan)]
     if wanted.modulus is not None:
         met, room = found.modulus >= wanted.modulus, room_left(found.modulus, wanted.modulus, ">=")
         name = f"least |1 + L| within {wanted.sigmas:g} sigma, {whose}"

@@ -20,7 +20,9 @@ from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictur
 from maxq.design.loop.fixed_path import Cut, Kind, fixed_path
 from maxq.design.margins.measure import margins
 from maxq.design.margins.multiloop import MultiloopMargins, multiloop_margins
+from maxq.design.model.deviations import acting_at
 from maxq.design.model.node import Node, node_times, powered_flight, with_cuts
+from maxq.design.model.spread import campaign_of
 from maxq.design.optimise.over_time import INSTANTS_S, instants_along
 from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.paper.nodes import PaperNode
@@ -92,7 +94,7 @@ def execute(order: AnalysisOrder) -> int:
             found = stage_checks(mine, design, basis, order.kind)
             together = all_axes(scenario, design, [j.time_s for j in mine], order, progress)
             coupled = multiloop_checks(together, Wanted.of(basis.limits))
-            worst, off = dispersed_checks(every, points_s, design, basis, order, progress)
+            worst, off = dispersed_checks(scenario, every, points_s, design, basis, order, progress)
             stage_called = stage_name(scenario.vehicle, stage)
             groups.append(Group(stage_called, mine, found, together, coupled, worst, off))
         judged = [j for group in groups for j in group.judged]
@@ -155,6 +157,7 @@ def stage_checks(judged: Sequence[Judged], design: Design, basis: Basis, kind: K
 
 
 def dispersed_checks(
+    scenario: LoadedScenario,
     judged: Sequence[Judged],
     points_s: Sequence[float],
     design: Design,
@@ -171,7 +174,8 @@ def dispersed_checks(
     at = [j.node for j in judged if j.time_s in points_s]
     beside = [j.node for j in judged if j.time_s not in points_s]
     show = partial(progress.show, "searching dispersed vehicles")
-    worst = worst_of_basis(at, beside, design, basis.robust, basis.robust, show)
+    campaign = acting_at(campaign_of(basis.robust, scenario), basis.robust, judged[0].node)
+    worst = worst_of_basis(at, beside, design, basis.robust, campaign, show)
     limits = basis.model_copy(update={"limits": basis.robust.limits})
     found = stage_checks(judge(worst.nodes, design, order.kind), design, limits, order.kind)
     return worst, [replace(c, key=f"dispersed_{c.key}", text=f"{c.text}, dispersed", short=c.heading) for c in found]

@@ -28,7 +28,8 @@ from maxq.design.case.basis import Robust
 from maxq.design.case.schema import read_case
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node
-from maxq.design.optimise.robust import deviated
+from maxq.design.model.spread import campaign_of
+from maxq.design.optimise.robust import Ranges, deviated
 from maxq.design.paper.errata_effects import EXPLAINED
 from maxq.design.quantities import MEASURED, SWEPT
 from maxq.design.verify.judging import judge
@@ -36,7 +37,7 @@ from maxq.design.verify.linear import meet_limits, percentiles, study
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.suite import LinearMargins, WorstWanted, read_suite
 from maxq.design.verify.worst import distance, search_node
-from maxq.sim.campaign.read import load_campaign
+from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design
@@ -246,8 +247,9 @@ def errata() -> list[str]:
 
 def robust() -> list[str]:
     """Worst over all nodes on the sampled loop: nominal, and at forty corners of all ranges drawn at random."""
-    nodes, ranges, rows = api.nodes("nominal", range(5, 60, 5)), Robust(), []
-    ends = np.random.default_rng(2002).choice([-1, 1], (40, len(deviations_of(ranges, nodes[0]).places)))
+    nodes, rows = api.nodes("nominal", range(5, 60, 5)), []
+    ranges = Ranges(_ranges(), Robust().corner_sigmas)
+    ends = np.random.default_rng(2002).choice([-1, 1], (40, len(deviations_of(ranges.campaign, nodes[0]).places)))
     for name in ("ksr3-default", "ksr3-two-phase", "ksr3-linear", "ksr3-sampled", "ksr3-robust"):
         design = api.load_design(f"designs/{name}")
         nominal = worst(nodes, design)
@@ -267,7 +269,7 @@ def vehicles() -> list[str]:
     rows, share, flown = [], 1.0 - wanted.success, load_campaign("campaigns/ksr3")
     for name in ROBUST:
         design = api.load_design(f"designs/{name}")
-        random = study(nodes, design, wanted, Memory(None), described=flown).random
+        random = study(nodes, design, wanted, flown, Memory(None)).random
         searched = [search_node(node, design, flown, wanted.worst or WorstWanted())[0] for node in nodes]
         k = int(np.argmin(searched))
         shown = []
@@ -291,12 +293,18 @@ def corners() -> list[str]:
         cells = [f"{w:.3f}" for w in (worst([node], design)[2] for design in designs)]
         for sigmas in (2.0, 3.0):
             wanted = WorstWanted(region="box", sigmas=sigmas, seed=2)
-            found = [search_node(node, design, Robust(), wanted)[1] for design in designs]
-            least = [min(distance(node, design, Robust())(u)[0] for u in found) for design in designs]
+            found = [search_node(node, design, _ranges(), wanted)[1] for design in designs]
+            least = [min(distance(node, design, _ranges())(u)[0] for u in found) for design in designs]
             cells += [f"{x:.3f}" if x > 0.0 else f"unstable ({-x:.3f})" for x in least]
         rows.append((f"{node.time_s:g}", *cells))
     about = ("as designed", "2 sigma each", "3 sigma each")
     return table(("at, s", *(f"{what}, {name}" for what in about for name in ROBUST)), rows)
+
+
+@functools.cache
+def _ranges() -> LoadedCampaign:
+    """The deviations of a robust case of KSR-III."""
+    return campaign_of(Robust(), load_scenario("nominal"))
 
 
 def _margins_wanted() -> LinearMargins:
@@ -314,17 +322,18 @@ def tvc_load() -> list[str]:
     plants = []
     for set_to in ON_COMPLIANCE.values():
         loaded = load_scenario("load-relief", (*set_to, "design='designs/ksr3-robust.toml'"))  # nominal's flight
-        plants.append((api.nodes(loaded, times), api.nodes(loaded, times, plane="yaw")))
+        deviating = campaign_of(wanted.three_sigma, loaded)
+        plants.append((api.nodes(loaded, times), api.nodes(loaded, times, plane="yaw"), deviating))
     rows = []
     for name in (*DESIGNS, "ksr3-robust-ascent", "ksr3-load-relief"):
         design, row = load_scenario("load-relief", (f"design='designs/{name}.toml'",)).design, [name]
         assert design is not None
-        for pitch, yaw in plants:
+        for pitch, yaw, deviating in plants:
             row += [f"{w:.{digits}f}" for w, digits in zip(worst([*pitch, *yaw], design), (2, 1, 3), strict=True)]
             if design.law == "load-relief":  # two sensors: a hundred times slower
                 row.append("-")
                 continue
-            random = study(pitch, design, wanted, Memory(None)).random
+            random = study(pitch, design, wanted, deviating, Memory(None)).random
             row.append(str(int((~meet_limits(random, wanted.dispersed)).sum())))
         rows.append(row)
     what = ("dB", "deg", "\\|1+L\\|", f"miss, of {ON_LOAD:,}")

@@ -306,8 +306,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
 
 
 def _worst(w: WorstVehicle) -> dict[str, Any]:
-    sigmas = {name if n < 0 else f"{name}.{n}": value for (name, n), value in w.sigmas.items()}
-    return {key: value for key, value in vars(w).items() if key != "text"} | {"sigmas": sigmas}
+    return {key: value for key, value in vars(w).items() if key != "text"}
 
 
 def _measured(n: MeasuredNode) -> dict[str, Any]:
