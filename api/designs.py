@@ -57,7 +57,7 @@ class Designed:
     def _repr_html_(self) -> str:
         rows = [
             (c.text, "met" if c.passed else "MISSED", f"{c.values[c.worst]:.4g}", f"{c.sense} {c.limit:g} {c.unit}")
-            for c in self.outcome.found
+            for c in (*self.outcome.found, *self.outcome.coupled_found)
         ]
         return html_table(repr(self).strip("<>"), ("limit", "", "worst", "wanted"), rows)
 

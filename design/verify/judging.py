@@ -24,7 +24,7 @@ from maxq.design.margins.budget import Budget, crossing_budgets
 from maxq.design.margins.distances import Zone
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.margins.measured_loop import LoopAtPoint, measure_loop
-from maxq.design.margins.multiloop import MultiloopMargins
+from maxq.design.margins.multiloop import MultiloopMargins, multiloop_margins
 from maxq.design.model.node import Node
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.plants import wind_of
@@ -33,6 +33,7 @@ from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import MEASURED, QUANTITIES, Convention, Quantity, ZoneName, violation
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Adaptive, Design, LoopFilters, StageLaw
 from maxq.sim.scenario.schema_values import OverTime, at_time
 from maxq.sim.scenario.tables_csv import CsvTable
@@ -184,6 +185,29 @@ def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Che
     return out
 
 
+def flies_as_measured(kind: str, errata: str, plant: str) -> bool:
+    """Return True for the simulator's loop and plant, on which all axes and dispersed vehicles are measured."""
+    return (kind, errata, plant) == ("sampled", "corrected", "flown")
+
+
+def margins_of_all_axes(
+    flight: LoadedScenario, design: Design, times_s: Sequence[float], basis: Basis,
+    tell: Callable[[int], None] | None = None,
+) -> list[MultiloopMargins]:  # fmt: skip  # seven lines otherwise
+    """Return the margins of each axis with the loops of the others closed, at vehicle times (s) of a flight.
+
+    Empty where `basis` is about another loop or vehicle than the one that flies. `tell` is called with the number done.
+    """
+    out: list[MultiloopMargins] = []
+    if not flies_as_measured(basis.loop, basis.errata, basis.plant):
+        return out
+    for loop in api.multiloops(flight, design, times_s):
+        out.append(multiloop_margins(loop))
+        if tell is not None:
+            tell(len(out))
+    return out
+
+
 def multiloop_checks(found: Sequence[MultiloopMargins], wanted: Wanted) -> list[Check]:
     """The limits on gain and phase margin for each axis with the loops of the others closed; stability first."""
     if not found:
@@ -239,17 +263,18 @@ class Outcome:
     dispersed_found: Sequence[Check]  # at the worst plants of a robust case
     wanted: Wanted
     in_wind: Sequence[InWind] = ()  # at `judged`
+    coupled_found: Sequence[Check] = ()  # of each axis with the others closed, along the design's own flight
 
     @property
     def feasible(self) -> bool:
         """All limits of the case are met. Those of the sampled loop are for information only."""
-        return all(check.passed for check in (*self.found, *self.dispersed_found))
+        return all(check.passed for check in (*self.found, *self.coupled_found, *self.dispersed_found))
 
     @property
     def missed(self) -> list[str]:
         """Limits that are missed, and by how much."""
         out = []
-        for where, found in (("", self.found), (" of dispersed plants", self.dispersed_found)):
+        for where, found in (("", (*self.found, *self.coupled_found)), (" of dispersed plants", self.dispersed_found)):
             for check in (c for c in found if not c.passed):
                 value, time_s = check.values[check.worst], check.time_s[check.worst]
                 by = "" if np.isnan(value) else f" by {abs(value - check.wanted):.3g} {check.unit}".rstrip()

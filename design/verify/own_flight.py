@@ -2,8 +2,14 @@
 
 Operating points need a flight, and a flight needs a design. The first flight is that of the scenario with its own
 design. They agree when no limit that the design meets at its operating points is missed at the same times of its own
-flight (`suite.beyond`: within 5e-4 dB or deg). Stages that disagree are designed again along the flight of the last
-design, from where they are.
+flight (`quantities.violation`: within 5e-4 dB or deg). Stages that disagree are designed again along the flight of the
+last design, from where they are.
+
+The search holds the loop of one plane to the limits. `simdesign analyse` judges each axis with the loops of the others
+closed by the same limits, which takes a little of the margins. Where a stage misses them so, the search of the next
+round is held to more by as much as is missing; the design states the limits of the case. Where no design meets these,
+the last one stays. The roll loop is judged too, but the search has no part in it; nor in slow roots of a vehicle whose
+roll rate no linear loop holds, so that stability with all axes is left to `simdesign analyse`.
 
 A flight that is lost gives operating points up to the loss only. The design for these is a preliminary one, by a short
 search; its own flight is held for longer, and gives the points of the next round.
@@ -12,7 +18,7 @@ search; its own flight is held for longer, and gives the points of the next roun
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from maxq.design.case.schema import LoadedCase
@@ -22,7 +28,8 @@ from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_o
 from maxq.design.optimise.search import Progress
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, nominal_plants, solve
-from maxq.design.verify.judging import Outcome, judge_solution, make_design
+from maxq.design.quantities import QUANTITIES, TOLERANCE
+from maxq.design.verify.judging import Outcome, judge_solution, make_design, margins_of_all_axes, multiloop_checks
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.uncovered import Uncovered, uncovered
 from maxq.sim.run.flight import Event
@@ -30,6 +37,8 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 
 ROUNDS = 8
+COUPLED = ("gain_margin_db", "phase_margin_deg")
+BEYOND = 2.0 * TOLERANCE  # dB or deg, more than is missing with the other axes closed
 LEAST_GAIN_S = 0.05  # by which a preliminary design must hold its flight longer than the one before
 
 
@@ -45,6 +54,7 @@ class Round:
     own_loss: Event | None
     missed: tuple[str, ...]  # along its own flight; limits that the search has met
     interrupted: bool
+    tightened: tuple[str, ...] = ()  # limits to which the search was held beyond the case's, in words
 
     @property
     def text(self) -> str:
@@ -53,6 +63,7 @@ class Round:
         lost = f", which is lost ({loss_text(self.loss)})" if self.loss is not None else ""
         kind = "a preliminary design" if self.loss is not None else "a design"
         made = f"{kind} for {self.points} operating points from {self.first_s:.4g} to {self.last_s:.4g} s of {flight}"
+        made += f" ({', '.join(self.tightened)})" if self.tightened else ""
         if self.interrupted:
             return f"round {self.number}: {made}{lost}; interrupted"
         own = "its own flight agrees"
@@ -127,6 +138,8 @@ def design_case(
     check()
     found: dict[int, Solution] = {}
     again: set[int] | None = None  # stages that the last design misses limits in, from round 2 on
+    more: dict[int, dict[str, float]] = {}  # dB or deg beyond the limits of the case, of each stage
+    in_vain: set[int] = set()  # stages without a design that meets limits raised by `more`
     rounds: list[Round] = []
     while True:
         number = len(rounds) + 1
@@ -136,8 +149,13 @@ def design_case(
                 n = mine.each[0].node.stage
                 if again is None or n in again:
                     before = [found[n].law] if n in found else []
-                    found[n] = solve(_searched(stage, loss, again), mine, before, progress(n, number))
-                    if interrupted := found[n].status == "interrupted":
+                    tight = _tightened(_searched(stage, loss, again), more.get(n, {}))
+                    solution = solve(tight, mine, before, progress(n, number))
+                    if more.get(n) and solution.status == "infeasible":
+                        in_vain.add(n)
+                    else:
+                        found[n] = _with_limits(solution, stage)
+                    if interrupted := solution.status == "interrupted":
                         break
             judged = _judged(loaded, stages, plants, found)
         except KeyboardInterrupt:
@@ -145,13 +163,19 @@ def design_case(
                 raise
             interrupted, judged = True, _judged(loaded, stages, plants, found)
         points = [p.node.time_s for mine in plants for p in mine.each]
-        missed = {n: o.missed for n, (o, s) in judged.by_stage.items() if s.feasible and not o.feasible}
+        missed = {n: o.missed for n, (o, s) in judged.by_stage.items() if s.feasible and _can_do_better(o)}
         said = tuple(text for texts in missed.values() for text in texts)
-        rounds.append(Round(number, len(points), min(points), max(points), loss, judged.loss, said, interrupted))
+        missed = {n: texts for n, texts in missed.items() if n not in in_vain}
+        held_to = _texts(more, in_vain)
+        rounds.append(
+            Round(number, len(points), min(points), max(points), loss, judged.loss, said, interrupted, held_to)
+        )
         longer = loss is not None and (judged.loss is None or judged.loss.time_s > loss.time_s + LEAST_GAIN_S)
         if interrupted or number == ROUNDS or not (longer or (missed and judged.loss is None)):
             break
         again = None if loss is not None else set(missed)
+        for n in missed if judged.loss is None else ():
+            _tighten(more.setdefault(n, {}), judged.by_stage[n][0])
         flight, loss = judged.flight, judged.loss
         stages, plants = _problems(loaded, flight, loss)
     return CaseDesign(
@@ -181,6 +205,43 @@ def _searched(stage: LoadedCase, loss: Event | None, again: set[int] | None) -> 
     return replace(stage, case=stage.case.model_copy(update=changes))
 
 
+def _can_do_better(outcome: Outcome) -> bool:
+    """Return True if a limit is missed on which the search has an influence: any but those of the roll loop."""
+    alone = (*outcome.found, *outcome.dispersed_found)
+    short: dict[str, float] = {}
+    _tighten(short, outcome)
+    return bool(short) or any(not check.passed for check in alone)
+
+
+def _tighten(more: dict[str, float], outcome: Outcome) -> None:
+    """Add what is missing of each limit with the other axes closed to `more`."""
+    for key in COUPLED:
+        mine = [c for c in outcome.coupled_found if c.key in (f"coupled_{axis}_{key}" for axis in ("pitch", "yaw"))]
+        short = [c.wanted - float(c.values[c.worst]) for c in mine if not c.passed]
+        if (most := max(short, default=0.0)) > 0.0:
+            more[key] = more.get(key, 0.0) + most + BEYOND
+
+
+def _tightened(stage: LoadedCase, more: Mapping[str, float]) -> LoadedCase:
+    """Return the case with its limits raised by `more`."""
+    limits = stage.case.limits
+    raised = limits.model_copy(update={key: getattr(limits, key) + by for key, by in more.items()})
+    return replace(stage, case=stage.case.model_copy(update={"limits": raised}))
+
+
+def _with_limits(solution: Solution, stage: LoadedCase) -> Solution:
+    """Return a solution with the limits of its case in place of those that the search was held to."""
+    return replace(solution, case=solution.case.model_copy(update={"limits": stage.case.limits}))
+
+
+def _texts(more: Mapping[int, Mapping[str, float]], in_vain: Collection[int]) -> tuple[str, ...]:
+    """Return in words how far beyond the limits of the case the searches were held, at most."""
+    most = {key: max((by.get(key, 0.0) for by in more.values()), default=0.0) for key in COUPLED}
+    named = ((QUANTITIES[key], by) for key, by in most.items() if by > 0.0)
+    texts = [f"{about.label} held to {by:.4f} {about.unit} more" for about, by in named]
+    return (*texts, *["without a design that meets this, so that the last one stays"] * bool(in_vain))
+
+
 @dataclass(frozen=True)
 class _Judged:
     design: Design
@@ -200,7 +261,12 @@ def _judged(
         if (n := mine.each[0].node.stage) in found:
             own = stage if loss is not None else replace(stage, flight=flight)
             solution = found[n] if loss is not None else along(own, found[n])
-            by_stage[n] = judge_solution(own, solution, design), solution
+            outcome = judge_solution(own, solution, design)
+            if loss is None:
+                times_s = [node.time_s for node in solution.nodes]
+                together = [m for m in margins_of_all_axes(flight, design, times_s, own.case) if m.stable]
+                outcome = replace(outcome, coupled_found=multiloop_checks(together, outcome.wanted))
+            by_stage[n] = outcome, solution
     missed = [n for n, (outcome, _) in by_stage.items() if not outcome.feasible]
     return _Judged(make_design(loaded, *found.values(), missed=missed), flight, loss, by_stage)
 

@@ -19,7 +19,6 @@ from maxq.design.case.basis import Basis, stated_basis
 from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictures
 from maxq.design.loop.fixed_path import Cut, Kind, fixed_path
 from maxq.design.margins.measure import margins
-from maxq.design.margins.multiloop import MultiloopMargins, multiloop_margins
 from maxq.design.model.deviations import acting_at
 from maxq.design.model.node import Node, node_times, powered_flight, with_cuts
 from maxq.design.model.spread import campaign_of
@@ -27,7 +26,18 @@ from maxq.design.optimise.over_time import INSTANTS_S, instants_along
 from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.paper.nodes import PaperNode
 from maxq.design.verify.dispersed_limits import WorstOfBasis, worst_of_basis
-from maxq.design.verify.judging import Check, Judged, Wanted, checks, in_wind, judge, multiloop_checks, wind_checks
+from maxq.design.verify.judging import (
+    Check,
+    Judged,
+    Wanted,
+    checks,
+    flies_as_measured,
+    in_wind,
+    judge,
+    margins_of_all_axes,
+    multiloop_checks,
+    wind_checks,
+)
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.uncovered import Uncovered, uncovered
 from maxq.sim.files import check_writable, write_whole
@@ -92,7 +102,10 @@ def execute(order: AnalysisOrder) -> int:
             worst_s = {float(c.time_s[c.worst]) for c in stage_checks(every, design, basis, order.kind)}
             mine = [j for j in every if j.time_s in worst_s.union(points_s)]
             found = stage_checks(mine, design, basis, order.kind)
-            together = all_axes(scenario, design, [j.time_s for j in mine], order, progress)
+            here = basis.model_copy(update={"loop": order.kind, "errata": order.errata, "plant": order.plant})
+            count = len(mine)
+            show_axes = lambda n, of=count: progress.show("measuring all axes together", n, of)  # noqa: E731  # short
+            together = margins_of_all_axes(scenario, design, [j.time_s for j in mine], here, show_axes)
             coupled = multiloop_checks(together, Wanted.of(basis.limits))
             worst, off = dispersed_checks(scenario, every, points_s, design, basis, order, progress)
             stage_called = stage_name(scenario.vehicle, stage)
@@ -122,20 +135,6 @@ def execute(order: AnalysisOrder) -> int:
     verdict = analysis_verdict(groups, loss)
     tell(verdict)
     return Exit.OK if verdict.startswith("PASSED") else Exit.FAILED
-
-
-def all_axes(
-    scenario: LoadedScenario, design: Design, times_s: Sequence[float], order: AnalysisOrder, progress: Progress
-) -> list[MultiloopMargins]:
-    """Margins of all axes together; none of a vehicle or a computer other than what flies."""
-    if not flies_as_measured(order):
-        return []
-    out = []
-    progress.show("measuring all axes together", 0, len(set(times_s)))
-    for loop in api.multiloops(scenario, design, times_s):
-        out.append(multiloop_margins(loop))
-        progress.show("measuring all axes together", len(out), len(set(times_s)))
-    return out
 
 
 def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenario, Design]:
@@ -169,7 +168,7 @@ def dispersed_checks(
 
     Vehicles are searched for on the sampled loop of what flies only; between the points where limits hold there.
     """
-    if basis.robust is None or not flies_as_measured(order):
+    if basis.robust is None or not flies_as_measured(order.kind, order.errata, order.plant):
         return None, []
     at = [j.node for j in judged if j.time_s in points_s]
     beside = [j.node for j in judged if j.time_s not in points_s]
@@ -179,11 +178,6 @@ def dispersed_checks(
     limits = basis.model_copy(update={"limits": basis.robust.limits})
     found = stage_checks(judge(worst.nodes, design, order.kind), design, limits, order.kind)
     return worst, [replace(c, key=f"dispersed_{c.key}", text=f"{c.text}, dispersed", short=c.heading) for c in found]
-
-
-def flies_as_measured(order: AnalysisOrder) -> bool:
-    """Return True for the simulator's loop and plant, on which all axes and dispersed vehicles are measured."""
-    return (order.kind, order.errata, order.plant) == ("sampled", "corrected", "flown")
 
 
 # the design's own basis
@@ -264,7 +258,8 @@ def judged_by_text(
     parts += [f"held between them ({between} instants)"] if between else []
     if any(b.robust is not None for b in bases.values()):
         searched = "and those of dispersed vehicles at the worst found"
-        parts.append(searched if flies_as_measured(order) else "of the nominal vehicle, not of its dispersed ones")
+        flies = flies_as_measured(order.kind, order.errata, order.plant)
+        parts.append(searched if flies else "of the nominal vehicle, not of its dispersed ones")
     stated = len({t for basis in bases.values() for t in basis.nodes_s or ()})
     others = [
         f"{getattr(order, key)} {option}, designed for {getattr(first, key_of)}"

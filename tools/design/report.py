@@ -142,7 +142,7 @@ def case_report(outcome: Outcome, solution: Solution) -> str:
     ]
     off, flown = outcome.dispersed_found, outcome.flown_found
     return _joined(
-        head, limits_table(outcome.found),
+        head, limits_table([*outcome.found, *outcome.coupled_found]),
         limits_table(off, f"limits of {len(off[0].values)} dispersed plants") if off else [],
         limits_table(flown, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
         way_out_table(solution), design_table(design), search_table(solution), wind_table(outcome),
@@ -471,7 +471,7 @@ def case_record(outcome: Outcome, solution: Solution) -> dict[str, Any]:
         "constraints": [asdict(x) for x in solution.constraints],
         "bounds": [asdict(x) for x in solution.bounds],
         "way_out": way_out_record(solution) if solution.status == "infeasible" else None,
-        "limits": checks_record(outcome.found),
+        "limits": checks_record([*outcome.found, *outcome.coupled_found]),
         "limits_as_flown": checks_record(outcome.flown_found),
         "limits_dispersed": checks_record(outcome.dispersed_found),
         "in_wind": {
