@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from maxq.sim.campaign.read import ACCURACY, LoadedCampaign, load_campaign
-from maxq.sim.campaign.targets import Change, Dispersed, find_target
+from maxq.sim.campaign.targets import Change, Dispersed, Refused, find_target
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
@@ -106,6 +106,18 @@ def test_no_dispersion_is_the_scenario_itself(tmp_path: Path) -> None:
     assert campaign.scenario_of(3).scenario == campaign.base.scenario
     everything = campaignkit.small(tmp_path, "all")
     assert everything.changed({}).scenario == everything.base.scenario
+
+
+def test_a_draw_of_a_scenario_with_wind_flies_in_still_air() -> None:
+    """The worst vehicle of a campaign in wind flies the scenario of its design, which has none."""
+    windy, still = load_scenario("nominal", ["wind.profile=winds/anheung-november.csv"]), load_scenario("nominal")
+    wind = Change(find_target(windy.scenario, "wind.profile.speed_mps"), "scale", "wind")
+    thrust = Change(find_target(windy.scenario, "vehicle.stage.0.engine.thrust_factor"), "set", "thrust")
+    dispersed = Dispersed(still.scenario, [wind, thrust])
+    expected = load_scenario("nominal", ["vehicle.stage.0.engine.thrust_factor=1.02"])
+    assert packed_bytes(LoadedScenario(dispersed({"thrust": 1.02}), "", ())) == packed_bytes(expected)
+    with pytest.raises(Refused, match=r"wind\.profile\.speed_mps: the scenario has no such section"):
+        dispersed({"wind": 0.5})
 
 
 def test_integrator_and_noise_settings_reach_every_run(tmp_path: Path) -> None:

@@ -197,12 +197,28 @@ def _rebuilt(at: Any, node: Any, values: Mapping[Any, Any]) -> Any:
         change = node[0]
         value = values.get(change.draw, at)
         return int(value) if change.target.kind == "integer" and change.draw in values else value
+    if at is None:
+        return _absent(node, values)
     if isinstance(at, CsvTable):
         return _changed_table(at, node, values)
     out: Any = {alias: at.__dict__[n] for alias, n in _names(type(at)).items()} if isinstance(at, Section) else list(at)
     for part, below in node.items():
         out[part] = _rebuilt(out[part], below, values)
     return out if isinstance(at, Section) else tuple(out)
+
+
+def _absent(node: Any, values: Mapping[Any, Any]) -> None:
+    """Accept that a scenario lacks an optional section, such as the wind, if no draw changes it.
+
+    The scenario is not always the campaign's own: the vehicle of a draw also flies in the calm air of its design.
+    Raises Refused for a result that has nowhere to go.
+    """
+    if isinstance(node, list):
+        if any(change.draw in values for change in node):
+            raise Refused(f"{node[0].target.key}: the scenario has no such section")
+    else:
+        for below in node.values():
+            _absent(below, values)
 
 
 def _changed_table(table: CsvTable, node: dict[str, list[Change]], values: Mapping[Any, Any]) -> CsvTable:
