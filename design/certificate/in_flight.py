@@ -24,7 +24,7 @@ from maxq.design.certificate.excitation import SHARE_OF_BURST, gimbal_injection
 from maxq.design.certificate.held_flight import fast_rows, with_ideal_converters
 from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, UNEXPLAINED, decibels, degrees
 from maxq.design.model.instruments import Plane
-from maxq.design.model.node import Span, powered_spans, spans_of, with_swings
+from maxq.design.model.node import Node, Span, powered_spans, spans_of, with_swings
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import FlightRun
@@ -68,20 +68,28 @@ class InFlightResponse:
 
 
 def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: Plane) -> list[InFlightResponse]:
-    """Measure around each time. Two ascents serve all times: one without excitation, one excited throughout."""
+    """Measure around each time.
+
+    Two ascents serve all times of a stage: one without excitation, one excited from the stage's ignition on. The stages
+    before it fly without excitation, whose rest an airframe that coasts unstable would let grow until control is lost.
+    """
     if loaded.design is None:
         raise ValueError(f"{loaded.label}: there is no design to measure")
-    by_period: dict[float, list[float]] = {}
+    by_stage: dict[int, list[Node]] = {}
     for node in api.nodes(loaded, times_s, plane=plane):
-        by_period.setdefault(node.instruments.sample_s, []).append(node.time_s)
-    if len(by_period) > 1:  # of stages with computers of their own
-        return [found for times in by_period.values() for found in in_flight_response(loaded, times, plane)]
-    (sample_s,) = by_period
+        by_stage.setdefault(node.stage, []).append(node)
+    if len(by_stage) > 1:
+        groups = [[node.time_s for node in nodes] for nodes in by_stage.values()]
+        return [found for times in groups for found in in_flight_response(loaded, times, plane)]
     whole = powered_spans(loaded)
     for time_s in times_s:
         _window(time_s, whole)  # refused before it is flown
+    ((first_node, *_),) = by_stage.values()
+    sample_s = first_node.instruments.sample_s
+    start_s = round(min(span.begin_s for span in whole if any(map(span.holds, times_s))), 9)
     lines = np.array(LINES_HZ)
-    signal = gimbal_injection(plane, "multisine", math.radians(_amplitude_deg(loaded)), frequencies_hz=LINES_HZ)
+    lasting = {"frequencies_hz": LINES_HZ, "start_s": start_s}
+    signal = gimbal_injection(plane, "multisine", math.radians(_amplitude_deg(loaded)), **lasting)
     end_s = max(times_s) + 0.5 * WINDOW_S
     quiet, excited = (_flown(loaded, signals, plane, end_s, sample_s) for signals in ((), (signal,)))
     spans = [Span(a.stage, a.begin_s, min(a.end_s, b.end_s)) for a, b in zip(quiet.spans, excited.spans, strict=False)]
