@@ -1,8 +1,10 @@
 """Kernels that are compiled for one vehicle's sizes fly the same bits as those for all vehicles."""
 
+import ast
 import dataclasses
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -90,6 +92,49 @@ def test_the_cache_follows_the_sources_wherever_they_lie(tmp_path, monkeypatch):
     (tmp_path / "run" / "sim" / "log").mkdir(parents=True)
     (tmp_path / "run" / "sim" / "log" / "writer.py").write_text("")
     assert list(kept_code._source_files()) == [here / "kept_code.py"]  # what holds no kernel compiles nothing anew
+
+
+DECORATORS = {"kernel", "formula", "routine", "disjoint_routine", "routine_beside", "entry", "from_python"}
+
+
+def modules_used(path: Path) -> set[str]:
+    """Modules of maxq from which the compiled functions of a file, or its constants, take a name."""
+    tree, origin = ast.parse(path.read_text()), dict[str, str]()
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("maxq."):
+            origin |= {name.asname or name.name: f"{node.module}:{name.name}" for name in node.names}
+    compiled = [
+        node
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef) and DECORATORS & {getattr(d, "id", "") for d in node.decorator_list}
+    ]
+    if not compiled:
+        return set()
+    constants = [node.value for node in tree.body if isinstance(node, ast.Assign | ast.AnnAssign) and node.value]
+    code = [*constants, *(line for function in compiled for line in function.body)]
+    annotations = [node.annotation for part in code for node in ast.walk(part) if isinstance(node, ast.AnnAssign)]
+    typing = {id(node) for annotation in annotations for node in ast.walk(annotation)}
+    names = {n.id for part in code for n in ast.walk(part) if isinstance(n, ast.Name) and id(n) not in typing}
+    return {origin[name] for name in names if name in origin}
+
+
+def test_all_that_compiled_code_is_made_of_counts_for_its_cache():
+    """By the syntax trees of all layers: files with compiled functions, and modules whose names these use."""
+    layers = Path(kept_code.__file__).resolve().parents[2]
+    sources = {path.relative_to(layers) for path in kept_code._source_files()}
+    files = [
+        p.relative_to(layers) for layer in ("control", "sim", "design", "tools") for p in (layers / layer).rglob("*.py")
+    ]
+    used = {path: modules_used(layers / path) for path in files if not {"dev", ".ns"} & set(path.parts)}
+    assert len([path for path, names in used.items() if names]) > 50
+    missing = set[tuple[str, str]]()
+    for path, names in used.items():
+        for name in names:
+            module, _, last = name.removeprefix("maxq.").partition(":")
+            inside = Path(module.replace(".", "/")) / f"{last}.py"  # a name may be a module
+            found = inside if (layers / inside).exists() else Path(module.replace(".", "/") + ".py")
+            missing |= {(str(each), name) for each in (path, found) if each not in sources}
+    assert missing == set()
 
 
 LAYOUTS = {"short": [("a", "f8"), ("b", "f8")], "long": [("c", "f8"), ("a", "f8"), ("b", "f8")]}

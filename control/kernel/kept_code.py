@@ -10,6 +10,7 @@ import errno
 import hashlib
 import io
 import os
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,33 +25,36 @@ from maxq.control.kernel.machine import own_cache
 if sys.platform != "win32":
     import fcntl
 
-_KERNEL_FREE = {
-    "scenario",
-    "log",
-    "packing",
-    "run",
-    "campaign",
-    "api.py",
-}  # of sim/: what no kernel takes anything from
+_KERNEL_FREE = {"scenario", "log", "packing", "run", "campaign", "api.py"}
+"""Parts of sim/ whose constants no kernel takes."""
+_COMPILED = re.compile(rb"^@(?:kernel|formula|(?:disjoint_)?routine|routine_beside|entry|from_python)\b", re.MULTILINE)
 
 
-def _source_files() -> tuple[Path, ...]:
-    """Python sources that may hold a kernel or a constant that one uses, wherever they are installed."""
-    layers = Path(__file__).resolve().parents[2]
-    held = (sorted((layers / layer).rglob("*.py")) for layer in ("control", "sim"))
-    # design/ and tools/ hold no others
-    named = ("margins/*.py", "loop/own_part.py", "model/jacobian.py")
-    alone = [p for each in named for p in sorted((layers / "design").glob(each))]
-    of_layers = (p for paths in held for p in paths if not _KERNEL_FREE.intersection(p.relative_to(layers).parts))
-    return (*alone, *of_layers)
+def _source_files() -> dict[Path, bytes]:
+    """Return the sources that hold a kernel, or a constant that one uses, wherever they are installed.
+
+    They are all of control/ and of what flies in sim/, and elsewhere below them and design/ each file that compiles
+    a function.
+    """
+    layers, found = Path(__file__).resolve().parents[2], dict[Path, bytes]()
+    for path in (path for layer in ("control", "sim", "design") for path in sorted((layers / layer).rglob("*.py"))):
+        source = path.read_bytes()
+        if _flies(path.relative_to(layers).parts) or _COMPILED.search(source):
+            found[path] = source
+    return found
+
+
+def _flies(parts: tuple[str, ...]) -> bool:
+    """Return True for a file of control/, and of sim/ outside of `_KERNEL_FREE`, by its path below the layers."""
+    return parts[0] != "design" and not _KERNEL_FREE.intersection(parts)
 
 
 def source_hash() -> str:
     """First 16 hex digits of the SHA-256 of all sources that may hold a kernel."""
     digest = hashlib.sha256()
-    for path in _source_files():
+    for path, source in _source_files().items():
         digest.update(path.name.encode())
-        digest.update(path.read_bytes())
+        digest.update(source)
     return digest.hexdigest()[:16]
 
 
