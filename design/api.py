@@ -29,7 +29,8 @@ from maxq.design.loop.loop import Loop
 from maxq.design.loop.multiloop import multiloops
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.instruments import Plane
-from maxq.design.model.node import Node, disperse, node_times, nodes_along
+from maxq.design.model.node import Node, disperse, nodes_along
+from maxq.design.model.powered import node_times
 from maxq.design.paper.errata import CORRECTED, PRESETS, Errata
 from maxq.design.paper.nodes import PaperNode, paper_nodes
 from maxq.design.paper.table2 import imposed, read_derivatives

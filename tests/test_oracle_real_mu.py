@@ -18,7 +18,8 @@ from maxq.design.loop.multiloop import multiloop
 from maxq.design.margins.multiloop import LOWEST_HZ
 from maxq.design.margins.real_mu import bound, descent, real_mu_upper
 from maxq.design.model.deviations import deviations_of
-from maxq.design.model.node import disperse, flown_run, flown_to
+from maxq.design.model.node import disperse
+from maxq.design.model.powered import flown_run, flown_to
 from maxq.design.model.spread import DEVIATIONS, Spread, campaign_of
 from maxq.design.verify.named_mu import Uncertain, stable_together, stable_within, uncertain
 from maxq.design.verify.suite import WorstWanted

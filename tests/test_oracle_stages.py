@@ -26,7 +26,8 @@ from maxq.design.certificate.measured_margins import (
 )
 from maxq.design.laws.design_file import design_text
 from maxq.design.margins.measure import margins
-from maxq.design.model.node import Span, node_times, nodes_along, powered_spans, spans_of
+from maxq.design.model.node import at_same_propellant_s, node_of, nodes_along
+from maxq.design.model.powered import Span, flown_run, flown_to, node_times, powered_spans, spans_of
 from maxq.design.optimise.solve import each_stage, solve
 from maxq.design.verify.judging import judge_solution, make_design
 from maxq.design.verify.suite import read_suite
@@ -276,3 +277,27 @@ def test_a_mode_that_aliases_is_held_with_a_finer_step(monkeypatch: pytest.Monke
     assert detuned() > 0.09
     coarse = certify_node(petrel.scenario(), node, names=())
     assert any(" at 20.6" in said for said in coarse.unexplained)
+
+
+@pytest.mark.parametrize(
+    ("stage", "changes"),
+    [
+        (0, [f"vehicle.stage.0.engine.{k}.mass_flow_factor={1.06 if k < 3 else 1.0}" for k in range(9)]),
+        (1, ["vehicle.stage.1.engine.mass_flow_factor=0.97"]),
+    ],
+)
+def test_a_node_is_met_with_its_propellant(stage: int, changes: list[str]) -> None:
+    """A throttled stage whose engines burn unlike, and one that burns slower: the whole mass is that of the node.
+
+    To the step of the flight, on which nodes lie, at a mass flow of under 1 % of the mass a second.
+    """
+    base = petrel.scenario()
+    time_s = (60.0, 150.0)[stage]
+    (node,) = petrel.nodes(time_s)
+    assert node.stage == stage
+    run = flown_run(petrel.scenario(*changes), faults=False)
+    at_s = at_same_propellant_s(run, base.scenario, node)
+    assert abs(at_s - time_s) > 0.5
+    met = node_of(run.packed, flown_to(run, at_s) / 1e9, stage)
+    step_s = 1e-9 * float(run.packed.parameters[0].timeline.step_ns)
+    assert met.vehicle.total_mass_kg == pytest.approx(node.vehicle.total_mass_kg, rel=0.01 * step_s)

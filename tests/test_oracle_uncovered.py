@@ -10,7 +10,8 @@ import numpy as np
 import petrelkit as petrel
 import pytest
 
-from maxq.design.model.node import flown_run, node_of, node_times, powered_flight
+from maxq.design.model.node import node_of
+from maxq.design.model.powered import flown_run, node_times, powered_flight
 from maxq.design.verify.uncovered import uncovered
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from maxq.design import api
-from maxq.design.model.node import powered_flight
+from maxq.design.model.powered import powered_flight
 from maxq.sim.run.flight import Event
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario

@@ -11,7 +11,8 @@ import layoutkit
 import pytest
 
 from maxq.design import api
-from maxq.design.model.node import loss_of, loss_text, node_times, nodes_along, powered_flight, spans_of
+from maxq.design.model.node import nodes_along
+from maxq.design.model.powered import loss_of, loss_text, node_times, powered_flight, spans_of
 from maxq.design.verify.judging import judge
 from maxq.design.verify.suite import read_suite
 from maxq.design.verify.verify import flight_of, flight_requirement

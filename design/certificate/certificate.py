@@ -18,7 +18,8 @@ from maxq.design.certificate.measured_margins import MARGIN_NAMES, LimitCycle, M
 from maxq.design.certificate.response import BANDS, FAULTY, NOISE, UNEXPLAINED, ResponseTable, RingLine
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.instruments import Plane
-from maxq.design.model.node import Node, node_times
+from maxq.design.model.node import Node
+from maxq.design.model.powered import node_times
 from maxq.sim.scenario.loader import LoadedScenario
 
 PLANES: tuple[Plane, ...] = ("pitch", "yaw")

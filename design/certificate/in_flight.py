@@ -24,7 +24,8 @@ from maxq.design.certificate.excitation import SHARE_OF_BURST, gimbal_injection
 from maxq.design.certificate.held_flight import fast_rows, with_ideal_converters
 from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, UNEXPLAINED, decibels, degrees
 from maxq.design.model.instruments import Plane
-from maxq.design.model.node import Node, Span, powered_spans, spans_of, with_swings
+from maxq.design.model.node import Node, with_swings
+from maxq.design.model.powered import Span, powered_spans, spans_of
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import FlightRun

@@ -31,7 +31,8 @@ from maxq.design.loop.fixed_path import delayed
 from maxq.design.loop.sampling import SampledPlant, sample
 from maxq.design.model.instruments import ACCELERATION, instruments_of
 from maxq.design.model.linearised import at_rest, linearise
-from maxq.design.model.node import flown_run, flown_to, node_of
+from maxq.design.model.node import node_of
+from maxq.design.model.powered import flown_run, flown_to
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels, zeros_and_poles
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import LoadedScenario

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +16,7 @@ from maxq.control.structures import Over
 from maxq.design.model.dispersion import NOMINAL, Dispersion, deviated, disperse_instruments, unlike_drives
 from maxq.design.model.held import Drives, FlightCondition, HeldStage, Trim, hold_stage, table_clock_s
 from maxq.design.model.instruments import Instruments, Plane, allocation_at, instruments_of
+from maxq.design.model.powered import flown_run, flown_to
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import (
     StabilityDerivatives,
@@ -29,17 +29,17 @@ from maxq.design.model.vehicle_at import (
     without_engine_inertia,
     without_lateral_air,
 )
-from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, TUMBLE
+from maxq.sim.flight.parameters import NEVER
 from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.flight import Event, KeptRows
-from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, IGNITION_NAME, FlightRun
-from maxq.sim.scenario.burn import Burn, burn_rate, stage_burns
+from maxq.sim.run.flight import KeptRows
+from maxq.sim.run.fly import FlightRun
+from maxq.sim.scenario.burn import stage_burns, table_time_s, when_spent_s
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.ranges import LONGEST_S
-from maxq.sim.scenario.schema_scenario import Log
+from maxq.sim.scenario.schema_scenario import Log, Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import Actuator
 from maxq.sim.vehicle.slosh import RING_DRAG
@@ -121,22 +121,22 @@ class Node:
 
     @cached_property
     def derivatives(self) -> StabilityDerivatives:
-        """Of the rigid vehicle with its liquid frozen. Raises ValueError at rest, where they are not defined."""
+        """Derivatives of the rigid vehicle with its liquid frozen. Raises ValueError at rest."""
         return stability_derivatives(self.held, self.condition, self.trim, self.plane, self.drives)
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
-        """Of each drive."""
+        """The actuator of each drive."""
         return self.instruments.actuators
 
     @property
     def actuator(self) -> Actuator:
-        """Of the first drive."""
+        """The actuator of the first drive."""
         return self.actuators[0]
 
     @property
     def gains(self) -> tuple[float, ...]:
-        """Of each drive: the largest angle of a group per command of the law."""
+        """The largest angle of a group per command of the law, of each drive."""
         moved = self.held.groups_that_follow(self.plane)
         return tuple(
             max((abs(self.allocation[group][0]) for group in groups if group in moved), default=0.0)
@@ -150,7 +150,7 @@ class Node:
         return min((a.angle_limit_rad / gain for a, gain in limits if gain > 0.0 and not a.ideal), default=math.inf)
 
     def scheduled(self, over: Over) -> float:
-        """What gains are scheduled over, at this instant of the flight, as the flight computer has it.
+        """Return the quantity that gains are scheduled over, as the flight computer has it at this instant.
 
         Raises ValueError for a node that was not flown and has no speed.
         """
@@ -163,7 +163,7 @@ class Node:
         return self.speed_mps if over == "speed_mps" else 0.5 * self.condition.density_kgpm3 * self.speed_mps**2
 
     def steps(self) -> list[Node]:
-        """The vehicle built up: rigid body, aerodynamics, slosh, engine inertia, bending; the last is the node itself.
+        """Return the vehicle built up: rigid body, air, slosh, engine inertia, bending; the last is the node itself.
 
         Without slosh the liquid is frozen at its bobs; without aerodynamics the axial force stays, since it sets the
         axial load on liquid and engine; without engine inertia the gimbal moves a massless engine.
@@ -175,137 +175,15 @@ class Node:
         return [*(dataclasses.replace(self, held=held) for held in (bare, frozen, light, stiff)), self]
 
     def with_(self, **deviations: Any) -> Node:
-        """The node with deviations, by the fields of `dispersion.Dispersion`."""
+        """Return the node with deviations, by the fields of `dispersion.Dispersion`."""
         return disperse(self, Dispersion(**deviations))
-
-
-@dataclass(frozen=True)
-class Span:
-    """A stretch of the flight, s on the vehicle clock, in which a stage is under thrust and off the pad."""
-
-    stage: int  # from 0
-    begin_s: float
-    end_s: float
-
-    def holds(self, time_s: float) -> bool:
-        return self.begin_s <= time_s <= self.end_s
-
-
-LOSSES = (CONTROL_LOST_NAME, EVENT_NAMES[TUMBLE], DIVERGED_NAME)
-"""Events from which on a flight gives no operating points."""
-
-
-def loss_of(events: Iterable[Event]) -> Event | None:
-    """Return the first event by which a flight is lost: control lost, a tumble or divergence; None without one."""
-    return min((e for e in events if e.name in LOSSES), key=lambda e: e.time_ns, default=None)
-
-
-def loss_text(loss: Event) -> str:
-    """Name a loss and its time: "control lost at 23.140 s"."""
-    return f"{loss.name.replace('_', ' ')} at {loss.time_s:.3f} s"
-
-
-def powered_flight(scenario: LoadedScenario, faults: bool = False) -> tuple[tuple[Span, ...], Event | None]:
-    """Fly without a log up to the last burnout, or to the loss: the powered span of each stage, and that loss.
-
-    The latest answers are kept, since spans, times and loss of one flight are asked for in turn.
-    """
-    for known, with_faults, found in tuple(_LATEST):
-        if known is scenario and with_faults == faults:
-            return found
-    answer = _powered_flight(scenario, faults)
-    _LATEST.append((scenario, faults, answer))
-    return answer
-
-
-_LATEST: deque[tuple[LoadedScenario, bool, tuple[tuple[Span, ...], Event | None]]] = deque(maxlen=4)
-
-
-def _powered_flight(scenario: LoadedScenario, faults: bool) -> tuple[tuple[Span, ...], Event | None]:
-    run, loss = flown_run(scenario, faults), None
-    last = len(run.packed.parameters) - 1
-    while not run.finished and loss is None and int(run.memory.clock.stage_burnout_ns[last]) < 0:
-        run.fly_segment()
-        loss = loss_of(run.events)
-    burnout_ns = int(run.memory.clock.stage_burnout_ns[last])
-    if loss is not None and 0 <= burnout_ns < loss.time_ns:
-        loss = None  # of the coast that follows
-    return spans_of(run.events, len(run.packed.parameters), run.now_s), loss
-
-
-def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
-    """Return the powered span of each stage that burns, in a flight without faults; they end where it is lost."""
-    return powered_flight(scenario)[0]
-
-
-def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, ...]:
-    """Return the powered spans up to `now_s` by the events of a flight of this number of stages.
-
-    No span contains a time after the loss of the flight.
-    """
-    found = list(events)
-    loss = loss_of(found)
-    now_s = now_s if loss is None else min(now_s, loss.time_s)
-    lift_off_s = next((e.time_s for e in found if e.name == "liftoff"), -math.inf)
-    out, end_s, burns_on = [], math.inf, False
-    for n in range(stages):
-        mine = [e for e in found if e.stage == (n + 1 if stages > 1 else 0)]
-        begin_s = next((e.time_s for e in mine if e.name == IGNITION_NAME), end_s if burns_on else math.inf)
-        end_s = min([now_s, *(e.time_s for e in mine if e.name in ("burnout", "separation"))])
-        burns_on = math.isfinite(begin_s) and all(e.name != "burnout" for e in mine)  # the stage after it continues
-        if max(begin_s, lift_off_s) < end_s:
-            out.append(Span(n, max(begin_s, lift_off_s), end_s))
-    return tuple(out)
-
-
-NODES_PER_STAGE = 11
-_FULL = 0.5  # share of a stage's largest thrust that nodes need
-EDGES = 0.05, 0.02  # shares of a span that nodes keep off its ends
-
-
-def node_times(
-    scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None,
-    edges: tuple[float, float] = EDGES,
-) -> tuple[float, ...]:  # fmt: skip  # three lines more otherwise
-    """Times of nodes that suit a flight: `count` in each stage (or one of them), evenly under full thrust; a single one
-    in the middle.
-
-    Stages whose engines cannot be moved have none. Raises ValueError where there is no stage left.
-    """
-    times: list[float] = []
-    stages = scenario.vehicle.stage
-    burns = stage_burns(stages, scenario.scenario.fault)
-    for span in powered_spans(scenario):
-        mine = stages[span.stage]
-        if stage in (None, span.stage) and any(engine.gimbal != "fixed" for engine in mine.engines):
-            full = full_thrust(mine, burns[span.stage])
-            begin, end = max(span.begin_s, full[0]), min(span.end_s, full[1])
-            first, last = begin + edges[0] * (end - begin), end - edges[1] * (end - begin)
-            chosen = np.linspace(first, last, count) if count > 1 else [0.5 * (first + last)]
-            times += [round(float(t), 3) for t in chosen]
-    if not times:
-        which = "no stage" if stage is None else f"stage {stage + 1} not"
-        raise ValueError(f"{scenario.label}: {which} under thrust by engines that can be moved; there is no node")
-    return tuple(times)
-
-
-def full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
-    """Return the first and last instant on the vehicle clock of half the largest thrust by the tables."""
-    tables = [engine.table for engine in stage.engines]
-    if any(len(table) == 1 for table in tables):
-        return -math.inf, math.inf
-    times = np.unique(np.concatenate([table["time_s"] for table in tables]))
-    thrust = sum(np.interp(times, table["time_s"], table["thrust_vacuum_N"], right=0.0) for table in tables)
-    ends = times[thrust >= _FULL * np.max(thrust)][[0, -1]]
-    begin, end = ends / burn_rate(stage) if burn.clock is None else burn.clock.when(ends)
-    return burn.start_s + float(begin), burn.start_s + float(end)
 
 
 def nodes_along(
     scenario: LoadedScenario, times_s: Iterable[float], plane: Plane = "pitch", faults: bool = False,
     refine: Callable[[FlightRun, Node], Node] = lambda run, node: node,
 ) -> list[Node]:  # fmt: skip  # seven lines otherwise
-    """Nodes at vehicle times (s) of a flight of the scenario, flown once and without a log.
+    """Return nodes at vehicle times (s) of a flight of the scenario, flown once and without a log.
 
     Speed, air and attitude are those flown, at the integrator's step nearest to each time; incidence and rotation
     are taken as zero, but for a vehicle with tables over incidence, which is taken at the flown angles, and ring
@@ -325,7 +203,7 @@ def nodes_along(
 
 
 def with_cuts(nodes: Sequence[Node], scenario: LoadedScenario) -> list[Node]:
-    """Nodes whose vehicles have the bending moment at the stations of their section loads among their outputs.
+    """Return nodes whose vehicles have the bending moment at the stations of their section loads among their outputs.
 
     The flight needs no section loads for that: its tables are packed once more with them.
     """
@@ -345,7 +223,7 @@ _SWING_LOG = Log(fast_hz=200.0, slow_hz=1.0, transform_hz=1.0)
 
 
 def with_swings(nodes: Sequence[Node], scenario: LoadedScenario, faults: bool = False) -> list[Node]:
-    """Nodes whose ring baffles damp as in a flight of the scenario, `SWING_PERIODS` about each: as `swing_rad` tells.
+    """Return nodes whose ring baffles damp as in a flight of the scenario, `SWING_PERIODS` about each (`swing_rad`).
 
     Only vehicles with rings are flown. The swing is that of both planes together.
     """
@@ -367,25 +245,25 @@ def with_swings(nodes: Sequence[Node], scenario: LoadedScenario, faults: bool = 
 
 
 def swing_window_s(node: Node) -> Array:
-    """Over which the swing of each pendulum is averaged, (pendulums,)."""
+    """Return the time over which the swing of each pendulum is averaged, s, (pendulums,)."""
     load = max(node.axial_load_mps2, 1e-9)
     return np.asarray(2.0 * np.pi * SWING_PERIODS * np.sqrt(node.vehicle.pendulums.length_m / load))
 
 
 def swing_rates_radps(run: FlightRun, rows: Array) -> Array:
-    """Of a flight's fast rows: angular rate of each pendulum in the body, both planes together, (rows, pendulums)."""
+    """Return the angular rate of each pendulum in the body, both planes together, (rows, pendulums) of fast rows."""
     pitch, yaw = (rows[:, slosh_columns(run, plane, "rate_degps")] for plane in ("pitch", "yaw"))
     return np.radians(np.hypot(pitch, yaw))
 
 
 def slosh_columns(run: FlightRun, plane: str, what: str = "deg") -> list[int]:
-    """Columns of a flight's fast rows with the swing of each tank's pendulum, deg, or its rate."""
+    """Return the columns of a flight's fast rows with the swing of each tank's pendulum, deg, or its rate."""
     names = [c.name for c in run.table.columns(FAST)]
     return [n for n, name in enumerate(names) if name.startswith("slosh") and name.endswith(f"{plane}_{what}")]
 
 
 def equivalent_swing(rate_radps: Array, omega_radps: float) -> float:
-    """Amplitude (rad) of a plane swing at a frequency for which rings are as good a linear damper as in a motion.
+    """Return the amplitude (rad) of a plane swing at a frequency in which rings damp as much as in a motion.
 
     The linear damper that dissipates as much is in proportion to mean(v^(5/2)) / mean(v^2) (docs/model.md, 5.9).
     """
@@ -427,13 +305,6 @@ def at_swing(node: Node, swing_rad: Array) -> Node:
     return dataclasses.replace(node, held=dataclasses.replace(node.held, swing_rad=swing_rad))
 
 
-def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> FlightRun:
-    """A flight at its start, by default without a log; on the grid of run.step_s, on which nodes lie."""
-    run = scenario.scenario.run.model_copy(update={"accuracy": None})
-    flown = scenario.scenario.model_copy(update={"run": run} | ({} if faults else {"fault": ()}))
-    return FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=log)
-
-
 def _node(run: FlightRun, time_s: float, plane: Plane) -> Node:
     at_ns = flown_to(run, time_s)
     stage = int(run.memory.clock.stage)
@@ -445,12 +316,20 @@ def _node(run: FlightRun, time_s: float, plane: Plane) -> Node:
     )
 
 
-def at_same_propellant_s(run: FlightRun, flown: Packed, node: Node) -> float:
-    """When a flight meets a node of another one (`flown`), whose engines may burn at another rate: vehicle clock."""
-    mine, other = (packed.parameters[node.stage].timeline for packed in (run.packed, flown))
-    start_ns = int(mine.stage_start_ns) if int(mine.stage_start_ns) < NEVER else round(1e9 * node.stage_start_s)
-    burnt_s = float(other.burn_rate) * (node.time_s - node.stage_start_s)
-    return start_ns / 1e9 + burnt_s / float(mine.burn_rate)
+def at_same_propellant_s(run: FlightRun, flown: Scenario, node: Node) -> float:
+    """Return the vehicle time at which a flight has burnt the propellant that the flight of a node (`flown`) has there.
+
+    Engines may burn at other rates, and throttled. Raises ValueError where the flight never burns as much.
+    """
+    n, scenario = node.stage, run.loaded.scenario
+    mine, other = (stage_burns(each.vehicle.stage, each.fault)[n] for each in (scenario, flown))
+    start_ns = int(run.packed.parameters[n].timeline.stage_start_ns)
+    start_s = start_ns / 1e9 if start_ns < NEVER else node.stage_start_s
+    spent_s = table_time_s(flown.vehicle.stage[n], other, node.time_s - node.stage_start_s)
+    at_s = start_s + when_spent_s(scenario.vehicle.stage[n], mine, spent_s)
+    if not math.isfinite(at_s):
+        raise ValueError(f"node at {node.time_s:g} s: the flight never burns the propellant that is gone there")
+    return at_s
 
 
 def met_by(node: Node, met: Node) -> Node:
@@ -461,45 +340,8 @@ def met_by(node: Node, met: Node) -> Node:
     return dataclasses.replace(node, condition=dataclasses.replace(met.condition, time_s=node.time_s), trim=met.trim)
 
 
-def flown_to(run: FlightRun, time_s: float) -> int:
-    """Fly on to the integrator's step nearest to a vehicle time, in ns.
-
-    Raises ValueError where no engine burns, and after the loss of the flight.
-    """
-    step_ns = int(run.packed.parameters[0].timeline.step_ns)
-    at_ns = round(time_s * 1e9 / step_ns) * step_ns
-    begins_s = run.now_s
-    if at_ns < round(begins_s * 1e9):
-        raise ValueError(f"node at {time_s:g} s: the flight begins at {begins_s:g} s; {_allowed(run)}")
-    if round(run.now_s * 1e9) < at_ns:
-        run.fly_segment(at_ns)
-    if round(run.now_s * 1e9) != at_ns:
-        events = ", ".join(f"{e.title} at {e.time_s:.4g} s" for e in run.events)
-        raise ValueError(f"node at {time_s:g} s: the flight ends at {run.now_s:.6g} s ({events or 'no events'})")
-    if (loss := loss_of(run.events)) is not None:
-        raise ValueError(
-            f"node at {time_s:g} s: the flight is lost before ({loss_text(loss)}); allowed are times before the loss"
-        )
-    held = run.memory.held
-    if held.on_pad == 1 or held.burning == 0:
-        why = "the vehicle is held down" if held.on_pad == 1 else "the engine does not burn"
-        raise ValueError(f"node at {time_s:g} s: {why}; {_allowed(run)}")
-    return at_ns
-
-
-def _allowed(run: FlightRun) -> str:
-    """Times under thrust, as the stages' timelines have them."""
-    spans: list[str] = []
-    for row in run.packed.parameters:
-        begin_ns, end_ns = int(row.timeline.burn_start_ns), int(row.timeline.burnout_ns)
-        if begin_ns < end_ns:
-            begin = f"{max(begin_ns, 0) / 1e9:.6g} s" if spans else "lift-off"
-            spans.append(f"{begin} to {f'{end_ns / 1e9:.6g} s' if end_ns < NEVER else 'the end'}")
-    return f"allowed are times under thrust: {', '.join(spans) or 'there are none'}"
-
-
 def surface_radii_m(stage: Stage, clock_s: float) -> tuple[float, ...]:
-    """Radius of the surface at rest in the tank of each pendulum; nan where the file does not tell it."""
+    """Return the radius of the surface at rest in the tank of each pendulum; NaN where the file does not state it."""
     out: list[float] = []
     for tank in stage.tank:
         radius = math.nan if tank.radius_m is None else tank.radius_m
@@ -512,7 +354,7 @@ def surface_radii_m(stage: Stage, clock_s: float) -> tuple[float, ...]:
 
 
 def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch") -> Node:
-    """Node at the state and time at which a packed flight stands."""
+    """Return the node at the state and time at which a packed flight stands."""
     air = evaluate_at(packed, packed.state, time_s).aux
     gravitation = air[GRAVITATION : GRAVITATION + 3]
     gravity = float(np.linalg.norm(gravitation))

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from maxq.design import api
-from maxq.design.model.node import Node, powered_spans
+from maxq.design.model.node import Node
+from maxq.design.model.powered import powered_spans
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.suite import Flown, LoadedSuite
 from maxq.sim.run.fly import fly

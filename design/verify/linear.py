@@ -35,7 +35,8 @@ from maxq.design.margins.measured_loop import measure_loop
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import Dispersion, stacked
 from maxq.design.model.held import FlightCondition, Trim
-from maxq.design.model.node import Node, at_same_propellant_s, disperse, flown_run, flown_to, met_by, node_of
+from maxq.design.model.node import Node, at_same_propellant_s, disperse, met_by, node_of
+from maxq.design.model.powered import flown_run, flown_to
 from maxq.design.quantities import MEASURED, SWEPT, Convention, LoopLimits
 from maxq.design.verify import suite
 from maxq.design.verify.memory import Memory, counted
@@ -159,7 +160,7 @@ def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, w
     propellant that it has in the flight as designed, so that an engine that burns faster meets it earlier. The vehicle
     does not deviate: that is what the random vehicles do. Raises ScenarioError where no run comes that far.
     """
-    flown = flown_run(campaign.base, faults=False).packed
+    flown = campaign.base.scenario.model_copy(update={"fault": ()})
     order = sorted(range(len(nodes)), key=lambda k: nodes[k].time_s)
 
     def fly_one(number: int) -> list[Met] | None:

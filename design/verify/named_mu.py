@@ -34,7 +34,8 @@ from maxq.design.loop.loop import Loop
 from maxq.design.loop.multiloop import Multiloop, multiloop
 from maxq.design.margins.real_mu import Scaling, real_mu_upper
 from maxq.design.model.deviations import Deviations, deviations_of
-from maxq.design.model.node import Node, disperse, flown_run, flown_to, with_drives_apart
+from maxq.design.model.node import Node, disperse, with_drives_apart
+from maxq.design.model.powered import flown_run, flown_to
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.packing.flight import Packed, pack_flight

@@ -22,7 +22,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from maxq.design.case.schema import LoadedCase
-from maxq.design.model.node import loss_text, powered_flight
+from maxq.design.model.powered import loss_text, powered_flight
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.search import Progress

@@ -19,7 +19,8 @@ from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
 from maxq.design.certificate.measured_only import MeasuredNode, measure_node
 from maxq.design.model.instruments import Plane
-from maxq.design.model.node import EDGES, Node, node_times, powered_spans
+from maxq.design.model.node import Node
+from maxq.design.model.powered import EDGES, node_times, powered_spans
 from maxq.design.verify import linear
 from maxq.design.verify.described import DescribedVehicles
 from maxq.design.verify.memory import Memory, counted

@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from maxq.design.model.node import EDGES, NODES_PER_STAGE
+from maxq.design.model.powered import EDGES, NODES_PER_STAGE
 from maxq.design.model.spread import Share, Spread
 from maxq.design.quantities import MEASURED, SWEPT, LoopLimits, violation
 from maxq.sim.campaign.schema import Campaign

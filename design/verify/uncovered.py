@@ -16,7 +16,8 @@ from itertools import pairwise
 import numpy as np
 
 from maxq.design.model.instruments import Plane
-from maxq.design.model.node import Span, flown_run, full_thrust, loss_of, node_of, powered_flight
+from maxq.design.model.node import node_of
+from maxq.design.model.powered import Span, flown_run, full_thrust, loss_of, powered_flight
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.burn import stage_burns
 from maxq.sim.scenario.loader import LoadedScenario

@@ -17,7 +17,7 @@ from pathlib import Path
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.certificate.in_flight import InFlightResponse
 from maxq.design.certificate.measured_only import MeasuredNode
-from maxq.design.model.node import loss_text, powered_flight
+from maxq.design.model.powered import loss_text, powered_flight
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify import flown, linear
 from maxq.design.verify.certified import certificate_requirements, measured_requirements

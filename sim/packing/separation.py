@@ -16,7 +16,7 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Method, fit
 from maxq.sim.packing.modes import ModeShapes, gauss, products, solved, spatial_shapes
 from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.scenario.burn import Burn, burn_rate
+from maxq.sim.scenario.burn import Burn, table_time_s
 from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.state import Sizes
@@ -41,7 +41,6 @@ class Part(NamedTuple):
 
 def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> Part:
     """At an instant of the stage's clock."""
-    table_s = burn_rate(stage) * time_s if burn.clock is None else float(burn.clock.at(np.array([time_s]))[1][0])
     bending, spatial = stage.bending, stage.spatial_modes
     sets = (
         bending.pitch_modes if bending is not None and sizes.pitch_modes > 0 else None,
@@ -49,7 +48,7 @@ def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> Part:
         spatial.modes if spatial is not None and sizes.spatial_modes > 0 else None,
     )
     last_s = max((float(modes.time_s[-1]) for modes in sets if modes is not None), default=0.0)
-    return Part(*sets, min(table_s, last_s), stage.interpolation)
+    return Part(*sets, min(table_time_s(stage, burn, time_s), last_s), stage.interpolation)
 
 
 @cached_by_identity

@@ -181,6 +181,16 @@ def stage_burns(stages: Sequence[Stage], faults: Sequence[Fault], liftoff_s: flo
     return tuple(out)
 
 
+def table_time_s(stage: Stage, burn: Burn, time_s: float) -> float:
+    """Return the clock of a stage's tables, the propellant spent, at an instant of its own clock."""
+    return burn_rate(stage) * time_s if burn.clock is None else float(burn.clock.at(np.array([time_s]))[1][0])
+
+
+def when_spent_s(stage: Stage, burn: Burn, table_s: float) -> float:
+    """Return the instant of a stage's clock at which that of its tables is `table_s`; infinite if it never is."""
+    return table_s / burn_rate(stage) if burn.clock is None else float(burn.clock.when(np.array([table_s]))[0])
+
+
 def _burnout_s(stage: Stage, clock: TableClock) -> float:
     """When the last thrust ends: 0 with constant thrust, as `thrust_end_s`."""
     end_s = thrust_end_s(stage)

@@ -20,7 +20,8 @@ from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictur
 from maxq.design.loop.fixed_path import Cut, Kind, fixed_path
 from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import acting_at
-from maxq.design.model.node import Node, node_times, powered_flight, with_cuts
+from maxq.design.model.node import Node, with_cuts
+from maxq.design.model.powered import node_times, powered_flight
 from maxq.design.model.spread import campaign_of
 from maxq.design.optimise.over_time import INSTANTS_S, instants_along
 from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db

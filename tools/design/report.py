@@ -19,7 +19,7 @@ from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.model.instruments import Plane
-from maxq.design.model.node import loss_text
+from maxq.design.model.powered import loss_text
 from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import RigidBody
 from maxq.design.verify.dispersed_limits import WorstOfBasis

@@ -26,7 +26,8 @@ from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.design_file import DESIGN_NAME, design_text, forget_pictures
 from maxq.design.laws.law import DesignedLaw
 from maxq.design.laws.schedule import UnsolvableError
-from maxq.design.model.node import Node, loss_text
+from maxq.design.model.node import Node
+from maxq.design.model.powered import loss_text
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.search import Progress as Watch
 from maxq.design.optimise.solution import Solution

@@ -1,0 +1,185 @@
+"""Flights that give operating points: their powered spans, their loss, the times of nodes, and flying up to them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, TUMBLE
+from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.flight import Event
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, IGNITION_NAME, FlightRun
+from maxq.sim.scenario.burn import Burn, stage_burns, when_spent_s
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_vehicle import Stage
+
+
+@dataclass(frozen=True)
+class Span:
+    """A stretch of the flight, s on the vehicle clock, in which a stage is under thrust and off the pad."""
+
+    stage: int  # from 0
+    begin_s: float
+    end_s: float
+
+    def holds(self, time_s: float) -> bool:
+        """Return True for a time within the span."""
+        return self.begin_s <= time_s <= self.end_s
+
+
+LOSSES = (CONTROL_LOST_NAME, EVENT_NAMES[TUMBLE], DIVERGED_NAME)
+"""Events from which on a flight gives no operating points."""
+
+
+def loss_of(events: Iterable[Event]) -> Event | None:
+    """Return the first event by which a flight is lost: control lost, a tumble or divergence; None without one."""
+    return min((e for e in events if e.name in LOSSES), key=lambda e: e.time_ns, default=None)
+
+
+def loss_text(loss: Event) -> str:
+    """Name a loss and its time: "control lost at 23.140 s"."""
+    return f"{loss.name.replace('_', ' ')} at {loss.time_s:.3f} s"
+
+
+def powered_flight(scenario: LoadedScenario, faults: bool = False) -> tuple[tuple[Span, ...], Event | None]:
+    """Fly without a log up to the last burnout, or to the loss: the powered span of each stage, and that loss.
+
+    The latest answers are kept, since spans, times and loss of one flight are asked for in turn.
+    """
+    for known, with_faults, found in tuple(_LATEST):
+        if known is scenario and with_faults == faults:
+            return found
+    answer = _powered_flight(scenario, faults)
+    _LATEST.append((scenario, faults, answer))
+    return answer
+
+
+_LATEST: deque[tuple[LoadedScenario, bool, tuple[tuple[Span, ...], Event | None]]] = deque(maxlen=4)
+
+
+def _powered_flight(scenario: LoadedScenario, faults: bool) -> tuple[tuple[Span, ...], Event | None]:
+    run, loss = flown_run(scenario, faults), None
+    last = len(run.packed.parameters) - 1
+    while not run.finished and loss is None and int(run.memory.clock.stage_burnout_ns[last]) < 0:
+        run.fly_segment()
+        loss = loss_of(run.events)
+    burnout_ns = int(run.memory.clock.stage_burnout_ns[last])
+    if loss is not None and 0 <= burnout_ns < loss.time_ns:
+        loss = None  # of the coast that follows
+    return spans_of(run.events, len(run.packed.parameters), run.now_s), loss
+
+
+def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
+    """Return the powered span of each stage that burns, in a flight without faults; they end where it is lost."""
+    return powered_flight(scenario)[0]
+
+
+def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, ...]:
+    """Return the powered spans up to `now_s` by the events of a flight of this number of stages.
+
+    No span contains a time after the loss of the flight.
+    """
+    found = list(events)
+    loss = loss_of(found)
+    now_s = now_s if loss is None else min(now_s, loss.time_s)
+    lift_off_s = next((e.time_s for e in found if e.name == "liftoff"), -math.inf)
+    out, end_s, burns_on = [], math.inf, False
+    for n in range(stages):
+        mine = [e for e in found if e.stage == (n + 1 if stages > 1 else 0)]
+        begin_s = next((e.time_s for e in mine if e.name == IGNITION_NAME), end_s if burns_on else math.inf)
+        end_s = min([now_s, *(e.time_s for e in mine if e.name in ("burnout", "separation"))])
+        burns_on = math.isfinite(begin_s) and all(e.name != "burnout" for e in mine)  # the stage after it continues
+        if max(begin_s, lift_off_s) < end_s:
+            out.append(Span(n, max(begin_s, lift_off_s), end_s))
+    return tuple(out)
+
+
+NODES_PER_STAGE = 11
+_FULL = 0.5  # share of a stage's largest thrust that nodes need
+EDGES = 0.05, 0.02  # shares of a span that nodes keep off its ends
+
+
+def node_times(
+    scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None,
+    edges: tuple[float, float] = EDGES,
+) -> tuple[float, ...]:  # fmt: skip  # three lines more otherwise
+    """Return times of nodes that suit a flight: `count` in each stage (or one of them), evenly under full thrust; a
+    single one in the middle.
+
+    Stages whose engines cannot be moved have none. Raises ValueError where there is no stage left.
+    """
+    times: list[float] = []
+    stages = scenario.vehicle.stage
+    burns = stage_burns(stages, scenario.scenario.fault)
+    for span in powered_spans(scenario):
+        mine = stages[span.stage]
+        if stage in (None, span.stage) and any(engine.gimbal != "fixed" for engine in mine.engines):
+            full = full_thrust(mine, burns[span.stage])
+            begin, end = max(span.begin_s, full[0]), min(span.end_s, full[1])
+            first, last = begin + edges[0] * (end - begin), end - edges[1] * (end - begin)
+            chosen = np.linspace(first, last, count) if count > 1 else [0.5 * (first + last)]
+            times += [round(float(t), 3) for t in chosen]
+    if not times:
+        which = "no stage" if stage is None else f"stage {stage + 1} not"
+        raise ValueError(f"{scenario.label}: {which} under thrust by engines that can be moved; there is no node")
+    return tuple(times)
+
+
+def full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
+    """Return the first and last instant on the vehicle clock of half the largest thrust by the tables."""
+    tables = [engine.table for engine in stage.engines]
+    if any(len(table) == 1 for table in tables):
+        return -math.inf, math.inf
+    times = np.unique(np.concatenate([table["time_s"] for table in tables]))
+    thrust = sum(np.interp(times, table["time_s"], table["thrust_vacuum_N"], right=0.0) for table in tables)
+    begin, end = times[thrust >= _FULL * np.max(thrust)][[0, -1]].tolist()
+    return burn.start_s + when_spent_s(stage, burn, begin), burn.start_s + when_spent_s(stage, burn, end)
+
+
+def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> FlightRun:
+    """Return a flight at its start, by default without a log; on the grid of run.step_s, on which nodes lie."""
+    run = scenario.scenario.run.model_copy(update={"accuracy": None})
+    flown = scenario.scenario.model_copy(update={"run": run} | ({} if faults else {"fault": ()}))
+    return FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=log)
+
+
+def flown_to(run: FlightRun, time_s: float) -> int:
+    """Fly on to the integrator's step nearest to a vehicle time, in ns.
+
+    Raises ValueError where no engine burns, and after the loss of the flight.
+    """
+    step_ns = int(run.packed.parameters[0].timeline.step_ns)
+    at_ns = round(time_s * 1e9 / step_ns) * step_ns
+    begins_s = run.now_s
+    if at_ns < round(begins_s * 1e9):
+        raise ValueError(f"node at {time_s:g} s: the flight begins at {begins_s:g} s; {_allowed(run)}")
+    if round(run.now_s * 1e9) < at_ns:
+        run.fly_segment(at_ns)
+    if round(run.now_s * 1e9) != at_ns:
+        events = ", ".join(f"{e.title} at {e.time_s:.4g} s" for e in run.events)
+        raise ValueError(f"node at {time_s:g} s: the flight ends at {run.now_s:.6g} s ({events or 'no events'})")
+    if (loss := loss_of(run.events)) is not None:
+        raise ValueError(
+            f"node at {time_s:g} s: the flight is lost before ({loss_text(loss)}); allowed are times before the loss"
+        )
+    held = run.memory.held
+    if held.on_pad == 1 or held.burning == 0:
+        why = "the vehicle is held down" if held.on_pad == 1 else "the engine does not burn"
+        raise ValueError(f"node at {time_s:g} s: {why}; {_allowed(run)}")
+    return at_ns
+
+
+def _allowed(run: FlightRun) -> str:
+    """Return the times under thrust by the stages' timelines, for people."""
+    spans: list[str] = []
+    for row in run.packed.parameters:
+        begin_ns, end_ns = int(row.timeline.burn_start_ns), int(row.timeline.burnout_ns)
+        if begin_ns < end_ns:
+            begin = f"{max(begin_ns, 0) / 1e9:.6g} s" if spans else "lift-off"
+            spans.append(f"{begin} to {f'{end_ns / 1e9:.6g} s' if end_ns < NEVER else 'the end'}")
+    return f"allowed are times under thrust: {', '.join(spans) or 'there are none'}"
