@@ -208,7 +208,10 @@ def again(name: str) -> list[str]:
     ],
 )
 def test_a_shipped_design_is_made_again_by_its_line(name: str) -> None:
-    """The numbers to 1e-4: where the search ends depends on the last bits of the linear algebra."""
+    """The numbers to 1e-4: where the search ends depends on the last bits of the linear algebra.
+
+    Those of ksr3-ringed to 1e-3: its scenario flies the file itself, so that the first flight changes with the file.
+    """
     assert simdesign.main([*again(name), "--no-pictures", "--out", "again"]) == 0
     made, kept = (tomllib.loads(p.read_text()) for p in (Path("again/design.toml"), builtin_files("design")[name]))
     for each in (made, kept):
@@ -217,7 +220,7 @@ def test_a_shipped_design_is_made_again_by_its_line(name: str) -> None:
             stage["filter"]["quadratic"].sort(key=lambda section: section["zero_hz"])  # in any order
     numbers, expected = dict(leaves(made)), dict(leaves(kept))
     assert {k: v for k, v in numbers.items() if isinstance(v, float)} == pytest.approx(
-        {k: v for k, v in expected.items() if isinstance(v, float)}, rel=1e-4
+        {k: v for k, v in expected.items() if isinstance(v, float)}, rel=1e-3 if name == "ksr3-ringed" else 1e-4
     )
     assert {k: v for k, v in numbers.items() if not isinstance(v, float)} == {
         k: v for k, v in expected.items() if not isinstance(v, float)
