@@ -140,9 +140,10 @@ def test_all_that_compiled_code_is_made_of_counts_for_its_cache():
 LAYOUTS = {"short": [("a", "f8"), ("b", "f8")], "long": [("c", "f8"), ("a", "f8"), ("b", "f8")]}
 MANGLED = """
 import numpy, sys
-import maxq.control.kernel.jit
+from maxq.control.kernel.compilers import adapted_numba
 from numba.np.numpy_support import from_dtype
-print(*(from_dtype(numpy.dtype(fields, align=True)).mangling_args[1][0] for fields in {fields}))
+with adapted_numba:
+    print(*(from_dtype(numpy.dtype(fields, align=True)).mangling_args[1][0] for fields in {fields}))
 """
 
 

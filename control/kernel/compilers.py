@@ -31,15 +31,9 @@ from numba.core.typed_passes import (
 from numba.core.types.functions import BaseFunction
 from numba.core.typing import signature
 from numba.core.untyped_passes import FixupArgs, GenericRewrites, IRProcessing, ReconstructSSA, TranslateByteCode
-from numba.np import numpy_support
 
 from maxq.control.kernel.kept_code import load_objects
 from maxq.control.kernel.machine import cores
-
-# LLVM joins like operations that stand side by side into vector instructions: the same arithmetic, bit by bit;
-# measured, a twentieth of a flight's time. Numba looks at this whenever it compiles, so that it holds for all of the
-# process.
-numba.config.SLP_VECTORIZE = 1
 
 
 class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
@@ -122,35 +116,65 @@ def _link_into(module: Any, libraries: list[Any], apart: bool = False) -> list[_
     return late
 
 
-_find_type = BaseFunction.get_call_type
-
-
-def _known_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
-    """What Numba's own function returns for these arguments, looked for once: it tries its templates anew at every
-    addition. Measured, a fifth of a compilation.
-    """
-    if kws:
-        return _find_type(self, context, args, kws)
-    known = self.__dict__.setdefault("maxq_known", {})
-    if args not in known:
-        known[args] = _find_type(self, context, args, kws)
-    return known[args]
-
-
-BaseFunction.get_call_type = _known_type  # type: ignore[method-assign]  # of all of the process: a pure function
-
-# A record handed over from Python is typed by its layout, field by field, at every call: 2 ms for a flight computer's.
-numpy_support.from_struct_dtype = functools.cache(numpy_support.from_struct_dtype)  # a pure function, too
-
-
 @functools.cache
 def _mangled_layout(name: str) -> tuple[str, tuple[int]]:
     return "Record", (int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "big"),)
 
 
-# Names in machine code hold the layout of records. Numba writes a number that counts the records of a process, so that
-# code for other layouts, kept by other processes, can have the same name: the loader then takes the first of both.
-types.Record.mangling_args = property(lambda of: _mangled_layout(of.name))  # type: ignore[method-assign, assignment]
+class _AdaptedNumba:
+    """Changes to Numba that hold while a kernel compiles, under Numba's own lock of compilations.
+
+    Nothing of them is left for the other code of the process.
+
+    - `SLP_VECTORIZE`: LLVM joins like operations that stand side by side into vector instructions. The results are
+      the same bit by bit; measured, it saves a twentieth of a flight's time.
+    - `get_call_type`: the type of a call is looked up once for the same arguments. Numba tries its templates anew at
+      every addition; measured, that is a fifth of a compilation.
+    - `mangling_args`: names in machine code hold the layout of a record. Numba writes a number that counts the records
+      of a process, so that code for other layouts, kept by other processes, can have the same name.
+    """
+
+    def __init__(self) -> None:
+        self._depth = 0
+        self._known: dict[tuple[int, Any, Any], Any] = {}
+        self._find_type = BaseFunction.get_call_type
+
+    def _changes(self) -> tuple[tuple[Any, str, Any], ...]:
+        find_type, known = self._find_type, self._known
+
+        def known_type(function: Any, context: Any, args: Any, named: Any) -> Any:
+            if named:
+                return find_type(function, context, args, named)
+            key = id(function), context, args
+            if key not in known:
+                known[key] = function, find_type(function, context, args, named)  # with what the identity belongs to
+            return known[key][1]
+
+        layout = property(lambda record: _mangled_layout(record.name))
+        return (
+            (numba.config, "SLP_VECTORIZE", 1),
+            (BaseFunction, "get_call_type", known_type),
+            (types.Record, "mangling_args", layout),
+        )
+
+    def __enter__(self) -> None:
+        self._depth += 1
+        if self._depth == 1:
+            self._find_type = BaseFunction.get_call_type
+            changes = self._changes()
+            self._before = [(owner, name, vars(owner)[name]) for owner, name, _ in changes]
+            for owner, name, value in changes:
+                setattr(owner, name, value)
+
+    def __exit__(self, *_: object) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            for owner, name, value in self._before:
+                setattr(owner, name, value)
+            self._known.clear()
+
+
+adapted_numba = _AdaptedNumba()
 
 _PASSES = (
     TranslateByteCode, FixupArgs, IRProcessing, GenericRewrites, ReconstructSSA,
@@ -179,7 +203,8 @@ class EntryCompiler(CompilerBase):  # type: ignore[misc]  # Numba has no types
         collecting = gc.isenabled()
         gc.disable()
         try:
-            return super()._compile_core()
+            with adapted_numba:
+                return super()._compile_core()
         finally:
             if collecting:
                 gc.enable()

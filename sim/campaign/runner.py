@@ -9,11 +9,8 @@ memory holds the batches under way, however many runs there are, and no worker w
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import json
 import math
-import sys
 import threading
 import time
 import zlib
@@ -22,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import count, islice, takewhile
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -42,7 +39,6 @@ from maxq.sim.scenario.schema_scenario import Requirement
 CHUNK = 8  # runs that a thread prepares, flies and judges together; fewer towards the end, so that all end together
 AHEAD = 2  # tasks for each worker that are submitted before they are needed
 _POLL_S = 0.2  # interval of progress reports and of queries whether to stop
-_MALLOC_OPTIONS = {-1: 64 << 20, -3: 32 << 20}  # of malloc.h: M_TRIM_THRESHOLD and M_MMAP_THRESHOLD, bytes
 _TRIES = 5  # of a batch whose workers die; Dask itself tries each one several times
 _SHARES = 4  # batches for each thread of a cluster, at least
 
@@ -215,9 +211,6 @@ def _fly(
         task.add_done_callback(landed.put)  # to look through all of a large cluster's tasks would take longer
 
     watch(progress)
-    frozen = gc.get_freeze_count() == 0  # else another has frozen what was there, and it stays so
-    if frozen:
-        gc.freeze()  # searching what is there already for garbage takes a hundredth of a campaign's time
     try:
         while not (settled or stopped):
             for task in islice(tasks, max(workers.ahead - len(flying), 0)):
@@ -239,8 +232,6 @@ def _fly(
             settled = not stopped and until_settled and progress.interim.settled()
             watch(progress)
     finally:
-        if frozen:
-            gc.unfreeze()
         workers.end()
     for task in flying:
         if task.done() and not task.cancelled() and task.exception() is None:
@@ -281,7 +272,6 @@ class Threads:
     def __init__(self, campaign: LoadedCampaign, workers: int) -> None:
         self._campaign, self._workers = campaign, workers
         self._stop = threading.Event()
-        self._switch_s = sys.getswitchinterval()
         self._pool = ThreadPoolExecutor(workers, thread_name_prefix="run")
         self.ahead = AHEAD * workers
 
@@ -291,7 +281,6 @@ class Threads:
     def begin(self, gaps: list[Gap]) -> Iterator[Future[list[Row]]]:
         """Load the kernels; an iterator that submits the next task."""
         if gaps:
-            _keep_freed_memory()
             load_kernels(self._campaign)
         return self._tasks(gaps)
 
@@ -299,7 +288,6 @@ class Threads:
         batches = ((self._campaign.plan.draw(first, size), first, size) for first, size in gaps)
         orders = ((drawn, run) for drawn, first, size in batches for run in range(first, first + size))
         left = sum(size for _, size in gaps)
-        sys.setswitchinterval(min(self._switch_s, 5e-4))  # a thread that comes back from the kernel waits no longer
         while chunk := list(islice(orders, min(max(left // (2 * self.ahead), 1), CHUNK))):
             left -= len(chunk)
             yield self._pool.submit(fly_rows, self._campaign, chunk, self._stop.is_set)
@@ -311,17 +299,6 @@ class Threads:
         """Cancel the tasks that have not begun, abandon those under way."""
         self._stop.set()
         self._pool.shutdown(cancel_futures=True)
-        sys.setswitchinterval(self._switch_s)
-
-
-@cache
-def _keep_freed_memory() -> None:
-    """Let glibc keep what is freed for the next flight, a few megabytes: to get each page from the system anew takes a
-    hundredth of a campaign's time. Other libraries are left as they are.
-    """
-    if sys.platform == "linux" and (set_option := getattr(ctypes.CDLL(None), "mallopt", None)) is not None:
-        for option, value in _MALLOC_OPTIONS.items():
-            set_option(option, value)
 
 
 def load_kernels(campaign: LoadedCampaign) -> None:
@@ -397,7 +374,6 @@ class Cluster:
 
 def fly_batch(packed: bytes, first: int, size: int) -> tuple[list[Row], dict[str, str]]:
     """The task: fly runs `first` .. `first + size - 1`. Returns their rows, and what flew them."""
-    _keep_freed_memory()
     campaign = _unpacked(packed)
     drawn = campaign.plan.draw(first, size)
     orders = [(drawn, run) for run in range(first, first + size)]

@@ -1,0 +1,70 @@
+"""maxq changes nothing for other code in its process: Numba, garbage collector and interpreter stay as they were."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from pathlib import Path
+from typing import Any
+
+import campaignkit
+import numba
+import pytest
+from numba.core import types
+from numba.core.types.functions import BaseFunction
+from numba.np import numpy_support
+
+from maxq.control.kernel.jit import entry, kernel
+from maxq.sim.campaign.runner import run_campaign
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import load_scenario
+
+
+def process_wide() -> dict[str, Any]:
+    """Return what a library could have changed for others."""
+    return {
+        "get_call_type": BaseFunction.get_call_type,
+        "from_struct_dtype": numpy_support.from_struct_dtype,
+        "mangling_args": types.Record.mangling_args,
+        "slp_vectorize": numba.config.SLP_VECTORIZE,
+        "frozen": gc.get_freeze_count(),
+        "collecting": gc.isenabled(),
+        "thresholds": gc.get_threshold(),
+        "switch_s": sys.getswitchinterval(),
+    }
+
+
+def test_numba_is_as_it_came() -> None:
+    """After the import of all that this file names, which compiles and loads kernels."""
+    fly(load_scenario("nominal", ["run.duration_s=1"]), log=False)
+    found = process_wide()
+    assert found["get_call_type"].__module__ == "numba.core.types.functions"
+    assert found["from_struct_dtype"].__module__ == "numba.np.numpy_support"
+    assert found["mangling_args"].fget.__module__ == "numba.core.types.npytypes"
+    assert found["slp_vectorize"] == 0
+
+
+def test_a_compilation_takes_its_changes_back() -> None:
+    """One that ends well, and one that fails half-way."""
+    before = process_wide()
+
+    @kernel
+    def doubled(x: float) -> float:
+        return 2.0 * x
+
+    def tripled(x: float) -> float:
+        return doubled(x) + x
+
+    def wrong(x: float) -> float:
+        return doubled(x) + "a"  # type: ignore[operator]  # meant
+
+    assert entry(tripled)(1.5) == 4.5
+    with pytest.raises(numba.TypingError):
+        entry(wrong)(1.5)
+    assert process_wide() == before
+
+
+def test_a_campaign_leaves_the_process_alone(tmp_path: Path) -> None:
+    before = process_wide()
+    run_campaign(campaignkit.small(tmp_path), tmp_path / "out", workers=2)
+    assert process_wide() == before
