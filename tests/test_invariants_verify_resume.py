@@ -46,7 +46,7 @@ file = "campaigns/ksr3"
 runs = 8
 set = ["run.duration_s=6.0", "campaign.keep=[]"]
 """
-PARTS = 2 + 1 + 3 + 1 + 2  # flights; instants; margins; slosh; certificate
+PARTS = 2 + 1 + 3 + 1 + 2 + 1  # flights; instants; margins; slosh; certificate; intervals that are not covered
 
 
 @pytest.fixture(scope="module")
