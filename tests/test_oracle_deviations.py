@@ -119,7 +119,7 @@ def test_the_loop_of_a_vehicle_is_that_of_its_run(plane: Any) -> None:
     node = node_of_campaign("campaigns/ksr3", BETWEEN_ROWS_S, plane)
     every, hz = deviations_of(campaign, node).drawn(range(8)), np.geomspace(0.05, 45.0, 200)
     law = api.law_at(design, node)
-    values, status = ManyLoops(node, law).measure(every, -6.0)
+    values, status = ManyLoops(node, law).measure(every, -6.0, distances=True)
     for run, by in enumerate(every):
         held, instruments = packed_as_flown(campaign, run, node)
         flown = Loop(fixed_path(dataclasses.replace(node, held=held, instruments=instruments)), law)

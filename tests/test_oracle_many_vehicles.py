@@ -166,7 +166,9 @@ def test_a_flight_of_its_own() -> None:
     every = drawn(node, 5, USUAL)
     values, status = ManyLoops(node, law).measure(every, -6.0, met)
     assert (status == DONE).all()
-    for by, row, distance in zip(every, margins_in(values), values["distance"], strict=True):
+    near, status = ManyLoops(node, law).measure(every, -6.0, met, distances=True)
+    assert (status == DONE).all()
+    for by, row, distance in zip(every, margins_in(values), near["distance"], strict=True):
         exact = measured(Loop(fixed_path(disperse(met, by)), law), -6.0)
         assert np.allclose(row, [exact[key] for key in SWEPT], rtol=0.0, atol=1e-4)
         loop = Loop(fixed_path(disperse(met, by)), law)

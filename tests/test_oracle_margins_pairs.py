@@ -23,7 +23,7 @@ from maxq.control.filters import BendingFilter, QuadraticSection
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
-from maxq.design.margins.bounds import Factors
+from maxq.design.margins.bounds import slopes, with_extremes
 from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import disperse
@@ -159,17 +159,17 @@ def test_bounds_of_slopes_hold_between_all_points(sample_s):
     at = np.concatenate([at, at.conj(), [-3.0, 0.4]])
     if sample_s is not None:
         at = np.exp(at * sample_s)
-    factors = Factors(at, np.where(rng.random(len(at)) < 0.5, 1.0, -1.0), sample_s)
+    factors = with_extremes(at, np.where(rng.random(len(at)) < 0.5, 1.0, -1.0), sample_s or 0.0)
     edges = np.sort(rng.uniform(0.01, 49.9, 40))
-    (least, most), (least_phase, most_phase) = factors.slopes(edges[:-1], edges[1:])
-    for k, (low, high) in enumerate(pairwise(edges)):
+    for low, high in pairwise(edges):
+        least, most, least_phase, most_phase = slopes(low, high, factors)
         t = 2.0 * np.pi * np.linspace(low, high, 4001) * (1.0 if sample_s is None else sample_s)
         x = 1j * t if sample_s is None else np.exp(1j * t)
         slope = np.diff(np.log(x[:, None] - at) * factors.sign, axis=0)
         slope.imag = (slope.imag + np.pi) % (2.0 * np.pi) - np.pi
         slope = slope.sum(axis=1) / np.diff(t)
         room = 1e-6 * (1.0 + np.abs(slope))  # rounding of the differences
-        assert (slope.real > least[k] - room).all()
-        assert (slope.real < most[k] + room).all()
-        assert (slope.imag > least_phase[k] - room).all()
-        assert (slope.imag < most_phase[k] + room).all()
+        assert (slope.real > least - room).all()
+        assert (slope.real < most + room).all()
+        assert (slope.imag > least_phase - room).all()
+        assert (slope.imag < most_phase + room).all()

@@ -133,6 +133,9 @@ class Odd:
 
     closed_poles = open_poles
 
+    def factors(self):
+        return None
+
 
 def test_bad_answers_are_named():
     with pytest.raises(ValueError, match=r"shape \(4,\), not \(2,\)"):
@@ -180,6 +183,21 @@ def test_lobes_are_named_and_judged():
     assert m.gain_up_db.value == second.gain_up_db
     strict = margins(loop, resonances=named, gain_stabilised_db=20.0)
     assert strict.lobes[1].stabilised == "phase"
+
+
+@pytest.mark.parametrize("rate", [12.0, 9.0])
+def test_lag_and_lead_of_a_lobe_that_lies_above_0_db(rate):
+    """Without a crossing inside the lobe they are the least over its points, here of a much denser curve."""
+    loop = ModalLoop.of([(-0.5, 100.0)], [(7.0, 0.02, rate, 0.0)])
+    (lobe,) = margins(loop, resonances=[resonance("slosh", 1, 7.0, 0.02)]).lobes
+    hz = np.linspace(lobe.low_hz, lobe.high_hz, 200_001)
+    values = loop.response(hz)
+    assert np.abs(values).min() > 1.0
+    lag = np.degrees(np.angle(-values)) % 360.0
+    assert lobe.lag_deg == pytest.approx(lag.min(), abs=1e-5)
+    assert lobe.lead_deg == pytest.approx((360.0 - lag).min(), abs=1e-5)
+    inside = (hz[lag.argmin()], hz[lag.argmax()])
+    assert any(lobe.low_hz < at < lobe.high_hz for at in inside)
 
 
 def test_a_conditionally_stable_lobe():

@@ -416,13 +416,13 @@ def image_points(poles_radps: ComplexArray, sample_s: float | None) -> ComplexAr
     The frequency (`own_part.centre_of`) is in the middle; a continuous path (`sample_s` None) has no other image.
     """
     rate_hz = 1.0 / (sample_s or 1e-300)
-    widths_hz = np.abs(poles_radps.real) / (2.0 * math.pi)
-    centres = [centre_of(folded_hz(p, rate_hz), w, 0.5 * rate_hz) for p, w in zip(poles_radps, widths_hz, strict=True)]
+    hz, widths_hz = poles_radps.imag / (2.0 * math.pi), np.abs(poles_radps.real) / (2.0 * math.pi)
+    centres = centre_of(folded_hz(hz, rate_hz), widths_hz, 0.5 * rate_hz)
     images = np.zeros(1)
     if sample_s is not None:
         most = IMAGES + math.ceil(np.abs(poles_radps).max() * sample_s / (2.0 * math.pi))
         images = np.arange(-most, most + 1) * rate_hz
-    return np.asarray(2j * np.pi * (np.array(centres)[:, None] + images))
+    return np.asarray(2j * np.pi * (centres[:, None] + images))
 
 
 def _integrated(

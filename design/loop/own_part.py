@@ -14,10 +14,14 @@ on one gyro multiplies both alike, so that the ratio belongs to the plant and no
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 import numpy as np
 
 from maxq.control.kernel.jit import formula
+from maxq.control.kernel.records import Array
+
+Real = TypeVar("Real", float, Array)
 
 BAND = 0.03  # of a mode's frequency: half width of the band in which its peak lies
 LEAST = 2.0  # half widths of the resonance that the band has at least
@@ -27,19 +31,20 @@ NEAREST_NYQUIST = 1.0 - 1e-6
 
 
 @formula
-def folded_hz(pole_radps: complex, rate_hz: float) -> float:
+def folded_hz(frequency_hz: Real, rate_hz: float) -> Real:
     """Return the frequency at which a pole shows in a loop sampled at `rate_hz`."""
-    hz = pole_radps.imag / (2.0 * math.pi)
-    return float(abs(hz - np.round(hz / rate_hz) * rate_hz))
+    folded: Real = np.abs(frequency_hz - np.round(frequency_hz / rate_hz) * rate_hz)
+    return folded
 
 
 @formula
-def centre_of(frequency_hz: float, half_width_hz: float, highest_hz: float) -> float:
+def centre_of(frequency_hz: Real, half_width_hz: Real, highest_hz: float) -> Real:
     """Return the frequency at which a mode is examined: the size of its folded pole, inside the loop's range.
 
     That differs from `frequency_hz` only where damping does not let the resonance stand out.
     """
-    return float(min(math.hypot(frequency_hz, half_width_hz), NEAREST_NYQUIST * highest_hz))
+    centre: Real = np.minimum(np.hypot(frequency_hz, half_width_hz), NEAREST_NYQUIST * highest_hz)
+    return centre
 
 
 @formula

@@ -105,6 +105,6 @@ def resonances(poles: list[NamedPole], below_zeta: float, sample_s: float | None
     for p in poles:
         if p.pole_radps.imag <= 0.0 or -p.pole_radps.real >= below_zeta * abs(p.pole_radps):
             continue
-        frequency_hz = folded_hz(p.pole_radps, 1.0 / (sample_s or 1e-300))
+        frequency_hz = float(folded_hz(p.pole_radps.imag / (2.0 * math.pi), 1.0 / (sample_s or 1e-300)))
         out.append(Resonance(p.kind, p.number, frequency_hz, p.pole_radps, highest_hz))
     return sorted(out, key=lambda r: r.frequency_hz)

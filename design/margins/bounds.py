@@ -15,16 +15,17 @@ touches zero rather than crosses it, as far as double precision tells.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.jit import routine
+from maxq.control.kernel.records import Array
 from maxq.design.loop.loop import OpenLoop
-from maxq.design.margins.curve import FLOOR
-from maxq.design.margins.response import sampled
-from maxq.design.margins.solving import TINY, from_minus_one_deg
+from maxq.design.margins.curve import FLOOR, merged
+from maxq.design.margins.response import TWO_PI, LoopResponse, reciprocal
+from maxq.design.margins.solving import TINY, angle, log_abs
 from maxq.design.model.state_space import ComplexArray
 
 NARROW = 1e-9
@@ -33,143 +34,181 @@ AGREES = 1e-3  # of ln L less its zeros and poles, along the curve: they are tho
 PROBES = 64  # points of the curve at which they are compared
 MOST_HALVINGS = 40
 
-Range = tuple[Array, Array]
 
+class Factors(NamedTuple):
+    """Zeros and poles of L in s, or in z at a period, (factors,): `sign` is +1 of a zero, -1 of a pole.
 
-@dataclass(frozen=True)
-class Factors:
-    """Zeros and poles of L, in s, or in z at a period."""
+    `period_s` is 0 for s. `size_at` and `phase_at`, (places, factors), are where the derivatives of ln |.| and of the
+    phase of each factor have extremes, in rad/s or as t = w T, and `size` and `phase` their values there.
+    """
 
     at: ComplexArray
-    sign: Array  # +1 of a zero, -1 of a pole
-    sample_s: float | None
+    sign: Array
+    period_s: float
+    size_at: Array
+    size: Array
+    phase_at: Array
+    phase: Array
 
-    @classmethod
-    def of(cls, loop: OpenLoop) -> Factors | None:
-        """None where they are not known, or without number."""
-        known = loop.factors()
-        if known is None:
-            return None
-        zeros, poles = known
-        gone: tuple[set[int], set[int]] = (set(), set())
-        near = np.abs(zeros[:, None] - poles) < CANCELLED * np.maximum(np.abs(poles), TINY)
-        for i, j in np.argwhere(near).tolist():
-            if i not in gone[0] and j not in gone[1]:
-                gone[0].add(i)
-                gone[1].add(j)
-        zeros, poles = np.delete(zeros, list(gone[0])), np.delete(poles, list(gone[1]))
-        sign = np.append(np.ones(len(zeros)), -np.ones(len(poles)))
-        return cls(np.concatenate([zeros, poles]), sign, loop.sample_s)
 
-    def angle(self, frequency_hz: Array) -> Array:
-        """w in rad/s, or t = w T."""
-        return 2.0 * np.pi * frequency_hz * (1.0 if self.sample_s is None else self.sample_s)
+def factors_of(loop: OpenLoop) -> Factors:
+    """Return the zeros and poles of a loop; none where they are not known, or without number."""
+    known = loop.factors()
+    if known is None:
+        return with_extremes(np.zeros(0, np.complex128), np.zeros(0), 0.0)
+    zeros, poles = known
+    gone: tuple[set[int], set[int]] = (set(), set())
+    near = np.abs(zeros[:, None] - poles) < CANCELLED * np.maximum(np.abs(poles), TINY)
+    for i, j in np.argwhere(near).tolist():
+        if i not in gone[0] and j not in gone[1]:
+            gone[0].add(i)
+            gone[1].add(j)
+    zeros, poles = np.delete(zeros, list(gone[0])), np.delete(poles, list(gone[1]))
+    sign = np.append(np.ones(len(zeros)), -np.ones(len(poles)))
+    return with_extremes(np.concatenate([zeros, poles]).astype(np.complex128), sign, loop.sample_s or 0.0)
 
-    def agree(self, frequency_hz: Array, loop: ComplexArray) -> NDArray[np.bool_]:
-        """Where along the curve L is the product of its factors, by a constant the same for most points."""
-        k = np.unique(np.linspace(0.0, len(loop) - 1.0, PROBES).astype(int))
-        t = self.angle(frequency_hz[k])
-        x = 1j * t if self.sample_s is None else np.exp(1j * t)
-        with np.errstate(all="ignore"):
-            left = np.log(loop[k]) - (self.sign * np.log(x[:, None] - self.at)).sum(axis=1)
-            size = np.abs(left.real - np.median(left.real)) < AGREES
-            same = np.abs(np.sin(left.imag - left.imag[:, None])) < AGREES
-        both = size & (same.sum(axis=0) > 0.5 * len(k))
-        return np.asarray(np.interp(np.arange(len(loop)), k, both) == 1.0)
 
-    def slopes(self, low_hz: Array, high_hz: Array) -> tuple[Range, Range]:
-        """Least and greatest derivative of ln |L| and of the phase over intervals in rising order."""
-        low, high = self.angle(low_hz), self.angle(high_hz)
-        ends = [self._terms(t) for t in (low, high)]
-        out = []
-        for part, places in zip((np.real, np.imag), self._extremes(), strict=True):
-            one, other = (part(end) * self.sign for end in ends)
-            least, most = np.minimum(one, other), np.maximum(one, other)
-            for at, value in places:
-                # intervals are apart or touch: at most one holds a place
-                k = np.searchsorted(low, at, side="right") - 1
-                j = np.flatnonzero((k >= 0) & (at > low[k]) & (at < high[k]))
-                signed = (value * self.sign)[j]
-                least[k[j], j] = np.minimum(least[k[j], j], signed)
-                most[k[j], j] = np.maximum(most[k[j], j], signed)
-            out.append((least.sum(axis=1), most.sum(axis=1)))
-        return out[0], out[1]
-
-    def _terms(self, t: Array) -> ComplexArray:
-        """(points, factors): derivative of ln of each factor."""
-        with np.errstate(all="ignore"):
-            if self.sample_s is None:
-                return np.asarray(1j / (1j * t[:, None] - self.at))
-            z = np.exp(1j * t)[:, None]
-            return np.asarray(1j * z / (z - self.at))
-
-    def _extremes(self) -> tuple[list[Range], list[Range]]:
-        """Of ln |.| and of the phase of each factor: places (factors,) and the values there."""
-        with np.errstate(all="ignore"):
-            if self.sample_s is None:
-                a, w = self.at.real, self.at.imag
-                top = 0.5 / np.abs(a)
-                return [(w + np.abs(a), top), (w - np.abs(a), -top)], [(w, -1.0 / a)]
-            r, u = np.abs(self.at), np.angle(self.at)
+def with_extremes(at: ComplexArray, sign: Array, period_s: float) -> Factors:
+    """Return zeros and poles with the places and values of the extremes of their derivatives."""
+    with np.errstate(all="ignore"):
+        if period_s == 0.0:
+            a, w = np.abs(at.real), at.imag
+            size_at, size = [w + a, w - a], [0.5 / a, -0.5 / a]
+            phase_at, phase = [w], [-1.0 / at.real]
+        else:
+            r, u = np.abs(at), np.angle(at)
             near, top = np.arccos(np.clip(2.0 * r / (1.0 + r * r), -1.0, 1.0)), r / np.abs(1.0 - r * r)
             # t lies from 0 to pi, u + near up to 2 pi and u - near down to -2 pi
-            size = [(u + near, top), (u - near, -top), (u + near - 2.0 * np.pi, top), (u - near + 2.0 * np.pi, -top)]
-            far = 1.0 / (1.0 + r)
-            return size, [(u, 1.0 / (1.0 - r)), (u + np.pi, far), (u - np.pi, far)]
+            size_at = [u + near, u - near, u + near - 2.0 * np.pi, u - near + 2.0 * np.pi]
+            size, far = [top, -top, top, -top], 1.0 / (1.0 + r)
+            phase_at, phase = [u, u + np.pi, u - np.pi], [1.0 / (1.0 - r), far, far]
+    return Factors(at, sign, period_s, np.array(size_at), np.array(size), np.array(phase_at), np.array(phase))
 
 
-def separated(loop: OpenLoop, f: Array, values: ComplexArray) -> tuple[Array, ComplexArray]:
+@routine
+def _agree(f: Array, loop: ComplexArray, by: Factors) -> NDArray[np.bool_]:
+    """Return where along the curve L is the product of its factors, by a constant the same for most points."""
+    n = len(f)
+    probes = np.unique(np.linspace(0.0, n - 1.0, PROBES).astype(np.int64))
+    m = len(probes)
+    size, turn, good = np.empty(m), np.empty(m), np.zeros(m, np.bool_)
+    for i in range(m):
+        x = _point(f[probes[i]], by.period_s)
+        size[i], turn[i] = log_abs(loop[probes[i]]), angle(loop[probes[i]])
+        for j in range(len(by.at)):
+            size[i] -= by.sign[j] * np.log(abs(x - by.at[j]))
+            turn[i] -= by.sign[j] * angle(x - by.at[j])
+    middle = np.median(size)
+    for i in range(m):
+        alike = 0
+        for k in range(m):
+            alike += 1 if abs(np.sin(turn[k] - turn[i])) < AGREES else 0
+        good[i] = abs(size[i] - middle) < AGREES and alike > 0.5 * m
+    out = np.zeros(n, np.bool_)
+    for i in range(m):
+        out[probes[i]] = good[i]
+        if i + 1 < m and good[i] and good[i + 1]:
+            out[probes[i] : probes[i + 1]] = True
+    return out
+
+
+@routine
+def _point(hz: float, period_s: float) -> complex:
+    """Return s, or z."""
+    if period_s == 0.0:
+        return complex(0.0, TWO_PI * hz)
+    return complex(np.exp(complex(0.0, TWO_PI * hz * period_s)))
+
+
+@routine
+def slopes(low_hz: float, high_hz: float, by: Factors) -> tuple[float, float, float, float]:
+    """Return the least and greatest derivative of ln |L| and of the phase over an interval, by w or t.
+
+    They are no numbers where an end of it lies on a zero or pole.
+    """
+    per_hz = TWO_PI * (by.period_s if by.period_s > 0.0 else 1.0)
+    low, high = low_hz * per_hz, high_hz * per_hz
+    left, right = _point(low_hz, by.period_s), _point(high_hz, by.period_s)
+    turn_left, turn_right = (1j * left, 1j * right) if by.period_s > 0.0 else (1j, 1j)
+    size_least = size_most = phase_least = phase_most = 0.0
+    for j in range(len(by.at)):
+        first, last = turn_left * reciprocal(left - by.at[j]), turn_right * reciprocal(right - by.at[j])
+        if np.isnan(first.real + last.real):
+            return np.nan, np.nan, np.nan, np.nan
+        least, most = min(first.real, last.real), max(first.real, last.real)
+        for k in range(len(by.size_at)):
+            if low < by.size_at[k, j] < high:
+                least, most = min(least, by.size[k, j]), max(most, by.size[k, j])
+        size_least += least if by.sign[j] > 0.0 else -most
+        size_most += most if by.sign[j] > 0.0 else -least
+        least, most = min(first.imag, last.imag), max(first.imag, last.imag)
+        for k in range(len(by.phase_at)):
+            if low < by.phase_at[k, j] < high:
+                least, most = min(least, by.phase[k, j]), max(most, by.phase[k, j])
+        phase_least += least if by.sign[j] > 0.0 else -most
+        phase_most += most if by.sign[j] > 0.0 else -least
+    return size_least, size_most, phase_least, phase_most
+
+
+@routine
+def separated(f: Array, loop: ComplexArray, by: Factors, source: LoopResponse) -> tuple[Array, ComplexArray]:
     """Return a curve with as many more points as it takes that no step hides two crossings of |L| = 1, or two of the
     negative real axis where |L| is above FLOOR.
 
     It is left alone where the zeros and poles of L are not known, or are not those of the curve.
     """
-    factors = Factors.of(loop)
-    if factors is None:
-        return f, values
-    agree = factors.agree(f, values)
-    open_ = np.flatnonzero(agree[1:] & agree[:-1])
+    if len(by.at) == 0:
+        return f, loop
+    agree = _agree(f, loop, by)
+    steps = np.flatnonzero(agree[1:] & agree[:-1])
     for _ in range(MOST_HALVINGS):
-        open_ = open_[f[open_ + 1] - f[open_] > NARROW * f[open_ + 1]]
-        if not len(open_):
+        middle, m = np.empty(len(steps)), 0
+        for k in steps:
+            if f[k + 1] - f[k] > NARROW * f[k + 1] and _unsettled(f[k], f[k + 1], loop[k], loop[k + 1], by):
+                middle[m] = 0.5 * (f[k] + f[k + 1])
+                m += 1
+        if m == 0:
             break
-        open_ = open_[_unsettled(factors, f, values, open_)]
-        middle = 0.5 * (f[open_] + f[open_ + 1])
-        f, values = np.insert(f, open_ + 1, middle), np.insert(values, open_ + 1, sampled(loop, middle))
-        first = open_ + np.arange(len(open_))
-        open_ = np.sort(np.concatenate([first, first + 1]))
-    return f, values
+        f, loop, places = merged(f, loop, middle[:m], source)
+        steps = np.sort(np.concatenate((places - 1, places)))
+    return f, loop
 
 
-def _unsettled(factors: Factors, f: Array, values: ComplexArray, k: IntArray) -> NDArray[np.bool_]:
-    """Which of the steps from point `k` may hide a pair."""
-    size, phase = factors.slopes(f[k], f[k + 1])
-    width = factors.angle(f[k + 1] - f[k])
-    gain = np.log(np.maximum(np.abs(values), TINY))
-    before = np.radians(from_minus_one_deg(values[k]))
-    turn = np.angle(values[k + 1] * np.conj(values[k]))
+@routine
+def _unsettled(low_hz: float, high_hz: float, first: complex, last: complex, by: Factors) -> bool:
+    """Return True for a step that may hide a pair."""
+    size_least, size_most, phase_least, phase_most = slopes(low_hz, high_hz, by)
+    width = (high_hz - low_hz) * TWO_PI * (by.period_s if by.period_s > 0.0 else 1.0)
+    gain, next_gain = log_abs(first), log_abs(last)
+    if _may_hide(gain, next_gain, size_least, size_most, width):
+        return True
+    if max(_greatest(gain, next_gain, size_least, size_most, width), gain) < np.log(FLOOR):
+        return False
     # the true turn is this one where no other fits into the bounds
-    ambiguous = (phase[1] - phase[0]) * width > np.pi
-    small = np.maximum(_greatest(gain[k], gain[k + 1], size, width), gain[k]) < np.log(FLOOR)
-    hidden = _may_hide(before, before + turn, phase, width) | ambiguous
+    if (phase_most - phase_least) * width > 0.5 * TWO_PI:
+        return True
+    before, turn = angle(-first), angle(last * first.conjugate())
     # a turn through the positive real axis is none through the negative one
-    for whole in (-2.0 * np.pi, 2.0 * np.pi):
-        hidden |= _may_hide(before + whole, before + turn + whole, phase, width)
-    return np.asarray(_may_hide(gain[k], gain[k + 1], size, width) | (hidden & ~small))
+    for whole in (0.0, -TWO_PI, TWO_PI):
+        if _may_hide(before + whole, before + turn + whole, phase_least, phase_most, width):
+            return True
+    return False
 
 
-def _greatest(first: Array, last: Array, slope: Range, width: Array) -> Array:
-    """Upper bound of a function over steps, from its ends and the bounds of its slope."""
-    low, high = slope
-    with np.errstate(divide="ignore", invalid="ignore"):
+@routine
+def _greatest(first: float, last: float, low: float, high: float, width: float) -> float:
+    """Return an upper bound of a function over a step, from its ends and the bounds of its slope."""
+    if low < 0.0 < high:
         peak = (high * last - low * first - low * high * width) / (high - low)
-    return np.where((low < 0.0) & (high > 0.0), np.nan_to_num(peak, nan=np.inf), np.maximum(first, last))
+        return np.inf if np.isnan(peak) else peak
+    return max(first, last)
 
 
-def _may_hide(first: Array, last: Array, slope: Range, width: Array) -> NDArray[np.bool_]:
-    """Whether a function with these ends may have more zeros in a step than its ends show."""
-    low, high = slope
-    turns = (low < 0.0) & (high > 0.0)
-    above = -_greatest(-first, -last, (-high, -low), width) > 0.0
-    below = _greatest(first, last, slope, width) < 0.0
-    return np.asarray(turns & ~above & ~below)
+@routine
+def _may_hide(first: float, last: float, low: float, high: float, width: float) -> bool:
+    """Return True where a function with these ends may have more zeros in a step than its ends show."""
+    if not low < 0.0 < high:
+        return False
+    return bool(
+        -_greatest(-first, -last, -high, -low, width) <= 0.0 and _greatest(first, last, low, high, width) >= 0.0
+    )

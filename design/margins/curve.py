@@ -24,7 +24,20 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.design.loop.loop import OpenLoop
 from maxq.design.margins import solving
 from maxq.design.margins.response import TWO_PI, LoopResponse, values_at
-from maxq.design.margins.solving import LOG_SIZE, SINE, angle, objectives
+from maxq.design.margins.solving import (
+    COMPLEMENTARY,
+    LAG_DEG,
+    LOG_SIZE,
+    MINUS_LOG_SIZE,
+    MINUS_SINE,
+    SENSITIVITY,
+    SINE,
+    SYMMETRIC,
+    TINY,
+    angle,
+    objective,
+    square,
+)
 from maxq.design.model.state_space import ComplexArray
 
 LOWEST_HZ = 1e-5  # a root slower than this (4 hours) is drift and not part of the loop's dynamics
@@ -44,6 +57,7 @@ OSCILLATING = 0.5  # damping ratio below which a pole gets points of its own
 LOWEST_PEAK = np.log(1e-3)  # peaks below -60 dB are not refined
 REACH = 4.0  # a minimum may lie lower than its parabola by this many times the parabola's drop
 
+TAN_TURN = float(np.tan(TURN_RAD))
 _RATIO = 1.0 + np.sqrt(2.0)
 _STEPS = 25
 IMPROPER, WINDING = 1, 2
@@ -216,8 +230,10 @@ def _grid(open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, 
 
 
 @routine
-def _turned(a: complex, b: complex) -> float:
-    return abs(angle(a * b.conjugate()))
+def _turned(a: complex, b: complex) -> bool:
+    """Return True where the angle between two values is larger than TURN_RAD."""
+    way = a * b.conjugate()
+    return bool(way.real < 0.0 or abs(way.imag) > TAN_TURN * way.real)
 
 
 @routine
@@ -231,8 +247,8 @@ def _refined(f: Array, loop: ComplexArray, source: LoopResponse) -> tuple[Array,
             if not fresh[k] or f[k + 1] - f[k] <= 1e3 * NARROW * f[k + 1]:
                 continue
             a, b = loop[k], loop[k + 1]
-            turned = _turned(b, a) if max(abs(a), abs(b)) > FLOOR else 0.0
-            if max(turned, _turned(1.0 + b, 1.0 + a)) > TURN_RAD:
+            seen = max(square(a), square(b)) > FLOOR * FLOOR
+            if (seen and _turned(b, a)) or _turned(1.0 + b, 1.0 + a):
                 coarse[k] = any_ = True
         if not any_:
             break
@@ -288,36 +304,61 @@ def is_bracket(value: Array, k: int) -> bool:
 
 
 @routine
-def with_extremes(f: Array, loop: ComplexArray, source: LoopResponse) -> tuple[Array, ComplexArray]:
+def _course(kind: int, loop: ComplexArray) -> Array:
+    """Return a function at each point that rises with an objective of L alone, and takes no logarithm."""
+    out = np.empty(len(loop))
+    for k in range(len(loop)):
+        size = square(loop[k])
+        if kind == MINUS_LOG_SIZE:
+            out[k] = -size
+        elif kind == LOG_SIZE:
+            out[k] = size
+        elif kind in (SINE, MINUS_SINE):
+            sine = loop[k].imag / np.sqrt(max(size, TINY))
+            out[k] = sine if kind == SINE else -sine
+        else:
+            by = 1.0 if kind == SENSITIVITY else size if kind == COMPLEMENTARY else square(1.0 - loop[k])
+            out[k] = square(1.0 + loop[k]) / max(by, TINY)
+    return out
+
+
+@routine
+def with_extremes(
+    f: Array, loop: ComplexArray, distances: int, source: LoopResponse
+) -> tuple[Array, ComplexArray]:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Return the curve with its turning points solved for and added.
 
-    They are the minima of |1 + L|, |1 + 1/L| and |1 + L|/|1 - L| that may be the least of all, the maxima of |L|,
-    and those of |L| and of the phase that may reach 1 and 180 degrees where the points of the grid do not.
+    They are the minima of the first `distances` of |1 + L|, |1 + 1/L| and |1 + L|/|1 - L| that may be the least of all,
+    the maxima of |L|, and those of |L| and of the phase that may reach 1 and 180 degrees where the points of the grid
+    do not.
     """
-    n, m, zones = len(f), 0, np.zeros((0, 3))
-    count = 7 * n
-    kinds, points, values = np.empty(count, np.int64), np.empty((count, 3)), np.empty((count, 3))
-    for kind in range(solving.CLEARANCE):
-        value = objectives(kind, loop, zones)
-        least = value.min()
+    n, m, none = len(f), 0, np.zeros((0, 3))
+    kinds, points, values = np.empty(7 * n, np.int64), np.empty((7 * n, 3)), np.empty((7 * n, 3))
+    for kind in range(LAG_DEG):
+        if distances <= kind <= SYMMETRIC:
+            continue
+        course = _course(kind, loop)
+        least = 0.0
+        if kind <= SYMMETRIC:
+            least = objective(kind, 0.0, loop[int(np.argmin(course))], none)
         for k in range(1, n - 1):
-            if not is_bracket(value, k):
+            if not is_bracket(course, k) or (kind >= SINE and not (course[k] > 0.0 and loop[k].real < 0.0)):
                 continue
-            here = value[k]
-            _, drop = solving.parabola(f[k - 1], f[k], f[k + 1], value[k - 1], here, value[k + 1])
+            for p in range(3):
+                points[m, p], values[m, p] = f[k - 1 + p], objective(kind, 0.0, loop[k - 1 + p], none)
+            here = values[m, 1]
+            _, drop = solving.vertex(f[k - 1], f[k], f[k + 1], values[m, 0], here, values[m, 2])
             reachable = here - REACH * drop
-            if kind <= solving.SYMMETRIC:
+            if kind <= SYMMETRIC:
                 worth = reachable <= least
-            elif kind == solving.MINUS_LOG_SIZE:
+            elif kind == MINUS_LOG_SIZE:
                 worth = here < -LOWEST_PEAK
             else:
-                worth = here > 0.0 and reachable < 0.0 and (kind == LOG_SIZE or loop[k].real < 0.0)
+                worth = here > 0.0 and reachable < 0.0
             if worth:
                 kinds[m] = kind
-                points[m, 0], points[m, 1], points[m, 2] = f[k - 1], f[k], f[k + 1]
-                values[m, 0], values[m, 1], values[m, 2] = value[k - 1], here, value[k + 1]
                 m += 1
-    found = solving.minima(kinds[:m], points[:m], values[:m], source, zones)
+    found = solving.minima(kinds[:m], points[:m], values[:m], source, none)
     f, loop, _ = merged(f, loop, found, source)
     return f, loop
 
@@ -398,9 +439,12 @@ def crossings(t: Trace, past: IntArray, source: LoopResponse) -> tuple[Crossings
     n, m, gains = len(f), 0, 0
     kinds, ends, values, way = np.empty(2 * n, np.int64), np.empty((2 * n, 2)), np.empty((2 * n, 2)), np.empty(2 * n)
     for kind in (LOG_SIZE, SINE):
-        value = objectives(kind, loop, zones)
+        course, level = _course(kind, loop), 1.0 if kind == LOG_SIZE else 0.0
         for k in range(n - 1):
-            a, b = value[k], value[k + 1]
+            # near the level the objective itself decides
+            if min(course[k], course[k + 1]) > level + NARROW or max(course[k], course[k + 1]) < level - NARROW:
+                continue
+            a, b = objective(kind, 0.0, loop[k], zones), objective(kind, 0.0, loop[k + 1], zones)
             if (a >= 0.0) == (b >= 0.0):
                 continue
             if kind == SINE:

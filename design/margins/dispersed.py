@@ -71,9 +71,10 @@ class ManyLoops:
         return controller_factors(self._nominal)
 
     def measure(
-        self, every: Sequence[Dispersion], peak_db: float, flight: Node | None = None
+        self, every: Sequence[Dispersion], peak_db: float, flight: Node | None = None, *, distances: bool = False
     ) -> tuple[NDArray[np.void], IntArray]:
-        """Return the margins of vehicles, (vehicles,) of many.MEASURES, and the status of each.
+        """Return the margins of vehicles, or with `distances` those alone, (vehicles,) of many.MEASURES with NaN for
+        all others, and the status of each.
 
         `flight`: the node as another flight meets it, of the same stage and with the same instruments.
         """
@@ -84,14 +85,16 @@ class ManyLoops:
             there = with_drives_apart(flight or self.node)
             for loops, which, met in ((self._apart, unlike, there), (self, ~unlike, flight)):
                 mine = [every[k] for k in np.flatnonzero(which).tolist()]
-                values[which], status[which] = loops.measure(mine, peak_db, met)
+                values[which], status[which] = loops.measure(mine, peak_db, met, distances=distances)
             return values, status
         for first in range(0, len(every), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
-            self._measure(stacked(every[part]), peak_db, flight or self.node, values[part], status[part])
+            self._measure(stacked(every[part]), peak_db, flight or self.node, distances, values[part], status[part])
         return values, status
 
-    def _measure(self, by: Dispersion, peak_db: float, node: Node, values: NDArray[np.void], status: IntArray) -> None:
+    def _measure(
+        self, by: Dispersion, peak_db: float, node: Node, distances: bool, values: NDArray[np.void], status: IntArray
+    ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
         period = self.node.instruments.sample_s
         delay = np.broadcast_to(np.maximum(node.instruments.delay_s + by.delay_s, 0.0), status.shape)
         poles, residues, owner, own_part, good = self._modes(node, by, delay)
@@ -108,7 +111,7 @@ class ManyLoops:
                 poles[which], residues[which], owner[which], own_part[which], period, whole[which], rest[which],
                 zeros, law_poles, gain, np.asarray(self.law.poles()).astype(np.complex128),
                 not self._nominal.fixed.rests_at_dc,
-                self._start(periods, bool(rests)), peak_db, found, stated,
+                self._start(periods, bool(rests)), peak_db, distances, found, stated,
             )  # fmt: skip  # fifteen lines otherwise
             values[which], status[which] = found, stated
 
@@ -135,12 +138,18 @@ class ManyLoops:
         return {}
 
     @cached_property
-    def _kept(self) -> tuple[IntArray, IntArray, list[str], int]:
-        """States and inputs of the vehicle that lie on the path, names of the former, and the row of the output."""
+    def _kept(self) -> tuple[IntArray, IntArray, IntArray, Array, int]:
+        """States and inputs of the vehicle that lie on the path, the code of each owner of states, its states (owners,
+        states), and the row of the output.
+        """
         body, plant = self._nominal.fixed.vehicle, self.node.plant
         states = np.array([plant.states.index(name) for name in body.states])
         inputs = np.array([plant.inputs.index(name) for name in body.inputs])
-        return states, inputs, list(body.states), plant.outputs.index("local_rate_radps")
+        owner = [owner_of(name) for name in body.states]
+        owners = list(dict.fromkeys(owner))
+        code = np.array([_KINDS.get(kind, 0) * number for kind, number in owners])
+        member = np.array([[one == o for one in owner] for o in owners], float)
+        return states, inputs, code, member, plant.outputs.index("local_rate_radps")
 
     def _modes(
         self, node: Node, by: Dispersion, delay_s: Array
@@ -149,10 +158,10 @@ class ManyLoops:
         modes (`resonance.Resonance.part` times the path), and where all of that is exact.
         """
         n = len(delay_s)
-        states, inputs, names, row = self._kept
+        states, inputs, code, member, row = self._kept
         drives, orders = self._drives
         held = deviated(node.held, node.plane, by, n)
-        a, b, c, _, _ = held.plants(node.condition, node.trim, node.plane, node.drives, levels=LEVELS)
+        a, b, c, _, _ = held.plants(node.condition, node.trim, node.plane, node.drives, levels=LEVELS, in_place=True)
         a, b, c = a[:, states[:, None], states], b[:, states[:, None], inputs], c[:, row, states]
         # states of unlike sizes: the same scaling for all, that of the vehicle as it is
         nominal = self._nominal.fixed.vehicle.a
@@ -204,7 +213,7 @@ class ManyLoops:
             all_poles.append(at)
             residues.append(residue * whole)
         owner = np.zeros((n, sum(p.shape[1] for p in all_poles)), np.int64)
-        owner[:, : poles.shape[1]] = _owners(names, poles, vectors, left)
+        owner[:, : poles.shape[1]] = _owners(code, member, poles, vectors, left)
         own_part = np.full(owner.shape, complex(np.nan, np.nan))
         swings = np.where(poles.imag > 0.0, owner[:, : poles.shape[1]], 0)
         timing, every = node.instruments, np.arange(n)
@@ -243,17 +252,19 @@ def _pair_of(omega: Array | float, zeta: Array | float, n: int) -> tuple[Complex
     return at, np.stack([square[..., 0] if np.ndim(square) else square] * 2, -1) / (at - at[:, ::-1])
 
 
-def _owners(names: list[str], poles: ComplexArray, vectors: ComplexArray, left: ComplexArray) -> IntArray:
-    """Which mode (+) or tank (-) each pole belongs to, as `resonance.vehicle_poles`, (vehicles, poles)."""
-    owners = list(dict.fromkeys(owner_of(name) for name in names))
-    code = np.array([_KINDS.get(kind, 0) * number for kind, number in owners])
+def _owners(
+    code: IntArray, member: Array, poles: ComplexArray, vectors: ComplexArray, left: ComplexArray
+) -> IntArray:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Return the mode (+) or tank (-) that each pole belongs to, as `resonance.vehicle_poles`, (vehicles, poles).
+
+    `code` of each owner, and its `member` states, (owners, states).
+    """
     share = np.abs(vectors * left.transpose(0, 2, 1))
-    member = np.array([[owner_of(name) == o for name in names] for o in owners], float)
     per_owner = np.einsum("os,vsp->vop", member, share)
     swinging = poles.imag > 0.0
     best = per_owner.argmax(axis=1)
     out = np.where(swinging, code[best], 0)
-    taken = ((best[:, None, :] == np.arange(len(owners))[:, None]) & swinging[:, None, :]).sum(axis=2)
+    taken = ((best[:, None, :] == np.arange(len(code))[:, None]) & swinging[:, None, :]).sum(axis=2)
     for v in np.flatnonzero((taken > 1).any(axis=1)):  # two for one: the assignment that has the most in sum
         at = np.flatnonzero(swinging[v])
         rows, which = scipy.optimize.linear_sum_assignment(per_owner[v][:, at].T, maximize=True)

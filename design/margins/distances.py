@@ -88,10 +88,10 @@ def least_distances(t: Trace) -> Array:
         value = objectives(kind, t.loop, none)
         k = int(np.argmin(value))
         out[kind, 0], out[kind, 1] = value[k], t.frequency_hz[k]
-        limit = objective(kind, complex(at_zero, 0.0), none)
+        limit = objective(kind, 0.0, complex(at_zero, 0.0), none)
         if limit <= out[kind, 0]:
             out[kind, 0], out[kind, 1] = limit, 0.0
-        limit = objective(kind, complex(last.real if t.slope_at_end == 0 else 0.0, 0.0), none)
+        limit = objective(kind, 0.0, complex(last.real if t.slope_at_end == 0 else 0.0, 0.0), none)
         if not t.finite_end and limit < out[kind, 0]:
             out[kind, 0], out[kind, 1] = limit, np.inf
     return out

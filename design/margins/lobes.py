@@ -18,17 +18,16 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.jit import routine
 from maxq.control.kernel.records import Array
-from maxq.design.loop.own_part import LEAST, NEAREST_NYQUIST, SHARE, attribution, dominance, peak_band
+from maxq.design.loop.own_part import LEAST, NEAREST_NYQUIST, attribution, dominance, peak_band
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins import solving
 from maxq.design.margins.curve import Crossings, Trace, merged
-from maxq.design.margins.response import LoopResponse, reciprocal, values_at
-from maxq.design.margins.solving import DB, TINY, angle, log_abs
+from maxq.design.margins.response import LoopResponse, values_at
+from maxq.design.margins.solving import DB, LAG_DEG, LOBE, TINY, angle, lag_of, lobe_excess, log_abs, objective
 from maxq.design.model.state_space import ComplexArray
 
 VALLEY = 0.5  # a minimum of |L| below this share of the peak ends a lobe
 LIGHT = 0.1  # damping ratio below which an unnamed pole makes a lobe
-SECTION, SECTIONS = 16, 5  # a lobe's end is searched among so many parts of a step, so many times: a millionth of it
 VISIBLE = 0.01  # an unnamed pole whose term is a smaller share of |L| than this makes none
 ROUNDING_DB = 1e-9  # of a crossing of |L| = 1 at the end of a lobe
 
@@ -123,7 +122,8 @@ def find_lobes(
     out = np.empty((n, len(COLUMNS)))
     if n == 0:
         return out
-    ends = _ends(t, strength, centre, width, source)
+    terms = np.stack((strength.real, strength.imag, centre, width), axis=1)
+    ends = _ends(t, terms, source)
     borders, bands = np.empty((n, 2)), np.empty((n, 2))
     for j in range(n):
         known = not np.isnan(part[j].real)
@@ -141,10 +141,12 @@ def find_lobes(
             borders[j, 1] = min(max(ends[j, 1], centre[j] + LEAST * width[j]), f[last])
     added = np.concatenate((borders.ravel(), bands.ravel(), centre))
     f, loop, _ = merged(f, loop, added, source)
+    modes = np.flatnonzero(~np.isnan(part.real))
     for j in range(n):
         _judge(f, loop, every, centre[j], borders[j, 0], borders[j, 1], limit_db, out[j], source)
         if not np.isnan(part[j].real):
-            _judge_mode(f, loop, every, strength, centre, width, part, j, bands[j], limit_db, out[j])
+            place = int(np.searchsorted(modes, j))
+            _judge_mode(f, loop, every, terms[modes], part[j], place, bands[j], limit_db, out[j])
         out[j, CONTRIBUTION], out[j, NUMBER] = share[j], kept[j]
     return out
 
@@ -178,19 +180,6 @@ def _strengths(
 
 
 @routine
-def _inside(hz: float, value: complex, strength: ComplexArray, centre: Array, width: Array, j: int) -> bool:
-    """Return True if the lobe's term is large against the rest and the largest of all."""
-    term = strength[j] * reciprocal(complex(1.0, (hz - centre[j]) / width[j]))
-    size = abs(term)
-    if size <= SHARE * abs(value - term):
-        return False
-    for other in range(len(strength)):
-        if abs(strength[other] * reciprocal(complex(1.0, (hz - centre[other]) / width[other]))) > size:
-            return False
-    return True
-
-
-@routine
 def _valley(loop: ComplexArray, k: int, deep: float) -> bool:
     """Return True for a deep minimum of |L| among the points of the curve."""
     here, n = abs(loop[k]), len(loop)
@@ -198,21 +187,20 @@ def _valley(loop: ComplexArray, k: int, deep: float) -> bool:
 
 
 @routine
-def _ends(t: Trace, strength: ComplexArray, centre: Array, width: Array, source: LoopResponse) -> Array:
-    """Return where the run of `_inside` between valleys that holds the centre ends, (lobes, 2), solved for between two
-    points of the curve; the centre twice without such a run.
+def _ends(t: Trace, terms: Array, source: LoopResponse) -> Array:
+    """Return where the run that holds the centre, between valleys and where the term is no longer large against the
+    rest and the largest of all, ends, (lobes, 2); the centre twice without such a run.
     """
-    f, loop, n, last = t.frequency_hz, t.loop, len(centre), len(t.frequency_hz) - 1
+    f, loop, n, last = t.frequency_hz, t.loop, len(terms), len(t.frequency_hz) - 1
     out = np.empty((n, 2))
     deep, borders = np.zeros(2 * n, np.int64), np.zeros(2 * n, np.int64)  # point of a valley; the first point outside
     for j in range(n):
-        out[j, 0] = out[j, 1] = centre[j]
-        nearest = 0
-        for k in range(last + 1):
-            if abs(f[k] - centre[j]) < abs(f[nearest] - centre[j]):
-                nearest = k
+        centre = terms[j, 2]
+        out[j, 0] = out[j, 1] = centre
+        after = min(max(np.searchsorted(f, centre), 1), last)
+        nearest = after if f[after] - centre < centre - f[after - 1] else after - 1
         depth = VALLEY * abs(loop[nearest])
-        if _valley(loop, nearest, depth) or not _inside(f[nearest], loop[nearest], strength, centre, width, j):
+        if _valley(loop, nearest, depth) or lobe_excess(j, f[nearest], loop[nearest], terms) < 0.0:
             continue
         for side in range(2):
             way, k = 2 * side - 1, nearest
@@ -225,7 +213,7 @@ def _ends(t: Trace, strength: ComplexArray, centre: Array, width: Array, source:
                     out[j, side] = f[k]
                     deep[2 * j + side] = k if 0 < k < last else 0
                     break
-                if not _inside(f[k], loop[k], strength, centre, width, j):
+                if lobe_excess(j, f[k], loop[k], terms) < 0.0:
                     borders[2 * j + side] = k + 1
                     break
     which = np.flatnonzero(deep)
@@ -240,31 +228,15 @@ def _ends(t: Trace, strength: ComplexArray, centre: Array, width: Array, source:
         for i in range(len(which)):
             out[which[i] // 2, which[i] % 2] = found[i]
     which = np.flatnonzero(borders)
-    outer, inner, x = np.empty(len(which)), np.empty(len(which)), np.empty(len(which) * (SECTION - 1))
+    across, ends, values = which // 2 + LOBE, np.empty((len(which), 2)), np.empty((len(which), 2))
     for i in range(len(which)):
-        k = borders[which[i]] - 1
-        outer[i], inner[i] = f[k], f[k + 1 - 2 * (which[i] % 2)]
-    for _ in range(SECTIONS if len(which) > 0 else 0):
-        for i in range(len(which)):
-            for p in range(1, SECTION):
-                x[i * (SECTION - 1) + p - 1] = outer[i] + (inner[i] - outer[i]) * p / SECTION
-        there = values_at(x, source)
-        for i in range(len(which)):
-            for p in range(1, SECTION):  # up to the first that is inside
-                k = i * (SECTION - 1) + p - 1
-                if _inside(x[k], there[k], strength, centre, width, which[i] // 2):
-                    inner[i] = x[k]
-                    break
-                outer[i] = x[k]
+        for p in range(2):  # outside, inside
+            k = borders[which[i]] - 1 + p * (1 - 2 * (which[i] % 2))
+            ends[i, p], values[i, p] = f[k], lobe_excess(which[i] // 2, f[k], loop[k], terms)
+    found = solving.roots(across, ends, values, source, terms)
     for i in range(len(which)):
-        out[which[i] // 2, which[i] % 2] = inner[i]
+        out[which[i] // 2, which[i] % 2] = found[i]
     return out
-
-
-@routine
-def lag_of(x: complex) -> float:
-    """Return the lag in [0, 360) deg that turns a value on to the phase of -1."""
-    return float(np.degrees(angle(-x)) % 360.0)
 
 
 @routine
@@ -298,38 +270,25 @@ def _judge(
 
 @routine
 def _judge_mode(
-    f: Array, loop: ComplexArray, every: Crossings, strength: ComplexArray, centre: Array, width: Array,
-    part: ComplexArray, j: int, band: Array, limit_db: float, out: Array,
+    f: Array, loop: ComplexArray, every: Crossings, modes: Array, part: complex, j: int, band: Array, limit_db: float,
+    out: Array,
 ) -> None:  # fmt: skip  # one line for each otherwise
-    """Enter peak, lag and lead of a bending mode: the peak in its band, the turns of the crossings that are its own."""
+    """Enter peak, lag and lead of a bending mode: the peak in its band, the turns of the crossings at which its term is
+    large against the rest and the largest of all `modes`, of which it is number j.
+    """
     begin, stop = np.searchsorted(f, band[0]), np.searchsorted(f, band[1], side="right")
     top = begin + int(np.argmax(np.abs(loop[begin:stop])))
-    out[PEAK_DB] = DB * (log_abs(loop[top]) + attribution(part[j]))
+    out[PEAK_DB] = DB * (log_abs(loop[top]) + attribution(part))
     out[PEAK_HZ], out[PEAK_PHASE] = f[top], np.degrees(angle(-loop[top]))
     lag = lead = np.inf
-    if dominance(part[j]) > 1.0:
+    if dominance(part) > 1.0:
         for k in range(len(every.gain_hz)):
-            if _owns(every.gain_hz[k], every.gain_loop[k], strength, centre, width, part, j):
+            if lobe_excess(j, every.gain_hz[k], every.gain_loop[k], modes) > 0.0:
                 turn = lag_of(every.gain_loop[k])
                 lag, lead = min(lag, turn), min(lead, 360.0 - turn)
     elif out[PEAK_DB] <= ROUNDING_DB - limit_db:
         out[GAIN_STABILISED] = 1.0
     out[LAG], out[LEAD] = lag, lead
-
-
-@routine
-def _owns(
-    hz: float, value: complex, strength: ComplexArray, centre: Array, width: Array, part: ComplexArray, j: int
-) -> bool:  # fmt: skip  # as ruff would, but for a line of one bracket
-    """Return True where the term of a bending mode is large against the rest and the largest of all modes."""
-    term = strength[j] * reciprocal(complex(1.0, (hz - centre[j]) / width[j]))
-    if abs(term) <= SHARE * abs(value - term):
-        return False
-    for i in range(len(strength)):
-        other = abs(strength[i] * reciprocal(complex(1.0, (hz - centre[i]) / width[i])))
-        if not np.isnan(part[i].real) and other > abs(term):
-            return False
-    return True
 
 
 @routine
@@ -346,26 +305,27 @@ def _turns(
             lag, lead = min(lag, turn), min(lead, 360.0 - turn)
     if np.isfinite(lag):
         return lag, lead
-    for _ in range(SECTIONS):
-        size, n = np.abs(loop), len(f)
-        level, least, most = min(1.0, size.max()), 0, 0
-        lag = lead = np.inf
-        for k in range(n):
-            if size[k] >= level:
-                turn = lag_of(loop[k])
-                if turn < lag:
-                    lag, least = turn, k
-                if 360.0 - turn < lead:
-                    lead, most = 360.0 - turn, k
-        if n < 2:
-            break
-        steps = np.unique(np.minimum(np.maximum(np.array([least, most, least - 1, most - 1]), 0), n - 2))
-        x = np.empty(len(steps) * (SECTION - 1))
-        for i in range(len(steps)):
-            for p in range(1, SECTION):
-                x[i * (SECTION - 1) + p - 1] = f[steps[i]] + (f[steps[i] + 1] - f[steps[i]]) * p / SECTION
-        f, loop, _ = merged(f, loop, x, source)
-    return lag, lead
+    size, m, none = np.abs(loop), 0, np.zeros((0, 3))
+    level, best = min(1.0, size.max()), np.full(2, np.inf)
+    kinds, points, values = np.empty(2, np.int64), np.empty((2, 3)), np.empty((2, 3))
+    for side in range(2):
+        kind, least = LAG_DEG + side, 0
+        for k in range(len(f)):
+            value = objective(kind, f[k], loop[k], none)
+            if size[k] >= level and value < best[side]:
+                best[side], least = value, k
+        if 0 < least < len(f) - 1 and min(size[least - 1], size[least + 1]) >= level:
+            kinds[m] = kind
+            for p in range(3):
+                k = least - 1 + p
+                points[m, p], values[m, p] = f[k], objective(kind, f[k], loop[k], none)
+            m += 1
+    found = solving.minima(kinds[:m], points[:m], values[:m], source, none)
+    there = values_at(found, source)
+    for i in range(m):
+        side = kinds[i] - LAG_DEG
+        best[side] = min(best[side], objective(kinds[i], found[i], there[i], none))
+    return best[0], best[1]
 
 
 @routine

@@ -41,6 +41,9 @@ def _nearest(f: Array, loop: ComplexArray, source: LoopResponse, distance: Array
     low = np.ones(n, np.bool_)
     for k in range(n):
         low[k] = (k == 0 or value[k] <= value[k - 1]) and (k == n - 1 or value[k] < value[k + 1])
+    m, least = 0, value.min()
+    kind = np.full(MINIMA, solving.SENSITIVITY, np.int64)
+    points, around = np.empty((MINIMA, 3)), np.full((MINIMA, 3), np.nan)
     for place in range(MINIMA):
         best = -1
         for k in range(n):
@@ -48,20 +51,21 @@ def _nearest(f: Array, loop: ComplexArray, source: LoopResponse, distance: Array
                 best = k
         if best < 0:
             break
-        hz = f[best : best + 1].copy()
-        if 0 < best < n - 1 and value[best] < 2.0 * value.min():
-            points, around = f[best - 1 : best + 2].copy(), np.log(value[best - 1 : best + 2])
-            kind = np.full(1, solving.SENSITIVITY, np.int64)
-            hz = solving.minima(kind, points.reshape(1, 3), around.reshape(1, 3), source, none)
-        distance[place], distance_hz[place] = abs(1.0 + values_at(hz, source)[0]), hz[0]
         low[best] = False
+        points[place] = f[best]
+        if 0 < best < n - 1 and value[best] < 2.0 * least:
+            points[place], around[place] = f[best - 1 : best + 2], np.log(value[best - 1 : best + 2])
+        m += 1
+    hz = solving.minima(kind[:m], points[:m], around[:m], source, none)  # those that are not numbers are left alone
+    near = np.abs(1.0 + values_at(hz, source))
+    distance[:m], distance_hz[:m] = near, hz
 
 
 @routine
 def margins_of_vehicle(
     poles: ComplexArray, residues: ComplexArray, owner: IntArray, own_part: ComplexArray, sample_s: float, whole: int,
     rest_s: float, zeros: ComplexArray, law_poles: ComplexArray, gain: float, law_radps: ComplexArray, integrates: bool,
-    start: ComplexArray, out: Any, peak_db: float,
+    start: ComplexArray, out: Any, peak_db: float, distances: bool,
 ) -> int:  # fmt: skip  # one line for each otherwise
     """Find the measures of one vehicle; return DONE, UNSTABLE or HANDED_BACK."""
     n = len(poles)
@@ -84,18 +88,22 @@ def margins_of_vehicle(
     t = curve.traced(open_, closed, curve.lowest_hz_of(open_), 0.5 / sample_s, source)
     if t.problem != 0 or not np.isfinite(np.abs(t.loop).sum()):
         return HANDED_BACK
-    f, loop = curve.with_extremes(t.frequency_hz, t.loop, source)
+    # the minima of |1 + L| are solved for by themselves
+    f, loop = curve.with_extremes(t.frequency_hz, t.loop, 0, source)
     t = curve.Trace(f, loop, t.slope_at_zero, t.at_zero, t.slope_at_end, t.finite_end, 0)
+    every_crossing, after, growing, encircled = measure.counted(t, open_, closed, source)
+    if distances:
+        _nearest(after.frequency_hz, after.loop, source, out.distance, out.distance_hz)
+    if growing > 0 or encircled != 0:
+        return UNSTABLE if growing > 0 and encircled > 0 else HANDED_BACK
+    if distances:
+        return DONE
     centre, width, own, whose = _resonances(poles, owner, own_part, 1.0 / sample_s)
     none = np.zeros(0, np.complex128)
     path = LoopResponse(sample_s, pairs, singles, direct, none, none, 1.0 / sample_s, whole + 1, 0, 0)
     part = own / values_at(centre, path)
-    after, _, growing, encircled, table, bounds, _ = measure.measured(
-        t, open_, closed, centre, width, part, whose < 0, -1.0, 0.0, source
-    )
-    _nearest(after.frequency_hz, after.loop, source, out.distance, out.distance_hz)
-    if growing > 0 or encircled != 0:
-        return UNSTABLE if growing > 0 and encircled > 0 else HANDED_BACK
+    table = lobes.find_lobes(after, every_crossing, centre, width, part, -1.0, 0.0, np.zeros(0), source)
+    bounds = measure.bounds_of(after, every_crossing, table, whose < 0)
     out.gain_up_db, out.gain_down_db = bounds[measure.GAIN_UP, 0], bounds[measure.GAIN_DOWN, 0]
     out.rigid_phase_deg, out.delay_s = bounds[measure.RIGID_PHASE, 0], bounds[measure.DELAY, 0]
     out.slosh_phase_deg = out.first_mode_phase_deg = np.inf
@@ -150,7 +158,7 @@ def _resonances(
     for i in range(len(poles)):
         p = poles[i]
         if owner[i] != 0 and p.imag > 0.0 and -p.real < _LIGHT * abs(p):
-            hz = folded_hz(p, fold)
+            hz = folded_hz(p.imag / TWO_PI, fold)
             if owner[i] > 0:
                 hz = centre_of(hz, abs(p.real) / TWO_PI, 0.5 * fold)
             centre[n], width[n], whose[n] = hz, max(abs(p.real) / TWO_PI, 1e-9 * hz), owner[i]
@@ -163,9 +171,10 @@ def _resonances(
 def measure_many(
     poles: ComplexArray, residues: ComplexArray, owner: IntArray, own_part: ComplexArray, sample_s: float, whole:
     IntArray, rest_s: Array, zeros: ComplexArray, law_poles: ComplexArray, gain: float, law_radps: ComplexArray,
-    integrates: bool, start: ComplexArray, peak_db: float, values: Any, status: IntArray,
+    integrates: bool, start: ComplexArray, peak_db: float, distances: bool, values: Any, status: IntArray,
 ) -> None:  # fmt: skip  # one line for each otherwise
-    """Margins of vehicles into `values` (vehicles,) of MEASURES, `status` (vehicles,): DONE, UNSTABLE or HANDED_BACK.
+    """Margins of vehicles, or with `distances` these alone, into `values` (vehicles,) of MEASURES, `status`
+    (vehicles,): DONE, UNSTABLE or HANDED_BACK.
 
     `poles` (vehicles, n) of the continuous path, rad/s, both of each pair, and its residues; `owner` of each: +k mode
     k, -k tank k, 0 nothing; `own_part` of the path at each mode's frequency (`own_part.centre_of`),
@@ -178,5 +187,5 @@ def measure_many(
         if status[v] != HANDED_BACK:
             status[v] = margins_of_vehicle(
                 poles[v], residues[v], owner[v], own_part[v], sample_s, whole[v], rest_s[v], zeros, law_poles, gain,
-                law_radps, integrates, start, values[v], peak_db,
+                law_radps, integrates, start, values[v], peak_db, distances,
             )  # fmt: skip  # sixteen lines otherwise

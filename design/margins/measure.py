@@ -15,7 +15,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.loop.loop import OpenLoop
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins import curve as curves
-from maxq.design.margins.bounds import separated
+from maxq.design.margins.bounds import Factors, factors_of, separated
 from maxq.design.margins.curve import Crossings, Curve, GainCrossings, PhaseCrossings, Trace
 from maxq.design.margins.distances import (
     NO_DISKS,
@@ -27,10 +27,10 @@ from maxq.design.margins.distances import (
     find_clearances,
     least_distances,
 )
-from maxq.design.margins.lobes import NUMBER, VISIBLE, Lobe, find_lobes, in_lobes, lag_of, lightly_damped, lobes_of
+from maxq.design.margins.lobes import NUMBER, VISIBLE, Lobe, find_lobes, in_lobes, lightly_damped, lobes_of
 from maxq.design.margins.packed import packed
 from maxq.design.margins.response import LoopResponse, asking
-from maxq.design.margins.solving import DB, log_abs
+from maxq.design.margins.solving import DB, lag_of, log_abs
 from maxq.design.model.state_space import ComplexArray
 
 DIAMOND = Zone("diamond", 30.0, 6.0)
@@ -137,15 +137,13 @@ def margins(
     slosh = np.array([r.kind == "slosh" for r in known], bool)
     numbers = packed(loop)
     with asking(loop) if numbers is None else nullcontext(numbers) as source:
-        t = _trace(open_poles, closed_poles, float(lowest_hz), end, source)
+        t = _trace(open_poles, closed_poles, float(lowest_hz), end, factors_of(loop), source)
         if t.problem == curves.IMPROPER:
             top = f"{abs(t.loop[-1]):.3g} at {t.frequency_hz[-1]:.3g} Hz"
             raise ValueError(f"the loop is improper: |L| grows without bound, {top}")
         if t.problem == curves.WINDING:
             said = f"{len(t.loop)} points up to {t.frequency_hz[-1]:.3g} Hz"
             raise ValueError(f"the loop's phase turns too often to be followed: {said}")
-        f, values = separated(loop, t.frequency_hz, t.loop)
-        t = t._replace(frequency_hz=f, loop=values)
         rows, share = as_rows(tuple(zones)), VISIBLE if named is None else -1.0
         found = _measure(
             t, open_poles, closed_poles, centre, width, part, slosh, share, gain_stabilised_db, rows, source
@@ -199,9 +197,13 @@ class Found(NamedTuple):
 
 
 @entry
-def _trace(open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, source: LoopResponse) -> Trace:
+def _trace(
+    open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, factors: Factors, source: LoopResponse
+) -> Trace:  # fmt: skip  # as ruff would, but for a line of one bracket
     t = curves.traced(open_, closed, lowest, end, source)
-    f, loop = curves.with_extremes(t.frequency_hz, t.loop, source)
+    f, loop = curves.with_extremes(t.frequency_hz, t.loop, 3, source)
+    if t.problem == 0:
+        f, loop = separated(f, loop, factors, source)
     return Trace(f, loop, t.slope_at_zero, t.at_zero, t.slope_at_end, t.finite_end, t.problem)
 
 
@@ -210,25 +212,25 @@ def _measure(
     t: Trace, open_: ComplexArray, closed: ComplexArray, centre: Array, width: Array, part: ComplexArray,
     slosh: NDArray[np.bool_], least_share: float, limit_db: float, zones: Array, source: LoopResponse,
 ) -> Found:  # fmt: skip  # one line for each otherwise
-    found = measured(t, open_, closed, centre, width, part, slosh, least_share, limit_db, source)
-    nearest = find_clearances(found[0], found[1], zones, source)
-    return Found(*found, nearest)
+    every, after, growing, encircled = counted(t, open_, closed, source)
+    on_axis = open_.imag[open_.real == 0.0] / (2.0 * np.pi)
+    table = find_lobes(after, every, centre, width, part, least_share, limit_db, on_axis, source)
+    bounds, nearest = bounds_of(after, every, table, slosh), find_clearances(after, every, zones, source)
+    return Found(after, every, growing, encircled, table, bounds, least_distances(after), nearest)
 
 
 @routine
-def measured(
-    t: Trace, open_: ComplexArray, closed: ComplexArray, centre: Array, width: Array, part: ComplexArray,
-    slosh: NDArray[np.bool_], least_share: float, limit_db: float, source: LoopResponse,
-) -> tuple[Trace, Crossings, int, int, Array, Array, Array]:  # fmt: skip  # one line for each otherwise
-    """Return the fields of `Found` but the last, from a curve with its turning points."""
+def counted(
+    t: Trace, open_: ComplexArray, closed: ComplexArray, source: LoopResponse
+) -> tuple[Crossings, Trace, int, int]:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Return the crossings of a curve with its turning points, the curve with them added, and the poles to the right
+    of the axis, from their list and from the encirclements.
+    """
     past = curves.steps_past_poles(t.frequency_hz, open_, closed)
     every, f, loop = curves.crossings(t, past, source)
     after = Trace(f, loop, t.slope_at_zero, t.at_zero, t.slope_at_end, t.finite_end, 0)
     growing = curves.growing_count(closed, 2.0 * np.pi * f[0])
-    encircled = curves.encirclement_count(after, every, past, t, open_)
-    on_axis = open_.imag[open_.real == 0.0] / (2.0 * np.pi)
-    table = find_lobes(after, every, centre, width, part, least_share, limit_db, on_axis, source)
-    return after, every, growing, encircled, table, bounds_of(after, every, table, slosh), least_distances(after)
+    return every, after, growing, curves.encirclement_count(after, every, past, t, open_)
 
 
 @routine

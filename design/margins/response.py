@@ -140,8 +140,7 @@ def values_at(f: Array, loop: LoopResponse) -> ComplexArray:
         if len(f) > 0:
             _ask(loop.ask, loop.token, f, out)
     else:
-        for k in range(len(f)):
-            out[k] = _value_at(f[k], loop)
+        _sum_terms(f, loop, out)
     return out
 
 
@@ -220,25 +219,53 @@ def by_pairs(
 
 
 @routine
-def _value_at(hz: float, loop: LoopResponse) -> complex:
-    half = 0.5 * TWO_PI * hz * loop.sample_s
-    sine = np.sin(half)
-    w = complex(-2.0 * sine * sine, 2.0 * sine * np.cos(half))
-    late = reciprocal(1.0 + w)
-    total = loop.direct[0] + loop.direct[1] * late
+def _sum_terms(f: Array, loop: LoopResponse, out: ComplexArray) -> None:
+    """Write L from its numbers. Each term is added at all frequencies in real arithmetic, which is vectorised."""
+    n = len(f)
+    real, imag, late_re, late_im, re, im = np.empty((6, n))
+    direct_0, direct_1 = loop.direct[0], loop.direct[1]
+    for k in range(n):
+        half = 0.5 * TWO_PI * f[k] * loop.sample_s
+        sine, cosine = np.sin(half), np.cos(half)
+        real[k], imag[k] = -2.0 * sine * sine, 2.0 * sine * cosine
+        # 1 / z, of size 1
+        late_re[k], late_im[k] = cosine * cosine - sine * sine, -2.0 * sine * cosine
+        re[k], im[k] = direct_0 + direct_1 * late_re[k], direct_1 * late_im[k]
     for i in range(len(loop.pairs)):
         p = loop.pairs[i]
-        total += (p[0] * w + p[1] + (p[2] * w + p[3]) * late) * reciprocal((w + p[4]) * w + p[5])
+        b0, a0, b1, a1, c1, c0 = p[0], p[1], p[2], p[3], p[4], p[5]
+        for k in range(n):
+            x, y = real[k], imag[k]
+            u, v = b1 * x + a1, b1 * y
+            top_re = b0 * x + a0 + u * late_re[k] - v * late_im[k]
+            top_im = b0 * y + u * late_im[k] + v * late_re[k]
+            below_re, below_im = (x + c1) * x - y * y + c0, (x + c1) * y + y * x
+            share = 1.0 / (below_re * below_re + below_im * below_im)
+            re[k] += (top_re * below_re + top_im * below_im) * share
+            im[k] += (top_im * below_re - top_re * below_im) * share
     for i in range(len(loop.singles)):
-        total += (loop.singles[i, 0] + loop.singles[i, 1] * late) * reciprocal(w - loop.singles[i, 2])
-    top, below = loop.gain + 0j, 1.0 + 0j
+        b0, b1, root = loop.singles[i, 0], loop.singles[i, 1], loop.singles[i, 2]
+        for k in range(n):
+            top_re, top_im, x, y = b0 + b1 * late_re[k], b1 * late_im[k], real[k] - root, imag[k]
+            share = 1.0 / (x * x + y * y)
+            re[k] += (top_re * x + top_im * y) * share
+            im[k] += (top_im * x - top_re * y) * share
     for i in range(len(loop.zeros)):
-        top = top * (w - loop.zeros[i])
+        root_re, root_im = loop.zeros[i].real, loop.zeros[i].imag
+        for k in range(n):
+            x, y = real[k] - root_re, imag[k] - root_im
+            re[k], im[k] = re[k] * x - im[k] * y, re[k] * y + im[k] * x
     for i in range(len(loop.poles)):
-        below = below * (w - loop.poles[i])
+        root_re, root_im = loop.poles[i].real, loop.poles[i].imag
+        for k in range(n):
+            x, y = real[k] - root_re, imag[k] - root_im
+            share = 1.0 / (x * x + y * y)
+            re[k], im[k] = (re[k] * x + im[k] * y) * share, (im[k] * x - re[k] * y) * share
     for _ in range(loop.periods):
-        top = top * late
-    return complex(total * top * reciprocal(below))
+        for k in range(n):
+            re[k], im[k] = re[k] * late_re[k] - im[k] * late_im[k], re[k] * late_im[k] + im[k] * late_re[k]
+    for k in range(n):
+        out[k] = complex(loop.gain * re[k], loop.gain * im[k])
 
 
 @routine

@@ -6,12 +6,17 @@ loop that Python answers costs much the same for one frequency as for twenty, so
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 
-from maxq.control.kernel.jit import routine
+from maxq.control.kernel.jit import formula, routine
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.margins.response import LoopResponse, values_at
+from maxq.design.loop.own_part import SHARE
+from maxq.design.margins.response import LoopResponse, reciprocal, values_at
 from maxq.design.model.state_space import ComplexArray
+
+Real = TypeVar("Real", float, Array)
 
 TINY = 1e-300  # lower bound of a logarithm's argument
 DB = 20.0 / np.log(10.0)  # dB per neper
@@ -21,10 +26,13 @@ VALUE_TOLERANCE = 1e-12  # improvement of a minimum below which it is accepted
 MOST_STEPS = 100
 GOLDEN = 0.3819660112501051
 
-SENSITIVITY, COMPLEMENTARY, SYMMETRIC, MINUS_LOG_SIZE, LOG_SIZE, SINE, MINUS_SINE, CLEARANCE = range(8)
-"""Objectives: ln |1 + L|, ln |1 + 1/L|, ln |1 + L|/|1 - L|, -ln |L|, ln |L|, sine of the phase, minus that. From
-CLEARANCE on, the clearances of zones number 0, 1, ...; from CORNER down, their corners (distances.py)."""
-CORNER = -1
+SENSITIVITY, COMPLEMENTARY, SYMMETRIC, MINUS_LOG_SIZE, LOG_SIZE, SINE, MINUS_SINE, LAG_DEG, LEAD_DEG, CLEARANCE = range(
+    10
+)
+"""Objectives: ln |1 + L|, ln |1 + 1/L|, ln |1 + L|/|1 - L|, -ln |L|, ln |L|, sine of the phase, minus that, lag and
+lead that turn L to the phase of -1, deg. From CLEARANCE on, the clearances of zones number 0, 1, ...; from CORNER
+down, their corners (distances.py); from LOBE on, ln of a lobe's term over its bound (`lobe_excess`)."""
+CORNER, LOBE = -1, 1000
 DIAMOND, RECTANGLE, ELLIPSE = range(3)
 
 
@@ -38,12 +46,13 @@ def from_minus_one_deg(loop: ComplexArray) -> Array:
     return np.asarray(np.degrees(np.angle(-loop)))
 
 
-def vertex(a: Array, c: Array, b: Array, fa: Array, fc: Array, fb: Array) -> tuple[Array, Array]:
+@formula
+def vertex(a: Real, c: Real, b: Real, fa: Real, fc: Real, fb: Real) -> tuple[Real, Real]:
     """Return the lowest point of the parabola through three points, and how far it lies below the middle one."""
     left, right = (fa - fc) / (c - a), (fb - fc) / (b - c)
     curvature = (left + right) / (b - a)
     slope = (right * (c - a) - left * (b - c)) / (b - a)
-    return np.asarray(c - slope / (2.0 * curvature)), np.asarray(slope**2 / (4.0 * curvature))
+    return c - slope / (2.0 * curvature), slope * slope / (4.0 * curvature)
 
 
 def wrapped(angle: float, half_turn: float) -> float:
@@ -57,13 +66,41 @@ def log_abs(x: complex) -> float:
 
 
 @routine
+def square(x: complex) -> float:
+    """Return |x|^2."""
+    return float(x.real * x.real + x.imag * x.imag)
+
+
+@routine
 def angle(x: complex) -> float:
     return float(np.arctan2(x.imag, x.real))
 
 
 @routine
-def objective(kind: int, x: complex, zones: Array) -> float:
-    """Return an objective at a value of L; `zones` (zones, 3): shape and half axes in deg and dB."""
+def lag_of(x: complex) -> float:
+    """Return the lag in [0, 360) deg that turns a value on to the phase of -1."""
+    return float(np.degrees(angle(-x)) % 360.0)
+
+
+@routine
+def lobe_excess(j: int, hz: float, x: complex, lobes: Array) -> float:
+    """Return ln of the term of lobe j over the largest of SHARE times the rest of L = `x` and all other terms.
+
+    `lobes` (lobes, 4): real and imaginary part of the strength, frequency and half width, Hz.
+    """
+    most = 0.0
+    for i in range(len(lobes)):
+        term = complex(lobes[i, 0], lobes[i, 1]) * reciprocal(complex(1.0, (hz - lobes[i, 2]) / lobes[i, 3]))
+        most = max(most, SHARE * abs(x - term) if i == j else abs(term))
+    own = complex(lobes[j, 0], lobes[j, 1]) * reciprocal(complex(1.0, (hz - lobes[j, 2]) / lobes[j, 3]))
+    return float(np.log(max(abs(own), TINY) / max(most, TINY)))
+
+
+@routine
+def objective(kind: int, hz: float, x: complex, shapes: Array) -> float:
+    """Return an objective at a frequency and value of L; `shapes`: zones (zones, 3) by shape and half axes in deg and
+    dB, or the lobes of `lobe_excess`.
+    """
     if kind == SENSITIVITY:
         return log_abs(1.0 + x)
     if kind == COMPLEMENTARY:
@@ -78,7 +115,13 @@ def objective(kind: int, x: complex, zones: Array) -> float:
         return x.imag / max(abs(x), TINY)
     if kind == MINUS_SINE:
         return -x.imag / max(abs(x), TINY)
-    zone = zones[kind - CLEARANCE if kind > 0 else CORNER - kind]
+    if kind == LAG_DEG:
+        return lag_of(x)
+    if kind == LEAD_DEG:
+        return 360.0 - lag_of(x)
+    if kind >= LOBE:
+        return lobe_excess(kind - LOBE, hz, x, shapes)
+    zone = shapes[kind - CLEARANCE if kind > 0 else CORNER - kind]
     across, up = abs(np.degrees(angle(-x))) / zone[1], abs(DB * log_abs(x)) / zone[2]
     if kind < 0:
         return float(across - up)
@@ -89,14 +132,15 @@ def objective(kind: int, x: complex, zones: Array) -> float:
 
 @routine
 def objectives(kind: int, loop: ComplexArray, zones: Array) -> Array:
+    """Return an objective of L alone at each point."""
     out = np.empty(len(loop))
     for k in range(len(loop)):
-        out[k] = objective(kind, loop[k], zones)
+        out[k] = objective(kind, 0.0, loop[k], zones)
     return out
 
 
 @routine
-def roots(kind: IntArray, ends: Array, values: Array, loop: LoopResponse, zones: Array) -> Array:
+def roots(kind: IntArray, ends: Array, values: Array, loop: LoopResponse, shapes: Array) -> Array:
     """Return a root of each objective in its bracket; `ends` and `values` (problems, 2), of unlike sign.
 
     Zero counts as either sign. Chandrupatla's method: inverse quadratic interpolation where it is safe, bisection
@@ -119,7 +163,7 @@ def roots(kind: IntArray, ends: Array, values: Array, loop: LoopResponse, zones:
             at[j] = x1[i] + share[i] * (x2[i] - x1[i])
         there = values_at(at, loop)
         for j in range(len(which)):
-            i, x, f = which[j], at[j], objective(kind[which[j]], there[j], zones)
+            i, x, f = which[j], at[j], objective(kind[which[j]], at[j], there[j], shapes)
             if (f > 0.0) == (f1[i] > 0.0):
                 x3, f3 = x1[i], f1[i]
             else:
@@ -141,16 +185,7 @@ def roots(kind: IntArray, ends: Array, values: Array, loop: LoopResponse, zones:
 
 
 @routine
-def parabola(a: float, c: float, b: float, fa: float, fc: float, fb: float) -> tuple[float, float]:
-    """Return as `vertex`."""
-    left, right = (fa - fc) / (c - a), (fb - fc) / (b - c)
-    curvature = (left + right) / (b - a)
-    slope = (right * (c - a) - left * (b - c)) / (b - a)
-    return c - slope / (2.0 * curvature), slope * slope / (4.0 * curvature)
-
-
-@routine
-def minima(kind: IntArray, points: Array, values: Array, loop: LoopResponse, zones: Array) -> Array:
+def minima(kind: IntArray, points: Array, values: Array, loop: LoopResponse, shapes: Array) -> Array:
     """Return the lowest point within each bracket; `points` and `values` (problems, 3), the middle value the least.
 
     Parabolas, and a golden section where they stall. The value is good to VALUE_TOLERANCE, the place to its root.
@@ -166,7 +201,7 @@ def minima(kind: IntArray, points: Array, values: Array, loop: LoopResponse, zon
         at = np.empty(len(which))
         for j in range(len(which)):
             i = which[j]
-            x, promised[i] = parabola(a[i], c[i], b[i], fa[i], fc[i], fb[i])
+            x, promised[i] = vertex(a[i], c[i], b[i], fa[i], fc[i], fb[i])
             to_right = b[i] - c[i] > c[i] - a[i]
             golden = c[i] + GOLDEN * (b[i] - c[i] if to_right else a[i] - c[i])
             nudge = max(1e-6 * (b[i] - a[i]), STEP * abs(c[i]))
@@ -179,7 +214,7 @@ def minima(kind: IntArray, points: Array, values: Array, loop: LoopResponse, zon
             at[j] = x
         there = values_at(at, loop)
         for j in range(len(which)):
-            i, x, f = which[j], at[j], objective(kind[which[j]], there[j], zones)
+            i, x, f = which[j], at[j], objective(kind[which[j]], at[j], there[j], shapes)
             beyond, better = x > c[i], f <= fc[i]
             x_end, f_end = (c[i], fc[i]) if better else (x, f)
             if beyond == better:

@@ -100,7 +100,8 @@ class HeldStage:
 
     def copied(self) -> HeldStage:
         """The same in arrays of its own."""
-        return dataclasses.replace(self, parameters=self.parameters.copy(), properties=self.properties.copy())
+        # `repeat` copies whole records; `copy` goes field by field, which takes six times as long
+        return dataclasses.replace(self, parameters=np.repeat(self.parameters, 1), properties=self.properties.copy())
 
     @property
     def rings(self) -> Array:
@@ -114,8 +115,10 @@ class HeldStage:
 
     # --- the linear model
     def prepared(self, condition: FlightCondition, trim: Trim) -> tuple[HeldStage, Array]:
-        """The stage in the air of a condition with its rings as dampers, and its states (vehicles, MAX_STATE)."""
-        held, n = self.copied(), len(self.swing_rad)
+        """Change the stage in place to the air of a condition with its rings as dampers, and return it with its states
+        (vehicles, MAX_STATE).
+        """
+        held, n = self, len(self.swing_rad)
         air, earth, air_m = condition, held.parameters["environment"]["earth"], held.parameters["environment"]
         earth["figure"], earth["gravity"], earth["rate_radps"] = FLAT, UNIFORM, 0.0
         earth["uniform_mps2"] = air.gravity_mps2
@@ -187,15 +190,13 @@ class HeldStage:
 
     def plants(
         self, condition: FlightCondition, trim: Trim, plane: Plane, drives: Drives, *, wind: bool = False,
-        moments: bool = False, levels: int = jacobian.LEVELS,
+        moments: bool = False, levels: int = jacobian.LEVELS, in_place: bool = False,
     ) -> tuple[Array, Array, Array, Array, Names]:  # fmt: skip  # six lines otherwise
-        """A, B, C, D of all vehicles, (vehicles, ...), and the names; see `Node.plant`."""
-        held, y = self.prepared(condition, trim)
-        return held.plants_at(y, plane, drives, wind=wind, moments=moments, levels=levels)
+        """Return A, B, C, D of all vehicles, (vehicles, ...), and the names; see `Node.plant`.
 
-    def plants_at(
-        self, y: Array, plane: Plane, drives: Drives, *, wind: bool, moments: bool, levels: int
-    ) -> tuple[Array, Array, Array, Array, Names]:
+        `in_place`: the stages are not used any more and need not be copied.
+        """
+        held, y = (self if in_place else self.copied()).prepared(condition, trim)
         found = _PlaneOf(self, plane)
         n, steps = len(self.coordinates), np.array(list(self.coordinates.values()))
         groups = 1 + int(self.sizes.further_groups)
@@ -215,7 +216,8 @@ class HeldStage:
         cuts = list(range(first, first + stations))
         wanted = [*found.states, found.rate, *found.sensed, *cuts]
         steps = np.array([*(steps[k] if k < n else 4e-3 for k in which[: size + 3 * m]), *([0.5] if wind else [])])
-        held = (self if moments else self.without_sections()).copied()
+        if not moments:
+            held.parameters["loads"]["stations"] = 0
         # the other axes are held: no turning about them takes part in that about the plane's own
         held.properties[:, schedule.CORE_INERTIA + 3 : schedule.CORE_INERTIA + 6] = 0.0
         _, slopes = held.differentiated(y, np.array(which), steps, np.array(wanted), levels)

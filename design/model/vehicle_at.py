@@ -111,7 +111,7 @@ def axial_load_mps2(held: HeldStage, condition: FlightCondition, trim: Trim) -> 
     Between the rows of its tables the total mass is not quite that of core and bobs.
     """
     one = dataclasses.replace(held, parameters=held.parameters[:1], properties=held.properties[:1])
-    one, y = one.without_sections().prepared(dataclasses.replace(condition, gravity_mps2=0.0), trim)
+    one, y = one.without_sections().copied().prepared(dataclasses.replace(condition, gravity_mps2=0.0), trim)
     rate, _ = one.differentiated(y, np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))
     forward = float(rate[0, list(held.coordinates).index("u_mps")])
     return forward * float(total_of(one)[0][0] / one.properties[0, schedule.TOTAL_MASS])

@@ -104,7 +104,7 @@ def distances(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[
         return lambda every: [one(u) for u in every]
 
     def at(every: Sequence[Array]) -> Looks:
-        values, status = loops.measure(deviations.of_scores(every), 0.0)
+        values, status = loops.measure(deviations.of_scores(every), 0.0, distances=True)
         near, hz = values["distance"], values["distance_hz"]
         out = list[tuple[float, Array]]()
         for u, at_hz, least, verdict in zip(every, hz, near[:, 0], status, strict=True):
@@ -157,7 +157,7 @@ def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Arr
         """From the command to what each input of the law follows, (vehicles, frequencies, inputs)."""
         vehicles = deviations.of_scores(every)
         held = deviated(node.held, node.plane, stacked(vehicles), len(vehicles))
-        a, b, c, d, _ = held.plants(node.condition, node.trim, node.plane, node.drives)
+        a, b, c, d, _ = held.plants(node.condition, node.trim, node.plane, node.drives, in_place=True)
         turning = s[:, None, None] * np.eye(a.shape[-1]) - a[:, None]
         response = c[:, None, rows] @ np.linalg.solve(turning, b[:, None][..., columns])
         response = response + d[:, None][:, :, rows][..., columns]
