@@ -148,7 +148,7 @@ def test_draws_are_the_campaigns_own_numbers() -> None:
     assert shapes.std(axis=0) == pytest.approx([0.2 / 3.0] * 3, rel=0.05)
     alone = vehicles(LinearMargins(cases=5, only="vehicle 417", corner_sigmas=0.0), node, campaign)[1]
     assert alone == [every[417]]
-    assert campaign.scenario_of(417).scenario.vehicle.computer.delay_s == pytest.approx(delay_s[417], abs=1e-12)  # type: ignore[union-attr]
+    assert campaign.scenario_of(417).scenario.vehicle.computer.delay_s == pytest.approx(delay_s[417], abs=1e-12)  # type: ignore[union-attr]  # this vehicle has one
 
 
 def test_another_seed_and_sampling_are_followed() -> None:
@@ -377,4 +377,4 @@ def test_a_verification_says_which_description_its_vehicles_have(
     job = Parts(read.suite, scenario, scenario, Memory(None), lambda *_: None, 1, next(iter(flies), None))
     assert job.deviations == f"dispersed vehicles: {said}"
     (node,) = job.nodes("pitch")
-    assert [d.label for d in vehicles(read.suite.margins, node, job.described.at(node))[1]][-1] == "vehicle 4"  # type: ignore[arg-type]
+    assert [d.label for d in vehicles(read.suite.margins, node, job.described.at(node))[1]][-1] == "vehicle 4"  # type: ignore[arg-type]  # the suite asks for margins

@@ -279,12 +279,6 @@ def unlike_drives(by: Dispersion) -> bool:
     return apart or (np.size(by.actuator_frequency) > 1 and bool(np.ptp(np.asarray(by.actuator_frequency)) > 0.0))
 
 
-def for_each(values: Sequence[float], count: int) -> tuple[float, ...]:
-    """One value each: those given, the last for all beyond them; zeros where none is."""
-    given = (*values, *([values[-1] if values else 0.0] * count))
-    return tuple(given[:count])
-
-
 def _each(factors: Factors | Array, parts: int, name: str, count: int = 1) -> Array:
     """Factors of parts, (parts, vehicles)."""
     given = np.asarray(factors, float)
