@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -146,17 +147,39 @@ def measure_margin(held: HeldFlight, loop: Loop, of_loop: Margins, what: MarginN
         return found(math.nan, TOO_SMALL)
     slope = abs(_slope(loop, what, bound))
     tolerance = 0.02 if what != "delay" else 0.003 * linear
-    at = linear
-    for _ in range(MOST_FLIGHTS):
-        growth = measured_growth(held, loop, test, lambda packed, at=at: alter(packed, held, what, at))  # type: ignore[misc]  # a default binds the loop's value
+
+    def grow(at: float) -> float:
+        return measured_growth(held, loop, test, lambda packed: alter(packed, held, what, at))
+
+    at, settled = settle(grow, tried, linear, slope, 0.25 * linear, tolerance, (-math.inf, most))
+    return found(at, "the flight was lost" if math.isnan(at) else "" if settled else NOT_SETTLED)
+
+
+def settle(
+    grow: Callable[[float], float],
+    tried: list[tuple[float, float]],
+    at: float,
+    slope: float,
+    most: float,
+    tolerance: float,
+    within: tuple[float, float],
+    flights: int = MOST_FLIGHTS,
+) -> tuple[float, bool]:
+    """Return the alteration from which the loop neither grows nor decays, and whether the search settled there.
+
+    `grow` flies an alteration and returns its growth rate (1/s); NaN ends the search with NaN. `tried` collects both.
+    `slope`, `most`: see `following_trial`; `within`: bounds of the alteration.
+    """
+    for _ in range(flights):
+        growth = grow(at)
         tried.append((at, growth))
         if math.isnan(growth):
-            return found(math.nan, "the flight was lost")
-        following = min(following_trial(tried, slope, 0.25 * linear, 5.0 * tolerance), most)
+            return math.nan, False
+        following = float(np.clip(following_trial(tried, slope, most, 5.0 * tolerance), *within))
         step, at = following - at, following
         if abs(step) < tolerance:
-            return found(at)
-    return found(at, NOT_SETTLED)
+            return at, True
+    return at, False
 
 
 def is_too_slow(loop: Loop, what: MarginName, bound: Bound) -> bool:

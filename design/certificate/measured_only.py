@@ -12,7 +12,6 @@ stable (`GROWS`), and so does one that the burst at its start does not wake.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +38,7 @@ TRIALS: dict[MarginName, tuple[float, ...]] = {
 WATCHED_S = 48.0  # after the burst of a trial
 GROWS = 1.25  # amplitude of the last quarter of a trial over that of the second
 UNSTABLE = "the loop is unstable as it is"
+MOST_FLIGHTS = measured_margins.MOST_FLIGHTS + 4  # between two trials
 _PROBE = 0.15  # of the level at which the loop would be excited if it had no feedback
 _ACROSS = 0.3  # of a limit: beyond it an oscillation has grown
 _TOLERANCE = {"dB": 0.02, "s": 1e-4}
@@ -169,7 +169,7 @@ def _strongest(samples: Array, sample_s: float) -> float:
 
 
 def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) -> MeasuredMargin:
-    """The alteration at which the loop neither grows nor decays: between two trials, then by its growth rate."""
+    """Return the alteration at which the loop neither grows nor decays: between two trials, then by its growth rate."""
     tried: list[tuple[float, float]] = []
 
     def found(measured: float, frequency_hz: float, reason: str = "") -> MeasuredMargin:
@@ -189,7 +189,17 @@ def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) ->
         return found(math.nan, math.nan, UNBOUNDED)
     tolerance, high = _TOLERANCE[UNITS[what]], amount
     while True:
-        at, settled = _boundary(held, loop, change, (low, high, most), trial.frequency_hz, tolerance, tried)
+        test, own = measured_margins.burst_test(trial.frequency_hz), list[tuple[float, float]]()
+
+        def grow(at: float, test: measured_margins.BurstTest = test) -> float:
+            growth = measured_margins.measured_growth(held, loop, test, change(at))
+            return math.inf if math.isnan(growth) else growth  # lost
+
+        slope, bounds = trial.frequency_hz * (20.0 if what == "delay" else 0.05), (0.5 * low, min(1.5 * high, most))
+        at, settled = measured_margins.settle(
+            grow, own, 0.5 * (low + high), slope, 0.5 * (high - low), tolerance, bounds, MOST_FLIGHTS
+        )
+        tried += own
         within = at - 5.0 * tolerance
         if within <= low:
             break
@@ -197,32 +207,4 @@ def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) ->
         if not inside.grows:
             break
         high, trial = within, inside
-    return found(at, trial.frequency_hz, "" if settled else "not settled")
-
-
-def _boundary(
-    held: HeldFlight,
-    loop: _Loop,
-    change: Callable[[float], Change],
-    within: tuple[float, float, float],
-    frequency_hz: float,
-    tolerance: float,
-    kept: list[tuple[float, float]],
-) -> tuple[float, bool]:
-    """Alteration at which an oscillation near a frequency neither grows nor decays, and whether the search settled.
-
-    `within`: alterations at which the loop decays, at which it grows, and the largest there can be.
-    """
-    (low, high, most), test = within, measured_margins.burst_test(frequency_hz)
-    tried: list[tuple[float, float]] = []
-    slope, at = 0.05 * frequency_hz * (1.0 if tolerance > 1e-3 else 400.0), 0.5 * (low + high)
-    for _ in range(measured_margins.MOST_FLIGHTS + 4):
-        growth = measured_margins.measured_growth(held, loop, test, change(at))
-        tried.append((at, math.inf if math.isnan(growth) else growth))  # lost
-        kept.append(tried[-1])
-        following = measured_margins.following_trial(tried, slope, 0.5 * (high - low), 5.0 * tolerance)
-        following = min(max(following, 0.5 * low), 1.5 * high, most)
-        step, at = following - at, following
-        if abs(step) < tolerance:
-            return at, True
-    return at, False
+    return found(at, trial.frequency_hz, "" if settled else measured_margins.NOT_SETTLED)

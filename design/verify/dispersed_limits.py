@@ -17,20 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design import api
 from maxq.design.case.basis import LoadLimits, Robust
-from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
-from maxq.design.margins.dispersed import ManyLoops, NotServedError
-from maxq.design.margins.many import DONE, UNSTABLE
 from maxq.design.model.deviations import deviations_of
-from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import Node, disperse
 from maxq.design.quantities import MEASURED, SWEPT, LoopLimits
 from maxq.design.verify.compared import IMPLIED
 from maxq.design.verify.descent import Region, descend, to_corner
 from maxq.design.verify.judging import Wanted
-from maxq.design.verify.linear import measured
+from maxq.design.verify.linear import SweptVehicles
 from maxq.design.verify.memory import counted
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.scenario.schema_design import Design
@@ -39,7 +33,6 @@ CORNERS = 4  # from which a search at an operating point begins
 REFINED = 3  # operating points, and instants between them, at which a descent leaves the corners
 SEED = 1
 _LOST, _FREE = -1.0, 10.0  # value of an unstable loop, and of one that nothing limits
-_SLOSH_DB = LoopLimits().slosh_peak_db
 
 Rooms = Callable[[Sequence[Array]], list[float]]
 """The least share of a limit that is left at scores (places,) in units of three sigma; -1 of an unstable loop."""
@@ -78,31 +71,17 @@ def guides(limits: LoadLimits) -> dict[str, float]:
 
 def rooms(node: Node, design: Design, campaign: LoadedCampaign, wanted: Mapping[str, float]) -> Rooms:
     """Return a function of the scores of vehicles at a node; `wanted`: limits by key of SWEPT."""
-    deviations, law = deviations_of(campaign, node), api.law_at(design, node)
-
-    def left(found: Mapping[str, float]) -> float:
-        each = [
-            (MEASURED[k].badness(limit) - MEASURED[k].badness(found[k])) / abs(limit) for k, limit in wanted.items()
-        ]
-        return float(np.clip(min(each, default=_FREE), _LOST, _FREE))
-
-    def alone(by: Dispersion) -> float:
-        found = measured(Loop(fixed_path(disperse(node, by)), law), _SLOSH_DB)
-        return left(found) if found else _LOST
-
-    try:
-        loops = ManyLoops(node, law)
-    except NotServedError:
-        return lambda every: [alone(by) for by in deviations.of_scores(every)]
+    deviations, swept = deviations_of(campaign, node), SweptVehicles(node, design, LoopLimits())
 
     def at(every: Sequence[Array]) -> list[float]:
-        vehicles = deviations.of_scores(every)
-        values, status = loops.measure(vehicles, _SLOSH_DB)
-        out = []
-        for by, row, verdict in zip(vehicles, values, status, strict=True):
-            found = {k: 1e3 * float(row["delay_s"]) if k == "delay_ms" else float(row[k]) for k in wanted}
-            out.append(left(found) if verdict == DONE else _LOST if verdict == UNSTABLE else alone(by))
-        return out
+        table = np.full((len(every), len(SWEPT)), np.nan)
+        swept.measure(node, deviations.of_scores(every), table, np.arange(len(every)))
+        left = [np.full(len(every), _FREE)]
+        for key, limit in wanted.items():
+            about, values = MEASURED[key], table[:, SWEPT.index(key)]
+            left.append((limit - values if about.sense == "<=" else values - limit) / abs(limit))
+        unstable = np.isnan(table).all(axis=1)
+        return list(np.where(unstable, _LOST, np.clip(np.min(left, axis=0), _LOST, _FREE)))
 
     return at
 
@@ -153,9 +132,8 @@ def worst_of_basis(
         k = int(np.argmin(values))
         return values[k], points[k]
 
-    count = len(nodes) + len(between) + REFINED * (1 + bool(between))
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        found = list(pool.map(counted(search, watch, count), nodes))
+        found = list(pool.map(counted(search, watch, len(nodes)), nodes))
         every = [(node, *each) for node, each in zip(nodes, found, strict=True)]
         beyond = [(node, *each) for node, each in zip(between, pool.map(beside, between), strict=True)]
         for some in filter(None, (every, beyond)):

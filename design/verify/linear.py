@@ -235,7 +235,7 @@ def study(
 
         def work_out() -> tuple[Measured, Array, int]:
             nominal = measured(Loop(fixed_path(node), law), peak_db)
-            dispersed = _Dispersed(node, design, wanted.dispersed)
+            dispersed = SweptVehicles(node, design, wanted.dispersed)
             table, exact = np.full((len(corners) + len(drawn), len(SWEPT)), math.nan), 0
             for j, flight in enumerate(flown):
                 mine = np.arange((j - first) % len(flown), len(drawn), len(flown)) + len(corners)
@@ -258,8 +258,12 @@ def study(
 
 
 @dataclass(frozen=True)
-class _Dispersed:
-    """Margins of dispersed vehicles at a node."""
+class SweptVehicles:
+    """The margins of dispersed vehicles at a node.
+
+    Vehicles whose value lies within `NEAR` of one of the `limits`, and those that the compiled margins do not serve,
+    are measured alone.
+    """
 
     node: Node
     design: Design

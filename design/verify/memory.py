@@ -17,7 +17,7 @@ import importlib
 import itertools
 import json
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -52,46 +52,27 @@ def content_hash(*things: Any) -> str:
 
     Raises TypeError for anything else, rather than to tell two different things for one.
     """
-    digest = hashlib.sha256()
-    for thing in things:
-        _feed(digest, thing)
-    return digest.hexdigest()
+    return hashlib.sha256(json.dumps(to_plain(things, records=True)).encode()).hexdigest()
 
 
-def _feed(digest: Any, thing: Any) -> None:
-    digest.update(type(thing).__name__.encode() + b":")
-    if thing is None or isinstance(thing, bool | int | float | complex | str):
-        digest.update(repr(thing).encode() + b";")
-    elif isinstance(thing, bytes):
-        digest.update(thing)
-    elif isinstance(thing, np.ndarray | np.generic):
-        digest.update(f"{thing.dtype}{np.shape(thing)}".encode())
-        digest.update(thing.tobytes())
-    elif dataclasses.is_dataclass(thing) and not isinstance(thing, type):
-        _feed(digest, {f.name: getattr(thing, f.name) for f in dataclasses.fields(thing)})
-    elif isinstance(thing, Mapping):
-        _feed(digest, [part for item in thing.items() for part in item])
-    elif isinstance(thing, tuple | list):
-        digest.update(str(len(thing)).encode())
-        for item in thing:
-            _feed(digest, item)
-    else:
-        raise TypeError(f"no way to tell two {type(thing).__name__} apart")
+def to_plain(thing: Any, records: bool = False) -> Any:
+    """Return a result as JSON holds it: a type that JSON lacks is an object with one key, the name of the type.
 
-
-def to_plain(thing: Any) -> Any:
-    """A result as JSON holds it: what JSON lacks is an object with one key that says what it is.
-
-    Raises TypeError for a type that `from_plain` would not know.
+    Raises TypeError for a type that `from_plain` would not know; with `records`, for a hash, it takes NumPy records and
+    bytes too.
     """
-    if isinstance(thing, np.ndarray | np.generic) and thing.dtype.kind in "biufc":
-        return {"array": [thing.dtype.str, np.shape(thing), base64.b64encode(thing.tobytes()).decode()]}
+    plain = partial(to_plain, records=records)
+    if isinstance(thing, np.ndarray | np.generic) and thing.dtype.kind in ("biufcSUV" if records else "biufc"):
+        dtype = thing.dtype.str if thing.dtype.names is None else str(thing.dtype)
+        return {"array": [dtype, np.shape(thing), base64.b64encode(thing.tobytes()).decode()]}
+    if records and isinstance(thing, bytes):
+        return {"bytes": base64.b64encode(thing).decode()}
     if thing is None or isinstance(thing, bool | int | float | str):
         return thing
     if isinstance(thing, list):
-        return [to_plain(item) for item in thing]
+        return [plain(item) for item in thing]
     if isinstance(thing, Mapping):
-        return {"mapping": [[to_plain(key), to_plain(value)] for key, value in thing.items()]}
+        return {"mapping": [[plain(key), plain(value)] for key, value in thing.items()]}
     if isinstance(thing, complex):
         return {"complex": [thing.real, thing.imag]}
     if isinstance(thing, Path):
@@ -99,10 +80,10 @@ def to_plain(thing: Any) -> Any:
     kind = type(thing)
     name = f"{kind.__module__}:{kind.__qualname__}"
     if dataclasses.is_dataclass(thing) or isinstance(thing, Section):
-        return {name: {field: to_plain(getattr(thing, field)) for field in _fields(kind)}}
+        return {name: {field: plain(getattr(thing, field)) for field in _fields(kind)}}
     if isinstance(thing, tuple):
-        return {name if hasattr(kind, "_fields") else "tuple": [to_plain(item) for item in thing]}
-    raise TypeError(f"results hold no {kind.__name__}")
+        return {name if hasattr(kind, "_fields") else "tuple": [plain(item) for item in thing]}
+    raise TypeError(f"no plain form of {kind.__name__}")
 
 
 def from_plain(plain: Any) -> Any:
