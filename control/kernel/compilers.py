@@ -136,11 +136,12 @@ class _AdaptedNumba:
 
     def __init__(self) -> None:
         self._depth = 0
-        self._known: dict[tuple[int, Any, Any], Any] = {}
-        self._find_type = BaseFunction.get_call_type
+        self._before: list[tuple[Any, str, Any]] = []
 
-    def _changes(self) -> tuple[tuple[Any, str, Any], ...]:
-        find_type, known = self._find_type, self._known
+    @staticmethod
+    def _changes() -> tuple[tuple[Any, str, Any], ...]:
+        """Return owner, name and value of each change; calls are remembered until it is taken back."""
+        find_type, known = BaseFunction.get_call_type, dict[tuple[int, Any, Any], Any]()
 
         def known_type(function: Any, context: Any, args: Any, named: Any) -> Any:
             if named:
@@ -160,7 +161,6 @@ class _AdaptedNumba:
     def __enter__(self) -> None:
         self._depth += 1
         if self._depth == 1:
-            self._find_type = BaseFunction.get_call_type
             changes = self._changes()
             self._before = [(owner, name, vars(owner)[name]) for owner, name, _ in changes]
             for owner, name, value in changes:
@@ -171,7 +171,6 @@ class _AdaptedNumba:
         if self._depth == 0:
             for owner, name, value in self._before:
                 setattr(owner, name, value)
-            self._known.clear()
 
 
 adapted_numba = _AdaptedNumba()

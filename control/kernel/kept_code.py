@@ -50,20 +50,25 @@ def _flies(parts: tuple[str, ...]) -> bool:
 
 
 def source_hash() -> str:
-    """First 16 hex digits of the SHA-256 of all sources that may hold a kernel."""
+    """Return the first 16 hex digits of the SHA-256 of all sources that may hold a kernel."""
+    return _hash_of(_source_files())
+
+
+def _hash_of(sources: dict[Path, bytes]) -> str:
     digest = hashlib.sha256()
-    for path, source in _source_files().items():
+    for path, source in sources.items():
         digest.update(path.name.encode())
         digest.update(source)
     return digest.hexdigest()[:16]
 
 
-def cache_folder() -> Path:
-    """Folder of the compiled kernels."""
-    return own_cache(f"kernels-{source_hash()}")
+def _folder_and_sources() -> tuple[str, frozenset[str]]:
+    """Return the folder of the compiled kernels and the paths of their sources, which are read once."""
+    sources = _source_files()
+    return str(own_cache(f"kernels-{_hash_of(sources)}")), frozenset(map(str, sources))
 
 
-_FOLDER, _SOURCES = str(cache_folder()), frozenset(map(str, _source_files()))
+_FOLDER, _SOURCES = _folder_and_sources()
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no types
