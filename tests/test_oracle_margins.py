@@ -22,7 +22,7 @@ from scipy.special import lambertw
 from textbook_loops import ModalLoop, TransferLoop
 
 from maxq.control.kernel.records import Array
-from maxq.design.margins.curve import steps_past_poles
+from maxq.design.margins.crossings import steps_past_poles
 from maxq.design.margins.measure import margins
 from maxq.design.model.state_space import ComplexArray
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.kernel.jit import routine
+from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.design.loop.loop import OpenLoop
 from maxq.design.margins.curve import FLOOR, merged
@@ -120,6 +120,18 @@ def _point(hz: float, period_s: float) -> complex:
     return complex(np.exp(complex(0.0, TWO_PI * hz * period_s)))
 
 
+@kernel
+def _range_of(
+    first: float, last: float, low: float, high: float, places: Array, values: Array, j: int
+) -> tuple[float, float]:  # fmt: skip  # as ruff would, but for a line of one bracket
+    """Return the least and greatest value of a factor's derivative from its values at both ends and at its extremes."""
+    least, most = min(first, last), max(first, last)
+    for k in range(len(places)):
+        if low < places[k, j] < high:
+            least, most = min(least, values[k, j]), max(most, values[k, j])
+    return least, most
+
+
 @routine
 def slopes(low_hz: float, high_hz: float, by: Factors) -> tuple[float, float, float, float]:
     """Return the least and greatest derivative of ln |L| and of the phase over an interval, by w or t.
@@ -135,16 +147,10 @@ def slopes(low_hz: float, high_hz: float, by: Factors) -> tuple[float, float, fl
         first, last = turn_left * reciprocal(left - by.at[j]), turn_right * reciprocal(right - by.at[j])
         if np.isnan(first.real + last.real):
             return np.nan, np.nan, np.nan, np.nan
-        least, most = min(first.real, last.real), max(first.real, last.real)
-        for k in range(len(by.size_at)):
-            if low < by.size_at[k, j] < high:
-                least, most = min(least, by.size[k, j]), max(most, by.size[k, j])
+        least, most = _range_of(first.real, last.real, low, high, by.size_at, by.size, j)
         size_least += least if by.sign[j] > 0.0 else -most
         size_most += most if by.sign[j] > 0.0 else -least
-        least, most = min(first.imag, last.imag), max(first.imag, last.imag)
-        for k in range(len(by.phase_at)):
-            if low < by.phase_at[k, j] < high:
-                least, most = min(least, by.phase[k, j]), max(most, by.phase[k, j])
+        least, most = _range_of(first.imag, last.imag, low, high, by.phase_at, by.phase, j)
         phase_least += least if by.sign[j] > 0.0 else -most
         phase_most += most if by.sign[j] > 0.0 else -least
     return size_least, size_most, phase_least, phase_most

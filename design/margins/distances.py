@@ -22,7 +22,8 @@ import numpy as np
 from maxq.control.kernel.jit import routine
 from maxq.control.kernel.records import Array
 from maxq.design.margins import solving
-from maxq.design.margins.curve import Crossings, Trace, is_bracket, merged
+from maxq.design.margins.crossings import Crossings
+from maxq.design.margins.curve import Trace, is_bracket, merged
 from maxq.design.margins.response import LoopResponse
 from maxq.design.margins.solving import DB, from_minus_one_deg, log_size, objective, objectives
 from maxq.design.model.state_space import ComplexArray

@@ -21,7 +21,8 @@ from maxq.control.kernel.records import Array
 from maxq.design.loop.own_part import LEAST, NEAREST_NYQUIST, attribution, dominance, peak_band
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins import solving
-from maxq.design.margins.curve import Crossings, Trace, merged
+from maxq.design.margins.crossings import Crossings
+from maxq.design.margins.curve import Trace, merged
 from maxq.design.margins.response import LoopResponse, values_at
 from maxq.design.margins.solving import DB, LAG_DEG, LOBE, TINY, angle, lag_of, lobe_excess, log_abs, objective
 from maxq.design.model.state_space import ComplexArray

@@ -14,9 +14,11 @@ from maxq.control.kernel.jit import entry, routine
 from maxq.control.kernel.records import Array
 from maxq.design.loop.loop import OpenLoop
 from maxq.design.loop.resonance import Resonance
+from maxq.design.margins import crossings
 from maxq.design.margins import curve as curves
 from maxq.design.margins.bounds import Factors, factors_of, separated
-from maxq.design.margins.curve import Crossings, Curve, GainCrossings, PhaseCrossings, Trace
+from maxq.design.margins.crossings import Crossings, GainCrossings, PhaseCrossings
+from maxq.design.margins.curve import Curve, Trace
 from maxq.design.margins.distances import (
     NO_DISKS,
     Clearance,
@@ -226,11 +228,11 @@ def counted(
     """Return the crossings of a curve with its turning points, the curve with them added, and the poles to the right
     of the axis, from their list and from the encirclements.
     """
-    past = curves.steps_past_poles(t.frequency_hz, open_, closed)
-    every, f, loop = curves.crossings(t, past, source)
+    past = crossings.steps_past_poles(t.frequency_hz, open_, closed)
+    every, f, loop = crossings.crossings(t, past, source)
     after = Trace(f, loop, t.slope_at_zero, t.at_zero, t.slope_at_end, t.finite_end, 0)
-    growing = curves.growing_count(closed, 2.0 * np.pi * f[0])
-    return every, after, growing, curves.encirclement_count(after, every, past, t, open_)
+    growing = crossings.growing_count(closed, 2.0 * np.pi * f[0])
+    return every, after, growing, crossings.encirclement_count(after, every, past, t, open_)
 
 
 @routine

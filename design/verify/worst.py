@@ -29,7 +29,8 @@ from maxq.design import api
 from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
-from maxq.design.margins.curve import growing_count, lowest_hz_of
+from maxq.design.margins.crossings import growing_count
+from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
