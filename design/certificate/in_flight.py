@@ -30,6 +30,7 @@ from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Injection, Log
 
 WINDOW_S = 8.0
@@ -74,19 +75,21 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
     Two ascents serve all times of a stage: one without excitation, one excited from the stage's ignition on. The stages
     before it fly without excitation, whose rest an airframe that coasts unstable would let grow until control is lost.
     """
-    if loaded.design is None:
+    design = loaded.design
+    if design is None:
         raise ValueError(f"{loaded.label}: there is no design to measure")
     by_stage: dict[int, list[Node]] = {}
     for node in api.nodes(loaded, times_s, plane=plane):
         by_stage.setdefault(node.stage, []).append(node)
-    if len(by_stage) > 1:
-        groups = [[node.time_s for node in nodes] for nodes in by_stage.values()]
-        return [found for times in groups for found in in_flight_response(loaded, times, plane)]
+    return [found for nodes in by_stage.values() for found in _of_stage(loaded, design, nodes, plane)]
+
+
+def _of_stage(loaded: LoadedScenario, design: Design, points: Sequence[Node], plane: Plane) -> list[InFlightResponse]:
+    """Measure around the operating points of one stage."""
+    times_s, sample_s = [node.time_s for node in points], points[0].instruments.sample_s
     whole = powered_spans(loaded)
     for time_s in times_s:
         _window(time_s, whole)  # refused before it is flown
-    ((first_node, *_),) = by_stage.values()
-    sample_s = first_node.instruments.sample_s
     start_s = round(min(span.begin_s for span in whole if any(map(span.holds, times_s))), 9)
     lines = np.array(LINES_HZ)
     lasting = {"frequencies_hz": LINES_HZ, "start_s": start_s}
@@ -106,7 +109,7 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
         back = excited.filtered[first:last] - quiet.filtered[first:last]
         sent = excited.command[first + 1 : last + 1] - quiet.command[first + 1 : last + 1]  # shows after its tick
         (u, u_noise), (e, _) = (_at_lines(x, lines, sample_s) for x in (back, sent))
-        mine = api.loops(nodes[k * len(ACROSS) : (k + 1) * len(ACROSS)], loaded.design)
+        mine = api.loops(nodes[k * len(ACROSS) : (k + 1) * len(ACROSS)], design)
         responses = np.stack([loop.response(lines) for loop in mine])
         frozen = responses[len(mine) // 2]
         measured = -u / e
