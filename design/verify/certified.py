@@ -15,7 +15,7 @@ _MEASURED = "measured only"
 
 
 def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> list[Requirement]:
-    """Of flight code without a linear model: stable when held, and margins as they are limited for a linear loop."""
+    """Judge flight code without a linear model: stability when held, and margins by the limits of a linear loop."""
     if not nodes:
         return []
 
@@ -56,8 +56,10 @@ def certificate_requirements(
     through: list[InFlightResponse],
     again: Callable[[NodeCertificate | InFlightResponse], str] = lambda node: "",
 ) -> list[Requirement]:
-    """Flight and linear loop agree at every node, and every difference of the in-flight response is explained; with
-    adaptation the gain margins measured reach beyond the limits of the total gain."""
+    """Require that flight and linear loop agree at every node, and that each difference in flight is explained.
+
+    With adaptation the gain margins measured must reach beyond the limits of the total gain.
+    """
     out = []
 
     def add(name: str, found: str, bad: Sequence[NodeCertificate | InFlightResponse]) -> None:
