@@ -6,6 +6,7 @@ import json
 from functools import cache
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import design_nodes
 import numpy as np
@@ -102,7 +103,9 @@ def test_the_corner_of_a_known_function() -> None:
     assert (len(u), value) == (0, 1.0)
 
 
-def analysed(capsys: pytest.CaptureFixture[str], changes: dict[str, str], *words: str) -> tuple[int, str, dict]:  # type: ignore[type-arg]
+def analysed(
+    capsys: pytest.CaptureFixture[str], changes: dict[str, str], *words: str
+) -> tuple[int, str, dict[str, Any]]:
     """Analyse ksr3-robust-ascent with changes of its text at few points: exit code, report and record."""
     text = builtin_files("design")["ksr3-robust-ascent"].read_text()
     for old, new in changes.items():

@@ -31,6 +31,7 @@ from maxq.design.optimise.plants import wind_of
 from maxq.design.optimise.robust import dispersed_nodes, ranges_of
 from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import MEASURED, QUANTITIES, Convention, Quantity, ZoneName, violation
+from maxq.design.verify.memory import counted
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario
@@ -192,20 +193,15 @@ def flies_as_measured(kind: str, errata: str, plant: str) -> bool:
 
 def margins_of_all_axes(
     flight: LoadedScenario, design: Design, times_s: Sequence[float], basis: Basis,
-    tell: Callable[[int], None] | None = None,
+    watch: Callable[[int, int], None] = lambda done, of: None,
 ) -> list[MultiloopMargins]:  # fmt: skip  # seven lines otherwise
     """Return the margins of each axis with the loops of the others closed, at vehicle times (s) of a flight.
 
-    Empty where `basis` is about another loop or vehicle than the one that flies. `tell` is called with the number done.
+    Empty where `basis` is about another loop or vehicle than the one that flies.
     """
-    out: list[MultiloopMargins] = []
     if not flies_as_measured(basis.loop, basis.errata, basis.plant):
-        return out
-    for loop in api.multiloops(flight, design, times_s):
-        out.append(multiloop_margins(loop))
-        if tell is not None:
-            tell(len(out))
-    return out
+        return []
+    return list(map(counted(multiloop_margins, watch, len(set(times_s))), api.multiloops(flight, design, times_s)))
 
 
 def multiloop_checks(found: Sequence[MultiloopMargins], wanted: Wanted) -> list[Check]:

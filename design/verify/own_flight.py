@@ -175,7 +175,8 @@ def design_case(
             break
         again = None if loss is not None else set(missed)
         for n in missed if judged.loss is None else ():
-            _tighten(more.setdefault(n, {}), judged.by_stage[n][0])
+            known, short = more.get(n, {}), _short(judged.by_stage[n][0])
+            more[n] = known | {key: known.get(key, 0.0) + by + BEYOND for key, by in short.items()}
         flight, loss = judged.flight, judged.loss
         stages, plants = _problems(loaded, flight, loss)
     return CaseDesign(
@@ -208,18 +209,17 @@ def _searched(stage: LoadedCase, loss: Event | None, again: set[int] | None) -> 
 def _can_do_better(outcome: Outcome) -> bool:
     """Return True if a limit is missed on which the search has an influence: any but those of the roll loop."""
     alone = (*outcome.found, *outcome.dispersed_found)
-    short: dict[str, float] = {}
-    _tighten(short, outcome)
-    return bool(short) or any(not check.passed for check in alone)
+    return bool(_short(outcome)) or any(not check.passed for check in alone)
 
 
-def _tighten(more: dict[str, float], outcome: Outcome) -> None:
-    """Add what is missing of each limit with the other axes closed to `more`."""
+def _short(outcome: Outcome) -> dict[str, float]:
+    """Return by how much (dB or deg) each limit is missed with the other axes closed, by key; missed ones only."""
+    out: dict[str, float] = {}
     for key in COUPLED:
         mine = [c for c in outcome.coupled_found if c.key in (f"coupled_{axis}_{key}" for axis in ("pitch", "yaw"))]
-        short = [c.wanted - float(c.values[c.worst]) for c in mine if not c.passed]
-        if (most := max(short, default=0.0)) > 0.0:
-            more[key] = more.get(key, 0.0) + most + BEYOND
+        missing = max((c.wanted - float(c.values[c.worst]) for c in mine if not c.passed), default=0.0)
+        out |= {key: missing} if missing > 0.0 else {}
+    return out
 
 
 def _tightened(stage: LoadedCase, more: Mapping[str, float]) -> LoadedCase:

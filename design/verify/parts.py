@@ -86,7 +86,7 @@ class Parts:
         if design is not None and wanted.between_nodes == "hold":
 
             def between() -> tuple[float, ...]:
-                """Of every stage: its nodes lie in one powered span."""
+                """Return the instants of every stage, whose nodes lie in one powered span."""
                 spans = [[t for t in times_s if span.holds(t)] for span in powered_spans(self.along)]
                 return tuple(t for mine in spans for t in linear.worst_instants(along, design, mine, wanted.nominal))
 
@@ -96,7 +96,7 @@ class Parts:
         return along(times_s)
 
     def margins(self) -> list[linear.MarginStudy]:
-        """Of every stage that has nodes, plane by plane."""
+        """Return the margins of every stage that has nodes, plane by plane."""
         wanted, design = self.suite.margins, self.design
         if wanted is None or design is None:
             return []
@@ -139,7 +139,7 @@ class Parts:
     def _by_stage(
         self, what: str, wanted: LinearMargins
     ) -> Iterator[tuple[list[Node], str, Callable[[int, int], None]]]:
-        """Nodes of each plane and stage, the stage's name, and what is told of the progress with them."""
+        """Yield the nodes of each plane and stage, the stage's name, and the callback of its progress."""
         stage_of = attrgetter("stage")
         for plane in wanted.planes:
             for number, nodes in groupby(sorted(self.nodes(plane), key=stage_of), stage_of):
@@ -147,7 +147,7 @@ class Parts:
                 yield list(nodes), stage, partial(self.watch, ", ".join(filter(None, (what, plane, stage))))
 
     def worst(self) -> list[WorstVehicle]:
-        """In every plane and stage that has nodes, where the suite asks for it."""
+        """Return the worst vehicle in every plane and stage that has nodes, where the suite asks for it."""
         wanted, design, out = self.suite.margins, self.design, []
         if wanted is None or design is None or wanted.worst is None or wanted.only not in ("", WORST):
             return []
@@ -177,6 +177,7 @@ class Parts:
         return self._by_span(times) if times else {}
 
     def _by_span(self, times: Sequence[float]) -> dict[int, list[float]]:
+        """Return the times within the powered span of each stage."""
         return {span.stage: [t for t in times if span.holds(t)] for span in powered_spans(self.along)}
 
     def uncovered(self) -> tuple[Uncovered, ...]:
@@ -192,11 +193,7 @@ class Parts:
 
     def authority(self) -> list[linear.Authority]:
         """Return the authority every second between the first and the last time that the suite names in each stage."""
-        named = self._points_s(self.suite.margins, self.suite.certificate)
-        if not named:
-            named = {
-                span.stage: [t for t in node_times(self.along) if span.holds(t)] for span in powered_spans(self.along)
-            }
+        named = self._points_s(self.suite.margins, self.suite.certificate) or self._by_span(node_times(self.along))
         times: list[float] = []
         for mine in filter(None, named.values()):
             times += [t for t in np.arange(mine[0], mine[-1] + 0.5, 1.0).tolist() if t <= mine[-1]]
@@ -206,7 +203,7 @@ class Parts:
         return linear.authority(api.nodes(self.along, times), limits_rad)
 
     def slosh(self) -> list[SloshAdvice]:
-        """Damping needed at every node; the worst case is flown."""
+        """Return the damping that every node needs; the worst case is flown."""
         vehicle, wanted, design = self.scenario.vehicle, self.suite.margins, self.design
         tanks = any(stage.tank for stage in vehicle.stage)
         if wanted is None or design is None or not tanks or not self.scenario.scenario.switches.slosh:
@@ -247,7 +244,7 @@ class Parts:
         return found, through
 
     def measured(self) -> list[MeasuredNode]:
-        """Of flight code without a linear model, at the nodes and in the planes of the certificate."""
+        """Measure flight code without a linear model, at the nodes and in the planes of the certificate."""
         wanted = self.suite.certificate
         if wanted is None or self.design is not None:
             return []

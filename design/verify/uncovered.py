@@ -62,8 +62,8 @@ def uncovered(
     found: list[Uncovered] = []
     for span in spans:
         full_end_s = full_thrust(flight.vehicle.stage[span.stage], burns[span.stage])[1]
-        found += _of_span(span, sorted(points_s.get(span.stage, ())), full_end_s)
         mine = sorted(points_s.get(span.stage, ()))
+        found += _of_span(span, mine, full_end_s)
         if span.stage in at_points_only and len(mine) > 1:
             found.append(Uncovered(span.stage, mine[0], mine[-1], BETWEEN))
     if loss is None:

@@ -104,9 +104,8 @@ def execute(order: AnalysisOrder) -> int:
             mine = [j for j in every if j.time_s in worst_s.union(points_s)]
             found = stage_checks(mine, design, basis, order.kind)
             here = basis.model_copy(update={"loop": order.kind, "errata": order.errata, "plant": order.plant})
-            count = len(mine)
-            show_axes = lambda n, of=count: progress.show("measuring all axes together", n, of)  # noqa: E731  # short
-            together = margins_of_all_axes(scenario, design, [j.time_s for j in mine], here, show_axes)
+            show = partial(progress.show, "measuring all axes together")
+            together = margins_of_all_axes(scenario, design, [j.time_s for j in mine], here, show)
             coupled = multiloop_checks(together, Wanted.of(basis.limits))
             worst, off = dispersed_checks(scenario, every, points_s, design, basis, order, progress)
             stage_called = stage_name(scenario.vehicle, stage)
