@@ -12,7 +12,7 @@ PLACE := $(VENV)/set-up-in
 TO_FLY := $(VENV)/ready-to-fly
 TO_TEST := $(VENV)/ready-to-test
 
-.PHONY: help fly test test-long test-browser docs coverage lint format FORCE
+.PHONY: help fly test test-long test-lowest test-slim test-browser docs coverage lint format FORCE
 .DELETE_ON_ERROR:
 
 help:  ## say what there is to make
@@ -30,6 +30,36 @@ test: $(TO_TEST)  ## run the tests; ARGS go to pytest (ARGS="-m 'not slow'" leav
 test-long: $(TO_TEST)  ## run the few tests that make test leaves out for their time
 	@echo "Running the long tests with pytest."
 	@$(PY) -m pytest -n auto --dist worksteal -m long $(ARGS)
+
+# Of each part that a requirement serves: kernels and a nominal flight (numba), logs, campaigns here and on a cluster
+# (pyarrow, dask), plots, reports, files, the replay (rerun-sdk).
+OF_BOUNDS := $(patsubst %,tests/test_%.py,usage_good_guest invariants_compiled invariants_own_kernels usage_cache \
+	regression_nominal oracle_tables oracle_vectors oracle_noise invariants_packing oracle_log_mcap invariants_log \
+	usage_log usage_python usage_without_viewer usage_simreplay usage_replay_rendered usage_campaign_files \
+	invariants_campaign_cluster usage_pictures usage_terminal usage_upgrade)
+TEST_TOOLS := pytest hypothesis control packaging pillow psutil
+LOWEST := .venv-lowest
+SLIM := .venv-slim
+
+test-lowest: $(TO_TEST)  ## install the lowest version of each requirement into .venv-lowest, and run tests of each
+	@echo "Testing with the lowest versions that pyproject.toml allows (about ten minutes)."
+	@$(PYTHON) -m venv --clear $(LOWEST)
+	@$(PY) -m maxq.tools.dev.lowest > $(LOWEST)/constraints.txt
+	@$(LOWEST)/bin/python -m pip --disable-pip-version-check install --quiet -c $(LOWEST)/constraints.txt setuptools
+	@$(LOWEST)/bin/python -m pip --disable-pip-version-check install --quiet -c $(LOWEST)/constraints.txt \
+		--no-build-isolation --editable '.[dask]' $(TEST_TOOLS) pandas polars sympy xarray
+	@MPLBACKEND=Agg MAXQ_CACHE=$(CURDIR)/$(LOWEST)/cache $(LOWEST)/bin/python -m pytest -q -p no:cacheprovider \
+		$(ARGS) $(OF_BOUNDS)
+
+test-slim: $(PLACE)  ## install maxq without the viewer into .venv-slim (requirements-slim.txt), and test that all else works
+	@echo "Testing maxq as a worker of a cluster has it, without the viewer (about three minutes)."
+	@$(PYTHON) -m venv --clear $(SLIM)
+	@$(SLIM)/bin/python -m pip --disable-pip-version-check install --quiet -r requirements-slim.txt
+	@$(SLIM)/bin/python -m pip --disable-pip-version-check install --quiet --no-deps .
+	@du -sh $(SLIM)
+	@$(SLIM)/bin/python -m pip --disable-pip-version-check install --quiet $(TEST_TOOLS)
+	@MPLBACKEND=Agg MAXQ_CACHE=$(CURDIR)/$(SLIM)/cache $(SLIM)/bin/python -m pytest -q -p no:cacheprovider \
+		$(ARGS) tests/test_usage_without_viewer.py
 
 test-browser: $(TO_TEST)  ## open `simreplay --web` and report pages in headless Chromium, and look at them
 	@echo "Opening simreplay --web and report pages in headless Chromium."

@@ -12,10 +12,14 @@ import control
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from packaging.version import Version
+
+from maxq.tools.dev.lowest import lowest_versions
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 LAYERS = ("control", "sim", "design", "tools")
+PINNED_AS = {"jinja2": "Jinja2", "tomli-w": "tomli_w"}
 PIN = re.compile(r"([A-Za-z0-9._-]+)==([A-Za-z0-9.+!]+)")
 
 
@@ -81,6 +85,26 @@ def test_constraints_pin_every_requirement_within_its_range():
         pin = pins.get(canonicalize_name(requirement.name))
         assert pin is not None, f"constraints.txt does not pin {requirement.name}"
         assert requirement.specifier.contains(pin), f"{requirement.name}=={pin} is not {requirement.specifier}"
+
+
+def test_every_bound_of_a_requirement_is_stated_and_tested():
+    """`make test-lowest` installs the lowest versions; the pins, with which all tests run, are within the highest ones.
+
+    The upper bounds are of packages whose private or experimental parts are used: Numba's and the viewer's.
+    """
+    pins = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().splitlines() if "==" in line)
+    lowest = dict(lowest_versions(PROJECT))
+    upper = {}
+    for requirement in map(Requirement, PROJECT["project"]["dependencies"]):
+        assert requirement.specifier.contains(lowest[requirement.name])
+        assert Version(lowest[requirement.name]) <= Version(pins[PINNED_AS.get(requirement.name, requirement.name)])
+        upper.update((requirement.name, part.version) for part in requirement.specifier if part.operator == "<")
+        assert {part.operator for part in requirement.specifier} <= {">=", "<"}
+    assert set(upper) == {"numba", "rerun-sdk"}
+    for name, bound in upper.items():
+        first, second = Version(pins[name]).release[:2]
+        assert bound == f"{first}.{second + 1}", f"{name}: constraints.txt pins no version of the highest minor one"
+        assert Version(lowest[name]).release[:2] < (first, second), f"{name}: one minor version only"
 
 
 def test_help_names_every_target_for_people():

@@ -40,7 +40,7 @@ def test_rerun_shows_frames_and_every_number_once_told(tmp_path: Path) -> None:
         log_layout.send_layout(log, int(client.url.rsplit(":", 1)[1].split("/")[0]))
         viewer.steady_picture(client)
         for time_s in (3.0, 9.0):
-            client.set_time(log_layout.TIMELINE, timestamp=time_s, play_state="paused")
+            client.pause_at(log_layout.TIMELINE, timestamp=time_s)
             viewer.steady_picture(client)
             assert viewer.complaints_of(client) == []
         views = {view.name: view for view in client.get_state().views}

@@ -34,7 +34,7 @@ from maxq.tools.replay.plots import Axis, Curve, Plot, tabs_of
 from maxq.tools.replay.sheets import write_sheets
 from maxq.tools.replay.stream import first_phase, phases
 from maxq.tools.replay.text import summary_text
-from maxq.tools.replay.viewer import LOCAL, ReplayError
+from maxq.tools.replay.viewer import LOCAL
 
 Printed = pytest.CaptureFixture[str]
 
@@ -352,16 +352,6 @@ def test_a_port_in_use_is_named(capsys: Printed) -> None:
         port = other.getsockname()[1]
         assert run(OLD_LOG, "--web", "--port", port) == 2
         assert f"port {port} is in use" in one_line(capsys)
-
-
-def test_a_missing_viewer_is_named(monkeypatch: pytest.MonkeyPatch, capsys: Printed) -> None:
-    def missing() -> Path:
-        raise ReplayError("the Rerun viewer is missing; install it with: pip install 'rerun-sdk==0.41.*'")
-
-    monkeypatch.setattr(viewer, "executable", missing)
-    assert run(OLD_LOG, "--web") == 2
-    assert "pip install" in one_line(capsys)
-    assert run(OLD_LOG, "--summary") == 0
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere a window needs no DISPLAY")

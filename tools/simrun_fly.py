@@ -100,7 +100,10 @@ def show_flight(progress: Progress, run: FlightRun) -> None:
 @contextmanager
 def viewer_needed() -> Iterator[None]:
     """The viewer is opened in here, before anything is flown. Raises CommandError where there is none."""
+    from maxq.tools.replay.viewer import check_installed  # noqa: PLC0415  # lazy: flights without a view need none
+
     try:
+        check_installed()
         yield
     except CommandError as error:
         raise CommandError(f"--view: {error}") from error

@@ -23,7 +23,7 @@ from maxq.tools.replay.flight import ReplayFlight, find_logs, open_flights
 from maxq.tools.replay.viewer import ReplayError
 
 if TYPE_CHECKING:
-    from rerun.experimental import ViewerClient
+    from maxq.tools.replay.viewer_control import ViewerControl
 
 _WEB_PORT = 9090
 
@@ -50,7 +50,10 @@ def _complain(complaints: Sequence[str]) -> None:
 
 def _check_before(given: argparse.Namespace) -> None:
     """What can be known before the logs are read, which may take seconds."""
-    if given.plots or given.summary or given.save:
+    if given.plots or given.summary:
+        return
+    viewer.check_installed()
+    if given.save:
         return
     viewer.executable()
     if given.web:
@@ -61,7 +64,7 @@ def _check_before(given: argparse.Namespace) -> None:
         viewer.check_display()
 
 
-def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callable[[], ViewerClient] | None) -> int:
+def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callable[[], ViewerControl] | None) -> int:
     if given.summary:
         from maxq.tools.replay.text import summary_text  # noqa: PLC0415  # lazy
 
@@ -124,7 +127,7 @@ def temporary_recording() -> Iterator[Path]:
         yield Path(folder) / "replay.rrd"
 
 
-def _screenshot(client: ViewerClient, rrd: Path, given: argparse.Namespace) -> int:
+def _screenshot(client: ViewerControl, rrd: Path, given: argparse.Namespace) -> int:
     target = Path(given.screenshot)
     with Progress(at_once=True) as bar:
         bar.show("drawing", 0, 0)

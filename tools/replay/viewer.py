@@ -12,6 +12,7 @@ import contextlib
 import ctypes
 import functools
 import http.client
+import importlib.metadata
 import importlib.util
 import os
 import signal
@@ -29,13 +30,12 @@ from typing import TYPE_CHECKING, Any
 from maxq.tools.cli.frame import CommandError
 
 if TYPE_CHECKING:
-    from rerun.experimental import ViewerClient
+    from maxq.tools.replay.viewer_control import ViewerControl
 
 LOCAL = "127.0.0.1"
 WINDOW = "1920x1080"
 _START_S, _STEADY_S, _END_S = 30.0, 120.0, 5.0
 _LAYOUTS, _LAYOUT_S = 10, 0.02
-_INSTALL = "pip install 'rerun-sdk==0.41.*'"
 _NO_DRIVER = (
     "no driver to draw with; where there is no graphics card, install software Vulkan "
     "(Debian, Ubuntu: apt install mesa-vulkan-drivers)"
@@ -48,14 +48,26 @@ class ReplayError(CommandError):
     """Nothing can be shown; the text says why and what can be done."""
 
 
+def check_installed() -> None:
+    """Raise ReplayError where rerun-sdk, which all else in maxq does without, is not installed."""
+    if importlib.util.find_spec("rerun") is None:
+        raise _not_installed()
+
+
 def executable() -> Path:
-    """The viewer that came with the Python package. Raises ReplayError where it is missing."""
+    """Return the viewer that came with the Python package. Raises ReplayError where it is missing."""
     found = importlib.util.find_spec("rerun_cli")
     for folder in (found.submodule_search_locations or ()) if found is not None else ():
         for path in (Path(folder) / "rerun", Path(folder) / "rerun.exe"):
             if path.is_file():
                 return path
-    raise ReplayError(f"the Rerun viewer is missing; install it with: {_INSTALL}")
+    raise _not_installed()
+
+
+def _not_installed() -> ReplayError:
+    """Return the error that names the versions which this installation of maxq asks for."""
+    wanted = next(line for line in importlib.metadata.requires("maxq") or () if line.startswith("rerun-sdk"))
+    return ReplayError(f"the Rerun viewer is not installed; install it with: pip install '{wanted}'")
 
 
 def environment() -> dict[str, str]:
@@ -283,7 +295,7 @@ def _local_page(port: int, inner_port: int, grpc_port: int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def headless(window: str = WINDOW) -> Iterator[Callable[[], ViewerClient]]:
+def headless(window: str = WINDOW) -> Iterator[Callable[[], ViewerControl]]:
     """A viewer without a window. It starts at once; what is given drives it, and waits until it answers.
 
     Ends with its block, and with the thread that made it. Raises ReplayError where it cannot run.
@@ -293,11 +305,11 @@ def headless(window: str = WINDOW) -> Iterator[Callable[[], ViewerClient]]:
     with _viewer(*options) as process:
 
         @functools.cache
-        def client() -> ViewerClient:
-            from rerun.experimental import ViewerClient  # noqa: PLC0415  # lazy: a quarter of a second
+        def client() -> ViewerControl:
+            from maxq.tools.replay.viewer_control import ViewerControl  # noqa: PLC0415  # lazy: loads rerun
 
             _wait_for(process, port)
-            return ViewerClient.connect(f"rerun+http://{LOCAL}:{port}/proxy")
+            return ViewerControl(f"rerun+http://{LOCAL}:{port}/proxy")
 
         try:
             yield client
@@ -309,7 +321,7 @@ def headless(window: str = WINDOW) -> Iterator[Callable[[], ViewerClient]]:
             raise ReplayError(f"the Rerun viewer does not answer as expected: {error}") from error
 
 
-def steady_picture(viewer: ViewerClient, view_id: str | None = None) -> bytes:
+def steady_picture(viewer: ViewerControl, view_id: str | None = None) -> bytes:
     """A PNG once two pictures in a row are equal and everything is loaded. Raises ReplayError if that never happens.
 
     Painting takes half a second without a graphics card. What views need is fetched when they are laid out for the
@@ -332,7 +344,7 @@ def steady_picture(viewer: ViewerClient, view_id: str | None = None) -> bytes:
     raise ReplayError(f"the picture did not settle within {_STEADY_S:g} s")
 
 
-def open_whole(viewer: ViewerClient, rrd: Path) -> None:
+def open_whole(viewer: ViewerControl, rrd: Path) -> None:
     """Open a recording and wait until it is there. Raises ReplayError if that never happens."""
     viewer.open(str(rrd.resolve()))
     deadline = time.monotonic() + _STEADY_S
@@ -344,18 +356,18 @@ def open_whole(viewer: ViewerClient, rrd: Path) -> None:
     raise ReplayError(f"the viewer did not finish loading within {_STEADY_S:g} s")
 
 
-def pictures(client: ViewerClient, rrd: Path, times_s: Sequence[float]) -> tuple[list[bytes], list[str]]:
+def pictures(client: ViewerControl, rrd: Path, times_s: Sequence[float]) -> tuple[list[bytes], list[str]]:
     """Pictures (PNG) of the whole window at these times, and what views complained of."""
     open_whole(client, rrd)
     shots, complaints = [], []
     for time_s in times_s:
-        client.set_time("sim_time", duration=time_s, play_state="paused")
+        client.pause_at("sim_time", duration=time_s)
         shots.append(steady_picture(client))
         complaints += complaints_of(client)
     return shots, list(dict.fromkeys(complaints))
 
 
-def complaints_of(viewer: ViewerClient) -> list[str]:
+def complaints_of(viewer: ViewerControl) -> list[str]:
     """What the views of the viewer report: a mapping that is broken, data that cannot be drawn."""
     return [
         f"{view.name}: {report.severity}: {report.summary}{f' ({report.details})' if report.details else ''}"

@@ -103,18 +103,18 @@ def _picture(rrd: Path, time_s: float) -> dict[str, float]:
     with viewer.headless() as connected:
         client = connected()
         viewer.open_whole(client, rrd)
-        client.set_time("sim_time", duration=time_s, play_state="paused")
+        client.pause_at("sim_time", duration=time_s)
         viewer.steady_picture(client)
         opened = time.perf_counter() - start
         memory = sum(c.memory_info().rss for c in psutil.Process().children()) / 1e6
         start = time.perf_counter()
         for step in range(5):
-            client.set_time("sim_time", duration=time_s + step, play_state="paused")
+            client.pause_at("sim_time", duration=time_s + step)
             client.get_state()
         laid_out = (time.perf_counter() - start) / 5.0
         start = time.perf_counter()
         for step in range(5):
-            client.set_time("sim_time", duration=time_s + step, play_state="paused")
+            client.pause_at("sim_time", duration=time_s + step)
             viewer.steady_picture(client)
         moved = (time.perf_counter() - start) / 5.0
     return {"picture_s": opened, "viewer_MB": memory, "layout_s": laid_out, "move_s": moved}

@@ -106,7 +106,7 @@ def _as_rerun_shows_it(log: Path, target: Path) -> None:
             if picture == "rerun-laid-out":
                 send_layout(log, int(client.url.rsplit(":", 1)[1].split("/")[0]))
                 viewer.steady_picture(client)  # the layout has arrived
-            client.set_time(TIMELINE, timestamp=9.0, play_state="paused")
+            client.pause_at(TIMELINE, timestamp=9.0)
             _keep(viewer.steady_picture(client), target / f"{picture}.png")
 
 

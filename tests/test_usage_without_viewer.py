@@ -1,0 +1,111 @@
+"""maxq without rerun-sdk, as on workers of a cluster and in containers: only `simreplay` and `--view` need it."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).resolve().parents[1]
+OLD_LOG = ROOT / "tests" / "data" / "logs" / "schema-1" / "flight.mcap"
+NEEDED = [*map(Requirement, tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"])]
+VIEWER = next(requirement for requirement in NEEDED if requirement.name == "rerun-sdk")
+# What comes with rerun-sdk and with nothing else that maxq needs.
+ABSENT = ("rerun", "rerun_bindings", "rerun_cli", "rerun_sdk", "attr", "attrs", "psutil")
+HIDE = f"import sys; sys.modules.update(dict.fromkeys({ABSENT!r}))\n"
+
+EVERY_MODULE = """
+from importlib import import_module
+from pathlib import Path
+from maxq.control.kernel import jit
+root = Path(jit.__file__).parents[2]
+for layer in ("control", "sim", "design", "tools", "api"):
+    for path in (root / layer).rglob("*.py"):
+        parts = path.relative_to(root).with_suffix("").parts
+        if not {".ns", "dev"} & set(parts) and parts[:2] != ("tools", "replay"):
+            import_module(".".join(("maxq", *parts)).removesuffix(".__init__"))
+            print(".".join(parts))
+"""
+
+EVERY_USE = """
+from maxq import api
+from maxq.tools import simdesign, simreplay, simrun, simverify
+
+def check(code, command, *arguments):
+    found = command.main(list(arguments))
+    assert found == code, (arguments, found)
+
+check(0, simrun, "nominal", "--set", "run.duration_s=0.5", "--out", "flight")
+log = api.read("flight")
+assert log["altitude_m"].size == 51 and log.time_s("altitude_m")[-1] == 0.5
+api.plot(log, "mach").savefig("mach.svg")
+for option in ("--summary", "--plots=plots"):
+    check(0, simreplay, "flight", option)
+data = api.campaign(api.load("campaigns/first", "run.duration_s=0.1"), "campaign", runs=4, workers=2)
+assert repr(data) == "<DataSet campaign: 4 runs of first, 0 failed>"
+check(3, simrun, "--from", "campaign")  # reported; undecided after four runs
+made = api.design("ksr3-relaxed", "search.starts=2", "nodes_s=[10, 40]", "filter.structure=F2")
+made.save("mine.toml")
+assert made.bode(40.0).axes
+check(0, simdesign, "analyse", "mine.toml", "--at", "40", "--out", "analysis")
+short = [word for part in ("certificate=", "margins=") for word in ("--set", part)]
+check(0, simverify, "mine.toml", "--suite", "quick", *short, "--out", "verdict")
+"""
+
+
+def without_viewer(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run Python code in `folder` as if rerun-sdk, and what comes with it alone, were not installed."""
+    return subprocess.run(
+        [sys.executable, "-c", HIDE + code],
+        cwd=folder, env=os.environ,  # without COLUMNS, which readline sets below Python
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip  # four more lines otherwise
+
+
+def test_only_the_replay_imports_the_viewer(tmp_path: Path) -> None:
+    done = without_viewer(EVERY_MODULE, tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) > 250
+
+
+@pytest.mark.slow
+def test_all_else_works_without_the_viewer(tmp_path: Path) -> None:
+    done = without_viewer(EVERY_USE, tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert (tmp_path / "flight" / "flight.mcap").is_file()
+    assert list((tmp_path / "plots").glob("*.svg"))
+    assert (tmp_path / "campaign" / "report.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "says"),
+    [
+        ("simreplay", "OLD --web", "simreplay: "),
+        ("simreplay", "OLD --save replay.rrd", "simreplay: "),
+        ("simreplay", "OLD --screenshot replay.png --at 1", "simreplay: "),
+        ("simrun", "nominal --view", "simrun: --view: "),
+        ("simrun", "nominal --view --view-port 9876", "simrun: --view: "),
+    ],
+)
+def test_a_command_that_needs_the_viewer_says_how_to_install_it(
+    command: str, arguments: str, says: str, tmp_path: Path
+) -> None:
+    given = arguments.replace("OLD", str(OLD_LOG)).split()
+    done = without_viewer(f"from maxq.tools import {command}; sys.exit({command}.main({given!r}))", tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    said = re.fullmatch(rf"{says}the Rerun viewer is not installed; install it with: pip install '(.+)'\n", done.stderr)
+    assert said, done.stderr
+    assert Requirement(said[1]) == VIEWER
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_slim_requirements_are_those_of_the_package_without_the_viewer() -> None:
+    lines = (ROOT / "requirements-slim.txt").read_text().splitlines()
+    slim = [Requirement(line) for line in lines if line and not line.startswith("#")]
+    assert slim == [requirement for requirement in NEEDED if requirement != VIEWER]
