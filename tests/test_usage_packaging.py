@@ -19,7 +19,6 @@ from maxq.tools.dev.lowest import lowest_versions
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 LAYERS = ("control", "sim", "design", "tools")
-PINNED_AS = {"jinja2": "Jinja2", "tomli-w": "tomli_w"}
 PIN = re.compile(r"([A-Za-z0-9._-]+)==([A-Za-z0-9.+!]+)")
 
 
@@ -70,11 +69,16 @@ def test_links_for_type_checkers_lead_to_the_layers():
     }
 
 
-def test_constraints_pin_every_requirement_within_its_range():
+def pinned_versions():
+    """Return the version that constraints.txt pins of each package, by its canonical name."""
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     matches = [PIN.fullmatch(line) for line in lines if not line.startswith("#")]
     assert all(matches), "constraints.txt holds comments and NAME==VERSION, nothing else"
-    pins = {canonicalize_name(match[1]): match[2] for match in matches if match}
+    return {canonicalize_name(match[1]): match[2] for match in matches if match}
+
+
+def test_constraints_pin_every_requirement_within_its_range():
+    pins = pinned_versions()
     extras = PROJECT["project"]["optional-dependencies"]
     wanted = [
         *PROJECT["build-system"]["requires"],
@@ -92,12 +96,10 @@ def test_every_bound_of_a_requirement_is_stated_and_tested():
 
     The upper bounds are of packages whose private or experimental parts are used: Numba's and the viewer's.
     """
-    pins = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().splitlines() if "==" in line)
-    lowest = dict(lowest_versions(PROJECT))
-    upper = {}
+    pins, lowest, upper = pinned_versions(), dict(lowest_versions(PROJECT)), {}
     for requirement in map(Requirement, PROJECT["project"]["dependencies"]):
         assert requirement.specifier.contains(lowest[requirement.name])
-        assert Version(lowest[requirement.name]) <= Version(pins[PINNED_AS.get(requirement.name, requirement.name)])
+        assert Version(lowest[requirement.name]) <= Version(pins[canonicalize_name(requirement.name)])
         upper.update((requirement.name, part.version) for part in requirement.specifier if part.operator == "<")
         assert {part.operator for part in requirement.specifier} <= {">=", "<"}
     assert set(upper) == {"numba", "rerun-sdk"}
