@@ -87,8 +87,8 @@ class Parts:
 
             def between() -> tuple[float, ...]:
                 """Return the instants of every stage, whose nodes lie in one powered span."""
-                spans = [[t for t in times_s if span.holds(t)] for span in powered_spans(self.along)]
-                return tuple(t for mine in spans for t in linear.worst_instants(along, design, mine, wanted.nominal))
+                by_stage = self._by_span(times_s).values()
+                return tuple(t for mine in by_stage for t in linear.worst_instants(along, design, mine, wanted.nominal))
 
             limits = told(wanted.nominal)
             found = self.memory.recall("instants", (*depends, repr(design), limits), between)
