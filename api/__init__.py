@@ -1,32 +1,41 @@
-"""maxq from Python: what the commands do, as functions with a few lines each.
+"""maxq from Python: functions that do what the commands do.
 
 ::
 
-    from maxq.api import load, fly, plot, campaign, read, vehicle, design, bode, verify, replay
+    import maxq
 
-    flight = fly("nominal", "wind.profile=winds/anheung-november.csv")
-    plot(flight, "alpha_total_deg", "gimbal_pitch_angle_deg")
+    flight = maxq.fly("nominal", "wind.profile=winds/anheung-november.csv")
+    maxq.plot(flight, "alpha_total_deg", "gimbal_pitch_angle_deg")
     flight.to_pandas("/truth"), flight.to_csv("flight.csv", "altitude_m"), flight.metrics
 
-    made = design("ksr3-relaxed")
+    made = maxq.optimise("ksr3-relaxed")
     made.bode(40.0), made.save("mine.toml")
-    verify("mine.toml", "quick").judgement
+    maxq.verify("mine.toml", "quick").judgement
 
-These names and their arguments are stable; each is imported when it is first used, so that ``import maxq.api`` takes no
-time. Wrong input raises a :class:`ScenarioError`, :class:`CampaignError` or :class:`LogError` of one line, which names
-file, key, value and what is allowed.
+The names in ``__all__`` are the public API. What they need is imported when they are first used. Wrong input raises a :class:`ScenarioError`, :class:`CampaignError` or :class:`LogError` of
+one line, which names file, key, value and what is allowed.
 """
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for type checkers and editors; _HOMES says the same to the interpreter
-    from maxq.api.designs import Designed, bode, design, verify
-    from maxq.api.flights import campaign, fly, load, plot, read, replay, vehicle
-    from maxq.design.api import load_design, loop, loops, nodes
-    from maxq.design.margins.measure import margins
+    from matplotlib.figure import Figure
+
+    from maxq.design.laws.design_file import load_design
+    from maxq.design.loop.fixed_path import Cut, Kind
+    from maxq.design.loop.loop import Loop, loops
+    from maxq.design.loop.multiloop import multiloops
+    from maxq.design.margins.measure import Margins, margins
+    from maxq.design.margins.multiloop import multiloop_margins
+    from maxq.design.model.instruments import Plane
+    from maxq.design.model.node import Node
+    from maxq.design.operating_points import Plant, nodes
+    from maxq.design.paper.errata import Errata
     from maxq.design.verify.verify import Verification
     from maxq.sim.campaign.analysis import DataSet
     from maxq.sim.campaign.error import CampaignError
@@ -39,29 +48,207 @@ if TYPE_CHECKING:  # for type checkers and editors; _HOMES says the same to the 
     from maxq.sim.scenario.errors import ScenarioError
     from maxq.sim.scenario.files import builtin_names
     from maxq.sim.scenario.loader import LoadedScenario
+    from maxq.sim.scenario.schema_design import Design
+    from maxq.tools.design.designed import Designed
 
 __all__ = [
     "CampaignError", "DataSet", "Designed", "Flight", "FlightRun", "LoadedCampaign", "LoadedScenario", "Log",
-    "LogError", "ScenarioError", "Verification", "bode", "builtin_names", "campaign", "design", "fly", "load",
-    "load_design", "loop", "loops", "margins", "nodes", "plot", "read", "record", "replay", "vehicle", "verify",
-]  # fmt: skip  # twenty more lines otherwise
+    "LogError", "Loop", "Margins", "Node", "ScenarioError", "Verification", "bode", "builtin_names", "campaign", "fly",
+    "load", "load_design", "loop", "loops", "margins", "multiloop_margins", "multiloops", "nodes", "optimise", "plot",
+    "read", "record", "replay", "vehicle", "verify",
+]  # fmt: skip  # thirty more lines otherwise
 _HOMES = {
-    "maxq.api.designs": ("Designed", "bode", "design", "verify"),
-    "maxq.api.flights": ("campaign", "fly", "load", "plot", "read", "replay", "vehicle"),
-    "maxq.design.api": ("load_design", "loop", "loops", "nodes"),
-    "maxq.design.margins.measure": ("margins",),
+    "maxq.design.laws.design_file": ("load_design",),
+    "maxq.design.loop.loop": ("Loop", "loops"),
+    "maxq.design.loop.multiloop": ("multiloops",),
+    "maxq.design.margins.measure": ("Margins", "margins"),
+    "maxq.design.margins.multiloop": ("multiloop_margins",),
+    "maxq.design.model.node": ("Node",),
+    "maxq.design.operating_points": ("nodes",),
     "maxq.design.verify.verify": ("Verification",),
     "maxq.sim.campaign.analysis": ("DataSet",),
     "maxq.sim.campaign.error": ("CampaignError",),
     "maxq.sim.campaign.read": ("LoadedCampaign",),
     "maxq.sim.log.head": ("LogError",),
     "maxq.sim.log.reader": ("Log",),
-    "maxq.sim.run.fly": ("Flight", "FlightRun"),
+    "maxq.sim.run.flight": ("Flight",),
+    "maxq.sim.run.fly": ("FlightRun",),
     "maxq.sim.run.record": ("record",),
     "maxq.sim.scenario.errors": ("ScenarioError",),
     "maxq.sim.scenario.files": ("builtin_names",),
     "maxq.sim.scenario.loader": ("LoadedScenario",),
+    "maxq.tools.design.designed": ("Designed",),
 }
+"""Where the names are defined that this module does not define itself."""
+
+if not os.path.isdir(os.path.join(__path__[0], "control")):
+    # an editable installation: the layers are not below this folder, but next to it
+    __path__.append(os.path.dirname(__path__[0]))
+
+
+def load(path: str | Path, *overrides: str) -> LoadedScenario | LoadedCampaign:
+    """Load a scenario or a campaign: a file, or the name of a built-in one; `overrides` as "run.duration_s=10"."""
+    from maxq.sim.campaign.read import load_campaign
+    from maxq.sim.scenario.loader import is_campaign, load_scenario
+
+    if is_campaign(path):
+        return load_campaign(path, overrides)
+    return load_scenario(path, overrides).telling(overrides)
+
+
+def fly(scenario: LoadedScenario | str | Path, *overrides: str, folder: str | Path | None = None) -> Flight:
+    """Fly a scenario. With `folder`: log and summary are written there, and the channels are in the log (`read`).
+
+    The first flight of an installation compiles the simulator (about twenty seconds).
+    """
+    from maxq.sim.run import fly as flying
+    from maxq.sim.run.record import record
+    from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+
+    if isinstance(scenario, LoadedScenario) and overrides:
+        raise ValueError("overrides go with a scenario's name; load(name, *overrides) takes them")
+    loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario, overrides)
+    loaded = loaded.telling(overrides)
+    return flying.fly(loaded) if folder is None else record(flying.FlightRun(loaded), folder)
+
+
+def campaign(
+    of: LoadedCampaign | str | Path,
+    folder: str | Path | None = None,
+    *,
+    runs: int | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+) -> DataSet:
+    """Fly a campaign into its folder (None: runs/NAME), or the runs that are missing there.
+
+    `runs` and `seed` replace those of the file. `workers`: threads of this process, by default one for each core.
+    Raises CampaignError.
+    """
+    from maxq.sim.campaign.analysis import DataSet
+    from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+    from maxq.sim.campaign.runner import run_campaign
+    from maxq.sim.files import plain_name
+
+    loaded = of if isinstance(of, LoadedCampaign) else load_campaign(of)
+    changes = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
+    loaded = loaded.with_campaign(**changes)
+    place = Path(folder) if folder is not None else Path("runs") / plain_name(loaded.name, "campaign")
+    run_campaign(loaded, place, workers=workers, elsewhere="give another folder")
+    return DataSet(place, loaded)
+
+
+def read(path: str | Path) -> Log | DataSet:
+    """Read what was flown: a log, the folder of a flight, or that of a campaign."""
+    from maxq.sim.campaign.analysis import DataSet
+    from maxq.sim.campaign.store import MANIFEST, campaign_in
+    from maxq.sim.log.reader import read_log
+    from maxq.sim.run.record import LOG_NAME
+
+    place = Path(path)
+    if (place / MANIFEST).is_file():
+        return DataSet(place, campaign_in(place))
+    return read_log(place / LOG_NAME if place.is_dir() else place)
+
+
+def plot(of: Flight | Log, *names: str) -> Figure:
+    """Draw channels over time, those of one unit in one panel, with the events of the flight as dotted lines.
+
+    `names`: channels or topics ("/truth"); none: the key channels. Returns a Matplotlib figure, which a notebook shows
+    and `.savefig(path)` writes. Raises KeyError for an unknown name.
+    """
+    from maxq.tools.plots.channels import channel_plot
+
+    return channel_plot(of, names)
+
+
+def replay(*places: str | Path, save: str | Path | None = None) -> None:
+    """Show flights (logs, folders of flights or campaigns) in the viewer, or `save` them as a Rerun recording."""
+    from maxq.tools import simreplay
+
+    simreplay.show([str(place) for place in places] + (["--save", str(save)] if save is not None else []))
+
+
+def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:
+    """Work out a vehicle from a layout, a file or a built-in one, into its folder (None: runs/NAME), which is returned.
+
+    It holds `scenario.toml` to fly, `case.toml` to optimise, `suite.toml` to verify and `campaign.toml`. Raises
+    ScenarioError, and ValueError for a layout that cannot fly.
+    """
+    from maxq.sim.files import plain_name
+    from maxq.tools.vehicle.build import build
+    from maxq.tools.vehicle.files import write
+    from maxq.tools.vehicle.layout import read_layout
+
+    read = read_layout(layout)
+    place = Path(folder) if folder is not None else Path("runs") / plain_name(read.name, "vehicle")
+    write(build(read), place)
+    return place
+
+
+def optimise(case: str | Path, *overrides: str) -> Designed:
+    """Optimise gain schedules and bending filter of a case: a file, or the name of a built-in one (`simdesign`)."""
+    from maxq.tools.design.designed import designed
+
+    return designed(case, overrides)
+
+
+def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) -> Verification:
+    """Judge a design by a suite (`simverify`). Parts that are known from an earlier call are not computed again."""
+    from maxq.design.laws.design_file import design_path
+    from maxq.design.verify import memory
+    from maxq.design.verify.suite import read_suite
+    from maxq.design.verify.verify import verify as verify_design
+
+    return verify_design(design_path(str(design)), read_suite(str(suite), overrides), memory=memory.default_folder())
+
+
+def bode(design: str | Path, time_s: float, scenario: str | Path = "nominal", plane: Plane = "pitch") -> Figure:
+    """Draw the Bode, Nichols and Nyquist plots of a design's sampled loop at a vehicle time of a scenario's flight."""
+    from maxq.tools.design.designed import loop_figure
+
+    return loop_figure(str(design), time_s, scenario, plane)
+
+
+def loop(
+    where: Node | LoadedScenario | str | Path,
+    design: Design | str | Path | None = None,
+    time_s: float | None = None,
+    *,
+    plane: Plane = "pitch",
+    kind: Kind = "sampled",
+    cut: Cut = "gimbal_command",
+    errata: Errata | str = "corrected",
+    plant: Plant = "flown",
+) -> Loop:
+    """Return a design's loop at one operating point.
+
+    `where`: an operating point (`nodes`), which brings its own time, plane, errata and plant; or a scenario, flown up
+    to `time_s`. `design`: loaded, a file, a built-in name, or None for the scenario's own. The other arguments are
+    those of `nodes` and `loops`. Raises ScenarioError, and ValueError for what is missing or not allowed.
+    """
+    from maxq.design.laws.design_file import load_design
+    from maxq.design.loop.loop import loops
+    from maxq.design.model.node import Node
+    from maxq.design.operating_points import nodes
+    from maxq.sim.scenario.loader import load_scenario
+    from maxq.sim.scenario.schema_design import Design
+
+    node, scenario = (where, None) if isinstance(where, Node) else (None, where)
+    if isinstance(scenario, str | Path):
+        scenario = load_scenario(scenario)
+    if design is None:
+        design = scenario.design if scenario is not None else None
+        if design is None:
+            raise ValueError("no design is given, and there is no scenario that has one")
+    elif not isinstance(design, Design):
+        design = load_design(design, scenario if scenario is not None else "nominal")
+    if node is None:
+        if time_s is None:
+            raise ValueError("time_s is missing: when along the flight?")
+        assert scenario is not None
+        node = nodes(scenario, [time_s], plane=plane, errata=errata, plant=plant)[0]
+    return loops([node], design, kind=kind, cut=cut)[0]
 
 
 def __getattr__(name: str) -> Any:

@@ -8,13 +8,14 @@ from functools import cache
 import numpy as np
 import scipy.optimize
 
-from maxq.design import api
+import maxq
 from maxq.design.loop.fixed_path import folded
 from maxq.design.loop.loop import Loop
 from maxq.design.model.held import FlightCondition, hold_stage, table_clock_s
 from maxq.design.model.instruments import Plane, instruments_of
 from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import without_bending
+from maxq.design.operating_points import published_nodes
 from maxq.design.paper.nodes import PaperNode
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
@@ -35,13 +36,13 @@ def nominal(*overrides: str) -> LoadedScenario:
 
 @cache
 def flown(plane: Plane = "pitch", *overrides: str) -> tuple[Node, ...]:
-    return tuple(api.nodes(nominal(*overrides), TIMES_S, plane=plane))
+    return tuple(maxq.nodes(nominal(*overrides), TIMES_S, plane=plane))
 
 
 @cache
 def published(plane: Plane = "pitch", *overrides: str) -> tuple[PaperNode, ...]:
     """The same with the published equations of design/paper."""
-    return tuple(api.published_nodes(nominal(*overrides), TIMES_S, plane=plane))
+    return tuple(published_nodes(nominal(*overrides), TIMES_S, plane=plane))
 
 
 def published_at(time_s: float, plane: Plane = "pitch", *overrides: str) -> PaperNode:

@@ -27,10 +27,10 @@ import numpy as np
 import pytest
 import scipy.special
 
+import maxq
 from maxq.control.converter import ConverterState, convert, make_converter
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import blank, pack
-from maxq.design import api
 from maxq.design.certificate.certificate import HELD_GRAVITY, MarginRow, NodeCertificate, certify_node
 from maxq.design.certificate.certificate import _with_noise as with_noise
 from maxq.design.certificate.excitation import DITHER_HZ, Band, band, excitation_level, injections
@@ -60,12 +60,12 @@ def loaded() -> LoadedScenario:
 
 @pytest.fixture(scope="module")
 def held(loaded: LoadedScenario) -> HeldFlight:
-    return hold(loaded, api.nodes(loaded, [40.0])[0])
+    return hold(loaded, maxq.nodes(loaded, [40.0])[0])
 
 
 @pytest.fixture(scope="module")
 def certificate(loaded: LoadedScenario) -> NodeCertificate:
-    return certify_node(loaded, api.nodes(loaded, [50.0])[0])
+    return certify_node(loaded, maxq.nodes(loaded, [50.0])[0])
 
 
 def _through_converter(increments_rad: np.ndarray, remainder_rad: float) -> np.ndarray:
@@ -130,8 +130,8 @@ def test_slow_root_is_found_under_a_coarse_output() -> None:
     """At 3.056 s a burst of 0.0033 deg is three steps of the output: 0.84 dB off without dither."""
     robust = load_scenario("nominal", ['design="designs/ksr3-robust.toml"'])
     assert robust.design is not None
-    held = hold(robust, api.nodes(robust, [3.056])[0])
-    loop = api.loops([held.node], robust.design)[0]
+    held = hold(robust, maxq.nodes(robust, [3.056])[0])
+    loop = maxq.loops([held.node], robust.design)[0]
     found = measure_margin(held, loop, margins(loop), "gain_down")
     assert (found.reason, found.frequency_hz) == ("", 0.0)
     assert abs(found.difference) < 0.06
@@ -140,7 +140,7 @@ def test_slow_root_is_found_under_a_coarse_output() -> None:
 @pytest.mark.parametrize("lines", BANDS, ids=["low", "middle", "high"])
 def test_excitation_does_what_the_linear_loop_predicts(held: HeldFlight, lines: Band) -> None:
     assert held.loaded.design is not None
-    loop = api.loops([held.node], held.loaded.design)[0]
+    loop = maxq.loops([held.node], held.loaded.design)[0]
     level = excitation_level(held, loop, lines)
     angle, rate = linear_limits(held)
     assert level.command_rad < angle
@@ -172,7 +172,7 @@ def test_half_the_amplitude_measures_the_same(certificate: NodeCertificate) -> N
 def test_margin_is_found_again_from_an_altered_flight(held: HeldFlight) -> None:
     """A loop with 2 dB more gain has 2 dB less margin, of which the linear loop knows nothing."""
     assert held.loaded.design is not None
-    loop = api.loops([held.node], held.loaded.design)[0]
+    loop = maxq.loops([held.node], held.loaded.design)[0]
 
     def more_gain(packed: Packed) -> None:
         computer = packed.parameters[0].computer
@@ -194,8 +194,8 @@ def test_margin_at_half_the_sample_rate(tmp_path: Path) -> None:
     )
     blended = load_scenario("load-relief", [f"design={tmp_path / 'design.toml'}"])
     assert blended.design is not None
-    held = hold(blended, api.nodes(blended, [57.9])[0], along_body=True)
-    loop = api.loops([held.node], blended.design)[0]
+    held = hold(blended, maxq.nodes(blended, [57.9])[0], along_body=True)
+    loop = maxq.loops([held.node], blended.design)[0]
     found = measure_margin(held, loop, margins(loop), "gain_up")
     assert (found.reason, found.frequency_hz) == ("", 50.0)
     assert abs(found.difference) < 0.15
@@ -204,9 +204,9 @@ def test_margin_at_half_the_sample_rate(tmp_path: Path) -> None:
 def test_delay_that_does_not_fit_the_computer_is_named(loaded: LoadedScenario) -> None:
     """At 5 s ksr3-free bears 150 ms, 15 samples; the filter has room for 12."""
     patient = load_scenario("nominal", ['design="designs/ksr3-free.toml"'])
-    held = hold(patient, api.nodes(patient, [5.0])[0])
+    held = hold(patient, maxq.nodes(patient, [5.0])[0])
     assert patient.design is not None
-    loop = api.loops([held.node], patient.design)[0]
+    loop = maxq.loops([held.node], patient.design)[0]
     found = measure_margin(held, loop, margins(loop), "delay")
     assert found.linear > 0.12
     assert (found.reason, found.tried) == (TOO_LONG, ())
@@ -214,7 +214,7 @@ def test_delay_that_does_not_fit_the_computer_is_named(loaded: LoadedScenario) -
 
 def test_what_grows_ends_as_a_limit_cycle_or_is_lost(held: HeldFlight) -> None:
     assert held.loaded.design is not None
-    bound = margins(api.loops([held.node], held.loaded.design)[0]).gain_up_db
+    bound = margins(maxq.loops([held.node], held.loaded.design)[0]).gain_up_db
 
     def over(db: float) -> Change:
         def change(packed: Packed) -> None:
@@ -240,7 +240,7 @@ def drifting() -> LoadedScenario:
 
 
 def test_drift_of_a_held_loop_is_measured_and_named(drifting: LoadedScenario) -> None:
-    found = certify_node(drifting, api.nodes(drifting, [55.0])[0], bands=BANDS[:1])
+    found = certify_node(drifting, maxq.nodes(drifting, [55.0])[0], bands=BANDS[:1])
     assert found.agrees
     assert found.stable
     by_name = {e.what: e for e in found.margins}
@@ -256,7 +256,7 @@ def test_wrong_gravity_shows_in_the_drift(drifting: LoadedScenario) -> None:
     def lighter(packed: Packed) -> None:
         packed.parameters[0].environment.earth.uniform_mps2 *= 0.8
 
-    found = certify_node(drifting, api.nodes(drifting, [55.0])[0], fault=lighter, bands=(), names=())
+    found = certify_node(drifting, maxq.nodes(drifting, [55.0])[0], fault=lighter, bands=(), names=())
     assert not found.agrees
     assert "drift" in found.unexplained[0]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.response import BANDS
 from maxq.design.model.node import Node
@@ -33,7 +33,7 @@ def loaded() -> LoadedScenario:
 
 @pytest.fixture(scope="module")
 def node(loaded: LoadedScenario) -> Node:
-    return api.nodes(loaded, [40.0])[0]
+    return maxq.nodes(loaded, [40.0])[0]
 
 
 def test_there_are_many_and_none_is_named_twice() -> None:

@@ -32,10 +32,10 @@ from design_nodes import (
     without,
 )
 
-from maxq.design import api
+import maxq
 from maxq.design.laws.pd import Pd, PdDesign
-from maxq.design.loop.fixed_path import KINDS, PadeFixedPath, SampledFixedPath, fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.fixed_path import KINDS, Kind, PadeFixedPath, SampledFixedPath, fixed_path
+from maxq.design.loop.loop import Loop, law_at
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import Node, nodes_along
@@ -86,7 +86,7 @@ def test_nodes_are_those_of_the_flight_that_is_logged() -> None:
 
 
 def test_a_node_is_the_same_whichever_others_are_asked_for() -> None:
-    alone, among = api.nodes(nominal(), [40.0])[0], node_at(40.0)
+    alone, among = maxq.nodes(nominal(), [40.0])[0], node_at(40.0)
     assert alone.condition == among.condition
     np.testing.assert_array_equal(alone.plant.a, among.plant.a)
 
@@ -117,13 +117,13 @@ def test_no_nodes() -> None:
 
 
 def test_second_stage_has_nodes() -> None:
-    node = nodes_along(api.load_scenario("checkcases/two-stage"), [1.0])[0]
-    later = nodes_along(api.load_scenario("checkcases/two-stage"), [_second_burn()])[0]
+    node = nodes_along(load_scenario("checkcases/two-stage"), [1.0])[0]
+    later = nodes_along(load_scenario("checkcases/two-stage"), [_second_burn()])[0]
     assert 0.0 < later.vehicle.total_mass_kg < 0.9 * node.vehicle.total_mass_kg
 
 
 def _second_burn() -> float:
-    flight = fly(api.load_scenario("checkcases/two-stage"), log=False)
+    flight = fly(load_scenario("checkcases/two-stage"), log=False)
     ignitions = [e.time_s for e in flight.events if e.name == "ignition"]
     return ignitions[-1] + 1.0
 
@@ -230,7 +230,7 @@ def test_zero_slosh_mass_is_no_tank() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_rigid_body_with_ideal_instruments(kind: api.Kind) -> None:
+def test_a_rigid_body_with_ideal_instruments(kind: Kind) -> None:
     """In vacuum q' = M_delta delta exactly: the loop has its closed form."""
     node = ideal(without(node_at(40.0), modes=True, tanks=True), actuator=True, gyro=True)
     condition = dataclasses.replace(node.condition, density_kgpm3=0.0)
@@ -269,7 +269,7 @@ def test_a_rigid_body_with_ideal_instruments(kind: api.Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_two_modes_of_equal_frequency(kind: api.Kind) -> None:
+def test_two_modes_of_equal_frequency(kind: Kind) -> None:
     """Twice the same mode is that mode with half its generalised mass, its axial softening apart."""
     twice, once = with_modes(node_at(40.0), [0, 0]), with_modes(node_at(40.0), [0])
     mass = int(schedule.mode_column(once.held.sizes, schedule.PITCH, schedule.MODE_MASS))
@@ -289,7 +289,7 @@ def test_response_without_a_basis_of_eigenvectors() -> None:
 
 def test_scalar_frequencies_and_shapes() -> None:
     for kind in KINDS:
-        loop = api.loop(node_at(40.0), design(), kind=kind)
+        loop = maxq.loop(node_at(40.0), design(), kind=kind)
         assert loop.response(1.0).shape == ()
         assert loop.response(np.ones((2, 3))).shape == (2, 3)
         np.testing.assert_allclose(loop.response([1.0, 2.0])[0], loop.response(1.0), rtol=1e-13)
@@ -314,11 +314,11 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="no state space"):
         fixed_path(node, "exact").state_space()
     with pytest.raises(ValueError, match="time_s is missing"):
-        api.loop("nominal")
+        maxq.loop("nominal")
     with pytest.raises(ValueError, match="no design is given"):
-        api.loop(node)
+        maxq.loop(node)
     with pytest.raises(ValueError, match="plant = 'paper': allowed is flown, table2"):
-        api.nodes("nominal", [40.0], plant="paper")  # type: ignore[arg-type]  # wrong on purpose
+        maxq.nodes("nominal", [40.0], plant="paper")  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_resonances_are_named() -> None:
@@ -372,14 +372,14 @@ def test_without_k_p_there_is_no_integrator() -> None:
 def test_literal_cuts_of_eq_42() -> None:
     node = node_at(40.0)
     for cut in ("rate_command_to_q", "rate_command_to_q_m"):
-        loop = api.loop(node, design(), kind="pade", cut=cut)  # type: ignore[arg-type]  # a Literal, from a loop
+        loop = maxq.loop(node, design(), kind="pade", cut=cut)  # type: ignore[arg-type]  # a Literal, from a loop
         again = dataclasses.replace(loop, law=dataclasses.replace(loop.law, k_d_s=100.0))  # type: ignore[type-var]  # a Pd
         np.testing.assert_array_equal(loop.response(F), again.response(F))  # q_c meets k_p only
         s = loop.state_space()
         direct = s.response(F)[:, 0, 0]
         np.testing.assert_allclose(loop.response(F), direct, rtol=1e-5)
     peak = {
-        cut: peaks_db(api.loop(node, design(), kind="pade", cut=cut))["bending 1"]  # type: ignore[arg-type]  # a Literal, from a loop
+        cut: peaks_db(maxq.loop(node, design(), kind="pade", cut=cut))["bending 1"]  # type: ignore[arg-type]  # a Literal, from a loop
         for cut in ("gimbal_command", "rate_command_to_q", "rate_command_to_q_m")
     }
     assert peak["gimbal_command"] > 10.0 > -15.0 > peak["rate_command_to_q_m"] > peak["rate_command_to_q"] + 15.0
@@ -405,8 +405,8 @@ def test_imposed_derivatives_span_table_2() -> None:
         np.testing.assert_allclose(rates[0], rates[1], rtol=1e-12)
         assert after.vehicle.pendulums.mass_kg.tolist() == before.vehicle.pendulums.mass_kg.tolist()
         np.testing.assert_array_equal(after.vehicle.omega_radps, before.vehicle.omega_radps)
-        assert (api.loop(after, design()).closed_poles().real < 0.0).all()
-        assert len(api.loop(after.with_errata(PAPER), design(), kind="pade").closed_poles()) > 0
+        assert (maxq.loop(after, design()).closed_poles().real < 0.0).all()
+        assert len(maxq.loop(after.with_errata(PAPER), design(), kind="pade").closed_poles()) > 0
 
 
 def test_imposed_derivatives_that_cannot_be() -> None:
@@ -431,9 +431,9 @@ def test_tables_of_derivatives_that_are_none(tmp_path: Path) -> None:
 # --- comparison
 def test_departure_closes_and_says_where_it_comes_from() -> None:
     for node in flown()[::5]:
-        found = departure(node, api.law_at(design(), node, "pade"), api.law_at(design(), node))
-        pade = api.loop(node, design(), kind="pade").response(found.frequency_hz)
-        sampled = api.loop(node, design()).response(found.frequency_hz)
+        found = departure(node, law_at(design(), node, "pade"), law_at(design(), node))
+        pade = maxq.loop(node, design(), kind="pade").response(found.frequency_hz)
+        sampled = maxq.loop(node, design()).response(found.frequency_hz)
         np.testing.assert_allclose(found.db["total"], 20 * np.log10(np.abs(pade / sampled)), atol=1e-9)
         turned = np.exp(1j * np.radians(found.deg["total"]))
         np.testing.assert_allclose(turned, pade / sampled / np.abs(pade / sampled), atol=1e-9)
@@ -449,7 +449,7 @@ def test_departure_closes_and_says_where_it_comes_from() -> None:
 
 def test_closed_damping_follows_slosh() -> None:
     """At 55 s the fuel hangs between CG and centre of percussion: the loop takes damping from it."""
-    loop = api.loop(node_at(55.0), design())
+    loop = maxq.loop(node_at(55.0), design())
     free = {r.label: r.damping_ratio for r in loop.fixed.resonances() if r.kind == "slosh"}
     closed = closed_damping(loop)
     assert set(free) <= set(closed)

@@ -21,11 +21,10 @@ import pytest
 from design_nodes import design, node_at, without
 from pid_law import PID, Pid
 
-from maxq.design import api
 from maxq.design.case.schema import LoadedCase, ObjectiveName
 from maxq.design.laws import registry
-from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.fixed_path import Kind, fixed_path
+from maxq.design.loop.loop import Loop, close_loop
 from maxq.design.margins.measure import margins
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.criteria import OBJECTIVES
@@ -63,9 +62,9 @@ def problem_of(kind: str) -> Problem:
 
 
 @KINDS
-def test_its_loop_is_one_in_every_form(kind: api.Kind) -> None:
+def test_its_loop_is_one_in_every_form(kind: Kind) -> None:
     node = without(node_at(40.0), modes=True)
-    loop = api.close(fixed_path(node, kind), design().model_copy(update={"law": "tried"}))
+    loop = close_loop(fixed_path(node, kind), design().model_copy(update={"law": "tried"}))
     assert isinstance(loop.law, Pid)
     s = loop.state_space()
     at = 2j * np.pi * F if loop.sample_s is None else np.exp(2j * np.pi * F * loop.sample_s)

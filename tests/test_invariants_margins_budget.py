@@ -20,8 +20,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maxq.control.kernel.records import Array
-from maxq.design import api
 from maxq.design.loop.fixed_path import KINDS, Kind, fixed_path
+from maxq.design.loop.loop import close_loop
 from maxq.design.margins.budget import BUILD_UP, Budget, Response, Share, build_up, crossing_budgets, loop_budget, split
 from maxq.design.margins.measure import margins
 from maxq.design.model.node import Node
@@ -37,7 +37,7 @@ def share_of(budget: Budget, part: str) -> Share:
 
 
 def closed(node: Node, kind: Kind = "sampled"):
-    return api.close(fixed_path(node, kind), design())
+    return close_loop(fixed_path(node, kind), design())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -96,7 +96,7 @@ def test_the_printed_model_has_a_budget_too():
 def test_a_cut_has_no_budget():
     path = fixed_path(node_at(20.0), "pade", "rate_command_to_q")
     with pytest.raises(ValueError, match="rate_command_to_q"):
-        loop_budget(api.close(path, design()), [1.0])
+        loop_budget(close_loop(path, design()), [1.0])
 
 
 # --- any parts ----------------------------------------------------------------------------------------------------

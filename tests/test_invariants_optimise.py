@@ -24,7 +24,7 @@ import pytest
 import scipy.linalg
 from threadpoolctl import threadpool_info
 
-from maxq.design import api
+import maxq
 from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.design_file import design_text
 from maxq.design.laws.pd import Pd, as_flown
@@ -93,7 +93,7 @@ LATE = ("nodes_s=[45.0, 50.0, 55.0]", "filter.structure=F4", "search.starts=3", 
 
 def missed_between(s: Solution, loaded: LoadedCase) -> float:
     """By how many dB (0.2 dB/deg) the worst instant of each tenth of a second misses the margins, by design/margins."""
-    nodes = api.nodes(loaded.scenario, np.arange(45.0, 55.05, 0.1).round(3))
+    nodes = maxq.nodes(loaded.scenario, np.arange(45.0, 55.05, 0.1).round(3))
     found = judge(nodes, make_design(loaded, s), "pade")
     assert all(j.margins.stable for j in found)
     gain, phase = min(j.gain_margin_db for j in found), min(j.margins.phase_deg.value for j in found)
@@ -113,7 +113,7 @@ def test_limits_hold_between_the_nodes_where_they_are_asked_to() -> None:
     assert missed_between(by_mass, over) < 0.025
     rows = make_design(over, by_mass).gains.table["mass_kg"]
     assert rows.tolist() == pytest.approx(
-        sorted(n.scheduled("mass_kg") for n in api.nodes(over.scenario, [45, 50, 55]))
+        sorted(n.scheduled("mass_kg") for n in maxq.nodes(over.scenario, [45, 50, 55]))
     )
     assert held.feasible
     assert missed_between(plain, at_nodes) > 1.0
@@ -173,7 +173,7 @@ def test_rigid_limits_over_time(tmp_path: Path) -> None:
     assert (0.5 * plants.rigid.m_delta * k_d / omega > 0.8 - 1e-6).all()
     judged = judge_solution(loaded, s)
     (tmp_path / "design.toml").write_text(design_text(judged.design))
-    assert api.load_design(tmp_path / "design.toml").basis == judged.design.basis
+    assert maxq.load_design(tmp_path / "design.toml").basis == judged.design.basis
     found = next(check for check in judged.found if check.key == "rigid_hz")
     np.testing.assert_allclose(found.limit, [0.5, 0.6, 0.7])
     assert found.passed
@@ -248,7 +248,7 @@ def test_an_instant_that_is_worse_becomes_a_node_with_its_worst_plant(monkeypatc
     loaded = kit.case("nodes_s=[30.0, 40.0]", "between_nodes='hold'", name="ksr3-robust")
     loaded = dataclasses.replace(loaded, case=loaded.case.model_copy(update={"loop": "pade"}))
     nominal = nominal_plants(loaded)
-    between = api.nodes(loaded.scenario, [33.0])[0]
+    between = maxq.nodes(loaded.scenario, [33.0])[0]
     ranges = ranges_of(loaded, [between])
     assert ranges is not None
     ends = tuple([1] * len(deviations_of(ranges.campaign, between).places))
@@ -307,7 +307,7 @@ def test_dispersed_plants_hold_between_the_nodes_where_they_are_asked_to() -> No
     held = solve(loaded)
     ranges = ranges_of(loaded, [])
     assert ranges is not None
-    nodes = api.nodes(loaded.scenario, np.arange(45.0, 55.05, 0.4).round(3))
+    nodes = maxq.nodes(loaded.scenario, np.arange(45.0, 55.05, 0.4).round(3))
     corners = [[0] * 7, *np.random.default_rng(1).choice([-1, 1], (12, 7)).tolist()]  # three modes, two of each tank
     vehicles = [deviated(node, ranges, ends) for node in nodes for ends in corners]
 

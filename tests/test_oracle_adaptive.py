@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 from scipy.signal import butter, cont2discrete, lfilter
 
+import maxq
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.adaptive import make_adaptive
 from maxq.control.laws.pd import GainSchedule, gains_table
-from maxq.design import api
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.margins.measure import margins
 from maxq.design.verify.certified import certificate_requirements
@@ -151,12 +151,12 @@ def with_gains(loaded: LoadedScenario, factor: float) -> LoadedScenario:
 def test_margins_at_the_limits_are_those_of_scaled_gains() -> None:
     loaded = load_scenario("nominal", [adaptive(0.003, 4.0)])
     assert loaded.design is not None
-    nodes = api.nodes(loaded, [30.0])
+    nodes = maxq.nodes(loaded, [30.0])
     judged = judge(nodes, loaded.design)
     for factor, found in judged[0].at_total_gains.items():
         scaled = with_gains(loaded, factor).design
         assert scaled is not None
-        wanted = margins(api.loops(nodes, scaled)[0])
+        wanted = margins(maxq.loops(nodes, scaled)[0])
         assert found.modulus == pytest.approx(wanted.modulus, rel=1e-9)
         assert found.phase_deg.value == pytest.approx(wanted.phase_deg.value, abs=1e-6)
     assert list(judged[0].at_total_gains) == [0.5, 2.0]
@@ -207,7 +207,7 @@ def test_flights_of_both_vehicles(tmp_path: Path) -> None:
             swings.append(largest(flight, "filtered_pitch_deg"))
         assert errors[1] < within_deg
         assert swings[0] > 3.0 * swings[1]
-    node = api.nodes(nominal, [30.0])[0]
+    node = maxq.nodes(nominal, [30.0])[0]
     certificate = certify_node(nominal, node, bands=(), names=("gain_up", "gain_down"))
     assert certificate.agrees
     rows = {r.name: r for r in certificate_requirements([certificate], [])}

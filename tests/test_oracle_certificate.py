@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from maxq.design import api
+import maxq
 from maxq.design.certificate import measured_margins
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.excitation import Band, band, excitation_level
@@ -40,13 +40,13 @@ BANDS = (band(0.05, 2.5, 14, 40.0, 40.0, 4), band(2.75, 12.0, 12, 40.0, 12.0, 2)
 @pytest.fixture(scope="module", params=["pitch", "yaw"])
 def held(request: pytest.FixtureRequest) -> HeldFlight:
     loaded = load_scenario("nominal")
-    return hold(loaded, api.nodes(loaded, [TIME_S], plane=request.param)[0])
+    return hold(loaded, maxq.nodes(loaded, [TIME_S], plane=request.param)[0])
 
 
 @pytest.fixture(scope="module")
 def loop(held: HeldFlight) -> Loop:
     assert held.loaded.design is not None
-    return api.loops([held.node], held.loaded.design)[0]
+    return maxq.loops([held.node], held.loaded.design)[0]
 
 
 def test_held_flight_keeps_speed_mass_and_gains(held: HeldFlight) -> None:
@@ -77,7 +77,7 @@ def test_response_in_flight_is_that_of_the_sampled_loop(held: HeldFlight, loop: 
 def test_gravity_along_the_body_follows_it_and_leaves_its_loop() -> None:
     """Attitude by SciPy; the loop is that of a vehicle without gravity, which the lowest lines tell from the other."""
     loaded = load_scenario("nominal")
-    node = api.nodes(loaded, [TIME_S])[0]
+    node = maxq.nodes(loaded, [TIME_S])[0]
     held, other = hold(loaded, node, along_body=True), hold(loaded, node)
     y = held.packed.state.copy()
     turned = Rotation.random(random_state=1)
@@ -86,7 +86,7 @@ def test_gravity_along_the_body_follows_it_and_leaves_its_loop() -> None:
     load = node.axial_load_mps2
     np.testing.assert_allclose(felt, -load * turned.apply([1.0, 0.0, 0.0]), rtol=1e-9)
     assert loaded.design is not None
-    mine, with_gravity = api.loops([held.node, other.node], loaded.design)
+    mine, with_gravity = maxq.loops([held.node, other.node], loaded.design)
     lines = BANDS[0]
     seen = measure(held, lines, excitation_level(held, mine, lines), mine.closed_poles())
     assert np.abs(20.0 * np.log10(np.abs(seen.response / mine.response(seen.lines_hz)))).max() < 0.1
@@ -97,9 +97,9 @@ def test_gravity_along_the_body_follows_it_and_leaves_its_loop() -> None:
 def test_load_relief_is_certified_where_its_held_flight_topples() -> None:
     """Accelerometer and second gyro are in the loop: flight and linear loop agree in the lines and in two margins."""
     loaded = load_scenario("load-relief")
-    node = api.nodes(loaded, [30.0], plane="yaw")[0]
+    node = maxq.nodes(loaded, [30.0], plane="yaw")[0]
     assert loaded.design is not None
-    assert not margins(api.loops([hold(loaded, node).node], loaded.design)[0]).stable
+    assert not margins(maxq.loops([hold(loaded, node).node], loaded.design)[0]).stable
     found = certify_node(loaded, node, bands=RESPONSE_BANDS[:2], names=("gain_up", "delay"))
     assert found.agrees, found.unexplained
     assert [math.isfinite(row.measured) for row in found.margins] == [True, True]

@@ -24,12 +24,12 @@ import scipy.linalg
 import scipy.signal
 from design_nodes import TIMES_S, agrees_with_a_kick, design, flown, frozen, ideal, node_at
 
+import maxq
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
-from maxq.design import api
-from maxq.design.loop.fixed_path import CUTS, Cut, ExactFixedPath, PadeFixedPath, SampledFixedPath
+from maxq.design.loop.fixed_path import CUTS, Cut, ExactFixedPath, Kind, PadeFixedPath, SampledFixedPath
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_pade
 from maxq.design.loop.sampling import exponential, sample
@@ -126,8 +126,8 @@ def test_pade_converter_is_within_the_stated_error() -> None:
 
 @pytest.mark.parametrize("kind", ["sampled", "pade"])
 @EVERY_NODE
-def test_python_control_agrees(time_s: float, kind: api.Kind) -> None:
-    loop = api.loop(node_at(time_s), design(), kind=kind)
+def test_python_control_agrees(time_s: float, kind: Kind) -> None:
+    loop = maxq.loop(node_at(time_s), design(), kind=kind)
     theirs = loop.to_state_space()
     s = 2j * np.pi * FREQUENCIES_HZ
     there = s if loop.sample_s is None else np.exp(s * loop.sample_s)
@@ -145,10 +145,10 @@ def test_python_control_agrees(time_s: float, kind: api.Kind) -> None:
 
 @pytest.mark.parametrize("kind", ["sampled", "pade", "exact"])
 @SOME_NODES
-def test_closed_poles_are_where_the_loop_is_minus_one(time_s: float, kind: api.Kind) -> None:
+def test_closed_poles_are_where_the_loop_is_minus_one(time_s: float, kind: Kind) -> None:
     """And there are as many unstable ones as the encirclements of -1 say."""
     node = node_at(time_s)
-    loop = api.loop(node, design(), kind=kind)
+    loop = maxq.loop(node, design(), kind=kind)
     poles = loop.closed_poles()
     if kind == "exact":
         assert np.abs(1.0 + loop._at(loop.fixed, poles)).max() < 1e-6  # type: ignore[arg-type]  # of the exact kind
@@ -180,7 +180,7 @@ def encirclement_count(loop: Loop) -> int:
 @SOME_NODES
 def test_open_poles_are_those_of_the_state_matrix(time_s: float) -> None:
     for kind in ("pade", "sampled"):
-        loop = api.loop(node_at(time_s), design(), kind=kind)  # type: ignore[arg-type]  # a Literal, from parametrize
+        loop = maxq.loop(node_at(time_s), design(), kind=kind)  # type: ignore[arg-type]  # a Literal, from parametrize
         values = np.linalg.eigvals(loop.state_space().a).astype(complex)
         if loop.sample_s is not None:
             values = np.log(values[np.abs(values) > 1e-3]) / loop.sample_s
@@ -228,7 +228,7 @@ def test_closed_loop_is_that_of_the_flight_computer(time_s: float, delay_s: floa
     """The computer's kernels, ticked round a plant that is integrated exactly between their samples."""
     node = node_at(time_s)
     node = dataclasses.replace(node, instruments=dataclasses.replace(node.instruments, delay_s=delay_s))
-    loop = api.loop(node, design(), kind="sampled")
+    loop = maxq.loop(node, design(), kind="sampled")
     kick, samples = 1e-3, 400
     flown_commands = _fly_computer(node, loop, samples, kick)
     # the same from the loop's matrices: d = kick at the first sample, u = d - L u
@@ -308,21 +308,21 @@ def test_a_kick_in_flight_moves_the_computer_as_the_loop_says(time_s: float) -> 
     window = f"start_s={time_s + 0.005:.3f}, stop_s={time_s + 0.015:.3f}"
     injection = f'[{{at="gimbal_command", axis="pitch", kind="step", amplitude_deg={kick_deg}, {window}}}]'
     plain, kicked = (fly(frozen(time_s, *extra)[0]) for extra in ((), (f"injection={injection}",)))
-    loop = api.loop(node, design(), kind="sampled")
+    loop = maxq.loop(node, design(), kind="sampled")
     agrees_with_a_kick(loop, plain, kicked, "gimbal_pitch_command_deg", time_s, kick_deg)
 
 
 def test_yaw_loop_of_a_symmetric_vehicle_is_the_pitch_loop() -> None:
     for pitch, yaw in zip(flown("pitch")[::5], flown("yaw")[::5], strict=True):
-        ours = api.loop(pitch, design()).response(FREQUENCIES_HZ)
+        ours = maxq.loop(pitch, design()).response(FREQUENCIES_HZ)
         # sides differ in inertia about y and z by 1e-3 at most where the data do; here they do not
-        np.testing.assert_allclose(api.loop(yaw, design()).response(FREQUENCIES_HZ), ours, rtol=1e-9)
+        np.testing.assert_allclose(maxq.loop(yaw, design()).response(FREQUENCIES_HZ), ours, rtol=1e-9)
 
 
 def test_scenario_names_and_files_give_the_same_loop() -> None:
-    ours = api.loop("nominal", "designs/ksr3-robust", 40.0).response(FREQUENCIES_HZ)
-    np.testing.assert_array_equal(ours, api.loop("nominal", None, 40.0).response(FREQUENCIES_HZ))
-    np.testing.assert_array_equal(ours, api.loop(load_scenario("nominal"), None, 40.0).response(FREQUENCIES_HZ))
+    ours = maxq.loop("nominal", "designs/ksr3-robust", 40.0).response(FREQUENCIES_HZ)
+    np.testing.assert_array_equal(ours, maxq.loop("nominal", None, 40.0).response(FREQUENCIES_HZ))
+    np.testing.assert_array_equal(ours, maxq.loop(load_scenario("nominal"), None, 40.0).response(FREQUENCIES_HZ))
 
 
 def test_zeros_are_those_of_the_transfer_function() -> None:

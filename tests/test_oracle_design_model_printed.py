@@ -21,8 +21,8 @@ from oracles.hand_model import planar_of
 from oracles.planar.plant import Liquids, axial_load_mps2, vehicle_plant
 from oracles.planar.vehicle_at import stability_derivatives
 
+import maxq
 from maxq.control.kernel.records import Array
-from maxq.design import api
 from maxq.design.loop.fixed_path import Cut, PadeFixedPath
 from maxq.design.model.instruments import Plane
 from maxq.design.paper.errata import ABOUT, CORRECTED, PAPER, PRESETS, Errata, one_at_a_time
@@ -70,7 +70,7 @@ def test_each_erratum_is_that_of_the_general_equations(time_s: float, exchange: 
 def test_vehicles_that_the_paper_does_not_describe(change: str, words: str) -> None:
     scenario = nominal(f"vehicle.stage.0.{change}")
     with pytest.raises(ValueError, match=rf"node at 40 s: the published equations describe {words} only; allowed is"):
-        _ = api.nodes(scenario, [40.0], errata=PAPER)[0].plant
+        _ = maxq.nodes(scenario, [40.0], errata=PAPER)[0].plant
 
 
 def printed_rates(node: PaperNode, x: dict[str, Array], delta: float, delta_accel: float) -> dict[str, Array]:
@@ -179,7 +179,7 @@ def test_figures_of_the_list_of_errata() -> None:
     nodes = published()
 
     def measure(node: PaperNode, cut: Cut) -> dict[str, float]:
-        loop = api.loop(node, design(), kind="pade", cut=cut)
+        loop = maxq.loop(node, design(), kind="pade", cut=cut)
         slosh = {f"zeta {k}": v for k, v in closed_damping(loop).items()} if cut == "gimbal_command" else {}
         return peaks_db(loop) | slosh
 
@@ -255,4 +255,4 @@ def test_names_of_errata() -> None:
     with pytest.raises(ValueError, match="erratum 'gyro': known are gyro_senses_rate, "):
         CORRECTED.switched(gyro=False)
     with pytest.raises(ValueError, match="errata = 'printed': allowed is corrected, paper"):
-        api.nodes("nominal", [40.0], errata="printed")
+        maxq.nodes("nominal", [40.0], errata="printed")

@@ -16,12 +16,12 @@ import petrelkit
 import pytest
 from scipy import stats
 
+import maxq
 from maxq.control.kernel.records import Array
-from maxq.design import api
 from maxq.design.case.schema import read_case
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.loop import Loop, law_at
 from maxq.design.margins.dispersed import ManyLoops
 from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
@@ -59,7 +59,7 @@ def loaded(name: str) -> LoadedCampaign:
 
 @cache
 def node_of_campaign(name: str, time_s: float, plane: Any = "pitch") -> Node:
-    return api.nodes(loaded(name).base, [time_s], plane=plane)[0]
+    return maxq.nodes(loaded(name).base, [time_s], plane=plane)[0]
 
 
 def packed_as_flown(campaign: LoadedCampaign, run: int, node: Node) -> tuple[HeldStage, Instruments]:
@@ -115,10 +115,10 @@ def test_a_drawn_record_is_that_of_the_packed_scenario(name: str) -> None:
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_the_loop_of_a_vehicle_is_that_of_its_run(plane: Any) -> None:
     """From 0.05 Hz to 45 Hz to 1e-4 dB, and its least distance from -1 as the sweep of many measures it."""
-    campaign, design = loaded("campaigns/ksr3"), api.load_design("designs/ksr3-robust")
+    campaign, design = loaded("campaigns/ksr3"), maxq.load_design("designs/ksr3-robust")
     node = node_of_campaign("campaigns/ksr3", BETWEEN_ROWS_S, plane)
     every, hz = deviations_of(campaign, node).drawn(range(8)), np.geomspace(0.05, 45.0, 200)
-    law = api.law_at(design, node)
+    law = law_at(design, node)
     values, status = ManyLoops(node, law).measure(every, -6.0, distances=True)
     for run, by in enumerate(every):
         held, instruments = packed_as_flown(campaign, run, node)
@@ -206,7 +206,7 @@ def test_engines_of_a_cluster_deviate_each_by_itself() -> None:
     campaign = load_campaign(petrelkit.folder() / "campaign.toml")
     hz = np.geomspace(0.3, 45.0, 100)
     for time_s, stage in ((40.0, 0), (150.0, 1)):
-        (node,) = api.nodes(campaign.base, [time_s], plane="yaw")
+        (node,) = maxq.nodes(campaign.base, [time_s], plane="yaw")
         deviations = deviations_of(campaign, node)
         assert (node.stage, deviations.left_out) == (stage, ())
         counts = {field: deviations.fields.count(field) for field in ("mass_flow", "actuator_sections", "slosh_mass")}
@@ -263,7 +263,7 @@ def own(tmp_path: Path) -> Path:
 def test_deviations_that_go_together_and_those_that_are_not_followed(own: Path) -> None:
     """Scores are independent, the covariance is the campaign's; a draw that no rule follows is named."""
     campaign = load_campaign(own)
-    node = api.nodes(campaign.base, [AT_A_ROW_S])[0]
+    node = maxq.nodes(campaign.base, [AT_A_ROW_S])[0]
     deviations = deviations_of(campaign, node)
     assert deviations.left_out == ("vehicle.stage.0.engine.gimballed_mass_kg",)
     assert [field for field in deviations.fields if field.startswith("act")] == ["actuator_sections"] * 4
@@ -284,7 +284,7 @@ def test_a_suite_takes_the_draws_of_its_campaign(own: Path, tmp_path: Path) -> N
     suite.write_text('schema = 2\n[margins.three_sigma]\ncampaign = "own"\n')
     wanted = read_suite(suite).suite.margins
     assert wanted is not None
-    node = api.nodes(load_campaign(own).base, [AT_A_ROW_S])[0]
+    node = maxq.nodes(load_campaign(own).base, [AT_A_ROW_S])[0]
     few = wanted.model_copy(update={"cases": 3, "corner_sigmas": 0.0})
     found = vehicles(few, node, campaign_of(wanted.three_sigma, load_scenario("nominal")))[1]
     assert found == deviations_of(load_campaign(own), node).drawn(range(3))

@@ -12,10 +12,10 @@ import design_nodes
 import numpy as np
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.case.basis import Basis, DispersedLimits, Robust, stated_basis
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.loop import Loop, law_at
 from maxq.design.margins.measured_loop import measure_loop
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node, disperse
@@ -42,7 +42,7 @@ def few() -> LoadedCampaign:
 def single(node: Node, u: np.ndarray) -> dict[str, float]:
     """Return the quantities of a vehicle of `FEW` measured alone; empty where it is unstable."""
     vehicle = disperse(node, deviations_of(few(), node).at(u))
-    found = measure_loop(Loop(fixed_path(vehicle), api.law_at(design_nodes.design(), vehicle)))
+    found = measure_loop(Loop(fixed_path(vehicle), law_at(design_nodes.design(), vehicle)))
     return found.quantities(Convention()) if found.margins.stable else {}
 
 
@@ -90,7 +90,7 @@ def test_no_corner_and_no_random_vehicle_is_worse() -> None:
 
 def measure(node: Node) -> dict[str, float]:
     """Return the quantities of a node's loop."""
-    return measure_loop(Loop(fixed_path(node), api.law_at(design_nodes.design(), node))).quantities(Convention())
+    return measure_loop(Loop(fixed_path(node), law_at(design_nodes.design(), node))).quantities(Convention())
 
 
 def test_the_corner_of_a_known_function() -> None:
@@ -160,14 +160,14 @@ def test_vehicles_of_a_shipped_basis_are_the_worst_of_2000() -> None:
     assert basis is not None
     assert basis.robust is not None
     wanted, rng = guides(basis.robust.limits), np.random.default_rng(9)
-    nodes = api.nodes(scenario, [10.0, 45.0])
+    nodes = maxq.nodes(scenario, [10.0, 45.0])
     campaign = campaign_of(basis.robust, scenario)
     found = worst_of_basis(nodes, [], scenario.design, basis.robust, campaign)
     for node, worst in zip(nodes, found.nodes, strict=True):
         count, reach = len(deviations_of(campaign, node).places), basis.robust.corner_sigmas / 3.0
         every = [*rng.choice([-reach, reach], (1000, count)), *rng.uniform(-reach, reach, (1000, count))]
         lowest = min(rooms(node, scenario.design, campaign, wanted)(every))
-        loop = measure_loop(Loop(fixed_path(worst), api.law_at(scenario.design, worst)))
+        loop = measure_loop(Loop(fixed_path(worst), law_at(scenario.design, worst)))
         value = left(loop.quantities(Convention()), wanted)
         assert value < lowest
         assert 0.0 < value < 1.0

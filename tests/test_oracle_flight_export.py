@@ -20,7 +20,7 @@ import pytest
 from flight_code import COMPILER, STRICT, flies, needs_compiler
 from scipy.io import loadmat
 
-from maxq.design import api
+import maxq
 from maxq.design.margins.measure import margins
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runs import fly_rows
@@ -260,7 +260,7 @@ def test_exported_matrices_are_the_loop_for_python_control(matrices: Path) -> No
             for name in ("path", "law", "loop")
         }
         assert system["loop"].dt == 0.01
-        expected = api.loop("nominal", None, time_s, plane="yaw").response(hz)
+        expected = maxq.loop("nominal", None, time_s, plane="yaw").response(hz)
         found = np.array([system["loop"](np.exp(2j * np.pi * f * 0.01)) for f in hz])
         assert np.abs(found / expected - 1.0).max() < 1e-6
         row = system["law"] * system["path"]
@@ -276,7 +276,7 @@ def test_slicot_finds_the_least_distance_in_the_exported_matrices(matrices: Path
     for node in json.loads((matrices / "loop.json").read_text())["nodes"]:
         loop = control.ss(*(np.array(node["loop"][m]) for m in "ABCD"), node["loop"]["sample_time_s"])
         peak, at_radps = control.linfnorm(control.feedback(1, loop))
-        of_loop = margins(api.loop("nominal", None, node["time_s"], plane="yaw"))
+        of_loop = margins(maxq.loop("nominal", None, node["time_s"], plane="yaw"))
         assert 1.0 / peak == pytest.approx(of_loop.modulus, rel=1e-6)
         assert abs(1.0 + loop(np.exp(0.01j * at_radps))) == pytest.approx(of_loop.modulus, rel=1e-5)
 

@@ -25,13 +25,13 @@ from scipy.integrate import quad
 from scipy.signal import lfilter
 from zero_incidence import zero_incidence
 
+import maxq
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSection
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.sensors import make_sensors
-from maxq.design import api
 from maxq.design.laws.design_file import design_text
 from maxq.design.laws.pd import PdDesign
 from maxq.design.laws.pd_variables import PdVariables
@@ -287,11 +287,11 @@ def test_load_and_drift_are_those_of_the_closed_equations() -> None:
 
 
 def test_a_stage_that_is_not_designed_keeps_its_gains_under_the_other_law(tmp_path: Path) -> None:
-    own = api.load_design("designs/ksr3-robust.toml")
-    other = api.load_design("designs/ksr3-load-relief.toml", "load-relief")
+    own = maxq.load_design("designs/ksr3-robust.toml")
+    other = maxq.load_design("designs/ksr3-load-relief.toml", "load-relief")
     made = with_law(own, other).model_copy(update={"law": other.law})
     (tmp_path / "d.toml").write_text(design_text(made))
-    read = api.load_design(tmp_path / "d.toml", "load-relief")
+    read = maxq.load_design(tmp_path / "d.toml", "load-relief")
     f = np.array([0.1, 1.0, 10.0])
     for time_s in (10.0, 30.0):
         laws = [PdDesign.of(each).at(time_s, "yaw", T) for each in (own, read)]

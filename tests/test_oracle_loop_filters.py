@@ -24,6 +24,7 @@ import pytest
 from complex_step import Pair, filter_f3
 from scipy.signal import lfilter
 
+import maxq
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer, take_over
 from maxq.control.filters import BendingFilter, DiscreteFilter, FirstOrderSection, QuadraticSection
 from maxq.control.kernel.records import Array, blank, pack
@@ -31,7 +32,6 @@ from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.loop_filters import make_loop_filters
 from maxq.control.sensors import make_sensors
-from maxq.design import api
 from maxq.design.laws.pd import Pd
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.model.vehicle_at import incidence_by_acceleration
@@ -285,7 +285,7 @@ def test_the_law_is_one_in_every_form(loop: str) -> None:
 def test_damping_of_the_rigid_body_counts_all_gyros() -> None:
     """(36) with the whole rate gain, as the optimiser has it; the verdict took the first gyro's share of it."""
     node = problem("sampled")[1].each[0].node
-    law = api.load_design("designs/ksr3-load-relief.toml", "load-relief")
+    law = maxq.load_design("designs/ksr3-load-relief.toml", "load-relief")
     k_p, k_d = (np.interp(node.time_s, law.gains.table["time_s"], law.gains.table[k]) for k in ("k_p", "k_d_s"))
     m_delta = node.derivatives.m_delta_1ps2
     zeta = judge([node], law, "sampled")[0].rigid("paper")[1]
@@ -295,7 +295,7 @@ def test_damping_of_the_rigid_body_counts_all_gyros() -> None:
 def test_the_centre_of_percussion_feels_the_air_and_no_gimbal_angle() -> None:
     """In the linear plant without modes and slosh: acceleration there per gimbal angle 0, per incidence b."""
     rigid = load_scenario("load-relief", ["switches.bending=false", "switches.slosh=false"])
-    for node in api.nodes(rigid, (15.0, 40.0)):
+    for node in maxq.nodes(rigid, (15.0, 40.0)):
         lever_m, slope = incidence_by_acceleration(node.vehicle, node.derivatives, node.condition.airspeed_mps)
         plant = node.plant
         felt, turned = plant.outputs.index("accel_mps2"), plant.states.index("q_radps")
@@ -312,7 +312,7 @@ def test_the_centre_of_percussion_feels_the_air_and_no_gimbal_angle() -> None:
 def test_the_estimate_is_the_incidence_that_is_flown(tmp_path: Path) -> None:
     """In a side wind, law and estimator fed with what the linear model says; truth behind the same lag."""
     rows = []
-    for node in api.nodes(load_scenario("load-relief"), (5.0, 15.0, 25.0, 35.0, 45.0, 55.0)):
+    for node in maxq.nodes(load_scenario("load-relief"), (5.0, 15.0, 25.0, 35.0, 45.0, 55.0)):
         lever_m, slope = incidence_by_acceleration(node.vehicle, node.derivatives, node.condition.airspeed_mps)
         gains = f"k_p=1.0, k_d_s=0.45, k_alpha=0.1, percussion_m={lever_m}, accel_per_incidence_mps2={slope}"
         rows.append(f"{{time_s={node.time_s}, {gains}}}")

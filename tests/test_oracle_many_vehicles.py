@@ -14,12 +14,12 @@ import petrelkit
 import pytest
 from numpy.typing import NDArray
 
+import maxq
 from maxq.control.kernel.records import Array
-from maxq.design import api
 from maxq.design.laws.law import Controller
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.loop import Loop, law_at
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK, UNSTABLE
 from maxq.design.margins.measure import margins
@@ -82,7 +82,7 @@ ON_LOAD = "vehicle.stage.0.tvc_load={frequency_hz=15.6,damping_ratio=0.042}"
 @pytest.mark.parametrize("change", [(), (ON_LOAD,), (ON_LOAD, "vehicle.stage.0.engine.cant_deg=[3,2]")])
 def test_plants_of_many_are_those_of_each(change: tuple[str, ...]) -> None:
     """To the bit but for sums; with engines on compliance the hinges are solved for, and canted ones sag by thrust."""
-    node = api.nodes(design_nodes.nominal(*change), [45.0])[0]
+    node = maxq.nodes(design_nodes.nominal(*change), [45.0])[0]
     every = drawn(node, 20)
     held = deviated(node.held, node.plane, stacked(every), len(every))
     *matrices, _ = held.plants(node.condition, node.trim, node.plane, node.drives)
@@ -103,7 +103,7 @@ def test_margins_are_those_of_each_vehicle_by_itself() -> None:
         (55.0, "ksr3-robust"),
     ):
         node = design_nodes.node_at(time_s)
-        law = api.law_at(api.load_design(f"designs/{design}"), node)
+        law = law_at(maxq.load_design(f"designs/{design}"), node)
         worst, bad, back = compared(node, law, drawn(node, 100))
         assert worst.max() < 1e-3, (time_s, worst)
         assert back <= 3
@@ -121,7 +121,7 @@ def test_margins_where_engines_and_actuators_deviate_each_by_itself() -> None:
     deviations = deviations_of(campaign_of(spread, base), node)
     assert (deviations.fields.count("thrust"), deviations.fields.count("actuator_sections")) == (9, 3)
     every = drawn(node, 30, spread, petrelkit.scenario())
-    law = api.law_at(petrelkit.scenario().design, node)
+    law = law_at(petrelkit.scenario().design, node)
     alike = [dataclasses.replace(by, actuator_frequency=(0.9,) * 3, actuator_sections=1.0) for by in every[:3]]
     worst, _, back = compared(node, law, [*every[:10], *alike, *every[10:]])
     assert worst.max() < 1e-3
@@ -161,7 +161,7 @@ def test_margins_of_an_unstable_body_and_with_an_integral() -> None:
 def test_a_flight_of_its_own() -> None:
     """The same vehicles at the speed and in the air of another flight."""
     node, other = design_nodes.node_at(35.0), design_nodes.node_at(45.0)
-    law = api.law_at(api.load_design("designs/ksr3-robust"), node)
+    law = law_at(maxq.load_design("designs/ksr3-robust"), node)
     met = dataclasses.replace(node, condition=dataclasses.replace(other.condition, time_s=node.time_s))
     every = drawn(node, 5, USUAL)
     values, status = ManyLoops(node, law).measure(every, -6.0, met)

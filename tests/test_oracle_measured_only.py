@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from flight_code import EXAMPLES, compiled, flies, needs_compiler
 
-from maxq.design import api
+import maxq
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.measured_margins import DRIFT_HZ
@@ -34,10 +34,10 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_margins_and_response_are_those_of_the_linear_loop(library: Path) -> None:
     loaded, known = load_scenario("nominal", ["design=", *flies(library=library)]), load_scenario("nominal")
-    node = api.nodes("nominal", [NODE_S])[0]
+    node = maxq.nodes("nominal", [NODE_S])[0]
     found = measure_node(loaded, node, bands=BANDS[:1])
     assert known.design is not None
-    loop = api.loops([hold(known, node).node], known.design)[0]
+    loop = maxq.loops([hold(known, node).node], known.design)[0]
     linear = margins(loop)
     assert found.stable
     assert found.margin("gain_up") == pytest.approx(linear.gain_up_db.value, abs=0.2)
@@ -55,14 +55,14 @@ def test_a_planted_delay_is_lost_delay_margin(library: Path) -> None:
         packed.parameters[0].computer.delay_ns += 5_000_000
 
     loaded = load_scenario("nominal", ["design=", *flies(library=library)])
-    node = api.nodes("nominal", [NODE_S])[0]
+    node = maxq.nodes("nominal", [NODE_S])[0]
     sound, faulty = (measure_node(loaded, node, fault=f, bands=(), names=("delay",)) for f in (None, late))
     assert sound.margin("delay") - faulty.margin("delay") == pytest.approx(0.005, abs=0.0005)
 
 
 def test_with_a_design_the_certificate_compares_flight_code_with_it(library: Path) -> None:
     """The law by hand agrees with the design; with another design's linear loop it does not."""
-    node = api.nodes("nominal", [NODE_S])[0]
+    node = maxq.nodes("nominal", [NODE_S])[0]
     same = certify_node(load_scenario("nominal", flies(library=library)), node, bands=BANDS[:1], names=("delay",))
     assert same.unexplained == ()
     other = load_scenario("nominal", ["design=designs/ksr3-default.toml", *flies(library=library)])

@@ -21,11 +21,11 @@ import pytest
 import scipy.linalg
 from test_oracle_many_vehicles import compared, drawn
 
-from maxq.design import api
+import maxq
 from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.registry import designed_law
 from maxq.design.loop.fixed_path import SampledFixedPath
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.loop import Loop, law_at
 from maxq.design.loop.own_part import attribution, dominance, peak_band
 from maxq.design.loop.resonance import Resonance
 from maxq.design.loop.sampling import sample
@@ -49,7 +49,7 @@ LOWEST_PEAK_DB = 20.0 * LOWEST_PEAK / math.log(10.0)  # lower peaks are not refi
 
 @cache
 def folding(*times_s: float) -> tuple[Node, ...]:
-    return tuple(api.nodes(load_scenario("nominal", ['design="designs/ksr3-robust.toml"', STIFFER]), times_s))
+    return tuple(maxq.nodes(load_scenario("nominal", ['design="designs/ksr3-robust.toml"', STIFFER]), times_s))
 
 
 def mode(path: SampledFixedPath, number: int) -> Resonance:
@@ -83,7 +83,7 @@ def test_own_part_is_that_of_the_pole_pair_alone(time_s: float) -> None:
 
 def test_own_part_is_what_the_loop_loses_without_the_mode() -> None:
     """The own part is 48.5 dB below 1 at 15.4 Hz, and 67 dB at 2.1 Hz; slosh, which shifts a little, is the rest."""
-    design = api.load_design("designs/ksr3-robust")
+    design = maxq.load_design("designs/ksr3-robust")
     for time_s, wanted_db, within_db in (
         (20.0, -48.50, 0.01),
         (38.0, -61.6, 0.8),
@@ -92,7 +92,7 @@ def test_own_part_is_what_the_loop_loses_without_the_mode() -> None:
     ):
         (node,) = folding(time_s)
         r, stiff = mode(SampledFixedPath(node), 2), node.with_(bending_frequency=(1.0, 1e3, 1.0))
-        loop, without = (Loop(SampledFixedPath(n), api.law_at(design, n)) for n in (node, stiff))
+        loop, without = (Loop(SampledFixedPath(n), law_at(design, n)) for n in (node, stiff))
         there = loop.response([r.centre_hz])[0]
         own_db = db(r.part * there)
         assert own_db == pytest.approx(wanted_db, abs=0.1)
@@ -101,9 +101,9 @@ def test_own_part_is_what_the_loop_loses_without_the_mode() -> None:
 
 def test_peak_of_a_mode_at_the_sample_rate_is_its_own() -> None:
     """|L| is the rigid body's there, up to 8.6 dB; nothing below 50 Hz changes by more than -41 dB with the mode."""
-    design, hz = api.load_design("designs/ksr3-robust"), np.geomspace(0.05, 49.9, 4000)
+    design, hz = maxq.load_design("designs/ksr3-robust"), np.geomspace(0.05, 49.9, 4000)
     for node in folding(40.0, 42.0, 43.0, 44.0):
-        loop = Loop(SampledFixedPath(node), api.law_at(design, node))
+        loop = Loop(SampledFixedPath(node), law_at(design, node))
         stiff = Loop(SampledFixedPath(node.with_(bending_frequency=(1.0, 1e3, 1.0))), loop.law)
         r, found = mode(SampledFixedPath(node), 2), measure_loop(loop)
         assert db(loop.response([r.centre_hz])[0]) > -8.0
@@ -147,10 +147,10 @@ def shipped() -> list[tuple[LoadedCase, Design]]:
     ksr3 = "nodes_s=[0.5, 5.0, 30.0, 45.0, 55.0, 57.0]"
     free = (ksr3, "loop=pade", "gains.schedule=free", "limits.rigid_hz=0.1")
     found = [
-        (read_case("ksr3-identical", [*ASKED, *free]), api.load_design("designs/ksr3-free")),
-        (read_case("ksr3-robust", [*ASKED, ksr3]), api.load_design("designs/ksr3-robust")),
+        (read_case("ksr3-identical", [*ASKED, *free]), maxq.load_design("designs/ksr3-free")),
+        (read_case("ksr3-robust", [*ASKED, ksr3]), maxq.load_design("designs/ksr3-robust")),
     ]
-    design = api.load_design("designs/petrel-robust", petrelkit.scenario())
+    design = maxq.load_design("designs/petrel-robust", petrelkit.scenario())
     times = "nodes_s=[0.5, 40.0, 59.5, 92.0, 107.5, 119.5, 125.0, 155.0, 190.0, 315.0, 435.0, 463.0]"
     parts = each_stage(read_case(petrelkit.folder() / "case.toml", [*ASKED, times]))
     return [*found, *((part, design) for part in parts)]
@@ -204,7 +204,7 @@ def test_peak_is_continuous_in_the_strength_of_the_mode() -> None:
 
 def test_dispersed_vehicles_at_the_sample_rate_have_the_same_peaks() -> None:
     (node,) = folding(43.0)
-    law = api.law_at(api.load_design("designs/ksr3-robust"), node)
+    law = law_at(maxq.load_design("designs/ksr3-robust"), node)
     every = drawn(node, 20)
     weak = [mode(SampledFixedPath(disperse(node, by)), 2).part for by in every]
     assert sum(dominance(part) < 0.1 for part in weak) > 10

@@ -27,10 +27,9 @@ from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSect
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
-from maxq.design import api
 from maxq.design.laws.pd import Pd
-from maxq.design.loop.fixed_path import SampledFixedPath, fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.fixed_path import Kind, SampledFixedPath, fixed_path
+from maxq.design.loop.loop import Loop, close_loop
 from maxq.design.loop.multiloop import Multiloop
 from maxq.design.margins.measure import margins
 from maxq.design.optimise.at_nodes import make_problem
@@ -130,15 +129,15 @@ def test_a_command_at_its_limit_winds_nothing_up() -> None:
     assert 0.0 < ticked.state.pid.integral_rad[0] < 0.02
 
 
-def loop_of(kind: api.Kind, k_i_ps: float) -> Loop:
+def loop_of(kind: Kind, k_i_ps: float) -> Loop:
     path = fixed_path(node_at(40.0), kind)
-    found = api.close(path, design()).law
+    found = close_loop(path, design()).law
     assert isinstance(found, Pd)
     return Loop(path, Pd(found.k_p, found.k_d_s, found.filter, k_i_ps))
 
 
 @pytest.mark.parametrize("kind", ["pade", "sampled"])
-def test_its_loop_is_one_in_every_form(kind: api.Kind) -> None:
+def test_its_loop_is_one_in_every_form(kind: Kind) -> None:
     f = np.geomspace(0.02, 45.0, 60)
     loop, without = loop_of(kind, 0.3), loop_of(kind, 0.0)
     s = loop.state_space()

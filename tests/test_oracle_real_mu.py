@@ -11,9 +11,8 @@ import petrelkit
 import pytest
 
 from maxq.control.kernel.records import Array
-from maxq.design import api
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.loop import Loop, law_at
 from maxq.design.loop.multiloop import multiloop
 from maxq.design.margins.multiloop import LOWEST_HZ
 from maxq.design.margins.real_mu import bound, descent, real_mu_upper
@@ -76,7 +75,7 @@ def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
     """det(1 - M d) is the ratio of det(s - A(d)) (1 + L(d)), by differences of the loop that is judged; the actuator by
     1 %, since with 15 % its poles bend between their ends."""
     node, campaign = design_nodes.node_at(45.0), campaign_of(Spread(actuator_frequency=0.01), design_nodes.nominal())
-    deviations, law = deviations_of(campaign, node), api.law_at(design_nodes.design(), node)
+    deviations, law = deviations_of(campaign, node), law_at(design_nodes.design(), node)
     every = uncertain(node, campaign)
     hz, step = np.array([0.7, 1.3, 3.0, 9.0]), 1e-4
     here, n = Loop(fixed_path(node), law), len(every.whole) - 1
@@ -104,7 +103,7 @@ def test_no_vehicle_of_the_box_is_unstable_and_one_farther_out_is() -> None:
     found = stable_within(node, design, campaign)
     assert found is not None
     assert 1.0 < found.sigmas < 6.0
-    rng, law = np.random.default_rng(3), api.law_at(design, node)
+    rng, law = np.random.default_rng(3), law_at(design, node)
     places, reach = deviations.places, found.sigmas / 3.0
 
     def unstable(u: np.ndarray) -> bool:

@@ -23,7 +23,7 @@ from oracles.planar.vehicle_at import vehicle_at
 from scipy.integrate import quad, simpson
 from test_oracle_slosh_waves import GRAVITY_MPS2, OMEGA, swinging
 
-from maxq.design import api
+import maxq
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.response import ring_lines
@@ -88,7 +88,7 @@ def loaded() -> LoadedScenario:
 
 @pytest.fixture(scope="module")
 def node(loaded: LoadedScenario) -> Node:
-    return api.nodes(loaded, [20.0])[0]
+    return maxq.nodes(loaded, [20.0])[0]
 
 
 def test_swing_at_a_node_is_that_of_the_flight(loaded: LoadedScenario, node: Node) -> None:
@@ -123,7 +123,7 @@ def test_plant_has_that_damping(node: Node) -> None:
 
 def test_vehicle_without_rings_is_not_flown_again() -> None:
     nominal = load_scenario("nominal")
-    (plain,) = api.nodes(nominal, [20.0])
+    (plain,) = maxq.nodes(nominal, [20.0])
     assert not plain.vehicle.pendulums.ring.any()
     assert with_swings([plain], nominal)[0] is plain
 
@@ -144,5 +144,5 @@ def test_rings_that_damp_otherwise_are_found(loaded: LoadedScenario, node: Node,
 
     assert loaded.design is not None
     held = hold(loaded, node, fault, rings_by_law=True)
-    loop = api.loops([hold(loaded, node).node], loaded.design)[0]
+    loop = maxq.loops([hold(loaded, node).node], loaded.design)[0]
     assert any(line.reason for line in ring_lines(held, loop))

@@ -17,13 +17,14 @@ import numpy as np
 import optimise_kit as kit
 import pytest
 
+import maxq
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.kernel.records import blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.structures import OVER, Over
-from maxq.design import api
 from maxq.design.laws.pd_variables import PdVariables
+from maxq.design.loop.loop import law_at
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.errors import ScenarioError
@@ -103,7 +104,7 @@ def test_law_of_a_node_is_that_of_its_instant(tmp_path: Path, over: Over) -> Non
     path.write_text(
         f"[gains]\ntable=[{{{over}={0.9 * at}, k_p=1.5, k_d_s=0.3}}, {{{over}={1.2 * at}, k_p=0.6, k_d_s=0.9}}]\n"
     )
-    gains = api.law_at(api.load_design(path), node).gains
+    gains = law_at(maxq.load_design(path), node).gains
     assert gains["k_p"] == pytest.approx(1.2, rel=1e-9)
     assert gains["k_d_s"] == pytest.approx(0.5, rel=1e-9)
 

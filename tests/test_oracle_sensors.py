@@ -24,12 +24,12 @@ from flightkit import Mode, Parts, Rig, Tank, rig, scenario_of, with_stage
 from scipy.spatial.transform import Rotation
 from zero_incidence import zero_incidence
 
+import maxq
 from maxq.control.computer import ComputerState, build_computer, computer_tick, hand_sensors, start_computer
 from maxq.control.filters import BendingFilter, QuadraticSection
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.sensors import make_sensors
-from maxq.design import api
 from maxq.design.laws.bending_filter import Lag
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import ExactFixedPath, PadeFixedPath, SampledFixedPath, fixed_path
@@ -287,7 +287,7 @@ def test_a_kick_in_flight_moves_the_computer_as_the_loop_says(plane: Plane) -> N
     loaded, flown = frozen(NODE_S, *given, plane=plane)
     plain, kicked = fly(loaded), fly(frozen(NODE_S, *given, f"injection={injection}")[0])
     assert loaded.design is not None
-    loop = api.loop(flown, loaded.design, kind="sampled")
+    loop = maxq.loop(flown, loaded.design, kind="sampled")
     assert set(loop.law.inputs) == {"angle_rad", "rate_radps", "rate_2_radps", "rate_3_radps", "accel_mps2"}
     agrees_with_a_kick(loop, plain, kicked, f"gimbal_{plane}_command_deg", NODE_S, kick_deg)
 
@@ -300,7 +300,7 @@ def test_loops_of_all_axes_hold_each_plane_by_itself() -> None:
     whole = multiloop(packed, loaded.design, NODE_S)
     planes: tuple[Plane, ...] = ("pitch", "yaw")
     for axis, plane in enumerate(planes):
-        one = api.loop(node(plane), loaded.design, kind="sampled").response(FREQUENCIES_HZ)
+        one = maxq.loop(node(plane), loaded.design, kind="sampled").response(FREQUENCIES_HZ)
         np.testing.assert_allclose(whole.response(FREQUENCIES_HZ)[:, axis, axis], one, rtol=1e-5)
     s, z = whole.state_space, np.exp(2j * np.pi * FREQUENCIES_HZ * whole.path.sample_s)
     matrices = [s.c @ np.linalg.solve(x * np.eye(len(s.a)) - s.a, s.b) + s.d for x in z]

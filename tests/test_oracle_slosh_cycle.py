@@ -19,7 +19,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import j1
 
-from maxq.design import api
+import maxq
 from maxq.design.certificate.held_flight import HeldFlight, hold
 from maxq.design.certificate.measured_margins import burst_test, limit_cycle, measured_growth
 from maxq.design.model.dispersion import Dispersion
@@ -39,7 +39,7 @@ def loaded() -> LoadedScenario:
 
 @pytest.fixture(scope="module")
 def held(loaded: LoadedScenario) -> HeldFlight:
-    return hold(loaded, api.nodes(loaded, [TIME_S])[0])
+    return hold(loaded, maxq.nodes(loaded, [TIME_S])[0])
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def _edge_hz(held: HeldFlight, share: float) -> tuple[float, float]:
     """Frequency (Hz) and growth (1/s) of the linear loop with a share of the damping that the tank has."""
     assert held.loaded.design is not None
     weak = disperse(held.node, Dispersion(slosh_damping=(1.0, share)))
-    poles = api.loops([weak], held.loaded.design)[0].closed_poles()
+    poles = maxq.loops([weak], held.loaded.design)[0].closed_poles()
     ringing = poles[(poles.imag > 0.5) & (poles.imag < 31.0)]
     pole = ringing[int(np.argmax(ringing.real))]
     return float(pole.imag) / (2.0 * math.pi), float(pole.real)
@@ -92,7 +92,7 @@ def test_a_ring_twice_as_good_halves_the_root_of_the_swing(held: HeldFlight, adv
 
 
 def test_advice_is_confirmed(loaded: LoadedScenario, advice: SloshAdvice) -> None:
-    flown = confirm(loaded, api.nodes(loaded, [TIME_S])[0], advice)
+    flown = confirm(loaded, maxq.nodes(loaded, [TIME_S])[0], advice)
     assert flown.flown_deg == pytest.approx(advice.midway_deg, rel=0.05)
     assert abs(flown.flown_growth_1ps) < 0.003
 
@@ -109,7 +109,7 @@ def test_slosh_with_too_little_damping_grows_as_fast_as_the_linear_loop_says(
 ) -> None:
     assert held.loaded.design is not None
     hz, growth = _edge_hz(held, 0.5 * advice.needed / advice.damping)
-    loop = api.loops([held.node], held.loaded.design)[0]
+    loop = maxq.loops([held.node], held.loaded.design)[0]
     flown = measured_growth(_with(held, 0.5 * advice.needed), loop, burst_test(hz))
     assert growth > 0.01
     assert flown == pytest.approx(growth, abs=0.02 * 2.0 * math.pi * hz * 0.5 * advice.needed + 5e-4)

@@ -11,7 +11,7 @@ import petrelkit as petrel
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from maxq.design import api
+import maxq
 from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.certificate import held_flight
 from maxq.design.certificate.certificate import MarginRow, certify_node
@@ -95,7 +95,7 @@ def test_held_flight_of_a_later_stage_is_that_stage_frozen(spans: tuple[Span, ..
         assert mine.total_cg_station_m == pytest.approx(cg, rel=1e-6)
     design = petrel.scenario().design
     assert design is not None
-    flown, stood = (loop.response([0.3, 1.0, 7.0, 20.0]) for loop in api.loops([node, held.node], design))
+    flown, stood = (loop.response([0.3, 1.0, 7.0, 20.0]) for loop in maxq.loops([node, held.node], design))
     assert stood == pytest.approx(flown, rel=1e-3)
 
 
@@ -106,7 +106,7 @@ def test_loops_in_thin_air_are_stable_by_encirclements_as_by_poles(spans: tuple[
     assert nodes[1].condition.dynamic_pressure_Pa < 1.0
     design = petrel.scenario().design
     assert design is not None
-    for loop in api.loops(nodes, design):
+    for loop in maxq.loops(nodes, design):
         found, slow = margins(loop), np.abs(loop.closed_poles()) < 1e-4
         assert (loop.closed_poles()[~slow].real < 0.0).all()
         assert found.stable
@@ -129,7 +129,7 @@ def test_a_sine_of_a_hundredth_of_a_hertz_neither_grows_nor_decays_on_its_bounda
     (node,) = petrel.nodes(125.6)
     held, design = hold(petrel.scenario(), node), petrel.scenario().design
     assert design is not None
-    loop = api.loops([held.node], design)[0]
+    loop = maxq.loops([held.node], design)[0]
     bound = margins(loop).gain_down_db
     assert bound.frequency_hz < 0.02
     test = burst_test(bound.frequency_hz, build_up_rate(altered(loop, "gain_down", bound.value), bound.frequency_hz))
@@ -207,7 +207,7 @@ def test_orders_of_several_stages(
     words = [str(petrel.folder() / "two-nodes.toml"), "--orders", "--no-pictures", "--out", str(tmp_path)]
     assert simdesign.main([*words, "--set", "stages=[2,3]", "--set", "stage=[]"]) == 0
     text = capsys.readouterr().out
-    made = api.load_design(tmp_path / "design.toml", petrel.scenario())
+    made = maxq.load_design(tmp_path / "design.toml", petrel.scenario())
     for n, part in zip((1, 2), text.split("--- ")[1:], strict=True):
         rows = made.of_stage(n).gains.table
         shown = part.split("gains\n")[1].split("\n")[1:3]
@@ -215,7 +215,7 @@ def test_orders_of_several_stages(
         assert [line.split() for line in shown] == [[f"{t:g}", f"{k_p:.4f}", f"{k_d:.4f}"] for t, k_p, k_d in expected]
         assert "over the filter's order, dB" in part
     for schedule in ("linear", "free"):
-        each = api.load_design(tmp_path / f"F2-{schedule}" / "design.toml", petrel.scenario())
+        each = maxq.load_design(tmp_path / f"F2-{schedule}" / "design.toml", petrel.scenario())
         assert [law.filter.structure for law in each.stage[1:]] == ["F2", "F2"]
         assert each.stage[0].filter == petrel.scenario().design.of_stage(0).filter
     stages = json.loads((tmp_path / "design.json").read_text())["stages"]

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import Dispersion
@@ -40,12 +40,12 @@ TIMES_S = (10.0, 20.0, 30.0, 50.0)
 
 @pytest.fixture(scope="module")
 def nodes() -> list[Node]:
-    return api.nodes("nominal", TIMES_S)
+    return maxq.nodes("nominal", TIMES_S)
 
 
 @pytest.fixture(scope="module")
 def design() -> Design:
-    return api.load_design("designs/ksr3-default")
+    return maxq.load_design("designs/ksr3-default")
 
 
 @cache
@@ -130,7 +130,7 @@ def test_every_mode_of_the_vehicle_deviates(nodes: list[Node]) -> None:
 def test_vehicle_that_does_not_deviate_has_the_margins_of_the_design(nodes: list[Node], design: Design) -> None:
     found = study(nodes, design, LinearMargins(cases=1, corner_sigmas=0.0), campaign(), Memory(None))
     for node, measured in zip(nodes, found.nominal.nodes, strict=True):
-        expected = margins(api.loops([node], design)[0])
+        expected = margins(maxq.loops([node], design)[0])
         assert measured["gain_up_db"] == pytest.approx(expected.gain_up_db.value, abs=1e-9)
         assert measured["delay_ms"] == pytest.approx(1e3 * expected.delay_s.value, abs=1e-9)
 
@@ -142,14 +142,14 @@ def test_slosh_grows_with_less_damping_than_it_needs(nodes: list[Node], design: 
         for share, grows in ((0.9, True), (1.1, False)):
             factors = [1.0, 1.0]
             factors[a.tank] = share * a.needed / a.damping
-            loop = api.loops([disperse(nodes[-1], Dispersion(slosh_damping=tuple(factors)))], design)[0]
+            loop = maxq.loops([disperse(nodes[-1], Dispersion(slosh_damping=tuple(factors)))], design)[0]
             poles = loop.closed_poles()
             assert bool((poles[(poles.imag > 0.5) & (poles.imag < 31.0)].real > 0.0).any()) is grows
 
 
 def test_one_changed_gain_redoes_its_neighbours_only(nodes: list[Node], design: Design, tmp_path: Path) -> None:
     wanted = LinearMargins(cases=1, corner_sigmas=0.0)
-    free = api.load_design("designs/ksr3-free")  # a gain at every node
+    free = maxq.load_design("designs/ksr3-free")  # a gain at every node
     study(nodes, free, wanted, campaign(), Memory(tmp_path))
     text = _with_more_gain(free, 30.0)
     second = Memory(tmp_path)

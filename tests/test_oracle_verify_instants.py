@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from maxq.design import api
+import maxq
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import close_loop
 from maxq.design.model.node import Node
 from maxq.design.quantities import MEASURED, LoopLimits
 from maxq.design.verify import linear
@@ -21,13 +22,13 @@ SCENARIO = load_scenario("nominal", ['design="designs/ksr3-linear.toml"'])
 
 
 def nodes_at(times_s: Sequence[float]) -> list[Node]:
-    return api.nodes(SCENARIO, times_s)
+    return maxq.nodes(SCENARIO, times_s)
 
 
 def least_phase_deg(node: Node) -> float:
     """Over the crossings of |L| = 1 from 0.1 to 4 Hz: rigid body and both tanks."""
     assert SCENARIO.design is not None
-    loop = api.close(api.fixed_path(node), SCENARIO.design)
+    loop = close_loop(fixed_path(node), SCENARIO.design)
     f = np.linspace(0.1, 4.0, 40_000)
     values = loop.response(f)
     size = np.log(np.abs(values))
@@ -65,7 +66,7 @@ def test_an_instant_becomes_a_node_from_what_is_documented_on(
     for depth, wanted in ((0.9 * just_worse, []), (1.1 * just_worse, [43.21])):
         monkeypatch.setattr(linear, "Loop", lambda time_s, law: time_s)
         monkeypatch.setattr(linear, "fixed_path", lambda time_s: time_s)
-        monkeypatch.setattr(linear, "api", SimpleNamespace(law_at=lambda design, node: None))
+        monkeypatch.setattr(linear, "law_at", lambda design, node: None)
         dip = partial(lambda depth, t, peak: {name: 10.0 - depth * max(1.0 - abs(t - 43.21) / 2.0, 0.0)}, depth)
         monkeypatch.setattr(linear, "measured", dip)
         found = worst_instants(list, none, [40.0, 47.0], LoopLimits(**{name: 5.0}))
@@ -83,7 +84,7 @@ def test_all_margins_that_are_asked_for_are_searched() -> None:
     assert 1 <= len(found) <= len(asked)
 
     def table(at_s: Sequence[float]) -> np.ndarray:
-        rows = [measured(api.close(api.fixed_path(node), design), limits.slosh_peak_db) for node in nodes_at(at_s)]
+        rows = [measured(close_loop(fixed_path(node), design), limits.slosh_peak_db) for node in nodes_at(at_s)]
         return np.array([[MEASURED[name].badness(row[name]) for name in asked] for row in rows])
 
     ends, ours = table(times_s).max(axis=0), table(found)

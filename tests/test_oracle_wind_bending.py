@@ -23,8 +23,8 @@ from test_oracle_aero_tables_linear import inclined, symmetric
 from test_oracle_linear_model import flat_earth, plane_states
 from zero_incidence import zero_incidence
 
+import maxq
 from maxq.control.kernel.records import Array
-from maxq.design import api
 from maxq.design.laws.wind import MOMENTS, Spectrum
 from maxq.design.loop.wind import wind_response
 from maxq.design.model.instruments import actuator
@@ -155,8 +155,8 @@ def test_rms_is_that_of_flights_through_turbulence() -> None:
     flown = np.sqrt(np.mean(squares, axis=0))
     assert flown[1] == pytest.approx(flown[0], rel=0.05)
     means: dict[float, list[Array]] = {5.0: [], 49.0: []}
-    for node in with_cuts(api.nodes(through(), [38.5, 39.5, 40.5, 41.5]), through()):
-        loop = api.loop(node, "designs/ksr3-default")
+    for node in with_cuts(maxq.nodes(through(), [38.5, 39.5, 40.5, 41.5]), through()):
+        loop = maxq.loop(node, "designs/ksr3-default")
         loop.fixed.measurements = loop.law.inputs
         stations = tuple(node.vehicle.cut_stations_m[k] for k in PICKED)
         for top_hz, found in means.items():

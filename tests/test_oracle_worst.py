@@ -15,9 +15,9 @@ import pytest
 import scipy.linalg
 import scipy.optimize
 
-from maxq.design import api
+import maxq
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.loop import Loop, law_at
 from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import Deviations, deviations_of
 from maxq.design.model.dispersion import NOMINAL, Dispersion
@@ -59,7 +59,7 @@ def alone(deviations: Deviations, **sigmas: float) -> np.ndarray:
 
 def exact(node: Node, by: Dispersion) -> float:
     """Least |1 + L| as margins are measured, on a curve refined where it bends; below 0: unstable."""
-    loop = Loop(fixed_path(disperse(node, by)), api.law_at(design_nodes.design(), node))
+    loop = Loop(fixed_path(disperse(node, by)), law_at(design_nodes.design(), node))
     found = margins(loop, resonances=loop.fixed.resonances())
     return found.modulus if found.stable else -1.0
 
@@ -91,7 +91,7 @@ def test_slopes_are_those_of_the_sampled_loop() -> None:
 
     def loop_at(v: np.ndarray, hz: float) -> complex:
         there = disperse(node, deviations.at(v))
-        return complex(Loop(fixed_path(there), api.law_at(design_nodes.design(), node)).response([hz])[0])
+        return complex(Loop(fixed_path(there), law_at(design_nodes.design(), node)).response([hz])[0])
 
     hz = np.array([0.7, 1.3, 3.0, 9.0])
     near, found = slope(node, design_nodes.design(), usual())(u, hz, steps)
@@ -130,7 +130,7 @@ def test_distance_of_an_unstable_loop_is_negative() -> None:
     signs = []
     for share in (0.0, 2.0):
         u = np.array([share])
-        loop = Loop(fixed_path(disperse(node, vehicle(node, spread, u))), api.law_at(design_nodes.design(), node))
+        loop = Loop(fixed_path(disperse(node, vehicle(node, spread, u))), law_at(design_nodes.design(), node))
         value, _ = distance(node, design_nodes.design(), spread)(u)
         signs.append(1.0 if margins(loop).stable else -1.0)
         assert value == pytest.approx(signs[-1] * np.abs(1.0 + loop.response(hz)).min(), rel=5e-3)
@@ -163,7 +163,7 @@ def test_a_pole_at_zero_is_drift_and_no_unstable_vehicle() -> None:
     """Petrel's stage 3 beyond the air has closed poles at zero, computed on either side of the axis."""
     (node,) = petrelkit.nodes(400.0)
     design = petrelkit.scenario().design
-    loop = Loop(fixed_path(node), api.law_at(design, node))
+    loop = Loop(fixed_path(node), law_at(design, node))
     slow = loop.closed_poles()[np.abs(loop.closed_poles()) < 1e-6]
     assert len(slow) == 2
     campaign = campaign_of(Spread(), petrelkit.scenario())
@@ -199,7 +199,7 @@ def test_the_scenario_written_is_the_vehicle_measured() -> None:
     assert (by.normal_force, by.centre_of_pressure_m, by.delay_s) == pytest.approx((1.1, 0.15, 0.002))
     scenario = deviations.scenario(base, u)
     again = load_scenario_text(scenario.as_flown, (), "worst")
-    (flown,) = api.nodes(again, [40.0])
+    (flown,) = maxq.nodes(again, [40.0])
     wanted, nominal = exact(node, by), exact(node, NOMINAL)
     assert abs(wanted - nominal) > 0.02
     assert exact(flown, NOMINAL) == pytest.approx(wanted, rel=5e-3)  # the ascent differs a little, with its forces
@@ -208,7 +208,7 @@ def test_the_scenario_written_is_the_vehicle_measured() -> None:
 def test_the_delay_is_that_of_the_stages_computer_up_to_its_sample() -> None:
     """The linear model and the flight have the same: 6 ms at three sigma of 2 ms, and the sample of 10 ms at most."""
     base = load_scenario("nominal", ["vehicle.stage.0.computer={delay_s=0.004}"])
-    (node,) = api.nodes(base, [40.0])
+    (node,) = maxq.nodes(base, [40.0])
     for late_s, delay_s in ((0.002, 0.006), (0.009, 0.01)):
         deviations = deviations_of(campaign_of(Spread(delay_s=late_s), base), node)
         u = alone(deviations, delay=3.0)
@@ -229,7 +229,7 @@ def test_the_worst_of_all_nodes_is_measured_and_flown(
         "disperse": lambda node, by: node,
         "fixed_path": lambda node: node,
         "Loop": lambda node, law: SimpleNamespace(fixed=SimpleNamespace(resonances=list)),
-        "api": SimpleNamespace(law_at=lambda design, node: None),
+        "law_at": lambda design, node: None,
         "margins": lambda loop, resonances: measured,
         "deviations_of": lambda described, node: SimpleNamespace(
             places=["thrust"],
@@ -264,7 +264,7 @@ def test_the_worst_between_nodes_and_along_other_flights_is_found(monkeypatch: p
         "disperse": lambda node, by: node,
         "fixed_path": lambda node: node,
         "Loop": lambda node, law: SimpleNamespace(fixed=SimpleNamespace(resonances=list), node=node),
-        "api": SimpleNamespace(law_at=lambda design, node: None),
+        "law_at": lambda design, node: None,
         "margins": lambda loop, resonances: SimpleNamespace(modulus=loop.node.least, stable=True),
         "deviations_of": lambda described, node: SimpleNamespace(
             places=[f"thrust {k + 1}" for k in range(3)],
@@ -345,13 +345,13 @@ def test_no_random_refinement_finds_a_worse_vehicle(region: Any, count: int) -> 
     """Of ksr3-ringed at 53.5 s (two sigma each) and ksr3-robust at 45 s (three sigma together)."""
     name, time_s, sigmas = ("ksr3-ringed", 53.5, 2.0) if region == "box" else ("nominal", 45.0, 3.0)
     scenario, wanted = load_scenario(name), WorstWanted(region=region, sigmas=sigmas, starts=4)
-    design = scenario.design if region == "box" else api.load_design("designs/ksr3-robust")
+    design = scenario.design if region == "box" else maxq.load_design("designs/ksr3-robust")
     assert design is not None
-    (node,) = api.nodes(scenario, [time_s])
+    (node,) = maxq.nodes(scenario, [time_s])
     campaign = campaign_of(Spread(), scenario)
     found, u, _ = search_node(node, design, campaign, wanted)
     assert min(refined_by_scipy(node, campaign, wanted, design, count)) > found - 0.002
-    loop = Loop(fixed_path(disperse(node, vehicle(node, campaign, u))), api.law_at(design, node))
+    loop = Loop(fixed_path(disperse(node, vehicle(node, campaign, u))), law_at(design, node))
     measured = margins(loop, resonances=loop.fixed.resonances())
     assert (measured.modulus if measured.stable else 0.0) == pytest.approx(max(found, 0.0), abs=1e-4)
     if region == "box":  # the search without a descent ended at 0.321 among the nodes, at 54 s

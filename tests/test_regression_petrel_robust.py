@@ -14,7 +14,7 @@ from pathlib import Path
 import petrelkit as petrel
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.case.schema import read_case
 from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.verify.judging import Wanted, checks, judge
@@ -67,7 +67,7 @@ def test_it_meets_its_limits_in_both_planes() -> None:
     for stage, times_s in enumerate(NODES_S):
         own = design.of_stage(stage)
         for plane in ("pitch", "yaw"):
-            judged = judge(api.nodes(petrel.scenario(), times_s, plane=plane), own, "sampled")
+            judged = judge(maxq.nodes(petrel.scenario(), times_s, plane=plane), own, "sampled")
             for check in checks(judged, own, Wanted.stated_by(design, stage)):
                 slack = check.values[check.worst] - check.limit
                 assert check.passed or abs(slack) < {"dB": 0.05, "deg": 0.3}.get(check.unit, 0.002), check.text

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.margins.measure import margins
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.run.fly import fly
@@ -70,6 +70,6 @@ def test_design_has_gain_for_the_turn_and_for_the_least_stable_instant() -> None
     assert 4.0 < flight.metrics["max_attitude_error_deg"] <= LIMITS["max_attitude_error_deg"]
     ringed = load_scenario("ksr3-ringed")
     assert ringed.design is not None
-    for loop in api.loops(api.nodes(ringed, (0.3, 37.0, 47.0)), ringed.design):
+    for loop in maxq.loops(maxq.nodes(ringed, (0.3, 37.0, 47.0)), ringed.design):
         found = margins(loop)
         assert min(found.gain_up_db.value, found.gain_down_db.value) >= 6.0

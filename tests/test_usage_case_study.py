@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.case.basis import stated_basis
 from maxq.design.verify.judging import Wanted, checks, judge
 from maxq.tools.dev import case_study
@@ -52,10 +52,10 @@ def test_sixty_optima_of_which_more_freedom_is_never_worse() -> None:
 @pytest.mark.parametrize("name", [name for name in case_study.DESIGNS if name != "ksr3-default"])
 def test_shipped_designs_meet_what_they_state(name: str) -> None:
     """Judged by what the optimiser does not use, on the loop of their case; conditions are those of the flight now."""
-    design = api.load_design(f"designs/{name}")
+    design = maxq.load_design(f"designs/{name}")
     basis = stated_basis(design)
     assert basis is not None
-    judged = judge(api.nodes("nominal", [5.0, 30.0, 50.0, 55.0]), design, basis.loop)
+    judged = judge(maxq.nodes("nominal", [5.0, 30.0, 50.0, 55.0]), design, basis.loop)
     assert all(j.margins.stable for j in judged)
     for check in checks(judged, design, Wanted.of(basis.limits)):
         slack = check.values[check.worst] - check.limit

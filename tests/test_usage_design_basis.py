@@ -24,7 +24,7 @@ import optimise_kit as kit
 import petrelkit as petrel
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.case.basis import Basis, DesignLimits, stated_basis
 from maxq.design.laws.design_file import design_text
 from maxq.design.optimise.solve import solve
@@ -85,7 +85,7 @@ def test_a_design_carries_all_that_it_was_designed_to(capsys: Printed) -> None:
     loaded = kit.case(*few, *given)
     written = judge_solution(loaded, solve(loaded, kit.plants(*few[:1], "loop=exact"))).design
     Path("made.toml").write_text(design_text(written))
-    design = api.load_design("made.toml")
+    design = maxq.load_design("made.toml")
     assert design.basis == written.basis
     basis = stated_basis(design)
     assert basis is not None
@@ -124,7 +124,7 @@ def test_the_corner_of_the_integral_is_judged() -> None:
     pid = Design.model_validate(
         {"law": "pid", "gains": {"table": ({"time_s": 30.0, "k_p": 0.9, "k_d_s": 0.45, "k_i_ps": 0.3},)}}
     )
-    judged = judge(api.nodes("nominal", [30.0]), pid)
+    judged = judge(maxq.nodes("nominal", [30.0]), pid)
     limits = DesignLimits(integral_hz=0.05, most_integral_hz=0.06)
     found = {c.key: c for c in checks(judged, pid, Wanted.of(limits))}
     corner_hz = 0.3 / (2.0 * math.pi * 0.9)
@@ -240,7 +240,7 @@ def test_limits_in_wind_are_judged() -> None:
     scenario = load_scenario("load-relief", ['design="designs/ksr3-load-relief.toml"'])
     assert scenario.design is not None
     basis = bases_of(scenario, scenario.design, "")[0]
-    judged = judge(api.nodes(scenario, [12.0]), scenario.design)
+    judged = judge(maxq.nodes(scenario, [12.0]), scenario.design)
     load = stage_checks(judged, scenario.design, basis, "sampled")[-1]
     assert (load.key, load.limit) == ("wind_q_alpha_Padeg", 8780.0)
     assert load.values[0] == pytest.approx(8779.0, abs=2.0), "its case: met at 12 s"

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from design_nodes import design, flown, node_at
 
-from maxq.design import api
+import maxq
 from maxq.tools.dev.documents import departure_table
 from maxq.tools.dev.documents.departure_table import DEFAULT_FILE, table_text
 
@@ -23,7 +23,7 @@ def test_example_runs() -> None:
     assert code is not None
     names: dict[str, object] = {"frequencies_hz": np.array([1.0, 2.0])}
     exec(code[1], names)  # the page's own example
-    assert isinstance(names["loop"], api.Loop)
+    assert isinstance(names["loop"], maxq.Loop)
 
 
 def test_departure_page_is_up_to_date() -> None:
@@ -34,7 +34,7 @@ def test_departure_page_is_up_to_date() -> None:
 
 
 def test_figures_of_section_2_and_3() -> None:
-    loop = api.loop(node_at(55.0).with_(bending_frequency=1.05), design())
+    loop = maxq.loop(node_at(55.0).with_(bending_frequency=1.05), design())
     third = next(r for r in loop.fixed.resonances() if r.label == "bending 3")
     np.testing.assert_allclose(third.frequency_hz, 48.2, atol=0.1)
     found, measured = compare()

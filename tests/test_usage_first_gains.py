@@ -8,7 +8,7 @@ import layoutkit
 import numpy as np
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.model.powered import powered_flight
 from maxq.sim.run.flight import Event
 from maxq.sim.run.fly import fly
@@ -26,7 +26,9 @@ def fastest_growth_1ps(folder: Path, count: int = 37) -> float:
     (span,), loss = powered_flight(scenario)
     assert loss is None
     times = np.linspace(span.begin_s + 1.0, span.end_s - 1.0, count).round(3)
-    return max(float(loop.closed_poles().real.max()) for loop in api.loops(api.nodes(scenario, times), scenario.design))
+    return max(
+        float(loop.closed_poles().real.max()) for loop in maxq.loops(maxq.nodes(scenario, times), scenario.design)
+    )
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import optimise_kit as kit
 import petrelkit as petrel
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.optimise.search import Progress
 from maxq.design.verify.judging import judge
@@ -76,7 +76,7 @@ def test_stages_that_were_not_designed_are_named(two_of_three: CaseDesign) -> No
     assert made.design.of_stage(2).filter == own.of_stage(2).filter
     assert made.design.of_stage(1).filter != own.of_stage(1).filter
     along = with_design(petrel.scenario(), made.design)
-    found = judge(api.nodes(along, [40.0, 42.0, 140.0, 142.0]), made.design)
+    found = judge(maxq.nodes(along, [40.0, 42.0, 140.0, 142.0]), made.design)
     assert min(j.gain_margin_db for j in found) > 6.0 - 5e-4
     assert min(j.margins.phase_deg.value for j in found) > 30.0 - 5e-4
 

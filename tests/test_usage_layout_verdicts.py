@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 from oracles.layout_margins import evaluate
 
-from maxq.design import api
 from maxq.design.certificate.in_flight import in_flight_response
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import close_loop
 from maxq.design.margins.measure import margins
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign, simvehicle, simverify
@@ -31,7 +32,7 @@ def compare(folder: Path, design: Path, every: int = 1) -> float:
     law = load_scenario(folder / "scenario.toml", [f'design="{design.as_posix()}"']).design
     least = np.inf
     for found in evaluate(folder, design, every):
-        ours = margins(api.close(api.fixed_path(found.node), law))
+        ours = margins(close_loop(fixed_path(found.node), law))
         at = f"{found.node.plane}, {found.node.time_s} s"
         assert (found.largest_pole < 1.0 + 1e-9) == ours.stable, at
         if not ours.stable:

@@ -10,7 +10,7 @@ from pathlib import Path
 import layoutkit
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.model.node import nodes_along
 from maxq.design.model.powered import loss_of, loss_text, node_times, powered_flight, spans_of
 from maxq.design.verify.judging import judge
@@ -58,7 +58,7 @@ def test_a_node_after_the_loss_is_refused() -> None:
     assert loss is not None
     assert nodes_along(scenario, [loss.time_s - 1.0])[0].time_s == pytest.approx(loss.time_s - 1.0, abs=1e-3)
     said = rf"^node at 24 s: the flight is lost before \({loss_text(loss)}\); allowed are times before the loss$"
-    for take in (nodes_along, lambda s, t: api.multiloops(s, s.design, t)):
+    for take in (nodes_along, lambda s, t: maxq.multiloops(s, s.design, t)):
         with pytest.raises(ValueError, match=said):
             take(scenario, [10.0, 24.0])
 

@@ -9,8 +9,8 @@ import pytest
 from design_nodes import TIMES_S, design, node_at, without
 from textbook_loops import ModalLoop, TransferLoop
 
-from maxq.design import api
 from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import close_loop
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins.distances import Zone
 from maxq.design.margins.measure import Margins, margins
@@ -235,7 +235,7 @@ def test_modes_of_equal_frequency_share_a_lobe():
 @pytest.mark.parametrize("change", [{}, {"modes": True}, {"tanks": True}, {"modes": True, "tanks": True}])
 def test_vehicles_with_and_without(change):
     path = fixed_path(without(node_at(40.0), **change))
-    loop = api.close(path, design())
+    loop = close_loop(path, design())
     m = margins(loop, resonances=path.resonances())
     assert m.stable
     assert m.unstable_poles == m.encircled_poles == 0
@@ -246,6 +246,6 @@ def test_vehicles_with_and_without(change):
 
 def test_lobes_of_a_flight_are_those_of_its_modes_and_tanks():
     paths = [fixed_path(node_at(t)) for t in TIMES_S]
-    found = [margins(api.close(path, design()), resonances=path.resonances()).lobes for path in paths]
+    found = [margins(close_loop(path, design()), resonances=path.resonances()).lobes for path in paths]
     labels = {"slosh 1", "slosh 2", "bending 1", "bending 2", "bending 3"}
     assert {lobe.label for lobes in found for lobe in lobes} == labels

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from maxq import api
+import maxq
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.store import MANIFEST, open_store
@@ -100,7 +100,7 @@ def test_a_description_tells_what_was_changed() -> None:
     """`nominal` in wind said "no wind"."""
 
     def described(*overrides: str) -> str:
-        loaded = api.load("nominal", *overrides)
+        loaded = maxq.load("nominal", *overrides)
         assert isinstance(loaded, LoadedScenario)
         return loaded.scenario.description
 

@@ -17,7 +17,7 @@ from typing import Any
 import optimise_kit as kit
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.case.basis import stated_basis
 from maxq.design.margins.multiloop import multiloop_margins
 from maxq.design.verify import own_flight
@@ -39,7 +39,7 @@ def test_a_design_keeps_its_limits_with_the_other_axes_closed() -> None:
     made = designed()
     assert made.feasible
     scenario = with_design(kit.case(*CASE).scenario, made.design)
-    found = [multiloop_margins(loop) for loop in api.multiloops(scenario, made.design, TIMES_S)]
+    found = [multiloop_margins(loop) for loop in maxq.multiloops(scenario, made.design, TIMES_S)]
     assert [m.axes for m in found] == [("pitch", "yaw")] * 2
     gains, phases = ([margin(one) for m in found for one in m.each] for margin in (_gain_db, _phase_deg))
     assert min(gains) == pytest.approx(6.0, abs=0.005)

@@ -39,12 +39,12 @@ def test_every_folder_with_modules_is_a_listed_package():
     on_disk = {"maxq." + ".".join(parts) for parts in folders if parts[:2] != ("tools", "dev")}  # dev/ is not installed
     listed = set(PROJECT["tool"]["setuptools"]["packages"])
     # tools/ itself and scenarios/ (data) are packages with or without modules
-    assert listed == on_disk | {"maxq.api", "maxq.tools", "maxq.scenarios"}
+    assert listed == on_disk | {"maxq", "maxq.tools", "maxq.scenarios"}
 
 
 def test_every_package_maps_to_its_folder():
     folders = PROJECT["tool"]["setuptools"]["package-dir"]
-    assert folders == {f"maxq.{name}": name for name in ("api", *LAYERS, "scenarios")}
+    assert folders == {"maxq": "api"} | {f"maxq.{name}": name for name in (*LAYERS, "scenarios")}
 
 
 def test_no_layer_can_shadow_another_package():

@@ -83,10 +83,10 @@ def files_of(wheel):
 def test_the_wheel_holds_every_module_and_every_scenario_file(source, wheel):
     files = {p for name in PACKAGES for p in (source / name).rglob("*") if p.is_file() and ".ns" not in p.parts}
     files = {p for p in files if p.relative_to(source).parts[:2] != ("tools", "dev")}
-    data = (source / "scenarios", source / "tools" / "pages", source / "control" / "flight_law")
+    data = (source / "api", source / "scenarios", source / "tools" / "pages", source / "control" / "flight_law")
     packaged = {p for p in files if p.suffix in (".py", ".h") or any(p.is_relative_to(folder) for folder in data)}
     assert packaged
-    assert files_of(wheel) == {f"maxq/{p.relative_to(source)}" for p in packaged}
+    assert files_of(wheel) == {f"maxq/{p.relative_to(source)}".replace("/api/", "/", 1) for p in packaged}
 
 
 def test_a_wheel_built_from_the_source_distribution_is_the_same(source, wheel, tmp_path):

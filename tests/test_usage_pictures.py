@@ -17,7 +17,7 @@ import pytest
 from matplotlib.figure import Figure
 from picture_check import faults
 
-from maxq import api
+import maxq
 from maxq.design.verify.judging import Wanted, judge
 from maxq.tools.design import pictures
 from maxq.tools.design.pictures_loop import contours
@@ -94,7 +94,7 @@ def test_pictures_of_the_second_vehicle(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(sheets, "save", kept)
     changes = ("run.duration_s=130", "log.fast_hz=200", "log.slow_hz=100")
-    api.fly(petrel.scenario(*changes), folder=tmp_path / "flight")
+    maxq.fly(petrel.scenario(*changes), folder=tmp_path / "flight")
     sheets.write_sheets(open_flights([str(tmp_path / "flight")])[0], tmp_path)
     assert {"05-bending", "14-requirements"} < set(drawn)
     loaded, nodes = petrel.scenario(), petrel.nodes(5.502, 60.0)

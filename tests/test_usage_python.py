@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from maxq import api
+import maxq
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.log.reader import Log
 from maxq.sim.run.flight import Flight
@@ -23,7 +23,7 @@ from maxq.tools import simreplay
 
 @pytest.fixture(scope="module")
 def flight() -> Flight:
-    return api.fly("nominal", "run.duration_s=1.5")
+    return maxq.fly("nominal", "run.duration_s=1.5")
 
 
 @pytest.fixture(autouse=True)
@@ -32,7 +32,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_what_is_loaded_and_flown_says_so_in_one_line(flight: Flight) -> None:
-    scenario, campaign = api.load("nominal"), api.load("campaigns/first")
+    scenario, campaign = maxq.load("nominal"), maxq.load("campaigns/first")
     assert isinstance(scenario, LoadedScenario)
     assert isinstance(campaign, LoadedCampaign)
     assert re.fullmatch(r"<LoadedCampaign first \(.*\): 100 runs>", repr(campaign))
@@ -42,7 +42,7 @@ def test_what_is_loaded_and_flown_says_so_in_one_line(flight: Flight) -> None:
     assert shown.count("<tr>") == shown.count("</tr>") > 12
     assert "<td>q alpha</td><td>met</td>" in shown
     with pytest.raises(ValueError, match="overrides go with a scenario's name"):
-        api.fly(scenario, "run.duration_s=1")
+        maxq.fly(scenario, "run.duration_s=1")
 
 
 def test_a_frame_has_each_channel_over_its_times(flight: Flight) -> None:
@@ -64,8 +64,8 @@ def test_a_dataset_has_units_and_the_same_numbers(flight: Flight) -> None:
 
 
 def test_topics_go_by_name_in_flights_and_logs(flight: Flight) -> None:
-    api.fly("nominal", "run.duration_s=0.2", folder="out")
-    log = api.read("out")
+    maxq.fly("nominal", "run.duration_s=0.2", folder="out")
+    log = maxq.read("out")
     assert isinstance(log, Log)
     assert repr(log).startswith("<Log out/flight.mcap: nominal, 0.2")
     assert log.topics == flight.topics
@@ -76,8 +76,8 @@ def test_topics_go_by_name_in_flights_and_logs(flight: Flight) -> None:
     with pytest.raises(KeyError, match=r"no channel or topic alfa_deg; did you mean alpha_deg\?"):
         flight["alfa_deg"]
     with pytest.raises(KeyError, match="mach: flown without a log"):
-        api.record(api.load("nominal", "run.duration_s=0.1"), "bare")["mach"]
-    api.replay("out", save="out.rrd")
+        maxq.record(maxq.load("nominal", "run.duration_s=0.1"), "bare")["mach"]
+    maxq.replay("out", save="out.rrd")
     assert Path("out.rrd").stat().st_size > 10_000
 
 
@@ -97,49 +97,48 @@ def test_a_csv_file_holds_every_bit(flight: Flight) -> None:
 
 
 def test_a_plot_has_a_panel_a_unit_and_no_text_over_another(flight: Flight) -> None:
-    figure = api.plot(flight, "gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "mach")
+    figure = maxq.plot(flight, "gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "mach")
     assert isinstance(figure, Figure)
     assert len(figure.axes) == 2
-    api.plot(flight)
+    maxq.plot(flight)
     with pytest.raises(KeyError, match="did you mean mach"):
-        api.plot(flight, "mah")
+        maxq.plot(flight, "mah")
     assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]  # what a notebook asks for
 
 
 def test_a_replay_of_nothing_raises() -> None:
     with pytest.raises(Exception, match="nosuch: no such file or folder"):
-        api.replay("nosuch")
+        maxq.replay("nosuch")
     assert simreplay.main(["nosuch"]) == 2
 
 
 def test_importing_it_takes_nothing_along_and_every_name_is_there() -> None:
-    code = "import sys, maxq.api; print([m for m in ('numpy', 'numba', 'pydantic') if m in sys.modules])"
+    code = "import sys, maxq; print([m for m in ('numpy', 'numba', 'pydantic') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
-    homes = [name for names in api._HOMES.values() for name in names]
-    assert sorted(homes) == sorted(api.__all__) == dir(api)
-    assert all(getattr(api, name).__doc__ for name in api.__all__)
+    assert sorted(maxq.__all__) == dir(maxq)
+    assert all(getattr(maxq, name).__doc__ for name in maxq.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nosuch'"):
-        api.nosuch  # noqa: B018  # what is looked up is not there
+        maxq.nosuch  # noqa: B018  # what is looked up is not there
 
 
 @pytest.mark.slow
 def test_a_vehicle_from_a_layout_flies() -> None:
-    place = api.vehicle("petrel", "mine")
+    place = maxq.vehicle("petrel", "mine")
     assert place == Path("mine")
-    assert api.fly(place / "scenario.toml", "run.duration_s=1").outcome == "duration"
-    with pytest.raises(api.ScenarioError, match="nosuch"):
-        api.vehicle("nosuch")
+    assert maxq.fly(place / "scenario.toml", "run.duration_s=1").outcome == "duration"
+    with pytest.raises(maxq.ScenarioError, match="nosuch"):
+        maxq.vehicle("nosuch")
 
 
 @pytest.mark.slow
 def test_a_design_is_made_drawn_and_saved() -> None:
-    made = api.design("ksr3-relaxed", "search.starts=2", "nodes_s=[10, 40]", "filter.structure=F2")
+    made = maxq.optimise("ksr3-relaxed", "search.starts=2", "nodes_s=[10, 40]", "filter.structure=F2")
     assert repr(made).startswith("<Designed ksr3-relaxed: largest peak of mode 1 ")
     assert made.meets_limits
     assert "<td>met</td>" in made._repr_html_()
     made.bode(40.0)
     made.save("mine.toml")
-    api.bode("mine.toml", 10.0)
-    found = api.verify("mine.toml", "quick", "certificate=", "margins=")
+    maxq.bode("mine.toml", 10.0)
+    found = maxq.verify("mine.toml", "quick", "certificate=", "margins=")
     assert repr(found).startswith("<Verification of ")

@@ -14,7 +14,7 @@ import math
 
 import pytest
 
-from maxq.design import api
+import maxq
 from maxq.design.case.basis import Limits
 from maxq.design.case.schema import read_case
 from maxq.design.margins import many
@@ -45,9 +45,9 @@ def test_every_key_is_in_the_table() -> None:
 def test_judge_and_suite_measure_the_same() -> None:
     scenario = load_scenario("nominal")
     assert scenario.design is not None
-    nodes = api.nodes(scenario, [40.0])
+    nodes = maxq.nodes(scenario, [40.0])
     found = {c.key: c for c in checks(judge(nodes, scenario.design), scenario.design, Wanted.of(ASKED))}
-    loop = api.loops(nodes, scenario.design)[0]
+    loop = maxq.loops(nodes, scenario.design)[0]
     theirs, m = measured(loop, -6.0), measure_loop(loop).margins
     assert set(found) == {"unstable_poles", "filter_gain_at_infinity", *CommonLimits.model_fields}
     for key in CommonLimits.model_fields:
@@ -66,7 +66,7 @@ def test_judge_and_suite_measure_the_same() -> None:
 def test_modes_that_do_not_exist_miss_no_limit() -> None:
     scenario = load_scenario("nominal", ["switches.bending=false"])
     assert scenario.design is not None
-    judged = judge(api.nodes(scenario, [40.0]), scenario.design)
+    judged = judge(maxq.nodes(scenario, [40.0]), scenario.design)
     assert judged[0].margins.stable
     assert judged[0].quantities(Convention())["first_mode_phase_deg"] == math.inf
     found = {c.key: c for c in checks(judged, scenario.design, Wanted.of(ASKED))}

@@ -25,16 +25,17 @@ from importlib import import_module
 from pathlib import Path
 from maxq.control.kernel import jit
 root = Path(jit.__file__).parents[2]
-for layer in ("control", "sim", "design", "tools", "api"):
+import maxq
+for layer in ("control", "sim", "design", "tools"):
     for path in (root / layer).rglob("*.py"):
         parts = path.relative_to(root).with_suffix("").parts
         if not {".ns", "dev"} & set(parts) and parts[:2] != ("tools", "replay"):
-            import_module(".".join(("maxq", *parts)).removesuffix(".__init__"))
+            import_module(".".join(("maxq", *parts)))
             print(".".join(parts))
 """
 
 EVERY_USE = """
-from maxq import api
+import maxq
 from maxq.tools import simdesign, simreplay, simrun, simverify
 
 def check(code, command, *arguments):
@@ -42,15 +43,15 @@ def check(code, command, *arguments):
     assert found == code, (arguments, found)
 
 check(0, simrun, "nominal", "--set", "run.duration_s=0.5", "--out", "flight")
-log = api.read("flight")
+log = maxq.read("flight")
 assert log["altitude_m"].size == 51 and log.time_s("altitude_m")[-1] == 0.5
-api.plot(log, "mach").savefig("mach.svg")
+maxq.plot(log, "mach").savefig("mach.svg")
 for option in ("--summary", "--plots=plots"):
     check(0, simreplay, "flight", option)
-data = api.campaign(api.load("campaigns/first", "run.duration_s=0.1"), "campaign", runs=4, workers=2)
+data = maxq.campaign(maxq.load("campaigns/first", "run.duration_s=0.1"), "campaign", runs=4, workers=2)
 assert repr(data) == "<DataSet campaign: 4 runs of first, 0 failed>"
 check(3, simrun, "--from", "campaign")  # reported; undecided after four runs
-made = api.design("ksr3-relaxed", "search.starts=2", "nodes_s=[10, 40]", "filter.structure=F2")
+made = maxq.optimise("ksr3-relaxed", "search.starts=2", "nodes_s=[10, 40]", "filter.structure=F2")
 made.save("mine.toml")
 assert made.bode(40.0).axes
 check(0, simdesign, "analyse", "mine.toml", "--at", "40", "--out", "analysis")

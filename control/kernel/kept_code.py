@@ -25,7 +25,7 @@ from maxq.control.kernel.machine import own_cache
 if sys.platform != "win32":
     import fcntl
 
-_KERNEL_FREE = {"scenario", "log", "packing", "run", "campaign", "api.py"}
+_KERNEL_FREE = {"scenario", "log", "packing", "run", "campaign"}
 """Parts of sim/ whose constants no kernel takes."""
 _COMPILED = re.compile(rb"^@(?:kernel|formula|(?:disjoint_)?routine|routine_beside|entry|from_python)\b", re.MULTILINE)
 

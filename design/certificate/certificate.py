@@ -10,12 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.certificate import measured_margins, response
 from maxq.design.certificate.excitation import Band, below
 from maxq.design.certificate.held_flight import Change, HeldFlight, hold, with_ideal_converters
 from maxq.design.certificate.measured_margins import MARGIN_NAMES, LimitCycle, MarginName, MeasuredMargin, bound_of
 from maxq.design.certificate.response import BANDS, FAULTY, NOISE, UNEXPLAINED, ResponseTable, RingLine
+from maxq.design.loop.loop import loops
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
@@ -127,11 +128,11 @@ def certify(
 ) -> list[NodeCertificate]:
     """Certificates of the scenario's design, planes within nodes, whatever the number of workers.
 
-    `times_s`: vehicle times; None for such as suit the flight (`api.nodes`). `one` certifies a node, by default
-    `certify_node`. `along`: the scenario whose flight gives the nodes their speed and air, by default the same.
+    `times_s`: vehicle times; None for such as suit the flight (`operating_points.nodes`). `one` certifies a node, by
+    default `certify_node`. `along`: the scenario whose flight gives the nodes their speed and air, by default the same.
     """
     times = node_times(along or loaded) if times_s is None else tuple(times_s)
-    found = [api.nodes(along or loaded, times, plane=plane) for plane in planes]
+    found = [operating_points.nodes(along or loaded, times, plane=plane) for plane in planes]
     with ThreadPoolExecutor(max_workers=workers) as pool:
         return list(pool.map(partial(one or certify_node, loaded), itertools.chain(*zip(*found, strict=True))))
 
@@ -154,19 +155,19 @@ def certify_node(
     adaptive = loaded.design.of_stage(node.stage).adaptive
     ends = (1.0, 1.0) if adaptive is None else (adaptive.least_gain, adaptive.most_gain)
     total_gain_db = (20.0 * math.log10(ends[0]), 20.0 * math.log10(ends[1]))
-    held, flown = hold(loaded, node, fault), api.loops([node], loaded.design)[0]
+    held, flown = hold(loaded, node, fault), loops([node], loaded.design)[0]
     of_flown = margins(flown)
-    loop = api.loops([held.node], loaded.design)[0]
+    loop = loops([held.node], loaded.design)[0]
     of_held, drifts, along_body = margins(loop), None, False
     if not of_held.stable:
         drifts = measured_margins.drift(held, loop, of_held)
         along_body = drifts is None and of_flown.stable
         if along_body:
             held = hold(loaded, node, fault, along_body=True)
-            loop = api.loops([held.node], loaded.design)[0]
+            loop = loops([held.node], loaded.design)[0]
             of_held = margins(loop)
     bands = below(bands, loop.fixed.highest_hz)
-    pade = api.loops([held.node, node], loaded.design, kind="pade")
+    pade = loops([held.node, node], loaded.design, kind="pade")
     of_pade = margins(pade[1])
     if drifts is not None:
         of_held = drifts.others

@@ -19,10 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.certificate.excitation import SHARE_OF_BURST, gimbal_injection
 from maxq.design.certificate.held_flight import fast_rows, with_ideal_converters
 from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, UNEXPLAINED, decibels, degrees
+from maxq.design.loop.loop import loops
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, with_swings
 from maxq.design.model.powered import Span, powered_spans, spans_of
@@ -79,7 +80,7 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
     if design is None:
         raise ValueError(f"{loaded.label}: there is no design to measure")
     by_stage: dict[int, list[Node]] = {}
-    for node in api.nodes(loaded, times_s, plane=plane):
+    for node in operating_points.nodes(loaded, times_s, plane=plane):
         by_stage.setdefault(node.stage, []).append(node)
     return [found for nodes in by_stage.values() for found in _of_stage(loaded, design, nodes, plane)]
 
@@ -100,7 +101,7 @@ def _of_stage(loaded: LoadedScenario, design: Design, points: Sequence[Node], pl
     windows = [_window(t, spans) for t in times_s]
     across = [tuple(t + share * (w[1] - w[0]) for share in ACROSS) for t, w in zip(times_s, windows, strict=True)]
     begun_s = [next(span.begin_s for span in spans if span.holds(t)) for t in times_s]
-    nodes = api.nodes(loaded, [x for each in across for x in each], plane=plane)
+    nodes = operating_points.nodes(loaded, [x for each in across for x in each], plane=plane)
     excited_by = loaded.scenario.model_copy(update={"injection": (signal,)})  # rings damp by its waves
     nodes = with_swings(nodes, dataclasses.replace(loaded, scenario=excited_by))
     out = []
@@ -109,7 +110,7 @@ def _of_stage(loaded: LoadedScenario, design: Design, points: Sequence[Node], pl
         back = excited.filtered[first:last] - quiet.filtered[first:last]
         sent = excited.command[first + 1 : last + 1] - quiet.command[first + 1 : last + 1]  # shows after its tick
         (u, u_noise), (e, _) = (_at_lines(x, lines, sample_s) for x in (back, sent))
-        mine = api.loops(nodes[k * len(ACROSS) : (k + 1) * len(ACROSS)], design)
+        mine = loops(nodes[k * len(ACROSS) : (k + 1) * len(ACROSS)], design)
         responses = np.stack([loop.response(lines) for loop in mine])
         frozen = responses[len(mine) // 2]
         measured = -u / e

@@ -13,6 +13,7 @@ from maxq.design.laws.law import DesignedLaw
 from maxq.sim.scenario.documents import Source, adopt, plain
 from maxq.sim.scenario.errors import ScenarioError, suggestion
 from maxq.sim.scenario.files import builtin_files
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Basis, Design, Roll, StageLaw
 
 DESIGN_NAME = "design.toml"
@@ -41,6 +42,17 @@ def design_path(name: str) -> str:
     hint = suggestion(name.removesuffix(".toml"), known)
     problem = f"no such file; {hint}" if hint else "no such file"
     raise ScenarioError(name, problem, allowed=f"a design file (.toml), or a built-in one: {', '.join(known)}")
+
+
+def load_design(name: str | Path, beside: LoadedScenario | str | Path = "nominal") -> Design:
+    """Return the design in a file, or the built-in one (`designs/...`). Raises ScenarioError.
+
+    A design is read as part of a scenario, `beside`, whose folder is one of those in which the file is looked for.
+    """
+    label = beside.label if isinstance(beside, LoadedScenario) else beside
+    design = load_scenario(label, [f'design="{Path(name).as_posix()}"']).design
+    assert design is not None
+    return design
 
 
 def design_of(

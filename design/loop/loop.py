@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -12,8 +13,11 @@ from numpy.typing import ArrayLike
 from maxq.control.kernel.records import Array
 from maxq.design.laws.bending_filter import FASTEST
 from maxq.design.laws.law import ANGLES, MEASUREMENTS, Controller
-from maxq.design.loop.fixed_path import ExactFixedPath, FixedPath, PadeFixedPath
+from maxq.design.laws.registry import designed_law
+from maxq.design.loop.fixed_path import Cut, ExactFixedPath, FixedPath, Kind, PadeFixedPath, fixed_path
+from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain, zeros_and_poles
+from maxq.sim.scenario.schema_design import Design
 
 
 class OpenLoop(Protocol):
@@ -158,3 +162,23 @@ class Loop:
         ratios = dict(zip(MEASUREMENTS, (1.0 / s, rate, 1.0 / s**2), strict=True))
         law = self.law.response(s / 2j / np.pi) * np.stack([ratios[name] for name in self.law.inputs], axis=-1)
         return np.asarray(law.sum(axis=-1) * exact.at(s))
+
+
+def law_at(design: Design, node: Node, kind: Kind = "sampled") -> Controller:
+    """Return the design's law at a node's time and in its plane, as the flight computer runs it or continuous."""
+    law = designed_law(design.of_stage(node.stage))
+    return law.at(node.scheduled(law.over), node.plane, node.instruments.sample_s if kind == "sampled" else None)
+
+
+def close_loop(path: FixedPath, design: Design) -> Loop:
+    """Return the loop of a fixed path and the design's law at its node."""
+    return Loop(path, law_at(design, path.node, path.kind))
+
+
+def loops(where: Iterable[Node], design: Design, *, kind: Kind = "sampled", cut: Cut = "gimbal_command") -> list[Loop]:
+    """Return a design's loop at each operating point, opened at `cut`.
+
+    `kind`: as the flight computer samples it (`sampled`), or continuous with the paper's approximations (`pade`) or
+    with exact factors and no aliasing (`exact`).
+    """
+    return [close_loop(fixed_path(node, kind, cut), design) for node in where]

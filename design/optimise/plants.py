@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.case.basis import Basis
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.law import MEASUREMENTS
@@ -90,7 +90,7 @@ def wind_of(path: FixedPath, case: Basis) -> WindResponse:
 def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> list[Node]:
     """Of a case of one stage, at vehicle times."""
     case = loaded.case
-    nodes = api.nodes(loaded.along, times_s, plane=case.plane, errata=case.errata, plant=case.plant)
+    nodes = operating_points.nodes(loaded.along, times_s, plane=case.plane, errata=case.errata, plant=case.plant)
     return with_cuts(nodes, loaded.along) if case.bends else nodes
 
 

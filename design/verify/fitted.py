@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.model.node import Node
 from maxq.design.model.powered import powered_spans
 from maxq.design.verify.memory import Memory
@@ -207,7 +207,7 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
         out |= {f"{name}_s": round(float(t[k]), 1), f"{name}_altitude_m": float(round(altitude[k], -2))}
     burning = [(name, at_s) for name in _PLACES if any(span.holds(at_s := float(out[f"{name}_s"])) for span in spans)]
     for name, at_s in burning:
-        (node,) = api.nodes(base, [at_s])
+        (node,) = operating_points.nodes(base, [at_s])
         climb_mps = float(np.interp(at_s, t, np.gradient(altitude, t)))
         for tone, hz in _tones_hz(node).items():
             out[f"{name}_{tone}_gust_m"] = min(float(f"{climb_mps / hz:.3g}"), _LONGEST_M)
@@ -216,7 +216,7 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
     for span, under in zip(spans, burns, strict=True):
         at = float(t[int(np.argmax(np.where(under, q, -1.0)))])
         strongest.append(min(max(at, span.begin_s + _CLEAR_S), span.end_s - _CLEAR_S))
-    for span, at_s, node in zip(spans, strongest, api.nodes(base, strongest), strict=True):
+    for span, at_s, node in zip(spans, strongest, operating_points.nodes(base, strongest), strict=True):
         burn = span.end_s - span.begin_s
         mine: Marks = {
             "stage": span.stage, "ignition_s": round(span.begin_s, 3), "stage_burnout_s": round(span.end_s, 3),

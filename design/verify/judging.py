@@ -14,12 +14,13 @@ from typing import Any, Literal
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design import api
 from maxq.design.case.basis import Basis, LoadLimits, limit_of, stated_basis
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.design_file import design_of
 from maxq.design.laws.wind import WIND_LIMITS, Key, quantity
 from maxq.design.loop.fixed_path import Kind
+from maxq.design.loop.loop import loops
+from maxq.design.loop.multiloop import multiloops
 from maxq.design.margins.budget import Budget, crossing_budgets
 from maxq.design.margins.distances import Zone
 from maxq.design.margins.measure import Margins, margins
@@ -143,7 +144,7 @@ def judge(
 ) -> list[Judged]:
     """Margins of the design at every node, by the axis of each node. `tell` is called with the number done."""
     out = []
-    for n, loop in enumerate(api.loops(nodes, design, kind=kind)):
+    for n, loop in enumerate(loops(nodes, design, kind=kind)):
         found = measure_loop(loop)
         adaptive = design.of_stage(found.node.stage).adaptive
         out.append(Judged(found.loop, found.margins, adaptive))
@@ -201,7 +202,7 @@ def margins_of_all_axes(
     """
     if not flies_as_measured(basis.loop, basis.errata, basis.plant):
         return []
-    return list(map(counted(multiloop_margins, watch, len(set(times_s))), api.multiloops(flight, design, times_s)))
+    return list(map(counted(multiloop_margins, watch, len(set(times_s))), multiloops(flight, design, times_s)))
 
 
 def multiloop_checks(found: Sequence[MultiloopMargins], wanted: Wanted) -> list[Check]:
@@ -394,7 +395,7 @@ def in_wind(case: Basis, nodes: Sequence[Node], design: Design, before: Design |
 def _rms(case: Basis, nodes: Sequence[Node], design: Design) -> tuple[list[Key], Array]:
     """Quantities, and their values (quantities, nodes)."""
     found, keys = [], list[Key](WIND_LIMITS)
-    for loop in api.loops(nodes, design, kind=case.loop):
+    for loop in loops(nodes, design, kind=case.loop):
         path = loop.fixed
         path.measurements = loop.law.inputs
         wind = wind_of(path, case)

@@ -26,9 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design import api
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.loop import Loop, law_at
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measured_loop import measure_loop
@@ -133,7 +132,7 @@ def worst_instants(
     def measure(wanted_s: Iterable[float]) -> None:
         missing = sorted({float(t) for t in wanted_s if first <= t <= last} - known.keys())
         for t, node in zip(missing, nodes_at(missing) if missing else (), strict=True):
-            known[t] = measured(Loop(fixed_path(node), api.law_at(design, node)), limits.slosh_peak_db)
+            known[t] = measured(Loop(fixed_path(node), law_at(design, node)), limits.slosh_peak_db)
 
     asked = [name for name in MEASURED if getattr(limits, name) is not None]
     first, last = min(times_s), max(times_s)
@@ -229,7 +228,7 @@ def study(
     loops = 1 + len(corners) + len(drawn)
 
     def at_node(k: int) -> tuple[Measured, Array, int]:
-        node, law = nodes[k], api.law_at(design, nodes[k])
+        node, law = nodes[k], law_at(design, nodes[k])
         peak_db = wanted.dispersed.slosh_peak_db
         flown = [trajectory[k] for trajectory in trajectories] or [node]
 
@@ -273,7 +272,7 @@ class SweptVehicles:
     def _loops(self) -> ManyLoops | None:
         """None where each loop has to be measured by itself."""
         try:
-            return ManyLoops(self.node, api.law_at(self.design, self.node))
+            return ManyLoops(self.node, law_at(self.design, self.node))
         except NotServedError:
             return None
 
@@ -288,7 +287,7 @@ class SweptVehicles:
             table[rows] = np.where((status == DONE)[:, None], values, math.nan)
             limits = np.array([getattr(self.limits, name) for name in SWEPT], float)  # nan: none
             again = np.flatnonzero((status == HANDED_BACK) | (np.abs(values - limits) < NEAR).any(axis=1))
-        law = api.law_at(self.design, self.node)
+        law = law_at(self.design, self.node)
         for k in again.tolist():
             found = measured(Loop(fixed_path(disperse(flight, every[k])), law), self.limits.slosh_peak_db)
             table[rows[k]] = [found.get(name, math.nan) for name in SWEPT]

@@ -27,10 +27,9 @@ import scipy.linalg
 from threadpoolctl import threadpool_limits
 
 from maxq.control.kernel.records import Array
-from maxq.design import api
 from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.loop import Loop, law_at
 from maxq.design.loop.multiloop import Multiloop, multiloop
 from maxq.design.margins.real_mu import Scaling, real_mu_upper
 from maxq.design.model.deviations import Deviations, deviations_of
@@ -183,7 +182,7 @@ class Within:
 
 def stable_within(node: Node, design: Design, campaign: LoadedCampaign) -> Within | None:
     """Of the deviations at a node; None for a law that takes more than the gyro."""
-    law = api.law_at(design, node)
+    law = law_at(design, node)
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
     deviations = deviations_of(campaign, node)
@@ -196,7 +195,7 @@ def stable_together(base: LoadedScenario, design: Design, node: Node, campaign: 
 
     None for a law that takes more than the gyro, and where engines of a group are on TVC loads.
     """
-    law, run = api.law_at(design, node), flown_run(base, faults=False)
+    law, run = law_at(design, node), flown_run(base, faults=False)
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
     flown_to(run, node.time_s)

@@ -13,11 +13,12 @@ from operator import attrgetter
 
 import numpy as np
 
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.certificate.certificate import NodeCertificate, certify, certify_node
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
 from maxq.design.certificate.measured_only import MeasuredNode, measure_node
+from maxq.design.loop.loop import law_at
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.powered import EDGES, node_times, powered_spans
@@ -81,7 +82,7 @@ class Parts:
         depends = (self.along.as_flown, times_s, plane)
 
         def along(at_s: Sequence[float]) -> list[Node]:
-            return api.nodes(self.along, at_s, plane=plane)
+            return operating_points.nodes(self.along, at_s, plane=plane)
 
         if design is not None and wanted.between_nodes == "hold":
 
@@ -158,7 +159,8 @@ class Parts:
             end_s = next(span.end_s for span in spans if span.holds(at[0].time_s))  # flown as far as that stage burns
             run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
             loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
-            between = partial(api.nodes, self.along, plane=at[0].plane) if wanted.between_nodes == "hold" else None
+            held = wanted.between_nodes == "hold"
+            between = partial(operating_points.nodes, self.along, plane=at[0].plane) if held else None
             described = self.described.at(at[0])
             depends = (
                 loaded.as_flown, repr(design), at, description_of(described), told(wanted.worst), wanted.between_nodes,
@@ -200,7 +202,7 @@ class Parts:
         computers = [self.scenario.vehicle.computer_of(n) for n in range(len(self.scenario.vehicle.stage))]
         self.watch("control authority", 0, 0)
         limits_rad = [math.inf if c is None else math.radians(c.command_limit_deg) for c in computers]
-        return linear.authority(api.nodes(self.along, times), limits_rad)
+        return linear.authority(operating_points.nodes(self.along, times), limits_rad)
 
     def slosh(self) -> list[SloshAdvice]:
         """Return the damping that every node needs; the worst case is flown."""
@@ -227,7 +229,7 @@ class Parts:
 
         def one(loaded: LoadedScenario, node: Node) -> NodeCertificate:
             held = hold(loaded, node)
-            law, computer = api.law_at(design, node), repr(loaded.vehicle.computer)
+            law, computer = law_at(design, node), repr(loaded.vehicle.computer)
             depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law, computer)
             return memory.recall("node", depends, lambda: certify_node(loaded, node))
 
@@ -249,7 +251,7 @@ class Parts:
         if wanted is None or self.design is not None:
             return []
         times_s = self.times_s(wanted)
-        nodes = [node for plane in wanted.planes for node in api.nodes(self.along, times_s, plane=plane)]
+        nodes = [node for plane in wanted.planes for node in operating_points.nodes(self.along, times_s, plane=plane)]
 
         def one(node: Node) -> MeasuredNode:
             depends = (self.scenario.as_flown, node)

@@ -33,13 +33,12 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design import api
 from maxq.design.certificate import measured_margins
 from maxq.design.certificate.excitation import sine_burst
 from maxq.design.certificate.held_flight import HeldFlight, hold
 from maxq.design.certificate.measured_margins import amplitude
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.loop import Loop, close_loop, loops
 from maxq.design.model.node import Node, slosh_columns
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import Packed
@@ -196,7 +195,7 @@ def _needed(node: Node, design: Design, tank: int) -> float:
 
 def _growth(node: Node, design: Design, tank: int, ratio: float) -> float:
     """Greatest real part (1/s) of the loop's oscillating poles below 5 Hz with a damping ratio in place of a tank's."""
-    loop = api.close(fixed_path(_damped(node, tank, ratio)), design)
+    loop = close_loop(fixed_path(_damped(node, tank, ratio)), design)
     return float(_oscillating(loop).real.max(initial=-math.inf))
 
 
@@ -223,8 +222,8 @@ def confirm(loaded: LoadedScenario, node: Node, advice: SloshAdvice) -> SloshAdv
 
     held = hold(loaded, node, fault)
     assert loaded.design is not None
-    loop = api.loops([held.node], loaded.design)[0]
-    edge = api.loops([_damped(held.node, advice.tank, advice.needed)], loaded.design)[0]
+    loop = loops([held.node], loaded.design)[0]
+    edge = loops([_damped(held.node, advice.tank, advice.needed)], loaded.design)[0]
     poles = _oscillating(edge)
     hz = float(poles[int(np.argmax(poles.real))].imag) / (2.0 * math.pi)
     burst = measured_margins.burst_test(hz, measured_margins.build_up_rate(edge, hz))

@@ -25,10 +25,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design import api
 from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
+from maxq.design.loop.loop import Loop, law_at
 from maxq.design.margins.crossings import growing_count
 from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
@@ -100,7 +99,7 @@ def distances(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[
     """
     one, deviations = distance(node, design, campaign), deviations_of(campaign, node)
     try:
-        loops = ManyLoops(node, api.law_at(design, node))
+        loops = ManyLoops(node, law_at(design, node))
     except NotServedError:
         return lambda every: [one(u) for u in every]
 
@@ -118,7 +117,7 @@ def distances(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[
 
 def distance(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Array], tuple[float, Array]]:
     """`distances` of one loop, measured by itself."""
-    deviations, law = deviations_of(campaign, node), api.law_at(design, node)
+    deviations, law = deviations_of(campaign, node), law_at(design, node)
 
     def at(u: Array) -> tuple[float, Array]:
         loop = Loop(fixed_path(disperse(node, deviations.at(u))), law)
@@ -147,7 +146,7 @@ def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Arr
     L changes as actuator, vehicle and delay do, for each sensor in its own way: what sampling adds changes little, and
     the search measures where it arrives.
     """
-    deviations, law, node = deviations_of(campaign, node), api.law_at(design, node), with_drives_apart(node)
+    deviations, law, node = deviations_of(campaign, node), law_at(design, node), with_drives_apart(node)
     plant, ideal = node.plant, bool(node.actuator.ideal)
     inputs = tuple(x for x in plant.inputs if not ideal or x.startswith("delta_rad"))
     columns = [plant.inputs.index(x) for x in inputs]
@@ -297,7 +296,7 @@ def search_plane(
         flight_of |= {id(node): number for node, _ in found}
     node, (_, u, _) = min(searched, key=lambda each: each[1][0])
     deviations = deviations_of(campaign, node)
-    loop = Loop(fixed_path(disperse(node, deviations.at(u, "worst"))), api.law_at(design, node))
+    loop = Loop(fixed_path(disperse(node, deviations.at(u, "worst"))), law_at(design, node))
     exact = margins(loop, resonances=loop.fixed.resonances())
     scenario = deviations.scenario(base, u)
     flight = fly(scenario, log=False)

@@ -14,15 +14,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.case.basis import Basis, stated_basis
 from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictures
 from maxq.design.loop.fixed_path import Cut, Kind, fixed_path
+from maxq.design.loop.loop import close_loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import acting_at
 from maxq.design.model.node import Node, with_cuts
 from maxq.design.model.powered import node_times, powered_flight
 from maxq.design.model.spread import campaign_of
+from maxq.design.operating_points import published_nodes
 from maxq.design.optimise.over_time import INSTANTS_S, instants_along
 from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.paper.nodes import PaperNode
@@ -89,7 +91,7 @@ def execute(order: AnalysisOrder) -> int:
         points_s = operating_points_s(scenario, design, order, bases)
         between_s = instants_between(points_s, scenario, order, bases)
         nodes, loss = (
-            _found(scenario, order, sorted([*points_s, *between_s]) if between_s else points_s, api.nodes),
+            _found(scenario, order, sorted([*points_s, *between_s]) if between_s else points_s, operating_points.nodes),
             powered_flight(scenario, order.faults)[1],
         )
         if any(basis.bends for basis in bases.values()):
@@ -300,7 +302,7 @@ def execute_errata(order: AnalysisOrder) -> int:
     """Do it; returns the exit code."""
     scenario, design = load(order.scenario, order.vehicle, order.design)
     with Progress() as progress:
-        nodes = _found(scenario, order, operating_points_s(scenario, design, order, {}), api.published_nodes)
+        nodes = _found(scenario, order, operating_points_s(scenario, design, order, {}), published_nodes)
         found: list[Effect] = []
         for n, node in enumerate(nodes):
             found += effects([node], design)
@@ -316,7 +318,7 @@ def effects(nodes: Sequence[PaperNode], design: Design) -> list[Effect]:
 
     def measure(node: Node, cut: Cut) -> Mapping[str, float]:
         """Peaks, and for the whole loop its margins; `unstable` is 1 where it is not stable."""
-        loop = api.close(fixed_path(node, "pade", cut), design)
+        loop = close_loop(fixed_path(node, "pade", cut), design)
         peaks = peaks_db(loop)
         out = {f"peak {i}": peaks[f"bending {i}"] for i in (1, 2, 3) if f"bending {i}" in peaks}
         slosh = [db for name, db in peaks.items() if name.startswith("slosh")]

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.sim.files import check_writable, write_whole
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
@@ -172,7 +172,7 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
 def _path(loaded: LoadedScenario, calm: Flight, time_s: Array) -> Array:
     """Over time: speed (m/s), and of the linear model axial load (m/s2) and lateral force per mass and speed (1/s)."""
     air = loaded.scenario.model_copy(update={"wind": Wind(), "fault": (), "requirement": ()})
-    nodes = api.nodes(LoadedScenario(air, loaded.label, ()))
+    nodes = operating_points.nodes(LoadedScenario(air, loaded.label, ()))
     at = [node.time_s for node in nodes]
     w = [node.plant.states.index("w_mps") for node in nodes]
     rows = (

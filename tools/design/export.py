@@ -19,8 +19,10 @@ from maxq.control.external import HEADER
 from maxq.control.kernel.limits import MAX_SENSORS
 from maxq.control.kernel.tables import table_in
 from maxq.control.structures import MAX_SECTIONS, Law
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.laws.design_file import design_path
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import close_loop
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import StateSpace
@@ -77,7 +79,7 @@ def execute(order: Order) -> int:
     check_writable(path.parent)
     scenario, design = load(order.scenario, order.vehicle, order.design)
     planes: tuple[Plane, ...] = (order.axis,) if order.axis is not None else ("pitch", "yaw")
-    nodes = [node for plane in planes for node in api.nodes(scenario, order.times_s or None, plane=plane)]
+    nodes = [node for plane in planes for node in operating_points.nodes(scenario, order.times_s or None, plane=plane)]
     write_matrices(path, form, [described(node, design) for node in nodes])
     print(f"{len(nodes)} nodes in {path}")
     return Exit.OK
@@ -307,7 +309,7 @@ def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
 
 def described(node: Node, design: Any) -> dict[str, Any]:
     """Plant (continuous), path from gimbal command to measurements, law and open loop (all sampled) at a node."""
-    loop = api.close(api.fixed_path(node, "sampled"), design)
+    loop = close_loop(fixed_path(node, "sampled"), design)
     systems = {
         "plant": (node.plant, 0.0),
         "path": (loop.fixed.measured(loop.law.inputs), loop.sample_s),

@@ -13,13 +13,13 @@ from typing import Any, Literal
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.api import Plant
 from maxq.design.loop.fixed_path import Kind
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.model.instruments import Plane
 from maxq.design.model.powered import loss_text
+from maxq.design.operating_points import Plant
 from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import RigidBody
 from maxq.design.verify.dispersed_limits import WorstOfBasis

@@ -21,7 +21,7 @@ from pydantic import ValidationError
 
 from maxq.control.kernel.machine import cores
 from maxq.control.structures import STRUCTURES as KNOWN
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.design_file import DESIGN_NAME, design_text, forget_pictures
 from maxq.design.laws.law import DesignedLaw
@@ -253,7 +253,7 @@ def _along(loaded: LoadedCase, nodes: Sequence[Node]) -> list[Node]:
     case, first, last = loaded.case, nodes[0].time_s, nodes[-1].time_s
     count = max(1, round(2.0 * (last - first)))
     times = [first + (last - first) * k / count for k in range(count + 1)]
-    return api.nodes(loaded.along, times, plane=case.plane, errata=case.errata, plant=case.plant)
+    return operating_points.nodes(loaded.along, times, plane=case.plane, errata=case.errata, plant=case.plant)
 
 
 # the paper's filters and gain schedules

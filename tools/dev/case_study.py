@@ -23,12 +23,14 @@ from typing import Any
 
 import numpy as np
 
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.case.basis import Robust
 from maxq.design.case.schema import read_case
+from maxq.design.laws.design_file import load_design
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node
 from maxq.design.model.spread import campaign_of
+from maxq.design.operating_points import published_nodes
 from maxq.design.optimise.robust import Ranges, deviated
 from maxq.design.paper.errata_effects import EXPLAINED
 from maxq.design.quantities import MEASURED, SWEPT
@@ -162,9 +164,9 @@ def between() -> list[str]:
     changes = set_(["between_nodes=hold"])
     record = kept("between/design.json", "simdesign", "ksr3-identical", "--orders", "--no-pictures", *changes)
     held = {(o["structure"], o["schedule"]): o for o in record["orders"]}
-    nodes = api.nodes("nominal", np.arange(5.0, 55.01, 0.25))
+    nodes = operating_points.nodes("nominal", np.arange(5.0, 55.01, 0.25))
     for (f, s), o in at_nodes.items():
-        found = judge(nodes, api.load_design(folder / f"{f}-{s}" / "design.toml"), "pade")
+        found = judge(nodes, load_design(folder / f"{f}-{s}" / "design.toml"), "pade")
         gain, phase = ([j.gain_margin_db for j in found], [j.margins.phase_deg.value for j in found])
         least = [f"{min(v):.{d}f} at {nodes[int(np.argmin(v))].time_s:g} s" for v, d in ((gain, 2), (phase, 1))]
         cost = peak(held[f, s]) - peak(o)
@@ -225,8 +227,8 @@ def limits() -> list[str]:
 
 def errata() -> list[str]:
     """The largest change that each erratum makes over the nodes."""
-    nodes = api.published_nodes(load_scenario("nominal"), range(5, 60, 5))
-    found = effects(nodes, api.load_design("designs/ksr3-default"))
+    nodes = published_nodes(load_scenario("nominal"), range(5, 60, 5))
+    found = effects(nodes, load_design("designs/ksr3-default"))
     rows = []
     for name in dict.fromkeys(e.erratum for e in found):
         mine = [e for e in found if e.erratum == name]
@@ -247,11 +249,11 @@ def errata() -> list[str]:
 
 def robust() -> list[str]:
     """Worst over all nodes on the sampled loop: nominal, and at forty corners of all ranges drawn at random."""
-    nodes, rows = api.nodes("nominal", range(5, 60, 5)), []
+    nodes, rows = operating_points.nodes("nominal", range(5, 60, 5)), []
     ranges = Ranges(_ranges(), Robust().corner_sigmas)
     ends = np.random.default_rng(2002).choice([-1, 1], (40, len(deviations_of(ranges.campaign, nodes[0]).places)))
     for name in ("ksr3-default", "ksr3-two-phase", "ksr3-linear", "ksr3-sampled", "ksr3-robust"):
-        design = api.load_design(f"designs/{name}")
+        design = load_design(f"designs/{name}")
         nominal = worst(nodes, design)
         off = [worst([deviated(n, ranges, [int(e) for e in row]) for n in nodes], design) for row in ends]
         stable = sum(not math.isnan(w[0]) for w in off)
@@ -265,10 +267,10 @@ def robust() -> list[str]:
 
 def vehicles() -> list[str]:
     """10,000 vehicles of the standard suite at seven nodes, pitch, and the worst one within three sigma together."""
-    wanted, nodes = _margins_wanted(), api.nodes("nominal", (0.3, 10.0, 20.0, 35.0, 45.0, 53.5, 58.0))
+    wanted, nodes = _margins_wanted(), operating_points.nodes("nominal", (0.3, 10.0, 20.0, 35.0, 45.0, 53.5, 58.0))
     rows, share, flown = [], 1.0 - wanted.success, load_campaign("campaigns/ksr3")
     for name in ROBUST:
-        design = api.load_design(f"designs/{name}")
+        design = load_design(f"designs/{name}")
         random = study(nodes, design, wanted, flown, Memory(None)).random
         searched = [search_node(node, design, flown, wanted.worst or WorstWanted())[0] for node in nodes]
         k = int(np.argmin(searched))
@@ -288,8 +290,8 @@ def vehicles() -> list[str]:
 
 def corners() -> list[str]:
     """Least |1 + L| at the same corners, tanks and modes each by itself: the worst that a search finds for either."""
-    designs, rows = [api.load_design(f"designs/{name}") for name in ROBUST], []
-    for node in api.nodes("nominal", (0.3, 35.0, 45.0, 58.0)):
+    designs, rows = [load_design(f"designs/{name}") for name in ROBUST], []
+    for node in operating_points.nodes("nominal", (0.3, 35.0, 45.0, 58.0)):
         cells = [f"{w:.3f}" for w in (worst([node], design)[2] for design in designs)]
         for sigmas in (2.0, 3.0):
             wanted = WorstWanted(region="box", sigmas=sigmas, seed=2)
@@ -323,7 +325,8 @@ def tvc_load() -> list[str]:
     for set_to in ON_COMPLIANCE.values():
         loaded = load_scenario("load-relief", (*set_to, "design='designs/ksr3-robust.toml'"))  # nominal's flight
         deviating = campaign_of(wanted.three_sigma, loaded)
-        plants.append((api.nodes(loaded, times), api.nodes(loaded, times, plane="yaw"), deviating))
+        pitch, yaw = operating_points.nodes(loaded, times), operating_points.nodes(loaded, times, plane="yaw")
+        plants.append((pitch, yaw, deviating))
     rows = []
     for name in (*DESIGNS, "ksr3-robust-ascent", "ksr3-load-relief"):
         design, row = load_scenario("load-relief", (f"design='designs/{name}.toml'",)).design, [name]

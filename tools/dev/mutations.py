@@ -320,7 +320,8 @@ def plant(work: Path, mutants: list[Mutant], refused: set[int]) -> None:
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, tree / name, follow_symlinks=False)
     links.mkdir(parents=True)
-    for layer in ("api", "control", "sim", "design", "tools", "scenarios"):
+    (links / "__init__.py").symlink_to(tree / "api" / "__init__.py")
+    for layer in ("control", "sim", "design", "tools", "scenarios"):
         (links / layer).symlink_to(tree / layer)
     for file in {m.file for m in mutants}:
         path = tree / file

@@ -1,4 +1,4 @@
-"""Plots of channels over time, as `maxq.api.plot` draws them."""
+"""Plots of channels over time, as `maxq.plot` draws them."""
 
 from __future__ import annotations
 

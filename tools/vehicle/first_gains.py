@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.case.schema import read_case
 from maxq.design.model.powered import loss_text, node_times, powered_flight
 from maxq.design.verify.judging import judge
@@ -93,7 +93,7 @@ def checked(folder: Path) -> FirstGains:
     assert scenario.design is not None
     loss = powered_flight(scenario)[1]
     try:
-        judged = judge(api.nodes(scenario, node_times(scenario, POINTS)), scenario.design)
+        judged = judge(operating_points.nodes(scenario, node_times(scenario, POINTS)), scenario.design)
     except ValueError:  # lost before the first point
         return FirstGains(0, (), loss, math.nan, math.nan)
     unstable = tuple(j.time_s for j in judged if not j.margins.stable)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.quantities import MEASURED, SWEPT
 from maxq.design.verify.flown import FlownResult
@@ -49,7 +49,7 @@ def plots(found: Verification, command: str) -> list[Plot]:
                 continue
             out.append(_margins(studies, wanted, plane, command))
             times_s = [t for m in studies for t in m.times_s]
-            judged = judge(api.nodes(found.scenario, times_s, plane=plane), found.scenario.design)
+            judged = judge(operating_points.nodes(found.scenario, times_s, plane=plane), found.scenario.design)
             out += [_bode(judged, plane), _nichols(judged, wanted, plane)]
     lines = [c for c in found.certificates if len(c.responses.lines_hz)]
     if lines:

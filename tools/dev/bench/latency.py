@@ -69,7 +69,7 @@ def measure(repetitions: int = REPETITIONS) -> dict[str, Any]:
         cases: tuple[tuple[str, list[str], tuple[int, ...], int], ...] = (
             ("help", [str(simrun), "--help"], (0,), repetitions + 1),
             ("list", [str(simrun), "--list"], (0,), repetitions + 1),
-            ("api", [sys.executable, "-c", "import maxq.api"], (0,), repetitions + 1),
+            ("api", [sys.executable, "-c", "import maxq"], (0,), repetitions + 1),
             ("first", nominal, FLOWN_CODES, 1),
             ("second", nominal, FLOWN_CODES, 3 * repetitions),
             ("no_log", [*nominal, "--no-log"], FLOWN_CODES, repetitions),

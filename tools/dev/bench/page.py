@@ -60,7 +60,7 @@ def _accuracy(result: list[dict[str, Any]]) -> str:
 LATENCY = (
     ("help", "`simrun --help`", "wall_s", 0.1),
     ("list", "`simrun --list`", "wall_s", 0.1),
-    ("api", "`import maxq.api`, Python's start included", "wall_s", 0.3),
+    ("api", "`import maxq`, Python's start included", "wall_s", 0.3),
     ("first", "`simrun nominal`, no kernel compiled yet", "wall_s", 20.0),
     ("second", "`simrun nominal`, log included", "wall_s", 1.2),
     ("no_log", "`simrun nominal --no-log`", "wall_s", None),

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from maxq.design import api
-from maxq.design.loop.loop import Loop
+from maxq.design import operating_points
+from maxq.design.loop.loop import Loop, loops
 from maxq.design.margins.measure import Margins, margins
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.dev.documents.departure import PARTS, Departure, Part, departure
@@ -100,10 +100,10 @@ def compare() -> tuple[list[Departure], list[tuple[Margins, Margins]]]:
     design = loaded.design
     assert design is not None
     found, measured = [], []
-    for node in api.nodes(loaded, range(5, 60, 5)):
-        loops = [api.loop(node, design, kind="sampled"), api.loop(node, design, kind="pade")]
-        found.append(departure(node, loops[1].law, loops[0].law))
-        measured.append((_margins(loops[0]), _margins(loops[1])))
+    for node in operating_points.nodes(loaded, range(5, 60, 5)):
+        [sampled], [pade] = loops([node], design), loops([node], design, kind="pade")
+        found.append(departure(node, pade.law, sampled.law))
+        measured.append((_margins(sampled), _margins(pade)))
     return found, measured
 
 

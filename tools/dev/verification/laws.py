@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.certificate.certificate import PLANES, certify_node
 from maxq.design.model.powered import node_times
 from maxq.sim.run.fly import fly
@@ -120,7 +120,7 @@ def _certified(loaded: LoadedScenario, times_s: list[float], kept: Path) -> dict
     """What each node's certificate says, by time and plane; those that `kept` has and that agree are not made again."""
     found = json.loads(kept.read_text()) if kept.exists() else {}
     for plane in PLANES:
-        for node in api.nodes(loaded, times_s, plane=plane):
+        for node in operating_points.nodes(loaded, times_s, plane=plane):
             key = f"{node.time_s:g} s {plane}"
             if not found.get(key, {}).get("agrees"):
                 c = certify_node(loaded, node)

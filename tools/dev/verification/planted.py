@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.certificate.certificate import NodeCertificate, certify_node
 from maxq.design.certificate.response import INCOHERENT, WITHIN_DB, WITHIN_DEG
 from maxq.sim.scenario.loader import load_scenario
@@ -36,7 +36,7 @@ def row(fault: Fault, found: NodeCertificate) -> str:
 def main() -> int:
     """Rewrite the table; 1 if a fault was missed, or something found where nothing was planted."""
     loaded = load_scenario("nominal")
-    node = api.nodes(loaded, [TIME_S])[0]
+    node = operating_points.nodes(loaded, [TIME_S])[0]
     sound = certify_node(loaded, node, fault=lambda packed: None)
     with ThreadPoolExecutor(max_workers=2) as pool:
         found = list(pool.map(lambda fault: certify_node(loaded, node, fault=fault.plant), FAULTS))

@@ -1,4 +1,4 @@
-"""Designs: made, drawn, judged."""
+"""A design that was made from Python: shown, drawn and saved."""
 
 from __future__ import annotations
 
@@ -7,17 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from maxq.design import api
+from maxq.design import operating_points
 from maxq.design.case.schema import read_case
-from maxq.design.laws.design_file import design_path, design_text
+from maxq.design.laws.design_file import design_path, design_text, load_design
 from maxq.design.model.instruments import Plane
 from maxq.design.optimise.solution import Solution
-from maxq.design.verify import memory
 from maxq.design.verify.judging import Judged, Outcome, Wanted, judge, objective_text
 from maxq.design.verify.own_flight import design_case
-from maxq.design.verify.suite import read_suite
-from maxq.design.verify.verify import Verification
-from maxq.design.verify.verify import verify as verify_design
 from maxq.sim.files import write_whole
 from maxq.sim.log.tabular import html_table
 from maxq.sim.scenario.loader import load_scenario
@@ -62,25 +58,20 @@ class Designed:
         return html_table(repr(self).strip("<>"), ("limit", "", "worst", "wanted"), rows)
 
 
-def design(case: str | Path, *overrides: str) -> Designed:
-    """Optimise gain schedules and bending filter of a case: a file, or the name of a built-in one."""
+def designed(case: str | Path, overrides: Sequence[str]) -> Designed:
+    """Return the design of a case: gain schedules and bending filter, optimised along their own flight."""
     made = design_case(read_case(str(case), overrides))
     outcome, solution = made.results[0]
     return Designed(replace(outcome, design=made.design), solution, made.feasible)
 
 
-def bode(design: str | Path, time_s: float, scenario: str | Path = "nominal", plane: Plane = "pitch") -> Figure:
-    """Bode, Nichols and Nyquist plot of a design's sampled loop at a vehicle time of a scenario's flight."""
+def loop_figure(design: str, time_s: float, scenario: str | Path, plane: Plane) -> Figure:
+    """Draw the Bode, Nichols and Nyquist plots of a design's sampled loop at a vehicle time of a scenario's flight."""
     flown = load_scenario(scenario)
-    found = api.load_design(design_path(str(design)), flown)
-    judged: Sequence[Judged] = judge(api.nodes(flown, [time_s], plane=plane), found)
+    found = load_design(design_path(design), flown)
+    judged: Sequence[Judged] = judge(operating_points.nodes(flown, [time_s], plane=plane), found)
     title = f"{flown.vehicle.name}: {found.name or design}"
     return _drawn(judged[0], title, Wanted.stated_by(found))
-
-
-def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) -> Verification:
-    """Judge a design by a suite; parts that were worked out before are not worked out again."""
-    return verify_design(design_path(str(design)), read_suite(str(suite), overrides), memory=memory.default_folder())
 
 
 def _drawn(judged: Judged, name: str, wanted: Wanted) -> Figure:

@@ -1,0 +1,62 @@
+"""Operating points along a flight, on the flown vehicle's linear model or on the published equations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal
+
+from maxq.design.model.instruments import Plane
+from maxq.design.model.node import Node, nodes_along
+from maxq.design.model.powered import node_times
+from maxq.design.paper.errata import CORRECTED, PRESETS, Errata
+from maxq.design.paper.nodes import PaperNode, paper_nodes
+from maxq.design.paper.table2 import imposed, read_derivatives
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+
+Plant = Literal["flown", "table2"]
+
+
+def nodes(
+    scenario: LoadedScenario | str | Path,
+    times_s: Iterable[float] | None = None,
+    *,
+    plane: Plane = "pitch",
+    errata: Errata | str = "corrected",
+    plant: Plant = "flown",
+    faults: bool = False,
+) -> list[Node]:
+    """Return the operating points of a scenario's flight in one plane, in the order of `times_s`.
+
+    `scenario`: loaded, a file, or the name of a built-in one. `times_s`: vehicle times, s; None: times under full
+    thrust, stage by stage (`node_times`). `plant`: the vehicle as flown, or with the derivatives of the paper's Table 2
+    (design/paper/table2.py). `errata`: switches, or the name of a preset; with one left in, the plant is the published
+    equations (design/paper). `faults`: fly with the failures of the scenario.
+    Raises ScenarioError, and ValueError for a time outside the powered flight.
+    """
+    if plant not in ("flown", "table2"):
+        raise ValueError(f"plant = {plant!r}: allowed is flown, table2")
+    loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario)
+    times = node_times(loaded) if times_s is None else times_s
+    if preset(errata) != CORRECTED:
+        return list(published_nodes(loaded, times, plane=plane, errata=errata, plant=plant, faults=faults))
+    found = nodes_along(loaded, times, plane, faults)
+    return imposed(found, read_derivatives()) if plant == "table2" else found
+
+
+def published_nodes(
+    scenario: LoadedScenario, times_s: Iterable[float], *, plane: Plane = "pitch", errata: Errata | str = "corrected",
+    plant: Plant = "flown", faults: bool = False,
+) -> list[PaperNode]:  # fmt: skip  # nine lines otherwise
+    """Return nodes as `nodes`, on the published planar equations even where no erratum is left in."""
+    found = paper_nodes(scenario, times_s, plane, preset(errata), faults)
+    return imposed(found, read_derivatives()) if plant == "table2" else found
+
+
+def preset(errata: Errata | str) -> Errata:
+    """Return the switches of a preset; switches themselves are returned unchanged. Raises ValueError."""
+    if isinstance(errata, Errata):
+        return errata
+    if errata not in PRESETS:
+        raise ValueError(f"errata = {errata!r}: allowed is {', '.join(PRESETS)}")
+    return PRESETS[errata]
