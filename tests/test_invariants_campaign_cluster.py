@@ -12,10 +12,11 @@ import campaignkit
 import pytest
 from dask_cluster import machines
 
+import maxq
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.runner import Cluster, run_campaign
 
-pytest.importorskip("distributed")
+distributed = pytest.importorskip("distributed")
 
 
 @pytest.mark.parametrize("threads", [1, 3, 64])
@@ -56,19 +57,23 @@ def test_workers_that_come_and_go(tmp_path: Path, runs: int, parts: int) -> None
         assert killed.is_set()
         assert done.flown == runs
         assert victim.wait(10) == -9
-    ours, theirs = (sorted((tmp_path / name / "runs").iterdir()) for name in ("out", "local"))
-    assert [p.name for p in ours] == [p.name for p in theirs]
-    assert [p.read_bytes() for p in ours] == [p.read_bytes() for p in theirs]
+        with distributed.Client(cluster.address, set_as_default=False) as client:
+            maxq.campaign(whole, tmp_path / "public", cluster=client)
+            assert client.status == "running"
+    files = {name: sorted((tmp_path / name / "runs").iterdir()) for name in ("local", "out", "public")}
+    for ours in (files["out"], files["public"]):
+        assert [p.name for p in ours] == [p.name for p in files["local"]]
+        assert [p.read_bytes() for p in ours] == [p.read_bytes() for p in files["local"]]
     assert run_campaign(whole, tmp_path / "out").flown == 0  # and threads find it finished
 
 
 def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import distributed  # noqa: PLC0415  # only here
-
     class Nobody:
         def __init__(self, *_: object, **__: object) -> None:
             raise OSError("timed out")
 
     monkeypatch.setattr(distributed, "Client", Nobody)
-    with pytest.raises(CampaignError, match=r"--dask tcp://127.0.0.1:1: no scheduler answers there"):
-        run_campaign(campaignkit.small(tmp_path), tmp_path / "out", cluster="tcp://127.0.0.1:1")
+    with pytest.raises(CampaignError, match=r"no Dask scheduler answers at tcp://127.0.0.1:1: timed out"):
+        maxq.campaign(campaignkit.small(tmp_path), tmp_path / "out", cluster="tcp://127.0.0.1:1")
+    with pytest.raises(ValueError, match="workers = 2 is the number of threads of this process"):
+        maxq.campaign("campaigns/first", tmp_path / "out", workers=2, cluster="tcp://127.0.0.1:1")

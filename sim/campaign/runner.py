@@ -315,7 +315,7 @@ def _connected(address: str) -> Any:
     except ImportError:
         raise CampaignError("a cluster needs dask.distributed: pip install 'maxq[dask]'") from None
     except (OSError, ValueError) as error:
-        raise CampaignError(f"--dask {address}: no scheduler answers there: {error}") from None
+        raise CampaignError(f"no Dask scheduler answers at {address}: {error}") from None
 
 
 class Cluster:
