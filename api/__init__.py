@@ -12,7 +12,8 @@
     made.bode(40.0), made.save("mine.toml")
     maxq.verify("mine.toml", "quick").judgement
 
-The names in ``__all__`` are the public API. What they need is imported when they are first used. Wrong input raises a :class:`ScenarioError`, :class:`CampaignError` or :class:`LogError` of
+The names in ``__all__`` are the public API; docs/python.md states what may change and when. What they need is imported
+when they are first used. Wrong input raises a :class:`ScenarioError`, :class:`CampaignError` or :class:`LogError` of
 one line, which names file, key, value and what is allowed.
 """
 
