@@ -21,10 +21,11 @@ from __future__ import annotations
 
 import os
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for type checkers and editors; _HOMES says the same to the interpreter
+    from pathlib import Path
+
     from distributed import Client
     from matplotlib.figure import Figure
 
@@ -130,6 +131,8 @@ def campaign(
     their place; a client remains open. The data set is the same, bit for bit.
     Raises CampaignError, and ValueError for `workers` together with `cluster`.
     """
+    from pathlib import Path
+
     from maxq.sim.campaign.analysis import DataSet
     from maxq.sim.campaign.read import LoadedCampaign, load_campaign
     from maxq.sim.campaign.runner import run_campaign
@@ -147,6 +150,8 @@ def campaign(
 
 def read(path: str | Path) -> Log | DataSet:
     """Read what was flown: a log, the folder of a flight, or that of a campaign."""
+    from pathlib import Path
+
     from maxq.sim.campaign.analysis import DataSet
     from maxq.sim.campaign.store import MANIFEST, campaign_in
     from maxq.sim.log.reader import read_log
@@ -182,6 +187,8 @@ def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:
     It holds `scenario.toml` to fly, `case.toml` to optimise, `suite.toml` to verify and `campaign.toml`. Raises
     ScenarioError, and ValueError for a layout that cannot fly.
     """
+    from pathlib import Path
+
     from maxq.sim.files import plain_name
     from maxq.tools.vehicle.build import build
     from maxq.tools.vehicle.files import write
@@ -234,6 +241,8 @@ def loop(
     to `time_s`. `design`: loaded, a file, a built-in name, or None for the scenario's own. The other arguments are
     those of `nodes` and `loops`. Raises ScenarioError, and ValueError for what is missing or not allowed.
     """
+    from pathlib import Path
+
     from maxq.design.laws.design_file import load_design
     from maxq.design.loop.loop import loops
     from maxq.design.model.node import Node
@@ -258,11 +267,13 @@ def loop(
     return loops([node], design, kind=kind, cut=cut)[0]
 
 
-def __getattr__(name: str) -> Any:
-    for module, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(module), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+if not TYPE_CHECKING:  # a type checker would take any name for there
+
+    def __getattr__(name: str) -> Any:
+        for module, names in _HOMES.items():
+            if name in names:
+                return getattr(import_module(module), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
