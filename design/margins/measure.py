@@ -58,7 +58,7 @@ class Margins:
     """Margins of a stable loop: positive numbers, infinite where nothing bounds them.
 
     The rigid body's own: `rigid_phase` is the least over the crossings outside bending lobes (slosh may lie on them),
-    `crossover_hz` the last of those where |L| falls; `rigid_gain` and `aero_gain` are the gain margins, up and down,
+    `crossover_hz` the last of those where `|L|` falls; `rigid_gain` and `aero_gain` are the gain margins, up and down,
     of the crossings in no lobe above and below it. Unnamed lobes are taken for bending.
 
     Those of an unstable loop are all NaN, so that no comparison with a limit can pass; `stable`, `unstable_poles` and
@@ -67,7 +67,7 @@ class Margins:
     A bound is a value and its frequency (zero and infinity being limits). `gain_up` is the gain that may be added
     before the loop meets -1, `gain_down` that which may be removed; over all crossings, lobes included, they are
     exact: between them the loop is stable. `phase` is the least turn either way over all
-    crossings of |L| = 1. `delay` is the least delay in s that brings a crossing to -1; of a sampled loop it is exact
+    crossings of `|L|` = 1. `delay` is the least delay in s that brings a crossing to -1; of a sampled loop it is exact
     for whole periods, and the turn of phase alone in between. A continuous loop that stays above 1 has none: 0.
     """
 
@@ -93,7 +93,7 @@ class Margins:
 
     @property
     def modulus(self) -> float:
-        """min |1 + L|."""
+        """The least `|1 + L|`."""
         return self.disks.sensitivity.size
 
     @property
