@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -29,12 +30,14 @@ from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.design_file import design_text
 from maxq.design.laws.pd import Pd, as_flown
 from maxq.design.laws.pd_variables import PdVariables
+from maxq.design.laws.registry import designed_law
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node
 from maxq.design.model.spread import Correlated
 from maxq.design.optimise import robust
+from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.features import _extremes
 from maxq.design.optimise.plants import Plants, make_plant, make_plants
 from maxq.design.optimise.robust import Ranges, deviated, modes_off, ranges_of
@@ -110,14 +113,14 @@ def test_limits_hold_between_the_nodes_where_they_are_asked_to() -> None:
     over = kit.case(*LATE, "between_nodes='hold'", "gains.over='mass_kg'", "gains.schedule='free'")
     by_mass = solve(over)
     assert by_mass.feasible
-    assert missed_between(by_mass, over) < 0.025
+    assert missed_between(by_mass, over) < 5e-4
     rows = make_design(over, by_mass).gains.table["mass_kg"]
     assert rows.tolist() == pytest.approx(
         sorted(n.scheduled("mass_kg") for n in maxq.nodes(over.scenario, [45, 50, 55]))
     )
     assert held.feasible
     assert missed_between(plain, at_nodes) > 1.0
-    assert missed_between(held, loaded) < 0.025
+    assert missed_between(held, loaded) < 5e-4
     assert held.certificate.worst_instant_db < 0.02
     assert {45.0, 50.0, 55.0} < {node.time_s for node in held.nodes}
     assert held.objective_db > plain.objective_db + 1.0
@@ -207,6 +210,52 @@ def test_both_ends_of_a_range_are_searched_and_lie_on_either_side() -> None:
     assert (high > 1.001 * middle).all()
 
 
+def test_a_dispersed_vehicle_is_made_again_from_its_label() -> None:
+    node, ranges = kit.all_nodes().each[3].node, ranges_of_case()
+    point = np.zeros(len(deviations_of(ranges.campaign, node).places))
+    point[:4] = 1.0, -1.0, 0.24, -0.07
+    there = deviated(node, ranges, point)
+    assert there.label.endswith(f" [+-(0.24)(-0.07){'0' * (len(point) - 4)}]")
+    of: Any = [SimpleNamespace(plant=there.label, dispersed=True), SimpleNamespace(plant=None, dispersed=False)]
+    (again,) = robust.dispersed_nodes(ranges, [node], of)
+    assert again.label == there.label
+    np.testing.assert_array_equal(again.vehicle.omega_radps, there.vehicle.omega_radps)
+    half = deviated(node, ranges, 0.5 * np.eye(len(point))[0]).vehicle.omega_radps / node.vehicle.omega_radps
+    whole = deviated(node, ranges, np.eye(len(point))[0]).vehicle.omega_radps / node.vehicle.omega_radps
+    np.testing.assert_allclose(half - 1.0, 0.5 * (whole - 1.0), rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_no_corner_is_nearer_to_minus_one_than_the_plant_that_the_search_finds() -> None:
+    """Of five deviations, all corners and 200 plants inside; each by a loop of its own."""
+    none = {name: 0.0 for name in ("slosh_mass", "slosh_damping", "actuator_frequency", "thrust", "normal_force",
+                                   "centre_of_pressure_m", "inertia", "delay_s", "slosh_frequency")}  # fmt: skip  # names
+    loaded = kit.case("loop=sampled", "nodes_s=[50.0]", name="ksr3-robust")
+    assert loaded.case.robust is not None
+    case = loaded.case.model_copy(update={"robust": loaded.case.robust.model_copy(update=none)})
+    plants = nominal_plants(loaded)
+    problem, node = make_problem(case, plants), plants.each[0].node
+    ranges = ranges_of(dataclasses.replace(loaded, case=case), [node])
+    assert ranges is not None
+    x = problem.law.variables_of(designed_law(maxq.load_design("designs/ksr3-robust", loaded.scenario)))
+    found: Any = SimpleNamespace(best=SimpleNamespace(variables=x, objective_db=0.0))
+    search = robust._Worst(case, ranges, problem, found, np.random.default_rng(3))
+    count = len(deviations_of(ranges.campaign, node).places)
+    corner, inside = search.nearest(node, [np.ones(count), -np.ones(count)])
+    law = problem.law.controllers(x)[0]
+
+    def distance(point: Any) -> float:
+        plant = make_plant(deviated(node, ranges, point), case, dispersed=True)
+        return margins(Loop(plant.path, law)).modulus
+
+    every = [distance(ends) for ends in itertools.product((-1.0, 1.0), repeat=count)]
+    rng = np.random.default_rng(4)
+    assert count == 6
+    assert distance(corner) == pytest.approx(min(every), abs=1e-9)
+    assert distance(inside) <= min(min(every), *(distance(rng.uniform(-1, 1, count)) for _ in range(200))) + 1e-6
+    assert search.tried > 20
+
+
 def test_corners_follow_correlations() -> None:
     """Masses of two tanks that go together by R deviate by sqrt(R) times the ends (SciPy's root)."""
     node = kit.all_nodes().each[3].node
@@ -234,10 +283,12 @@ def test_search_of_the_worst_corner(seed: int, monkeypatch: pytest.MonkeyPatch) 
 
     def worst(score: Callable[[tuple[int, ...]], float]) -> tuple[float, tuple[int, ...]]:
         monkeypatch.setattr(robust._Worst, "_score", lambda self, node, ends: score(ends))
+        monkeypatch.setattr(robust._Worst, "nearest", lambda self, node, corners: [])
         return robust._Worst(none, ranges, none, none, rng).at(node, set())
 
-    value, ends = worst(lambda ends: float(each[np.arange(places), np.array(ends) + 1].sum()))
-    assert value == pytest.approx(each.max(axis=1).sum())
+    missed_db = 100.0  # in the middle, so that everything is worse than what matters
+    value, ends = worst(lambda ends: missed_db + float(each[np.arange(places), np.array(ends, int) + 1].sum()))
+    assert value == pytest.approx(missed_db + each.max(axis=1).sum())
     assert ends == tuple(each.argmax(axis=1) - 1)
     value, _ = worst(lambda ends: noise.setdefault(ends, float(rng.normal())))
     assert value >= max(noise[modes_off(node, ranges, end)] for end in (-1, 1))

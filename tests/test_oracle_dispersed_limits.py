@@ -21,7 +21,7 @@ from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import campaign_of
 from maxq.design.quantities import MEASURED, Convention
-from maxq.design.verify.descent import Region, to_corner
+from maxq.design.optimise.descent import Region, to_corner
 from maxq.design.verify.dispersed_limits import guides, rooms, worst_of_basis
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.scenario.files import builtin_files
@@ -99,6 +99,11 @@ def test_the_corner_of_a_known_function() -> None:
     u, value = to_corner(lambda every: [float(x @ weights) for x in every], np.zeros(4), Region("box", 0.5))
     assert u.tolist() == [-0.5, 0.5, -0.5, -0.5]
     assert value == -0.5 * 6.5
+    known = {(1, 1): 0.0, (-1, 1): -1.0, (1, -1): -2.0, (-1, -1): 5.0}  # each flip lowers it, both together raise it
+    u, value = to_corner(
+        lambda every: [known[int(np.sign(x[0])), int(np.sign(x[1]))] for x in every], np.zeros(2), Region("box", 0.5)
+    )
+    assert (u.tolist(), value) == ([0.5, -0.5], -2.0)
     u, value = to_corner(lambda every: [1.0] * len(every), np.zeros(0), Region("box", 0.5))
     assert (len(u), value) == (0, 1.0)
 

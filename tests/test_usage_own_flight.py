@@ -3,6 +3,7 @@
 | claim | expected |
 |---|---|
 | margins of each axis along the design's own flight, others closed | the limits of the case, by `multiloop_margins` |
+| limits that hold between the operating points | also every 0.25 s of the design's own flight |
 | limits that the design states | those of the case, not those that the search was held to |
 | a limit that no design meets with the other axes closed | named; the design is that of the round before |
 | a limit that the roll loop misses | named; no further round |
@@ -14,6 +15,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import numpy as np
 import optimise_kit as kit
 import pytest
 
@@ -21,7 +23,7 @@ import maxq
 from maxq.design.case.basis import stated_basis
 from maxq.design.margins.multiloop import multiloop_margins
 from maxq.design.verify import own_flight
-from maxq.design.verify.judging import Check, multiloop_checks
+from maxq.design.verify.judging import Check, judge, multiloop_checks
 from maxq.design.verify.own_flight import CaseDesign, design_case, with_design
 
 TIMES_S = (15.0, 55.0)
@@ -63,6 +65,22 @@ def test_the_search_is_held_to_more_and_the_design_states_the_case() -> None:
     assert basis is not None
     assert (basis.limits.phase_margin_deg, basis.limits.gain_margin_db) == (30.0, 6.0)
     assert (solution.case.limits.phase_margin_deg, solution.case.limits.gain_margin_db) == (30.0, 6.0)
+
+
+@pytest.mark.slow
+def test_limits_that_hold_between_the_points_hold_at_the_instants_of_the_own_flight() -> None:
+    """Every 0.25 s, of each axis alone and with the others closed."""
+    given = (*(c for c in CASE if not c.startswith("nodes_s")), "nodes_s=[45.0, 55.0]", "between_nodes='hold'")
+    loaded = kit.case(*given)
+    made = design_case(loaded)
+    assert made.feasible
+    scenario, times_s = with_design(loaded.scenario, made.design), np.arange(45.0, 55.01, 0.25)
+    together = [multiloop_margins(loop) for loop in maxq.multiloops(scenario, made.design, times_s)]
+    alone = [j.margins for j in judge(maxq.nodes(scenario, times_s), made.design)]
+    every = [*alone, *(one for m in together for one in m.each)]
+    assert min(map(_gain_db, every)) == pytest.approx(6.0, abs=0.02)
+    assert min(map(_gain_db, every)) >= 6.0 - 5e-4
+    assert min(map(_phase_deg, every)) >= 30.0 - 5e-4
 
 
 @pytest.mark.slow

@@ -104,7 +104,8 @@ def mesh_of(path: FixedPath, kept_hz: Array, tolerance: float = TOLERANCE) -> Pa
         spline = _spline(x, known)  # as it comes: polynomials are made of the last one only
         middle = 0.5 * (x[1:] + x[:-1])
         wanted, guess = exact(middle), spline(middle)
-        miss = np.abs(np.exp(guess[:, ::2] + 1j * guess[:, 1::2]).T / wanted - 1.0).max(axis=0)
+        with np.errstate(over="ignore", invalid="ignore"):  # a spline through few points may overshoot
+            miss = np.abs(np.exp(guess[:, ::2] + 1j * guess[:, 1::2]).T / wanted - 1.0).max(axis=0)
         bad = ~(miss < tolerance)
         if not bad.any():
             break

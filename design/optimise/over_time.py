@@ -6,7 +6,7 @@ time as the parameter. What is found depends on the grid of instants: the certif
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,10 +19,10 @@ from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants, 
 from maxq.design.optimise.search import Progress
 from maxq.design.optimise.solution import Solution
 
-INSTANTS_S = 0.25  # apart, all along
+INSTANTS_S, MOST_INSTANTS = 0.25, 400  # apart, all along; of a stage when a design is judged
 FINE_S = 0.05  # apart, beside the worst of those
-WORSE_DB = 0.02  # instants that are worse by less are let be: 0.02 dB, 0.1 deg
-COARSE = 1e-4  # tolerance of the curves in the search for the worst: 1e-3 dB
+WORSE_DB = 0.02  # instants with an objective that is worse by less are not taken
+COARSE = 1e-4  # tolerance of the curves along the whole flight: 1e-3 dB
 ROUNDS = 12
 UNSTABLE_DB = 1e3
 
@@ -58,7 +58,8 @@ class Instants:
 def solve_over_time(
     loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: Progress | None = None
 ) -> Solution:
-    """The best design found that no instant between the first and the last node makes worse by WORSE_DB.
+    """Return the best design found that meets its limits at all instants tried between the first and the last node,
+    and has an objective there that is worse by WORSE_DB at most.
 
     Gains that are free at every node stay free at the nodes of the case only.
     """
@@ -73,19 +74,19 @@ def solve_over_time(
         for number in range(ROUNDS + 1):
             if solution.status == "interrupted":
                 break
-            law = make_problem(loaded.case, plants_at(instants, loaded)).law
+            problem = make_problem(loaded.case, plants_at(instants, loaded))
+            law, matters_db = problem.law, problem.matters_db(WORSE_DB)
             over, times_s = instants.over(grid, everywhere, law, solution), grid
-            beside = {t + k * FINE_S for t in np.array(grid)[peaks(over, WORSE_DB)] for k in range(-4, 5)}
+            beside = {t + k * FINE_S for t in np.array(grid)[peaks(over, matters_db)] for k in range(-4, 5)}
             if beside:
                 # with the first and the last node: linear gains are numbers at both ends of a problem
                 times_s = sorted({first, last, *(round(t, 9) for t in beside if first <= t <= last)})
-                over = instants.over(times_s, make_plants(instants.plants(times_s), COARSE), law, solution)
+                over = instants.over(times_s, make_plants(instants.plants(times_s)), law, solution)
             checked = Checked(len({*grid, *times_s}), float(over.max(initial=0.0)))
-            new = set(np.array(times_s)[peaks(over, WORSE_DB)].tolist()) - set(loaded.case.times_s) if beside else set()
+            new = set(np.array(times_s)[peaks(over, matters_db)].tolist()) - set(loaded.case.times_s) if beside else set()
             if not new or number == ROUNDS:
                 break
-            nodes_s = tuple(sorted({*loaded.case.times_s, *new}))
-            loaded = replace(loaded, case=loaded.case.model_copy(update={"nodes_s": nodes_s}))
+            loaded = with_nodes(loaded, new)
             # nothing is known of the next design until its instants are tried
             solution, checked = solve_at_nodes(loaded, plants_at(instants, loaded), [solution.law], progress), Checked()
     except KeyboardInterrupt:
@@ -127,8 +128,24 @@ def instants_along(first_s: float, last_s: float, apart_s: float) -> list[float]
     return np.linspace(first_s, last_s, count).round(9).tolist()  # type: ignore[no-any-return]  # floats
 
 
-def peaks(over: Array, matters_db: float) -> IntArray:
-    """Instants at which some kind of row is worst among its neighbours, and matters; `over` (kinds, instants)."""
+def instants_beside(times_s: Sequence[float]) -> list[float]:
+    """Return the instants between operating points of a stage at which limits that hold there are judged."""
+    first, last = min(times_s), max(times_s)
+    every = instants_along(first, last, max(INSTANTS_S, (last - first) / MOST_INSTANTS))
+    return [t for t in every if t not in times_s]
+
+
+def with_nodes(loaded: LoadedCase, times_s: Iterable[float]) -> LoadedCase:
+    """Return the case of a stage with more nodes."""
+    nodes_s = tuple(sorted({*loaded.case.times_s, *times_s}))
+    return replace(loaded, case=loaded.case.model_copy(update={"nodes_s": nodes_s}))
+
+
+def peaks(over: Array, matters_db: Array) -> IntArray:
+    """Return the instants at which some kind of row is worst among its neighbours, and matters.
+
+    `over`: (kinds, instants); `matters_db`: (kinds,), or (1,) for all.
+    """
     padded = np.pad(over, ((0, 0), (1, 1)), constant_values=-np.inf)
-    top = (over > matters_db) & (over >= padded[:, :-2]) & (over > padded[:, 2:])
+    top = (over > matters_db[:, None]) & (over >= padded[:, :-2]) & (over > padded[:, 2:])
     return np.flatnonzero(top.any(axis=0))

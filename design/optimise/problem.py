@@ -24,6 +24,7 @@ from maxq.design.optimise.features import Bands, Cross, Kind, Mask, Mesh, Mode, 
 from maxq.design.optimise.loops import Loops
 
 FARTHEST_DB = 20.0  # rows that are met by more are left out
+MISSED_DB = 1e-4  # a limit that is missed by less is met, at a plant or an instant that the search has not taken
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,13 @@ class Problem:
     def size(self) -> int:
         """Number of variables."""
         return len(self.lower)
+
+    def matters_db(self, worse_db: float) -> Array:
+        """Return the excess from which a row matters at a plant that is not the problem's, (kinds,): MISSED_DB of a
+        limit, `worse_db` of the objective.
+        """
+        made_small = [k == 0 or getattr(kind, "objective", False) for k, kind in enumerate(self.kinds)]
+        return np.where(made_small, worse_db, MISSED_DB)
 
     def what(self, text: str) -> int:
         """Number of a limit in `kinds`, by its text."""

@@ -1,16 +1,22 @@
 """A design for many plants: made for some, then the worst others are searched and added, until none is worse.
 
-The plants that a case's ranges allow are too many to take all: some twenty deviations each way at eleven nodes. So at
-every node the corner (or middle) of the ranges that is worst for the present design is sought, one deviation after
-the other being put to whichever end is worse, from several beginnings; what is worse than the design's own worst
-joins its plants, and the design is made anew (a cutting-plane method: Blankenship & Falk, J. Optim. Theory Appl. 19,
-1976). With `between_nodes = "hold"` time is one deviation more: where no node has a worse plant, those of its
-neighbours are tried at the instants between, and an instant that is worse becomes a node.
+The plants that a case's ranges allow are too many to take all: some twenty deviations each way at eleven nodes. A
+search at every node looks for the plant that is worst for the present design. Plants that are worse than the worst of
+the design join its plants, and the design is made again (a cutting-plane method: Blankenship & Falk, J. Optim. Theory
+Appl. 19, 1976). With `between_nodes = "hold"` time is one more deviation: where no node has a worse plant, those of the
+neighbouring nodes are tried at the instants between, and an instant that is worse becomes a node.
+
+The search at a node has two parts. The first looks for the loop nearest to -1 by the compiled margins, where these
+serve the loop: from several corners of the ranges to one that no single deviation makes worse, and on by a descent
+inside the ranges (descent.py). The second begins at the worst of that point and the same corners, by the objective and
+the limits of the case; it puts one deviation after the other to the end, or the middle, that is worst. It is left out
+where none of these plants misses anything: the limits then give no direction.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import re
 import time
 from collections.abc import Iterable, Sequence
 
@@ -19,10 +25,13 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.law import DesignedLaw
+from maxq.design.margins.dispersed import ManyLoops, NotServedError
+from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.model.deviations import acting_at, deviations_of
 from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import campaign_of
 from maxq.design.optimise.at_nodes import finished, make_problem, search_best
+from maxq.design.optimise.descent import Region, descend, to_corner
 from maxq.design.optimise.over_time import COARSE, UNSTABLE_DB, Instants, gains_at_nodes, instants_along, peaks
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
@@ -30,15 +39,16 @@ from maxq.design.optimise.search import Found, Progress, search
 from maxq.design.optimise.solution import Constraint, Solution
 from maxq.sim.campaign.read import LoadedCampaign
 
-WORSE_DB = 0.01  # plants that are worse by less are let be
-BEGINNINGS = 4
+WORSE_DB = 0.01  # plants with an objective that is worse by less are not taken
+BEGINNINGS = 8
 INSTANTS_S, FINE_S = 0.5, 0.05  # apart, all along and beside the worst of those
 ROUNDS = 12  # more, where instants between the nodes are added too
 AT_ONCE = 100  # plants that are judged together
 
-
-Ends = tuple[int, ...]
-"""Of each place that deviates, an end (-1, +1) or the middle (0) of its range."""
+Point = tuple[float, ...]
+"""The deviation of each place, from one end of its range (-1) over the middle (0) to the other (+1)."""
+_SIGNS = {-1.0: "-", 0.0: "0", 1.0: "+"}
+_OF_POINT = re.compile(r"[-0+]|\(([^()]*)\)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,10 +73,10 @@ def ranges_of(loaded: LoadedCase, nodes: Sequence[Node]) -> Ranges | None:
     return Ranges(campaign, robust.corner_sigmas)
 
 
-def deviated(node: Node, ranges: Ranges, ends: Sequence[int]) -> Node:
-    """Return the node with the score of each deviation at an end or in the middle of its range."""
-    letters = "".join({-1: "-", 0: "0", 1: "+"}[end] for end in ends)
-    scores = np.array(ends) * (ranges.sigmas / 3.0)
+def deviated(node: Node, ranges: Ranges, point: Sequence[float]) -> Node:
+    """Return the node with each deviation where `point` puts it, labelled like "[+0-(0.24)]"."""
+    letters = "".join(_SIGNS.get(at, f"({at:g})") for at in point)
+    scores = np.array(point) * (ranges.sigmas / 3.0)
     return disperse(node, deviations_of(ranges.campaign, node).at(scores, f"[{letters}]"))
 
 
@@ -74,17 +84,18 @@ def dispersed_nodes(ranges: Ranges | None, nodes: Sequence[Node], constraints: I
     """Return the dispersed vehicles of a robust search, made again at `nodes` from the labels of its constraints."""
     if ranges is None:
         return []
-    by_label, out = {node.label: node for node in nodes}, []
+    by_label, out, ends = {node.label: node for node in nodes}, [], {text: at for at, text in _SIGNS.items()}
     for label in dict.fromkeys(c.plant for c in constraints if c.dispersed and c.plant is not None):
         name, _, letters = label.removesuffix("]").rpartition(" [")
-        out.append(deviated(by_label[name], ranges, [{"-": -1, "0": 0, "+": 1}[letter] for letter in letters]))
+        point = [float(found[1]) if found[1] else ends[found[0]] for found in _OF_POINT.finditer(letters)]
+        out.append(deviated(by_label[name], ranges, point))
     return out
 
 
-def modes_off(node: Node, ranges: Ranges, end: int) -> Ends:
-    """All modes at one end of their frequency and the large one of their slope, the rest as it is."""
-    wanted = {"bending_frequency": end, "bending_slope": 1}
-    return tuple(wanted.get(field, 0) for field in deviations_of(ranges.campaign, node).fields)
+def modes_off(node: Node, ranges: Ranges, end: int) -> Point:
+    """Return all modes at one end of their frequency and the large one of their slope, the rest nominal."""
+    wanted = {"bending_frequency": float(end), "bending_slope": 1.0}
+    return tuple(wanted.get(field, 0.0) for field in deviations_of(ranges.campaign, node).fields)
 
 
 @dataclasses.dataclass
@@ -98,63 +109,93 @@ class _Worst:
     rng: np.random.Generator
     tried: int = 0
 
-    def at(self, node: Node, taken: set[tuple[float, Ends]]) -> tuple[float, Ends]:
-        """By how many dB the worst plant of a node misses the design's objective or a limit, and what it is.
+    def at(self, node: Node, taken: set[tuple[float, Point]]) -> tuple[float, Point]:
+        """Return by how many dB the worst plant of a node misses the design's objective or a limit, and the plant.
 
-        The search begins at the plants `taken` there and beside it too.
+        The search begins at the plants `taken` there and at the nearest nodes too.
         """
         both = [modes_off(node, self.ranges, end) for end in (-1, 1)]
         count = len(both[0])
-        beginnings = [*map(np.array, both), *(self.rng.choice([-1, 1], count) for _ in range(BEGINNINGS - 2))]
-        beginnings += map(np.array, corners_beside(node.time_s, taken))
-        known: dict[tuple[int, ...], float] = {}
+        corners = [np.array(both[0]), np.array(both[1])]
+        corners += [self.rng.choice([-1.0, 1.0], count) for _ in range(BEGINNINGS - 2)]
+        corners += [np.array(point) for point in points_beside(node.time_s, taken)]
+        known: dict[Point, float] = {}
 
-        def score(ends: Array) -> float:
-            key = tuple(int(e) for e in ends)
-            if key not in known:
-                known[key] = self._score(node, key)
-            return known[key]
+        def score(at: Array) -> float:
+            point = tuple(at.tolist())
+            if point not in known:
+                known[point] = self._score(node, point)
+            return known[point]
 
-        best = max(beginnings, key=score)
-        improved = True
+        best = max([*self.nearest(node, corners), *corners], key=score)
+        improved = score(best) > 0.0
         while improved:
             improved = False
             for k in self.rng.permutation(count):
-                for end in (-1, 0, 1):
+                for end in (-1.0, 0.0, 1.0):
                     trial = best.copy()
                     trial[k] = end
                     if end != best[k] and score(trial) > score(best) + 1e-9:
                         best, improved = trial, True
         self.tried += len(known)
-        return score(best), tuple(int(e) for e in best)
+        return score(best), tuple(best.tolist())
 
-    def _score(self, node: Node, ends: Ends) -> float:
-        return float(self.scores([make_plant(deviated(node, self.ranges, ends), self.case, dispersed=True)])[0])
+    def nearest(self, node: Node, corners: Sequence[Array]) -> list[Array]:
+        """Return the point at which the search from `corners` for the loop nearest to -1 ends; none where the compiled
+        margins do not serve the loop.
+        """
+        if self.case.loop != "sampled" or not len(corners[0]):
+            return []
+        alone = make_problem(self.case, make_plants([make_plant(node, self.case)], COARSE), self.problem.law)
+        try:
+            loops = ManyLoops(node, alone.law.controllers(self.found.best.variables)[0])
+        except NotServedError:
+            return []
+        deviations = deviations_of(self.ranges.campaign, node)
+
+        def distances(every: Sequence[Array]) -> list[float]:
+            self.tried += len(every)
+            scores = [u * (self.ranges.sigmas / 3.0) for u in every]
+            values, status = loops.measure(deviations.of_scores(scores), 0.0, distances=True)
+            near = np.where(status == DONE, 1.0, -1.0) * values["distance"][:, 0]
+            return list(np.where(status == HANDED_BACK, np.inf, near))
+
+        box = Region("box", 1.0)
+        ends = [to_corner(distances, corner, box) for corner in corners]
+        u, value = min(ends, key=lambda end: end[1])
+        if not np.isfinite(value):
+            return []
+        return [u, descend(distances, u, value, box)[0].round(2) + 0.0]
+
+    def _score(self, node: Node, point: Point) -> float:
+        return float(self.scores([make_plant(deviated(node, self.ranges, point), self.case, dispersed=True)])[0])
 
     def scores(self, each: Sequence[Plant]) -> Array:
-        """By how many dB each plant misses the design's objective or a limit, (plants,)."""
+        """Return by how many dB each plant misses the design's objective or a limit, (plants,); 0 where that does not
+        matter.
+        """
         problem = make_problem(self.case, make_plants(each, COARSE), self.problem.law)
         there = problem.evaluate(self.found.best.variables, complete=True)
         rows, out = there.rows, np.zeros(len(each))
         missed = rows.excess_db - np.where(rows.objective, self.found.best.objective_db, 0.0)
-        of_plant = rows.plant >= 0
-        np.maximum.at(out, rows.plant[of_plant], missed[of_plant])
+        matters = (rows.plant >= 0) & (missed > problem.matters_db(WORSE_DB)[rows.what])
+        np.maximum.at(out, rows.plant[matters], missed[matters])
         if there.unstable:
             out[problem.loops.unstable_poles(problem.loops.response(there.variables)) > 0] += UNSTABLE_DB
         return out
 
-    def between(self, instants: Instants, taken: set[tuple[float, Ends]]) -> list[tuple[float, Node]]:
-        """Instants at which the nominal plant, or one taken at a node beside, is worst and worse than WORSE_DB."""
+    def between(self, instants: Instants, taken: set[tuple[float, Point]]) -> list[tuple[float, Node]]:
+        """Return the instants at which the nominal plant, or one taken at a neighbouring node, is worst and matters."""
         times_s = sorted({t for t, _ in taken})
 
         def worst_at(at_s: Sequence[float]) -> Array:
             plants, of = [], []
             for k, plant in enumerate(instants.plants(at_s)):
-                corners = corners_beside(at_s[k], taken)
+                points = points_beside(at_s[k], taken)
                 plants += [plant] + [
-                    make_plant(deviated(plant.node, self.ranges, ends), self.case, dispersed=True) for ends in corners
+                    make_plant(deviated(plant.node, self.ranges, point), self.case, dispersed=True) for point in points
                 ]
-                of += [k] * (1 + len(corners))
+                of += [k] * (1 + len(points))
             self.tried += len(plants)
             out = np.zeros(len(at_s))
             for first in range(0, len(plants), AT_ONCE):
@@ -163,7 +204,7 @@ class _Worst:
 
         grid = instants_along(times_s[0], times_s[-1], INSTANTS_S)
         found = []
-        for k in peaks(worst_at(grid)[None], WORSE_DB):
+        for k in peaks(worst_at(grid)[None], np.zeros(1)):
             fine = [t for t in (grid[k] + FINE_S * np.arange(-9, 10)).round(9) if times_s[0] <= t <= times_s[-1]]
             score = worst_at(fine)
             j = int(np.argmax(score))
@@ -171,12 +212,12 @@ class _Worst:
         return found
 
 
-def corners_beside(time_s: float, taken: set[tuple[float, Ends]]) -> list[Ends]:
-    """Plants taken at a time, and at the nearest ones before and after it."""
+def points_beside(time_s: float, taken: set[tuple[float, Point]]) -> list[Point]:
+    """Return the plants taken at a time, and at the nearest ones before and after it."""
     times_s = sorted({t for t, _ in taken})
     first, last = np.searchsorted(times_s, time_s), np.searchsorted(times_s, time_s, side="right")
     beside = times_s[max(int(first) - 1, 0) : int(last) + 1]
-    return sorted({ends for t, ends in taken if t in beside})
+    return sorted({point for t, point in taken if t in beside})
 
 
 def solve_robust(
@@ -198,8 +239,8 @@ def solve_robust(
     assert ranges is not None
     taken = {(node.time_s, modes_off(node, ranges, end)) for node in nodes for end in (-1, 1)}
 
-    def dispersed(few: Sequence[tuple[Node, Ends]]) -> list[Plant]:
-        return [make_plant(deviated(node, ranges, ends), case, dispersed=True) for node, ends in few]
+    def dispersed(few: Sequence[tuple[Node, Point]]) -> list[Plant]:
+        return [make_plant(deviated(node, ranges, point), case, dispersed=True) for node, point in few]
 
     plants = nominal.and_also(dispersed([(n, modes_off(n, ranges, end)) for n in nodes for end in (-1, 1)]))
     problem, found = search_best(case, plants, also_from, progress)
@@ -215,9 +256,7 @@ def solve_robust(
                     progress(k, len(nodes), found.best.objective_db, f"worst plants, round {number + 1}")
                 results.append((node, *worst.at(node, taken)))
             worst_db = max(score for _, score, _ in results)
-            new = [
-                (node, ends) for node, score, ends in results if score > WORSE_DB and (node.time_s, ends) not in taken
-            ]
+            new = [(node, at) for node, score, at in results if score > 0.0 and (node.time_s, at) not in taken]
             fresh: list[Node] = []
             if not new and instants is not None:
                 between = worst.between(instants, taken)
@@ -229,7 +268,7 @@ def solve_robust(
             if not new or number == rounds:
                 break
             nodes += fresh
-            taken.update((node.time_s, ends) for node, ends in new)
+            taken.update((node.time_s, point) for node, point in new)
             plants = plants.and_also([*(make_plant(node, case) for node in fresh), *dispersed(new)])
             problem = make_problem(case, plants, problem.law)
             found, worst_db, instant_db = _again(problem, found), np.nan, np.nan  # nothing is known of the new design

@@ -249,7 +249,7 @@ def make_solution(case: Case, plants: Plants, problem: Problem, found: Found, se
         ),
         variables=found.best.variables,
         nominal_objective_db=nominal,
-        nodes=tuple(p.node for p in plants.each if not p.dispersed),
+        nodes=tuple(sorted((p.node for p in plants.each if not p.dispersed), key=lambda node: node.time_s)),
     )
 
 

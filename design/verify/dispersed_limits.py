@@ -22,7 +22,7 @@ from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node, disperse
 from maxq.design.quantities import MEASURED, SWEPT, LoopLimits
 from maxq.design.verify.compared import IMPLIED
-from maxq.design.verify.descent import Region, descend, to_corner
+from maxq.design.optimise.descent import Region, descend, to_corner
 from maxq.design.verify.judging import Wanted
 from maxq.design.verify.linear import SweptVehicles
 from maxq.design.verify.memory import counted

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -361,12 +361,27 @@ def wanted_of(case: Case) -> Wanted:
     return Wanted.of(case.basis("", case.times_s).limits)
 
 
-def judge_solution(loaded: LoadedCase, solution: Solution, design: Design | None = None) -> Outcome:
+def stage_checks(judged: Sequence[Judged], design: Design, basis: Basis, kind: Kind) -> list[Check]:
+    """Return all limits of a stage's basis, of wind too."""
+    nodes, here = [j.node for j in judged], basis.model_copy(update={"loop": kind})
+    found = checks(judged, design, Wanted.of(basis.limits))
+    return found + wind_checks(in_wind(here, nodes, design, None), basis.limits, nodes)
+
+
+def worst_times_s(found: Iterable[Check]) -> set[float]:
+    """Return the times at which limits are nearest to being missed, one a limit."""
+    return {time_s for check in found if not math.isnan(time_s := float(check.time_s[check.worst]))}
+
+
+def judge_solution(
+    loaded: LoadedCase, solution: Solution, design: Design | None = None, between: Sequence[Node] = ()
+) -> Outcome:
     """Judge the design as it is written, at the search's nodes and at the dispersed plants of a robust search.
 
-    `design`: of all stages, where the solution is one of several.
+    `design`: of all stages, where the solution is one of several. `between`: further nodes, which are judged too.
     """
-    design, case, nodes = design or make_design(loaded, solution), loaded.case, solution.nodes
+    design, case = design or make_design(loaded, solution), loaded.case
+    nodes = sorted((*solution.nodes, *between), key=lambda node: node.time_s)
     wanted = wanted_of(case)
 
     judged = judge(nodes, design, case.loop)

@@ -3,7 +3,8 @@
 Operating points need a flight, and a flight needs a design. The first flight is that of the scenario with its own
 design. They agree when no limit that the design meets at its operating points is missed at the same times of its own
 flight (`quantities.violation`: within 5e-4 dB or deg). Stages that disagree are designed again along the flight of the
-last design, from where they are.
+last design, from where they are. Where limits are to hold between the operating points, they are judged there at the
+instants of `simdesign analyse`; an instant that misses one becomes an operating point of the next round.
 
 The search holds the loop of one plane to the limits. `simdesign analyse` judges each axis with the loops of the others
 closed by the same limits, which takes a little of the margins. Where a stage misses them so, the search of the next
@@ -22,14 +23,25 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from maxq.design.case.schema import LoadedCase
+from maxq.design.model.node import Node
 from maxq.design.model.powered import loss_text, powered_flight
 from maxq.design.optimise.at_nodes import make_problem
+from maxq.design.optimise.over_time import gains_at_nodes, instants_beside, with_nodes
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.search import Progress
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, nominal_plants, solve
 from maxq.design.quantities import QUANTITIES, TOLERANCE
-from maxq.design.verify.judging import Outcome, judge_solution, make_design, margins_of_all_axes, multiloop_checks
+from maxq.design.verify.judging import (
+    Outcome,
+    judge,
+    judge_solution,
+    make_design,
+    margins_of_all_axes,
+    multiloop_checks,
+    stage_checks,
+    worst_times_s,
+)
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.uncovered import Uncovered, uncovered
 from maxq.sim.run.flight import Event
@@ -102,7 +114,7 @@ class CaseDesign:
     @property
     def claim(self) -> str:
         """State in words which operating points the limits are met at, and what was not checked or not designed."""
-        count = sum(len(outcome.judged) for outcome, _ in self.results)
+        count = sum(len(solution.nodes) for _, solution in self.results)
         met = all(outcome.feasible for outcome, _ in self.results)
         said = [f"it meets all limits at its {count} operating points" if met else "it misses limits"]
         if self.rounds[-1].loss is not None:
@@ -134,7 +146,8 @@ def design_case(
     nothing is found yet.
     """
     flight, (_, loss) = loaded.scenario, powered_flight(loaded.scenario)
-    stages, plants = _problems(loaded, flight, loss)
+    also_s: dict[int, set[float]] = {}  # instants of each stage that missed a limit
+    stages, plants = _problems(loaded, flight, loss, also_s)
     check()
     found: dict[int, Solution] = {}
     again: set[int] | None = None  # stages that the last design misses limits in, from round 2 on
@@ -177,22 +190,34 @@ def design_case(
         for n in missed if judged.loss is None else ():
             known, short = more.get(n, {}), _short(judged.by_stage[n][0])
             more[n] = known | {key: known.get(key, 0.0) + by + BEYOND for key, by in short.items()}
+            missed_s = worst_times_s(check for check in judged.by_stage[n][0].found if not check.passed)
+            also_s[n] = also_s.get(n, set()) | missed_s
         flight, loss = judged.flight, judged.loss
-        stages, plants = _problems(loaded, flight, loss)
+        stages, plants = _problems(loaded, flight, loss, also_s)
     return CaseDesign(
         judged.design, tuple(judged.by_stage.values()), tuple(stages), tuple(plants), tuple(rounds), judged.loss,
         interrupted, _uncovered(judged, loaded),
     )  # fmt: skip  # two more lines otherwise
 
 
-def _problems(loaded: LoadedCase, flight: LoadedScenario, loss: Event | None) -> tuple[list[LoadedCase], list[Plants]]:
-    """Return the case of each stage along a flight, as far as it is held, and its plants."""
+def _problems(
+    loaded: LoadedCase, flight: LoadedScenario, loss: Event | None, also_s: Mapping[int, Collection[float]]
+) -> tuple[list[LoadedCase], list[Plants]]:
+    """Return the case of each stage along a flight, as far as it is held, and its plants.
+
+    `also_s`: times (s) of further operating points, by stage, between the first and the last of the case.
+    """
     try:
         stages = each_stage(replace(loaded, flight=flight), math.inf if loss is None else loss.time_s)
     except ValueError as problem:
         lost = "" if loss is None else f"; the flight is lost: {loss_text(loss)}"
         raise ValueError(f"{problem}{lost}") from None
-    return stages, [nominal_plants(stage) for stage in stages]
+    plants = [nominal_plants(stage) for stage in stages]
+    for k, mine in enumerate(plants):
+        if more_s := also_s.get(mine.each[0].node.stage):
+            stages[k] = with_nodes(gains_at_nodes(stages[k], mine), more_s)
+            plants[k] = nominal_plants(stages[k])
+    return stages, plants
 
 
 def _searched(stage: LoadedCase, loss: Event | None, again: set[int] | None) -> LoadedCase:
@@ -261,14 +286,28 @@ def _judged(
         if (n := mine.each[0].node.stage) in found:
             own = stage if loss is not None else replace(stage, flight=flight)
             solution = found[n] if loss is not None else along(own, found[n])
-            outcome = judge_solution(own, solution, design)
+            between = _worst_between(own, solution, design) if loss is None else []
+            outcome = judge_solution(own, solution, design, between)
             if loss is None:
-                times_s = [node.time_s for node in solution.nodes]
+                times_s = [j.time_s for j in outcome.judged]
                 together = [m for m in margins_of_all_axes(flight, design, times_s, own.case) if m.stable]
                 outcome = replace(outcome, coupled_found=multiloop_checks(together, outcome.wanted))
             by_stage[n] = outcome, solution
     missed = [n for n, (outcome, _) in by_stage.items() if not outcome.feasible]
     return _Judged(make_design(loaded, *found.values(), missed=missed), flight, loss, by_stage)
+
+
+def _worst_between(loaded: LoadedCase, solution: Solution, design: Design) -> list[Node]:
+    """Return the nodes between the operating points at which limits are nearest to being missed, where they are to hold
+    there.
+    """
+    case, points_s = loaded.case, tuple(node.time_s for node in solution.nodes)
+    if case.between_nodes != "hold":
+        return []
+    nodes = [*solution.nodes, *nodes_of(loaded, instants_beside(points_s))]
+    found = stage_checks(judge(nodes, design, case.loop), design, case.basis("", points_s), case.loop)
+    worst_s = worst_times_s(found).difference(points_s)
+    return [node for node in nodes if node.time_s in worst_s]
 
 
 def _uncovered(judged: _Judged, loaded: LoadedCase) -> tuple[Uncovered, ...]:

@@ -38,7 +38,7 @@ from maxq.design.model.dispersion import deviated, disperse_instruments, stacked
 from maxq.design.model.instruments import per_command
 from maxq.design.model.node import Node, disperse, with_drives_apart
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.verify.descent import Region, descend, to_corner
+from maxq.design.optimise.descent import Region, descend, to_corner
 from maxq.design.verify.memory import counted
 from maxq.design.verify.named_mu import stable_together, stable_within
 from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left

@@ -25,7 +25,7 @@ from maxq.design.model.node import Node, with_cuts
 from maxq.design.model.powered import node_times, powered_flight
 from maxq.design.model.spread import campaign_of
 from maxq.design.operating_points import published_nodes
-from maxq.design.optimise.over_time import INSTANTS_S, instants_along
+from maxq.design.optimise.over_time import instants_beside
 from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.paper.nodes import PaperNode
 from maxq.design.verify.dispersed_limits import WorstOfBasis, worst_of_basis
@@ -33,13 +33,12 @@ from maxq.design.verify.judging import (
     Check,
     Judged,
     Wanted,
-    checks,
     flies_as_measured,
-    in_wind,
     judge,
     margins_of_all_axes,
     multiloop_checks,
-    wind_checks,
+    stage_checks,
+    worst_times_s,
 )
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.uncovered import Uncovered, uncovered
@@ -102,7 +101,7 @@ def execute(order: AnalysisOrder) -> int:
         groups = []
         for stage in sorted({node.stage for node in nodes}):
             basis, every = bases.get(stage, Basis()), [j for j in judged if j.node.stage == stage]
-            worst_s = {float(c.time_s[c.worst]) for c in stage_checks(every, design, basis, order.kind)}
+            worst_s = worst_times_s(stage_checks(every, design, basis, order.kind))
             mine = [j for j in every if j.time_s in worst_s.union(points_s)]
             found = stage_checks(mine, design, basis, order.kind)
             here = basis.model_copy(update={"loop": order.kind, "errata": order.errata, "plant": order.plant})
@@ -150,13 +149,6 @@ def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenari
     return flown, flown.design
 
 
-def stage_checks(judged: Sequence[Judged], design: Design, basis: Basis, kind: Kind) -> list[Check]:
-    """Return all limits of a stage's basis, of wind too."""
-    nodes, here = [j.node for j in judged], basis.model_copy(update={"loop": kind})
-    found = checks(judged, design, Wanted.of(basis.limits))
-    return found + wind_checks(in_wind(here, nodes, design, None), basis.limits, nodes)
-
-
 def dispersed_checks(
     scenario: LoadedScenario,
     judged: Sequence[Judged],
@@ -186,7 +178,6 @@ def dispersed_checks(
 
 _OPTIONS = {"kind": "loop", "axis": "plane", "errata": "errata", "plant": "plant"}
 """Options and the keys of a basis that they stand for."""
-_MOST_INSTANTS = 400  # of a stage
 
 
 def designed_along(design: str) -> str:
@@ -242,8 +233,7 @@ def instants_between(
     for span in powered_flight(scenario)[0]:
         mine = [t for t in points_s if span.holds(t)]
         if mine and bases.get(span.stage, Basis()).between_nodes == "hold":
-            apart_s = max(INSTANTS_S, (max(mine) - min(mine)) / _MOST_INSTANTS)
-            out += [t for t in instants_along(min(mine), max(mine), apart_s) if t not in mine]
+            out += instants_beside(mine)
     return out
 
 

@@ -79,14 +79,18 @@ def to_corner(
 ) -> tuple[Array, float]:
     """Return the corner of a box near `start` that no single coordinate at either end makes worse, and its value.
 
-    The coordinate that lowers the value most is moved first.
+    All coordinates that lower the value are moved together where that lowers it more than the best of them does alone.
     """
     u = box.reach * np.where(start >= 0.0, 1.0, -1.0)
     (value,) = values_at([u])
-    while trials := [np.where(np.arange(len(u)) == k, -u, u) for k in range(len(u))]:
-        found = values_at(trials)
-        k = int(np.argmin(found))
-        if found[k] > value - 1e-6:
+    while len(u):
+        found = np.asarray(values_at([np.where(np.arange(len(u)) == k, -u, u) for k in range(len(u))]))
+        k, lower = int(np.argmin(found)), found < value - 1e-6
+        if not lower[k]:
             break
-        u, value = trials[k], found[k]
+        flips, least = np.arange(len(u)) == k, float(found[k])
+        if lower.sum() > 1:
+            (together,) = values_at([np.where(lower, -u, u)])
+            flips, least = (lower, together) if together < least else (flips, least)
+        u, value = np.where(flips, -u, u), least
     return u, value
