@@ -60,7 +60,9 @@ def _add_flights(parser: Parser) -> None:
   simrun fly nominal --set run.seed=7 --out runs/seven
   simrun fly nominal --view --realtime 4   watch it, four times as fast
 """
-    fly = parser.command("fly", "Fly a scenario", examples, _fly, _FLIGHT)
+    fly = parser.command(
+        "fly", "Fly a scenario, write its log and summary, and print a verdict", examples, _fly, _FLIGHT
+    )
     fly.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
     fly.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key")
     fly.option("--out DIR", "where to write (default: runs/<name of the scenario>)")

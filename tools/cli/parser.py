@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import math
+import os
 import re
 import shutil
 import textwrap
@@ -110,7 +111,8 @@ class Parser(argparse.ArgumentParser):
         self._kinds = listed
         if listed is not None:
             kinds = " and ".join(title.partition(" (")[0] for title in listed.values())
-            self.add_argument("--list", action="store_true", help=f"name the built-in {kinds}")
+            text = f"name the built-in {kinds}"
+            self.add_argument("--list", action="store_true", default=argparse.SUPPRESS, help=text)
         self.add_argument("--version", action=_Version, nargs=0, help="version of maxq")
         self.add_argument("-h", "--help", action="help", help="this text")
 
@@ -128,7 +130,7 @@ class Parser(argparse.ArgumentParser):
             if name in self._commands:
                 return self._commands[name].read(words)
             close = difflib.get_close_matches(name, self._commands, 1, 0.7)
-            if close and words and not words[0].startswith("-"):
+            if close and words and not words[0].startswith("-") and not os.path.exists(name):
                 self.error(f"what is {name!r}? did you mean {close[0]}?")
             return self._commands[self._default(name)].read(arguments if "--" in arguments else [name, *words])
         self._refuse_unknown(arguments)
@@ -270,7 +272,7 @@ def _hung(head: str, text: str, width: int, indent: int | None = None) -> str:
     return head + ("\n" + " " * (len(head) if indent is None else indent)).join(lines).replace("\0", " ")
 
 
-_BESIDE = 40  # column in which examples are explained
+_BESIDE = 42  # column in which examples are explained
 
 
 def _examples(text: str, width: int) -> str:
