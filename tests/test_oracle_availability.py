@@ -174,7 +174,7 @@ def test_a_suite_judges_each_month_by_its_availability() -> None:
     result = CampaignResult("days", "f", none, 125, False, 0.9973, 0.9, (), "", None, months, 0.9, True)
     january, june, july = campaign_requirements(result)
     assert [r.judgement for r in (january, june, july)] == [REJECTED, UNDECIDED, ACCEPTED]
-    assert (january.again, july.again) == ("simrun --from runs --run 4", "")
+    assert (january.again, july.again) == ("simrun refly runs --run 4", "")
     assert january.found.startswith("50.0 % of 60 flights (38.")
     assert "Jan" in january.name
     (nothing,) = campaign_requirements(CampaignResult("d", "f", none, 9, False, 0.9, 0.9, (), "", None, (), 0.9))

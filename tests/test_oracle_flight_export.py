@@ -299,9 +299,9 @@ def test_all_formats_hold_the_same(matrices: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "export takes one of --c DIR and --format F"),
-        (["--c", "x", "--format", "mat"], "export takes one of --c DIR and --format F"),
-        (["--c", "x", "--at", "3"], "--out, --at and --axis go with --format"),
+        ([], "give --c or --format"),
+        (["--c", "x", "--format", "mat"], "--c and --format exclude each other"),
+        (["--c", "x", "--at", "3"], "--c and --at exclude each other"),
     ],
 )
 def test_wrong_words_are_told(capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:

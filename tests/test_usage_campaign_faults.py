@@ -365,18 +365,17 @@ def test_one_key_twice(tmp_path: Path) -> None:
     [
         (
             ["nominal", "--runs", "5"],
-            "--runs goes with CAMPAIGN, --from DIR --search METRIC or --from DIR --rare METRIC, not with nominal, "
-            "which has no [campaign]",
+            "--runs is an option of simrun campaign, search or rare, not of simrun fly; see simrun fly --help",
         ),
-        (["campaigns/first", "--run", "5"], "--run goes with --from DIR --run N or "),
-        (["campaigns/first", "--keep", "best"], "--keep best: allowed: worst:5"),
+        (["campaigns/first", "--run", "5"], "--run is an option of simrun refly or shrink, not of simrun campaign"),
+        (["campaigns/first", "--keep", "best"], "--keep: best: allowed: worst:5"),
         (["campaigns/first", "--runs", "-1"], "is not a whole number"),
         (["campaigns/firs"], "did you mean campaigns/first?"),
         (["--from", ".", "--run", "3"], "holds no campaign"),
-        (["--from", ".", "--shrink"], "--shrink needs --run N"),
+        (["--from", ".", "--shrink"], "give a --run, e.g. simrun shrink runs/first --run 17"),
         (
             ["--from", ".", "--runs", "3", "--set", "a=1"],
-            "--set goes with SCENARIO, --from LOG or CAMPAIGN, not with --from DIR",
+            "--runs is an option of simrun campaign, search or rare, not of simrun report",
         ),
     ],
 )

@@ -48,7 +48,7 @@ def test_a_campaign_without_logs_says_how_to_keep_some(capsys: pytest.CaptureFix
     Path("runs/first").mkdir(parents=True)
     Path("runs/first", MANIFEST).write_text("{}")
     assert simreplay.main(["runs/first"]) == 2
-    assert "simrun --from runs/first --keep worst:5" in capsys.readouterr().err
+    assert "simrun report runs/first --keep worst:5" in capsys.readouterr().err
 
 
 def test_a_folder_in_use_advises_what_can_help() -> None:

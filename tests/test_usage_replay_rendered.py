@@ -193,7 +193,7 @@ source = "a test"
 def test_a_run_of_a_campaign_is_flown_again_and_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`simrun --from DIR --run N --view`: the same window as `simreplay` of its log."""
+    """`simrun refly DIR --run N --view`: the same window as `simreplay` of its log."""
     monkeypatch.chdir(tmp_path)
     assert simrun.main(["--copy", "nominal", "."]) == 0
     Path("short.toml").write_text(CAMPAIGN, encoding="utf-8")

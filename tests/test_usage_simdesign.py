@@ -226,7 +226,10 @@ WRONG = {
     "unknown case": (["ksr3-identicle"], "ksr3-identicle: no such file; did you mean ksr3-identical?"),
     "a folder": (["."], ".: is a folder"),
     "empty name": ([""], '"": no such file'),
-    "two cases": (["ksr3-identical", "ksr3-relaxed"], "what is 'ksr3-relaxed'? one at a time"),
+    "two cases": (
+        ["ksr3-identical", "ksr3-relaxed"],
+        "what is 'ksr3-relaxed'? one case at a time, or several with --verify",
+    ),
     "unknown key": (["ksr3-identical", "--set", "limits.gain_margin=3"], "did you mean gain_margin_db?"),
     "bad value": (
         ["ksr3-identical", "--set", "filter.structure=F7"],
@@ -242,7 +245,10 @@ WRONG = {
         ["ksr3-identical", "--set", "scenario=nowhere"],
         'scenario = "nowhere": neither a file nor a built-in scenario',
     ),
-    "option of analyse": (["ksr3-identical", "--at", "3"], "--at goes with analyse, errata or export, not with CASE"),
+    "option of analyse": (
+        ["ksr3-identical", "--at", "3"],
+        "--at is an option of simdesign analyse, errata or export, not of simdesign optimise",
+    ),
 }
 
 

@@ -159,15 +159,15 @@ def test_errata_are_listed_with_their_effect_at_every_node(capsys: Printed) -> N
 # wrong input: one line, exit code 2, nothing written
 
 WRONG = {
-    "nothing": ([], "give a case"),
-    "no design": (["analyse"], "give a design, e.g. simdesign analyse ksr3-default"),
+    "nothing": ([], "give a CASE, e.g. simdesign ksr3-identical"),
+    "no design": (["analyse"], "give a DESIGN, e.g. simdesign analyse ksr3-default"),
     "unknown design": (
         ["analyse", "nowhere"],
         "nowhere: no such file; allowed: a design file (.toml), or a built-in one",
     ),
     "empty name": (["analyse", ""], '"": no such file'),
     "empty folder": (["analyse", "."], "the folder has no design.toml"),
-    "two designs": (["analyse", "a", "b"], "what is 'b'? one at a time"),
+    "two designs": (["analyse", "a", "b"], "one DESIGN at a time: what is 'b'?"),
     "misspelt command": (["analyze", "a"], "what is 'analyze'? did you mean analyse?"),
     "misspelt option": (["analyse", "ksr3-default", "--axes", "yaw"], "unknown option --axes; did you mean --axis?"),
     "time before lift-off": (["analyse", "ksr3-default", "--at", "-1"], "node at -1 s"),
@@ -177,9 +177,15 @@ WRONG = {
     "unknown scenario": (["analyse", "ksr3-default", "--scenario", "nominl"], "did you mean nominal?"),
     "unknown vehicle": (["analyse", "ksr3-default", "--vehicle", "nowhere"], "nowhere"),
     "unknown kind": (["analyse", "ksr3-default", "--kind", "z"], "invalid choice: 'z'"),
-    "option of another order": (["--list", "--at", "3"], "--at goes with analyse, errata or export, not with --list"),
-    "option of a case": (["analyse", "x", "--seed", "3"], "--seed goes with CASE or CASE --verify, not with analyse"),
-    "two orders": (["analyse", "x", "--list"], "analyse and --list exclude each other"),
+    "option of another order": (
+        ["--list", "--at", "3"],
+        "--at is an option of simdesign analyse, errata or export, not of simdesign;",
+    ),
+    "option of a case": (
+        ["analyse", "x", "--seed", "3"],
+        "--seed is an option of simdesign optimise, not of simdesign analyse",
+    ),
+    "two orders": (["analyse", "x", "--list"], "--list stands alone: simdesign --list"),
     "no name": (["analyse", "x", "--out", ""], "--out needs the name of a folder"),
     "errata without such a design": (["errata", "nowhere"], "nowhere: no such file"),
 }

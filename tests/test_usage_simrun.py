@@ -248,8 +248,8 @@ def test_ctrl_c_before_the_flight_leaves_nothing(capsys: Printed, monkeypatch: p
 # bad input
 
 WRONG = {
-    "nothing to do": ([], "give a scenario"),
-    "two scenarios": (["nominal", "other"], "one scenario at a time: what is 'other'?"),
+    "nothing to do": ([], "give a SCENARIO|CAMPAIGN, e.g. simrun nominal"),
+    "two scenarios": (["nominal", "other"], "one SCENARIO at a time: what is 'other'?"),
     "misspelt option": (["--hlep"], "unknown option --hlep; did you mean --help?"),
     "unlike any option": (["nominal", "--bogus"], "unknown option --bogus; see"),
     "option without value": (["nominal", "--set"], "--set: expected one argument"),
@@ -264,13 +264,16 @@ WRONG = {
         ["nominal", "--set", 'requirement=[{metric="max_gimble_deg",limit=1}]'],
         "unknown metric; did you mean max_gimbal_deg?",
     ),
-    "two orders": (["nominal", "--list"], "SCENARIO and --list exclude each other"),
-    "scenario and log": (["nominal", "--from", "x.mcap"], "SCENARIO and --from exclude each other"),
-    "option of another order": (["--list", "--out", "x"], "not with --list"),
+    "two orders": (["nominal", "--list"], "--list stands alone: simrun --list"),
+    "scenario and log": (["nominal", "--from", "x.mcap"], "one LOG|DIR at a time: what is 'nominal'?"),
+    "option of another order": (
+        ["--list", "--out", "x"],
+        "--out is an option of simrun fly, refly or campaign, not of simrun",
+    ),
     "no log": (["--from", "nothing.mcap"], "nothing.mcap: the log cannot be read"),
     "not a log": (["--from", "binary.toml"], "binary.toml: this is not a log"),
     "copy of nothing": (["--copy", "nominl", "x"], "did you mean nominal?"),
-    "copy without folder": (["--copy", "nominal"], "--copy: expected 2 arguments"),
+    "copy without folder": (["--copy", "nominal"], "give a DIR, e.g. simrun copy nominal mine"),
     "empty folder name": ([*SHORT, "--out", ""], "--out needs the name of a folder"),
     "folder is a file": ([*SHORT, "--out", "binary.toml"], "binary.toml: is a file"),
     "folder below a file": ([*SHORT, "--out", "binary.toml/x"], "binary.toml: is a file"),

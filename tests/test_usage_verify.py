@@ -564,7 +564,7 @@ def test_a_campaign_s_requirement_names_its_worst_run() -> None:
     )  # fmt: skip  # three more lines otherwise
     for row in campaign_requirements(result):
         assert row.found == "4 of 60 failed, worst 9"
-        assert (row.where, row.again) == ("run 41", "simrun --from c --run 41")
+        assert (row.where, row.again) == ("run 41", "simrun refly c --run 41")
 
 
 def test_verdict_of_all_is_that_of_the_worst() -> None:

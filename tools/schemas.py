@@ -1,4 +1,4 @@
-"""JSON Schemas of all files that a person writes, made from the models that check them: `simrun --schema KIND`."""
+"""JSON Schemas of all files that a person writes, made from the models that check them: `simrun schema KIND`."""
 
 from __future__ import annotations
 

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 
 from maxq.tools.cli.frame import Command, Exit
 from maxq.tools.cli.parser import Parser, positive, seconds
 
-_USAGE = """\
-simreplay LOG|DIR... [--web [--port N]] [--tab NAME] [--rate HZ] [--bend-factor X] [--slosh-factor X]
-       simreplay LOG|DIR... --save FILE.rrd
-       simreplay LOG|DIR... --screenshot FILE.png --at S [--at S ...] [--size WxH]
-       simreplay LOG|DIR... --plots DIR
-       simreplay LOG|DIR... --summary
-       simreplay --version | --help"""
 _EXAMPLES = """\
   simreplay runs/nominal/flight.mcap               a window with everything in it
   simreplay runs/nominal/flight.mcap --web         the same in a browser, from this
@@ -29,9 +23,6 @@ _EXITS = {
     Exit.BAD_INPUT: "nothing could be shown",
     Exit.INTERRUPTED: "interrupted",
 }
-_WINDOW = "LOG"
-_WAYS = ("--web", "--save", "--screenshot", "--plots", "--summary")
-_SCENES = (_WINDOW, *_WAYS[:3])
 
 
 def _size(text: str) -> str:
@@ -45,36 +36,32 @@ def _size(text: str) -> str:
 
 def _parser() -> Parser:
     about = "Look at flights: logs (.mcap), folders that hold one, folders of campaigns."
-    parser = Parser("simreplay", _USAGE, about, _EXAMPLES, _EXITS)
+    parser = Parser("simreplay", about, _EXAMPLES, _EXITS)
     add = parser.option
-    add("LOG...", "a log, a folder with flight.mcap, or a campaign's folder", dest="logs")
-    add("--web", "serve it to a browser on this machine (127.0.0.1)")
-    add("--save FILE.rrd", "write a file that `rerun` opens")
-    add("--screenshot FILE.png", "write a picture; no display is needed")
-    add("--plots DIR", "write the standard set of plots as SVG and PNG")
-    add("--summary", "print a glance at the flight")
-    add("--at S...", "time of the picture, s", ["--screenshot"], type=seconds)
-    add("--size WxH", "of the picture (default 1920x1080)", ["--screenshot"], type=_size)
-    add("--port N", "of --web (default 9090)", ["--web"], type=int)
-    add("--tab NAME", "the tab of plots that is in front, e.g. Bending", _SCENES)
+    add("LOG|DIR...", "a log, a folder with flight.mcap, or a campaign's folder", dest="logs")
+    way = parser.add_mutually_exclusive_group()
+    add("--web", "serve it to a browser on this machine (127.0.0.1)", group=way)
+    add("--save FILE.rrd", "write a file that `rerun` opens", group=way)
+    add("--screenshot FILE.png", "write a picture; no display is needed", needs=["--at"], group=way)
+    add("--plots DIR", "write the standard set of plots as SVG and PNG", group=way)
+    add("--summary", "print a glance at the flight", group=way)
+    add("--at S...", "time of the picture, s; repeatable", needs=["--screenshot"], type=seconds)
+    add("--size WxH", "of the picture (default 1920x1080)", needs=["--screenshot"], type=_size)
+    add("--port N", "of --web (default 9090)", needs=["--web"], type=int)
+    scene = partial(add, without=["--plots", "--summary"])
+    scene("--tab NAME", "the tab of plots that is in front, e.g. Bending")
     about = "plots keep the smallest and the largest sample of each 1/HZ s (default 50; 10 for more than 4 flights)"
-    add("--rate HZ", about, _SCENES, type=positive, dest="rate_hz")
-    add("--bend-factor X", "how much larger bending is drawn", _SCENES, type=positive)
-    add("--slosh-factor X", "how much larger slosh angles are drawn", _SCENES, type=positive)
-    add("--side-by-side", "vehicles of several flights beside each other", _SCENES)
-    parser.version_and_help()
+    scene("--rate HZ", about, type=positive, dest="rate_hz")
+    scene("--bend-factor X", "exaggeration of bending", type=positive)
+    scene("--slosh-factor X", "exaggeration of slosh angles", type=positive)
+    scene("--side-by-side", "vehicles of several flights next to each other")
+    parser.about_itself()
     return parser
 
 
 def show(arguments: list[str]) -> int:
     """What the command does, for Python: wrong input raises."""
-    parser = _parser()
-    options = parser.read(arguments)
-    if not options.logs:
-        parser.error("name a log, e.g. simreplay runs/nominal/flight.mcap")
-    parser.check(options, parser.only(options, *_WAYS, default=_WINDOW))
-    if options.screenshot and not options.at:
-        parser.error("--screenshot needs a time, e.g. --at 42")
+    options = _parser().read(arguments)
     from maxq.tools.replay.run import execute  # noqa: PLC0415  # lazy
 
     return execute(options)

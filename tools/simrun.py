@@ -6,135 +6,263 @@ import argparse
 import os
 import sys
 import time
-from functools import partial
+from types import ModuleType
+from typing import Any
 
-from maxq.tools.cli.frame import Command, Exit, show_list
-from maxq.tools.cli.parser import Parser, count, count_of_runs, filled
+from maxq.tools.cli.frame import Command, CommandError, Exit
+from maxq.tools.cli.parser import Parser, count, count_from_1, count_of_runs, positive
 
-_USAGE = """\
-simrun SCENARIO [--set KEY=VALUE]... [--out DIR] [--no-log] [--view [--realtime [X]]]
-       simrun CAMPAIGN [--runs N] [--seed S] [--workers K] [--keep WHICH]... [--until-settled]
-           [--dask ADDRESS] [--set KEY=VALUE]... [--out DIR] [--no-report]
-       simrun --from LOG [--set KEY=VALUE]... [--out DIR] [--view [--realtime [X]]]
-       simrun --from DIR [--keep WHICH]... [--no-report]
-       simrun --from DIR --run N [--view | --shrink] [--out DIR]
-       simrun --from DIR --search METRIC [--runs N] [--workers K]
-       simrun --from DIR --rare METRIC [--runs N] [--workers K]
-       simrun --list | --copy NAME DIR | --schema KIND | --upgrade FILE | --version | --help"""
 _EXAMPLES = """\
   simrun nominal                           fly the built-in scenario of that name
   simrun nominal --set wind.profile=winds/anheung-november.csv --out runs/windy
-  simrun --copy nominal mine               then change mine/nominal.toml, and
+  simrun copy nominal mine                 then change mine/nominal.toml, and
   simrun mine/nominal.toml                 fly it
-  simrun --from runs/nominal/flight.mcap   fly a log again and compare
-  simrun nominal --view --realtime 4       watch it fly, four times as fast
-  simrun campaigns/first                   fly a campaign of dispersed flights;
-                                           repeat the command to resume it
-  simrun campaigns/first --runs 2000       make it larger
-  simrun --from runs/first --run 17        fly one of its runs again, with a log
+  simrun refly runs/nominal/flight.mcap    fly a log again and compare
+  simrun campaigns/first                   fly a campaign of dispersed flights
+  simrun refly runs/first --run 17         fly one of its runs again, with a log
 """
+_MISSED = "flown, but a requirement was missed, control was lost or the flight diverged"
 _EXITS = {
     Exit.OK: "flown, all requirements met",
-    Exit.FAILED: "flown, but a requirement was missed, control was lost, the flight\n"
-    "       diverged, or it differs from the log",
-    Exit.BAD_INPUT: "bad input, or files that cannot be read or written",
+    Exit.FAILED: f"{_MISSED}, or it differs from the log",
     Exit.UNDECIDED: "campaign: too few runs to say whether all requirements are met",
-    Exit.INTERRUPTED: "interrupted; a log is closed properly, a campaign resumes with the\n       same command",
+    Exit.INTERRUPTED: "interrupted; a log is closed properly, a campaign resumes with the same command",
 }
-_SCENARIO, _CAMPAIGN, _LOG, _FOLDER = "SCENARIO", "CAMPAIGN", "--from LOG", "--from DIR"
-_RUN, _SHRINK, _SEARCH = "--from DIR --run N", "--from DIR --run N --shrink", "--from DIR --search METRIC"
-_RARE = "--from DIR --rare METRIC"
-_FLIGHTS = (_SCENARIO, _LOG)
-_SHOWN = (*_FLIGHTS, _RUN)
+_FLIGHT = {Exit.OK: _EXITS[Exit.OK], Exit.FAILED: _MISSED, Exit.INTERRUPTED: "interrupted; the log is closed properly"}
+_CAMPAIGN = {
+    Exit.OK: "all requirements are met with the confidence asked for",
+    Exit.FAILED: "a requirement is missed",
+    Exit.UNDECIDED: "too few runs to say whether all requirements are met",
+}
+_RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
 _KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "flight-software")
+_FORMER = ("--copy", "--schema", "--upgrade", "--from")
 
 
 def _parser() -> Parser:
-    about = "Fly a scenario, or a campaign of dispersed flights: leave log or data set, print a verdict."
-    parser = Parser("simrun", _USAGE, about, _EXAMPLES, _EXITS)
-    add = parser.option
-    add("SCENARIO", "scenario or campaign file (.toml), or name of a built-in one", dest="scenario")
-    add("--out DIR", "where to write (default: runs/<name of the scenario>)", [*_FLIGHTS, _CAMPAIGN, _RUN])
-    parser.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key", [*_FLIGHTS, _CAMPAIGN])
-    add("--no-log", "no flight.mcap: only the summary", _SHOWN)
     about = (
-        "fly the scenario in a log again and compare the final states; writes nothing without --out; "
-        "or the folder of a campaign: report on it again, or fly one --run"
+        "Fly a scenario or a campaign of dispersed flights: write a log or a data set, print a verdict. "
+        "Without a command, a scenario is flown by fly, a campaign by campaign. "
+        "simrun COMMAND --help lists the options of a command."
     )
-    add("--from LOG", about, dest="log")
-    add("--view", "show the flight in the Rerun viewer while it flies", _SHOWN)
-    add("--view-port N", "show it in a viewer that listens on this port already", _SHOWN, type=int)
-    about = "with --view: X seconds of flight in a second (default 1)"
-    add("--realtime X", about, _FLIGHTS, nargs="?", const="1")
-    campaign = partial(add, group=parser.add_argument_group("campaigns"))
-    campaign("--runs N", "number of runs instead of the file's", [_CAMPAIGN, _SEARCH, _RARE], type=count_of_runs)
-    campaign("--seed S", "seed of all draws instead of the file's", [_CAMPAIGN], type=count)
-    campaign("--workers K", "threads (default: all cores)", [_CAMPAIGN, _SHRINK, _SEARCH, _RARE], type=count)
-    about = "keep full logs of: worst:5 (of each requirement), worst:5:METRIC, failed, failed:20, 0,17; repeatable"
-    campaign("--keep WHICH...", about, [_CAMPAIGN, _FOLDER])
-    campaign("--until-settled", "stop when every verdict is settled", [_CAMPAIGN])
-    campaign("--dask ADDRESS", "fly on the workers of a dask.distributed scheduler", [_CAMPAIGN])
-    campaign("--no-report", "no pictures, no page: summary.json only", [_CAMPAIGN, _FOLDER])
-    campaign("--run N", "with --from DIR: fly this run again", [_RUN, _SHRINK], type=count)
-    campaign("--shrink", "with --run: the fewest dispersions that fail", [_SHRINK])
-    campaign("--search METRIC", "with --from DIR: the worst flight within 3 sigma", [_SEARCH])
-    campaign("--rare METRIC", "with --from DIR: how rarely its limit is missed", [_RARE])
-    add("--list", "name the built-in scenarios")
-    kinds = f"{', '.join(_KINDS[:-1])}; or flight-software: the C header maxq_fsw.h"
-    add("--schema KIND", f"print the JSON Schema of a file: {kinds}", choices=_KINDS)
-    add("--copy NAME DIR", "copy a built-in scenario with all it refers to")
-    add("--upgrade FILE", "convert a design, case or suite of an earlier version to the present format")
-    parser.version_and_help()
+    parser = Parser("simrun", about, _EXAMPLES, _EXITS)
+    parser.commands("SCENARIO|CAMPAIGN", _command_for)
+    _add_flights(parser)
+    _add_campaigns(parser)
+    _add_files(parser)
+    parser.about_itself({"scenario": "scenarios (simrun SCENARIO)", "campaign": "campaigns (simrun CAMPAIGN)"})
     return parser
 
 
-def _run(arguments: list[str]) -> int:
-    parser = _parser()
-    options = parser.read(arguments, extra="one scenario at a time: what is {!r}?")
-    options.realtime = _real_time(options, parser)
-    action = parser.only(
-        options,
-        _SCENARIO,
-        "--from",
-        "--list",
-        "--copy",
-        "--schema",
-        "--upgrade",
-        none="give a scenario, e.g. simrun nominal",
+def _add_flights(parser: Parser) -> None:
+    examples = """\
+  simrun fly nominal                       the built-in scenario of that name
+  simrun fly nominal --set run.seed=7 --out runs/seven
+  simrun fly nominal --view --realtime 4   watch it, four times as fast
+"""
+    fly = parser.command(
+        "fly", "Fly a scenario, write its log and summary, and print a verdict", examples, _fly, _FLIGHT
     )
-    mode = _mode(options, action)
-    if mode in _FLIGHTS and parser.stray(options, mode):
-        parser.check(options, mode, _shown(options))
-    parser.check(options, mode)
-    if options.schema:
-        return _print_schema(options.schema)
-    if options.upgrade:
-        from maxq.tools import simrun_upgrade  # noqa: PLC0415  # lazy
+    fly.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
+    fly.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key")
+    fly.option("--out DIR", "where to write (default: runs/<name of the scenario>)")
+    _add_views(fly)
+    examples = """\
+  simrun refly runs/nominal/flight.mcap    the flight in a log
+  simrun refly runs/first --run 17         run 17 of a campaign, with a log
+"""
+    about = "Fly a log, or a run of a campaign, again and compare the final states"
+    refly = parser.command("refly", about, examples, _refly, _FLIGHT | {Exit.FAILED: f"{_MISSED}, or it differs"})
+    refly.option("LOG|DIR", "log (.mcap), or folder of a campaign", dest="place")
+    refly.option("--run N", "which run of the campaign", type=count)
+    refly.overrides("the scenario in the log; nothing is compared then", without=["--run"])
+    refly.option("--out DIR", "where to write (default: of a log nothing, of a run DIR/flights/run-N)")
+    _add_views(refly)
 
-        return simrun_upgrade.execute(options.upgrade)
-    if options.list:
-        return show_list({"scenario": "scenarios (simrun SCENARIO)", "campaign": "campaigns (simrun CAMPAIGN)"})
-    if options.copy:
-        import shlex  # noqa: PLC0415  # lazy
 
-        from maxq.sim.scenario.loader import copy_scenario  # noqa: PLC0415  # lazy
+def _add_views(parser: Parser) -> None:
+    parser.option("--no-log", "no flight.mcap: only the summary")
+    parser.option("--view", "show the flight in the Rerun viewer")
+    parser.option("--view-port N", "show it in a viewer that listens on this port already", type=int)
+    about = "X seconds of flight in a second (default 1)"
+    parser.option("--realtime [X]", about, needs=["--view", "--view-port"], type=positive, const=1.0)
 
-        print(f"copied; fly it with: simrun {shlex.quote(str(copy_scenario(*options.copy)))}")
-        return Exit.OK
-    options.view = options.view or options.view_port is not None
-    if options.realtime is not None and not options.view:
-        parser.error("--realtime goes with --view")
-    if mode in _FLIGHTS:
-        start_s = time.perf_counter()  # before the heavy imports
-        if command.alone:
-            _load_numba_without_blas()
-        from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
 
-        return simrun_fly.execute(filled(simrun_fly.Order, options), start_s)
-    _check_campaign(options, mode, parser)
-    from maxq.tools import simrun_campaign  # noqa: PLC0415  # lazy
+def _add_campaigns(parser: Parser) -> None:
+    examples = """\
+  simrun campaign campaigns/first          repeat the command to resume it
+  simrun campaign campaigns/first --runs 2000   make it larger
+"""
+    about = "Fly a campaign of dispersed flights, resume or enlarge it"
+    campaign = parser.command(
+        "campaign", about, examples, lambda **given: _campaigns().fly_campaign(**given), _CAMPAIGN | _RESUMED
+    )
+    campaign.option("CAMPAIGN", "campaign file (.toml), or name of a built-in campaign")
+    campaign.option("--runs N", "number of runs instead of the file's", type=count_of_runs)
+    campaign.option("--seed S", "seed of all draws instead of the file's", type=count)
+    campaign.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key")
+    campaign.option("--out DIR", "where to write (default: runs/<name of the campaign>)")
+    _add_workers(campaign)
+    campaign.option("--dask ADDRESS", "fly on the workers of a dask.distributed scheduler")
+    campaign.option("--until-settled", "stop when every verdict is settled")
+    _add_report(campaign)
 
-    return simrun_campaign.execute(filled(simrun_campaign.Order, options, folder=options.log))
+    examples = """\
+  simrun report runs/first                 verdicts and pictures once more
+  simrun report runs/first --keep worst:5  with logs of the five worst runs
+"""
+    report = parser.command(
+        "report",
+        "Report on a flown campaign again",
+        examples,
+        lambda **given: _campaigns().report_again(**given),
+        _CAMPAIGN,
+    )
+    _add_folder(report)
+    _add_report(report)
+
+    examples = "  simrun shrink runs/first --run 17        writes runs/first/shrunk/run-000017.toml\n"
+    exits = {Exit.OK: "the run does not fail", Exit.FAILED: "the run fails; what is needed for it is written"}
+    about = "Find the fewest dispersions with which a run of a campaign fails"
+    shrink = parser.command("shrink", about, examples, lambda **given: _campaigns().shrink(**given), exits)
+    _add_folder(shrink)
+    shrink.option("--run N", "the run that fails", type=count, required=True)
+    _add_workers(shrink)
+
+    examples = "  simrun search runs/first max_alpha_deg   writes runs/first/worst/max_alpha_deg.toml\n"
+    exits = {Exit.OK: "the worst flight meets all requirements", Exit.FAILED: "the worst flight misses a requirement"}
+    about = "Find the worst flight of a campaign within 3 sigma"
+    search = parser.command("search", about, examples, lambda **given: _campaigns().search(**given), exits)
+    _add_folder(search)
+    search.option("METRIC", "metric of which the worst value is sought")
+    search.option("--runs N", "flights at most (default: 2000)", type=count_of_runs)
+    _add_workers(search)
+
+    examples = "  simrun rare runs/first max_attitude_error_deg   probability and its bounds\n"
+    exits = {
+        Exit.OK: "it is missed as rarely as the campaign allows",
+        Exit.FAILED: "it is missed more often",
+        Exit.UNDECIDED: "undecided between the bounds of the estimate",
+    }
+    about = "Estimate how rarely a requirement of a campaign is missed"
+    rare = parser.command("rare", about, examples, lambda **given: _campaigns().rare(**given), exits)
+    _add_folder(rare)
+    rare.option("METRIC", "metric of the requirement")
+    rare.option("--runs N", "flights at most (default: 10000)", type=count_of_runs)
+    _add_workers(rare)
+
+
+def _add_folder(parser: Parser) -> None:
+    parser.option("DIR", "folder of a campaign", dest="folder")
+
+
+def _add_workers(parser: Parser) -> None:
+    parser.option("--workers K", "threads (default: all cores)", type=count_from_1)
+
+
+def _add_report(parser: Parser) -> None:
+    about = "keep full logs of: worst:5 (of each requirement), worst:5:METRIC, failed, failed:20, 0,17; repeatable"
+    parser.option("--keep WHICH...", about, type=_kept)
+    parser.option("--no-report", "no pictures, no page: summary.json only")
+
+
+def _add_files(parser: Parser) -> None:
+    examples = "  simrun copy nominal mine                 then: simrun mine/nominal.toml\n"
+    copy = parser.command("copy", "Copy a built-in scenario with all it refers to", examples, _copy)
+    copy.option("NAME", "built-in scenario or campaign")
+    copy.option("DIR", "new folder", dest="folder")
+    examples = """\
+  simrun schema scenario > scenario.schema.json
+  simrun schema flight-software > maxq_fsw.h
+"""
+    schema = parser.command("schema", "Print the JSON Schema of a kind of file", examples, _print_schema)
+    kinds = f"{', '.join(_KINDS[:-1])}; or flight-software: the C header maxq_fsw.h"
+    schema.option("KIND", kinds, choices=_KINDS)
+    examples = "  simrun upgrade mine/case.toml            converts the file where it is\n"
+    about = "Convert a file of an earlier version to the present format"
+    upgrade = parser.command("upgrade", about, examples, _upgrade)
+    upgrade.option("FILE", "design, case, suite, scenario or campaign (.toml)")
+
+
+def _run(arguments: list[str]) -> int:
+    return _parser().run(_in_present_form(arguments))
+
+
+def _in_present_form(arguments: list[str]) -> list[str]:
+    """Return the arguments with a subcommand in place of an option that names the task: --copy NAME DIR, --schema KIND,
+    --upgrade FILE, or --from LOG or DIR with --run, --shrink, --search or --rare."""
+    parted = tuple(f"{name}=" for name in (*_FORMER, "--search", "--rare"))
+    words = [part for word in arguments for part in (word.split("=", 1) if word.startswith(parted) else [word])]
+    asked = next((word for word in words if word in _FORMER), None)
+    if asked is None:
+        return arguments
+    at = words.index(asked)
+    if asked != "--from":
+        return [asked.removeprefix("--"), *words[:at], *words[at + 1 :]]
+    place, rest = words[at + 1 : at + 2], words[:at] + words[at + 2 :]
+    task = "refly"
+    if place and os.path.isdir(place[0]):
+        again = "refly" if any(word.partition("=")[0] == "--run" for word in rest) else "report"
+        task = next((name for name in ("shrink", "rare", "search") if f"--{name}" in rest), again)
+    return [task, *place, *(word for word in rest if word != f"--{task}")]
+
+
+def _command_for(name: str) -> str:
+    """Return the subcommand that flies this scenario or campaign. Raises ScenarioError where there is no such file."""
+    from maxq.sim.scenario.files import locate  # noqa: PLC0415  # lazy, as all imports below: --help is quick
+    from maxq.sim.scenario.loader import is_campaign  # noqa: PLC0415
+
+    locate(name, "scenario")
+    return "campaign" if is_campaign(name) else "fly"
+
+
+def _fly(**given: Any) -> int:
+    start_s = time.perf_counter()  # before the heavy imports
+    if command.alone:
+        _load_numba_without_blas()
+    from maxq.tools import simrun_fly  # noqa: PLC0415
+
+    return simrun_fly.execute(start_s, **given)
+
+
+def _refly(place: str, run: int | None = None, **given: Any) -> int:
+    if os.path.isdir(place):
+        if run is None:
+            raise CommandError(f"{place} is a folder: name a run of the campaign in it with --run N")
+        return int(_campaigns().fly_run(place, run, **given))
+    if run is not None:
+        raise CommandError(f"{place} is no folder of a campaign: --run {run} has no meaning")
+    return _fly(log=place, **given)
+
+
+def _campaigns() -> ModuleType:
+    from maxq.tools import simrun_campaign  # noqa: PLC0415
+
+    return simrun_campaign
+
+
+def _copy(name: str, folder: str) -> int:
+    import shlex  # noqa: PLC0415
+
+    from maxq.sim.scenario.loader import copy_scenario  # noqa: PLC0415
+
+    print(f"copied; fly it with: simrun {shlex.quote(str(copy_scenario(name, folder)))}")
+    return Exit.OK
+
+
+def _upgrade(file: str) -> int:
+    from maxq.tools import simrun_upgrade  # noqa: PLC0415
+
+    return simrun_upgrade.execute(file)
+
+
+def _kept(text: str) -> str:
+    """Runs to keep."""
+    from maxq.sim.campaign.schema import KEEP_ALLOWED, keep_is_known  # noqa: PLC0415
+
+    if not keep_is_known(text):
+        raise argparse.ArgumentTypeError(f"{text}: allowed: {KEEP_ALLOWED}")
+    return text
 
 
 def _load_numba_without_blas() -> None:
@@ -154,73 +282,16 @@ def _load_numba_without_blas() -> None:
 
 def _print_schema(kind: str) -> int:
     if kind == "flight-software":
-        from maxq.control.external import HEADER  # noqa: PLC0415  # lazy
+        from maxq.control.external import HEADER  # noqa: PLC0415
 
         print(HEADER.read_text(encoding="utf-8"), end="")
         return Exit.OK
-    import json  # noqa: PLC0415  # lazy
+    import json  # noqa: PLC0415
 
-    from maxq.tools.schemas import json_schema  # noqa: PLC0415  # lazy
+    from maxq.tools.schemas import json_schema  # noqa: PLC0415
 
     print(json.dumps(json_schema(kind), indent=1))
     return Exit.OK
-
-
-def _mode(options: argparse.Namespace, action: str) -> str:
-    """What is asked for, in the words of the usage."""
-    if action == "--from":
-        if not os.path.isdir(options.log):
-            return _LOG
-        if options.shrink:
-            return _SHRINK
-        if options.rare is not None:
-            return _RARE
-        return _RUN if options.run is not None else _SEARCH if options.search is not None else _FOLDER
-    if action == _SCENARIO:
-        from maxq.sim.scenario.loader import is_campaign  # noqa: PLC0415  # lazy
-
-        return _CAMPAIGN if is_campaign(options.scenario) else _SCENARIO
-    return action
-
-
-def _shown(options: argparse.Namespace) -> str:
-    """A scenario or log with which an option was given that goes with campaigns only."""
-    if options.log is not None:
-        return f"{options.log}, which is not the folder of a campaign"
-    from maxq.sim.scenario.loader import load_scenario  # noqa: PLC0415  # lazy
-
-    load_scenario(options.scenario, options.overrides)  # a file that cannot be read is the greater trouble
-    return f"{options.scenario}, which has no [campaign]"
-
-
-def _check_campaign(options: argparse.Namespace, mode: str, parser: Parser) -> None:
-    if options.shrink and options.run is None:
-        parser.error("--shrink needs --run N: the run that fails")
-    if options.view and options.no_log:
-        parser.error("--view shows the log of --run N: not with --no-log")
-    if options.workers == 0:
-        parser.error("--workers 0: at least one is needed")
-    for text in options.keep:
-        from maxq.sim.campaign.schema import KEEP_ALLOWED, keep_is_known  # noqa: PLC0415  # lazy
-
-        if not keep_is_known(text):
-            parser.error(f"--keep {text}: allowed: {KEEP_ALLOWED}")
-
-
-def _real_time(options: argparse.Namespace, parser: Parser) -> float | None:
-    """How many times faster than life; None: as fast as it goes."""
-    given = options.realtime
-    if given is None:
-        return None
-    try:
-        factor = float(given)
-    except ValueError:
-        if options.scenario is not None:
-            parser.error(f"--realtime {given}: a factor is a number, e.g. --realtime 4")
-        options.scenario, factor = given, 1.0  # `--realtime nominal`: the scenario, and no factor
-    if not 0.0 < factor < float("inf"):
-        parser.error(f"--realtime {given}: a factor is above 0")
-    return factor
 
 
 command = Command(

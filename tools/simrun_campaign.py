@@ -1,4 +1,4 @@
-"""`simrun CAMPAIGN` and `simrun --from DIR`: fly, resume, judge, report; one run again, reduced, or searched from.
+"""The subcommands of `simrun` on campaigns: fly, resume, judge, report; one run again, reduced, or searched from.
 
 `simrun` imports this module only where a campaign is asked for.
 """
@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,9 +33,6 @@ from maxq.tools.flight_report import report
 from maxq.tools.replay.viewer import ReplayError
 from maxq.tools.simrun_fly import show_flight, viewer_needed
 
-if TYPE_CHECKING:
-    from maxq.tools.replay.live import FlownView
-
 _LINE_S = 30.0  # between two lines of progress in the log of a batch system
 _SEARCH_FLIGHTS = 2000
 _RARE_FLIGHTS = 10_000
@@ -45,83 +40,55 @@ _RARE_FLIGHTS = 10_000
 Stop = Callable[[], bool]
 
 
-@dataclass(frozen=True)
-class Order:
-    """What the command line asks for: a campaign to fly (`scenario`), or one that was flown (`folder`)."""
-
-    scenario: str | None = None
-    folder: str | None = None
-    overrides: tuple[str, ...] = ()
-    out: str | None = None
-    no_log: bool = False
-    runs: int | None = None
-    seed: int | None = None
-    workers: int | None = None
-    keep: tuple[str, ...] = ()
-    until_settled: bool = False
-    no_report: bool = False
-    dask: str | None = None
-    run: int | None = None
-    view: bool = False
-    view_port: int | None = None
-    shrink: bool = False
-    search: str | None = None
-    rare: str | None = None
-
-
-def execute(order: Order) -> int:
-    """Do it; returns the exit code. Raises what `cli.frame.run` answers with one line."""
-    view = None
-    if order.view:
-        with viewer_needed():
-            from maxq.tools.replay.live import FlownView  # noqa: PLC0415  # lazy: rerun takes half a second
-
-            view = FlownView(order.view_port)
-    with Interruption() as stop:
-        if order.folder is None:
-            return _fly(order, stop)
-        folder = Path(order.folder)
-        if order.rare is not None:
-            return _rare(order, folder, stop)
-        if order.run is None:
-            return _search(order, folder, stop) if order.search else _report_again(order, folder)
-        return _shrink(order, folder, order.run) if order.shrink else _refly(order, folder, order.run, stop, view)
-
-
-def _fly(order: Order, stop: Stop) -> int:
+def fly_campaign(
+    campaign: str,
+    *,
+    runs: int | None = None,
+    seed: int | None = None,
+    overrides: tuple[str, ...] = (),
+    out: str | None = None,
+    workers: int | None = None,
+    dask: str | None = None,
+    until_settled: bool = False,
+    keep: tuple[str, ...] = (),
+    no_report: bool = False,
+) -> int:
+    """Fly, resume or enlarge a campaign; returns the exit code, as all here. They raise what `cli.frame.run` answers
+    with one line."""
     start_s = time.perf_counter()
-    changes = {name: value for name, value in (("runs", order.runs), ("seed", order.seed)) if value is not None}
-    campaign = load_campaign(order.scenario or "", order.overrides).with_campaign(**changes)
-    folder = Path(order.out) if order.out else Path("runs") / plain_name(campaign.name, "campaign")
-    try:
-        with Progress(_LINE_S) as progress:
-            outcome = run_campaign(
-                campaign, folder, workers=order.workers, cluster=order.dask, watch=text.watcher(progress), stop=stop,
-                until_settled=order.until_settled,
-            )  # fmt: skip  # five more lines otherwise
-    except KeyboardInterrupt:
-        say("simrun", "interrupted twice; whole batches are safe, the same command resumes the campaign")
-        return Exit.INTERRUPTED
-    for note in outcome.notes:
-        say("simrun", note)
-    if not outcome.stopped:
-        _keep(campaign, folder, (*campaign.campaign.keep, *order.keep), stop)
-    rate = f"{outcome.flown / outcome.wall_s:.1f} flights/s" if outcome.wall_s > 0.0 else "at once"
-    flown = f"{outcome.flown} runs flown in {text.duration(outcome.wall_s)} ({rate})"
-    if outcome.flown == 0 and not outcome.stopped:
-        flown = f"all {outcome.total} runs were flown before; --runs N with a larger number flies more"
-    code = _tell(DataSet(folder, campaign), outcome.total, flown, order, start_s, outcome.settled)
-    if outcome.stopped:
-        tell(f"INTERRUPTED: the data set in {folder / RUNS} is whole; the same command resumes the campaign")
-        return Exit.INTERRUPTED
-    return code
+    changes = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
+    loaded = load_campaign(campaign, overrides).with_campaign(**changes)
+    folder = Path(out) if out else Path("runs") / plain_name(loaded.name, "campaign")
+    with Interruption() as stop:
+        try:
+            with Progress(_LINE_S) as progress:
+                outcome = run_campaign(
+                    loaded, folder, workers=workers, cluster=dask, watch=text.watcher(progress), stop=stop,
+                    until_settled=until_settled,
+                )  # fmt: skip  # five more lines otherwise
+        except KeyboardInterrupt:
+            say("simrun", "interrupted twice; whole batches are safe, the same command resumes the campaign")
+            return Exit.INTERRUPTED
+        for note in outcome.notes:
+            say("simrun", note)
+        if not outcome.stopped:
+            _keep(loaded, folder, (*loaded.campaign.keep, *keep), stop)
+        rate = f"{outcome.flown / outcome.wall_s:.1f} flights/s" if outcome.wall_s > 0.0 else "at once"
+        flown = f"{outcome.flown} runs flown in {text.duration(outcome.wall_s)} ({rate})"
+        if outcome.flown == 0 and not outcome.stopped:
+            flown = f"all {outcome.total} runs were flown before; --runs N with a larger number flies more"
+        code = _tell(DataSet(folder, loaded), outcome.total, flown, not no_report, start_s, outcome.settled)
+        if outcome.stopped:
+            tell(f"INTERRUPTED: the data set in {folder / RUNS} is whole; the same command resumes the campaign")
+            return Exit.INTERRUPTED
+        return code
 
 
-def _tell(data: DataSet, total: int, flown: str, order: Order, start_s: float, settled: bool) -> int:
+def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float, settled: bool) -> int:
     """Summary, pictures and report into the folder, the results to the terminal; returns the exit code."""
     verdicts, losses = judged(data), lost(data)
     tails = text.tails_of(data, verdicts)
-    files = text.write_report(data, verdicts, losses, total, tails, settled=settled, pictures=not order.no_report)
+    files = text.write_report(data, verdicts, losses, total, tails, settled=settled, pictures=pictures)
     tell(*text.report(data, verdicts, losses, tails))
     tell(f"\n{flown}; {text.duration(time.perf_counter() - start_s)} in all", *files)
     if settled:
@@ -133,12 +100,15 @@ def _tell(data: DataSet, total: int, flown: str, order: Order, start_s: float, s
     return Exit.OK if judgements == {MET} else Exit.UNDECIDED
 
 
-def _report_again(order: Order, folder: Path) -> int:
+def report_again(folder: str, *, keep: tuple[str, ...] = (), no_report: bool = False) -> int:
+    """Judge a campaign that was flown, and write its report, once more."""
     start_s = time.perf_counter()
-    data = DataSet(folder, campaign_in(folder))
-    _keep(data.campaign, folder, order.keep, lambda: False)
+    place = Path(folder)
+    data = DataSet(place, campaign_in(place))
     total = len(data.runs)
-    return _tell(data, total, f"{total} runs in {folder}", order, start_s, False)
+    with Interruption() as stop:
+        _keep(data.campaign, place, keep, stop)
+        return _tell(data, total, f"{total} runs in {place}", not no_report, start_s, False)
 
 
 def _keep(campaign: LoadedCampaign, folder: Path, keep: tuple[str, ...], stop: Stop) -> None:
@@ -157,47 +127,65 @@ def _keep(campaign: LoadedCampaign, folder: Path, keep: tuple[str, ...], stop: S
                 say("simrun", f"run {run} differs from the data set: {again.differences[0]}")
 
 
-def _refly(order: Order, folder: Path, run: int, stop: Stop, view: FlownView | None) -> int:
+def fly_run(
+    folder: str,
+    run: int,
+    *,
+    out: str | None = None,
+    no_log: bool = False,
+    view: bool = False,
+    view_port: int | None = None,
+) -> int:
+    """Fly a run of a campaign again, compare it with the data set, and show its log on request."""
     start_s = time.perf_counter()
-    out = Path(order.out) if order.out else None
-    with Progress() as progress:
-        again = refly(folder, run, out, log=not order.no_log, watch=partial(show_flight, progress), stop=stop)
-    names = [LOG_NAME] * (not order.no_log) + [SUMMARY_NAME]
+    seen = None
+    if view or view_port is not None:
+        if no_log:
+            raise CampaignError("--view shows the log of --run N: not with --no-log")
+        with viewer_needed():
+            from maxq.tools.replay.live import FlownView  # noqa: PLC0415  # lazy: rerun takes half a second
+
+            seen = FlownView(view_port)
+    place, into = Path(folder), Path(out) if out else None
+    with Interruption() as stop, Progress() as progress:
+        again = refly(place, run, into, log=not no_log, watch=partial(show_flight, progress), stop=stop)
+    names = [LOG_NAME] * (not no_log) + [SUMMARY_NAME]
     tell(report(again.flight, [again.folder / name for name in names], time.perf_counter() - start_s))
     if again.flight.outcome == "interrupted":
         return Exit.INTERRUPTED
-    of = f"run {run} of {folder}"
+    of = f"run {run} of {place}"
     if again.same is None:
         tell(f"not compared: {of} has not been flown")
     elif again.same:
         tell(f"SAME as {of}: inputs, metrics and final state are equal, bit by bit ({again.flight.state_hash[:16]})")
     else:
         tell(f"DIFFERENT from {of}: {printable(again.differences[0])} ({len(again.differences)} columns differ)")
-    if view is not None:
+    if seen is not None:
         try:
-            view.show(again.folder / LOG_NAME)
+            seen.show(again.folder / LOG_NAME)
         except ReplayError as error:  # the flight is flown and its log is written: the verdict stays as it is
             say("simrun", f"--view: {error}")
     return Exit.OK if again.flight.passed and again.same is not False else Exit.FAILED
 
 
-def _shrink(order: Order, folder: Path, run: int) -> int:
-    """The fewest dispersions with which a run fails, as DIR/shrunk/run-000417.toml. Exit code 1: it fails."""
-    campaign = campaign_in(folder)
+def shrink(folder: str, run: int, *, workers: int | None = None) -> int:
+    """Find the fewest dispersions with which a run fails, as DIR/shrunk/run-000417.toml. Exit code 1: it fails."""
+    place = Path(folder)
+    campaign = campaign_in(place)
     count = len(campaign.input_names)
-    with Progress() as progress:
+    with Interruption(), Progress() as progress:
         try:
             found = shrink_run(
-                campaign, run, workers=order.workers or cores(), watch=lambda left, flights: progress.show(
+                campaign, run, workers=workers or cores(), watch=lambda left, flights: progress.show(
                     "reducing", count - left, count, f"{left} dispersions left, {flights} flights"
                 ),
             )  # fmt: skip  # two more lines otherwise
         except Refused as refused:
-            raise CampaignError(f"run {run} of {folder} has no scenario: {refused}") from None
+            raise CampaignError(f"run {run} of {place} has no scenario: {refused}") from None
     if found is None:
-        tell(f"run {run} of {folder} does not fail: there is nothing to shrink")
+        tell(f"run {run} of {place} does not fail: there is nothing to shrink")
         return Exit.OK
-    path = folder / "shrunk" / f"run-{run:06d}.toml"
+    path = place / "shrunk" / f"run-{run:06d}.toml"
     write_whole(path, found.scenario.as_flown, CampaignError)
     tell(f"run {run} fails in: {printable(found.failure)}")
     if not found.inputs:
@@ -215,26 +203,26 @@ def _shrink(order: Order, folder: Path, run: int) -> int:
     return Exit.FAILED
 
 
-def _search(order: Order, folder: Path, stop: Stop) -> int:
-    """The worst flight within 3 sigma, as DIR/worst/METRIC.toml. Exit code 1: it misses a requirement."""
-    metric = order.search or ""
+def search(folder: str, metric: str, *, runs: int = _SEARCH_FLIGHTS, workers: int | None = None) -> int:
+    """Find the worst flight within 3 sigma, as DIR/worst/METRIC.toml. Exit code 1: it misses a requirement."""
     if metric not in METRIC_NAMES:
         hint = suggestion(metric, METRIC_NAMES)
-        raise CampaignError(f"--search {metric}: there is no such metric; {hint or ', '.join(METRIC_NAMES)}")
-    campaign, most = campaign_in(folder), order.runs or _SEARCH_FLIGHTS
+        raise CampaignError(f"{metric}: there is no such metric; {hint or ', '.join(METRIC_NAMES)}")
+    place, most = Path(folder), runs or _SEARCH_FLIGHTS
+    campaign = campaign_in(place)
     limits = [r for r in campaign.base.scenario.requirement if r.metric == metric]
     largest = not limits or limits[0].bound[0] == "limit"
-    data = DataSet(folder, campaign)
+    data = DataSet(place, campaign)
     values = data.numbers(metric)
     good = np.flatnonzero(np.isfinite(values) & ~data.void)
     at = int(good[np.argmax(values[good]) if largest else np.argmin(values[good])]) if len(good) else None
     start = None if at is None else int(data.runs[at])
-    with Progress() as progress:
+    with Interruption() as stop, Progress() as progress:
         found = search_worst(
-            campaign, metric, largest=largest, flights=most, start=start, workers=order.workers or cores(), stop=stop,
+            campaign, metric, largest=largest, flights=most, start=start, workers=workers or cores(), stop=stop,
             watch=lambda best, flown: progress.show("searching", flown, most, f"worst {figures(best)}"),
         )  # fmt: skip  # six more lines otherwise
-    path = folder / "worst" / f"{metric}.toml"
+    path = place / "worst" / f"{metric}.toml"
     write_whole(path, found.scenario.as_flown, CampaignError)
     unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
     tell(f"{title_of(metric)}, the worst within 3 sigma: {figures(found.value)}{unit} ({found.flights} flights)")
@@ -247,26 +235,27 @@ def _search(order: Order, folder: Path, stop: Stop) -> int:
     rows = []
     for name, value in found.draws.items():
         low, high = boxes[name]
-        place = 2.0 * (value - low) / (high - low) - 1.0 if high > low else 0.0
-        rows.append((printable(labels.get(name, name)), name, figures(value), f"{place:+.2f}"))
+        in_box = 2.0 * (value - low) / (high - low) - 1.0 if high > low else 0.0
+        rows.append((printable(labels.get(name, name)), name, figures(value), f"{in_box:+.2f}"))
     tell("draws, and where they lie in the box (-1 .. 1):", *aligned(rows, "  ", right=(2, 3)))
     tell("fly it with:", f"  simrun {path}")
     return Exit.OK if found.flight.passed else Exit.FAILED
 
 
-def _rare(order: Order, folder: Path, stop: Stop) -> int:
-    """How rarely a requirement is missed, by subset simulation. Exit code as of a campaign, for its `success`."""
-    campaign, metric, start_s = campaign_in(folder), order.rare or "", time.perf_counter()
+def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | None = None) -> int:
+    """Estimate how rarely a requirement is missed, by subset simulation. The exit code is that of a campaign."""
+    place, start_s = Path(folder), time.perf_counter()
+    campaign = campaign_in(place)
     asked = [r for r in campaign.base.scenario.requirement if r.metric == metric]
     if not asked:
         known = [r.metric for r in campaign.base.scenario.requirement]
         hint = suggestion(metric, known) or f"allowed: {', '.join(known)}"
-        raise CampaignError(f"--rare {metric}: the campaign has no requirement of that metric; {hint}")
+        raise CampaignError(f"{metric}: the campaign has no requirement of that metric; {hint}")
     kind, limit = asked[0].bound
-    largest, most = kind == "limit", order.runs or _RARE_FLIGHTS
-    with Progress() as progress:
+    largest, most = kind == "limit", runs or _RARE_FLIGHTS
+    with Interruption() as stop, Progress() as progress:
         found = rare_failure(
-            campaign, metric, limit, largest=largest, flights=most, workers=order.workers or cores(), stop=stop,
+            campaign, metric, limit, largest=largest, flights=most, workers=workers or cores(), stop=stop,
             watch=lambda number, level, flights: progress.show(
                 "sampling", min(flights, most), most, f"population {number + 1}, level {level}"
             ),
@@ -286,7 +275,7 @@ def _rare(order: Order, folder: Path, stop: Stop) -> int:
     if any(one.stuck for one in found.each):
         tell("a population came to a value that no flight went beyond: bounds from below are not known")
     if found.nearest is not None:
-        tell(*_nearest(campaign, folder, metric, found.nearest))
+        tell(*_nearest(campaign, place, metric, found.nearest))
     verdict, code = "open", Exit.UNDECIDED
     if found.high <= allowed:
         verdict, code = MET, Exit.OK

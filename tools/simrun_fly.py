@@ -1,4 +1,4 @@
-"""`simrun SCENARIO` and `simrun --from LOG`: load, fly, write, compare, report.
+"""`simrun fly SCENARIO` and `simrun refly LOG`: load, fly, write, compare, report.
 
 `simrun` imports this module only where a flight is asked for.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from maxq.sim.files import check_writable, plain_name
@@ -24,39 +23,39 @@ from maxq.tools.cli.terminal import Progress, tell
 from maxq.tools.flight_report import report
 
 
-@dataclass(frozen=True)
-class Order:
-    """What the command line asks for: a scenario by name, or a log to be flown again."""
+def execute(
+    start_s: float,
+    *,
+    scenario: str = "",
+    log: str | None = None,
+    overrides: tuple[str, ...] = (),
+    out: str | None = None,
+    no_log: bool = False,
+    view: bool = False,
+    view_port: int | None = None,
+    realtime: float | None = None,
+) -> int:
+    """Fly a scenario, or the one in a log; returns the exit code.
 
-    scenario: str | None = None
-    log: str | None = None
-    overrides: tuple[str, ...] = ()
-    out: str | None = None
-    no_log: bool = False
-    view: bool = False
-    view_port: int | None = None
-    realtime: float | None = None
-
-
-def execute(order: Order, start_s: float) -> int:
-    """Do it; returns the exit code. `start_s`: `time.perf_counter()` when the command began."""
-    loaded, comparison = _load(order)
+    `start_s`: `time.perf_counter()` when the command began; the rest are the options.
+    """
+    loaded, comparison = _load(scenario, log, overrides)
     packed = pack_flight(loaded.scenario)
-    folder = _folder(order, loaded.name)
+    folder = _folder(log, out, loaded.name)
     if folder is not None:
         check_writable(folder, LogError)
     loaded_s = time.perf_counter()
-    view = None
-    if order.view:
+    live = None
+    if view or view_port is not None:
         with viewer_needed():
             from maxq.tools.replay.live import LiveView  # noqa: PLC0415  # lazy: rerun takes half a second
 
-            view = LiveView(loaded, order.view_port)
+            live = LiveView(loaded, view_port)
     with Progress():  # which says so where kernels are compiled
-        if view is None:
-            run = FlightRun(loaded, packed, log=folder is not None and not order.no_log)
+        if live is None:
+            run = FlightRun(loaded, packed, log=folder is not None and not no_log)
         else:
-            run = view.run(packed, order.realtime)
+            run = live.run(packed, realtime)
     prepared_s = time.perf_counter()
 
     def timing() -> dict[str, float]:
@@ -69,20 +68,20 @@ def execute(order: Order, start_s: float) -> int:
             show_flight(progress, run)
             comparison.look(run)
 
-        if view is not None:
-            view.stop = stop
+        if live is not None:
+            live.stop = stop
         comparison.look(run)
         try:
             if folder is None:
                 flight = record.fly_to_end(run, watch=watch, stop=stop)
             else:
-                flight = record.record(run, folder, log=not order.no_log, watch=watch, stop=stop, timing=timing)
+                flight = record.record(run, folder, log=not no_log, watch=watch, stop=stop, timing=timing)
         except KeyboardInterrupt:
             say("simrun", "interrupted twice: no summary, the log ends early")
             return Exit.INTERRUPTED
     files = []
     if folder is not None:
-        files = [folder / record.LOG_NAME] * (not order.no_log) + [folder / record.SUMMARY_NAME]
+        files = [folder / record.LOG_NAME] * (not no_log) + [folder / record.SUMMARY_NAME]
     tell(report(flight, files, timing()["total_s"]))
     same = comparison.verdict(flight)
     if flight.outcome == "interrupted":
@@ -111,24 +110,22 @@ def viewer_needed() -> Iterator[None]:
         raise CommandError(f"--view: a package is missing or broken: {error}") from error
 
 
-def _load(order: Order) -> tuple[LoadedScenario, Comparison]:
-    if order.log is None:
-        loaded = load_scenario(order.scenario or "", order.overrides)
-        return loaded.telling(order.overrides), Comparison(None)
-    logged = read_run(order.log)
-    loaded = load_scenario_text(_scenario_text(logged), order.overrides, f"scenario in {order.log}")
-    return loaded.telling(order.overrides), Comparison(logged, changed=bool(order.overrides))
+def _load(scenario: str, log: str | None, overrides: tuple[str, ...]) -> tuple[LoadedScenario, Comparison]:
+    if log is None:
+        return load_scenario(scenario, overrides).telling(overrides), Comparison(None)
+    logged = read_run(log)
+    loaded = load_scenario_text(_scenario_text(logged), overrides, f"scenario in {log}")
+    return loaded.telling(overrides), Comparison(logged, changed=bool(overrides))
 
 
-def _folder(order: Order, name: str) -> Path | None:
+def _folder(log: str | None, out: str | None, name: str) -> Path | None:
     """Where to write; a log that is flown again leaves nothing unless told where."""
-    if order.out is None:
-        return None if order.log else Path("runs") / plain_name(name, "flight")
-    folder = Path(order.out)
-    log = folder / record.LOG_NAME
-    if order.log and log.exists() and log.samefile(order.log):
-        raise LogError(f"{log}: is the log that is to be flown again; choose another folder for --out")
-    return folder
+    if out is None:
+        return None if log else Path("runs") / plain_name(name, "flight")
+    path = Path(out) / record.LOG_NAME
+    if log and path.exists() and path.samefile(log):
+        raise LogError(f"{path}: is the log that is to be flown again; choose another folder for --out")
+    return Path(out)
 
 
 def _scenario_text(logged: LoggedRun) -> str:

@@ -1,4 +1,4 @@
-"""`simrun --upgrade FILE`: bring a design, case or suite of an earlier version of maxq to the present format."""
+"""`simrun upgrade FILE`: bring a design, case or suite of an earlier version of maxq to the present format."""
 
 from __future__ import annotations
 

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from maxq.tools.cli.frame import Command, Exit, show_list
+from maxq.tools.cli.frame import Command, Exit
 from maxq.tools.cli.parser import Parser
 from maxq.tools.cli.terminal import Progress, tell
 
-_USAGE = """\
-simvehicle LAYOUT [--out DIR] [--compare VEHICLE]
-       simvehicle --list | --version | --help"""
 _EXAMPLES = """\
   simvehicle petrel                               a built-in layout, into runs/petrel
   simvehicle mine.toml --out mine                 then: simrun mine/scenario.toml
@@ -18,8 +15,8 @@ _EXAMPLES = """\
 """
 _EXITS = {
     Exit.OK: "the vehicle is written",
-    Exit.FAILED: "written, but its gimbals are too weak for its aerodynamics, or no first gains were\n"
-    "       found that are stable along their own flight; it says where",
+    Exit.FAILED: "written, but its gimbals are too weak for its aerodynamics, or no first gains were "
+    "found that are stable along their own flight; it says where",
     Exit.BAD_INPUT: "bad input, or a layout that cannot fly; nothing written",
     Exit.INTERRUPTED: "interrupted; nothing written",
 }
@@ -27,23 +24,19 @@ _EXITS = {
 
 def _parser() -> Parser:
     about = "Work out a vehicle from a layout: masses, modes, slosh, aerodynamics, pitch programme, first gains."
-    parser = Parser("simvehicle", _USAGE, about, _EXAMPLES, _EXITS)
-    parser.option("LAYOUT", "layout file, or a built-in one (docs/simvehicle.md)", dest="layout")
+    parser = Parser("simvehicle", about, _EXAMPLES, _EXITS, _build)
+    parser.option("LAYOUT", "layout file, or a built-in one (docs/simvehicle.md)", dest="name")
     parser.option("--out DIR", "where to write (default: runs/<name of the layout>)")
     parser.option("--compare VEHICLE", "folder of a vehicle, or a built-in one: print differences")
-    parser.option("--list", "name the built-in layouts")
-    parser.version_and_help()
+    parser.about_itself({"layout": "layouts (simvehicle LAYOUT)"})
     return parser
 
 
 def _run(arguments: list[str]) -> int:
-    parser = _parser()
-    options = parser.read(arguments)
-    if options.list:
-        return show_list({"layout": "layouts (simvehicle LAYOUT)"})
-    if options.layout is None:
-        parser.error("give a layout, e.g. simvehicle petrel")
-    parser.check(options, "LAYOUT")
+    return _parser().run(arguments)
+
+
+def _build(name: str, *, out: str | None = None, compare: str | None = None) -> int:
     from maxq.sim.files import check_writable, plain_name, write_whole  # noqa: PLC0415  # lazy, as all here
     from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.build import build, too_weak  # noqa: PLC0415  # lazy
@@ -53,23 +46,23 @@ def _run(arguments: list[str]) -> int:
     from maxq.tools.vehicle.layout import read_layout  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.report import report  # noqa: PLC0415  # lazy
 
-    layout = read_layout(options.layout)
-    folder = Path(options.out or Path("runs") / plain_name(layout.name, "vehicle"))
+    layout = read_layout(name)
+    folder = Path(out or Path("runs") / plain_name(layout.name, "vehicle"))
     check_writable(folder)
     with Progress(at_once=True) as progress:
         progress.show("working out", 0, 3)
         try:
             built = build(layout)
         except ValueError as error:
-            raise ScenarioError(options.layout, str(error)) from None
+            raise ScenarioError(name, str(error)) from None
         progress.show("writing", 1, 3)
         built, files, gains = write_with_first_gains(built, folder, progress.show)
         progress.show("drawing", 2, 3)
         files.append(write_whole(folder / "vehicle.html", page(built)))
     tell(report(built))
-    if options.compare is not None:
+    if compare is not None:
         try:
-            tell(f"\n{comparison(compared(built, folder, options.compare), options.compare)}")
+            tell(f"\n{comparison(compared(built, folder, compare), compare)}")
         except ValueError as error:
             raise ScenarioError("--compare", str(error)) from None
     tell(f"\n{len(files)} files in {folder}/")

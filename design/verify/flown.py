@@ -229,7 +229,7 @@ def _of_campaign(
     judgement, name = judgement_of(shown.judgement), f"{result.name}: {name}"
     if run is None:
         return Requirement("campaign", name, wanted, found, judgement, room, more_runs=shown.more)
-    again = shlex.join(["simrun", "--from", str(result.folder), "--run", str(run)])
+    again = shlex.join(["simrun", "refly", str(result.folder), "--run", str(run)])
     return Requirement("campaign", name, wanted, found, judgement, room, f"run {run}", shown.more, again)
 
 

@@ -1,6 +1,6 @@
 /* The law of pd.h as a library that flies in maxq.
  *
- *   simrun --schema flight-software > maxq_fsw.h
+ *   simrun schema flight-software > maxq_fsw.h
  *   cc -std=c99 -O2 -shared -fPIC -o libpd_law.so pd_law.c -lm
  *   simrun nominal --set vehicle.computer.law=external --set vehicle.computer.library=./libpd_law.so
  */

@@ -2,7 +2,7 @@
 
     simrun nominal --set vehicle.computer.law=external --set vehicle.computer.python=pd_law.py:Autopilot
 
-`setup` and `inputs` have the fields of the structs in maxq_fsw.h (simrun --schema flight-software).
+`setup` and `inputs` have the fields of the structs in maxq_fsw.h (simrun schema flight-software).
 """
 
 import math

@@ -1,151 +1,278 @@
-"""The command line of a command: options, the modes in which each has a meaning, exit codes, errors on one line."""
+"""The command line of a command: subcommands, options, exit codes, help, errors on one line."""
 
 from __future__ import annotations
 
 import argparse
 import difflib
 import math
+import os
 import re
 import shutil
 import textwrap
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from itertools import takewhile
+from typing import Any, NoReturn
 
-from maxq.tools.cli.frame import TRACEBACK, Exit
+from maxq.tools.cli.frame import TRACEBACK, Exit, show_list
 from maxq.tools.cli.terminal import printable
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-Order = TypeVar("Order", bound="DataclassInstance")
-
-_EVERY_COMMAND = {Exit.INTERNAL_ERROR: f"a fault of maxq itself; {TRACEBACK}=1 in the environment shows the traceback"}
+_EXITS = {
+    Exit.OK: "done",
+    Exit.BAD_INPUT: "bad input, or files that cannot be read or written",
+    Exit.INTERNAL_ERROR: f"a fault of maxq itself; {TRACEBACK}=1 in the environment shows the traceback",
+    Exit.INTERRUPTED: "interrupted",
+}
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse whose complaints are one line each, and which knows the modes in which an option has a meaning.
+    """The command line of a command or of one of its subcommands.
 
-    A mode is what the command is asked to do, in the words of its usage ("--from DIR"). `exits` completes the list of
-    exit codes at the end of --help.
+    Usage and help follow from the declared options, and every complaint is one line. `exits` completes or replaces the
+    exit codes at the end of --help. `do` takes the options that were given by name and returns the exit code.
     """
 
-    def __init__(self, prog: str, usage: str, description: str, examples: str, exits: Mapping[Exit, str]) -> None:
-        codes = sorted((_EVERY_COMMAND | dict(exits)).items())
-        width = shutil.get_terminal_size().columns - 2  # as argparse has it
-        listed = "\n".join(_hung(f"{code:5d}  ", " ".join(text.split()), width) for code, text in codes)
-        calls = "\n       ".join(
-            _hung("", call.strip(), width - 7, 7 + 4) for call in re.sub(r"\n +(?=\[)", " ", usage).splitlines()
-        )
-        super().__init__(
-            prog=prog, usage=calls, description=_hung("", description, width),
-            epilog=f"examples:\n{_examples(examples, width)}\n\nexit code:\n{listed}",
-            formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, add_help=False,
-        )  # fmt: skip  # five more lines otherwise
-        self._modes: dict[str, tuple[str, ...]] = {}
+    def __init__(
+        self, prog: str, about: str, examples: str, exits: Mapping[Exit, str], do: Callable[..., int] | None = None
+    ) -> None:
+        super().__init__(prog=prog, formatter_class=_Formatter, allow_abbrev=False, add_help=False)
+        self._about, self._examples, self._exits = about, examples, _EXITS | dict(exits)
+        self._usages: dict[str, str] = {}
+        self._bound: dict[str, tuple[Sequence[str], Sequence[str]]] = {}
+        self._commands: dict[str, Parser] = {}
+        self._command_of: Parser | None = None
+        self._kinds: dict[str, str] | None = None
+        self._positionals.title = "arguments"
+        self.set_defaults(do=do)
+
+    def commands(self, otherwise: str, default: Callable[[str], str]) -> None:
+        """Declare that the command has subcommands. `default` returns the one meant by a first word that names none;
+        `otherwise` is what the usage calls such a word."""
+        self._otherwise, self._default = otherwise, default
+        self._listed = self.add_subparsers(title="commands", metavar="COMMAND", prog=self.prog, parser_class=Parser)
+        self._action_groups.insert(0, self._action_groups.pop())  # listed before the options
+
+    def command(
+        self, name: str, about: str, examples: str, do: Callable[..., int], exits: Mapping[Exit, str] | None = None
+    ) -> Parser:
+        """Add a subcommand and return its parser. `about` is a sentence without its full stop."""
+        listed = about[0].lower() + about[1:]
+        about += "."
+        parser = self._listed.add_parser(name, help=listed, about=about, examples=examples, exits=exits or {}, do=do)
+        parser._command_of = self
+        parser.add_argument("-h", "--help", action="help", help="this text")
+        self._commands[name] = parser
+        return parser
 
     def option(
         self,
         usage: str,
         text: str,
-        modes: Sequence[str] = (),
+        needs: Sequence[str] = (),
+        without: Sequence[str] = (),
         group: argparse._ActionsContainer | None = None,
         **how: Any,
     ) -> None:
-        """An option as the usage has it, and its help: "--out DIR", "--axis pitch|yaw", a flag "--orders", "--at T..."
-        for one that may be repeated, "SCENARIO" or "LOG..." for what stands alone (`dest` says where it goes).
+        """Declare an option as the usage has it, and its help: "--out DIR", "--axis pitch|yaw", a flag "--orders",
+        "--at T..." for one that may be repeated, "--realtime [X]"; "SCENARIO" or "LOG..." for a word that is required,
+        "[DESIGN]" for one that is not.
 
-        `modes`: where it has a meaning; empty: everywhere. `how`: what else add_argument is to know.
+        `needs`: options one of which has to be given as well. `without`: options that it excludes. `how`: further
+        arguments of add_argument; `dest` names what `do` takes.
         """
         name, *values = usage.removesuffix("...").split()
         repeated = usage.endswith("...")
-        if repeated:
-            how["default"] = []
         if not name.startswith("-"):
-            how |= {"metavar": name, "nargs": "*" if repeated else "?"}
-            name = how.pop("dest")
-        elif not values:
+            how |= {"nargs": "+"} if repeated else {"nargs": "?"} if name.startswith("[") else {}
+            metavar = name.strip("[]")
+            action = self.add_argument(how.pop("dest", metavar.lower()), metavar=metavar, help=text, **how)
+            self._usages[action.dest] = usage
+            return
+        if repeated:
+            how |= {"action": "append", "default": []}
+        if not values:
             how["action"] = "store_true"
         elif "|" in values[0]:
-            how["choices"] = values[0].split("|")
+            how |= {"choices": values[0].split("|"), "metavar": values[0]}
         else:
-            how |= {"metavar": values[0]} if len(values) == 1 else {"metavar": tuple(values), "nargs": len(values)}
-            if repeated:
-                how["action"] = "append"
+            how["metavar"] = values[0].strip("[]")
+            how |= {"nargs": "?"} if values[0].startswith("[") else {}
         action = (group or self).add_argument(name, help=text, **how)
-        self._modes |= {action.dest: tuple(modes)} if modes else {}
+        shown = " ".join((name, *values))
+        self._usages[action.dest] = (shown if how.get("required") else f"[{shown}]") + "..." * repeated
+        self._bound[name] = needs, without
 
-    def overrides(self, of: str, modes: Sequence[str]) -> None:
-        """The option --set; `of`: of what it overrides a value, with an example."""
-        self.option("--set KEY=VALUE...", f"override a value of {of}; repeatable", modes, dest="overrides")
+    def overrides(self, of: str, without: Sequence[str] = ()) -> None:
+        """Declare the option --set; `of`: of what it overrides a value, with an example."""
+        text = f"override a value of {of}; repeatable"
+        self.option("--set KEY=VALUE...", text, without=without, dest="overrides")
 
-    def version_and_help(self) -> None:
-        """The options that every command has, last in its list."""
+    def about_itself(self, listed: dict[str, str] | None = None) -> None:
+        """Declare the options that every command has, and --list for built-in files of the kinds `listed`."""
+        self._kinds = listed
+        if listed is not None:
+            kinds = " and ".join(title.partition(" (")[0] for title in listed.values())
+            text = f"name the built-in {kinds}"
+            self.add_argument("--list", action="store_true", default=argparse.SUPPRESS, help=text)
         self.add_argument("--version", action=_Version, nargs=0, help="version of maxq")
         self.add_argument("-h", "--help", action="help", help="this text")
 
-    def read(self, arguments: Sequence[str], extra: str = "what is {!r}?") -> argparse.Namespace:
-        """The options. `extra`: what is said of a word too many."""
+    def run(self, arguments: Sequence[str]) -> int:
+        """Do what the arguments ask for; returns the exit code."""
+        given = vars(self.read(arguments))
+        do: Callable[..., int] = given.pop("do")
+        return do(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if v not in (None, [])})
+
+    def read(self, arguments: Sequence[str]) -> argparse.Namespace:
+        """Return the options, those of a subcommand where the command has some; `do` is what is to be done."""
+        first = self._first_word(arguments) if self._commands else None
+        if first is not None:
+            name, words = arguments[first], [*arguments[:first], *arguments[first + 1 :]]
+            if name in self._commands:
+                return self._commands[name].read(words)
+            close = difflib.get_close_matches(name, self._commands, 1, 0.7)
+            if close and words and not words[0].startswith("-") and not os.path.exists(name):
+                self.error(f"what is {name!r}? did you mean {close[0]}?")
+            return self._commands[self._default(name)].read(arguments if "--" in arguments else [name, *words])
+        self._refuse_unknown(arguments)
+        if (kinds := self._kinds) is not None and "--list" in arguments:
+            if others := [word for word in arguments if word != "--list"]:
+                self.error(f"--list stands alone: not with {others[0]}")
+            return argparse.Namespace(do=lambda: show_list(kinds))
         options, unknown = self.parse_known_args(arguments)
-        if unknown and unknown[0].startswith("-"):
-            names = [option for action in self._actions for option in action.option_strings]
-            close = difflib.get_close_matches(unknown[0].partition("=")[0], names, 1, 0.7)
-            self.error(f"unknown option {unknown[0]}" + (f"; did you mean {close[0]}?" if close else ""))
+        if self._commands:
+            self.error(f"give a {self._otherwise}, e.g. {self._example}")
         if unknown:
-            self.error(extra.format(unknown[0]))
+            takes = [action for action in self._actions if not action.option_strings]
+            one = f"one {takes[0].metavar} at a time: " if len(takes) == 1 and takes[0].nargs != "+" else ""
+            self.error(f"{one}what is {unknown[0]!r}?")
+        self._check(options)
         return options
 
-    def given(self, options: argparse.Namespace) -> dict[str, str]:
-        """Names of the options that were given, by the attribute that holds their value."""
-        return {
-            action.dest: action.option_strings[0] if action.option_strings else str(action.metavar)
+    def _first_word(self, arguments: Sequence[str]) -> int | None:
+        """Return the index of the first word that is neither an option nor the value of one; None: there is none."""
+        options = {name: a for parser in self._commands.values() for name, a in parser._option_string_actions.items()}
+        values = 0
+        for at, word in enumerate(arguments):
+            if values > 0:
+                values -= 1
+            elif word == "--":
+                return at + 1 if at + 1 < len(arguments) else None
+            elif not word.startswith("-"):
+                return at
+            elif (action := options.get(word)) is None:
+                continue
+            elif action.nargs == "?":
+                values = int(at + 1 < len(arguments) and _is_number(arguments[at + 1]))
+            else:
+                values = 1 if action.nargs is None else int(action.nargs)
+        return None
+
+    def _refuse_unknown(self, arguments: Sequence[str]) -> None:
+        """Refuse an option that this command has not; name the subcommand that has it, or the most similar one."""
+        mine = self._option_string_actions
+        for word in takewhile("--".__ne__, arguments):
+            name = word.partition("=")[0]
+            if name in mine or not re.match("--?[A-Za-z]", name):
+                continue
+            root = self._command_of or self
+            if owners := [
+                command for command, parser in root._commands.items() if name in parser._option_string_actions
+            ]:
+                *others, last = owners
+                where = f"{', '.join(others)}{' or ' * bool(others)}{last}"
+                self.error(f"{name} is an option of {root.prog} {where}, not of {self.prog}")
+            if name in root._option_string_actions:
+                self.error(f"{name} stands alone: {root.prog} {name}")
+            close = difflib.get_close_matches(name, mine, 1, 0.7)
+            self.error(f"unknown option {word}" + (f"; did you mean {close[0]}?" if close else ""))
+
+    def _check(self, options: argparse.Namespace) -> None:
+        """Refuse options without those that they need, or with those that they exclude, and an --out without a name."""
+        given = [
+            action.option_strings[0]
             for action in self._actions
-            if getattr(options, action.dest, action.default) != action.default
-        }
-
-    def only(self, options: argparse.Namespace, *choices: str, none: str = "", default: str = "") -> str:
-        """Which one of the options `choices` was given. An error where several were, or none and there is no default;
-        `none` says then what to give."""
-        given = [name for name in self.given(options).values() if name in choices] or [default]
-        if given == [""]:
-            self.error(none)
-        if len(given) > 1:
-            self.error(f"{given[0]} and {given[1]} exclude each other")
-        return given[0]
-
-    def stray(self, options: argparse.Namespace, mode: str) -> str:
-        """The first option that was given though it means nothing in this mode, and where it does; empty: none."""
-        for dest, name in self.given(options).items():
-            modes = self._modes.get(dest, (mode,))
-            if mode not in modes:
-                *first, last = modes
-                return f"{name} goes with {', '.join(first)}{' or ' if first else ''}{last}"
-        return ""
-
-    def check(self, options: argparse.Namespace, mode: str, shown: str = "") -> None:
-        """An error where an option was given that means nothing in this mode (`shown` names the mode in particular), or
-        an --out without a name."""
-        if text := self.stray(options, mode):
-            self.error(f"{text}, not with {shown or mode}")
+            if action.option_strings and getattr(options, action.dest, action.default) != action.default
+        ]
+        for name in given:
+            needs, without = self._bound[name]
+            if needs and not {*needs} & {*given}:
+                self.error(f"{name} needs {' or '.join(needs)}")
+            for other in without:
+                if other in given:
+                    self.error(f"{other} and {name} exclude each other")
         if getattr(options, "out", None) == "":
             self.error("--out needs the name of a folder")
 
     def error(self, message: str) -> NoReturn:
-        self.exit(
-            Exit.BAD_INPUT, f"{self.prog}: {printable(message.removeprefix('argument '))}; see {self.prog} --help\n"
+        message = message.removeprefix("argument ")
+        message = re.sub("^(.*): not allowed with argument (.*)", r"\2 and \1 exclude each other", message)
+        message = re.sub(
+            "^one of the arguments (.*) is required", lambda m: f"give {m[1].replace(' ', ' or ')}", message
         )
+        message = re.sub(
+            "^the following arguments are required: ([^,]*).*", rf"give a \1, e.g. {self._example}", message
+        )
+        self.exit(Exit.BAD_INPUT, f"{self.prog.split()[0]}: {printable(message)}; see {self.prog} --help\n")
+
+    @property
+    def _example(self) -> str:
+        return re.split(" {2,}", self._examples.strip(), maxsplit=1)[0].splitlines()[0]
+
+    # help
+
+    def format_help(self) -> str:
+        width = shutil.get_terminal_size().columns - 2  # as argparse has it
+        self.usage = self._usage(width - 7)
+        self._optionals._group_actions.sort(key=lambda action: action.dest == "help")  # last in the list
+        self.description = _hung("", self._about, width)
+        codes = "\n".join(_hung(f"{code:5d}  ", text, width) for code, text in sorted(self._exits.items()))
+        self.epilog = f"examples:\n{_examples(self._examples, width)}\n\nexit code:\n{codes}"
+        return super().format_help()
+
+    def helps(self) -> dict[str, str]:
+        """Return the help of the command and of its subcommands, by what is called ("simrun fly")."""
+        return {parser.prog: parser.format_help() for parser in (self, *self._commands.values())}
+
+    def _usage(self, width: int) -> str:
+        """Return the usage; what excludes each other is parted by bars."""
+        if self._commands:
+            calls = [f"{self.prog} COMMAND [OPTION]...", f"{self.prog} {self._otherwise} [OPTION]..."]
+            return "\n       ".join(calls)
+        groups = {id(a): g for g in self._mutually_exclusive_groups for a in g._group_actions}
+        shown: list[str] = []
+        for action in sorted(self._actions, key=lambda a: bool(a.option_strings)):
+            usage = self._usages.get(action.dest, "")
+            group = groups.get(id(action))
+            if group is not None:
+                if action is group._group_actions[0]:
+                    each = " | ".join(self._usages[a.dest].strip("[]") for a in group._group_actions)
+                    shown.append(f"({each})" if group.required else f"[{each}]")
+            elif usage:
+                shown.append(usage)
+        return _hung("", " ".join((self.prog, *shown)), width, 4 + 7)
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """argparse's, with subcommands listed as options are."""
+
+    def _format_action(self, action: argparse.Action) -> str:
+        if isinstance(action, argparse._SubParsersAction):
+            return "".join(map(self._format_action, action._get_subactions()))
+        return super()._format_action(action)
 
 
 def _hung(head: str, text: str, width: int, indent: int | None = None) -> str:
-    """`text` behind `head`, folded at spaces that are in no brackets, further lines `indent` to the right."""
+    """`text` behind `head`, folded at spaces that are in no brackets or follow a bar, further lines `indent` to the
+    right."""
     depth, whole = 0, ""
     for letter in text:
         depth += (letter == "[") - (letter == "]")
-        whole += "\0" if letter == " " and depth else letter
+        whole += "\0" if letter == " " and depth and whole[-1] != "|" else letter
     lines = textwrap.wrap(whole, width - len(head), break_long_words=False, break_on_hyphens=False)
     return head + ("\n" + " " * (len(head) if indent is None else indent)).join(lines).replace("\0", " ")
 
 
-_BESIDE = 40  # column in which examples are explained
+_BESIDE = 42  # column in which examples are explained
 
 
 def _examples(text: str, width: int) -> str:
@@ -166,12 +293,6 @@ class _Version(argparse.Action):
 
         print(f"maxq {version('maxq')}")
         parser.exit()
-
-
-def filled(kind: type[Order], options: argparse.Namespace, **more: Any) -> Order:
-    """The dataclass `kind` with the options that bear the names of its fields; those not given keep its defaults."""
-    values = {name: getattr(options, name, None) for name in kind.__dataclass_fields__} | more
-    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if v is not None})
 
 
 # types of arguments
@@ -198,15 +319,18 @@ def count_from_1(text: str) -> int:
     return count(text, 1)
 
 
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
 def number(text: str, what: str = "a number") -> float:
     """A finite number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+    if not _is_number(text):
         raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
-    return value
+    return float(text)
 
 
 def seconds(text: str) -> float:

@@ -41,16 +41,6 @@ ROUNDS = 4
 
 
 @dataclass(frozen=True)
-class Order:
-    """What the command line asks for."""
-
-    scenario: str
-    wind: str | None = None
-    share: float = 1.0
-    out: str | None = None
-
-
-@dataclass(frozen=True)
 class Incidence:
     """Along a flight, at `time_s`: incidence and sideslip (rad), dynamic pressure (Pa)."""
 
@@ -84,14 +74,14 @@ class Biased:
     after: Incidence
 
 
-def execute(order: Order) -> int:
-    """Do it; returns the exit code."""
-    changes = [] if order.wind is None else [f"wind.profile={json.dumps(order.wind)}"]
-    loaded = load_scenario(order.scenario, changes)
-    path = Path(order.out or f"{Path(order.scenario).stem}-biased.csv")
+def execute(scenario: str, *, wind: str | None = None, share: float = 1.0, out: str | None = None) -> int:
+    """Write the pitch programme of a scenario, biased for its wind; returns the exit code."""
+    changes = [] if wind is None else [f"wind.profile={json.dumps(wind)}"]
+    loaded = load_scenario(scenario, changes)
+    path = Path(out or f"{Path(scenario).stem}-biased.csv")
     check_writable(path.parent)
-    found = wind_biased(loaded, order.share)
-    name = loaded.scenario.name or order.scenario
+    found = wind_biased(loaded, share)
+    name = loaded.scenario.name or scenario
     profile = loaded.scenario.wind.profile
     of = profile.file if profile is not None and profile.file else "the scenario"
     rows = zip(*(column.tolist() for column in found.table.columns.values()), strict=True)
@@ -108,7 +98,7 @@ def execute(order: Order) -> int:
     tell(
         *aligned(table, "  ", right=(1, 2, 3)), f"bias up to {largest[0]:.2f} deg in pitch, {largest[1]:.2f} deg in yaw"
     )
-    tell(path, "fly it with:", f"  simrun {order.scenario} --set guidance.programme={path}")
+    tell(path, "fly it with:", f"  simrun {scenario} --set guidance.programme={path}")
     return Exit.OK
 
 

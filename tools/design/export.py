@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -47,40 +46,31 @@ _SHAKEN = {"at": "rate_command", "kind": "sine", "amplitude_degps": 2.0}
 _UNITS = {unit_suffix(unit): unit for unit in ("rad/s^2", "rad/s", "rad", "m/s^2", "m/s", "m", "s", "N", "N m")}
 
 
-@dataclass(frozen=True)
-class Order:
-    """What the command line asks for."""
-
-    design: str
-    c: str | None = None
-    format: Format | None = None
-    scenario: str = "nominal"
-    vehicle: str | None = None
-    times_s: tuple[float, ...] = ()
-    axis: Plane | None = None
-    out: str | None = None
-
-
-def execute(order: Order) -> int:
-    """Do it; returns the exit code."""
-    if order.c is not None:
-        changes = [f'design="{design_path(order.design)}"']
-        changes += [f'vehicle="{order.vehicle}"'] if order.vehicle is not None else []
-        files = export_c(load_scenario(order.scenario, changes), Path(order.c))
+def execute(
+    design: str,
+    *,
+    c: str | None = None,
+    form: Format = "mat",
+    scenario: str = "nominal",
+    vehicle: str | None = None,
+    times_s: tuple[float, ...] = (),
+    axis: Plane | None = None,
+    out: str | None = None,
+) -> int:
+    """Write the law as C sources, or the loop as matrices; returns the exit code."""
+    if c is not None:
+        changes = [f'design="{design_path(design)}"']
+        changes += [f'vehicle="{vehicle}"'] if vehicle is not None else []
+        files = export_c(load_scenario(scenario, changes), Path(c))
         steps = ("cmake -S {0} -B {0}/build", "cmake --build {0}/build", "ctest --test-dir {0}/build")
-        print(
-            f"{len(files)} files in {order.c}/; build and test them with",
-            *(s.format(order.c) for s in steps),
-            sep="\n  ",
-        )
+        print(f"{len(files)} files in {c}/; build and test them with", *(s.format(c) for s in steps), sep="\n  ")
         return Exit.OK
-    form = order.format or "mat"
-    path = Path(order.out or f"{Path(order.design).stem}.{form}")
+    path = Path(out or f"{Path(design).stem}.{form}")
     check_writable(path.parent)
-    scenario, design = load(order.scenario, order.vehicle, order.design)
-    planes: tuple[Plane, ...] = (order.axis,) if order.axis is not None else ("pitch", "yaw")
-    nodes = [node for plane in planes for node in operating_points.nodes(scenario, order.times_s or None, plane=plane)]
-    write_matrices(path, form, [described(node, design) for node in nodes])
+    loaded, gains = load(scenario, vehicle, design)
+    planes: tuple[Plane, ...] = (axis,) if axis is not None else ("pitch", "yaw")
+    nodes = [node for plane in planes for node in operating_points.nodes(loaded, times_s or None, plane=plane)]
+    write_matrices(path, form, [described(node, gains) for node in nodes])
     print(f"{len(nodes)} nodes in {path}")
     return Exit.OK
 

@@ -49,20 +49,6 @@ RECORD_NAME = "design.json"
 
 
 @dataclass(frozen=True)
-class Order:
-    """What the command line asks for."""
-
-    case: str
-    overrides: tuple[str, ...] = ()
-    out: str | None = None
-    starts: int | None = None
-    seed: int | None = None
-    pictures: bool = True
-    orders: bool = False
-    trials: bool = True
-
-
-@dataclass(frozen=True)
 class Made:
     """The result of a case: the exit code, the design in its folder, and what was found. `orders`: those of --orders,
     of each stage, else none.
@@ -74,18 +60,24 @@ class Made:
     orders: Sequence[Found]
 
 
-def execute(order: Order) -> int:
-    """Do it; returns the exit code."""
-    return make(order).code
-
-
-def make(order: Order) -> Made:
-    """Optimise the case, write and print the result. Raises ScenarioError and FileError."""
+def make(
+    case: str,
+    *,
+    overrides: tuple[str, ...] = (),
+    out: str | None = None,
+    starts: int | None = None,
+    seed: int | None = None,
+    pictures: bool = True,
+    orders: bool = False,
+    trials: bool = True,
+) -> Made:
+    """Optimise the case, write and print the result; the arguments are the options of `simdesign optimise`. Raises
+    ScenarioError and FileError."""
     begun_s = time.perf_counter()
-    search = (("starts", order.starts), ("seed", order.seed))
-    overrides = (*order.overrides, *(f"search.{key}={value}" for key, value in search if value is not None))
-    loaded = read_case(order.case, overrides)
-    folder = Path(order.out or Path("runs") / plain_name(loaded.name, "design"))
+    search = (("starts", starts), ("seed", seed))
+    overrides = (*overrides, *(f"search.{key}={value}" for key, value in search if value is not None))
+    loaded = read_case(case, overrides)
+    folder = Path(out or Path("runs") / plain_name(loaded.name, "design"))
     with Progress() as progress, Interruption(at_once=True) as stop:
 
         def shown(stage: int, number: int) -> Watch:
@@ -106,7 +98,7 @@ def make(order: Order) -> Made:
             check_writable(folder)
 
         try:
-            if order.orders:
+            if orders:
                 for stage in each_stage(loaded):
                     order_cases(stage)  # one that the law has not is refused before the search
             made = design_case(loaded, shown, ready)  # Ctrl-C ends it with the best so far
@@ -115,26 +107,26 @@ def make(order: Order) -> Made:
             raise ScenarioError(loaded.label, said, "stage") from None
         except (UnsolvableError, ValueError) as error:
             raise ScenarioError(loaded.label, str(error)) from None
-        orders, interrupted = list[Found](), made.interrupted
-        if order.trials and not interrupted:
+        solved, interrupted = list[Found](), made.interrupted
+        if trials and not interrupted:
             made, interrupted = _with_trials(made, progress, stop)
         try:
-            for stage, mine in zip(made.stages, made.plants, strict=True) if order.orders and not interrupted else ():
+            for stage, mine in zip(made.stages, made.plants, strict=True) if orders and not interrupted else ():
                 name = stage_name(loaded.scenario.vehicle, mine.each[0].node.stage)
                 about = " ".join(filter(None, ("optimising", name)))
                 watch = lambda n, of, at=about: progress.show(f"{at}: orders", n, of)  # noqa: E731  # short
-                orders.append(solve_orders(order_cases(stage), mine, watch))
+                solved.append(solve_orders(order_cases(stage), mine, watch))
         except KeyboardInterrupt:  # the design itself is complete
-            orders, interrupted = [], True
+            solved, interrupted = [], True
         results = made.results
         with Interruption() as interruption:  # the result is written, whatever is pressed now
             forget_pictures(folder)
-            files = _write(folder, made, orders)
-            if order.pictures and not made.interrupted:
-                for (outcome, _), found in zip_longest(results, orders):
+            files = _write(folder, made, solved)
+            if pictures and not made.interrupted:
+                for (outcome, _), found in zip_longest(results, solved):
                     into = folder / f"stage-{_number(outcome) + 1}" if len(results) > 1 else folder
                     files += _draw(into, outcome, found, progress, lambda: interruption.requested)
-    for (outcome, solution), found in zip_longest(results, orders):
+    for (outcome, solution), found in zip_longest(results, solved):
         if len(results) > 1:
             tell(f"--- {stage_name(loaded.scenario.vehicle, _number(outcome))}\n")
         tell(case_report(outcome, solution))
@@ -146,7 +138,7 @@ def make(order: Order) -> Made:
     tell(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
     tell(_verdict(made, folder))
     code = Exit.INTERRUPTED if interrupted or interruption.requested else Exit.OK if made.feasible else Exit.FAILED
-    return Made(code, folder, made, orders)
+    return Made(code, folder, made, solved)
 
 
 def _with_trials(made: CaseDesign, progress: Progress, stop: Interruption) -> tuple[CaseDesign, bool]:

@@ -33,7 +33,7 @@ _LIMITED = {  # channel: the metric whose limits hold for it
 
 def replay(folder: Path, run: int | str) -> str:
     """The command that flies a run again."""
-    return f"simrun --from {shlex.quote(str(folder))} --run {run}"
+    return f"simrun refly {shlex.quote(str(folder))} --run {run}"
 
 
 def plots(

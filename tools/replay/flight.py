@@ -278,7 +278,7 @@ def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
 
             where = f"{LOG_NAME}, {KEPT[0]}/run-.../{LOG_NAME}, or any .mcap"
             if (path / MANIFEST).is_file():
-                how = f"simrun --from {shlex.quote(place)} --keep worst:5"
+                how = f"simrun report {shlex.quote(place)} --keep worst:5"
                 raise ReplayError(f"{place}: this campaign has kept no logs; {how} keeps those of the worst flights")
             raise ReplayError(f"{place}: no flight in this folder ({where})")
         found += inside

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from maxq.tools.cli.frame import Exit, say
-from maxq.tools.cli.parser import filled
 from maxq.tools.cli.terminal import Progress
 from maxq.tools.replay import viewer
 from maxq.tools.replay.flight import ReplayFlight, find_logs, open_flights
@@ -105,7 +104,8 @@ def _give_back_memory() -> None:
 def _convert(flights: Sequence[ReplayFlight], given: argparse.Namespace, path: Path) -> None:
     from maxq.tools.replay.convert import Options, save  # noqa: PLC0415  # lazy: loads rerun
 
-    options = filled(Options, given, bare=bool(given.screenshot))
+    names = Options.__dataclass_fields__.keys() & vars(given).keys()
+    options = Options(bare=bool(given.screenshot), **{name: getattr(given, name) for name in names})
     _check_writable(path)
     with Progress(at_once=True) as bar:
         bar.show("preparing the replay", 0, 0)

@@ -25,7 +25,7 @@ from maxq.sim.files import check_writable, plain_name
 from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.schema_design import Design
-from maxq.tools.cli.frame import Exit, Interruption, say
+from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, aligned, printable, tell
 from maxq.tools.design import run_case
 from maxq.tools.verify import report
@@ -38,46 +38,44 @@ _EXIT: dict[suites.Judgement, Exit] = {
 }
 
 
-@dataclass(frozen=True)
-class Order:
-    """What the command line asks for."""
-
-    designs: tuple[str, ...]
-    suite: str = "standard"
-    overrides: tuple[str, ...] = ()
-    vehicle: str | None = None
-    out: str | None = None
-    only: str | None = None
-    pack: bool = True
-    memory: bool = True
-    author: str = ""
-    revision: str = ""
-    date: str = ""
-
-
-def execute(order: Order) -> int:
-    """Do it; returns the exit code."""
-    paths = [name if flight_code_key(name) else design_path(name) for name in order.designs]
-    folders = [folder_of(order, name) for name in order.designs]
-    loaded = suites.read_suite(order.suite, order.overrides)
-    changes = suites.shared_risk(loaded, campaigns_of(loaded, paths[0], order.vehicle), len(paths))
+def execute(
+    designs: Sequence[str],
+    *,
+    suite: str = "standard",
+    overrides: tuple[str, ...] = (),
+    vehicle: str | None = None,
+    out: str | None = None,
+    only: str | None = None,
+    no_pack: bool = False,
+    afresh: bool = False,
+    author: str = "",
+    revision: str = "",
+    date: str = "",
+) -> int:
+    """Verify designs and rank them; returns the exit code. The arguments are the options of `simverify`."""
+    if len(set(designs)) < len(designs):
+        raise CommandError("a design is named twice")
+    paths = [name if flight_code_key(name) else design_path(name) for name in designs]
+    folders = [folder_of(name, out, only, len(designs)) for name in designs]
+    loaded = suites.read_suite(suite, overrides)
+    changes = suites.shared_risk(loaded, campaigns_of(loaded, paths[0], vehicle), len(paths))
     if changes:
-        loaded = suites.read_suite(order.suite, [*order.overrides, *changes])
+        loaded = suites.read_suite(suite, [*overrides, *changes])
         tell(f"{len(paths)} designs share the risk of a wrong acceptance: {', '.join(changes)}\n")
-    words = ("--only", order.only) if order.only else ()
-    if order.only:
-        along, kept = flight_of(loaded.suite, paths[0], order.vehicle), memory.Memory(memory.default_folder())
-        named(loaded, along).only(order.only)  # a wrong name is refused before the flight that the marks need
-        loaded = fit(loaded, along, kept).only(order.only)
+    words = ("--only", only) if only else ()
+    if only:
+        along, kept = flight_of(loaded.suite, paths[0], vehicle), memory.Memory(memory.default_folder())
+        named(loaded, along).only(only)  # a wrong name is refused before the flight that the marks need
+        loaded = fit(loaded, along, kept).only(only)
     for folder in folders:
         check_writable(folder)
     found: list[Verification] = []
     with Interruption() as stop, Progress() as progress:
-        for name, path, folder in zip(order.designs, paths, folders, strict=True):
+        for name, path, folder in zip(designs, paths, folders, strict=True):
             begun = time.perf_counter()
             try:
                 one = verify(
-                    path, loaded, vehicle=order.vehicle, memory=memory.default_folder() if order.memory else None,
+                    path, loaded, vehicle=vehicle, memory=None if afresh else memory.default_folder(),
                     watch=progress.show, stop=stop,
                 )  # fmt: skip  # four more lines otherwise
             except ValueError as error:
@@ -86,8 +84,8 @@ def execute(order: Order) -> int:
                 raise ScenarioError(loaded.label, str(error)) from None  # the suite's times are wrong
             found.append(one)
             progress.show(f"writing {name}", 0, 1)
-            signed = report.Signed(order.author, order.revision, order.date)
-            files = report.write_pack(one, folder, loaded.command(name, order.vehicle, *words), order.pack, signed)
+            signed = report.Signed(author, revision, date)
+            files = report.write_pack(one, folder, loaded.command(name, vehicle, *words), not no_pack, signed)
             tell(
                 *against_basis(one.suite, one.scenario),
                 *report.report(one, f"{name} by the suite {one.suite.name}"),
@@ -112,14 +110,14 @@ def campaigns_of(loaded: suites.LoadedSuite, design: str, vehicle: str | None = 
     return [load_wanted(replace(loaded, suite=suite), w, design, vehicle).campaign for w in suite.campaign]
 
 
-def folder_of(order: Order, design: str) -> Path:
+def folder_of(design: str, out: str | None, only: str | None, designs: int) -> Path:
     """Where a design's pack goes; several designs get a folder each inside --out."""
     path = Path(design)
     name = path.parent.name if path.name == DESIGN_NAME else path.name.removesuffix(".toml")
     plain = plain_name(name, "design")
-    if order.out is None:
-        return Path("runs") / "-".join(filter(None, ("verify", plain, plain_name(order.only or "", ""))))
-    return Path(order.out) if len(order.designs) == 1 else Path(order.out) / plain
+    if out is None:
+        return Path("runs") / "-".join(filter(None, ("verify", plain, plain_name(only or "", ""))))
+    return Path(out) if designs == 1 else Path(out) / plain
 
 
 # candidates of simdesign
@@ -158,12 +156,12 @@ def in_order(found: Sequence[Candidate]) -> list[Candidate]:
     return sorted(found, key=lambda c: (not c.meets_limits, c.objective_db if same else -c.modulus))
 
 
-def execute_cases(orders: Sequence[run_case.Order], suite: str, pack: bool = True) -> int:
-    """Design each case, then verify in order of merit; returns the exit code."""
+def execute_cases(cases: Iterable[Callable[[], run_case.Made]], suite: str, pack: bool = True) -> int:
+    """Design each case by calling it, then verify in order of merit; returns the exit code."""
     suites.read_suite(suite)  # a mistake in it is reported before the minutes of designing
     made = []
-    for order in orders:
-        made.append(run_case.make(order))
+    for design in cases:
+        made.append(design())
         if made[-1].code == Exit.INTERRUPTED:
             return Exit.INTERRUPTED
         tell()

@@ -5,6 +5,7 @@ A page of docs/ names one where it stands: `<!-- from code: keys scenario -->`. 
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -90,12 +91,15 @@ def ranges() -> str:
 
 
 def help_of(command: str) -> str:
-    """What a command says of itself."""
-    code = f"from maxq.tools.{command} import main; main(['--help'])"
+    """Return the help of a command and of its subcommands, below a heading each."""
+    code = f"import json; from maxq.tools.{command} import _parser; print(json.dumps(_parser().helps()))"
     done = subprocess.run(
         [sys.executable, "-c", code], env={"COLUMNS": "92"}, capture_output=True, text=True, check=True
     )
-    return f"```text\n{done.stdout.rstrip()}\n```\n"
+    first, *others = json.loads(done.stdout).items()
+    sections = [f"```text\n{first[1].rstrip()}\n```\n"]
+    sections += [f"### {name}\n\n```text\n{text.rstrip()}\n```\n" for name, text in others]
+    return "\n".join(sections)
 
 
 def _ranges() -> Iterator[str]:

@@ -96,9 +96,8 @@ def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
     row: dict[str, Any] = {"keys": keys}
     if own is not None:
         if not design.exists():
-            order = run_case.Order(str(base / "sensed.toml"), tuple(keys), str(out), pictures=False)
             with (out / "report.txt").open("w") as report, contextlib.redirect_stdout(report):
-                run_case.make(order)
+                run_case.make(str(base / "sensed.toml"), overrides=tuple(keys), out=str(out), pictures=False)
         row["said"] = (out / "report.txt").read_text().splitlines()[-1]
     if vehicle == "petrel" and name == "pd F4":  # what the other rows' upper stages fly
         (base / "design.toml").write_bytes(design.read_bytes())
