@@ -166,7 +166,7 @@ def test_rejected_and_undecided_have_their_codes(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ((), "give a design"),
+        ((), "give a DESIGN, e.g. simverify ksr3-robust"),
         (("ksr3-robst",), "no such file"),
         (("ksr3-robust", "ksr3-robust"), "named twice"),
         (("ksr3-robust", "--suit", "x"), "unknown option --suit; did you mean --suite?"),
