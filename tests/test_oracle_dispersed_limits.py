@@ -20,8 +20,8 @@ from maxq.design.margins.measured_loop import measure_loop
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import campaign_of
-from maxq.design.quantities import MEASURED, Convention
 from maxq.design.optimise.descent import Region, to_corner
+from maxq.design.quantities import MEASURED, Convention
 from maxq.design.verify.dispersed_limits import guides, rooms, worst_of_basis
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.scenario.files import builtin_files

@@ -23,8 +23,8 @@ from maxq.design.model.deviations import Deviations, deviations_of
 from maxq.design.model.dispersion import NOMINAL, Dispersion
 from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import DEVIATIONS, Spread, campaign_of
-from maxq.design.verify import worst
 from maxq.design.optimise.descent import Region, descend
+from maxq.design.verify import worst
 from maxq.design.verify.linear import vehicles
 from maxq.design.verify.suite import LinearMargins, WorstWanted
 from maxq.design.verify.worst import WorstVehicle, distance, search_node, slope, worst_requirements

@@ -83,7 +83,8 @@ def solve_over_time(
                 times_s = sorted({first, last, *(round(t, 9) for t in beside if first <= t <= last)})
                 over = instants.over(times_s, make_plants(instants.plants(times_s)), law, solution)
             checked = Checked(len({*grid, *times_s}), float(over.max(initial=0.0)))
-            new = set(np.array(times_s)[peaks(over, matters_db)].tolist()) - set(loaded.case.times_s) if beside else set()
+            worst_s = np.array(times_s)[peaks(over, matters_db)].tolist() if beside else []
+            new = set(worst_s).difference(loaded.case.times_s)
             if not new or number == ROUNDS:
                 break
             loaded = with_nodes(loaded, new)

@@ -20,9 +20,9 @@ from maxq.control.kernel.records import Array
 from maxq.design.case.basis import LoadLimits, Robust
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import Node, disperse
+from maxq.design.optimise.descent import Region, descend, to_corner
 from maxq.design.quantities import MEASURED, SWEPT, LoopLimits
 from maxq.design.verify.compared import IMPLIED
-from maxq.design.optimise.descent import Region, descend, to_corner
 from maxq.design.verify.judging import Wanted
 from maxq.design.verify.linear import SweptVehicles
 from maxq.design.verify.memory import counted

@@ -17,7 +17,7 @@ import numpy as np
 from maxq.design import operating_points
 from maxq.design.case.basis import Basis, stated_basis
 from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictures
-from maxq.design.loop.fixed_path import Cut, Kind, fixed_path
+from maxq.design.loop.fixed_path import Cut, fixed_path
 from maxq.design.loop.loop import close_loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import acting_at
