@@ -23,7 +23,7 @@ from maxq.design.verify.worst import search_node
 from maxq.sim.scenario.schema_design import Design
 
 STATED = (0.58, 0.71, 0.71)  # of each stage, in the design's own description
-NODES_S = ((0.8, 111.0), (125.0, 130.0), (163.5, 400.0))
+NODES_S = ((0.5, 111.0), (125.0, 130.0), (163.5, 400.0))
 
 
 def shipped() -> Design:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -94,7 +95,9 @@ def test_file_and_report_name_them(
     assert f"# INTERRUPTED: the best so far; {SAID}." in head
     between = "between the operating points, where no limit was checked"
     assert f"# not covered: stage 2 (second), 140 to 142 s: {between}" in head
-    assert head[-1] == "# not covered: stage 3 (second, fairing off), 163.4 to 465 s: under thrust, no operating point"
+    # the fairing leaves at 163.34 or 163.35 s: the ascent of the layout is found by a search
+    last = r"# not covered: stage 3 \(second, fairing off\), 163\.[34] to 465 s: under thrust, no operating point"
+    assert re.fullmatch(last, head[-1])
     assert "# All limits met" not in text
     told = json.loads((tmp_path / "design.json").read_text())
     assert (told["feasible"], told["not_designed"]) == (False, [3])

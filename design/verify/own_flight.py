@@ -190,8 +190,9 @@ def design_case(
         for n in missed if judged.loss is None else ():
             known, short = more.get(n, {}), _short(judged.by_stage[n][0])
             more[n] = known | {key: known.get(key, 0.0) + by + BEYOND for key, by in short.items()}
-            missed_s = worst_times_s(check for check in judged.by_stage[n][0].found if not check.passed)
-            also_s[n] = also_s.get(n, set()) | missed_s
+            outcome, solution = judged.by_stage[n]
+            missed_s = worst_times_s(check for check in outcome.found if not check.passed)
+            also_s.setdefault(n, set()).update(missed_s.difference(node.time_s for node in solution.nodes))
         flight, loss = judged.flight, judged.loss
         stages, plants = _problems(loaded, flight, loss, also_s)
     return CaseDesign(
