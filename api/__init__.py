@@ -127,7 +127,7 @@ def campaign(
     """Fly a campaign into its folder (None: runs/NAME), or the runs that are missing there.
 
     `runs` and `seed` replace those of the file. `workers`: threads of this process, by default one for each core.
-    `cluster`: a client of dask.distributed, or the address of a scheduler ("tcp://head:8786"), whose workers fly in
+    `cluster`: a client of dask.distributed, or the address of a scheduler (``tcp://head:8786``), whose workers fly in
     their place; a client remains open. The data set is the same, bit for bit.
     Raises CampaignError, and ValueError for `workers` together with `cluster`.
     """

@@ -233,7 +233,7 @@ def test_the_report_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert page.count("<script") == 2
     assert set(re.findall(r"https?:[^\"']*", page)) == {"http://www.w3.org/2000/svg"}
     assert page.count('<figure class="plot') >= 3
-    assert f"--from {tmp_path / 'out'} --run" in page
+    assert f"simrun refly {tmp_path / 'out'} --run" in page
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["outcomes"] == {"duration": 40}
     first = summary["requirements"][1]
@@ -255,7 +255,7 @@ def test_a_campaign_stops_when_its_verdicts_are_settled(tmp_path: Path) -> None:
     campaign = load_campaign(tmp_path / "early.toml")
     done = run_campaign(campaign, tmp_path / "out", until_settled=True)
     assert done.settled
-    assert 8 < done.flown < 120
+    assert 8 <= done.flown < 120  # in batches of eight: how many are under way at the verdict depends on the machine
     assert run_campaign(campaign, tmp_path / "out", until_settled=True).flown == 0
 
 
