@@ -82,7 +82,7 @@ _HOMES = {
     "maxq.sim.scenario.loader": ("LoadedScenario",),
     "maxq.tools.design.designed": ("Designed",),
 }
-"""Where the names are defined that this module does not define itself."""
+"""The modules that define the names which this module only exports."""
 
 if not os.path.isdir(os.path.join(__path__[0], "control")):
     # an editable installation: the layers are not below this folder, but next to it

@@ -227,7 +227,7 @@ def test_a_dispersed_vehicle_is_made_again_from_its_label() -> None:
 
 @pytest.mark.slow
 def test_no_corner_is_nearer_to_minus_one_than_the_plant_that_the_search_finds() -> None:
-    """Of five deviations, all corners and 200 plants inside; each by a loop of its own."""
+    """Compare with all corners of six deviations and with 200 plants inside, each measured as a single loop."""
     none = dict.fromkeys(("slosh_mass", "slosh_damping", "slosh_frequency", "actuator_frequency", "thrust", "delay_s",
                           "normal_force", "centre_of_pressure_m", "inertia"), 0.0)  # fmt: skip  # names
     loaded = kit.case("loop=sampled", "nodes_s=[50.0]", name="ksr3-robust")

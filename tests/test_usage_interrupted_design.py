@@ -60,9 +60,9 @@ SAID = (
 def test_stages_that_were_not_designed_are_named(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Of petrel's three stages, interrupted in the second; one test, because the design takes a minute.
+    """Interrupt the design of petrel's three stages in the second. One test, because the design takes a minute.
 
-    The first stage holds between its nodes, the second was not tried there; limits hold at the nodes of both.
+    The first stage meets its limits between its nodes, the second was not tried there; both meet them at their nodes.
     """
     path = petrel.folder() / "interrupted.toml"
     path.write_text(STAGES)

@@ -175,31 +175,31 @@ def _optimise(
     makes = [partial(run_case.make, case, out=_folder(out, case, len(cases)), **given) for case in cases]
     if not verify:
         return makes[0]().code
-    from maxq.tools.verify.run import execute_cases  # noqa: PLC0415
+    from maxq.tools.verify.run import execute_cases  # noqa: PLC0415  # lazy
 
     return execute_cases(makes, suite, not no_pictures)
 
 
 def _analyse(*, no_pictures: bool = False, **given: Any) -> int:
-    from maxq.tools.design import analyse, report  # noqa: PLC0415
+    from maxq.tools.design import analyse, report  # noqa: PLC0415  # lazy
 
     return analyse.execute(report.AnalysisOrder(pictures=not no_pictures, given=tuple(given), **given))
 
 
 def _errata(**given: Any) -> int:
-    from maxq.tools.design import analyse, report  # noqa: PLC0415
+    from maxq.tools.design import analyse, report  # noqa: PLC0415  # lazy
 
     return analyse.execute_errata(report.AnalysisOrder(**given))
 
 
 def _export(**given: Any) -> int:
-    from maxq.tools.design import export  # noqa: PLC0415
+    from maxq.tools.design import export  # noqa: PLC0415  # lazy
 
     return export.execute(**given)
 
 
 def _bias(**given: Any) -> int:
-    from maxq.tools.design import bias  # noqa: PLC0415
+    from maxq.tools.design import bias  # noqa: PLC0415  # lazy
 
     return bias.execute(**given)
 

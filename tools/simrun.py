@@ -210,7 +210,7 @@ def _in_present_form(arguments: list[str]) -> list[str]:
 def _command_for(name: str) -> str:
     """Return the subcommand that flies this scenario or campaign. Raises ScenarioError where there is no such file."""
     from maxq.sim.scenario.files import locate  # noqa: PLC0415  # lazy, as all imports below: --help is quick
-    from maxq.sim.scenario.loader import is_campaign  # noqa: PLC0415
+    from maxq.sim.scenario.loader import is_campaign  # noqa: PLC0415  # lazy
 
     locate(name, "scenario")
     return "campaign" if is_campaign(name) else "fly"
@@ -220,7 +220,7 @@ def _fly(**given: Any) -> int:
     start_s = time.perf_counter()  # before the heavy imports
     if command.alone:
         _load_numba_without_blas()
-    from maxq.tools import simrun_fly  # noqa: PLC0415
+    from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
 
     return simrun_fly.execute(start_s, **given)
 
@@ -236,29 +236,29 @@ def _refly(place: str, run: int | None = None, **given: Any) -> int:
 
 
 def _campaigns() -> ModuleType:
-    from maxq.tools import simrun_campaign  # noqa: PLC0415
+    from maxq.tools import simrun_campaign  # noqa: PLC0415  # lazy
 
     return simrun_campaign
 
 
 def _copy(name: str, folder: str) -> int:
-    import shlex  # noqa: PLC0415
+    import shlex  # noqa: PLC0415  # lazy
 
-    from maxq.sim.scenario.loader import copy_scenario  # noqa: PLC0415
+    from maxq.sim.scenario.loader import copy_scenario  # noqa: PLC0415  # lazy
 
     print(f"copied; fly it with: simrun {shlex.quote(str(copy_scenario(name, folder)))}")
     return Exit.OK
 
 
 def _upgrade(file: str) -> int:
-    from maxq.tools import simrun_upgrade  # noqa: PLC0415
+    from maxq.tools import simrun_upgrade  # noqa: PLC0415  # lazy
 
     return simrun_upgrade.execute(file)
 
 
 def _kept(text: str) -> str:
     """Runs to keep."""
-    from maxq.sim.campaign.schema import KEEP_ALLOWED, keep_is_known  # noqa: PLC0415
+    from maxq.sim.campaign.schema import KEEP_ALLOWED, keep_is_known  # noqa: PLC0415  # lazy
 
     if not keep_is_known(text):
         raise argparse.ArgumentTypeError(f"{text}: allowed: {KEEP_ALLOWED}")
@@ -282,13 +282,13 @@ def _load_numba_without_blas() -> None:
 
 def _print_schema(kind: str) -> int:
     if kind == "flight-software":
-        from maxq.control.external import HEADER  # noqa: PLC0415
+        from maxq.control.external import HEADER  # noqa: PLC0415  # lazy
 
         print(HEADER.read_text(encoding="utf-8"), end="")
         return Exit.OK
-    import json  # noqa: PLC0415
+    import json  # noqa: PLC0415  # lazy
 
-    from maxq.tools.schemas import json_schema  # noqa: PLC0415
+    from maxq.tools.schemas import json_schema  # noqa: PLC0415  # lazy
 
     print(json.dumps(json_schema(kind), indent=1))
     return Exit.OK

@@ -41,7 +41,7 @@ def _parser() -> Parser:
     add("--revision R", "of the review, for its title block")
     add("--date YYYY-MM-DD", "of the review (default: today)", type=_date)
     add("--no-pack", "verdict.json only, no review pack")
-    add("--afresh", "work out everything anew, and keep nothing")
+    add("--afresh", "compute everything again, and keep nothing")
     parser.about_itself({"suite": "suites (simverify --suite SUITE)", "design": "designs (simverify DESIGN)"})
     return parser
 
