@@ -2,11 +2,13 @@
 
 import ast
 import dataclasses
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import petrelkit
 import pytest
 
 from maxq.control.kernel import kept_code
@@ -17,6 +19,7 @@ from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle.block import are_usual, usual_counts
 from maxq.sim.vehicle.state import Counts, Sizes, counts
 
 SHORT = ["run.duration_s=12.0", "run.stop_at=[]", "campaign.keep=[]"]
@@ -55,17 +58,60 @@ def test_the_type_tells_the_sizes():
     telling = pack_for_one_vehicle(load_scenario("nominal").scenario).parameters
     known = constants_in(telling.dtype["vehicle"]["sizes"].names)
     assert known == {name: int(plain["vehicle"]["sizes"][name][0]) for name in Sizes.__dataclass_fields__}
-    seldom = {f.name: f.default for f in dataclasses.fields(Sizes) if f.default is not dataclasses.MISSING}
-    assert constants_in(plain.dtype["vehicle"]["sizes"].names) == seldom | {"mode_groups": 1}  # as most vehicles
+    assert constants_in(plain.dtype["vehicle"]["sizes"].names) == {}
     assert telling.tobytes() == plain.tobytes()
     assert telling.dtype.itemsize == plain.dtype.itemsize
     assert isinstance(telling[0], np.record)
 
 
-def test_without_modes_and_beyond_four_of_a_plane_the_number_is_not_told():
-    rigid = pack_flight(load_scenario("nominal", ["switches.bending=false"]).scenario).parameters
-    assert "mode_groups" not in constants_in(rigid.dtype["vehicle"]["sizes"].names)
+def test_modes_are_grouped_by_four():
     assert [Sizes(modes, 0, 0, 0).mode_groups for modes in (0, 1, 4, 5, 12)] == [0, 1, 1, 2, 3]
+
+
+@pytest.mark.parametrize("modes", [0, 5])
+def test_counts_are_usual_with_one_to_four_modes(modes):
+    assert not are_usual(counts(pack([Sizes(modes, 0, 4, 5)])[0]))
+
+
+@pytest.mark.parametrize("unusual", [f.name for f in dataclasses.fields(Sizes) if f.default is not dataclasses.MISSING])
+def test_counts_are_usual_only_where_the_constants_are_theirs(unusual):
+    """Code for usual counts ignores what else a vehicle has."""
+    sizes = Sizes(3, 2, 4, 5)
+    usual = counts(pack([sizes])[0])
+    assert are_usual(usual)
+    assert usual_counts(usual) == usual
+    for count in (getattr(sizes, unusual) - 1, getattr(sizes, unusual) + 1):
+        if count >= 0:
+            assert not are_usual(counts(pack([dataclasses.replace(sizes, **{unusual: count})])[0]))
+
+
+VEHICLES = """
+import sys
+from maxq.control.kernel.kept_code import EntryCache
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import load_scenario
+
+asked, load = [], EntryCache.load_overload
+EntryCache.load_overload = lambda cache, *of: (asked.append(cache), load(cache, *of))[1]
+for scenario in sys.argv[1:]:
+    before = len(asked)
+    fly(load_scenario(scenario, ["run.duration_s=0.05"]))
+    print(scenario, len(asked) - before)
+"""
+
+
+@pytest.mark.slow
+def test_a_second_vehicle_compiles_nothing():
+    """Another structure asks for no machine code, kept or not: other modes, tanks, stages, a TVC load, many engines."""
+    petrel = str(petrelkit.folder() / "scenario.toml")
+    scenarios = ["nominal", "checkcases/nesc-01", "checkcases/nesc-17", "ksr3-ringed", "tvc-load", petrel]
+    command = [sys.executable, "-c", VEHICLES, *scenarios]
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "0"}
+    printed = subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
+    asked = {name: int(count) for name, count in (line.split() for line in printed.splitlines())}
+    assert list(asked) == scenarios
+    assert asked.pop("nominal") > 0
+    assert set(asked.values()) == {0}
 
 
 def test_stages_of_unlike_sizes_stay_with_the_common_kernels():
@@ -94,7 +140,8 @@ def test_the_cache_follows_the_sources_wherever_they_lie(tmp_path, monkeypatch):
     assert list(kept_code._source_files()) == [here / "kept_code.py"]  # what holds no kernel compiles nothing anew
 
 
-DECORATORS = {"kernel", "formula", "routine", "disjoint_routine", "routine_beside", "entry", "from_python"}
+ROUTINES = {"routine", "disjoint_routine", "rare_routine", "routine_beside"}
+DECORATORS = ROUTINES | {"kernel", "formula", "entry", "from_python"}
 
 
 def modules_used(path: Path) -> set[str]:

@@ -101,7 +101,7 @@ def test_workers_that_begin_together_compile_once(tmp_path: Path) -> None:
 BESIDE = """
 import math, os, sys
 import numpy as np
-from maxq.control.kernel import compilers, jit
+from maxq.control.kernel import compilers, jit, kept_code
 
 DONE, AS = [], compilers.BesideCompiler
 HOW = sys.argv[1]
@@ -113,6 +113,12 @@ elif HOW == "not to be had":
     def refused():
         raise BlockingIOError("no more processes")
     AS.allowed, os.fork = True, refused
+elif HOW in ("interrupted", "resumed"):
+    AS.allowed, kept_code._SOURCES = True, frozenset({os.path.realpath(__file__)})  # of which maxq keeps routines
+    if HOW == "interrupted":
+        compilers.load_objects = lambda *_: os._exit(3)  # once the other process has ended
+    else:
+        os.fork = None
 else:
     AS.allowed = hasattr(os, "fork")
 here = AS.here
@@ -164,6 +170,23 @@ def test_a_routine_compiled_by_another_process(tmp_path: Path, how: str, here: i
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners of files on this system")
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="other processes compile on Linux only")
+def test_a_killed_compilation_keeps_what_was_finished(tmp_path: Path) -> None:
+    """The next one needs neither another process nor this one for a routine that is there, but for a damaged one."""
+    script, cache = tmp_path / "beside.py", tmp_path / "cache"
+    script.write_text(BESIDE)
+    assert call(cache, str(script), "interrupted").returncode == 3
+    (kept,) = cache.rglob("*.o")
+    assert list(cache.rglob("*.nbc")) == []
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[:-1])
+    assert "NoneType" in call(cache, str(script), "resumed").stderr
+    kept.write_bytes(whole)
+    done = call(cache, str(script), "resumed")
+    assert (done.stdout, done.stderr) == ("7.0 7.0 7.0 0\n", "")
+
+
 @pytest.mark.parametrize("part", ["", "verified"])
 def test_cache_to_which_others_may_write_is_refused(tmp_path: Path, part: str) -> None:
     cache = tmp_path / "cache"

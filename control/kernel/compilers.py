@@ -32,7 +32,7 @@ from numba.core.types.functions import BaseFunction
 from numba.core.typing import signature
 from numba.core.untyped_passes import FixupArgs, GenericRewrites, IRProcessing, ReconstructSSA, TranslateByteCode
 
-from maxq.control.kernel.kept_code import load_objects
+from maxq.control.kernel.kept_code import is_own, keep_routine, kept_routine, load_objects
 from maxq.control.kernel.machine import cores
 
 
@@ -70,10 +70,10 @@ class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
 
 class _EntryCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
     """Code of an entry with all that it calls, directly or not: linked and optimised once, but for routines whose
-    machine code is made in another process: `objects`, object files.
+    machine code is made in another process: `objects`, object files by the routines' names.
     """
 
-    objects: tuple[bytes, ...] = ()
+    objects: dict[str, bytes]
 
     def finalize(self) -> None:
         self._late = _link_into(self._final_module, self._linking_libraries, apart=True)
@@ -81,9 +81,8 @@ class _EntryCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
         super().finalize()
 
     def _finalize_final_module(self) -> None:
-        if not self.objects:
-            self.objects = tuple(late.machine_code() for late in self._late)
-            load_objects(self._codegen, self.objects)
+        self.objects = {late.name: late.machine_code() for late in self._late}
+        load_objects(self._codegen, self.objects)
         super()._finalize_final_module()
 
     def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, bytes]]:
@@ -219,13 +218,29 @@ class DisjointCompiler(KernelCompiler):
         return super()._compile_core()
 
 
+class _RareCode(_KernelCode):
+    """Code of a routine that LLVM inlines nowhere."""
+
+    def add_ir_module(self, module: Any) -> None:
+        for function in module.functions:
+            if not function.is_declaration:
+                function.attributes.add("noinline")
+        super().add_ir_module(module)
+
+
+class RareCompiler(DisjointCompiler):
+    code = _RareCode
+
+
 class _LateCode(_KernelCode):
     """Code of a routine that a process of its own compiles: waited for when the entry is ready but for it."""
 
     def __init__(self, compiler: BesideCompiler, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
         self._finalized = True
-        self._compiler, self._code = compiler, b""
+        self._compiler, self._code = compiler, kept_routine(name) if compiler.is_kept else b""
+        if self._code:
+            return
         pipe, write = os.pipe()
         with warnings.catch_warnings():  # of Python 3.12, that another thread may hold a lock: none that is asked for
             warnings.simplefilter("ignore", DeprecationWarning)
@@ -259,11 +274,13 @@ class BesideCompiler(DisjointCompiler):
         if not self.allowed or threading.current_thread() is not threading.main_thread():
             return self.here()
         state, function = self.state, self.state.func_id
-        state.flags.noalias = True  # a part of the name; so is a number: each entry has machine code of its own
+        state.flags.noalias = True  # a part of the name; so is a number, without which nothing is kept by the name
+        known = (*map(str, state.args), *state.targetctx.codegen().magic_tuple(), numba.__version__)
+        number = hashlib.sha256(repr(known).encode()).hexdigest()[:16] if self.is_kept else secrets.token_hex(8)
         described = FunctionDescriptor(
-            True, function.modname, function.func_qualname, function.unique_name, "", {}, types.none, {},
+            True, function.modname, function.func_qualname, function.func_qualname, "", {}, types.none, {},
             function.arg_names, (), mangler=state.targetctx.mangler, argtypes=tuple(state.args),
-            noalias=True, abi_tags=[state.flags.get_mangle_string(), secrets.token_hex(8)], uid=function.unique_id,
+            noalias=True, abi_tags=[state.flags.get_mangle_string(), number],
         )  # fmt: skip  # a line each otherwise
         try:
             library = _LateCode(self, state.targetctx.codegen(), described.llvm_func_name)
@@ -275,6 +292,10 @@ class BesideCompiler(DisjointCompiler):
             typing_context=state.typingctx, target_context=state.targetctx, entry_point=compiled, library=library,
             signature=signature(types.none, *state.args), objectmode=False, fndesc=described,
         )  # fmt: skip  # a line each otherwise
+
+    @property
+    def is_kept(self) -> bool:
+        return is_own(self.state.func_id.filename)
 
     def here(self) -> Any:
         return super()._compile_core()
@@ -298,7 +319,10 @@ class BesideCompiler(DisjointCompiler):
         library = JITCodeLibrary(codegen, name)
         library._final_module = self.module_here(name)
         library._optimize_final_module()
-        return bytes(codegen._tm.emit_object(library._final_module))
+        code = bytes(codegen._tm.emit_object(library._final_module))
+        if self.is_kept:
+            keep_routine(name, code)
+        return code
 
     def compile_and_leave(self, name: str, write: int) -> None:
         """In the other process: write the routine's machine code, and end."""

@@ -21,7 +21,7 @@ from numba.core.compiler import CompilerBase
 from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
-from maxq.control.kernel.compilers import BesideCompiler, DisjointCompiler, EntryCompiler, KernelCompiler
+from maxq.control.kernel.compilers import BesideCompiler, DisjointCompiler, EntryCompiler, KernelCompiler, RareCompiler
 from maxq.control.kernel.kept_code import EntryCache
 from maxq.control.kernel.records import constants_in
 
@@ -66,6 +66,11 @@ def routine_beside(function: Function) -> Function:
     a process beside this one. Measured, a third of the wait for a first flight.
     """
     return _for_kernels(function, BesideCompiler, forceinline=False)
+
+
+def rare_routine(function: Function) -> Function:
+    """As `disjoint_routine`, for code that few flights run: kept out of its callers, however few these are."""
+    return _for_kernels(function, RareCompiler, forceinline=False)
 
 
 class _Kernel:

@@ -12,7 +12,7 @@ import io
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ if sys.platform != "win32":
 
 _KERNEL_FREE = {"scenario", "log", "packing", "run", "campaign"}
 """Parts of sim/ whose constants no kernel takes."""
-_COMPILED = re.compile(rb"^@(?:kernel|formula|(?:disjoint_)?routine|routine_beside|entry|from_python)\b", re.MULTILINE)
+_COMPILED = re.compile(rb"^@(?:kernel|formula|\w*routine\w*|entry|from_python)\b", re.MULTILINE)
 
 
 def _source_files() -> dict[Path, bytes]:
@@ -71,6 +71,15 @@ def _folder_and_sources() -> tuple[str, frozenset[str]]:
 _FOLDER, _SOURCES = _folder_and_sources()
 
 
+_loaded = set[str]()
+"""Names of the routines whose machine code this process has loaded: an equal name is equal code."""
+
+
+def is_own(path: str) -> bool:
+    """Return True for a source of maxq, whose machine code is good for as long as the folder of kernels is."""
+    return os.path.realpath(path) in _SOURCES
+
+
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no types
     """Numba's files of one function's machine code, each with its SHA-256 at the end: a damaged one is made anew.
 
@@ -85,11 +94,11 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no ty
             file.write(content.getvalue() + hashlib.sha256(content.getvalue()).digest())
 
     def _load_index(self) -> dict[Any, str]:
-        return super()._load_index() if _is_whole(self._index_path) else {}
+        return super()._load_index() if _whole_content(self._index_path) else {}
 
     def _load_data(self, name: str) -> Any:
         path = self._data_path(name)
-        if not _is_whole(path):
+        if not _whole_content(path):
             raise OSError(errno.EIO, "this machine code is damaged", path)
         return super()._load_data(name)
 
@@ -102,7 +111,7 @@ class _Place:
     """
 
     def __init__(self, function: Any, path: str) -> None:
-        self._line, own = function.__code__.co_firstlineno, os.path.realpath(path) in _SOURCES
+        self._line, own = function.__code__.co_firstlineno, is_own(path)
         name = function.__module__ if own else hashlib.sha256(os.path.abspath(path).encode()).hexdigest()[:16]
         self._folder = os.path.join(_FOLDER, name)
         status = os.stat(path)
@@ -194,14 +203,36 @@ class EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
             self._turn = None
 
 
-def _is_whole(path: str) -> bool:
+def _whole_content(path: str | Path) -> bytes:
+    """Return the content of a file before its SHA-256, or nothing of a damaged or missing file."""
     try:
         content = Path(path).read_bytes()
     except OSError:
-        return False
-    return hashlib.sha256(content[:-32]).digest() == content[-32:]
+        return b""
+    return content[:-32] if hashlib.sha256(content[:-32]).digest() == content[-32:] else b""
 
 
-def load_objects(codegen: Any, objects: tuple[bytes, ...]) -> None:
-    for code in objects:
-        codegen._engine._ee.add_object_file(llvmlite.binding.ObjectFileRef.from_data(code))
+def load_objects(codegen: Any, objects: Mapping[str, bytes]) -> None:
+    """Load the machine code of routines, by their names in it."""
+    for name in objects.keys() - _loaded:
+        codegen._engine._ee.add_object_file(llvmlite.binding.ObjectFileRef.from_data(objects[name]))
+        _loaded.add(name)
+
+
+def kept_routine(name: str) -> bytes:
+    """Return the object file of a routine that has been compiled before, or nothing."""
+    return _whole_content(_routine_path(name))
+
+
+def keep_routine(name: str, code: bytes) -> None:
+    """Keep the object file of a routine, so that it is there although the compilation of its entry may be killed."""
+    path = _routine_path(name)
+    begun = path.with_suffix(f".{os.getpid()}")
+    with contextlib.suppress(OSError):  # where nothing can be kept
+        path.parent.mkdir(parents=True, exist_ok=True)
+        begun.write_bytes(code + hashlib.sha256(code).digest())
+        begun.replace(path)
+
+
+def _routine_path(name: str) -> Path:
+    return Path(_FOLDER, "routines", f"{hashlib.sha256(name.encode()).hexdigest()[:32]}.o")

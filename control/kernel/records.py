@@ -2,13 +2,12 @@
 
 A kernel is handed `P[i]`, reads `P[i].engine.mass_kg`, and compiles once for every vehicle, because the layout
 holds no size that depends on the vehicle: arrays are bounded and come with a count. `with_constants` puts counts into
-the layout: those of parts that few vehicles have, and all where thousands of flights of one vehicle justify a
-compilation of their own.
+the layout, where thousands of flights of one vehicle justify a compilation of their own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from operator import attrgetter
@@ -100,16 +99,14 @@ def blank(schema: type) -> NDArray[Any]:
     return np.zeros(1, dtype_of(schema))
 
 
-def with_constants(rows: NDArray[Any], *path: str, only: Sequence[str] = ()) -> NDArray[Any]:
+def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
     """The same memory, with the integers of the nested record at `path` in its type as well: kernels that read
     them by `jit.integer` are compiled for these values, and compute the same bits. Unlike rows stay as they are.
-
-    `only`: the integers that are told; all without it.
     """
     nested = rows
     for name in path:
         nested = nested[name]
-    names = only or nested.dtype.names or ()
+    names = nested.dtype.names or ()
     if len(rows) > 1 and any((nested[name] != nested[name][0]).any() for name in names):
         return rows
     encoded = ",".join(f"{name}={int(nested[name][0])}" for name in names)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any
 
@@ -50,22 +50,10 @@ class Packed:
 
 
 _counts = attrgetter(*(f.name for f in fields(Sizes) if f.init))
-_SELDOM = {f.name: f.default for f in fields(Sizes) if f.default is not MISSING}
-"""Sizes that few vehicles have otherwise. Without them the kernels hold no code for what is not there: measured, a
-quarter of a flight's time and a sixth of its compilation. Up to four modes in a plane are told as well: a twentieth."""
 
 
 def pack_flight(scenario: Scenario) -> Packed:
-    """Everything the kernel needs; the scenario is not looked at again."""
-    packed = _pack(scenario)
-    sizes = packed.parameters["vehicle"]["sizes"]
-    if not all((sizes[name] == usual).all() for name, usual in _SELDOM.items()):
-        return packed
-    told = (*_SELDOM, "mode_groups") if (sizes["mode_groups"] == 1).all() else tuple(_SELDOM)
-    return replace(packed, parameters=with_constants(packed.parameters, "vehicle", "sizes", only=told))
-
-
-def _pack(scenario: Scenario) -> Packed:
+    """Everything the kernel needs; the scenario is not looked at again. Every vehicle flies by the same kernels."""
     pool = Pool()
     environment, computers = pack_environment(scenario, pool), pack_computers(scenario, pool)
     injections, faults = pack_injections(scenario, pool), pack_faults(scenario)
@@ -103,11 +91,11 @@ def _pack(scenario: Scenario) -> Packed:
 
 
 def pack_for_one_vehicle(scenario: Scenario) -> Packed:
-    """As `pack_flight`, for kernels compiled for its number of modes, tanks and surfaces: the same bits sooner.
+    """As `pack_flight`, for kernels compiled for its counts of modes, tanks, engines and sensors: the same bits sooner.
 
     Compiling them takes as long as some two hundred flights, once. Stages of unlike sizes stay with the common kernels.
     """
-    packed = _pack(scenario)
+    packed = pack_flight(scenario)
     return replace(packed, parameters=with_constants(packed.parameters, "vehicle", "sizes"))
 
 
@@ -119,7 +107,7 @@ def _liftoff_s(scenario: Scenario) -> float:
     if scenario.holddown.release_s is not None:
         return scenario.holddown.release_s
     others = tuple(fault for fault in scenario.fault if fault not in counted)
-    before = _pack(scenario.model_copy(update={"fault": others}))
+    before = pack_flight(scenario.model_copy(update={"fault": others}))
     return thrust_exceeds_weight_s(before.parameters[0], before.pool, before.state)
 
 

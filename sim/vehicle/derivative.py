@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.jit import kernel, routine, routine_beside
+from maxq.control.kernel.jit import kernel, rare_routine, routine, routine_beside
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
@@ -41,7 +41,7 @@ from maxq.sim.vehicle.bending import (
     modal_derivative,
     modal_state,
 )
-from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, counts
+from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, are_usual, counts, usual_counts
 from maxq.sim.vehicle.engine import (
     Deflected,
     Engine,
@@ -129,7 +129,21 @@ class StageInputs:
 @kernel
 def derive_properties(vehicle: Vehicle, pool: Array, clock_s: float, properties: Array) -> None:
     """Compute the derived properties, behind the columns of the schedule, once for all derivatives at an instant."""
-    sizes, bending = counts(vehicle.sizes), vehicle.bending
+    sizes = counts(vehicle.sizes)
+    if are_usual(sizes):
+        _derive_properties(vehicle, usual_counts(sizes), pool, clock_s, properties)
+    else:
+        _derive_unusual_properties(vehicle, pool, clock_s, properties)
+
+
+@rare_routine
+def _derive_unusual_properties(vehicle: Vehicle, pool: Array, clock_s: float, properties: Array) -> None:
+    _derive_properties(vehicle, counts(vehicle.sizes), pool, clock_s, properties)
+
+
+@kernel
+def _derive_properties(vehicle: Vehicle, sizes: Counts, pool: Array, clock_s: float, properties: Array) -> None:
+    bending = vehicle.bending
     sch.complete_modes(sizes, sch.PITCH, sizes.pitch_modes, bending.zeta_pitch, bending.frequency_factor, properties)
     sch.complete_modes(sizes, sch.YAW, sizes.yaw_modes, bending.zeta_yaw, bending.frequency_factor, properties)
     if sizes.spatial_modes > 0:
@@ -151,8 +165,27 @@ def derivative(
     work: Array,
 ) -> None:  # fmt: skip  # nine lines otherwise
     """Derivative of `at.y` into `at.dy`, auxiliary outputs into `at.aux`, with the properties of this instant."""
-    properties, y, dy, aux = at
     sizes = counts(vehicle.sizes)
+    if are_usual(sizes):
+        _derivative(vehicle, usual_counts(sizes), environment, pool, held, inputs, at, work)
+    else:
+        _unusual_derivative(vehicle, environment, pool, held, inputs, at, work)
+
+
+@rare_routine
+def _unusual_derivative(
+    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: ws.Evaluation,
+    work: Array,
+) -> None:  # fmt: skip  # nine lines otherwise
+    _derivative(vehicle, counts(vehicle.sizes), environment, pool, held, inputs, at, work)
+
+
+@kernel
+def _derivative(
+    vehicle: Vehicle, sizes: Counts, environment: Environment, pool: Array, held: Held, inputs: StageInputs,
+    at: ws.Evaluation, work: Array,
+) -> None:  # fmt: skip  # ten lines otherwise
+    properties, y, dy, aux = at
     eta, xi, spatial, pendulums = (
         states.eta_index(sizes),
         states.xi_index(sizes),

@@ -21,7 +21,7 @@ from maxq.sim.vehicle.bending import (
     of_plane,
     product_of_modes,
 )
-from maxq.sim.vehicle.block import Counts, Sizes, counts
+from maxq.sim.vehicle.block import Counts, Sizes, are_usual, counts, usual_counts
 from maxq.sim.vehicle.engine import Engine, beside_axis, deflected_at
 from maxq.sim.vehicle.spatial_modes import Load, apply_spatial_load, spatial_motion
 
@@ -79,6 +79,13 @@ def modal_roll_response(e: Engine, of: Sizes, first: Vector, properties: Array, 
     SPATIAL_ACCEL hold the forces meanwhile.
     """
     sizes = counts(of)
+    if are_usual(sizes):
+        return _roll_response(e, usual_counts(sizes), first, properties, work)
+    return _roll_response(e, sizes, first, properties, work)
+
+
+@kernel
+def _roll_response(e: Engine, sizes: Counts, first: Vector, properties: Array, work: Array) -> float:
     clear_modes(sizes, work, ws.ACCEL)
     for i in range(sizes.spatial_modes):
         work[ws.SPATIAL_ACCEL + i] = 0.0

@@ -218,7 +218,7 @@ class Progress:
             if not self._compiling:
                 self._bar.reset(self._task)
             self._compiling = True
-            look = {"what": "compiling", "count": "once for vehicles like this", "completed": 0, "total": None}
+            look = {"what": "compiling", "count": "once", "completed": 0, "total": None}
             self._bar.update(self._task, **look, note=name)
 
     def _due(self) -> bool:
