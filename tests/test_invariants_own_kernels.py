@@ -19,7 +19,7 @@ from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.vehicle.block import are_usual, usual_counts
+from maxq.sim.vehicle.block import are_usual, rigid_counts, usual_counts
 from maxq.sim.vehicle.state import Counts, Sizes, counts
 
 SHORT = ["run.duration_s=12.0", "run.stop_at=[]", "campaign.keep=[]"]
@@ -68,21 +68,22 @@ def test_modes_are_grouped_by_four():
     assert [Sizes(modes, 0, 0, 0).mode_groups for modes in (0, 1, 4, 5, 12)] == [0, 1, 1, 2, 3]
 
 
-@pytest.mark.parametrize("modes", [0, 5])
-def test_counts_are_usual_with_one_to_four_modes(modes):
-    assert not are_usual(counts(pack([Sizes(modes, 0, 4, 5)])[0]))
-
-
 @pytest.mark.parametrize("unusual", [f.name for f in dataclasses.fields(Sizes) if f.default is not dataclasses.MISSING])
-def test_counts_are_usual_only_where_the_constants_are_theirs(unusual):
+@pytest.mark.parametrize(("modes", "of"), [((3, 2), usual_counts), ((0, 1), usual_counts), ((0, 0), rigid_counts)])
+def test_counts_are_usual_only_where_the_constants_are_theirs(modes, of, unusual):
     """Code for usual counts ignores what else a vehicle has."""
-    sizes = Sizes(3, 2, 4, 5)
+    sizes = Sizes(*modes, 4, 5)
     usual = counts(pack([sizes])[0])
     assert are_usual(usual)
-    assert usual_counts(usual) == usual
+    assert of(usual) == usual
     for count in (getattr(sizes, unusual) - 1, getattr(sizes, unusual) + 1):
         if count >= 0:
             assert not are_usual(counts(pack([dataclasses.replace(sizes, **{unusual: count})])[0]))
+
+
+@pytest.mark.parametrize("modes", [(5, 0), (0, 5)])
+def test_more_than_four_modes_in_a_plane_are_unusual(modes):
+    assert not are_usual(counts(pack([Sizes(*modes, 4, 5)])[0]))
 
 
 VEHICLES = """

@@ -80,19 +80,25 @@ def counts(sizes: Sizes) -> Counts:
 
 @kernel
 def are_usual(sizes: Counts) -> bool:
-    """Return True for one to four modes in the plane that has more, without parts that few vehicles have."""
+    """Return True for at most four modes in a plane, and none of the parts that few vehicles have."""
     none = sizes.tables + sizes.spatial_modes + sizes.further_groups + sizes.tvc_loads + sizes.sensors == 0
-    return none and sizes.engines * sizes.gimbals * sizes.thrust_curves * sizes.mode_groups == 1
+    return none and sizes.mode_groups < 2 and sizes.engines * sizes.gimbals * sizes.thrust_curves == 1
 
 
 @kernel
 def usual_counts(sizes: Counts) -> Counts:
-    """Return counts that `are_usual`, as constants where all usual counts are equal.
+    """Return counts that `are_usual` of a vehicle with modes, as constants where these are all equal.
 
     Code that is inlined for them holds no loop over groups of modes, and nothing of parts that few vehicles have:
     measured, a quarter of a flight's time.
     """
     return Counts(sizes.pitch_modes, sizes.yaw_modes, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 1)
+
+
+@kernel
+def rigid_counts(sizes: Counts) -> Counts:
+    """Return counts that `are_usual` of a vehicle without modes, as constants where these are all equal."""
+    return Counts(0, 0, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from maxq.sim.vehicle.bending import (
     modal_derivative,
     modal_state,
 )
-from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, are_usual, counts, usual_counts
+from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, are_usual, counts, rigid_counts, usual_counts
 from maxq.sim.vehicle.engine import (
     Deflected,
     Engine,
@@ -130,10 +130,12 @@ class StageInputs:
 def derive_properties(vehicle: Vehicle, pool: Array, clock_s: float, properties: Array) -> None:
     """Compute the derived properties, behind the columns of the schedule, once for all derivatives at an instant."""
     sizes = counts(vehicle.sizes)
-    if are_usual(sizes):
+    if not are_usual(sizes):
+        _derive_unusual_properties(vehicle, pool, clock_s, properties)
+    elif sizes.mode_groups > 0:
         _derive_properties(vehicle, usual_counts(sizes), pool, clock_s, properties)
     else:
-        _derive_unusual_properties(vehicle, pool, clock_s, properties)
+        _derive_properties(vehicle, rigid_counts(sizes), pool, clock_s, properties)
 
 
 @rare_routine
@@ -166,10 +168,12 @@ def derivative(
 ) -> None:  # fmt: skip  # nine lines otherwise
     """Derivative of `at.y` into `at.dy`, auxiliary outputs into `at.aux`, with the properties of this instant."""
     sizes = counts(vehicle.sizes)
-    if are_usual(sizes):
+    if not are_usual(sizes):
+        _unusual_derivative(vehicle, environment, pool, held, inputs, at, work)
+    elif sizes.mode_groups > 0:
         _derivative(vehicle, usual_counts(sizes), environment, pool, held, inputs, at, work)
     else:
-        _unusual_derivative(vehicle, environment, pool, held, inputs, at, work)
+        _rigid_derivative(vehicle, environment, pool, held, inputs, at, work)
 
 
 @rare_routine
@@ -178,6 +182,14 @@ def _unusual_derivative(
     work: Array,
 ) -> None:  # fmt: skip  # nine lines otherwise
     _derivative(vehicle, counts(vehicle.sizes), environment, pool, held, inputs, at, work)
+
+
+@rare_routine
+def _rigid_derivative(
+    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: ws.Evaluation,
+    work: Array,
+) -> None:  # fmt: skip  # nine lines otherwise
+    _derivative(vehicle, rigid_counts(counts(vehicle.sizes)), environment, pool, held, inputs, at, work)
 
 
 @kernel

@@ -194,7 +194,7 @@ def _wait_for(process: subprocess.Popen[bytes], port: int) -> None:
 
 def _last_words(process: subprocess.Popen[bytes]) -> str:
     said = process.stderr.read().decode(errors="replace") if process.stderr is not None else ""
-    if "wgpu" in said or "adapter" in said.lower() or "graphics" in said.lower():
+    if any(word in said.lower() for word in ("wgpu", "adapter", "graphics", "render context")):
         return _NO_DRIVER
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     error = next((line for line in lines if line.startswith("Error:")), lines[-1] if lines else "without a message")
