@@ -180,16 +180,17 @@ def test_compiling_says_what_and_gives_the_bar_back() -> None:
         "import numba\n"
         "from maxq.tools.cli import terminal\n"
         "terminal._PATIENCE_S = 0.0\n"
-        "def circumference(x): return x * 3.0\n"
+        "@numba.njit\ndef circumference(x): return x * 3.0\n"
+        "def twice(x): return circumference(x) * 2.0\n"
         "with terminal.Progress() as progress:\n"
         "    progress.show('flying', 1, 2)\n"
-        "    numba.njit(circumference)(1.0)\n"
+        "    numba.njit(twice)(1.0)\n"
         "    progress._bar.refresh()\n",
         width=120,
     )
-    assert "compiling" in shown
-    assert "circumference" in shown
-    assert shown.rindex("flying") > shown.rindex("circumference")
+    assert "compiling maxq, once" in shown
+    assert "1 functions" in shown  # the second ends the compilation
+    assert shown.rindex("flying") > shown.rindex("1 functions")
 
 
 def test_a_bar_is_never_without_a_name() -> None:
@@ -197,10 +198,10 @@ def test_a_bar_is_never_without_a_name() -> None:
     shown = on_a_terminal(
         "from maxq.tools.cli import terminal\n"
         "with terminal.Progress(at_once=True) as progress:\n"
-        "    progress.compiling('first')\n"
+        "    progress.compiling(1)\n"
         "    progress._compiling_s = 0.0\n"
-        "    progress.compiling('first')\n"
-        "    progress.compiling('')\n"
+        "    progress.compiling(1)\n"
+        "    progress.compiling(0)\n"
         "    progress._bar.refresh()\n"
         "    progress.show('drawing', 0, 0)\n"
         "    progress._bar.refresh()\n"

@@ -200,10 +200,10 @@ class Progress:
             self._shown = {"what": what, "completed": done, "total": of or None, "count": count}
             self._bar.update(self._task, **self._shown, note=printable(note))
 
-    def compiling(self, name: str) -> None:
-        """The kernel `name` is being compiled; empty: it has ended. What takes less than a second is not told."""
+    def compiling(self, functions: int) -> None:
+        """Show the number of functions compiled so far; 0 ends it. A compilation of less than a second is not shown."""
         with self._lock:
-            if not name:
+            if not functions:
                 if self._compiling and self._bar is not None and self._open:
                     self._bar.reset(self._task)
                     self._bar.update(self._task, **self._shown, note="")
@@ -218,8 +218,8 @@ class Progress:
             if not self._compiling:
                 self._bar.reset(self._task)
             self._compiling = True
-            look = {"what": "compiling", "count": "once", "completed": 0, "total": None}
-            self._bar.update(self._task, **look, note=name)
+            look = {"what": "compiling maxq, once", "count": f"{functions} functions", "completed": 0, "total": None}
+            self._bar.update(self._task, **look, note="")
 
     def _due(self) -> bool:
         wait_s = _PATIENCE_S if self._terminal else self._log_every_s
@@ -255,22 +255,19 @@ class Progress:
 
 @contextmanager
 def _listening(progress: Progress) -> Iterator[None]:
-    """Tells `progress` of each kernel that Numba compiles (not of those that it loads)."""
+    """Report to `progress` how many functions Numba has compiled; those that it loads do not count."""
     from numba.core import event  # noqa: PLC0415  # lazy: loaded already where it is called
 
     class Listener(event.Listener):  # type: ignore[misc]  # Numba has no types
-        depth = 0
+        depth, functions = 0, 0
 
         def on_start(self, found: Any) -> None:
             self.depth += 1
-            name = found.data["dispatcher"].py_func.__name__
-            if name[0].isalpha() and name != "impl":  # what is within is not named for people
-                progress.compiling(name.replace("_", " "))
 
         def on_end(self, found: Any) -> None:
             self.depth -= 1
-            if self.depth == 0:
-                progress.compiling("")
+            self.functions += 1
+            progress.compiling(self.functions if self.depth > 0 else 0)
 
     with event.install_listener("numba:compile", Listener()):
         yield
