@@ -8,7 +8,7 @@ along the vertical. Across the plane the Earth's turning adds a speed that count
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq, minimize
+from scipy.optimize import brentq, fsolve, minimize
 
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array
@@ -319,6 +319,17 @@ def _turn_to(model: _Model, path_rad: float) -> None:
     model.kick_rad = float(brentq(beyond, low, high, xtol=1e-7))
 
 
+def _level(ends: Callable[[Array], Array], x: Array) -> Array:
+    """Return the level ascent next to `x` (pitch-over and tangents, scaled) that is the same on every processor.
+
+    The search that ends at `x` leaves the pitch-over where the speed hardly changes, and by rounding ends elsewhere on
+    another processor. So the pitch-over is rounded to 1 mrad, and the tangents follow from it.
+    """
+    kick = round(float(x[0]), 2)
+    tangents = fsolve(lambda y: ends(np.array([kick, *y]))[:2], x[1:], xtol=1e-8, epsfcn=1e-10)
+    return np.array([kick, *tangents])
+
+
 def _steer_to(model: _Model, altitude_m: float) -> None:
     """Pitch-over and tangents of the largest speed at a level last burn-out at this altitude.
 
@@ -352,7 +363,8 @@ def _steer_to(model: _Model, altitude_m: float) -> None:
             break
     else:
         raise ValueError(f"no ascent of its stages ends level at {altitude_m / 1e3:g} km")
-    model.kick_rad, model.tangents = 0.1 * float(found.x[0]), (float(found.x[1]), float(found.x[2]))
+    x = _level(ends, found.x)
+    model.kick_rad, model.tangents = 0.1 * float(x[0]), (float(x[1]), float(x[2]))
     last = model.fly(2)[0][-1]
     if (at := model.orbit(last)).perigee_m < altitude_m - 20e3:
         speed, circular = last.speed_mps, math.sqrt(earth.WGS84_MU_m3ps2 / radius)
