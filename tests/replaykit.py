@@ -11,14 +11,13 @@ import pytest
 
 from maxq.tools.replay import viewer
 from maxq.tools.replay.viewer import ReplayError
-from maxq.tools.replay.viewer_control import ViewerControl
 
 OLD_LOG = Path(__file__).parent / "data" / "logs" / "schema-1" / "flight.mcap"
 """14 s of `nominal` in wind that loses control at 9.66 s (tests/data/logs/NOTES.md): schema 1, for ever."""
 
 
 @contextmanager
-def headless_viewer(window: str = "1280x720") -> Iterator[ViewerControl]:
+def headless_viewer(window: str = "1280x720") -> Iterator:
     """A viewer to be driven. Skips where there is no driver to draw with; in CI that is a failure."""
     try:
         with viewer.headless(window) as connected:

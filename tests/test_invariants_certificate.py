@@ -31,10 +31,10 @@ import maxq
 from maxq.control.converter import ConverterState, convert, make_converter
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import blank, pack
-from maxq.design.certificate.certificate import HELD_GRAVITY, MarginRow, NodeCertificate, certify_node
+from maxq.design.certificate.certificate import HELD_GRAVITY, MarginRow, certify_node
 from maxq.design.certificate.certificate import _with_noise as with_noise
 from maxq.design.certificate.excitation import DITHER_HZ, Band, band, excitation_level, injections
-from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits
+from maxq.design.certificate.held_flight import hold, linear_limits
 from maxq.design.certificate.in_flight import TIME_VARIATION, converters_share, in_flight_response
 from maxq.design.certificate.in_flight import _reason as reason_of
 from maxq.design.certificate.measured_margins import (
@@ -59,12 +59,12 @@ def loaded() -> LoadedScenario:
 
 
 @pytest.fixture(scope="module")
-def held(loaded: LoadedScenario) -> HeldFlight:
+def held(loaded: LoadedScenario):
     return hold(loaded, maxq.nodes(loaded, [40.0])[0])
 
 
 @pytest.fixture(scope="module")
-def certificate(loaded: LoadedScenario) -> NodeCertificate:
+def certificate(loaded: LoadedScenario):
     return certify_node(loaded, maxq.nodes(loaded, [50.0])[0])
 
 
@@ -116,7 +116,7 @@ def test_dither_of_fifty_steps_leaves_a_rounded_command_its_gain(steps: float) -
     assert (off < 0.005) == (steps == FINE_STEPS)
 
 
-def test_tones_of_the_dither_begin_without_a_kick(held: HeldFlight) -> None:
+def test_tones_of_the_dither_begin_without_a_kick(held) -> None:
     """Integrated from rest over three beats (whole turns of both), they turn by nothing on the mean."""
     (low, low_hz), (high, high_hz) = fine_dither(held)
     time_s = np.arange(0.0, 40.0, 1e-3)
@@ -138,7 +138,7 @@ def test_slow_root_is_found_under_a_coarse_output() -> None:
 
 
 @pytest.mark.parametrize("lines", BANDS, ids=["low", "middle", "high"])
-def test_excitation_does_what_the_linear_loop_predicts(held: HeldFlight, lines: Band) -> None:
+def test_excitation_does_what_the_linear_loop_predicts(held, lines: Band) -> None:
     assert held.loaded.design is not None
     loop = maxq.loops([held.node], held.loaded.design)[0]
     level = excitation_level(held, loop, lines)
@@ -151,12 +151,12 @@ def test_excitation_does_what_the_linear_loop_predicts(held: HeldFlight, lines: 
     assert np.abs(command).max() > 0.5 * level.command_rad
 
 
-def test_flight_and_linear_loop_agree_at_50_s(certificate: NodeCertificate) -> None:
+def test_flight_and_linear_loop_agree_at_50_s(certificate) -> None:
     assert certificate.unexplained == ()
     assert [e.what for e in certificate.margins] == ["gain_up", "gain_down", "delay"]
 
 
-def test_without_rounding_flight_and_sampled_loop_are_the_same(certificate: NodeCertificate) -> None:
+def test_without_rounding_flight_and_sampled_loop_are_the_same(certificate) -> None:
     r = certificate.responses
     measured = np.isfinite(r.unrounded.real)
     assert measured.sum() >= 25
@@ -165,11 +165,11 @@ def test_without_rounding_flight_and_sampled_loop_are_the_same(certificate: Node
     assert np.abs(r.unrounded_deg[above]).max() < 0.5
 
 
-def test_half_the_amplitude_measures_the_same(certificate: NodeCertificate) -> None:
+def test_half_the_amplitude_measures_the_same(certificate) -> None:
     assert np.nanmax(np.abs(certificate.responses.nonlinear_db)) < 0.2
 
 
-def test_margin_is_found_again_from_an_altered_flight(held: HeldFlight) -> None:
+def test_margin_is_found_again_from_an_altered_flight(held) -> None:
     """A loop with 2 dB more gain has 2 dB less margin, of which the linear loop knows nothing."""
     assert held.loaded.design is not None
     loop = maxq.loops([held.node], held.loaded.design)[0]
@@ -212,11 +212,11 @@ def test_delay_that_does_not_fit_the_computer_is_named(loaded: LoadedScenario) -
     assert (found.reason, found.tried) == (TOO_LONG, ())
 
 
-def test_what_grows_ends_as_a_limit_cycle_or_is_lost(held: HeldFlight) -> None:
+def test_what_grows_ends_as_a_limit_cycle_or_is_lost(held) -> None:
     assert held.loaded.design is not None
     bound = margins(maxq.loops([held.node], held.loaded.design)[0]).gain_up_db
 
-    def over(db: float) -> Change:
+    def over(db: float):
         def change(packed: Packed) -> None:
             filters = packed.parameters[0].computer.law
             filters.sections[0, int(filters.n_sections[0])] = [10.0 ** (db / 20.0), 0.0, 0.0, 0.0, 0.0]
@@ -261,7 +261,7 @@ def test_wrong_gravity_shows_in_the_drift(drifting: LoadedScenario) -> None:
     assert "drift" in found.unexplained[0]
 
 
-def test_held_loop_that_grows_fast_is_not_taken_for_a_drift(certificate: NodeCertificate) -> None:
+def test_held_loop_that_grows_fast_is_not_taken_for_a_drift(certificate) -> None:
     lost = dataclasses.replace(certificate, margins=(), cycle=LimitCycle("lost", 0.0, 5.0, 3.0, 40.0))
     assert lost.stable
     assert lost.unexplained == (

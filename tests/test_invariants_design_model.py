@@ -34,7 +34,7 @@ from design_nodes import (
 
 import maxq
 from maxq.design.laws.pd import Pd, PdDesign
-from maxq.design.loop.fixed_path import KINDS, Kind, PadeFixedPath, SampledFixedPath, fixed_path
+from maxq.design.loop.fixed_path import KINDS, PadeFixedPath, SampledFixedPath, fixed_path
 from maxq.design.loop.loop import Loop, law_at
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import Dispersion
@@ -230,7 +230,7 @@ def test_zero_slosh_mass_is_no_tank() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_rigid_body_with_ideal_instruments(kind: Kind) -> None:
+def test_a_rigid_body_with_ideal_instruments(kind: str) -> None:
     """In vacuum q' = M_delta delta exactly: the loop has its closed form."""
     node = ideal(without(node_at(40.0), modes=True, tanks=True), actuator=True, gyro=True)
     condition = dataclasses.replace(node.condition, density_kgpm3=0.0)
@@ -269,7 +269,7 @@ def test_a_rigid_body_with_ideal_instruments(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_two_modes_of_equal_frequency(kind: Kind) -> None:
+def test_two_modes_of_equal_frequency(kind: str) -> None:
     """Twice the same mode is that mode with half its generalised mass, its axial softening apart."""
     twice, once = with_modes(node_at(40.0), [0, 0]), with_modes(node_at(40.0), [0])
     mass = int(schedule.mode_column(once.held.sizes, schedule.PITCH, schedule.MODE_MASS))

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from maxq.design.verify.suite import LoadedSuite, read_suite
+from maxq.design.verify.suite import read_suite
 from maxq.design.verify.verify import Verification, verify
 from maxq.sim.scenario.files import builtin_files
 
@@ -88,7 +88,7 @@ def test_an_interrupted_verification_goes_on(
     assert [{**r, "again": ""} for r in told["requirements"]] == wanted
 
 
-def _verified(design: Path, suite: LoadedSuite, memory: Path) -> Verification:
+def _verified(design: Path, suite, memory: Path) -> Verification:
     return verify(str(design), suite, memory=memory)
 
 

@@ -20,7 +20,7 @@ import pytest
 from scipy import stats
 
 from maxq.sim.campaign import rare
-from maxq.sim.campaign.rare import Rare, subset_simulation
+from maxq.sim.campaign.rare import subset_simulation
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.run.fly import fly
@@ -100,7 +100,7 @@ def test_flights_miss_as_rarely_as_their_thrust_is_drawn(
 
 
 def test_crude_is_the_number_of_plain_flights_with_the_same_error() -> None:
-    found: Rare = subset_simulation(lambda z, _: z[:, 0] - 3.0, 1, 300, 0.9)
+    found = subset_simulation(lambda z, _: z[:, 0] - 3.0, 1, 300, 0.9)
     p = np.array([one.probability for one in found.each])
     error = p.std(ddof=1) / np.sqrt(len(p))
     assert found.crude == pytest.approx(p.mean() * (1.0 - p.mean()) / error**2)

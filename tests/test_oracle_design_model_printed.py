@@ -23,12 +23,10 @@ from oracles.planar.vehicle_at import stability_derivatives
 
 import maxq
 from maxq.control.kernel.records import Array
-from maxq.design.loop.fixed_path import Cut, PadeFixedPath
-from maxq.design.model.instruments import Plane
+from maxq.design.loop.fixed_path import PadeFixedPath
 from maxq.design.paper.errata import ABOUT, CORRECTED, PAPER, PRESETS, Errata, one_at_a_time
 from maxq.design.paper.errata_effects import EXPLAINED, errata_effects, peaks_db
 from maxq.design.paper.model import as_printed
-from maxq.design.paper.nodes import PaperNode
 
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
 XI = 1.84118378134066
@@ -46,7 +44,7 @@ def test_all_errata_corrected_make_the_corrected_plant(time_s: float) -> None:
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 @pytest.mark.parametrize("exchange", ["true", "false"])
 @EVERY_NODE
-def test_each_erratum_is_that_of_the_general_equations(time_s: float, exchange: str, plane: Plane) -> None:
+def test_each_erratum_is_that_of_the_general_equations(time_s: float, exchange: str, plane: str) -> None:
     """oracles/planar has engines beside the axis, spatial modes and TVC loads besides, with the same switches."""
     node = published_at(time_s, plane, f"switches.slosh_exchange={exchange}")
     assert node.liquids is not None
@@ -73,7 +71,7 @@ def test_vehicles_that_the_paper_does_not_describe(change: str, words: str) -> N
         _ = maxq.nodes(scenario, [40.0], errata=PAPER)[0].plant
 
 
-def printed_rates(node: PaperNode, x: dict[str, Array], delta: float, delta_accel: float) -> dict[str, Array]:
+def printed_rates(node, x: dict[str, Array], delta: float, delta_accel: float) -> dict[str, Array]:
     """Eqs 1, 2, 3, 12, 13, 21 as printed: rates of alpha, q, theta, eta', Gamma', and q_m."""
     vehicle, condition = planar_of(node), node.condition
     assert node.liquids is not None
@@ -178,7 +176,7 @@ def test_figures_of_the_list_of_errata() -> None:
     """Each figure as the list has it, over the nodes; the study behind it had a plant of its own, hence the slack."""
     nodes = published()
 
-    def measure(node: PaperNode, cut: Cut) -> dict[str, float]:
+    def measure(node, cut: str) -> dict[str, float]:
         loop = maxq.loop(node, design(), kind="pade", cut=cut)
         slosh = {f"zeta {k}": v for k, v in closed_damping(loop).items()} if cut == "gimbal_command" else {}
         return peaks_db(loop) | slosh

@@ -25,10 +25,10 @@ from maxq.design.loop.loop import Loop, law_at
 from maxq.design.margins.dispersed import ManyLoops
 from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.margins.measure import margins
-from maxq.design.model.deviations import Deviations, acting_at, deviations_of
+from maxq.design.model.deviations import acting_at, deviations_of
 from maxq.design.model.dispersion import Dispersion, deviated, stacked
-from maxq.design.model.held import HeldStage, hold_stage
-from maxq.design.model.instruments import Instruments, instruments_of
+from maxq.design.model.held import hold_stage
+from maxq.design.model.instruments import instruments_of
 from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.optimise.robust import deviated as plant_at
@@ -62,7 +62,7 @@ def node_of_campaign(name: str, time_s: float, plane: Any = "pitch") -> Node:
     return maxq.nodes(loaded(name).base, [time_s], plane=plane)[0]
 
 
-def packed_as_flown(campaign: LoadedCampaign, run: int, node: Node) -> tuple[HeldStage, Instruments]:
+def packed_as_flown(campaign: LoadedCampaign, run: int, node: Node) -> tuple:
     """The stage of a node in the scenario of a run, packed as the campaign packs it."""
     packed = pack_flight(campaign.scenario_of(run).scenario)
     held = hold_stage(packed, float(node.held.parameters[0].timeline.frozen_s), node.stage)
@@ -162,7 +162,7 @@ def test_another_seed_and_sampling_are_followed() -> None:
         assert [by.label for by in every] == [f"vehicle {run}" for run in range(7, 11)]
 
 
-def by_name(deviations: Deviations, name: str, sigmas: float) -> Dispersion:
+def by_name(deviations, name: str, sigmas: float) -> Dispersion:
     """The vehicle with one deviation alone."""
     u = np.zeros(len(deviations.places))
     u[deviations.places.index(name)] = sigmas / 3.0

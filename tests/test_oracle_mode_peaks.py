@@ -22,7 +22,7 @@ import scipy.linalg
 from test_oracle_many_vehicles import compared, drawn
 
 import maxq
-from maxq.design.case.schema import LoadedCase, read_case
+from maxq.design.case.schema import read_case
 from maxq.design.laws.registry import designed_law
 from maxq.design.loop.fixed_path import SampledFixedPath
 from maxq.design.loop.loop import Loop, law_at
@@ -38,7 +38,6 @@ from maxq.design.optimise.plants import make_plant, make_plants, nodes_of
 from maxq.design.optimise.solve import each_stage, solve
 from maxq.design.quantities import LAST_MODE
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.scenario.schema_design import Design
 
 STIFFER = "vehicle.stage.0.bending.frequency_factor=[1.0,3.3,1.0]"
 """Mode 2 of KSR-III goes from 76 to 106 Hz at a sample rate of 100 Hz, which it passes at 43.0 s."""
@@ -116,7 +115,7 @@ def test_peak_of_a_mode_at_the_sample_rate_is_its_own() -> None:
         assert found.margins.rigid_phase_deg.value == pytest.approx(other.value, abs=0.1)
 
 
-def fast_petrel(*overrides: str) -> LoadedCase:
+def fast_petrel(*overrides: str):
     """Petrel's last stage in space with a mode that goes from 60 to 112 Hz, 11.1 dB below 0 dB."""
     scenario = petrelkit.scenario("vehicle.stage.2.bending.frequency_factor=[1.4]")
     asked = ("stages=[3]", "between_nodes='ignore'", "limits.first_mode_db=-11.1", *overrides)
@@ -142,7 +141,7 @@ ASKED = (
 )  # fmt: skip  # one line for each otherwise
 
 
-def shipped() -> list[tuple[LoadedCase, Design]]:
+def shipped() -> list[tuple]:
     """Cases of all shipped vehicles with their designs; petrel's mode 2 at 92 s and mode 4 at 119.5 s are weak."""
     ksr3 = "nodes_s=[0.5, 5.0, 30.0, 45.0, 55.0, 57.0]"
     free = (ksr3, "loop=pade", "gains.schedule=free", "limits.rigid_hz=0.1")

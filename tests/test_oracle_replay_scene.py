@@ -17,14 +17,13 @@ from rerun import ComponentColumn
 
 from maxq.sim.log.messages import FRAMES_SCHEMA, FRAMES_TYPE, message_class
 from maxq.tools.replay import meshes
-from maxq.tools.replay.flight import ReplayFlight, launch_of, open_flight, path_of, place_of
+from maxq.tools.replay.flight import launch_of, open_flight, path_of, place_of
 from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.scene import Scene
 from maxq.tools.replay.stream import send_now
 from maxq.tools.replay.vehicle_shape import (
     SECTION,
     Sections,
-    VehicleShape,
     bent_line,
     exaggeration_of,
     modal_coordinates,
@@ -34,12 +33,12 @@ from maxq.tools.replay.vehicle_shape import (
 
 
 @cache
-def flight() -> ReplayFlight:
+def flight():
     return open_flight(OLD_LOG)
 
 
 @cache
-def shape() -> VehicleShape:
+def shape():
     scenario = flight().scenario
     assert scenario is not None
     return shape_of(scenario.vehicle)

@@ -12,10 +12,10 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 import maxq
-from maxq.design.case.schema import LoadedCase, read_case
+from maxq.design.case.schema import read_case
 from maxq.design.certificate import held_flight
 from maxq.design.certificate.certificate import MarginRow, certify_node
-from maxq.design.certificate.held_flight import Change, hold
+from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.measured_margins import (
     TOO_SLOW,
     alter,
@@ -154,13 +154,13 @@ limits = {rigid_hz = 0.25}
 
 
 @pytest.fixture(scope="module")
-def case() -> LoadedCase:
+def case():
     path = petrel.folder() / "two-nodes.toml"
     path.write_text(CASE)
     return read_case(path)
 
 
-def test_a_case_is_a_case_of_each_stage(case: LoadedCase, spans: tuple[Span, ...]) -> None:
+def test_a_case_is_a_case_of_each_stage(case, spans: tuple[Span, ...]) -> None:
     found = [loaded.case for loaded in each_stage(case)]
     assert len(found) == len(spans)
     for one, span in zip(found, spans, strict=True):
@@ -176,7 +176,7 @@ def test_a_case_is_a_case_of_each_stage(case: LoadedCase, spans: tuple[Span, ...
 
 
 @pytest.mark.slow
-def test_a_design_of_one_stage_leaves_the_others_as_they_were(case: LoadedCase) -> None:
+def test_a_design_of_one_stage_leaves_the_others_as_they_were(case) -> None:
     (second,) = each_stage(read_case(petrel.folder() / "two-nodes.toml", ["stages=[2]"]))
     solution = solve(second)
     design, own = make_design(second, solution), petrel.scenario().design
@@ -200,7 +200,7 @@ def test_a_design_of_one_stage_leaves_the_others_as_they_were(case: LoadedCase) 
 
 @pytest.mark.slow
 def test_orders_of_several_stages(
-    case: LoadedCase, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    case, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Each stage by itself; a design of all of them for what every stage can do; the report shows each one's gains."""
     monkeypatch.setattr(run_case, "STRUCTURES", ("F2",))
@@ -241,7 +241,7 @@ def test_gain_that_slow_roots_need_is_found_in_flight(time_s: float, slowest_hz:
     def farther(packed: Packed) -> None:
         packed.parameters[0].vehicle.aero.centre_shift_m -= 0.1 * node.vehicle.total_cg_station_m
 
-    def gain_down(fault: Change | None = None) -> MarginRow:
+    def gain_down(fault=None) -> MarginRow:
         return certify_node(petrel.scenario(), node, fault=fault, bands=(), names=("gain_down",)).margins[0]
 
     sound = gain_down()

@@ -25,7 +25,7 @@ from maxq.tools import simvehicle
 from maxq.tools.vehicle import build as building
 from maxq.tools.vehicle.aerodynamics import aerodynamics
 from maxq.tools.vehicle.beam import ELEMENTS, Beam
-from maxq.tools.vehicle.build import Built, build, burning, least_rigid_hz, m_alpha_1ps2, m_delta_1ps2
+from maxq.tools.vehicle.build import build, burning, least_rigid_hz, m_alpha_1ps2, m_delta_1ps2
 from maxq.tools.vehicle.figures import page
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import Engines, Layout, read_layout
@@ -39,7 +39,7 @@ def layout() -> Layout:
 
 
 @pytest.fixture(scope="module")
-def built(layout: Layout) -> Built:
+def built(layout: Layout):
     return build(layout)
 
 
@@ -109,7 +109,7 @@ def test_a_beam_held_at_its_tail_is_a_cantilever() -> None:
         assert (mode.phi[0], mode.phi[-1], mode.slope_pm[-1]) == pytest.approx((1.0, 0.0, 0.0), abs=1e-12)
 
 
-def test_page_holds_all_pictures(built: Built) -> None:
+def test_page_holds_all_pictures(built) -> None:
     text = page(built)
     for name in ("vehicle", "masses", "modes", "aerodynamics", "control", "ascent"):
         assert text.count(f'id="figure-{name}"') == 1
@@ -168,7 +168,7 @@ def test_fins_and_nose_have_barrowmans_slopes(layout: Layout) -> None:
     assert (aero.roll_damping < 0.0).all()
 
 
-def test_ascent_ends_in_the_orbit_asked_for(built: Built) -> None:
+def test_ascent_ends_in_the_orbit_asked_for(built) -> None:
     last = built.flight.points[-1]
     assert math.degrees(last.path_rad) == pytest.approx(0.0, abs=0.01)
     assert built.flight.orbit.perigee_m == pytest.approx(250e3, abs=1e3)
@@ -179,7 +179,7 @@ def test_ascent_ends_in_the_orbit_asked_for(built: Built) -> None:
         assert omega == pytest.approx(2.0 * math.pi * 0.4, rel=0.02)
 
 
-def test_fairing_is_dropped_and_nothing_else(built: Built, layout: Layout) -> None:
+def test_fairing_is_dropped_and_nothing_else(built, layout: Layout) -> None:
     """One burn in two parts: mass and its flow go on, but for the fairing."""
     assert layout.fairing is not None
     _, with_it, without = built.stacks
@@ -326,14 +326,14 @@ def _petrel() -> Path:
     return builtin_files("layout")["petrel"]
 
 
-def _built_with(path: Path, override: str) -> Built:
+def _built_with(path: Path, override: str):
     from maxq.sim.scenario.loader import load_file  # noqa: PLC0415  # only here
 
     return build(load_file(Layout, "layout", path, [override])[0])
 
 
 @pytest.mark.slow
-def test_the_vehicle_flies_the_point_mass_s_path_to_orbit(tmp_path: Path, built: Built) -> None:
+def test_the_vehicle_flies_the_point_mass_s_path_to_orbit(tmp_path: Path, built) -> None:
     """All stages, nine engines, under the first gains, six degrees of freedom over the oblate Earth."""
     assert simvehicle.main(["petrel", "--out", str(tmp_path)]) == 0
     flight = fly(load_scenario(tmp_path / "scenario.toml"))

@@ -28,7 +28,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.laws.wind import MOMENTS, Spectrum
 from maxq.design.loop.wind import wind_response
 from maxq.design.model.instruments import actuator
-from maxq.design.model.linearised import LinearModel, linearise
+from maxq.design.model.linearised import linearise
 from maxq.design.model.node import node_of, with_cuts
 from maxq.design.model.state_space import StateSpace
 from maxq.sim.packing.flight import Packed, pack_flight
@@ -47,7 +47,7 @@ def flight() -> Flight:
     return fly(load_scenario("nominal", ["run.duration_s=56"]))
 
 
-def simulated(model: LinearModel, plane: str, names: list[str]) -> Array:
+def simulated(model, plane: str, names: list[str]) -> Array:
     """Moments by states of a plane, in the plane's mirrored axes: (stations, names)."""
     rows = [k for k, name in enumerate(model.outputs) if name.startswith(f"bending_{plane}")]
     turned = ("r_radps", "psi_rad", "actuator_yaw")

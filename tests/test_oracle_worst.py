@@ -19,7 +19,7 @@ import maxq
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop, law_at
 from maxq.design.margins.measure import margins
-from maxq.design.model.deviations import Deviations, deviations_of
+from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import NOMINAL, Dispersion
 from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import DEVIATIONS, Spread, campaign_of
@@ -52,7 +52,7 @@ def deviating(spread: Spread) -> LoadedCampaign:
     return campaign_of(spread, design_nodes.nominal())
 
 
-def alone(deviations: Deviations, **sigmas: float) -> np.ndarray:
+def alone(deviations, **sigmas: float) -> np.ndarray:
     """Scores of a vehicle in which a few deviate, by their names, and none of the others."""
     return np.array([sigmas.get(name.replace(" ", "_"), 0.0) / 3.0 for name in deviations.places])
 

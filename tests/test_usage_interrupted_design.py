@@ -14,10 +14,9 @@ import petrelkit as petrel
 import pytest
 
 import maxq
-from maxq.design.case.schema import LoadedCase, read_case
-from maxq.design.optimise.search import Progress
+from maxq.design.case.schema import read_case
 from maxq.design.verify.judging import judge
-from maxq.design.verify.own_flight import CaseDesign, design_case, with_design
+from maxq.design.verify.own_flight import design_case, with_design
 from maxq.tools import simdesign
 from maxq.tools.design import run_case
 
@@ -35,11 +34,11 @@ Stop = Callable[[int, str, int], bool]
 """Asked with stage, from 0, what is searched, and the number of calls about it."""
 
 
-def interrupted(loaded: LoadedCase, stop: Stop) -> CaseDesign:
+def interrupted(loaded, stop: Stop):
     """Return the design of a case that is interrupted where `stop` says so."""
     calls: list[tuple[int, str]] = []
 
-    def progress(stage: int, number: int) -> Progress:
+    def progress(stage: int, number: int):
         def show(done: int, of: int, best_db: float, what: str) -> None:
             calls.append((stage, what))
             if stop(stage, what, calls.count((stage, what))):

@@ -41,7 +41,6 @@ from maxq.design.verify.suite import (
     SCREENED,
     UNDECIDED,
     LinearMargins,
-    LoadedSuite,
     Requirement,
     overall,
     read_suite,
@@ -288,7 +287,7 @@ STAGE_MARKS = {
 }  # fmt: skip  # three more lines otherwise
 
 
-def _fitted(name: str | Path, scenario: str | Path, *stages: dict[str, Any]) -> LoadedSuite:
+def _fitted(name: str | Path, scenario: str | Path, *stages: dict[str, Any]):
     memory: Any = Known(NOMINAL_MARKS, *stages)
     return fit(read_suite(name), load_scenario(scenario), memory)
 
