@@ -7,7 +7,8 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq import LoadedCampaign
+from maxq.sim.campaign.read import load_campaign
 
 HEAD = """\
 schema = 1

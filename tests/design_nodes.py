@@ -9,17 +9,15 @@ import numpy as np
 import scipy.optimize
 
 import maxq
+from maxq import Flight, LoadedScenario, Loop, Node
 from maxq.design.loop.fixed_path import folded
-from maxq.design.loop.loop import Loop
 from maxq.design.model.held import FlightCondition, hold_stage, table_clock_s
 from maxq.design.model.instruments import instruments_of
-from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import without_bending
 from maxq.design.operating_points import published_nodes
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.flight import Flight
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle import schedule
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, MACH, PRESSURE

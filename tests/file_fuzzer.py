@@ -20,14 +20,13 @@ import tomli_w
 from hypothesis import strategies as st
 from scenario_files import ASCENT, DESIGN, ROCKET, TABLES, modes_csv, write_ascent
 
+from maxq import CampaignError, ScenarioError
 from maxq.design.case.schema import read_case
 from maxq.design.verify.flown import load_flight, load_wanted
 from maxq.design.verify.suite import read_suite
-from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.schemas import json_schema
 from maxq.tools.vehicle.build import build

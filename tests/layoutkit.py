@@ -6,7 +6,8 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq import LoadedScenario
+from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.vehicle.build import build
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout

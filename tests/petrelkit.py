@@ -6,8 +6,9 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from maxq.design.model.node import Node, nodes_along
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq import LoadedScenario, Node
+from maxq.design.model.node import nodes_along
+from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.vehicle.build import build
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout

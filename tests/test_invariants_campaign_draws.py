@@ -9,11 +9,11 @@ import campaignkit
 import numpy as np
 import pytest
 
+from maxq import LoadedCampaign, ScenarioError
 from maxq.sim.campaign import draws
 from maxq.sim.campaign.plan import VectorWind
-from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.schema import WindModel
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.tables_csv import CsvTable
 
 SAMPLINGS = ("random", "latin-hypercube", "sobol")

@@ -9,9 +9,9 @@ import campaignkit
 import numpy as np
 import pytest
 
+from maxq import LoadedCampaign
 from maxq.sim.campaign import runner
 from maxq.sim.campaign.investigation import refly
-from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.campaign.store import campaign_in

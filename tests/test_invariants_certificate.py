@@ -28,6 +28,7 @@ import pytest
 import scipy.special
 
 import maxq
+from maxq import LoadedScenario, margins
 from maxq.control.converter import ConverterState, convert, make_converter
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import blank, pack
@@ -46,9 +47,8 @@ from maxq.design.certificate.measured_margins import (
     measure_margin,
 )
 from maxq.design.certificate.response import BANDS, NOISE, UNEXPLAINED
-from maxq.design.margins.measure import margins
 from maxq.sim.packing.flight import Packed
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 
 PULSE_RAD = 1e-5
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 import pytest
 
 import maxq
+from maxq import LoadedScenario, Node
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.response import BANDS
-from maxq.design.model.node import Node
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.dev.verification.planted_faults import FAULTS
 
 QUICK = (

@@ -33,12 +33,13 @@ from design_nodes import (
 )
 
 import maxq
+from maxq import Loop, Node
 from maxq.design.laws.pd import Pd, PdDesign
 from maxq.design.loop.fixed_path import KINDS, PadeFixedPath, SampledFixedPath, fixed_path
-from maxq.design.loop.loop import Loop, law_at
+from maxq.design.loop.loop import law_at
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import Dispersion
-from maxq.design.model.node import Node, nodes_along
+from maxq.design.model.node import nodes_along
 from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.model.state_space import Resolvent
 from maxq.design.model.vehicle_at import without_engine_inertia

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from maxq import FlightRun, LoadedScenario, record
 from maxq.control.kernel.records import Array
 from maxq.sim.flight.channels import unit_suffix
 from maxq.sim.flight.metric_table import (
@@ -23,10 +24,9 @@ from maxq.sim.flight.metric_table import (
 )
 from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.log.reader import read_log
-from maxq.sim.run.fly import FlightRun, fly
+from maxq.sim.run.fly import fly
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
-from maxq.sim.run.record import record
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 
 
 def loaded(*overrides: str) -> LoadedScenario:

@@ -21,11 +21,11 @@ import pytest
 from design_nodes import design, node_at, without
 from pid_law import PID, Pid
 
+from maxq import Loop, margins
 from maxq.design.case.schema import ObjectiveName
 from maxq.design.laws import registry
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop, close_loop
-from maxq.design.margins.measure import margins
+from maxq.design.loop.loop import close_loop
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.plants import make_plant, make_plants

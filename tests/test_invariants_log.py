@@ -20,10 +20,11 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 
+from maxq import Log, LogError
 from maxq.sim.flight.channels import Channel, ChannelTable, Topic
-from maxq.sim.log.head import LogError, RunHead
+from maxq.sim.log.head import RunHead
 from maxq.sim.log.messages import Event, Level
-from maxq.sim.log.reader import Log, read_log
+from maxq.sim.log.reader import read_log
 from maxq.sim.log.writer import LogWriter
 
 SECONDS = [0, 1, 2, 3]

@@ -19,12 +19,11 @@ from design_nodes import TIMES_S, design, node_at, published_at, without
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from maxq import Node, margins
 from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import KINDS, fixed_path
 from maxq.design.loop.loop import close_loop
 from maxq.design.margins.budget import BUILD_UP, build_up, crossing_budgets, loop_budget, split
-from maxq.design.margins.measure import margins
-from maxq.design.model.node import Node
 from maxq.design.model.vehicle_at import without_engine_inertia
 from maxq.design.paper.errata import PAPER
 

@@ -26,15 +26,13 @@ import scipy.linalg
 from threadpoolctl import threadpool_info
 
 import maxq
+from maxq import Loop, Node, ScenarioError, margins
 from maxq.design.case.schema import read_case
 from maxq.design.laws.design_file import design_text
 from maxq.design.laws.pd import Pd, as_flown
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.laws.registry import designed_law
-from maxq.design.loop.loop import Loop
-from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import deviations_of
-from maxq.design.model.node import Node
 from maxq.design.model.spread import Correlated
 from maxq.design.optimise import robust
 from maxq.design.optimise.at_nodes import make_problem
@@ -45,7 +43,6 @@ from maxq.design.optimise.solution import Certificate
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import optimality
 from maxq.design.verify.judging import judge, judge_solution, make_design
-from maxq.sim.scenario.errors import ScenarioError
 
 NODES = "nodes_s=[5.0, 30.0, 55.0]"
 

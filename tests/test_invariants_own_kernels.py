@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from maxq import FlightRun
 from maxq.control.kernel import kept_code
 from maxq.control.kernel.records import constants_in, pack, with_constants
 from maxq.sim.campaign import runs
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
-from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import Counts, Sizes, counts
 

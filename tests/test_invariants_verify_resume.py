@@ -18,8 +18,9 @@ from typing import Any
 
 import pytest
 
+from maxq import Verification
 from maxq.design.verify.suite import read_suite
-from maxq.design.verify.verify import Verification, verify
+from maxq.design.verify.verify import verify
 from maxq.sim.scenario.files import builtin_files
 
 SUITE = """

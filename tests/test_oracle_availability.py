@@ -11,14 +11,13 @@ import petrelkit
 import pytest
 from scipy.stats import binomtest
 
+from maxq import DataSet, ScenarioError
 from maxq.design.verify.flown import CampaignResult, campaign_requirements
 from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED
-from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.availability import Month, availability, clopper_pearson
 from maxq.sim.campaign.plan import MONTH_KEY
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.tools.campaign_report import report, write_report
 

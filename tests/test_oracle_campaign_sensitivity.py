@@ -13,24 +13,14 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from maxq import CampaignError, DataSet, Flight, LoadedScenario
 from maxq.sim.campaign import investigation
-from maxq.sim.campaign.analysis import (
-    DataSet,
-    bands,
-    borgonovo,
-    failed_runs,
-    first_order,
-    judged,
-    rank_correlation,
-    selected,
-)
-from maxq.sim.campaign.error import CampaignError
+from maxq.sim.campaign.analysis import bands, borgonovo, failed_runs, first_order, judged, rank_correlation, selected
 from maxq.sim.campaign.investigation import search_worst, shrink_run
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 from maxq.tools.campaign_report import how_judged
 

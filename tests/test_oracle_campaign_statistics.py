@@ -14,9 +14,10 @@ import pyarrow as pa
 import pytest
 from scipy import integrate, stats
 
+from maxq import DataSet
 from maxq.sim.campaign import statistics as s
 from maxq.sim.campaign import tails
-from maxq.sim.campaign.analysis import DataSet, _judged
+from maxq.sim.campaign.analysis import _judged
 from maxq.sim.campaign.draws import box, chosen, correlated, quantile
 from maxq.sim.campaign.runner import Tally
 from maxq.sim.campaign.schema import Disperse

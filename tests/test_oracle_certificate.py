@@ -18,6 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import maxq
+from maxq import Loop, margins
 from maxq.design.certificate import measured_margins
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.excitation import Band, band, excitation_level
@@ -25,8 +26,6 @@ from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.measured_margins import growth_rate, measure_margin
 from maxq.design.certificate.response import BANDS as RESPONSE_BANDS
 from maxq.design.certificate.response import _estimated, _spectra, measure
-from maxq.design.loop.loop import Loop
-from maxq.design.margins.measure import margins
 from maxq.sim.packing.flight import Packed
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario

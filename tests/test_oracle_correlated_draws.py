@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq import LoadedCampaign, ScenarioError
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 
 THRUST, LENGTH, FORCE = "vehicle.stage.0.engine.thrust_factor", "vehicle.stage.0.tank.0.length_factor", "aero force"

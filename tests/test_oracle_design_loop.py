@@ -25,16 +25,15 @@ import scipy.signal
 from design_nodes import TIMES_S, agrees_with_a_kick, design, flown, frozen, ideal, node_at
 
 import maxq
+from maxq import Loop, Node
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.design.loop.fixed_path import CUTS, ExactFixedPath, PadeFixedPath, SampledFixedPath
-from maxq.design.loop.loop import Loop
 from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_pade
 from maxq.design.loop.sampling import exponential, sample
 from maxq.design.model.linearised import linearise
-from maxq.design.model.node import Node
 from maxq.design.model.state_space import StateSpace, zeros_and_poles
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly

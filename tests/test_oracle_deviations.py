@@ -17,19 +17,19 @@ import pytest
 from scipy import stats
 
 import maxq
+from maxq import LoadedCampaign, Loop, Node, ScenarioError, margins
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import read_case
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop, law_at
+from maxq.design.loop.loop import law_at
 from maxq.design.margins.dispersed import ManyLoops
 from maxq.design.margins.many import DONE, HANDED_BACK
-from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import acting_at, deviations_of
 from maxq.design.model.dispersion import Dispersion, deviated, stacked
 from maxq.design.model.held import hold_stage
 from maxq.design.model.instruments import instruments_of
-from maxq.design.model.node import Node, disperse
+from maxq.design.model.node import disperse
 from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.optimise.robust import deviated as plant_at
 from maxq.design.optimise.robust import modes_off, ranges_of
@@ -38,9 +38,8 @@ from maxq.design.verify.linear import vehicles
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.parts import Parts
 from maxq.design.verify.suite import LinearMargins, read_suite
-from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule
 

@@ -10,14 +10,12 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from maxq import Flight, FlightRun, ScenarioError, record
 from maxq.control.kernel.records import Array
 from maxq.sim.campaign.targets import Change, Dispersed, find_target
 from maxq.sim.log.reader import read_log
 from maxq.sim.packing.faults import WRITES
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
-from maxq.sim.run.record import record
-from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_fault import KINDS, FaultKind
 from maxq.tools.flight_report import report

@@ -101,7 +101,7 @@ def test_zoh_is_step_invariant(bending: BendingFilter) -> None:
     np.testing.assert_allclose(run(bending, "zoh", np.ones(200)), expected, rtol=0, atol=1e-9)
 
 
-def run(bending: BendingFilter, method, signal: np.ndarray) -> np.ndarray:
+def run(bending: BendingFilter, method: str, signal: np.ndarray) -> np.ndarray:
     discrete = discretize(bending, method)
     memory = np.zeros((MAX_SECTIONS, 2))
     sections = discrete.padded()

@@ -21,10 +21,9 @@ from flight_code import COMPILER, STRICT, flies, needs_compiler
 from scipy.io import loadmat
 
 import maxq
-from maxq.design.margins.measure import margins
+from maxq import Flight, margins
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runs import fly_rows
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign, simvehicle

@@ -14,16 +14,14 @@ import pytest
 from flightkit import Array, Mode, Parts, flown, rig, scenario_of
 from scipy.linalg import expm
 
+from maxq import Flight, FlightRun, ScenarioError, record
 from maxq.control.kernel.records import pack
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.flight.oscillators import put_functions, put_oscillator
 from maxq.sim.packing.integration import Oscillation, method_error, oscillations, worst_error
 from maxq.sim.packing.vehicle import pack_actuators
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
+from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import step_failure
-from maxq.sim.run.record import record
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.actuator import actuator_derivative, linear_sections
 from maxq.sim.vehicle.state import eta_index

@@ -33,6 +33,7 @@ from oracles.planar.plant import vehicle_plant
 from oracles.planar.vehicle_at import stability_derivatives, vehicle_at
 from zero_incidence import zero_incidence
 
+from maxq import Flight, FlightRun
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import OUTPUTS, FlightCondition
 from maxq.design.model.instruments import DERIVATIVES, actuator, gyro
@@ -42,8 +43,7 @@ from maxq.design.model.state_space import StateSpace
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import Q_BI
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE

@@ -26,6 +26,7 @@ from scipy.signal import lfilter
 from zero_incidence import zero_incidence
 
 import maxq
+from maxq import ScenarioError
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSection
 from maxq.control.kernel.records import Array, blank, pack
@@ -43,7 +44,6 @@ from maxq.design.verify.judging import with_law
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.vehicle.state import Q_BI, V_I, W_BI_B
 
 T = 0.01

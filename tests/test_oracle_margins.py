@@ -21,9 +21,9 @@ from hypothesis import strategies as st
 from scipy.special import lambertw
 from textbook_loops import ModalLoop, TransferLoop
 
+from maxq import margins
 from maxq.control.kernel.records import Array
 from maxq.design.margins.crossings import steps_past_poles
-from maxq.design.margins.measure import margins
 
 DB = 20.0 / np.log(10.0)
 EXACT = 1e-7  # dB, degrees: a thousandth of what the solver promises, and the rounding of polynomials

@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from textbook_loops import ModalLoop
 
+from maxq import margins
 from maxq.control.kernel.records import Array
 from maxq.design.margins.distances import Zone
-from maxq.design.margins.measure import margins
 
 
 def least(loop: ModalLoop, value: Callable[[np.ndarray], Array], grid: Array) -> float:

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from textbook_loops import ZpkLoop
 
+from maxq import margins
 from maxq.control.kernel.records import Array
-from maxq.design.margins.measure import margins
 
 LOWEST_HZ, FLOOR, FARTHEST = 1e-3, 1.001e-4, 0.9e9  # beyond FARTHEST a sign change is a pole on the axis
 

@@ -14,12 +14,12 @@ import pytest
 from flight_code import EXAMPLES, compiled, flies, needs_compiler
 
 import maxq
+from maxq import margins
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.measured_margins import DRIFT_HZ
 from maxq.design.certificate.measured_only import measure_node
 from maxq.design.certificate.response import BANDS, decibels, degrees
-from maxq.design.margins.measure import margins
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import load_scenario
 

@@ -22,16 +22,17 @@ import scipy.linalg
 from test_oracle_many_vehicles import compared, drawn
 
 import maxq
+from maxq import Loop, Node
 from maxq.design.case.schema import read_case
 from maxq.design.laws.registry import designed_law
 from maxq.design.loop.fixed_path import SampledFixedPath
-from maxq.design.loop.loop import Loop, law_at
+from maxq.design.loop.loop import law_at
 from maxq.design.loop.own_part import attribution, dominance, peak_band
 from maxq.design.loop.resonance import Resonance
 from maxq.design.loop.sampling import sample
 from maxq.design.margins.curve import LOWEST_PEAK
 from maxq.design.margins.measured_loop import measure_loop
-from maxq.design.model.node import Node, disperse
+from maxq.design.model.node import disperse
 from maxq.design.model.state_space import chain, channels
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.plants import make_plant, make_plants, nodes_of

@@ -12,10 +12,10 @@ import scipy.linalg
 import scipy.optimize
 from flightkit import Parts, rig, scenario_of
 
+from maxq import margins, multiloop_margins
 from maxq.control.kernel.records import Array
 from maxq.design.loop.multiloop import Multiloop, OneLoop, multiloop
-from maxq.design.margins.measure import margins
-from maxq.design.margins.multiloop import LOWEST_HZ, multiloop_margins, structured_singular_value
+from maxq.design.margins.multiloop import LOWEST_HZ, structured_singular_value
 from maxq.design.model.state_space import StateSpace
 
 SPIN_RADPS, THRUST_N, PERIOD_S, DELAY_S = 0.8, 3.0e4, 0.01, 0.003

@@ -23,12 +23,11 @@ import optimise_kit as kit
 import pytest
 from scipy.optimize import differential_evolution, linprog
 
+from maxq import Loop, margins
 from maxq.control.kernel.records import Array
 from maxq.design.laws.bending_filter import FilterVariables
 from maxq.design.laws.pd import Pd
 from maxq.design.laws.pd_variables import least_gains
-from maxq.design.loop.loop import Loop
-from maxq.design.margins.measure import margins
 from maxq.design.optimise.problem import Rows
 from maxq.design.optimise.quadratic_programme import solve_quadratic
 from maxq.design.optimise.sqp import Merit, model_step

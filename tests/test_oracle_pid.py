@@ -22,6 +22,7 @@ from complex_step import Pair, filter_f3
 from design_nodes import design, node_at
 from scipy.signal import lfilter
 
+from maxq import Loop, margins
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSection
 from maxq.control.kernel.records import Array, blank, pack
@@ -29,9 +30,8 @@ from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import SampledFixedPath, fixed_path
-from maxq.design.loop.loop import Loop, close_loop
+from maxq.design.loop.loop import close_loop
 from maxq.design.loop.multiloop import Multiloop
-from maxq.design.margins.measure import margins
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.plants import make_plants
 from maxq.design.optimise.solve import solve

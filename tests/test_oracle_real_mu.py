@@ -10,9 +10,10 @@ import numpy as np
 import petrelkit
 import pytest
 
+from maxq import Loop
 from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop, law_at
+from maxq.design.loop.loop import law_at
 from maxq.design.loop.multiloop import multiloop
 from maxq.design.margins.multiloop import LOWEST_HZ
 from maxq.design.margins.real_mu import bound, descent, real_mu_upper

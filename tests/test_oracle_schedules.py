@@ -18,6 +18,7 @@ import optimise_kit as kit
 import pytest
 
 import maxq
+from maxq import ScenarioError
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.kernel.records import blank, pack
 from maxq.control.kernel.tables import Pool
@@ -27,7 +28,6 @@ from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.loop.loop import law_at
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 
 ROWS = {

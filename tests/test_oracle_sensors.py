@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from zero_incidence import zero_incidence
 
 import maxq
+from maxq import Loop, Node
 from maxq.control.computer import ComputerState, build_computer, computer_tick, hand_sensors, start_computer
 from maxq.control.filters import BendingFilter, QuadraticSection
 from maxq.control.kernel.records import Array, blank, pack
@@ -33,12 +34,10 @@ from maxq.control.sensors import make_sensors
 from maxq.design.laws.bending_filter import Lag
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import ExactFixedPath, PadeFixedPath, SampledFixedPath, fixed_path
-from maxq.design.loop.loop import Loop
 from maxq.design.loop.multiloop import multiloop
 from maxq.design.model.held import OUTPUTS
 from maxq.design.model.instruments import actuator, lag
 from maxq.design.model.linearised import linearise
-from maxq.design.model.node import Node
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.vehicle import state as layout

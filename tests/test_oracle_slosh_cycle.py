@@ -20,13 +20,14 @@ from scipy.integrate import quad
 from scipy.special import j1
 
 import maxq
+from maxq import LoadedScenario
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.measured_margins import burst_test, limit_cycle, measured_growth
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import disperse
 from maxq.design.verify.slosh import MIDWAY, SWING_PER_WAVE, Baffle, advise, confirm, fly_cycle
 from maxq.sim.packing.flight import Packed
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 
 TANK, TIME_S = 1, 55.0
 TWO_PHASE = 'design="designs/ksr3-two-phase.toml"'

@@ -23,11 +23,12 @@ from oracles.planar.plant import vehicle_plant
 from oracles.planar.vehicle_at import vehicle_at
 from test_oracle_linear_model import TOLERANCE, flat_earth
 
+from maxq import Flight
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import state_names
 from maxq.design.model.linearised import linearise
 from maxq.sim.packing.pendulums import pendulums
-from maxq.sim.run.flight import WAVE_BREAKING_NAME, Flight
+from maxq.sim.run.flight import WAVE_BREAKING_NAME
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout

@@ -12,6 +12,7 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 import maxq
+from maxq import margins
 from maxq.design.case.schema import read_case
 from maxq.design.certificate import held_flight
 from maxq.design.certificate.certificate import MarginRow, certify_node
@@ -25,7 +26,6 @@ from maxq.design.certificate.measured_margins import (
     measured_growth,
 )
 from maxq.design.laws.design_file import design_text
-from maxq.design.margins.measure import margins
 from maxq.design.model.node import at_same_propellant_s, node_of, nodes_along
 from maxq.design.model.powered import Span, flown_run, flown_to, node_times, powered_spans, spans_of
 from maxq.design.optimise.solve import each_stage, solve

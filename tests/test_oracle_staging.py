@@ -12,11 +12,10 @@ import tomli_w
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
+from maxq import Flight, FlightRun, LoadedScenario, ScenarioError
+from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import orbit_metrics
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text, to_toml
+from maxq.sim.scenario.loader import load_scenario, load_scenario_text, to_toml
 from maxq.sim.vehicle.state import Q_BI, R_I, V_I, W_BI_B
 from maxq.sim.world.earth import Earth, flat
 

@@ -10,13 +10,13 @@ import numpy as np
 import petrelkit
 import pytest
 
+from maxq import ScenarioError
 from maxq.control.kernel.tables import find_interval, interpolate
 from maxq.design.case.schema import read_case
 from maxq.design.verify.suite import read_suite
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_values import OverTime, at_time
 from maxq.sim.vehicle.state import R_I, V_I

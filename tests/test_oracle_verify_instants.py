@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import maxq
+from maxq import Node
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import close_loop
-from maxq.design.model.node import Node
 from maxq.design.quantities import MEASURED, LoopLimits
 from maxq.design.verify import linear
 from maxq.design.verify.linear import WORSE, measured, worst_instants

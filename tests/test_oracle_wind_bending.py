@@ -24,6 +24,7 @@ from test_oracle_linear_model import flat_earth, plane_states
 from zero_incidence import zero_incidence
 
 import maxq
+from maxq import Flight, LoadedScenario
 from maxq.control.kernel.records import Array
 from maxq.design.laws.wind import MOMENTS, Spectrum
 from maxq.design.loop.wind import wind_response
@@ -33,9 +34,8 @@ from maxq.design.model.node import node_of, with_cuts
 from maxq.design.model.state_space import StateSpace
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.loads import MOMENT_Z
 
 TOLERANCE = 1e-8

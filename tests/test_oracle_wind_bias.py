@@ -17,10 +17,9 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
+from maxq import Flight, ScenarioError
 from maxq.control.kernel.records import Array
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign
 from maxq.tools.design.bias import wind_biased

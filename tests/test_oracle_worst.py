@@ -16,21 +16,19 @@ import scipy.linalg
 import scipy.optimize
 
 import maxq
+from maxq import LoadedCampaign, Loop, Node, ScenarioError, margins
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop, law_at
-from maxq.design.margins.measure import margins
+from maxq.design.loop.loop import law_at
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import NOMINAL, Dispersion
-from maxq.design.model.node import Node, disperse
+from maxq.design.model.node import disperse
 from maxq.design.model.spread import DEVIATIONS, Spread, campaign_of
 from maxq.design.optimise.descent import Region, descend
 from maxq.design.verify import worst
 from maxq.design.verify.linear import vehicles
 from maxq.design.verify.suite import LinearMargins, WorstWanted
 from maxq.design.verify.worst import WorstVehicle, distance, search_node, slope, worst_requirements
-from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.schema import Correlated
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 
 FEW = {  # what deviates in the brute-force case; the rest of Spread is 0

@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 
-from maxq.sim.run.flight import Flight
+from maxq import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.dev.verification import nesc

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import maxq
-from maxq.design.margins.measure import margins
+from maxq import margins
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario

@@ -18,12 +18,9 @@ from typing import Any
 import campaignkit
 import pytest
 
-from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.read import LoadedCampaign
+from maxq import CampaignError, FlightRun, LoadedCampaign, ScenarioError
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.store import Store, open_store
-from maxq.sim.run.fly import FlightRun
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools import simrun
 
 TESTS = Path(__file__).resolve().parent

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
-from maxq.sim.scenario.errors import ScenarioError
+from maxq import ScenarioError
 from maxq.tools import simdesign, simreplay, simrun, simvehicle, simverify
 from maxq.tools.cli import frame
 from maxq.tools.cli.frame import TRACEBACK, CommandError, Exit, Interruption

@@ -25,13 +25,13 @@ import petrelkit as petrel
 import pytest
 
 import maxq
+from maxq import ScenarioError
 from maxq.design.case.basis import Basis, DesignLimits, stated_basis
 from maxq.design.laws.design_file import design_text
 from maxq.design.optimise.solve import solve
 from maxq.design.verify.compared import against_basis
 from maxq.design.verify.judging import Wanted, checks, judge, judge_solution, stage_checks
 from maxq.design.verify.suite import read_suite
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design

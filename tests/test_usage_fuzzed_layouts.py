@@ -17,8 +17,8 @@ from file_fuzzer import LAYOUT
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from maxq import ScenarioError
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.vehicle.build import build
 from maxq.tools.vehicle.build import warnings as warnings_of

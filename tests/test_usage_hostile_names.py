@@ -12,13 +12,13 @@ from file_fuzzer import LAYOUT
 from matplotlib.text import Text
 from scenario_files import write_ascent
 
+from maxq import DataSet, ScenarioError
 from maxq.design.verify.suite import read_suite
 from maxq.design.verify.verify import verify
-from maxq.sim.campaign.analysis import DataSet, judged, lost
+from maxq.sim.campaign.analysis import judged, lost
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.campaign_report import report as campaign_text
 from maxq.tools.campaign_report import write_report

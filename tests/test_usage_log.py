@@ -13,12 +13,13 @@ from mcap.writer import Writer
 from numba import njit
 from replaykit import OLD_LOG
 
+from maxq import LogError
 from maxq.control.kernel.jit import entry
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import NorthEastDown, PitchYaw, put
 from maxq.sim.flight.channels import Channel, ChannelTable, Topic, declared_channels, unit_suffix
 from maxq.sim.flight.telemetry import channel_table
-from maxq.sim.log.head import Attachment, LogError, RunHead
+from maxq.sim.log.head import Attachment, RunHead
 from maxq.sim.log.messages import MOST_FIELDS, Event, FramePath, Level, doubles_template
 from maxq.sim.log.reader import read_log
 from maxq.sim.log.writer import LogWriter

@@ -7,13 +7,10 @@ from pathlib import Path
 import pytest
 
 import maxq
-from maxq.sim.campaign.error import CampaignError
+from maxq import CampaignError, FlightRun, LoadedScenario, ScenarioError, record
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.store import MANIFEST, open_store
-from maxq.sim.run.fly import FlightRun
-from maxq.sim.run.record import record
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import LoadedScenario, copy_scenario, load_scenario
+from maxq.sim.scenario.loader import copy_scenario, load_scenario
 from maxq.tools import simreplay
 from maxq.tools.cli.frame import show_list
 

@@ -13,8 +13,8 @@ import pytest
 import tomli_w
 from scenario_files import write_ascent
 
+from maxq import ScenarioError
 from maxq.sim.campaign.read import load_campaign
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 from maxq.tools.vehicle.build import build

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from flightkit import Parts, Tank, Tree, load, merged, scenario_of, with_stage
 
-from maxq.sim.campaign.analysis import DataSet, judged
+from maxq import DataSet, Flight, ScenarioError
+from maxq.sim.campaign.analysis import judged
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.flight.metric_table import METRICS, SectionMetrics
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly, logged_channels
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_loads import BORNE, SECTION_PREFIX
 from maxq.sim.vehicle.loads import KINDS

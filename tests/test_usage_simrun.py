@@ -13,13 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maxq.sim.log.head import LogError
+from maxq import Flight, FlightRun, LogError, record
 from maxq.sim.log.messages import Level
 from maxq.sim.log.reader import read_log
 from maxq.sim.run import record as recording
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
-from maxq.sim.run.record import record
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 from maxq.tools.cli.frame import TRACEBACK

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from maxq import ScenarioError
 from maxq.control.kernel.records import pack
 from maxq.control.kernel.tables import Pool
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.packing.environment import pack_wind
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.world.atmosphere import pressure_altitude
 from maxq.sim.world.wind import wind_ned

@@ -15,15 +15,14 @@ from example_log import TABLE, write_example
 from lz4.frame import compress as lz4_compress
 from scenario_files import write_ascent
 
+from maxq import CampaignError, LogError, ScenarioError
 from maxq.sim.campaign import store
-from maxq.sim.campaign.error import CampaignError
 from maxq.sim.files import plain_name
 from maxq.sim.log import reader
-from maxq.sim.log.head import Attachment, LogError, RunHead
+from maxq.sim.log.head import Attachment, RunHead
 from maxq.sim.log.reader import read_log, read_run
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.run.record import SCENARIO_ATTACHMENT
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.tools import simrun
 

@@ -16,6 +16,7 @@ import numpy as np
 import petrelkit as petrel
 import pytest
 
+from maxq import ScenarioError
 from maxq.design.model.dispersion import NOMINAL, Dispersion
 from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.quantities import SWEPT, LoopLimits, violation
@@ -50,7 +51,6 @@ from maxq.design.verify.suite import (
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.statistics import judge_failures
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_values import Section

@@ -171,7 +171,12 @@ class PlanarVehicle:
 
 
 def vehicle_at(
-    packed: Packed, time_s: float, mach: float, plane: str = "pitch", stage: int = 0, trim: tuple[float, float] = (0.0, 0.0)
+    packed: Packed,
+    time_s: float,
+    mach: float,
+    plane: str = "pitch",
+    stage: int = 0,
+    trim: tuple[float, float] = (0.0, 0.0),
 ) -> PlanarVehicle:
     """Read a burning stage at `time_s` of its own clock and a Mach number.
 
@@ -184,7 +189,9 @@ def vehicle_at(
     return dataclasses.replace(one, across=_in_plane(packed, time_s, mach, other, stage, trim))
 
 
-def _in_plane(packed: Packed, time_s: float, mach: float, plane: str, stage: int, trim: tuple[float, float]) -> PlanarVehicle:
+def _in_plane(
+    packed: Packed, time_s: float, mach: float, plane: str, stage: int, trim: tuple[float, float]
+) -> PlanarVehicle:
     row = packed.parameters[stage]
     vehicle, sizes = row.vehicle, row.vehicle.sizes
     table = table_in(packed.pool, vehicle.schedule)
