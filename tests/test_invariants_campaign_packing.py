@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from maxq import LoadedCampaign, LoadedScenario
-from maxq.sim.campaign.read import ACCURACY, load_campaign
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.targets import Change, Dispersed, Refused, find_target
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
+
+ACCURACY = 0.05
 
 
 def packed_bytes(loaded: LoadedScenario) -> bytes:

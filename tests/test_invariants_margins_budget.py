@@ -21,11 +21,14 @@ from hypothesis import strategies as st
 
 from maxq import Node, margins
 from maxq.control.kernel.records import Array
-from maxq.design.loop.fixed_path import KINDS, fixed_path
+from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import close_loop
-from maxq.design.margins.budget import BUILD_UP, build_up, crossing_budgets, loop_budget, split
+from maxq.design.margins.budget import build_up, crossing_budgets, loop_budget, split
 from maxq.design.model.vehicle_at import without_engine_inertia
 from maxq.design.paper.errata import PAPER
+
+KINDS = "sampled", "pade", "exact"
+BUILD_UP = "rigid body", "aerodynamics", "slosh", "engine inertia", "bending"
 
 ROUNDING = 1e-9  # dB, degrees: a dozen factors, each good to some 1e-12 of its resonances' sharpness
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator, PPoly
 
-from maxq.control.guidance import PITCH, ROLL, YAW, programme_angle, rate_programme
+from maxq.control.guidance import programme_angle, rate_programme
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import NO_TABLE, Pool, fit, look_up
+
+ROLL, PITCH, YAW = 0, 1, 2  # body axes x, y, z
 
 TIME_S = np.array([2.0, 5.0, 6.5, 20.0, 55.0])
 PITCH_RADPS = np.array([0.01, -0.02, -0.015, -0.004, 0.003])

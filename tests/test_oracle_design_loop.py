@@ -30,7 +30,7 @@ from maxq.control.computer import ComputerState, build_computer, computer_tick, 
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
-from maxq.design.loop.fixed_path import CUTS, ExactFixedPath, PadeFixedPath, SampledFixedPath
+from maxq.design.loop.fixed_path import ExactFixedPath, PadeFixedPath, SampledFixedPath
 from maxq.design.loop.rational import average, converter_pade, delay_pade, hold_pade
 from maxq.design.loop.sampling import exponential, sample
 from maxq.design.model.linearised import linearise
@@ -38,6 +38,8 @@ from maxq.design.model.state_space import StateSpace, zeros_and_poles
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
+
+CUTS = "gimbal_command", "rate_command_to_q", "rate_command_to_q_m"
 
 EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
 SOME_NODES = pytest.mark.parametrize("time_s", [5.0, 40.0, 55.0])

@@ -19,8 +19,9 @@ import pytest
 import scipy.signal
 
 from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSection, filter_sample, settle_filter
-from maxq.control.structures import MAX_SECTIONS
 from maxq.design.laws.bending_filter import laplace_axis
+
+MAX_SECTIONS = 8
 
 SAMPLE_S = 0.01
 PREWARP_HZ = 9.2

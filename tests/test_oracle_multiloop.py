@@ -15,8 +15,10 @@ from flightkit import Parts, rig, scenario_of
 from maxq import margins, multiloop_margins
 from maxq.control.kernel.records import Array
 from maxq.design.loop.multiloop import Multiloop, OneLoop, multiloop
-from maxq.design.margins.multiloop import LOWEST_HZ, structured_singular_value
+from maxq.design.margins.multiloop import structured_singular_value
 from maxq.design.model.state_space import StateSpace
+
+LOWEST_HZ = 1e-3  # slower roots are drift
 
 SPIN_RADPS, THRUST_N, PERIOD_S, DELAY_S = 0.8, 3.0e4, 0.01, 0.003
 INERTIA = np.array([[900.0, 60.0, -150.0], [60.0, 5.2e4, 400.0], [-150.0, 400.0, 5.21e4]])

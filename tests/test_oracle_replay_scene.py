@@ -15,14 +15,13 @@ from mcap.reader import make_reader
 from replaykit import OLD_LOG
 from rerun import ComponentColumn
 
-from maxq.sim.log.messages import FRAMES_SCHEMA, FRAMES_TYPE, message_class
+from maxq.sim.log.messages import FRAMES_SCHEMA, message_class
 from maxq.tools.replay import meshes
 from maxq.tools.replay.flight import launch_of, open_flight, path_of, place_of
 from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.scene import Scene
 from maxq.tools.replay.stream import send_now
 from maxq.tools.replay.vehicle_shape import (
-    SECTION,
     Sections,
     bent_line,
     exaggeration_of,
@@ -30,6 +29,9 @@ from maxq.tools.replay.vehicle_shape import (
     nice_factor,
     shape_of,
 )
+
+SIDES = 24
+SECTION = "section_1_bending_pitch_Nm"  # a channel of every log with section loads
 
 
 @cache
@@ -75,7 +77,7 @@ def test_the_gyro_picks_up_from_all_modes_what_it_picks_up_from_each() -> None:
 
 def test_pose_is_that_of_the_frames_in_the_log() -> None:
     """/tf is written by the flight; here it is read by the mcap package and protobuf."""
-    decode = message_class(FRAMES_SCHEMA, FRAMES_TYPE)
+    decode = message_class(FRAMES_SCHEMA, "foxglove.FrameTransforms")
     logged = []
     with OLD_LOG.open("rb") as file:
         for _, _, message in make_reader(file).iter_messages(topics=["/tf"]):
@@ -116,7 +118,7 @@ def test_a_surface_stands_across_its_pendulum() -> None:
     pitch, yaw = math.radians(7.0), math.radians(-4.0)
     tilt = np.array([[math.tan(yaw), math.tan(pitch)]])
     vertices = meshes.liquid_vertices(np.array([-11.0]), np.array([-9.0]), 0.5, tilt, np.zeros((1, 2, 2)))[0]
-    sides = meshes.SIDES
+    sides = SIDES
     surface = vertices[3 * sides : 4 * sides].astype(float)
     centre = surface.mean(axis=0)
     pendulum = np.array([-1.0, math.tan(yaw), math.tan(pitch)])  # from the hinge to the bob, in B

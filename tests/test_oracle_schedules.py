@@ -23,12 +23,13 @@ from maxq.control.computer import ComputerState, build_computer, computer_tick, 
 from maxq.control.kernel.records import blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
-from maxq.control.structures import OVER
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.loop.loop import law_at
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
+
+OVER = "time_s", "speed_mps", "mass_kg", "dynamic_pressure_Pa"
 
 ROWS = {
     "speed_mps": [20.0, 60.0, 90.0],

@@ -33,7 +33,7 @@ from maxq.design.laws.wind import Spectrum
 from maxq.design.loop.fixed_path import PadeFixedPath
 from maxq.design.loop.wind import wind_response
 from maxq.design.model.dispersion import Dispersion
-from maxq.design.model.held import WIND, FlightCondition
+from maxq.design.model.held import FlightCondition
 from maxq.design.model.instruments import actuator
 from maxq.design.model.linearised import linearise, settled
 from maxq.design.model.node import disperse, node_of
@@ -700,11 +700,11 @@ def test_air_that_moves_with_the_vehicle_does_nothing(plane: str) -> None:
     tree = with_stage(merged(scenario_of(rest, **AIR), start), aero=AERO | TABLES, spatial_modes=section)
     node = node_of(pack_flight(load(tree).scenario), 0.0, 0, plane)
     whole = node.plant_in_wind()
-    wind, w = whole.inputs.index(WIND), whole.states.index("w_mps")
+    wind, w = whole.inputs.index("wind_mps"), whole.states.index("w_mps")
     np.testing.assert_allclose(whole.b[:, wind], -whole.a[:, w], rtol=1e-9, atol=1e-11)
     felt = [n for n, name in enumerate(whole.outputs) if name != "w_mps"]  # which is not relative to the air
     np.testing.assert_allclose(whole.d[felt, wind], -whole.c[felt, w], rtol=1e-9, atol=1e-11)
-    assert whole.inputs == (*node.plant.inputs, WIND)
+    assert whole.inputs == (*node.plant.inputs, "wind_mps")
 
 
 def test_the_replay_bends_the_same() -> None:

@@ -13,7 +13,7 @@ import pytest
 from maxq import ScenarioError
 from maxq.tools import simdesign, simreplay, simrun, simvehicle, simverify
 from maxq.tools.cli import frame
-from maxq.tools.cli.frame import TRACEBACK, CommandError, Exit, Interruption
+from maxq.tools.cli.frame import CommandError, Exit, Interruption
 from maxq.tools.cli.terminal import Progress
 
 Printed = pytest.CaptureFixture[str]
@@ -63,16 +63,16 @@ def raising(error: BaseException) -> Callable[[], int]:
 def test_every_error_is_one_line_with_its_exit_code(
     error: BaseException, code: int, says: str, capsys: Printed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv(TRACEBACK, raising=False)
+    monkeypatch.delenv("MAXQ_TRACEBACK", raising=False)
     assert frame.run("sim", raising(error), "stopped; nothing written", "fly less") == code
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert err.startswith(f"sim: {says}")
-    assert (TRACEBACK in err) == (code == Exit.INTERNAL_ERROR)
+    assert ("MAXQ_TRACEBACK" in err) == (code == Exit.INTERNAL_ERROR)
 
 
 def test_the_traceback_is_shown_on_request(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(TRACEBACK, "1")
+    monkeypatch.setenv("MAXQ_TRACEBACK", "1")
     assert frame.run("sim", raising(ZeroDivisionError())) == Exit.INTERNAL_ERROR
     assert capsys.readouterr().err.startswith("Traceback (most recent call last):")
 

@@ -20,11 +20,13 @@ from maxq.control.kernel.rows import NorthEastDown, PitchYaw, put
 from maxq.sim.flight.channels import Channel, ChannelTable, Topic, declared_channels, unit_suffix
 from maxq.sim.flight.telemetry import channel_table
 from maxq.sim.log.head import Attachment, RunHead
-from maxq.sim.log.messages import MOST_FIELDS, Event, FramePath, Level, doubles_template
+from maxq.sim.log.messages import Event, FramePath, Level, doubles_template
 from maxq.sim.log.reader import read_log
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.vehicle.state import Sizes
 from maxq.tools.dev.documents.reference import topics_markdown
+
+MOST_FIELDS = 2047  # from field 2048 on, a tag takes three bytes
 
 ALPHA = Channel("alpha_deg", "deg", "", "angle of attack")
 

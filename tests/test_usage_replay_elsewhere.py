@@ -16,7 +16,6 @@ from replaykit import OLD_LOG, headless_viewer
 
 from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC
 from maxq.sim.log.reader import read_log
-from maxq.sim.run.launch_frames import CHILD, PARENT
 from maxq.tools.replay import log_layout, viewer
 
 FOXGLOVE = Path(__file__).parents[1] / "docs" / "viewers" / "maxq.foxglove-layout.json"
@@ -40,7 +39,7 @@ def test_rerun_shows_frames_and_every_number_once_told(tmp_path: Path) -> None:
         log_layout.send_layout(log, int(client.url.rsplit(":", 1)[1].split("/")[0]))
         viewer.steady_picture(client)
         for time_s in (3.0, 9.0):
-            client.pause_at(log_layout.TIMELINE, timestamp=time_s)
+            client.pause_at("message_log_time", timestamp=time_s)
             viewer.steady_picture(client)
             assert viewer.complaints_of(client) == []
         views = {view.name: view for view in client.get_state().views}
@@ -87,7 +86,7 @@ def test_the_foxglove_layout_names_what_a_log_has() -> None:
     assert set(values(layout, "topicToRender")) | set(values(layout, "topicPath")) <= known
     scene = layout["configById"]["3D!scene"]
     frames = {scene["followTf"], *values(scene["layers"], "frameId"), *scene["transforms"]}
-    assert {name.removeprefix("frame:") for name in frames} == {PARENT, CHILD}
+    assert {name.removeprefix("frame:") for name in frames} == {"launch_site", "body"}
 
 
 def test_the_foxglove_layout_has_panels_that_foxglove_knows() -> None:
@@ -102,7 +101,7 @@ def test_the_foxglove_scene_stands_upright() -> None:
     """A camera that follows the body takes over how the body lies when the log is opened: on its tail."""
     layout = json.loads(FOXGLOVE.read_text(encoding="utf-8"))
     scene = layout["configById"]["3D!scene"]
-    assert (scene["followTf"], scene["followMode"]) == (PARENT, "follow-none")
+    assert (scene["followTf"], scene["followMode"]) == ("launch_site", "follow-none")
 
 
 def test_the_foxglove_layout_places_every_panel_once() -> None:

@@ -20,7 +20,6 @@ from maxq.sim.run import record as recording
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
-from maxq.tools.cli.frame import TRACEBACK
 from maxq.tools.cli.terminal import Progress
 
 SHORT = ["nominal", "--set", "run.duration_s=1.5", "--set", "requirement="]
@@ -387,13 +386,13 @@ def test_a_fault_of_ours_has_its_own_exit_code_and_asks_for_a_report(
         raise ZeroDivisionError("two\nlines")
 
     monkeypatch.setattr("maxq.tools.simrun_fly.execute", broken)
-    monkeypatch.delenv(TRACEBACK, raising=False)
+    monkeypatch.delenv("MAXQ_TRACEBACK", raising=False)
     assert run("nominal") == 70
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("simrun: internal error: ZeroDivisionError: two lines (test_usage_simrun.py, line ")
     assert "please report it" in line
-    assert TRACEBACK in line
-    monkeypatch.setenv(TRACEBACK, "1")
+    assert "MAXQ_TRACEBACK" in line
+    monkeypatch.setenv("MAXQ_TRACEBACK", "1")
     assert run("nominal") == 70
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "Traceback (most recent call last):"

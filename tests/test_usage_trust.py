@@ -22,7 +22,6 @@ from maxq.sim.log import reader
 from maxq.sim.log.head import Attachment, RunHead
 from maxq.sim.log.reader import read_log, read_run
 from maxq.sim.log.writer import LogWriter
-from maxq.sim.run.record import SCENARIO_ATTACHMENT
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.tools import simrun
 
@@ -132,9 +131,7 @@ def test_a_part_that_is_larger_than_is_read(tmp_path: Path, monkeypatch: pytest.
 
 def log_with(folder: Path, scenario: str) -> Path:
     path = folder / "flight.mcap"
-    writer = LogWriter(
-        path, TABLE, RunHead({}, (Attachment(SCENARIO_ATTACHMENT, "application/toml", scenario.encode()),))
-    )
+    writer = LogWriter(path, TABLE, RunHead({}, (Attachment("scenario.toml", "application/toml", scenario.encode()),)))
     writer.close(None, None)
     return path
 
