@@ -20,6 +20,7 @@ import tomli_w
 from hypothesis import strategies as st
 from scenario_files import ASCENT, DESIGN, ROCKET, TABLES, modes_csv, write_ascent
 
+import maxq
 from maxq import CampaignError, ScenarioError
 from maxq.design.case.schema import read_case
 from maxq.design.verify.flown import load_flight, load_wanted
@@ -29,9 +30,6 @@ from maxq.sim.campaign.targets import Refused
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.schemas import json_schema
-from maxq.tools.vehicle.build import build
-from maxq.tools.vehicle.files import write
-from maxq.tools.vehicle.layout import read_layout
 
 CAMPAIGN = """\
 schema = 1
@@ -446,12 +444,10 @@ def _suite(path: str) -> None:
 
 
 def _layout(path: str) -> None:
-    layout = read_layout(path)
     try:
-        built = build(layout)
+        maxq.vehicle(path, "built")
     except ValueError as error:  # as simvehicle does
         raise ScenarioError(path, str(error)) from None
-    write(built, Path("built"))
     _flown("built/scenario.toml")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +11,11 @@ import numpy as np
 import pytest
 import zstandard
 from example_log import EVENTS, FAST, FRAMES, HEAD, SLOW, TABLE, same_bits, write_example
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import NonSeekingReader, make_reader
-from mcap.records import Channel, Chunk, Message, MessageIndex, Metadata, Schema
+from mcap.records import Chunk, MessageIndex, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
+from mcap_messages import messages
 
 from maxq.sim.log.reader import read_log
 from maxq.sim.log.writer import Container, LogWriter, message_block
@@ -34,17 +33,6 @@ def summary_of(path: Path) -> Summary:
         summary = make_reader(file, validate_crcs=True).get_summary()
     assert summary is not None
     return summary
-
-
-def messages(path: Path, topic: str) -> Iterator[tuple[Schema, Channel, Message, Any]]:
-    with path.open("rb") as file:
-        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages(topics=[topic]):
-            assert schema is not None
-            pool = descriptor_pool.DescriptorPool()
-            for entry in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
-                pool.Add(entry)
-            kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
-            yield schema, channel, message, kind.FromString(message.data)
 
 
 @pytest.mark.parametrize("topic", TABLE.topics, ids=lambda topic: topic.name)

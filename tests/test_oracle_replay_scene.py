@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
-from mcap.reader import make_reader
+from mcap_messages import messages
 from replaykit import OLD_LOG
 from rerun import ComponentColumn
 
-from maxq.sim.log.messages import FRAMES_SCHEMA, message_class
 from maxq.tools.replay import meshes
 from maxq.tools.replay.flight import launch_of, open_flight, path_of, place_of
 from maxq.tools.replay.plots import tabs_of
@@ -77,13 +76,11 @@ def test_the_gyro_picks_up_from_all_modes_what_it_picks_up_from_each() -> None:
 
 def test_pose_is_that_of_the_frames_in_the_log() -> None:
     """/tf is written by the flight; here it is read by the mcap package and protobuf."""
-    decode = message_class(FRAMES_SCHEMA, "foxglove.FrameTransforms")
     logged = []
-    with OLD_LOG.open("rb") as file:
-        for _, _, message in make_reader(file).iter_messages(topics=["/tf"]):
-            frame = decode.FromString(message.data).transforms[0]  # type: ignore[attr-defined]  # known at run time only
-            p, q = frame.translation, frame.rotation
-            logged.append((message.log_time, p.x, p.y, p.z, q.w, q.x, q.y, q.z))
+    for _, _, message, decoded in messages(OLD_LOG, "/tf"):
+        frame = decoded.transforms[0]
+        p, q = frame.translation, frame.rotation
+        logged.append((message.log_time, p.x, p.y, p.z, q.w, q.x, q.y, q.z))
     expected = np.array(logged)
     place = place_of(flight())
     path = path_of(flight().log, place.frames(flight().log.table, 100_000_000))

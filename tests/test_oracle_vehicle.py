@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import petrelkit
+import petrelkit as petrel
 import pytest
 
 from maxq import ScenarioError
@@ -237,10 +238,9 @@ def test_a_wrong_layout_is_answered_in_one_line(
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_the_gimbals_of_a_cluster_hold_its_roll(tmp_path: Path) -> None:
+def test_the_gimbals_of_a_cluster_hold_its_roll() -> None:
     """Moments of every engine by itself, its force across times its arm: roll turns at 0.4 Hz with damping 0.7."""
-    write(build(read_layout("petrel")), tmp_path)
-    loaded = load_scenario(tmp_path / "scenario.toml")
+    loaded = load_scenario(petrel.folder() / "scenario.toml")
     scenario, stage = loaded.scenario, loaded.vehicle.stage[0]
     assert [e.group for e in stage.engines].count("left") == [e.offset_m[0] < -0.1 for e in stage.engines].count(True)
     packed = pack_flight(scenario)
@@ -263,9 +263,8 @@ def test_the_gimbals_of_a_cluster_hold_its_roll(tmp_path: Path) -> None:
     assert one.groups == ("lower", "upper")
 
 
-def test_the_campaign_of_a_layout_flies_every_stage_in_wind(tmp_path: Path) -> None:
-    write(build(read_layout("petrel")), tmp_path)
-    campaign = load_campaign(tmp_path / "campaign.toml")
+def test_the_campaign_of_a_layout_flies_every_stage_in_wind() -> None:
+    campaign = load_campaign(petrel.folder() / "campaign.toml")
     stages = [
         {t.key.split(".")[2] for t in d.targets if t.key.startswith("vehicle.stage")} for d in campaign.plan.draws
     ]
@@ -279,13 +278,12 @@ def test_the_campaign_of_a_layout_flies_every_stage_in_wind(tmp_path: Path) -> N
     assert upper[0] == upper[1] != 1.0
 
 
-def test_a_case_from_a_layout_asks_for_what_its_suite_asks(tmp_path: Path) -> None:
+def test_a_case_from_a_layout_asks_for_what_its_suite_asks() -> None:
     """And for more, so that a design that meets the one is not rejected by the other for it."""
-    write(build(read_layout("petrel")), tmp_path)
-    suite = read_suite(tmp_path / "suite.toml").suite
+    suite = read_suite(petrel.folder() / "suite.toml").suite
     asked = suite.margins.nominal
     assert suite.margins.trajectories > 0
-    limits = read_case(tmp_path / "case.toml").case.limits
+    limits = read_case(petrel.folder() / "case.toml").case.limits
     assert limits.gain_margin_db > asked.gain_up_db == asked.gain_down_db
     assert limits.phase_margin_deg > asked.rigid_phase_deg
     assert limits.first_mode_phase_deg > asked.first_mode_phase_deg

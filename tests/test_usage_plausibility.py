@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import petrelkit as petrel
 import pytest
 import tomli_w
 from scenario_files import write_ascent
@@ -17,9 +19,6 @@ from maxq import ScenarioError
 from maxq.sim.campaign.read import load_campaign
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
-from maxq.tools.vehicle.build import build
-from maxq.tools.vehicle.files import write
-from maxq.tools.vehicle.layout import read_layout
 
 SPHERE = "vehicle.stage.0.mass.inertia_kgm2 = 4.88094 is implausible; usual: at most 0.169 kg m2"
 
@@ -73,7 +72,7 @@ def test_vehicles_that_are_implausible(here: Path, overrides: list[str], says: s
 @pytest.fixture(scope="module")
 def from_layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("petrel")
-    write(build(read_layout("petrel")), folder)
+    shutil.copytree(petrel.folder(), folder, dirs_exist_ok=True)
     text = load_scenario(folder / "scenario.toml").as_flown
     (folder / "whole.toml").write_text(text)
     return folder

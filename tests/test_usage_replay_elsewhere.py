@@ -14,7 +14,6 @@ import pytest
 from PIL import Image
 from replaykit import OLD_LOG, headless_viewer
 
-from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC
 from maxq.sim.log.reader import read_log
 from maxq.tools.replay import log_layout, viewer
 
@@ -82,7 +81,7 @@ def test_the_foxglove_layout_names_what_a_log_has() -> None:
     for value in plotted:
         topic, _, field = value.partition(".")
         assert field in topics[topic], value
-    known = {*topics, EVENTS_TOPIC, FRAMES_TOPIC}
+    known = {*topics, "/events", "/tf"}
     assert set(values(layout, "topicToRender")) | set(values(layout, "topicPath")) <= known
     scene = layout["configById"]["3D!scene"]
     frames = {scene["followTf"], *values(scene["layers"], "frameId"), *scene["transforms"]}

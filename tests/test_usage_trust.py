@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from pathlib import Path
@@ -13,6 +14,9 @@ import pytest
 import zstandard
 from example_log import TABLE, write_example
 from lz4.frame import compress as lz4_compress
+from mcap.data_stream import ReadDataStream
+from mcap.reader import make_reader
+from mcap.records import Chunk, ChunkIndex
 from scenario_files import write_ascent
 
 from maxq import CampaignError, LogError, ScenarioError
@@ -35,20 +39,28 @@ def chunk(content: bytes, compression: str, packed: bytes, says: int | None = No
     return struct.pack("<BQ", 6, len(body)) + body
 
 
+def first_chunk(log: bytes) -> ChunkIndex:
+    summary = make_reader(io.BytesIO(log)).get_summary()
+    assert summary is not None
+    return min(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)
+
+
 def with_chunks(folder: Path, *chunks: bytes) -> Path:
     """The example's head with these chunks behind it, and no end."""
     whole = write_example(folder / "example.mcap")
-    first = next(start for opcode, start, _ in reader._frames(whole, 8) if opcode == 6)
     path = folder / "made.mcap"
-    path.write_bytes(whole[:first] + b"".join(chunks))
+    path.write_bytes(whole[: first_chunk(whole).chunk_start_offset] + b"".join(chunks))
     return path
 
 
 def own_chunk(folder: Path) -> bytes:
     """The content of the example's first chunk."""
     whole = write_example(folder / "example.mcap")
-    start, end = next((start, end) for opcode, start, end in reader._frames(whole, 8) if opcode == 6)
-    return reader._chunk_content(whole, start, end)
+    index = first_chunk(whole)
+    start = index.chunk_start_offset + 9  # behind opcode and length
+    record = Chunk.read(ReadDataStream(io.BytesIO(whole[start : start + index.chunk_length - 9])))
+    assert record.compression == "zstd"
+    return zstandard.decompress(record.data)
 
 
 PACKED = {"": lambda content: content, "zstd": zstandard.compress, "lz4": lz4_compress}
