@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from maxq.tools import simdesign
+from maxq.tools.design import run_case
 from maxq.tools.verify.run import Candidate, in_order, try_in_order
 
 Printed = pytest.CaptureFixture[str]
@@ -25,10 +27,36 @@ gain_down_db = {aero_db}
 """
 
 
+@pytest.fixture(scope="module")
+def memory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of verified parts for all tests of this module."""
+    return tmp_path_factory.mktemp("memory")
+
+
+@pytest.fixture(scope="module")
+def designed() -> dict[str, Any]:
+    """What the cases are designed to, by their content, for all tests of this module."""
+    return {}
+
+
 @pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _in_an_empty_folder(tmp_path: Path, memory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("maxq.design.verify.memory.default_folder", lambda: tmp_path / "memory")
+    monkeypatch.setattr("maxq.design.verify.memory.default_folder", lambda: memory)
+
+
+@pytest.fixture
+def _design_once(designed: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Design a case when the first test asks for it; the others take over the result."""
+    design_case = run_case.design_case
+
+    def remembered(loaded: Any, *rest: Any) -> Any:
+        key = repr(loaded.case)
+        if key not in designed:
+            designed[key] = design_case(loaded, *rest)
+        return designed[key]
+
+    monkeypatch.setattr(run_case, "design_case", remembered)
 
 
 def _suite(aero_db: float) -> str:
@@ -44,6 +72,7 @@ def _run(*arguments: str) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("_design_once")
 def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> None:
     """The relaxed case has the lower peak of mode 1, so it goes first; its aerodynamic margin is 9.4 dB."""
     assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(10.0), "--out", "out") == 0
@@ -63,6 +92,7 @@ def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("_design_once")
 def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
     assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(20.0), "--out", "out") == 1
     said = capsys.readouterr().out
