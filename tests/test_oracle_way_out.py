@@ -123,10 +123,11 @@ def test_a_trial_is_confirmed_by_the_case_with_its_settings(margin: tuple) -> No
     confirmed = solve(kit.case(*MODULUS, *wider.settings))
     assert confirmed.feasible
     assert 10.0 ** (-confirmed.objective_db / 20.0) == pytest.approx(0.898, abs=0.005)
+    few = "search.starts=2"
     for settings, modulus in (((), 0.734), (higher.settings, 0.749)):
-        best = solve(kit.case(*(x for x in MODULUS if "modulus" not in x), *settings))
+        best = solve(kit.case(*(x for x in MODULUS if "modulus" not in x), few, *settings))
         assert 10.0 ** (-best.objective_db / 20.0) == pytest.approx(modulus, abs=0.005)
-    again = solve(kit.case(*MODULUS, *higher.settings), also_from=[s.law])
+    again = solve(kit.case(*MODULUS, few, *higher.settings), also_from=[s.law])
     assert again.violation_db <= higher.missing_db + 1e-3
 
 
