@@ -38,11 +38,12 @@ from maxq.design.certificate.excitation import Band, band, excitation_level, inj
 from maxq.design.certificate.held_flight import hold, linear_limits
 from maxq.design.certificate.in_flight import _reason as reason_of
 from maxq.design.certificate.in_flight import converters_share, in_flight_response
-from maxq.design.certificate.measured_margins import FINE_STEPS, LimitCycle, fine_dither, limit_cycle, measure_margin
+from maxq.design.certificate.measured_margins import LimitCycle, fine_dither, limit_cycle, measure_margin
 from maxq.design.certificate.response import BANDS
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import load_scenario
 
+FINE_STEPS = 50.0
 DITHER_HZ = 0.525, 0.825
 
 PULSE_RAD = 1e-5

@@ -25,11 +25,13 @@ from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.measured_margins import burst_test, limit_cycle, measured_growth
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import disperse
-from maxq.design.verify.slosh import MIDWAY, SWING_PER_WAVE, Baffle, advise, confirm, fly_cycle
+from maxq.design.verify.slosh import Baffle, advise, confirm, fly_cycle
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import load_scenario
 
 TANK, TIME_S = 1, 55.0
+MIDWAY = Baffle(depth_r=0.5, cover=0.25)
+SWING_PER_WAVE = (1.841184**2 - 1.0) / 2.0  # rad; from the first root of J1', for a wave as high as the radius
 TWO_PHASE = 'design="designs/ksr3-two-phase.toml"'
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from pathlib import Path
 
 import pytest
 
@@ -89,7 +90,7 @@ def test_table_goes_between_the_markers(tmp_path):
 
 
 def test_published_table_names_every_case_and_no_miss():
-    text = nesc.DOCUMENT.read_text()
+    text = (Path(__file__).parents[1] / "docs" / "verification.md").read_text()
     table = text.partition("<!-- nesc: begin -->")[2].partition("<!-- nesc: end -->")[0]
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.strip().splitlines()[2:]]
     assert [row[0] for row in rows] == list(ALL_CASES)

@@ -24,7 +24,6 @@ from maxq.tools.campaign_report import report as campaign_text
 from maxq.tools.campaign_report import write_report
 from maxq.tools.cli.terminal import Progress
 from maxq.tools.flight_report import report as flight_text
-from maxq.tools.pages import render
 from maxq.tools.plots.style import drawing, png, sheet
 from maxq.tools.vehicle.build import build
 from maxq.tools.vehicle.figures import page as layout_page
@@ -38,7 +37,7 @@ NAME = f"{SCRIPT} {{{{7*7}}}} [red]&amp; $\\frac$"
 """HTML, a template, rich's markup, an entity, mathematics that is none."""
 QUOTED = NAME.replace("\\", "\\\\")
 
-OURS = (Path(render.__file__).parent / "plots.js").read_text(encoding="utf-8")
+OURS = (Path(__file__).parents[1] / "tools" / "pages" / "plots.js").read_text(encoding="utf-8")
 """The one script that a page may run."""
 
 SHORT = f"""\

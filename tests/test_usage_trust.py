@@ -19,12 +19,13 @@ from mcap.reader import make_reader
 from mcap.records import Chunk, ChunkIndex
 from scenario_files import write_ascent
 
+import maxq
 from maxq import CampaignError, LogError, ScenarioError
 from maxq.sim.campaign import store
 from maxq.sim.files import plain_name
 from maxq.sim.log import reader
 from maxq.sim.log.head import Attachment, RunHead
-from maxq.sim.log.reader import read_log, read_run
+from maxq.sim.log.reader import read_log
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.tools import simrun
@@ -197,7 +198,7 @@ def test_attachments_are_never_unpacked(tmp_path: Path) -> None:
     path.parent.mkdir()
     odd = Attachment("../../out.toml", "application/toml", b"x = 1")
     LogWriter(path, TABLE, RunHead({}, (odd,))).close(None, None)
-    assert "../../out.toml" in read_run(path).attachments
+    assert "../../out.toml" in maxq.read(path).attachments
     assert [p.name for p in tmp_path.rglob("*")] == ["deep", "flight.mcap"]
 
 

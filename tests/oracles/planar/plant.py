@@ -62,10 +62,11 @@ from oracles.planar.vehicle_at import Pendulums, PlanarVehicle, with_pendulums
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import FlightCondition, state_names
 from maxq.design.model.state_space import StateSpace
-from maxq.design.paper.errata import CORRECTED, Errata
+from maxq.design.paper.errata import Errata
 
 XI = 1.84118378134066
 _SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero
+CORRECTED = Errata()
 
 
 @dataclass(frozen=True)
