@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from replaykit import OLD_LOG, headless_viewer
+from replaykit import OLD_LOG, free_port, headless_viewer
 
 from maxq.sim.log.reader import read_log
 from maxq.tools.replay import log_layout, viewer
@@ -50,7 +50,7 @@ def test_rerun_shows_frames_and_every_number_once_told(tmp_path: Path) -> None:
 
 
 def test_a_layout_without_a_viewer_says_so(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    port = viewer.free_port()
+    port = free_port()
     monkeypatch.setattr("sys.argv", ["log_layout", str(OLD_LOG), str(port)])
     assert log_layout.main() == 2
     assert capsys.readouterr().err == f"log_layout: no viewer listens on port {port} of 127.0.0.1\n"

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from replaykit import OLD_LOG, headless_viewer, no_driver
+from replaykit import OLD_LOG, free_port, headless_viewer, no_driver
 
 from maxq.tools import simreplay, simrun
 from maxq.tools.replay import viewer
@@ -159,7 +159,7 @@ def test_a_live_flight_is_shown_and_its_log_is_the_same(tmp_path: Path, monkeypa
 
 
 def test_a_live_flight_without_a_viewer_is_not_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    port = viewer.free_port()
+    port = free_port()
     assert simrun.main(["nominal", "--view-port", str(port), "--out", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err
     assert err == f"simrun: --view: no viewer listens on port {port} of 127.0.0.1\n"
@@ -197,7 +197,7 @@ def test_a_run_of_a_campaign_is_flown_again_and_shown(
     assert simrun.main(["short.toml", "--out", "flown", "--no-report"]) in {0, 3}
     again = ["--from", "flown", "--run", "1", "--out", "again"]
 
-    free = viewer.free_port()
+    free = free_port()
     assert simrun.main([*again, "--view-port", str(free)]) == 2
     assert capsys.readouterr().err.endswith(f"simrun: --view: no viewer listens on port {free} of 127.0.0.1\n")
     assert not Path("again").exists()
