@@ -25,7 +25,6 @@ from PIL import Image
 from replaykit import OLD_LOG, free_port
 from websockets.sync.client import ClientConnection, connect
 
-
 PATIENCE_S = 90.0  # WebAssembly of 40 MB, compiled and drawn in software
 
 
