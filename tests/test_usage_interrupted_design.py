@@ -23,12 +23,12 @@ from maxq.tools.design import run_case
 STAGES = """
 schema = 2
 scenario = "scenario.toml"
-nodes_s = [40.0, 42.0, 140.0, 142.0, 300.0, 302.0]
+nodes_s = [40.0, 42.0, 140.0, 142.0, 165.0, 167.0]
 gains = {schedule = "linear"}
 objective = {kind = "least-margin"}
 filter = {structure = "F2"}
 limits = {rigid_body = "aerodynamic", rigid_hz = 0.3, rigid_zeta = 0.5, without = ["second_mode_db"]}
-search = {starts = 1, leaps = 0}
+search = {starts = 2, leaps = 0}
 """
 Stop = Callable[[int, str, int], bool]
 """Asked with stage, from 0, what is searched, and the number of calls about it."""
