@@ -56,7 +56,8 @@ made = maxq.optimise("ksr3-relaxed", "search.starts=2", "nodes_s=[10, 40]", "fil
 made.save("mine.toml")
 assert made.bode(40.0).axes
 check(0, simdesign, "analyse", "mine.toml", "--at", "40", "--out", "analysis")
-short = [word for part in ("certificate=", "margins=") for word in ("--set", part)]
+flight = "flight=[{name='half a second', set=['run.duration_s=0.5']}]"
+short = [word for part in ("certificate=", "margins=", flight) for word in ("--set", part)]
 check(0, simverify, "mine.toml", "--suite", "quick", *short, "--out", "verdict")
 """
 
