@@ -54,6 +54,7 @@ def changed(layout: Layout, stage: int, **change: Any) -> Layout:
     return layout.model_copy(update={"stage": tuple(stages)})
 
 
+@pytest.mark.slow
 def test_guidance_to_an_orbit_and_an_accelerometer_are_written(layout: Layout, tmp_path: Path) -> None:
     """The specific impulse is the engine's, by impulse over propellant of the last burn."""
     wanted = layout.trajectory.model_copy(update={"apogee_altitude_m": 500e3})

@@ -38,6 +38,7 @@ def solved_again(case, start, loaded) -> float:
     ).violation_db
 
 
+@pytest.mark.slow
 def test_a_multiplier_is_what_relief_of_its_limit_gains(two_nodes: tuple) -> None:
     """A tenth of a dB each: of the gain margin, of the phase margin as the optimiser counts it, of a ratio."""
     loaded, s = two_nodes
@@ -58,6 +59,7 @@ def test_a_multiplier_is_what_relief_of_its_limit_gains(two_nodes: tuple) -> Non
         assert found[what].gains_db == pytest.approx(sum(c.multiplier for c in found[what].points))
 
 
+@pytest.mark.slow
 def test_a_bound_costs_what_moving_it_gains(two_nodes: tuple) -> None:
     loaded, s = two_nodes
     bounds = {(bound.variable, bound.side): bound for bound in s.bounds}
@@ -95,6 +97,7 @@ def margin() -> tuple:
     return loaded, s, trials
 
 
+@pytest.mark.slow
 def test_wider_bounds_gain_more_than_a_higher_order(margin: tuple) -> None:
     """KSR-III at 45 s: the limit and those of the rigid body are missed by 0.71 dB, by 0.6 to 0.7 dB with F5.
 
@@ -131,6 +134,7 @@ def test_a_trial_is_confirmed_by_the_case_with_its_settings(margin: tuple) -> No
     assert again.violation_db <= higher.missing_db + 1e-3
 
 
+@pytest.mark.slow
 def test_a_faster_computer_is_that_of_the_vehicle_file(margin: tuple) -> None:
     """The trial changes the instruments of the operating points; here the vehicle flies with the sample period."""
     loaded, s, (*_, faster) = margin
@@ -147,6 +151,7 @@ def test_a_faster_computer_is_that_of_the_vehicle_file(margin: tuple) -> None:
     assert solve(flown).violation_db <= faster.missing_db + 2e-3
 
 
+@pytest.mark.slow
 def test_an_interrupted_trial_claims_what_it_reached(margin: tuple) -> None:
     loaded, s, (wider, *_) = margin
     calls: list[str] = []
@@ -165,6 +170,7 @@ def test_an_interrupted_trial_claims_what_it_reached(margin: tuple) -> None:
     assert trials[1].evaluations < trials[0].evaluations + 50
 
 
+@pytest.mark.slow
 def test_a_best_effort_that_is_not_settled_is_first_searched_without_a_change(margin: tuple) -> None:
     """Else a trial could claim for its change what a longer search gains; and multipliers say nothing there."""
     loaded, s, trials = margin
