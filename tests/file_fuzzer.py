@@ -25,7 +25,6 @@ from maxq import CampaignError, ScenarioError
 from maxq.design.case.schema import read_case
 from maxq.design.verify.flown import load_flight, load_wanted
 from maxq.design.verify.suite import read_suite
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.loader import load_scenario
@@ -430,7 +429,7 @@ def _flown(path: str) -> None:
 
 
 def _campaign(path: str) -> None:
-    campaign = load_campaign(path)
+    campaign = maxq.load(path)
     for run in (0, 1):
         pack_flight(campaign.inputs(run).loaded.scenario)
 

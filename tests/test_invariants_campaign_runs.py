@@ -124,8 +124,7 @@ def test_an_envelope_changes_no_flight(serial: Path, tmp_path: Path) -> None:
     file.write_text(
         file.read_text().replace("[campaign.envelope]\nruns = 0", "[campaign.envelope]\nruns = 20\nrate_hz = 50.0")
     )
-    from maxq.sim.campaign.read import load_campaign  # noqa: PLC0415  # only here
 
-    run_campaign(load_campaign(file), tmp_path / "out", workers=2)
+    run_campaign(maxq.load(file), tmp_path / "out", workers=2)
     assert campaignkit.same(campaignkit.data_set(tmp_path / "out"), campaignkit.data_set(serial))
     assert len(list((tmp_path / "out" / "histories").iterdir())) == 3

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import maxq
 from maxq import FlightRun
 from maxq.control.kernel import kept_code
 from maxq.control.kernel.records import constants_in, pack, with_constants
 from maxq.sim.campaign import runs
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
 from maxq.sim.scenario.loader import load_scenario
@@ -24,7 +24,7 @@ SHORT = ["run.duration_s=12.0", "run.stop_at=[]", "campaign.keep=[]"]
 
 @pytest.fixture(scope="module")
 def campaign():
-    return load_campaign("campaigns/ksr3", SHORT)
+    return maxq.load("campaigns/ksr3", *SHORT)
 
 
 @pytest.mark.slow

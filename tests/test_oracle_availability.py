@@ -11,10 +11,10 @@ import petrelkit
 import pytest
 from scipy.stats import binomtest
 
+import maxq
 from maxq import DataSet, ScenarioError
 from maxq.design.verify.flown import CampaignResult, campaign_requirements
 from maxq.sim.campaign.availability import Month, availability, clopper_pearson
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.tools.campaign_report import report, write_report
@@ -135,7 +135,7 @@ def test_winds_of_a_month_are_the_mean_and_the_deviations_times_its_factors(tmp_
         else:
             path = tmp_path / f"{name}.toml"
             path.write_text(f'schema = 1\nextends = "{petrelkit.folder()}/campaign.toml"\n{MONTHS.format(more)}')
-            plans.append(load_campaign(path).plan.wind)
+            plans.append(maxq.load(path).plan.wind)
     plain, months = plans
     assert plain is not None
     assert months is not None
@@ -152,7 +152,7 @@ def test_winds_of_a_month_are_the_mean_and_the_deviations_times_its_factors(tmp_
 
 
 def test_shipped_months_go_through_the_two_that_are_assumed() -> None:
-    months = load_campaign("campaigns/ksr3-months").file.wind_model
+    months = maxq.load("campaigns/ksr3-months").file.wind_model
     assert months is not None
     assert months.months is not None
     table = months.months

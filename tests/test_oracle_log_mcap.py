@@ -17,7 +17,7 @@ from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 from mcap_messages import messages
 
-from maxq.sim.log.reader import read_log
+import maxq
 from maxq.sim.log.writer import Container, LogWriter, message_block
 
 
@@ -37,7 +37,7 @@ def summary_of(path: Path) -> Summary:
 
 @pytest.mark.parametrize("topic", TABLE.topics, ids=lambda topic: topic.name)
 def test_channels(path: Path, topic: Any) -> None:
-    log = read_log(path)
+    log = maxq.read(path)
     rows = list(messages(path, topic.name))
     assert [m.log_time for _, _, m, _ in rows] == log.time_ns(topic.name).tolist()
     assert [m.publish_time for _, _, m, _ in rows] == log.time_ns(topic.name).tolist()
@@ -95,7 +95,7 @@ def test_a_cut_file_gives_their_reader_every_whole_chunk(path: Path, tmp_path: P
         reader = NonSeekingReader(file).iter_messages(["/truth"], log_time_order=False)
         with pytest.raises(Exception):  # noqa: B017, PT011 the mcap package raises different errors here
             times += [message.log_time for _, _, message in reader]
-    log = read_log(tmp_path / "cut.mcap")
+    log = maxq.read(tmp_path / "cut.mcap")
     assert len(log["truth_0_m"]) == 200
 
 
@@ -148,7 +148,7 @@ def test_message_indexes_point_to_their_messages(tmp_path: Path) -> None:
 
 def test_a_log_in_order_of_time_from_another_tool_reads_the_same(path: Path, tmp_path: Path) -> None:
     """Such a file is what `mcap` tools make of ours: messages of all topics alternate within a chunk."""
-    ours = read_log(path)
+    ours = maxq.read(path)
     other = Container(tmp_path / "other.mcap", "maxq", "another tool")
     summary = summary_of(path)
     with path.open("rb") as file:
@@ -169,7 +169,7 @@ def test_a_log_in_order_of_time_from_another_tool_reads_the_same(path: Path, tmp
     other.add_metadata("end", {"status": "complete"})
     other.finish()
     other.close()
-    theirs = read_log(tmp_path / "other.mcap")
+    theirs = maxq.read(tmp_path / "other.mcap")
     assert theirs.complete
     assert theirs.events == ours.events
     for name in TABLE.names:

@@ -11,11 +11,11 @@ import petrelkit
 import petrelkit as petrel
 import pytest
 
+import maxq
 from maxq import ScenarioError
 from maxq.control.kernel.tables import find_interval, interpolate
 from maxq.design.case.schema import read_case
 from maxq.design.verify.suite import read_suite
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
@@ -265,7 +265,7 @@ def test_the_gimbals_of_a_cluster_hold_its_roll() -> None:
 
 
 def test_the_campaign_of_a_layout_flies_every_stage_in_wind() -> None:
-    campaign = load_campaign(petrel.folder() / "campaign.toml")
+    campaign = maxq.load(petrel.folder() / "campaign.toml")
     stages = [
         {t.key.split(".")[2] for t in d.targets if t.key.startswith("vehicle.stage")} for d in campaign.plan.draws
     ]

@@ -12,11 +12,11 @@ from file_fuzzer import LAYOUT
 from matplotlib.text import Text
 from scenario_files import write_ascent
 
+import maxq
 from maxq import DataSet, ScenarioError
 from maxq.design.verify.suite import read_suite
 from maxq.design.verify.verify import verify
 from maxq.sim.campaign.analysis import judged, lost
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
@@ -143,7 +143,7 @@ def test_a_page_that_acts_is_found() -> None:
 
 @pytest.mark.slow
 def test_pages_and_texts_of_a_campaign(here: Path) -> None:
-    campaign, folder = load_campaign("campaign.toml"), here / "out"
+    campaign, folder = maxq.load("campaign.toml"), here / "out"
     run_campaign(campaign, folder, workers=1)
     data = DataSet(folder, campaign)
     write_report(data, judged(data), lost(data), 12)

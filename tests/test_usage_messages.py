@@ -8,7 +8,6 @@ import pytest
 
 import maxq
 from maxq import CampaignError, FlightRun, LoadedScenario, ScenarioError, record
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.store import open_store
 from maxq.sim.scenario.loader import copy_scenario, load_scenario
 from maxq.tools import simreplay
@@ -49,7 +48,7 @@ def test_a_campaign_without_logs_says_how_to_keep_some(capsys: pytest.CaptureFix
 
 
 def test_a_folder_in_use_advises_what_can_help() -> None:
-    campaign = load_campaign("campaigns/first")
+    campaign = maxq.load("campaigns/first")
     store, _ = open_store(Path("there"), campaign)
     try:
         with pytest.raises(CampaignError, match=r"wait for it, or give another --out$"):

@@ -15,8 +15,8 @@ import pytest
 import tomli_w
 from scenario_files import write_ascent
 
+import maxq
 from maxq import ScenarioError
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 
@@ -37,8 +37,8 @@ def implausible(warnings: tuple[str, ...]) -> list[str]:
 
 def test_what_is_usual_is_not_warned_of() -> None:
     assert load_scenario("nominal").warnings == ()
-    assert load_campaign("campaigns/ksr3").warnings == ()
-    assert load_campaign("campaigns/first").warnings == ()
+    assert maxq.load("campaigns/ksr3").warnings == ()
+    assert maxq.load("campaigns/first").warnings == ()
 
 
 def test_the_sphere_of_the_check_cases_is_none() -> None:
@@ -222,7 +222,7 @@ key = "{key}"
 )  # fmt: skip  # more lines otherwise
 def test_dispersions_that_turn_a_sign(here: Path, key: str, rest: str, warned_of: bool) -> None:
     (here / "campaign.toml").write_text(DISPERSED.format(key=key, rest=rest))
-    found = implausible(load_campaign("campaign.toml").warnings)
+    found = implausible(maxq.load("campaign.toml").warnings)
     assert [warning.startswith(f"{key} is not expected to change its sign") for warning in found] == [True] * warned_of
 
 

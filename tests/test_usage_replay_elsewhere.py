@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 from replaykit import OLD_LOG, free_port, headless_viewer
 
-from maxq.sim.log.reader import read_log
+import maxq
 from maxq.tools.replay import log_layout, viewer
 
 FOXGLOVE = Path(__file__).parents[1] / "docs" / "viewers" / "maxq.foxglove-layout.json"
@@ -31,7 +31,7 @@ def test_rerun_alone_shows_the_events_of_a_log() -> None:
 
 @pytest.mark.slow
 def test_rerun_shows_frames_and_every_number_once_told(tmp_path: Path) -> None:
-    table = read_log(OLD_LOG).table
+    table = maxq.read(OLD_LOG).table
     log = shutil.copy(OLD_LOG, tmp_path / "another.mcap")  # the viewer names recordings after the file
     with headless_viewer() as client:
         viewer.open_whole(client, log)
@@ -74,7 +74,7 @@ def values(node: Any, key: str) -> Iterator[Any]:
 
 
 def test_the_foxglove_layout_names_what_a_log_has() -> None:
-    layout, log = json.loads(FOXGLOVE.read_text(encoding="utf-8")), read_log(OLD_LOG)
+    layout, log = json.loads(FOXGLOVE.read_text(encoding="utf-8")), maxq.read(OLD_LOG)
     topics = {topic.name: {channel.name for channel in topic.channels} for topic in log.table.topics}
     plotted = [path["value"] for paths in values(layout, "paths") for path in paths]
     assert len(plotted) > 15

@@ -21,7 +21,7 @@ from mcap.writer import Writer
 from PIL import Image
 from replaykit import OLD_LOG
 
-from maxq.sim.log.reader import read_log
+import maxq
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import logged_channels
 from maxq.tools import simreplay
@@ -212,7 +212,7 @@ def test_of_many_flights_a_few_are_in_memory_and_plots_are_families(monkeypatch:
     assert complaints == []
     assert len(flights) == 24
     read: list[Path] = []
-    monkeypatch.setattr(flight_module, "read_log", lambda path: read.append(path) or read_log(path))
+    monkeypatch.setattr(flight_module, "read_log", lambda path: read.append(path) or maxq.read(path))
     save(flights, Options(), Path("many.rrd"))
     assert len(read) <= 24 + 2 * FEW
     assert len(set(read)) >= 24 - FEW - 1

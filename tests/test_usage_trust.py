@@ -25,7 +25,6 @@ from maxq.sim.campaign import store
 from maxq.sim.files import plain_name
 from maxq.sim.log import reader
 from maxq.sim.log.head import Attachment, RunHead
-from maxq.sim.log.reader import read_log
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.tools import simrun
@@ -71,7 +70,7 @@ PACKED = {"": lambda content: content, "zstd": zstandard.compress, "lz4": lz4_co
 def test_chunks_of_every_compression_are_read(tmp_path: Path, compression: str) -> None:
     content = own_chunk(tmp_path)
     path = with_chunks(tmp_path, chunk(content, compression, PACKED[compression](content)))
-    log = read_log(path)
+    log = maxq.read(path)
     assert not [note for note in log.notes if "left out" in note]
     assert len(log.time_ns(TABLE.topics[0].name)) > 0
 
@@ -86,7 +85,7 @@ def test_a_chunk_that_is_larger_than_is_read(tmp_path: Path, compression: str, m
         chunk(bomb, compression, PACKED[compression](bomb)),
         chunk(content, compression, PACKED[compression](content)),
     )
-    log = read_log(path)
+    log = maxq.read(path)
     said = "chunk 1 of 2 was left out: it says that it decompresses to 5 MB; at most 1 MB are read"
     assert said in log.notes
     assert len(log.time_ns(TABLE.topics[0].name)) > 0  # the other one is there
@@ -96,7 +95,7 @@ def test_a_chunk_that_is_larger_than_is_read(tmp_path: Path, compression: str, m
 def test_a_chunk_that_is_larger_than_it_says(tmp_path: Path, compression: str) -> None:
     bomb = bytes(50_000_000)
     path = with_chunks(tmp_path, chunk(bomb, compression, PACKED[compression](bomb), says=1000))
-    assert any("chunk 1 of 1 was left out: " in note for note in read_log(path).notes)
+    assert any("chunk 1 of 1 was left out: " in note for note in maxq.read(path).notes)
 
 
 def test_a_frame_that_claims_a_terabyte_takes_no_memory(tmp_path: Path) -> None:
@@ -104,23 +103,23 @@ def test_a_frame_that_claims_a_terabyte_takes_no_memory(tmp_path: Path) -> None:
     frame = b"\x28\xb5\x2f\xfd" + bytes([0b11100000]) + struct.pack("<Q", 1 << 40) + b"\x01\x00\x00"
     assert zstandard.frame_content_size(frame) == 1 << 40
     path = with_chunks(tmp_path, chunk(bytes(1000), "zstd", frame))
-    assert "chunk 1 of 1 was left out: its size does not match" in read_log(path).notes
+    assert "chunk 1 of 1 was left out: its size does not match" in maxq.read(path).notes
 
 
 def test_a_frame_of_unknown_length(tmp_path: Path) -> None:
     bomb = bytes(50_000_000)
     packed = zstandard.ZstdCompressor(write_content_size=False).compress(bomb)
     path = with_chunks(tmp_path, chunk(bomb, "zstd", packed, says=1000))
-    assert "chunk 1 of 1 was left out: it cannot be decompressed" in read_log(path).notes
+    assert "chunk 1 of 1 was left out: it cannot be decompressed" in maxq.read(path).notes
 
 
 def test_a_log_that_is_larger_than_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content = own_chunk(tmp_path)
     path = with_chunks(tmp_path, *[chunk(content, "zstd", PACKED["zstd"](content))] * 20)
-    read_log(path)
+    maxq.read(path)
     monkeypatch.setattr(reader, "MOST_LOG_BYTES", 10 * len(content))
     with pytest.raises(LogError, match=r"made\.mcap: the log decompresses to more than 0 GB, the most that is read"):
-        read_log(path)
+        maxq.read(path)
 
 
 # data sets

@@ -16,6 +16,7 @@ import numpy as np
 import petrelkit as petrel
 import pytest
 
+import maxq
 from maxq import ScenarioError
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.spread import Spread, campaign_of
@@ -37,7 +38,6 @@ from maxq.design.verify.linear import vehicles as vehicles_of
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.parts import Parts
 from maxq.design.verify.suite import LinearMargins, Requirement, overall, read_suite, room_left, shared_risk
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.statistics import judge_failures
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.files import builtin_files
@@ -87,7 +87,7 @@ def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str
 def test_campaigns_of_shipped_suites_fly_the_vehicle_that_is_judged(name: str) -> None:
     suite = read_suite(name).suite
     for campaign in suite.campaign:
-        assert load_campaign(campaign.file).base.scenario.vehicle == load_scenario(suite.scenario).scenario.vehicle
+        assert maxq.load(campaign.file).base.scenario.vehicle == load_scenario(suite.scenario).scenario.vehicle
 
 
 @pytest.mark.slow
@@ -303,7 +303,7 @@ def test_standard_suite_asks_for_what_can_fail() -> None:
     assert margins.nominal.delay_ms == 10.0
     assert margins.why
     assert campaign.why
-    assert campaign.success == load_campaign("campaigns/ksr3").campaign.success
+    assert campaign.success == maxq.load("campaigns/ksr3").campaign.success
     computer = load_scenario("nominal").vehicle.computer
     assert computer is not None
     limits = {x.requirement: float(x.limit) for x in suite.dispersed_limit}
@@ -431,7 +431,7 @@ def test_a_flight_for_each_value(tmp_path: Path) -> None:
 
 def test_designs_that_are_picked_from_share_the_risk_and_have_their_own_draws() -> None:
     loaded = read_suite("standard")
-    campaigns = [load_campaign("campaigns/ksr3").campaign]
+    campaigns = [maxq.load("campaigns/ksr3").campaign]
     assert shared_risk(loaded, campaigns, 1) == []
     found = [shared_risk(loaded, campaigns, 4, number) for number in range(4)]
     assert found[0] == ["margins.confidence=0.975", "campaign.0.confidence=0.975"]
