@@ -4,6 +4,9 @@
 PYTHON ?= python3
 ARGS ?=
 
+# Tests and commands start hundreds of processes, which read the modules of maxq compiled by the first one.
+unexport PYTHONDONTWRITEBYTECODE
+
 VENV := .venv
 PY := $(VENV)/bin/python
 PIP := $(PY) -m pip --disable-pip-version-check

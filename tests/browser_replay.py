@@ -22,10 +22,8 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from replaykit import OLD_LOG
+from replaykit import OLD_LOG, free_port
 from websockets.sync.client import ClientConnection, connect
-
-from maxq.tools.replay.viewer import free_port
 
 PATIENCE_S = 90.0  # WebAssembly of 40 MB, compiled and drawn in software
 

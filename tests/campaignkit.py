@@ -7,7 +7,8 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+import maxq
+from maxq import LoadedCampaign
 
 HEAD = """\
 schema = 1
@@ -64,7 +65,7 @@ def write_campaign(folder: Path, name: str = "small", **parts: object) -> Path:
 
 
 def small(folder: Path, name: str = "small", **parts: object) -> LoadedCampaign:
-    return load_campaign(write_campaign(folder, name, **parts))
+    return maxq.load(write_campaign(folder, name, **parts))
 
 
 def data_set(folder: Path) -> pa.Table:

@@ -9,18 +9,15 @@ import numpy as np
 import scipy.optimize
 
 import maxq
+from maxq import Flight, LoadedScenario, Loop, Node
 from maxq.design.loop.fixed_path import folded
-from maxq.design.loop.loop import Loop
 from maxq.design.model.held import FlightCondition, hold_stage, table_clock_s
-from maxq.design.model.instruments import Plane, instruments_of
-from maxq.design.model.node import Node
+from maxq.design.model.instruments import instruments_of
 from maxq.design.model.vehicle_at import without_bending
 from maxq.design.operating_points import published_nodes
-from maxq.design.paper.nodes import PaperNode
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.flight import Flight
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle import schedule
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, MACH, PRESSURE
@@ -35,21 +32,21 @@ def nominal(*overrides: str) -> LoadedScenario:
 
 
 @cache
-def flown(plane: Plane = "pitch", *overrides: str) -> tuple[Node, ...]:
+def flown(plane: str = "pitch", *overrides: str) -> tuple[Node, ...]:
     return tuple(maxq.nodes(nominal(*overrides), TIMES_S, plane=plane))
 
 
 @cache
-def published(plane: Plane = "pitch", *overrides: str) -> tuple[PaperNode, ...]:
+def published(plane: str = "pitch", *overrides: str) -> tuple:
     """The same with the published equations of design/paper."""
     return tuple(published_nodes(nominal(*overrides), TIMES_S, plane=plane))
 
 
-def published_at(time_s: float, plane: Plane = "pitch", *overrides: str) -> PaperNode:
+def published_at(time_s: float, plane: str = "pitch", *overrides: str):
     return published(plane, *overrides)[TIMES_S.index(time_s)]
 
 
-def node_at(time_s: float, plane: Plane = "pitch", *overrides: str) -> Node:
+def node_at(time_s: float, plane: str = "pitch", *overrides: str) -> Node:
     return flown(plane, *overrides)[TIMES_S.index(time_s)]
 
 
@@ -99,7 +96,7 @@ def closed_damping(loop: Loop) -> dict[str, float]:
     return {r.label: float(-p.real / abs(p)) for r, p in zip(followed, poles, strict=True)}
 
 
-def frozen(time_s: float, *overrides: str, plane: Plane = "pitch") -> tuple[LoadedScenario, Node]:
+def frozen(time_s: float, *overrides: str, plane: str = "pitch") -> tuple[LoadedScenario, Node]:
     """A start on the nominal flight's path at a node, over a flat Earth, with the vehicle's clock standing still."""
     node = node_at(time_s)
     path, speed = node.condition.pitch_rad, node.condition.airspeed_mps

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from maxq import Log
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import Channel, ChannelTable, Topic
 from maxq.sim.log.head import Attachment, RunHead
 from maxq.sim.log.messages import Event, FramePath, Level
-from maxq.sim.log.reader import Log
 from maxq.sim.log.writer import LogWriter
 
 SECOND = 1_000_000_000

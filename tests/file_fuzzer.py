@@ -20,19 +20,15 @@ import tomli_w
 from hypothesis import strategies as st
 from scenario_files import ASCENT, DESIGN, ROCKET, TABLES, modes_csv, write_ascent
 
+import maxq
+from maxq import CampaignError, ScenarioError
 from maxq.design.case.schema import read_case
 from maxq.design.verify.flown import load_flight, load_wanted
 from maxq.design.verify.suite import read_suite
-from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.schemas import json_schema
-from maxq.tools.vehicle.build import build
-from maxq.tools.vehicle.files import write
-from maxq.tools.vehicle.layout import read_layout
 
 CAMPAIGN = """\
 schema = 1
@@ -433,7 +429,7 @@ def _flown(path: str) -> None:
 
 
 def _campaign(path: str) -> None:
-    campaign = load_campaign(path)
+    campaign = maxq.load(path)
     for run in (0, 1):
         pack_flight(campaign.inputs(run).loaded.scenario)
 
@@ -447,12 +443,10 @@ def _suite(path: str) -> None:
 
 
 def _layout(path: str) -> None:
-    layout = read_layout(path)
     try:
-        built = build(layout)
+        maxq.vehicle(path, "built")
     except ValueError as error:  # as simvehicle does
         raise ScenarioError(path, str(error)) from None
-    write(built, Path("built"))
     _flown("built/scenario.toml")
 
 

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from oracles import multibody_system as system
 
+from maxq import FlightRun, LoadedScenario
 from maxq.control.kernel.jit import bare_pointer, entry
 from maxq.control.kernel.records import Array
 from maxq.sim.flight import events as flight_events
 from maxq.sim.flight import loop as flight_loop
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_into
-from maxq.sim.run.fly import FlightRun
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario_text
+from maxq.sim.scenario.loader import load_scenario_text
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle import workspace
 from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS

@@ -14,12 +14,12 @@ import sys
 import time
 from pathlib import Path
 
-from maxq.sim.campaign.read import load_campaign
+import maxq
 from maxq.sim.campaign.runner import load_kernels, run_campaign
 
 
 def main(file: str, folder: str, kills: int, seed: int, longest_s: float) -> int:
-    campaign = load_campaign(file)
+    campaign = maxq.load(file)
     load_kernels(campaign)
     chance = random.Random(seed)
     done = 0

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pyarrow.dataset as ds
 
-from maxq.sim.run.fly import FlightRun
+from maxq import FlightRun
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simverify
 

@@ -6,10 +6,9 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.tools.vehicle.build import build
-from maxq.tools.vehicle.files import write
-from maxq.tools.vehicle.layout import read_layout
+import maxq
+from maxq import LoadedScenario
+from maxq.sim.scenario.loader import load_scenario
 
 LAYOUTS = Path(__file__).parent / "data" / "layouts"
 WEAK = """\
@@ -40,15 +39,14 @@ minimum_on_s = 0.02
 def folder(name: str) -> Path:
     """Return a folder with the files of a layout in tests/data/layouts; kept for the session."""
     out = Path(tempfile.mkdtemp(prefix=f"{name}-"))
-    write(build(read_layout(LAYOUTS / f"{name}.toml")), out)
-    return out
+    return maxq.vehicle(LAYOUTS / f"{name}.toml", out)
 
 
 @cache
 def lost() -> Path:
     """Return a folder with the student rocket, its case, and a scenario whose flight is lost while the engine burns."""
     out = Path(tempfile.mkdtemp(prefix="lost-"))
-    write(build(read_layout(LAYOUTS / "student.toml")), out)
+    maxq.vehicle(LAYOUTS / "student.toml", out)
     (out / "design.toml").write_text(WEAK)
     return out
 

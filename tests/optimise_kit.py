@@ -8,57 +8,54 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.case.schema import LoadedCase, read_case
+from maxq.design.case.schema import read_case
 from maxq.design.laws.pd import PdDesign
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.optimise.at_nodes import make_problem
-from maxq.design.optimise.plants import Plants
-from maxq.design.optimise.problem import Problem
-from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import nominal_plants, solve
 
 
 @cache
-def case(*overrides: str, name: str = "ksr3-identical") -> LoadedCase:
+def case(*overrides: str, name: str = "ksr3-identical"):
     return read_case(name, overrides)
 
 
 @cache
-def plants(*overrides: str, name: str = "ksr3-identical") -> Plants:
+def plants(*overrides: str, name: str = "ksr3-identical"):
     """Plants of a case, with few nodes unless the overrides say otherwise."""
     return nominal_plants(case(*overrides, name=name))
 
 
 @cache
-def all_nodes(loop: str = "pade") -> Plants:
+def all_nodes(loop: str = "pade"):
     return plants(f"loop={loop}")
 
 
 @cache
-def solution(*overrides: str) -> Solution:
+def solution(*overrides: str):
     """Of the case with identical limits on the paper's eleven nodes."""
     loaded = case(*overrides)
     return solve(loaded, all_nodes(loaded.case.loop))
 
 
-def problem(*overrides: str, on: Plants | None = None) -> Problem:
+def problem(*overrides: str, on=None):
     loaded = case(*overrides)
     return make_problem(loaded.case, all_nodes(loaded.case.loop) if on is None else on)
 
 
-def pd(p: Problem) -> PdVariables:
+def pd(p) -> PdVariables:
     """The problem's law."""
     assert isinstance(p.law, PdVariables)
     return p.law
 
 
-def designed(s: Solution) -> PdDesign:
+def designed(s) -> PdDesign:
     """The solution's law."""
     assert isinstance(s.law, PdDesign)
     return s.law
 
 
-def some_point(p: Problem, seed: int = 0, **_: Any) -> Array:
+def some_point(p, seed: int = 0, **_: Any) -> Array:
     """A stable design with mild notches and gains near 1 and 0.45."""
     rng = np.random.default_rng(seed)
     y = []

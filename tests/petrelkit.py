@@ -6,19 +6,17 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from maxq.design.model.node import Node, nodes_along
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.tools.vehicle.build import build
-from maxq.tools.vehicle.files import write
-from maxq.tools.vehicle.layout import read_layout
+import maxq
+from maxq import LoadedScenario, Node
+from maxq.design.model.node import nodes_along
+from maxq.sim.scenario.loader import load_scenario
 
 
 @cache
 def folder() -> Path:
     """With the files of the vehicle; kept for the session."""
     out = Path(tempfile.mkdtemp(prefix="petrel-"))
-    write(build(read_layout("petrel")), out)
-    return out
+    return maxq.vehicle("petrel", out)
 
 
 @cache

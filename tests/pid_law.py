@@ -22,8 +22,7 @@ from maxq.design.laws.law import Axis, Controller, DesignedLaw, LawLimit, LimitV
 from maxq.design.laws.registry import LawKind
 from maxq.design.laws.schedule import GainSchedules, interpolation_weights
 from maxq.design.laws.task import Task
-from maxq.design.model.instruments import Plane
-from maxq.design.model.state_space import ComplexArray, StateSpace
+from maxq.design.model.state_space import StateSpace
 from maxq.sim.scenario.schema_design import Design
 
 WARP_HZ = 1.0
@@ -52,19 +51,19 @@ class Pid:
         if sample_s != self.sample_s:
             raise ValueError(f"law of sample_s = {self.sample_s}: the loop's period is {sample_s}")
 
-    def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
+    def response(self, frequencies_hz: ArrayLike) -> np.ndarray:
         return self.at(laplace_axis(np.log(np.asarray(frequencies_hz, float)), self.sample_s, WARP_HZ)[0])
 
-    def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
+    def filter_response(self, frequencies_hz: ArrayLike) -> np.ndarray:
         return np.ones(np.shape(frequencies_hz), np.complex128)
 
-    def at(self, s: ComplexArray) -> ComplexArray:
+    def at(self, s: np.ndarray) -> np.ndarray:
         return np.stack([np.full(np.shape(s), self.k_d_s), self.k_p + self.k_i_1ps / s], axis=-1)
 
     def static_gain(self, name: str) -> float:
         return {"rate_radps": self.k_d_s, "angle_rad": math.inf}.get(name, 0.0)
 
-    def poles(self) -> ComplexArray:
+    def poles(self) -> np.ndarray:
         return np.zeros(1, np.complex128)
 
     def state_space(self) -> StateSpace:
@@ -93,7 +92,7 @@ class PidDesign:
         """Whatever the file says: no key of it is this law's."""
         return PidDesign(np.array([0.0]), np.array([[0.5], [1.0], [0.05]]))
 
-    def at(self, time_s: float, plane: Plane, sample_s: float | None) -> Pid:
+    def at(self, time_s: float, plane: str, sample_s: float | None) -> Pid:
         k_d, k_p, k_i = (float(np.interp(time_s, self.nodes_s, k)) for k in self.gains)
         return Pid(k_d, k_p, k_i, sample_s)
 
@@ -132,7 +131,7 @@ class PidVariables:
     def axis(self, x: Array) -> Axis:
         return laplace_axis(x, self.task.sample_s, WARP_HZ)
 
-    def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray]:
+    def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[np.ndarray, np.ndarray]:
         k_d, k_p, k_i = self.gains.at_plants(variables)[:, plant]
         return np.ones(len(plant), np.complex128), np.stack([k_d, k_p + k_i / axis[0]], axis=1)
 
@@ -145,7 +144,7 @@ class PidVariables:
         first[:, 1], second[:, 1] = -k_i * s1 / s**2, k_i * (2.0 * s1**2 / s**3 - s2 / s**2)
         return LogResponse((none, none, none), (value, first, second))
 
-    def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
+    def gradient(self, own: Array, axis: Axis, weights: np.ndarray) -> np.ndarray:
         k_d, k_p, k_i = np.exp(own).T
         return np.stack([k_d * weights[:, 0], k_p * weights[:, 1], k_i / axis[0] * weights[:, 1]], axis=1)
 

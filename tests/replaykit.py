@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,14 +12,13 @@ import pytest
 
 from maxq.tools.replay import viewer
 from maxq.tools.replay.viewer import ReplayError
-from maxq.tools.replay.viewer_control import ViewerControl
 
 OLD_LOG = Path(__file__).parent / "data" / "logs" / "schema-1" / "flight.mcap"
 """14 s of `nominal` in wind that loses control at 9.66 s (tests/data/logs/NOTES.md): schema 1, for ever."""
 
 
 @contextmanager
-def headless_viewer(window: str = "1280x720") -> Iterator[ViewerControl]:
+def headless_viewer(window: str = "1280x720") -> Iterator:
     """A viewer to be driven. Skips where there is no driver to draw with; in CI that is a failure."""
     try:
         with viewer.headless(window) as connected:
@@ -27,6 +27,13 @@ def headless_viewer(window: str = "1280x720") -> Iterator[ViewerControl]:
             yield client
     except ReplayError as error:
         no_driver(error)
+
+
+def free_port() -> int:
+    """Return a port of this machine on which nothing listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def no_driver(error: ReplayError) -> None:

@@ -13,7 +13,7 @@ import pytest
 from dask_cluster import machines
 
 import maxq
-from maxq.sim.campaign.error import CampaignError
+from maxq import CampaignError
 from maxq.sim.campaign.runner import Cluster, run_campaign
 
 distributed = pytest.importorskip("distributed")

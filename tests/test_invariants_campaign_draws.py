@@ -9,11 +9,11 @@ import campaignkit
 import numpy as np
 import pytest
 
+import maxq
+from maxq import LoadedCampaign, ScenarioError
 from maxq.sim.campaign import draws
 from maxq.sim.campaign.plan import VectorWind
-from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.campaign.schema import WindModel
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.tables_csv import CsvTable
 
 SAMPLINGS = ("random", "latin-hypercube", "sobol")
@@ -97,7 +97,7 @@ def test_the_bits_are_those_of_today() -> None:
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 def test_no_two_inputs_correlate_that_should_not(tmp_path: Path, sampling: str) -> None:
     """A peer gave every model of a worker the same stream: ten pairs at r = 1."""
-    campaign = load_campaign("campaigns/ksr3", [f"campaign.sampling={sampling}"])
+    campaign = maxq.load("campaigns/ksr3", f"campaign.sampling={sampling}")
     n = 4096
     made = campaign.plan.draw(0, n)
     assert made.seeds is not None

@@ -9,12 +9,12 @@ import campaignkit
 import numpy as np
 import pytest
 
+import maxq
+from maxq import LoadedCampaign
 from maxq.sim.campaign import runner
 from maxq.sim.campaign.investigation import refly
-from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.runs import fly_rows
-from maxq.sim.campaign.store import campaign_in
 from maxq.sim.flight.metric_table import METRIC_NAMES
 from maxq.sim.run.fly import fly
 
@@ -93,7 +93,7 @@ def test_flown_again_alone_from_the_folder_alone(serial: Path, tmp_path: Path) -
 
 def test_a_difference_is_seen(serial: Path, tmp_path: Path) -> None:
     """The comparison can fail: the data set of another seed is not the same flight."""
-    other = campaign_in(serial).with_campaign(seed=6)
+    other = maxq.read(serial).campaign.with_campaign(seed=6)
     again = refly(serial, 4, tmp_path / "out", campaign=other, log=False)
     assert again.same is False
     assert any(text.startswith("state_hash") for text in again.differences)
@@ -124,8 +124,7 @@ def test_an_envelope_changes_no_flight(serial: Path, tmp_path: Path) -> None:
     file.write_text(
         file.read_text().replace("[campaign.envelope]\nruns = 0", "[campaign.envelope]\nruns = 20\nrate_hz = 50.0")
     )
-    from maxq.sim.campaign.read import load_campaign  # noqa: PLC0415  # only here
 
-    run_campaign(load_campaign(file), tmp_path / "out", workers=2)
+    run_campaign(maxq.load(file), tmp_path / "out", workers=2)
     assert campaignkit.same(campaignkit.data_set(tmp_path / "out"), campaignkit.data_set(serial))
     assert len(list((tmp_path / "out" / "histories").iterdir())) == 3

@@ -9,11 +9,11 @@ from __future__ import annotations
 import pytest
 
 import maxq
+from maxq import LoadedScenario, Node
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.response import BANDS
-from maxq.design.model.node import Node
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.tools.dev.verification.planted_faults import FAULTS, Fault
+from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.dev.verification.planted_faults import FAULTS
 
 QUICK = (
     "mode 2 at the gyro, sign",
@@ -47,12 +47,12 @@ def test_without_a_fault_nothing_is_found(loaded: LoadedScenario, node: Node) ->
 
 
 @pytest.mark.parametrize("fault", [f for f in FAULTS if f.name in QUICK], ids=lambda f: f.name)
-def test_found(loaded: LoadedScenario, node: Node, fault: Fault) -> None:
+def test_found(loaded: LoadedScenario, node: Node, fault) -> None:
     assert certify_node(loaded, node, fault=fault.plant, bands=BANDS[:1] + BANDS[2:], names=()).unexplained
 
 
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", [f for f in FAULTS if f.name not in QUICK], ids=lambda f: f.name)
-def test_found_too(loaded: LoadedScenario, node: Node, fault: Fault) -> None:
+def test_found_too(loaded: LoadedScenario, node: Node, fault) -> None:
     assert certify_node(loaded, node, fault=fault.plant).unexplained

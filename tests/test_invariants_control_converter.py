@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maxq.control.converter import FINEST_COUNT_RAD, ConverterState, convert, make_converter, round_half_away
+from maxq.control.converter import ConverterState, convert, make_converter, round_half_away
 from maxq.control.kernel.records import blank, pack
+
+FINEST_COUNT_RAD = 1e-9
 
 INCREMENTS = st.lists(st.floats(-0.05, 0.05), min_size=1, max_size=60)
 COUNTS_RAD = st.floats(1e-9, 1e-2)

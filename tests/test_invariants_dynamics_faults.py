@@ -12,9 +12,10 @@ import pytest
 from flightkit import COMPUTER, Parts, Rig, flown, load, merged, rig, rig_of, scenario_of, with_stage
 from scipy.integrate import quad
 
+from maxq import FlightRun, LoadedScenario
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.run.fly import FlightRun, fly
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule
 from maxq.sim.vehicle import state as layout
 

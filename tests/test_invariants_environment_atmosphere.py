@@ -9,18 +9,13 @@ import pytest
 
 from maxq.control.kernel.records import pack
 from maxq.control.kernel.tables import Pool
-from maxq.sim.world.atmosphere import (
-    CONSTANT,
-    TABLE,
-    VACUUM,
-    Atmosphere,
-    GAS_CONSTANT_Jpkg_K,
-    GEOPOTENTIAL_RADIUS_m,
-    air,
-    air_table,
-    us1976,
-)
+from maxq.sim.world.atmosphere import Atmosphere, air, air_table, us1976
 from maxq.sim.world.thermosphere import upper_air
+
+VACUUM, TABLE, CONSTANT = 0, 2, 3  # model of an atmosphere
+
+GEOPOTENTIAL_RADIUS_m = 6356766.0
+GAS_CONSTANT_Jpkg_K = 8314.32 / 28.9644
 
 _pool = Pool()
 STANDARD = pack([Atmosphere(table=_pool.add(upper_air()))])[0]

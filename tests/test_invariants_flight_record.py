@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import maxq
+from maxq import FlightRun, LoadedScenario, record
 from maxq.control.kernel.records import Array
 from maxq.sim.flight.channels import unit_suffix
 from maxq.sim.flight.metric_table import (
@@ -22,11 +24,9 @@ from maxq.sim.flight.metric_table import (
     unit_of,
 )
 from maxq.sim.flight.telemetry import SLOW
-from maxq.sim.log.reader import read_log
-from maxq.sim.run.fly import FlightRun, fly
+from maxq.sim.run.fly import fly
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
-from maxq.sim.run.record import record
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 
 
 def loaded(*overrides: str) -> LoadedScenario:
@@ -103,7 +103,7 @@ def test_angles_are_scaled_once(tmp_path: Path) -> None:
     assert flight.final["latitude_deg"] == pytest.approx(36.7, abs=1e-3)
     assert flight["pitch_deg"][0] == pytest.approx(90.0, abs=1e-6)
     record(FlightRun(loaded()), tmp_path)
-    assert read_log(tmp_path / "flight.mcap")["latitude_deg"][0] == pytest.approx(36.7, abs=1e-9)
+    assert maxq.read(tmp_path / "flight.mcap")["latitude_deg"][0] == pytest.approx(36.7, abs=1e-9)
 
 
 def test_names_of_metrics_end_with_their_unit() -> None:
@@ -126,7 +126,7 @@ def test_every_stage_has_its_events(tmp_path: Path) -> None:
     assert told[:3] == [("ignition", 1), ("burnout", 1), ("separation", 1)]
     assert ("ignition", 2) in told
     assert [event.time_ns for event in flight.events] == sorted(event.time_ns for event in flight.events)
-    texts = [(event.text, event.time_ns) for event in read_log(tmp_path / "flight.mcap").events]
+    texts = [(event.text, event.time_ns) for event in maxq.read(tmp_path / "flight.mcap").events]
     assert ("separation (stage 1)", flight.events[2].time_ns) in texts
     assert len(texts) == len(flight.events)
 

@@ -21,15 +21,14 @@ import pytest
 from design_nodes import design, node_at, without
 from pid_law import PID, Pid
 
-from maxq.design.case.schema import LoadedCase, ObjectiveName
+from maxq import Loop, margins
+from maxq.design.case.schema import ObjectiveName
 from maxq.design.laws import registry
-from maxq.design.loop.fixed_path import Kind, fixed_path
-from maxq.design.loop.loop import Loop, close_loop
-from maxq.design.margins.measure import margins
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import close_loop
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.criteria import OBJECTIVES
-from maxq.design.optimise.plants import Plants, make_plant, make_plants
-from maxq.design.optimise.problem import Problem
+from maxq.design.optimise.plants import make_plant, make_plants
 from maxq.design.optimise.solve import solve
 
 F = np.geomspace(0.01, 45.0, 60)
@@ -42,7 +41,7 @@ def second_law(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @cache
-def case_of(kind: str) -> LoadedCase:
+def case_of(kind: str):
     loaded = kit.case(
         "objective.kind=least-margin", "limits.modulus_db=-6", f"loop={kind}", "search.starts=3", "search.leaps=2",
         "nodes_s=[20.0, 40.0]",
@@ -51,18 +50,18 @@ def case_of(kind: str) -> LoadedCase:
 
 
 @cache
-def plants_of(kind: str) -> Plants:
+def plants_of(kind: str):
     """Without bending modes, which this law has no filter for."""
     case = case_of(kind).case
     return make_plants([make_plant(without(node_at(t), modes=True), case) for t in case.nodes_s])
 
 
-def problem_of(kind: str) -> Problem:
+def problem_of(kind: str):
     return make_problem(case_of(kind).case, plants_of(kind))
 
 
 @KINDS
-def test_its_loop_is_one_in_every_form(kind: Kind) -> None:
+def test_its_loop_is_one_in_every_form(kind: str) -> None:
     node = without(node_at(40.0), modes=True)
     loop = close_loop(fixed_path(node, kind), design().model_copy(update={"law": "tried"}))
     assert isinstance(loop.law, Pid)

@@ -20,10 +20,11 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 
+import maxq
+from maxq import Log, LogError
 from maxq.sim.flight.channels import Channel, ChannelTable, Topic
-from maxq.sim.log.head import LogError, RunHead
+from maxq.sim.log.head import RunHead
 from maxq.sim.log.messages import Event, Level
-from maxq.sim.log.reader import Log, read_log
 from maxq.sim.log.writer import LogWriter
 
 SECONDS = [0, 1, 2, 3]
@@ -49,12 +50,12 @@ def chunks(tmp_path_factory: pytest.TempPathFactory) -> list[ChunkIndex]:
 def read_bytes(folder: Path, data: bytes) -> Log:
     path = folder / "some.mcap"
     path.write_bytes(data)
-    return read_log(path)
+    return maxq.read(path)
 
 
 def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     write_example(tmp_path / "a.mcap")
-    log = read_log(tmp_path / "a.mcap")
+    log = maxq.read(tmp_path / "a.mcap")
     assert log.complete
     assert log.notes == ()
     assert holds_exactly(log, SECONDS)
@@ -65,7 +66,7 @@ def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
 
 def test_units_and_frames_travel_with_the_log(tmp_path: Path) -> None:
     write_example(tmp_path / "a.mcap")
-    table = read_log(tmp_path / "a.mcap").table
+    table = maxq.read(tmp_path / "a.mcap").table
     assert table.groups == TABLE.groups
     assert [t.description for t in table.topics] == [t.description for t in TABLE.topics]
     for name in TABLE.names:
@@ -88,7 +89,7 @@ def test_blocks_of_any_length_give_the_same_arrays(tmp_path: Path, cuts: list[in
                 rows = slice(*np.searchsorted(times, [start, stop]))
                 groups[name] = (times[rows], values[rows])
             log.write_block(groups, [e for e in EVENTS if start <= e.time_ns < stop])
-    assert holds_exactly(read_log(tmp_path / "a.mcap"), SECONDS)
+    assert holds_exactly(maxq.read(tmp_path / "a.mcap"), SECONDS)
 
 
 def test_equal_input_gives_equal_bytes(tmp_path: Path) -> None:
@@ -99,7 +100,7 @@ def test_equal_input_gives_equal_bytes(tmp_path: Path) -> None:
 def test_what_is_written_can_be_read_before_the_log_is_closed(tmp_path: Path) -> None:
     log = LogWriter(tmp_path / "a.mcap", TABLE, HEAD)
     log.write_block({"fast": FAST, "slow": SLOW}, EVENTS)
-    read = read_log(tmp_path / "a.mcap")
+    read = maxq.read(tmp_path / "a.mcap")
     log.close()
     assert holds_exactly(read, SECONDS)
     assert not read.complete
@@ -194,12 +195,12 @@ def test_a_log_with_garbage_in_it_raises_log_error_only(
 def test_an_empty_log_is_a_log(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "a.mcap", TABLE, RunHead()):
         pass
-    log = read_log(tmp_path / "a.mcap")
+    log = maxq.read(tmp_path / "a.mcap")
     assert log.complete
     assert holds_exactly(log, [])
     with LogWriter(tmp_path / "b.mcap", ChannelTable(()), RunHead()) as writer:
         writer.write_block({})
-    assert read_log(tmp_path / "b.mcap").table == ChannelTable(())
+    assert maxq.read(tmp_path / "b.mcap").table == ChannelTable(())
 
 
 def test_times_up_to_the_last_nanosecond(tmp_path: Path) -> None:
@@ -208,7 +209,7 @@ def test_times_up_to_the_last_nanosecond(tmp_path: Path) -> None:
     event = Event(2**63 - 1, Level.ERROR, "end of time")
     with LogWriter(tmp_path / "a.mcap", table, RunHead()) as writer:
         writer.write_block({"fast": (times, np.arange(6.0)[:, None])}, [event])
-    log = read_log(tmp_path / "a.mcap")
+    log = maxq.read(tmp_path / "a.mcap")
     assert np.array_equal(log.time_ns("b"), times)
     assert same_bits(log["b"], np.arange(6.0))
     assert log.events == (event,)
@@ -222,7 +223,7 @@ def test_a_run_that_fails_leaves_a_whole_file_that_says_so(tmp_path: Path) -> No
 
     with pytest.raises(RuntimeError):
         fly()
-    log = read_log(tmp_path / "a.mcap")
+    log = maxq.read(tmp_path / "a.mcap")
     assert holds_exactly(log, SECONDS)
     assert log.notes == ("the run was aborted: RuntimeError: state is not finite",)
     assert not log.complete

@@ -19,24 +19,25 @@ from design_nodes import TIMES_S, design, node_at, published_at, without
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from maxq import Node, margins
 from maxq.control.kernel.records import Array
-from maxq.design.loop.fixed_path import KINDS, Kind, fixed_path
+from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import close_loop
-from maxq.design.margins.budget import BUILD_UP, Budget, Response, Share, build_up, crossing_budgets, loop_budget, split
-from maxq.design.margins.measure import margins
-from maxq.design.model.node import Node
-from maxq.design.model.state_space import ComplexArray
+from maxq.design.margins.budget import build_up, crossing_budgets, loop_budget, split
 from maxq.design.model.vehicle_at import without_engine_inertia
 from maxq.design.paper.errata import PAPER
+
+KINDS = "sampled", "pade", "exact"
+BUILD_UP = "rigid body", "aerodynamics", "slosh", "engine inertia", "bending"
 
 ROUNDING = 1e-9  # dB, degrees: a dozen factors, each good to some 1e-12 of its resonances' sharpness
 
 
-def share_of(budget: Budget, part: str) -> Share:
+def share_of(budget, part: str):
     return next(share for share in budget.shares if share.part == part)
 
 
-def closed(node: Node, kind: Kind = "sampled"):
+def closed(node: Node, kind: str = "sampled"):
     return close_loop(fixed_path(node, kind), design())
 
 
@@ -102,8 +103,8 @@ def test_a_cut_has_no_budget():
 # --- any parts ----------------------------------------------------------------------------------------------------
 
 
-def lag(pole: float, gain: float, delay: float) -> Response:
-    def response(f: Array) -> ComplexArray:
+def lag(pole: float, gain: float, delay: float):
+    def response(f: Array) -> np.ndarray:
         s = 2j * np.pi * f
         return np.asarray(gain * pole / (s + pole) * np.exp(-s * delay))
 
@@ -118,7 +119,7 @@ PARTS = st.lists(
 @settings(max_examples=60, deadline=None)
 @given(PARTS, PARTS, st.floats(0.01, 20.0), st.randoms(use_true_random=False))
 def test_any_budget_closes_whatever_the_order(series, stages, f, random):
-    def whole(x: Array) -> ComplexArray:
+    def whole(x: Array) -> np.ndarray:
         return np.asarray(np.prod([part(x) for part in series], axis=0) * stages[-1](x))
 
     def budget(parts, steps):

@@ -11,9 +11,12 @@ from maxq.control.kernel.tables import Pool
 from maxq.sim.vehicle import environment
 from maxq.sim.vehicle.environment import ANCHOR_DUE, ANCHOR_SET, NO_ANCHOR, NEAR_m
 from maxq.sim.vehicle.workspace import ANCHOR, WORK_SIZE
-from maxq.sim.world.atmosphere import US1976, VACUUM, Atmosphere, TOP_m, air
+from maxq.sim.world.atmosphere import Atmosphere, air
 from maxq.sim.world.earth import earth_position, flat, local_frame, sphere, wgs84
 from maxq.sim.world.thermosphere import upper_air
+
+VACUUM, US1976 = 0, 1  # model of an atmosphere
+TOP_m = 86000.0  # of the closed formulas
 
 frame_and_air = from_python(environment.frame_and_air)
 _pool = Pool()

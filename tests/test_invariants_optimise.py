@@ -26,31 +26,28 @@ import scipy.linalg
 from threadpoolctl import threadpool_info
 
 import maxq
-from maxq.design.case.schema import LoadedCase, read_case
+from maxq import Loop, Node, ScenarioError, margins
+from maxq.design.case.schema import read_case
 from maxq.design.laws.design_file import design_text
 from maxq.design.laws.pd import Pd, as_flown
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.laws.registry import designed_law
-from maxq.design.loop.loop import Loop
-from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import deviations_of
-from maxq.design.model.node import Node
 from maxq.design.model.spread import Correlated
 from maxq.design.optimise import robust
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.features import _extremes
-from maxq.design.optimise.plants import Plants, make_plant, make_plants
-from maxq.design.optimise.robust import Ranges, deviated, modes_off, ranges_of
-from maxq.design.optimise.solution import Certificate, Solution
+from maxq.design.optimise.plants import make_plant, make_plants
+from maxq.design.optimise.robust import deviated, modes_off, ranges_of
+from maxq.design.optimise.solution import Certificate
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import optimality
 from maxq.design.verify.judging import judge, judge_solution, make_design
-from maxq.sim.scenario.errors import ScenarioError
 
 NODES = "nodes_s=[5.0, 30.0, 55.0]"
 
 
-def check_limits(s: Solution, plants: Plants, rigid_hz: bool = True) -> None:
+def check_limits(s, plants, rigid_hz: bool = True) -> None:
     """Limits of a design by the loop's own margins, not the optimiser's curves."""
     limits = s.case.limits
     law = kit.designed(s)
@@ -94,7 +91,7 @@ def test_limits_hold_on_the_loop_built_anew(overrides: tuple[str, ...]) -> None:
 LATE = ("nodes_s=[45.0, 50.0, 55.0]", "filter.structure=F4", "search.starts=3", "search.leaps=2")
 
 
-def missed_between(s: Solution, loaded: LoadedCase) -> float:
+def missed_between(s, loaded) -> float:
     """By how many dB (0.2 dB/deg) the worst instant of each tenth of a second misses the margins, by design/margins."""
     nodes = maxq.nodes(loaded.scenario, np.arange(45.0, 55.05, 0.1).round(3))
     found = judge(nodes, make_design(loaded, s), "pade")
@@ -186,7 +183,7 @@ def test_rigid_limits_over_time(tmp_path: Path) -> None:
     assert (missed.worst, missed.wanted) == (2, 0.8)
 
 
-def ranges_of_case(**changes: Any) -> Ranges:
+def ranges_of_case(**changes: Any):
     """The ranges of ksr3-robust."""
     loaded = kit.case(name="ksr3-robust")
     assert loaded.case.robust is not None
@@ -313,7 +310,7 @@ def test_an_instant_that_is_worse_becomes_a_node_with_its_worst_plant(monkeypatc
         asked.append(times_s)
         return [(0.4, between)] if 33.0 not in times_s else []
 
-    made: list[Plants] = []
+    made: list = []
     monkeypatch.setattr(robust._Worst, "at", at)
     monkeypatch.setattr(robust._Worst, "between", search_between)
     stub = Unsearched()
@@ -321,7 +318,7 @@ def test_an_instant_that_is_worse_becomes_a_node_with_its_worst_plant(monkeypatc
     monkeypatch.setattr(robust, "make_problem", lambda case, plants, law: SimpleNamespace(law=law))
     monkeypatch.setattr(robust, "_again", lambda problem, found: found)
 
-    def finished(case: Any, plants: Plants, *_: Any) -> Any:
+    def finished(case: Any, plants, *_: Any) -> Any:
         made.append(plants)
         return Ended(Certificate(1, 1, (), 0.0, 0, 0.0, 0, True, len(plants.each)))
 
@@ -362,7 +359,7 @@ def test_dispersed_plants_hold_between_the_nodes_where_they_are_asked_to() -> No
     corners = [[0] * 7, *np.random.default_rng(1).choice([-1, 1], (12, 7)).tolist()]  # three modes, two of each tank
     vehicles = [deviated(node, ranges, ends) for node in nodes for ends in corners]
 
-    def missing(s: Solution) -> float:
+    def missing(s) -> float:
         """Of what was promised for all of them."""
         judged = judge(vehicles, make_design(loaded, s), "sampled")
         return 10.0 ** (-s.objective_db / 20.0) - min(j.margins.modulus if j.margins.stable else 0.0 for j in judged)

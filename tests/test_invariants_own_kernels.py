@@ -11,13 +11,13 @@ import numpy as np
 import petrelkit
 import pytest
 
+import maxq
+from maxq import FlightRun
 from maxq.control.kernel import kept_code
 from maxq.control.kernel.records import constants_in, pack, with_constants
 from maxq.sim.campaign import runs
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
-from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.block import are_usual, rigid_counts, usual_counts
 from maxq.sim.vehicle.state import Counts, Sizes, counts
@@ -27,9 +27,10 @@ SHORT = ["run.duration_s=12.0", "run.stop_at=[]", "campaign.keep=[]"]
 
 @pytest.fixture(scope="module")
 def campaign():
-    return load_campaign("campaigns/ksr3", SHORT)
+    return maxq.load("campaigns/ksr3", *SHORT)
 
 
+@pytest.mark.slow
 def test_a_campaign_worth_it_flies_the_same_bits(campaign, monkeypatch):
     assert runs.packer(campaign.with_campaign(runs=runs.OWN_KERNELS_FROM)) is pack_for_one_vehicle
     few = campaign.with_campaign(runs=runs.OWN_KERNELS_FROM - 1)

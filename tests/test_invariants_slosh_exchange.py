@@ -21,9 +21,9 @@ from oracles.planar.vehicle_at import vehicle_at
 from scipy.interpolate import PchipInterpolator
 from test_oracle_linear_model import TOLERANCE, VEHICLE_STATES, flat_earth, plane_states
 
+from maxq import Flight
 from maxq.control.kernel.records import Array
 from maxq.design.model.linearised import linearise
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout

@@ -19,19 +19,17 @@ import pytest
 from scipy.signal import butter, cont2discrete, lfilter
 
 import maxq
+from maxq import Flight, LoadedScenario, ScenarioError, margins
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.adaptive import make_adaptive
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.design.certificate.certificate import certify_node
-from maxq.design.margins.measure import margins
 from maxq.design.verify.certified import certificate_requirements
 from maxq.design.verify.judging import Wanted, checks, judge
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.tools import simvehicle
 

@@ -22,7 +22,7 @@ from aero_tables import (
 from flightkit import Rig, Tree
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
-from maxq.control.kernel.grids import Grid, GridRefs, fit_grid, grid_in, interpolate_grid
+from maxq.control.kernel.grids import GridRefs, fit_grid, grid_in, interpolate_grid
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import Pool
@@ -38,7 +38,7 @@ VALUES[:, [0, -1], :, 1] = 0.0
 POINTS = np.random.default_rng(8).uniform([-0.3, 0.0, -1.0], [2.0, np.pi, 2 * np.pi - 1.0], (40, 3))
 
 
-def grids(smooth: bool) -> Grid:
+def grids(smooth: bool):
     return fit_grid(X, VALUES, smooth, ("open", "mirror", "periodic"), PARITY)
 
 

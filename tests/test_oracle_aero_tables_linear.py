@@ -14,8 +14,7 @@ from oracles.planar.incidence import table_slopes
 
 from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import ExactFixedPath, fixed_path
-from maxq.design.model.instruments import Plane
-from maxq.design.model.linearised import LinearModel, linearise
+from maxq.design.model.linearised import linearise
 from maxq.design.model.node import node_of
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle.workspace import MACH
@@ -38,7 +37,7 @@ def made_of(
     return rig(merged(with_stage(tree, **stage), changes))
 
 
-def columns(model: LinearModel, rows: tuple[str, ...], by: tuple[str, ...]) -> Array:
+def columns(model, rows: tuple[str, ...], by: tuple[str, ...]) -> Array:
     at = [model.states.index(name) for name in by]
     return model.a[np.ix_([model.states.index(name) for name in rows], at)]
 
@@ -117,7 +116,7 @@ def symmetric() -> Tree:
     }  # fmt: skip  # five more lines otherwise
 
 
-def in_plane(model: LinearModel, plane: Plane) -> Array:
+def in_plane(model, plane: str) -> Array:
     """Rates of the states of `vehicle_plant` by them; yaw in its mirrored axes."""
     pitch = plane == "pitch"
     shape, side = ("eta", "pitch") if pitch else ("xi", "yaw")
@@ -130,7 +129,7 @@ def in_plane(model: LinearModel, plane: Plane) -> Array:
 
 
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
-def test_flexible_vehicle_along_its_axis(plane: Plane) -> None:
+def test_flexible_vehicle_along_its_axis(plane: str) -> None:
     """Rigid body, modes, slosh, damping with the mass properties; every entry."""
     damping = {"time_s": [0.0], "x_Nms": [5e3], "y_Nms": [8e4], "z_Nms": [5e4]}
     made = made_of(FLEXIBLE, symmetric(), [300.0, 0.0, 0.0], {"rate_damping": damping})
@@ -141,7 +140,7 @@ def test_flexible_vehicle_along_its_axis(plane: Plane) -> None:
 
 
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
-def test_rigid_vehicle_at_its_trim(plane: Plane) -> None:
+def test_rigid_vehicle_at_its_trim(plane: str) -> None:
     """The planar slopes, and Z_alpha, M_alpha and M_q from them, with tables that are not symmetric, in incidence."""
     alpha, beta = np.radians((6.0, -4.0))
     speed = 290.0

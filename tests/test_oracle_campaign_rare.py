@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import maxq
 from maxq.sim.campaign import rare
-from maxq.sim.campaign.rare import Rare, subset_simulation
-from maxq.sim.campaign.read import load_campaign
+from maxq.sim.campaign.rare import subset_simulation
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
@@ -87,7 +87,7 @@ def test_flights_miss_as_rarely_as_their_thrust_is_drawn(
     limit = fly(before.changed({"vehicle.stage.0.engine.thrust_factor": 1.0 + 0.01 * 2.5})).metrics[metric]
     file = campaignkit.write_campaign(tmp_path, runs=8, campaign="success = 0.95")
     file.write_text(f'{file.read_text()}\n[[requirement]]\nmetric = "{metric}"\nlimit = {limit!r}\n')
-    run_campaign(load_campaign(file), tmp_path / "out")
+    run_campaign(maxq.load(file), tmp_path / "out")
     assert simrun.main(["--from", str(tmp_path / "out"), "--rare", metric, "--runs", "100"]) == 0  # 5 % are allowed
     printed = capsys.readouterr().out
     low, high = (float(n) for n in re.findall(r"at (?:least|most) ([-+.e\d]+)", printed))
@@ -100,7 +100,7 @@ def test_flights_miss_as_rarely_as_their_thrust_is_drawn(
 
 
 def test_crude_is_the_number_of_plain_flights_with_the_same_error() -> None:
-    found: Rare = subset_simulation(lambda z, _: z[:, 0] - 3.0, 1, 300, 0.9)
+    found = subset_simulation(lambda z, _: z[:, 0] - 3.0, 1, 300, 0.9)
     p = np.array([one.probability for one in found.each])
     error = p.std(ddof=1) / np.sqrt(len(p))
     assert found.crude == pytest.approx(p.mean() * (1.0 - p.mean()) / error**2)

@@ -13,24 +13,14 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+import maxq
+from maxq import CampaignError, DataSet, Flight, LoadedScenario
 from maxq.sim.campaign import investigation
-from maxq.sim.campaign.analysis import (
-    DataSet,
-    bands,
-    borgonovo,
-    failed_runs,
-    first_order,
-    judged,
-    rank_correlation,
-    selected,
-)
-from maxq.sim.campaign.error import CampaignError
+from maxq.sim.campaign.analysis import bands, borgonovo, failed_runs, first_order, judged, rank_correlation, selected
 from maxq.sim.campaign.investigation import search_worst, shrink_run
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 from maxq.tools.campaign_report import how_judged
 
@@ -131,7 +121,7 @@ def test_shrinking_finds_the_torque_that_was_put_in(
 ) -> None:
     text = campaignkit.campaign_text(rest=PAIR + FAILING, inputs=campaignkit.INPUTS + TORQUES)
     (tmp_path / "pair.toml").write_text(text.replace('unset = ["requirement"]\n', ""))
-    campaign = load_campaign(tmp_path / "pair.toml")
+    campaign = maxq.load(tmp_path / "pair.toml")
     counted: list[LoadedScenario] = []
     fly_one = investigation.fly_scenario
 
@@ -193,7 +183,7 @@ def test_envelopes_are_percentiles_of_the_channels(tmp_path: Path) -> None:
     file = campaignkit.write_campaign(tmp_path, runs=12)
     envelope = '[campaign.envelope]\nruns = 9\nrate_hz = 20.0\nchannels = ["mass_kg", "altitude_m"]\n'
     file.write_text(file.read_text().replace("[campaign.envelope]\nruns = 0\n", envelope))
-    campaign = load_campaign(file)
+    campaign = maxq.load(file)
     run_campaign(campaign, tmp_path / "out", workers=2)
     mass, altitude = bands(tmp_path / "out", campaign)
     flights = [fly(campaign.scenario_of(run)) for run in range(9)]
@@ -208,7 +198,7 @@ def test_envelopes_are_percentiles_of_the_channels(tmp_path: Path) -> None:
 def test_the_flights_that_are_kept(tmp_path: Path) -> None:
     campaign = campaignkit.small(tmp_path, runs=10, rest=FAILING.replace("1e-3", "-1.0").replace("[[", "[["))
     (tmp_path / "keep.toml").write_text((tmp_path / "small.toml").read_text().replace('unset = ["requirement"]\n', ""))
-    campaign = load_campaign(tmp_path / "keep.toml")
+    campaign = maxq.load(tmp_path / "keep.toml")
     run_campaign(campaign, tmp_path / "out")
     data = DataSet(tmp_path / "out", campaign)
     speed = data.numbers("max_speed_mps")
@@ -252,7 +242,7 @@ def test_a_campaign_stops_when_its_verdicts_are_settled(tmp_path: Path) -> None:
     rest = FAILING.replace("1e-3", "-1.0")
     text = campaignkit.campaign_text(runs=400, rest=rest, inputs="", campaign="success = 0.9")
     (tmp_path / "early.toml").write_text(text.replace('unset = ["requirement"]\n', ""))
-    campaign = load_campaign(tmp_path / "early.toml")
+    campaign = maxq.load(tmp_path / "early.toml")
     done = run_campaign(campaign, tmp_path / "out", until_settled=True)
     assert done.settled
     assert 8 <= done.flown < 120  # in batches of eight: how many are under way at the verdict depends on the machine
@@ -262,7 +252,7 @@ def test_a_campaign_stops_when_its_verdicts_are_settled(tmp_path: Path) -> None:
 def test_a_fixed_number_of_runs_is_recorded_and_an_extension_said(tmp_path: Path) -> None:
     """Judged at the recorded number only, whatever the file says later; another test is another campaign."""
     file = campaignkit.write_campaign(tmp_path, runs=30, campaign='success = 0.9\ntest = "fixed"')
-    campaign, out = load_campaign(file), tmp_path / "out"
+    campaign, out = maxq.load(file), tmp_path / "out"
     shown = {}
     for runs in (30, 20, 34):
         run_campaign(campaign.with_campaign(runs=max(runs, 30)), out)
@@ -275,7 +265,7 @@ def test_a_fixed_number_of_runs_is_recorded_and_an_extension_said(tmp_path: Path
         run_campaign(campaign, out, until_settled=True)
     file.write_text(file.read_text().replace('"fixed"', '"any-time"'))
     with pytest.raises(CampaignError, match=r"campaign.test was \"fixed\", is \"any-time\""):
-        run_campaign(load_campaign(file), out)
+        run_campaign(maxq.load(file), out)
     (out / "runs" / "runs-0000000008-0000000015.parquet").unlink()  # as an interruption leaves it
     data = DataSet(out, campaign)
     assert (data.in_order, judged(data)[0].shown.runs) == (8, 8)

@@ -14,14 +14,17 @@ import pyarrow as pa
 import pytest
 from scipy import integrate, stats
 
+from maxq import DataSet
 from maxq.sim.campaign import statistics as s
 from maxq.sim.campaign import tails
-from maxq.sim.campaign.analysis import DataSet, _judged
+from maxq.sim.campaign.analysis import _judged
 from maxq.sim.campaign.draws import box, chosen, correlated, quantile
 from maxq.sim.campaign.runner import Tally
 from maxq.sim.campaign.schema import Disperse
 from maxq.sim.campaign.tails import fit_pareto, tail_of
 from maxq.sim.scenario.schema_scenario import Requirement
+
+OPEN = "not yet enough runs"
 
 Judge = Callable[[int, int, int | None], s.Shown]
 User = Callable[[np.ndarray, int | None, Judge], bool]
@@ -35,8 +38,8 @@ def test_runs_that_show_it_with_k_failures(success: float, runs: list[int]) -> N
     for k, n in enumerate(runs):
         assert s.allowed_failures(n, success, 0.9) == k
         assert s.allowed_failures(n - 1, success, 0.9) == k - 1
-        assert s.judge_failures(k, n, success, 0.9, planned=n).judgement == s.MET
-        assert s.judge_failures(k, n - 1, success, 0.9, planned=n - 1).judgement == s.OPEN
+        assert s.judge_failures(k, n, success, 0.9, planned=n).judgement == "met"
+        assert s.judge_failures(k, n - 1, success, 0.9, planned=n - 1).judgement == OPEN
 
 
 def test_two_thousand_runs() -> None:
@@ -57,20 +60,20 @@ def test_bounds_are_where_the_binomial_tails_are(k: int, n: int) -> None:
 
 
 def test_judgements() -> None:
-    assert s.judge_failures(0, 0, 0.9973, 0.9).judgement == s.OPEN
+    assert s.judge_failures(0, 0, 0.9973, 0.9).judgement == OPEN
     assert s.judge_failures(0, 0, 0.9973, 0.9).more == 1104
     assert s.judge_failures(0, 1103, 0.9973, 0.9).more == 1
-    assert s.judge_failures(0, 1104, 0.9973, 0.9).judgement == s.MET
-    assert s.judge_failures(6, 60, 0.9973, 0.9).judgement == s.NOT_MET
-    assert s.judge_failures(1, 1, 0.5, 0.9).judgement == s.OPEN
+    assert s.judge_failures(0, 1104, 0.9973, 0.9).judgement == "met"
+    assert s.judge_failures(6, 60, 0.9973, 0.9).judgement == "not met"
+    assert s.judge_failures(1, 1, 0.5, 0.9).judgement == OPEN
     before, at, beyond = (s.judge_failures(4, n, 0.99, 0.9, planned=1000) for n in (999, 1000, 1001))
-    assert (before.judgement, before.more, at.judgement, beyond.judgement) == (s.OPEN, 1, s.MET, s.OPEN)
+    assert (before.judgement, before.more, at.judgement, beyond.judgement) == (OPEN, 1, "met", OPEN)
     # five failures of 1000 are the most: P(X <= 5) = 0.0661, which leaves 3.4 %
     assert beyond.test == "any-time test at 3.4 % risk, which the fixed test of 1000 runs left"
-    assert s.judge_failures(16, 1000, 0.99, 0.9, planned=1000).judgement == s.NOT_MET  # P(X >= 16) = 0.049
+    assert s.judge_failures(16, 1000, 0.99, 0.9, planned=1000).judgement == "not met"  # P(X >= 16) = 0.049
     for k in range(40):  # what is allowed is what is judged
         n = int(np.random.default_rng(k).integers(k + 1, 4000))
-        assert (s.judge_failures(k, n, 0.99, 0.9).judgement == s.MET) == (
+        assert (s.judge_failures(k, n, 0.99, 0.9).judgement == "met") == (
             k <= s.judge_failures(0, n, 0.99, 0.9).allowed
         )
 
@@ -97,7 +100,7 @@ def test_the_order_statistic_agrees_with_the_verdict() -> None:
             values = rng.normal(size=2000)
             limit = np.sort(values)[-int(rng.integers(1, 8))]
             shown = s.judge_failures(int((values > limit).sum()), 2000, 0.9973, 0.9, planned)
-            assert (s.tolerance_bound(values, shown.allowed) <= limit) == (shown.judgement == s.MET)
+            assert (s.tolerance_bound(values, shown.allowed) <= limit) == (shown.judgement == "met")
     assert math.isnan(s.tolerance_bound(np.zeros(851), -1))
     assert s.tolerance_bound(np.array([math.nan] + [1.0] * 851), 0) == math.inf
     assert s.tolerance_bound(np.arange(852.0), 0, largest=False) == 0.0
@@ -152,15 +155,15 @@ def _follows_the_advice(failures: np.ndarray, planned: int | None, judge: Judge)
     n = planned or 100
     while n <= len(failures):
         shown = judge(int(failures[n - 1]), n, planned)
-        if shown.judgement != s.OPEN:
-            return shown.judgement == s.MET
+        if shown.judgement != OPEN:
+            return shown.judgement == "met"
         n += max(shown.more, 1)
     return False
 
 
 def _looks_all_the_time(failures: np.ndarray, planned: int | None, judge: Judge) -> bool:
     looks = range(planned or 40, 1500, 40)
-    return any(judge(int(failures[n - 1]), n, planned).judgement == s.MET for n in looks)
+    return any(judge(int(failures[n - 1]), n, planned).judgement == "met" for n in looks)
 
 
 def _any_time_or_as_planned(failures: int, runs: int, planned: int | None) -> s.Shown:
@@ -195,7 +198,7 @@ def test_the_exact_test_would_not_keep_the_risk(user: User) -> None:
 def test_looking_all_the_time_rejects_no_good_vehicle_too_often() -> None:
     """A vehicle that is just good enough: "not met" at any look."""
     wrong = [
-        any(s.judge_failures(int(f[n - 1]), n, SUCCESS, 1.0 - RISK).judgement == s.NOT_MET for n in range(5, 1500, 40))
+        any(s.judge_failures(int(f[n - 1]), n, SUCCESS, 1.0 - RISK).judgement == "not met" for n in range(5, 1500, 40))
         for f in map(_failures, range(600))
     ]
     assert np.mean(wrong) <= RISK + 2.6 * math.sqrt(RISK * (1.0 - RISK) / 600)
@@ -232,8 +235,8 @@ def test_beyond_the_fixed_test_each_side_has_the_risk_that_is_left_of_its_own() 
     for n in range(planned + 1, 400):
         for k in range(12):
             met, missed = s.evidence_met(k, n, p), s.evidence_missed(k, n, p)
-            wanted = s.NOT_MET if missed >= -math.log(left_missed) else s.OPEN
-            wanted = s.MET if wanted == s.OPEN and met >= -math.log(left_met) else wanted
+            wanted = "not met" if missed >= -math.log(left_missed) else OPEN
+            wanted = "met" if wanted == OPEN and met >= -math.log(left_met) else wanted
             assert s.judge_failures(k, n, 1.0 - p, 1.0 - risk, planned).judgement == wanted
             between += min(left_met, left_missed) < math.exp(-met) < max(left_met, left_missed)
     assert between > 5  # the risks differ enough to be told apart

@@ -18,15 +18,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import maxq
+from maxq import Loop, margins
 from maxq.design.certificate import measured_margins
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.excitation import Band, band, excitation_level
-from maxq.design.certificate.held_flight import HeldFlight, hold
+from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.measured_margins import growth_rate, measure_margin
 from maxq.design.certificate.response import BANDS as RESPONSE_BANDS
 from maxq.design.certificate.response import _estimated, _spectra, measure
-from maxq.design.loop.loop import Loop
-from maxq.design.margins.measure import margins
 from maxq.sim.packing.flight import Packed
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
@@ -38,18 +37,18 @@ BANDS = (band(0.05, 2.5, 14, 40.0, 40.0, 4), band(2.75, 12.0, 12, 40.0, 12.0, 2)
 
 
 @pytest.fixture(scope="module", params=["pitch", "yaw"])
-def held(request: pytest.FixtureRequest) -> HeldFlight:
+def held(request: pytest.FixtureRequest):
     loaded = load_scenario("nominal")
     return hold(loaded, maxq.nodes(loaded, [TIME_S], plane=request.param)[0])
 
 
 @pytest.fixture(scope="module")
-def loop(held: HeldFlight) -> Loop:
+def loop(held) -> Loop:
     assert held.loaded.design is not None
     return maxq.loops([held.node], held.loaded.design)[0]
 
 
-def test_held_flight_keeps_speed_mass_and_gains(held: HeldFlight) -> None:
+def test_held_flight_keeps_speed_mass_and_gains(held) -> None:
     run = held.run(60.0, ())
     run.fly_segment()  # the gains are read at the first tick
     before = run.present()
@@ -62,7 +61,7 @@ def test_held_flight_keeps_speed_mass_and_gains(held: HeldFlight) -> None:
 
 
 @pytest.mark.parametrize("lines", BANDS, ids=["low", "middle"])
-def test_response_in_flight_is_that_of_the_sampled_loop(held: HeldFlight, loop: Loop, lines: Band) -> None:
+def test_response_in_flight_is_that_of_the_sampled_loop(held, loop: Loop, lines: Band) -> None:
     seen = measure(held, lines, excitation_level(held, loop, lines), loop.closed_poles())
     ratio = seen.response / loop.response(seen.lines_hz)
     assert seen.outcome == "duration"
@@ -110,7 +109,7 @@ def test_load_relief_is_certified_where_its_held_flight_topples() -> None:
     assert not certify_node(loaded, node, fault=deaf, bands=RESPONSE_BANDS[:1], names=()).agrees
 
 
-def test_measured_margins_are_those_of_the_linear_loop(held: HeldFlight, loop: Loop) -> None:
+def test_measured_margins_are_those_of_the_linear_loop(held, loop: Loop) -> None:
     of_loop = margins(loop)
     gain, delay = (measure_margin(held, loop, of_loop, what) for what in ("gain_up", "delay"))
     assert abs(gain.difference) < 0.05

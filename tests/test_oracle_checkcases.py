@@ -12,7 +12,7 @@ import pytest
 from oracles.textbook_flight import RATE, Air, Body, State, Vector, cross, geodetic, integrate, ned_axes, start
 from scipy.integrate import solve_ivp
 
-from maxq.sim.run.flight import Flight
+from maxq import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 

@@ -14,8 +14,8 @@ import pytest
 import sympy as sp
 from flightkit import Mode, Parts, Rig, Tree, rig, scenario_of, with_stage
 
+from maxq import ScenarioError
 from maxq.control.kernel.records import Array
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle.workspace import AXIAL_LOAD, ENGINE_PITCH, GROUPS, HINGE_MOMENT, SPECIFIC_FORCE, SWING, THRUST

@@ -22,8 +22,8 @@ from maxq.control.kernel.tables import table_in
 from maxq.design.loop.fixed_path import ExactFixedPath, fixed_path
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.held import FlightCondition
-from maxq.design.model.instruments import DERIVATIVES, Plane
-from maxq.design.model.linearised import LinearModel, linearise
+from maxq.design.model.instruments import DERIVATIVES
+from maxq.design.model.linearised import linearise
 from maxq.design.model.node import disperse, node_of
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
@@ -75,7 +75,7 @@ def follow_of(packed: Packed) -> tuple[Array, Array]:
     return gains, gains[1:] / gains[0]
 
 
-def together(model: LinearModel, follow: Array) -> LinearModel:
+def together(model, follow: Array):
     """The same with the actuators of each further group at the multiples `follow` (groups, 2) of the first's."""
     a, c, first = model.a.copy(), model.c.copy(), model.states.index("actuator_pitch_1")
     for group, multiples in enumerate(follow):
@@ -86,7 +86,7 @@ def together(model: LinearModel, follow: Array) -> LinearModel:
     return replace(model, a=a, c=c)
 
 
-def states_of(plane: Plane) -> list[str]:
+def states_of(plane: str) -> list[str]:
     bend, motion = ("eta", ["w_mps", "q_radps", "theta_rad"])
     if plane == "yaw":
         bend, motion = "xi", ["v_mps", "r_radps", "psi_rad"]
@@ -155,7 +155,7 @@ SOME = (
 )
 
 
-def command_to_gyro(packed: Packed, y: Array, plane: Plane) -> tuple[Array, Array]:
+def command_to_gyro(packed: Packed, y: Array, plane: str) -> tuple[Array, Array]:
     """Responses at FREQUENCIES_HZ: the simulator's over all its states, and the loop's fixed path."""
     model, axis = linearise(packed, y, TIME_S), int(plane == "yaw")
     gains = follow_of(packed)[0]

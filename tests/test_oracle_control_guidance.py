@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator, PPoly
 
-from maxq.control.guidance import PITCH, ROLL, YAW, programme_angle, rate_programme
+from maxq.control.guidance import programme_angle, rate_programme
 from maxq.control.kernel.records import Array, pack
-from maxq.control.kernel.tables import NO_TABLE, Pool, TableRef, fit, look_up
+from maxq.control.kernel.tables import NO_TABLE, Pool, fit, look_up
+
+ROLL, PITCH, YAW = 0, 1, 2  # body axes x, y, z
 
 TIME_S = np.array([2.0, 5.0, 6.5, 20.0, 55.0])
 PITCH_RADPS = np.array([0.01, -0.02, -0.015, -0.004, 0.003])
 
 
-def placed(method: str, **rates: Array | float) -> tuple[Array, TableRef]:
+def placed(method: str, **rates: Array | float) -> tuple:
     pool = Pool()
     pool.add(fit([0.0, 1.0], [[1.0], [2.0]]))  # so that the programme does not lie at offset 0
     ref = pool.add(rate_programme(TIME_S, PITCH_RADPS, method=method, **rates))

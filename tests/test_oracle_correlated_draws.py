@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+import maxq
+from maxq import LoadedCampaign, ScenarioError
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 
 THRUST, LENGTH, FORCE = "vehicle.stage.0.engine.thrust_factor", "vehicle.stage.0.tank.0.length_factor", "aero force"
@@ -43,7 +43,7 @@ sigma = 0.02
 def campaign(folder: Path, old: str = "", new: str = "") -> LoadedCampaign:
     path = folder / "together.toml"
     path.write_text(TEXT.replace(old, new) if old else TEXT)
-    return load_campaign(path)
+    return maxq.load(path)
 
 
 def test_draws_keep_their_distributions_and_have_the_rank_correlation_of_their_scores(tmp_path: Path) -> None:

@@ -17,19 +17,19 @@ import pytest
 from scipy import stats
 
 import maxq
+from maxq import LoadedCampaign, Loop, Node, ScenarioError, margins
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import read_case
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop, law_at
+from maxq.design.loop.loop import law_at
 from maxq.design.margins.dispersed import ManyLoops
 from maxq.design.margins.many import DONE, HANDED_BACK
-from maxq.design.margins.measure import margins
-from maxq.design.model.deviations import Deviations, acting_at, deviations_of
+from maxq.design.model.deviations import acting_at, deviations_of
 from maxq.design.model.dispersion import Dispersion, deviated, stacked
-from maxq.design.model.held import HeldStage, hold_stage
-from maxq.design.model.instruments import Instruments, instruments_of
-from maxq.design.model.node import Node, disperse
+from maxq.design.model.held import hold_stage
+from maxq.design.model.instruments import instruments_of
+from maxq.design.model.node import disperse
 from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.optimise.robust import deviated as plant_at
 from maxq.design.optimise.robust import modes_off, ranges_of
@@ -38,9 +38,7 @@ from maxq.design.verify.linear import vehicles
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.parts import Parts
 from maxq.design.verify.suite import LinearMargins, read_suite
-from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule
 
@@ -54,7 +52,7 @@ UNREAD = ("environment", "computer", "timeline", "actuator_pitch", "actuator_yaw
 
 @cache
 def loaded(name: str) -> LoadedCampaign:
-    return load_campaign(name)
+    return maxq.load(name)
 
 
 @cache
@@ -62,7 +60,7 @@ def node_of_campaign(name: str, time_s: float, plane: Any = "pitch") -> Node:
     return maxq.nodes(loaded(name).base, [time_s], plane=plane)[0]
 
 
-def packed_as_flown(campaign: LoadedCampaign, run: int, node: Node) -> tuple[HeldStage, Instruments]:
+def packed_as_flown(campaign: LoadedCampaign, run: int, node: Node) -> tuple:
     """The stage of a node in the scenario of a run, packed as the campaign packs it."""
     packed = pack_flight(campaign.scenario_of(run).scenario)
     held = hold_stage(packed, float(node.held.parameters[0].timeline.frozen_s), node.stage)
@@ -162,7 +160,7 @@ def test_another_seed_and_sampling_are_followed() -> None:
         assert [by.label for by in every] == [f"vehicle {run}" for run in range(7, 11)]
 
 
-def by_name(deviations: Deviations, name: str, sigmas: float) -> Dispersion:
+def by_name(deviations, name: str, sigmas: float) -> Dispersion:
     """The vehicle with one deviation alone."""
     u = np.zeros(len(deviations.places))
     u[deviations.places.index(name)] = sigmas / 3.0
@@ -203,7 +201,7 @@ def test_the_scenario_of_scores_flies_that_vehicle() -> None:
 def test_engines_of_a_cluster_deviate_each_by_itself() -> None:
     """Petrel's campaign: unlike burn rates make nine engines of three in the record, and the tables of its throttled
     first stage run on another clock: at the same propellant the loops are those of the packed scenario."""
-    campaign = load_campaign(petrelkit.folder() / "campaign.toml")
+    campaign = maxq.load(petrelkit.folder() / "campaign.toml")
     hz = np.geomspace(0.3, 45.0, 100)
     for time_s, stage in ((40.0, 0), (150.0, 1)):
         (node,) = maxq.nodes(campaign.base, [time_s], plane="yaw")
@@ -262,7 +260,7 @@ def own(tmp_path: Path) -> Path:
 
 def test_deviations_that_go_together_and_those_that_are_not_followed(own: Path) -> None:
     """Scores are independent, the covariance is the campaign's; a draw that no rule follows is named."""
-    campaign = load_campaign(own)
+    campaign = maxq.load(own)
     node = maxq.nodes(campaign.base, [AT_A_ROW_S])[0]
     deviations = deviations_of(campaign, node)
     assert deviations.left_out == ("vehicle.stage.0.engine.gimballed_mass_kg",)
@@ -284,16 +282,16 @@ def test_a_suite_takes_the_draws_of_its_campaign(own: Path, tmp_path: Path) -> N
     suite.write_text('schema = 2\n[margins.three_sigma]\ncampaign = "own"\n')
     wanted = read_suite(suite).suite.margins
     assert wanted is not None
-    node = maxq.nodes(load_campaign(own).base, [AT_A_ROW_S])[0]
+    node = maxq.nodes(maxq.load(own).base, [AT_A_ROW_S])[0]
     few = wanted.model_copy(update={"cases": 3, "corner_sigmas": 0.0})
     found = vehicles(few, node, campaign_of(wanted.three_sigma, load_scenario("nominal")))[1]
-    assert found == deviations_of(load_campaign(own), node).drawn(range(3))
+    assert found == deviations_of(maxq.load(own), node).drawn(range(3))
     suite.write_text('schema = 2\n[margins.three_sigma]\ncampaign = "own"\nthrust = 0.1\n')
     with pytest.raises(ScenarioError, match=r"three_sigma.thrust.*cannot be combined with campaign"):
         read_suite(suite)
     own.write_text(WIND_ONLY)
     with pytest.raises(ScenarioError, match=r"three_sigma.campaign.*changes nothing that a loop depends on"):
-        acting_at(load_campaign(own), Spread(campaign=str(own)), node)
+        acting_at(maxq.load(own), Spread(campaign=str(own)), node)
 
 
 def test_corners_hold_all_deviations_of_a_factor_together() -> None:

@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 
 import maxq
+from maxq import LoadedCampaign, Loop, Node
 from maxq.design.case.basis import Basis, DispersedLimits, Robust, stated_basis
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop, law_at
+from maxq.design.loop.loop import law_at
 from maxq.design.margins.measured_loop import measure_loop
 from maxq.design.model.deviations import deviations_of
-from maxq.design.model.node import Node, disperse
+from maxq.design.model.node import disperse
 from maxq.design.model.spread import campaign_of
 from maxq.design.optimise.descent import Region, to_corner
 from maxq.design.quantities import MEASURED, Convention
 from maxq.design.verify.dispersed_limits import guides, rooms, worst_of_basis
-from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from maxq import ScenarioError
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.tables import Cubics, table_in
+from maxq.control.kernel.tables import table_in
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.burn import stage_burns
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule
 
@@ -36,7 +36,7 @@ def packed(*overrides: str) -> Packed:
     return pack_flight(load_scenario(NINE, list(overrides)).scenario)
 
 
-def table_of(made: Packed) -> Cubics:
+def table_of(made: Packed):
     return table_in(made.pool, made.parameters[0].vehicle.schedule)
 
 

@@ -21,7 +21,6 @@ from maxq.sim.vehicle.workspace import AUX_SIZE, FLOW, WORK_SIZE
 from maxq.sim.world.turbulence import (
     HORIZONTAL,
     VON_KARMAN,
-    FOOT_m,
     Turbulence,
     TurbulenceState,
     exceedance_table,
@@ -34,6 +33,8 @@ from maxq.sim.world.turbulence import (
     turbulence_tick,
     turned_from_up,
 )
+
+FOOT_m = 0.3048
 
 air_data, flight_direction = from_python(surroundings.air_data), from_python(surroundings.flight_direction)
 SIGMA = (2.0, 3.0, 0.5)

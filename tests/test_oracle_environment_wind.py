@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from maxq.control.kernel.limits import MAX_GUSTS
 from maxq.control.kernel.records import pack
 from maxq.control.kernel.tables import Pool, fit
 from maxq.sim.packing.environment import pack_wind
 from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.world.wind import Wind, wind_components, wind_ned
+
+MAX_GUSTS = 16
 
 NO_POOL = np.zeros(1)
 

@@ -10,14 +10,12 @@ from typing import get_args
 import numpy as np
 import pytest
 
+import maxq
+from maxq import Flight, FlightRun, ScenarioError, record
 from maxq.control.kernel.records import Array
 from maxq.sim.campaign.targets import Change, Dispersed, find_target
-from maxq.sim.log.reader import read_log
 from maxq.sim.packing.faults import WRITES
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
-from maxq.sim.run.record import record
-from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_fault import KINDS, FaultKind
 from maxq.tools.flight_report import report
@@ -111,7 +109,7 @@ def test_of_two_faults_of_one_thing_the_later_one_holds() -> None:
 def test_a_fault_stands_in_log_summary_and_report(tmp_path: Path) -> None:
     fault = 'fault=[{kind = "gyro-stuck", at_s = 1.5, until_s = 2.0, axis = "yaw"}]'
     flight = record(FlightRun(load_scenario("nominal", ("run.duration_s=3", fault))), tmp_path)
-    texts = [(event.time_ns, event.text, event.level.name) for event in read_log(tmp_path / "flight.mcap").events]
+    texts = [(event.time_ns, event.text, event.level.name) for event in maxq.read(tmp_path / "flight.mcap").events]
     assert (1_500_000_000, "fault: gyro-stuck yaw", "WARNING") in texts
     assert (2_000_000_000, "fault_end: gyro-stuck yaw", "INFO") in texts
     told = json.loads((tmp_path / "summary.json").read_text())["events"]

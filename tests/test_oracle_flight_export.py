@@ -21,10 +21,8 @@ from flight_code import COMPILER, STRICT, flies, needs_compiler
 from scipy.io import loadmat
 
 import maxq
-from maxq.design.margins.measure import margins
-from maxq.sim.campaign.read import load_campaign
+from maxq import Flight, margins
 from maxq.sim.campaign.runs import fly_rows
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign, simvehicle
@@ -206,8 +204,8 @@ def test_dispersed_flights_have_the_same_bits(tmp_path: Path) -> None:
     library = built(tmp_path, "ksr3-robust")
     hashes = []
     for changes in ([], flies(library=library)):
-        campaign = load_campaign(
-            "campaigns/ksr3", ["run.duration_s=70", "campaign.keep=[]", f"campaign.runs={runs}", *changes]
+        campaign = maxq.load(
+            "campaigns/ksr3", "run.duration_s=70", "campaign.keep=[]", f"campaign.runs={runs}", *changes
         )
         drawn = campaign.plan.draw(0, runs)
         hashes.append([row.state_hash for row in fly_rows(campaign, [(drawn, run) for run in range(runs)])])

@@ -11,7 +11,7 @@ import scipy.signal
 
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, pack
-from maxq.control.kernel.tables import NO_TABLE, Pool, TableRef, fit
+from maxq.control.kernel.tables import NO_TABLE, Pool, fit
 from maxq.sim.flight import injection
 from maxq.sim.flight.injection import MAX_INJECTIONS, MAX_TONES, Injections
 from maxq.sim.packing.flight import Packed, pack_flight
@@ -27,7 +27,7 @@ TONES_HZ, PHASES = np.array([0.5, 1.25, 3.0]), np.array([0.1, -1.0, 2.0])
 TABLE_S, TABLE = np.array([2.0, 3.5, 5.0, 6.0]), np.array([[0.0, 1.0], [4.0, 2.0], [-1.0, 5.0], [0.0, 3.0]])
 
 
-def injected(form: int, *, replaces: int = 0, table: TableRef = NO_TABLE) -> Any:
+def injected(form: int, *, replaces: int = 0, table=NO_TABLE) -> Any:
     """Two signals of one form: 3 on the pitch command, -1 on the yaw command."""
     whole, real = np.zeros(MAX_INJECTIONS, np.int64), np.zeros(MAX_INJECTIONS)
     tones = np.zeros((2, MAX_INJECTIONS, MAX_TONES))

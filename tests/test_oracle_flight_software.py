@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 from flight_code import EXAMPLES, compiled, flies, needs_compiler
 
+from maxq import Flight
 from maxq.control.external import FswInputs, FswOutputs
 from maxq.control.kernel.records import dtype_of
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.run.instances import Outputs, Setup
 from maxq.sim.scenario.loader import load_scenario

@@ -12,13 +12,12 @@ import pytest
 from maxq.control.kernel.records import Array
 from maxq.design.margins import packed
 from maxq.design.margins.response import LoopResponse
-from maxq.design.model.state_space import ComplexArray
 
 PERIOD_S = 0.02
 IMAGES = 200_000  # to either side: what is left of the slowest series falls with the square of their number
 
 
-def summed(hz: Array, poles: ComplexArray, residues: ComplexArray, delay_s: float) -> ComplexArray:
+def summed(hz: Array, poles: np.ndarray, residues: np.ndarray, delay_s: float) -> np.ndarray:
     """Return the response of a hold, a delay, a path by poles and residues, an average over a period, and a sampler."""
     s = 2j * np.pi * (hz[:, None] + np.arange(-IMAGES, IMAGES + 1) / PERIOD_S)
     path = sum(residue / (s - pole) for pole, residue in zip(poles, residues, strict=True))

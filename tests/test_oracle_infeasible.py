@@ -15,15 +15,13 @@ import optimise_kit as kit
 import pytest
 from scipy.optimize import differential_evolution, minimize
 
-from maxq.design.case.schema import LoadedCase
-from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.solve import solve
 
 NODES = "nodes_s=[10.0, 30.0, 50.0]"
 DB = 20.0 / math.log(10.0)
 
 
-def violation(loaded: LoadedCase, plants: Plants) -> Callable[[np.ndarray], float]:
+def violation(loaded, plants) -> Callable[[np.ndarray], float]:
     """Of ln zero_hz, zero_zeta, ln pole_hz, pole_zeta, ln k_p and ln k_d at both ends: dB that are missing."""
     limits = loaded.case.limits
     least, per_deg = limits.gain_margin_db, limits.gain_margin_db / limits.phase_margin_deg

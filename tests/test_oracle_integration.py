@@ -14,16 +14,14 @@ import pytest
 from flightkit import Array, Mode, Parts, flown, rig, scenario_of
 from scipy.linalg import expm
 
+import maxq
+from maxq import Flight, FlightRun, ScenarioError, record
 from maxq.control.kernel.records import pack
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.flight.oscillators import put_functions, put_oscillator
 from maxq.sim.packing.integration import Oscillation, method_error, oscillations, worst_error
 from maxq.sim.packing.vehicle import pack_actuators
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
+from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import step_failure
-from maxq.sim.run.record import record
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.actuator import actuator_derivative, linear_sections
 from maxq.sim.vehicle.state import eta_index
@@ -263,7 +261,7 @@ def test_local_errors_are_recorded_where_steps_follow_from_accuracy(by_accuracy:
 
 def test_a_tank_that_runs_empty_within_the_step_is_no_error_of_the_integration() -> None:
     """In run 397 lox ends in a step that is repeated as two halves; a pendulum without mass counted with 0.96 deg."""
-    found = fly(load_campaign("campaigns/ksr3").scenario_of(397), log=False)
+    found = fly(maxq.load("campaigns/ksr3").scenario_of(397), log=False)
     assert not [f for f in found.failures if "integration" in f]
     assert 0.0 < found.metrics["step_error_slosh_deg"] < 0.02
 
@@ -272,7 +270,7 @@ def test_what_an_actuators_play_does_to_steps_is_estimated_as_large_as_it_is() -
     """Run 886, with a play of 0.045 deg, against itself in steps of 0.5 ms; estimates of crossings as if they never
     cancelled are 20 times as large, and fail it."""
     by_accuracy, finer = (
-        fly(load_campaign("campaigns/ksr3", overrides).scenario_of(886), log=False)
+        fly(maxq.load("campaigns/ksr3", *overrides).scenario_of(886), log=False)
         for overrides in ([], ["run.step_s=0.0005"])
     )
     assert not [f for f in by_accuracy.failures if "integration" in f]

@@ -33,17 +33,17 @@ from oracles.planar.plant import vehicle_plant
 from oracles.planar.vehicle_at import stability_derivatives, vehicle_at
 from zero_incidence import zero_incidence
 
+from maxq import Flight, FlightRun
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import OUTPUTS, FlightCondition
-from maxq.design.model.instruments import DERIVATIVES, Plane, actuator, gyro
-from maxq.design.model.linearised import LinearModel, linearise
+from maxq.design.model.instruments import DERIVATIVES, actuator, gyro
+from maxq.design.model.linearised import linearise
 from maxq.design.model.node import node_of
-from maxq.design.model.state_space import ComplexArray, StateSpace
+from maxq.design.model.state_space import StateSpace
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import Q_BI
 from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE
@@ -76,7 +76,7 @@ class Node:
 
     packed: Packed
     condition: FlightCondition
-    simulated: LinearModel
+    simulated: object
     model: StateSpace
 
     def block(self, plane: str) -> StateSpace:
@@ -94,7 +94,7 @@ class Node:
         )  # fmt: skip  # five more lines otherwise
 
 
-def linear_plant(packed: Packed, condition: FlightCondition, plane: Plane = "pitch") -> StateSpace:
+def linear_plant(packed: Packed, condition: FlightCondition, plane: str = "pitch") -> StateSpace:
     """Command (rad) -> gyro rate, engine motion, vehicle motion: states of vehicle, actuator and gyro in this order."""
     row = packed.parameters[0].vehicle
     moves, senses = actuator(row.actuator_pitch if plane == "pitch" else row.actuator_yaw), gyro(row.gyro)
@@ -157,7 +157,7 @@ def nodes(flight: Flight) -> dict[int, Node]:
     return out
 
 
-def pole_differences(ours: ComplexArray, theirs: ComplexArray) -> Array:
+def pole_differences(ours: np.ndarray, theirs: np.ndarray) -> Array:
     """Relative distance of each of `ours` to its own one of `theirs`."""
     distance = np.abs(ours[:, None] - theirs[None, :]) / np.abs(ours)[:, None]
     pairs = scipy.optimize.linear_sum_assignment(distance)
@@ -195,7 +195,7 @@ def test_vehicle_matrices_are_equal(nodes: dict[int, Node], time_s: int) -> None
 @pytest.mark.parametrize("load", [(), ("vehicle.stage.0.tvc_load={frequency_hz=15.6, damping_ratio=0.042}",)])
 @EVERY_NODE
 def test_plant_of_an_operating_point_is_the_published_model(
-    flight: Flight, time_s: int, load: tuple[str, ...], plane: Plane
+    flight: Flight, time_s: int, load: tuple[str, ...], plane: str
 ) -> None:
     """The Jacobian of the simulator, reduced to a plane: matrices entry by entry, names, zeros."""
     packed, condition = flat_earth(flight, time_s, *load)

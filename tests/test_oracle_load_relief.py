@@ -26,6 +26,7 @@ from scipy.signal import lfilter
 from zero_incidence import zero_incidence
 
 import maxq
+from maxq import ScenarioError
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSection
 from maxq.control.kernel.records import Array, blank, pack
@@ -35,7 +36,7 @@ from maxq.control.sensors import make_sensors
 from maxq.design.laws.design_file import design_text
 from maxq.design.laws.pd import PdDesign
 from maxq.design.laws.pd_variables import PdVariables
-from maxq.design.laws.wind import DRIFT, LOAD, MOMENTS, Spectrum, WindResponse
+from maxq.design.laws.wind import DRIFT, LOAD, MOMENTS, Spectrum
 from maxq.design.model.instruments import actuator_response, lag
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.solve import solve
@@ -43,7 +44,6 @@ from maxq.design.verify.judging import with_law
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.vehicle.state import Q_BI, V_I, W_BI_B
 
 T = 0.01
@@ -131,7 +131,7 @@ def test_gradients_by_the_complex_step(loop: str) -> None:
     np.testing.assert_allclose(out.gains[1], (ahead.gains[0] - behind.gains[0]) / (2 * h), atol=1e-9)
 
 
-def excess_db(own: Any, wind: WindResponse, output: int, s: Any, limit: float) -> Any:
+def excess_db(own: Any, wind, output: int, s: Any, limit: float) -> Any:
     """By complex steps: C of the law written down anew, the loop closed with the wind's data."""
     z = np.exp(-2j * np.pi * np.exp(wind.x) * T)
     kept, shaped = np.exp(-2.0 * np.pi * T), filter_f3(own, s)
@@ -172,7 +172,7 @@ def test_only_what_a_case_asks_for_is_a_limit_in_wind() -> None:
     assert [limit.unit for limit in made.law.limits][3:] == ["Pa deg"]
 
 
-def rms_of(wind: WindResponse, output: int, law: Any, measurements: tuple[str, ...]) -> float:
+def rms_of(wind, output: int, law: Any, measurements: tuple[str, ...]) -> float:
     gains = law.response(np.exp(wind.x))[:, [law.inputs.index(name) for name in measurements]]
     return float(wind.rms([output], gains, np.zeros((*gains.shape, 0)))[0][0])
 

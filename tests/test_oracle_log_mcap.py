@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,13 @@ import numpy as np
 import pytest
 import zstandard
 from example_log import EVENTS, FAST, FRAMES, HEAD, SLOW, TABLE, same_bits, write_example
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import NonSeekingReader, make_reader
-from mcap.records import Channel, Chunk, Message, MessageIndex, Metadata, Schema
+from mcap.records import Chunk, MessageIndex, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
+from mcap_messages import messages
 
-from maxq.sim.log.reader import read_log
+import maxq
 from maxq.sim.log.writer import Container, LogWriter, message_block
 
 
@@ -36,20 +35,9 @@ def summary_of(path: Path) -> Summary:
     return summary
 
 
-def messages(path: Path, topic: str) -> Iterator[tuple[Schema, Channel, Message, Any]]:
-    with path.open("rb") as file:
-        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages(topics=[topic]):
-            assert schema is not None
-            pool = descriptor_pool.DescriptorPool()
-            for entry in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
-                pool.Add(entry)
-            kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
-            yield schema, channel, message, kind.FromString(message.data)
-
-
 @pytest.mark.parametrize("topic", TABLE.topics, ids=lambda topic: topic.name)
 def test_channels(path: Path, topic: Any) -> None:
-    log = read_log(path)
+    log = maxq.read(path)
     rows = list(messages(path, topic.name))
     assert [m.log_time for _, _, m, _ in rows] == log.time_ns(topic.name).tolist()
     assert [m.publish_time for _, _, m, _ in rows] == log.time_ns(topic.name).tolist()
@@ -107,7 +95,7 @@ def test_a_cut_file_gives_their_reader_every_whole_chunk(path: Path, tmp_path: P
         reader = NonSeekingReader(file).iter_messages(["/truth"], log_time_order=False)
         with pytest.raises(Exception):  # noqa: B017, PT011 the mcap package raises different errors here
             times += [message.log_time for _, _, message in reader]
-    log = read_log(tmp_path / "cut.mcap")
+    log = maxq.read(tmp_path / "cut.mcap")
     assert len(log["truth_0_m"]) == 200
 
 
@@ -160,7 +148,7 @@ def test_message_indexes_point_to_their_messages(tmp_path: Path) -> None:
 
 def test_a_log_in_order_of_time_from_another_tool_reads_the_same(path: Path, tmp_path: Path) -> None:
     """Such a file is what `mcap` tools make of ours: messages of all topics alternate within a chunk."""
-    ours = read_log(path)
+    ours = maxq.read(path)
     other = Container(tmp_path / "other.mcap", "maxq", "another tool")
     summary = summary_of(path)
     with path.open("rb") as file:
@@ -181,7 +169,7 @@ def test_a_log_in_order_of_time_from_another_tool_reads_the_same(path: Path, tmp
     other.add_metadata("end", {"status": "complete"})
     other.finish()
     other.close()
-    theirs = read_log(tmp_path / "other.mcap")
+    theirs = maxq.read(tmp_path / "other.mcap")
     assert theirs.complete
     assert theirs.events == ours.events
     for name in TABLE.names:

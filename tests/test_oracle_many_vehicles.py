@@ -15,22 +15,21 @@ import pytest
 from numpy.typing import NDArray
 
 import maxq
+from maxq import LoadedScenario, Loop, Node, margins
 from maxq.control.kernel.records import Array
 from maxq.design.laws.law import Controller
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop, law_at
+from maxq.design.loop.loop import law_at
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
 from maxq.design.margins.many import DONE, HANDED_BACK, UNSTABLE
-from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import Dispersion, deviated, stacked
-from maxq.design.model.node import Node, disperse
+from maxq.design.model.node import disperse
 from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.quantities import SWEPT
 from maxq.design.verify.linear import measured, vehicles
 from maxq.design.verify.suite import LinearMargins
-from maxq.sim.scenario.loader import LoadedScenario
 
 WIDE = Spread(
     bending_frequency=(0.2, 0.3, 0.4), bending_slope=0.8, slosh_frequency=0.3, slosh_mass=0.5,

@@ -21,10 +21,9 @@ from hypothesis import strategies as st
 from scipy.special import lambertw
 from textbook_loops import ModalLoop, TransferLoop
 
+from maxq import margins
 from maxq.control.kernel.records import Array
 from maxq.design.margins.crossings import steps_past_poles
-from maxq.design.margins.measure import margins
-from maxq.design.model.state_space import ComplexArray
 
 DB = 20.0 / np.log(10.0)
 EXACT = 1e-7  # dB, degrees: a thousandth of what the solver promises, and the rounding of polynomials
@@ -172,7 +171,7 @@ def loops() -> st.SearchStrategy[ModalLoop]:
     return st.builds(ModalLoop.of, REAL, PAIRS, GAINS)
 
 
-def on_axis(found: ComplexArray, within: float, above_hz: float = 2e-5) -> Array:
+def on_axis(found: np.ndarray, within: float, above_hz: float = 2e-5) -> Array:
     """Frequencies of the eigenvalues that are imaginary to `within`, relative. (A curve begins at 1e-5 Hz or above.)"""
     return np.sort(found.real[(found.real > above_hz) & (np.abs(found.imag) < within * found.real)])
 

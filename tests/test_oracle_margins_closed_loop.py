@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from test_oracle_margins import GAINS, PAIRS
 from textbook_loops import ModalLoop, TransferLoop
 
-from maxq.design.margins.measure import margins
+from maxq import margins
 
 RADII = st.sampled_from([0.2, 0.7, 0.95, 0.999, 1.05])
 PERIOD_S = 0.01

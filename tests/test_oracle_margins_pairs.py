@@ -19,12 +19,11 @@ import numpy as np
 import pytest
 from oracles.exact_crossings import crossings, response
 
+from maxq import Loop, margins
 from maxq.control.filters import BendingFilter, QuadraticSection
 from maxq.design.laws.pd import Pd
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop
 from maxq.design.margins.bounds import slopes, with_extremes
-from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import disperse
 from maxq.design.model.spread import Spread, campaign_of

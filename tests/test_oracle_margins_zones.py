@@ -14,13 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from textbook_loops import ModalLoop
 
+from maxq import margins
 from maxq.control.kernel.records import Array
 from maxq.design.margins.distances import Zone
-from maxq.design.margins.measure import margins
-from maxq.design.model.state_space import ComplexArray
 
 
-def least(loop: ModalLoop, value: Callable[[ComplexArray], Array], grid: Array) -> float:
+def least(loop: ModalLoop, value: Callable[[np.ndarray], Array], grid: Array) -> float:
     found = value(loop.response(grid))
     best = np.inf
     for k in np.argsort(found)[:3]:
@@ -43,15 +42,15 @@ def fine_grid(loop: ModalLoop) -> Array:
     return np.unique(grid[(grid > 1e-5) & (grid <= 1e3)])
 
 
-def from_s(loop: ComplexArray) -> Array:
+def from_s(loop: np.ndarray) -> Array:
     return np.abs(1.0 + loop)
 
 
-def from_t(loop: ComplexArray) -> Array:
+def from_t(loop: np.ndarray) -> Array:
     return np.abs(1.0 + 1.0 / loop)
 
 
-def from_both(loop: ComplexArray) -> Array:
+def from_both(loop: np.ndarray) -> Array:
     return np.minimum(2.0 * np.abs((1.0 + loop) / (1.0 - loop)), 2.0)
 
 

@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 from textbook_loops import ZpkLoop
 
+from maxq import margins
 from maxq.control.kernel.records import Array
-from maxq.design.margins.measure import margins
-from maxq.design.model.state_space import ComplexArray
 
 LOWEST_HZ, FLOOR, FARTHEST = 1e-3, 1.001e-4, 0.9e9  # beyond FARTHEST a sign change is a pole on the axis
 
@@ -71,7 +70,7 @@ def random_loop(seed: int) -> ZpkLoop:
     return ZpkLoop(shape.zeros, shape.poles, float(rng.choice([1, 1, 1, -1]) / level), period)
 
 
-def sign_changes(loop: ComplexArray) -> tuple[int, int]:
+def sign_changes(loop: np.ndarray) -> tuple[int, int]:
     size, below = np.abs(loop), loop.imag < 0.0
     crossed = (
         (below[1:] != below[:-1])

@@ -22,29 +22,27 @@ import scipy.linalg
 from test_oracle_many_vehicles import compared, drawn
 
 import maxq
-from maxq.design.case.schema import LoadedCase, read_case
+from maxq import Loop, Node
+from maxq.design.case.schema import read_case
 from maxq.design.laws.registry import designed_law
 from maxq.design.loop.fixed_path import SampledFixedPath
-from maxq.design.loop.loop import Loop, law_at
+from maxq.design.loop.loop import law_at
 from maxq.design.loop.own_part import attribution, dominance, peak_band
 from maxq.design.loop.resonance import Resonance
 from maxq.design.loop.sampling import sample
-from maxq.design.margins.curve import LOWEST_PEAK
 from maxq.design.margins.measured_loop import measure_loop
-from maxq.design.model.node import Node, disperse
+from maxq.design.model.node import disperse
 from maxq.design.model.state_space import chain, channels
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.plants import make_plant, make_plants, nodes_of
 from maxq.design.optimise.solve import each_stage, solve
-from maxq.design.quantities import LAST_MODE
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.scenario.schema_design import Design
 
 STIFFER = "vehicle.stage.0.bending.frequency_factor=[1.0,3.3,1.0]"
 """Mode 2 of KSR-III goes from 76 to 106 Hz at a sample rate of 100 Hz, which it passes at 43.0 s."""
 PASSES = 406.6
 """s, when mode 1 of petrel's last stage, 1.4 times as fast, is at 99.94 Hz."""
-LOWEST_PEAK_DB = 20.0 * LOWEST_PEAK / math.log(10.0)  # lower peaks are not refined
+LOWEST_PEAK_DB = -60.0  # lower peaks are not refined
 
 
 @cache
@@ -116,7 +114,7 @@ def test_peak_of_a_mode_at_the_sample_rate_is_its_own() -> None:
         assert found.margins.rigid_phase_deg.value == pytest.approx(other.value, abs=0.1)
 
 
-def fast_petrel(*overrides: str) -> LoadedCase:
+def fast_petrel(*overrides: str):
     """Petrel's last stage in space with a mode that goes from 60 to 112 Hz, 11.1 dB below 0 dB."""
     scenario = petrelkit.scenario("vehicle.stage.2.bending.frequency_factor=[1.4]")
     asked = ("stages=[3]", "between_nodes='ignore'", "limits.first_mode_db=-11.1", *overrides)
@@ -125,6 +123,7 @@ def fast_petrel(*overrides: str) -> LoadedCase:
     return part
 
 
+@pytest.mark.slow
 def test_stage_whose_mode_passes_the_sample_rate_is_designed() -> None:
     """By the band alone, 15.2 dB are missing: |L| of the rigid body at 0.06 Hz."""
     s = solve(fast_petrel(f"nodes_s=[163.5, 270.0, 400.0, {PASSES}, 420.0, 463.0]"))
@@ -135,14 +134,14 @@ def test_stage_whose_mode_passes_the_sample_rate_is_designed() -> None:
     assert peak < -40.0
 
 
-JUDGED = {"peak of mode 1": (1, 1), "peak of mode 2": (2, 2), "peak of modes 3 and above": (3, LAST_MODE)}
+JUDGED = {"peak of mode 1": (1, 1), "peak of mode 2": (2, 2), "peak of modes 3 and above": (3, 999)}
 ASKED = (
     "between_nodes='ignore'", "limits.first_mode_db=9", "limits.second_mode_db=-9", "limits.modes_from_3_db=-9",
     "limits.first_mode_phase_deg=47",
 )  # fmt: skip  # one line for each otherwise
 
 
-def shipped() -> list[tuple[LoadedCase, Design]]:
+def shipped() -> list[tuple]:
     """Cases of all shipped vehicles with their designs; petrel's mode 2 at 92 s and mode 4 at 119.5 s are weak."""
     ksr3 = "nodes_s=[0.5, 5.0, 30.0, 45.0, 55.0, 57.0]"
     free = (ksr3, "loop=pade", "gains.schedule=free", "limits.rigid_hz=0.1")

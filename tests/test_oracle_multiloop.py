@@ -12,11 +12,13 @@ import scipy.linalg
 import scipy.optimize
 from flightkit import Parts, rig, scenario_of
 
+from maxq import margins, multiloop_margins
 from maxq.control.kernel.records import Array
 from maxq.design.loop.multiloop import Multiloop, OneLoop, multiloop
-from maxq.design.margins.measure import margins
-from maxq.design.margins.multiloop import LOWEST_HZ, multiloop_margins, structured_singular_value
-from maxq.design.model.state_space import ComplexArray, StateSpace
+from maxq.design.margins.multiloop import structured_singular_value
+from maxq.design.model.state_space import StateSpace
+
+LOWEST_HZ = 1e-3  # slower roots are drift
 
 SPIN_RADPS, THRUST_N, PERIOD_S, DELAY_S = 0.8, 3.0e4, 0.01, 0.003
 INERTIA = np.array([[900.0, 60.0, -150.0], [60.0, 5.2e4, 400.0], [-150.0, 400.0, 5.21e4]])
@@ -55,7 +57,7 @@ def spinning() -> Multiloop:
     return multiloop(made.packed, design, 0.0)
 
 
-def images(frequencies_hz: Array, spin_radps: float = SPIN_RADPS) -> ComplexArray:
+def images(frequencies_hz: Array, spin_radps: float = SPIN_RADPS) -> np.ndarray:
     """L of the same from Euler's equations and the sum over the images of the sampled signal."""
     arms = [np.array([CG[0] - x, y - CG[1], z - CG[2]]) for x, y, z in PLACES]
     # a positive pitch angle turns the thrust to +z, a positive yaw angle to -y
@@ -67,7 +69,7 @@ def images(frequencies_hz: Array, spin_radps: float = SPIN_RADPS) -> ComplexArra
     euler = -np.linalg.solve(j, cross(w) @ j - cross(j @ w))
     inputs = np.linalg.solve(j, np.array(columns).T)
 
-    def plant(s: ComplexArray) -> ComplexArray:
+    def plant(s: np.ndarray) -> np.ndarray:
         body = np.linalg.solve(s[..., None, None] * np.eye(3) - euler, inputs @ allocation)[..., [1, 2, 0], :]
         lag = [1.0 / ((s / (2 * np.pi * f)) ** 2 + 2 * z * s / (2 * np.pi * f) + 1.0) for f, z in (GYRO, ACTUATOR)]
         held = (1.0 - np.exp(-s * PERIOD_S)) / (s * PERIOD_S)
@@ -119,7 +121,7 @@ def test_disk_of_all_loops_by_brute_force_over_complex_factors() -> None:
     loop, rng = spinning(), np.random.default_rng(3)
     disk, s = multiloop_margins(loop).disk, loop.state_space
 
-    def factors(d: ComplexArray) -> ComplexArray:
+    def factors(d: np.ndarray) -> np.ndarray:
         return np.asarray((1.0 + 0.5 * d) / (1.0 - 0.5 * d))
 
     for _ in range(400):
@@ -156,11 +158,11 @@ class Satellite:
     def state_space(self) -> StateSpace:
         return StateSpace(self.a, self.b, self.c, np.zeros((2, 2)), ("p", "q"), self.axes, self.axes)
 
-    def response(self, frequencies_hz: Array) -> ComplexArray:
+    def response(self, frequencies_hz: Array) -> np.ndarray:
         s = 2j * np.pi * np.asarray(frequencies_hz)
         return self.c @ np.linalg.solve(s[..., None, None] * np.eye(2) - self.a, self.b)
 
-    def poles(self, closed: Iterable[int]) -> ComplexArray:
+    def poles(self, closed: Iterable[int]) -> np.ndarray:
         i = list(closed)
         return np.linalg.eigvals(self.a - self.b[:, i] @ self.c[i]).astype(np.complex128)
 
@@ -210,12 +212,12 @@ def test_structured_singular_value_by_brute_force() -> None:
         for _ in range(4):
             matrix = rng.normal(size=(n, n)) + 1j * rng.normal(size=(n, n))
 
-            def smaller(turns: Array, matrix: ComplexArray = matrix) -> float:
+            def smaller(turns: Array, matrix: np.ndarray = matrix) -> float:
                 unitary = np.exp(1j * np.append(0.0, turns))
                 return -float(np.abs(np.linalg.eigvals(unitary[:, None] * matrix)).max())
 
             starts = rng.uniform(-np.pi, np.pi, (12, n - 1))
             least = min(scipy.optimize.minimize(smaller, x, method="Nelder-Mead", tol=1e-12).fun for x in starts)
             assert structured_singular_value(matrix) == pytest.approx(-least, rel=1e-9)
-    upper: ComplexArray = np.triu(rng.normal(size=(3, 3))) + 0j
+    upper: np.ndarray = np.triu(rng.normal(size=(3, 3))) + 0j
     assert structured_singular_value(upper) == pytest.approx(np.abs(np.diag(upper)).max(), rel=1e-5)

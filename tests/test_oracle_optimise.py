@@ -23,15 +23,13 @@ import optimise_kit as kit
 import pytest
 from scipy.optimize import differential_evolution, linprog
 
+from maxq import Loop, margins
 from maxq.control.kernel.records import Array
 from maxq.design.laws.bending_filter import FilterVariables
 from maxq.design.laws.pd import Pd
 from maxq.design.laws.pd_variables import least_gains
-from maxq.design.loop.loop import Loop
-from maxq.design.margins.measure import margins
-from maxq.design.optimise.problem import Problem, Rows
+from maxq.design.optimise.problem import Rows
 from maxq.design.optimise.quadratic_programme import solve_quadratic
-from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.sqp import Merit, model_step
 
 LOOPS = pytest.mark.parametrize("loop", ["pade", "sampled"])
@@ -276,7 +274,7 @@ def test_phase_1_is_the_lowest_pair_of_lines() -> None:
     assert np.isclose(zeta.min(), 0.7)
 
 
-def penalised(p: Problem) -> Callable[[Array], float]:
+def penalised(p) -> Callable[[Array], float]:
     """The same problem without gradients: exact responses, crossings by interpolation, limits as a penalty."""
     plants = kit.all_nodes()
     grids = [plants.curves.frequency_hz[plants.curves.plant == i] for i in range(len(plants))]
@@ -341,7 +339,7 @@ def test_no_global_search_beats_the_optimum_of_f2() -> None:
     ],
 )
 def test_solutions_fulfil_the_conditions_of_optimality(overrides: tuple[str, ...]) -> None:
-    s: Solution = kit.solution(*overrides)
+    s = kit.solution(*overrides)
     assert s.status == "optimal"
     assert s.feasible
     assert s.certificate.kkt_residual < 1e-6

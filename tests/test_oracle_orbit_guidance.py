@@ -19,6 +19,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
+from maxq import ScenarioError
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.orbit_guidance import (
@@ -32,7 +33,6 @@ from maxq.control.orbit_guidance import (
     thrust_acceleration,
 )
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 
 MU, J2, RADIUS_m = 3.986004418e14, 1.08262982e-3, 6378137.0

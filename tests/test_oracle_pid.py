@@ -22,16 +22,16 @@ from complex_step import Pair, filter_f3
 from design_nodes import design, node_at
 from scipy.signal import lfilter
 
+from maxq import Loop, margins
 from maxq.control.computer import ComputerState, build_computer, computer_tick, start_computer
 from maxq.control.filters import BendingFilter, FirstOrderSection, QuadraticSection
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.design.laws.pd import Pd
-from maxq.design.loop.fixed_path import Kind, SampledFixedPath, fixed_path
-from maxq.design.loop.loop import Loop, close_loop
+from maxq.design.loop.fixed_path import SampledFixedPath, fixed_path
+from maxq.design.loop.loop import close_loop
 from maxq.design.loop.multiloop import Multiloop
-from maxq.design.margins.measure import margins
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.plants import make_plants
 from maxq.design.optimise.solve import solve
@@ -129,7 +129,7 @@ def test_a_command_at_its_limit_winds_nothing_up() -> None:
     assert 0.0 < ticked.state.pid.integral_rad[0] < 0.02
 
 
-def loop_of(kind: Kind, k_i_ps: float) -> Loop:
+def loop_of(kind: str, k_i_ps: float) -> Loop:
     path = fixed_path(node_at(40.0), kind)
     found = close_loop(path, design()).law
     assert isinstance(found, Pd)
@@ -137,7 +137,7 @@ def loop_of(kind: Kind, k_i_ps: float) -> Loop:
 
 
 @pytest.mark.parametrize("kind", ["pade", "sampled"])
-def test_its_loop_is_one_in_every_form(kind: Kind) -> None:
+def test_its_loop_is_one_in_every_form(kind: str) -> None:
     f = np.geomspace(0.02, 45.0, 60)
     loop, without = loop_of(kind, 0.3), loop_of(kind, 0.0)
     s = loop.state_space()

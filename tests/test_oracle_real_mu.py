@@ -10,11 +10,11 @@ import numpy as np
 import petrelkit
 import pytest
 
+from maxq import Loop
 from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop, law_at
+from maxq.design.loop.loop import law_at
 from maxq.design.loop.multiloop import multiloop
-from maxq.design.margins.multiloop import LOWEST_HZ
 from maxq.design.margins.real_mu import bound, descent, real_mu_upper
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.node import disperse
@@ -24,6 +24,8 @@ from maxq.design.verify.named_mu import Uncertain, stable_together, stable_withi
 from maxq.design.verify.suite import WorstWanted
 from maxq.design.verify.worst import search_node
 from maxq.sim.packing.flight import pack_flight
+
+LOWEST_HZ = 1e-3  # slower roots are drift
 
 
 def brute_force(m: np.ndarray, ranks: list[int]) -> float:

@@ -11,20 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
-from mcap.reader import make_reader
+from mcap_messages import messages
 from replaykit import OLD_LOG
 from rerun import ComponentColumn
 
-from maxq.sim.log.messages import FRAMES_SCHEMA, FRAMES_TYPE, message_class
 from maxq.tools.replay import meshes
-from maxq.tools.replay.flight import ReplayFlight, launch_of, open_flight, path_of, place_of
+from maxq.tools.replay.flight import launch_of, open_flight, path_of, place_of
 from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.scene import Scene
 from maxq.tools.replay.stream import send_now
 from maxq.tools.replay.vehicle_shape import (
-    SECTION,
     Sections,
-    VehicleShape,
     bent_line,
     exaggeration_of,
     modal_coordinates,
@@ -32,14 +29,17 @@ from maxq.tools.replay.vehicle_shape import (
     shape_of,
 )
 
+SIDES = 24
+SECTION = "section_1_bending_pitch_Nm"  # a channel of every log with section loads
+
 
 @cache
-def flight() -> ReplayFlight:
+def flight():
     return open_flight(OLD_LOG)
 
 
 @cache
-def shape() -> VehicleShape:
+def shape():
     scenario = flight().scenario
     assert scenario is not None
     return shape_of(scenario.vehicle)
@@ -76,13 +76,11 @@ def test_the_gyro_picks_up_from_all_modes_what_it_picks_up_from_each() -> None:
 
 def test_pose_is_that_of_the_frames_in_the_log() -> None:
     """/tf is written by the flight; here it is read by the mcap package and protobuf."""
-    decode = message_class(FRAMES_SCHEMA, FRAMES_TYPE)
     logged = []
-    with OLD_LOG.open("rb") as file:
-        for _, _, message in make_reader(file).iter_messages(topics=["/tf"]):
-            frame = decode.FromString(message.data).transforms[0]  # type: ignore[attr-defined]  # known at run time only
-            p, q = frame.translation, frame.rotation
-            logged.append((message.log_time, p.x, p.y, p.z, q.w, q.x, q.y, q.z))
+    for _, _, message, decoded in messages(OLD_LOG, "/tf"):
+        frame = decoded.transforms[0]
+        p, q = frame.translation, frame.rotation
+        logged.append((message.log_time, p.x, p.y, p.z, q.w, q.x, q.y, q.z))
     expected = np.array(logged)
     place = place_of(flight())
     path = path_of(flight().log, place.frames(flight().log.table, 100_000_000))
@@ -117,7 +115,7 @@ def test_a_surface_stands_across_its_pendulum() -> None:
     pitch, yaw = math.radians(7.0), math.radians(-4.0)
     tilt = np.array([[math.tan(yaw), math.tan(pitch)]])
     vertices = meshes.liquid_vertices(np.array([-11.0]), np.array([-9.0]), 0.5, tilt, np.zeros((1, 2, 2)))[0]
-    sides = meshes.SIDES
+    sides = SIDES
     surface = vertices[3 * sides : 4 * sides].astype(float)
     centre = surface.mean(axis=0)
     pendulum = np.array([-1.0, math.tan(yaw), math.tan(pitch)])  # from the hinge to the bob, in B

@@ -24,14 +24,15 @@ from scipy.integrate import quad, simpson
 from test_oracle_slosh_waves import GRAVITY_MPS2, OMEGA, swinging
 
 import maxq
+from maxq import LoadedScenario, Node
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.response import ring_lines
 from maxq.design.model.dispersion import Dispersion
-from maxq.design.model.node import Node, at_swing, disperse, equivalent_swing, with_swings
+from maxq.design.model.node import at_swing, disperse, equivalent_swing, with_swings
 from maxq.sim.packing.flight import Packed
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout
 
 TURN = np.linspace(0.0, 2.0 * np.pi, 2001)

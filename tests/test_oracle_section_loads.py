@@ -19,7 +19,7 @@ from flightkit import Mode, Parts, Rig, Tank, Tree, engine_states, merged, rig, 
 from oracles.beam_frame import Beam
 
 from maxq.control.kernel.records import Array
-from maxq.sim.run.evaluate import Instant, evaluate_at
+from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle import workspace
 from maxq.sim.vehicle.loads import AXIAL, MOMENT_Y, MOMENT_Z, SHEAR_Y, SHEAR_Z
@@ -38,7 +38,7 @@ SLENDER = Parts(  # a rod without width: its axis has the whole transverse inert
 )
 
 
-def at_start(tree: Tree, change: Any = None) -> tuple[Rig, Instant]:
+def at_start(tree: Tree, change: Any = None) -> tuple:
     made = rig(tree)
     if change is not None:
         change(made.y)

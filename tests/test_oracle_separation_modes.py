@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from oracles.beam_frame import Beam
 from scipy.linalg import eigh
 
+from maxq import FlightRun
 from maxq.sim.packing.separation import RIGID, Part, modal_transfer
-from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario_text
 from maxq.sim.scenario.modes import MODE_COLUMNS, ModeTable, SpatialModeTable
 from maxq.sim.vehicle.state import N_FIXED, Q_BI, R_I, V_I, W_BI_B

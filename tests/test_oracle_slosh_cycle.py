@@ -20,15 +20,18 @@ from scipy.integrate import quad
 from scipy.special import j1
 
 import maxq
-from maxq.design.certificate.held_flight import HeldFlight, hold
+from maxq import LoadedScenario
+from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.measured_margins import burst_test, limit_cycle, measured_growth
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import disperse
-from maxq.design.verify.slosh import MIDWAY, SWING_PER_WAVE, Baffle, SloshAdvice, advise, confirm, fly_cycle
+from maxq.design.verify.slosh import Baffle, advise, confirm, fly_cycle
 from maxq.sim.packing.flight import Packed
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 
 TANK, TIME_S = 1, 55.0
+MIDWAY = Baffle(depth_r=0.5, cover=0.25)
+SWING_PER_WAVE = (1.841184**2 - 1.0) / 2.0  # rad; from the first root of J1', for a wave as high as the radius
 TWO_PHASE = 'design="designs/ksr3-two-phase.toml"'
 
 
@@ -38,17 +41,17 @@ def loaded() -> LoadedScenario:
 
 
 @pytest.fixture(scope="module")
-def held(loaded: LoadedScenario) -> HeldFlight:
+def held(loaded: LoadedScenario):
     return hold(loaded, maxq.nodes(loaded, [TIME_S])[0])
 
 
 @pytest.fixture(scope="module")
-def advice(loaded: LoadedScenario, held: HeldFlight) -> SloshAdvice:
+def advice(loaded: LoadedScenario, held):
     assert loaded.design is not None
     return next(a for a in advise([held.node], loaded.design) if a.tank == TANK)
 
 
-def _edge_hz(held: HeldFlight, share: float) -> tuple[float, float]:
+def _edge_hz(held, share: float) -> tuple[float, float]:
     """Frequency (Hz) and growth (1/s) of the linear loop with a share of the damping that the tank has."""
     assert held.loaded.design is not None
     weak = disperse(held.node, Dispersion(slosh_damping=(1.0, share)))
@@ -76,7 +79,7 @@ def test_pendulum_has_the_moment_of_the_wave() -> None:
 
 
 @pytest.mark.parametrize("level", [1.0, 0.03], ids=["from above", "from below"])
-def test_slosh_ends_at_the_predicted_swing(held: HeldFlight, advice: SloshAdvice, level: float) -> None:
+def test_slosh_ends_at_the_predicted_swing(held, advice, level: float) -> None:
     hz, _ = _edge_hz(held, advice.needed / advice.damping)
     found = fly_cycle(held, TANK, MIDWAY, hz, level)
     assert found.settled
@@ -84,29 +87,27 @@ def test_slosh_ends_at_the_predicted_swing(held: HeldFlight, advice: SloshAdvice
     assert found.swing_deg == pytest.approx(advice.midway_deg, rel=0.05)
 
 
-def test_a_ring_twice_as_good_halves_the_root_of_the_swing(held: HeldFlight, advice: SloshAdvice) -> None:
+def test_a_ring_twice_as_good_halves_the_root_of_the_swing(held, advice) -> None:
     """The law enters where it should: damping goes with the root of the wave, so that the swing is a quarter."""
     hz, _ = _edge_hz(held, advice.needed / advice.damping)
     twice = Baffle(MIDWAY.depth_r, MIDWAY.cover * 2.0 ** (2.0 / 3.0))
     assert fly_cycle(held, TANK, twice, hz).swing_deg == pytest.approx(0.25 * advice.midway_deg, rel=0.1)
 
 
-def test_advice_is_confirmed(loaded: LoadedScenario, advice: SloshAdvice) -> None:
+def test_advice_is_confirmed(loaded: LoadedScenario, advice) -> None:
     flown = confirm(loaded, maxq.nodes(loaded, [TIME_S])[0], advice)
     assert flown.flown_deg == pytest.approx(advice.midway_deg, rel=0.05)
     assert abs(flown.flown_growth_1ps) < 0.003
 
 
-def _with(held: HeldFlight, damping: float) -> HeldFlight:
+def _with(held, damping: float):
     def fault(packed: Packed) -> None:
         packed.parameters[0].vehicle.slosh.damping_ratio[TANK] = damping
 
     return dataclasses.replace(held, fault=fault)
 
 
-def test_slosh_with_too_little_damping_grows_as_fast_as_the_linear_loop_says(
-    held: HeldFlight, advice: SloshAdvice
-) -> None:
+def test_slosh_with_too_little_damping_grows_as_fast_as_the_linear_loop_says(held, advice) -> None:
     assert held.loaded.design is not None
     hz, growth = _edge_hz(held, 0.5 * advice.needed / advice.damping)
     loop = maxq.loops([held.node], held.loaded.design)[0]
@@ -115,7 +116,7 @@ def test_slosh_with_too_little_damping_grows_as_fast_as_the_linear_loop_says(
     assert flown == pytest.approx(growth, abs=0.02 * 2.0 * math.pi * hz * 0.5 * advice.needed + 5e-4)
 
 
-def test_without_baffles_no_limit_of_the_loop_ends_slosh(held: HeldFlight, advice: SloshAdvice) -> None:
+def test_without_baffles_no_limit_of_the_loop_ends_slosh(held, advice) -> None:
     hz, _ = _edge_hz(held, 0.5 * advice.needed / advice.damping)
     found = limit_cycle(_with(held, 0.5 * advice.needed), hz)
     assert found.slosh_deg > 80.0  # no liquid does: waves break long before

@@ -23,11 +23,11 @@ from oracles.planar.plant import vehicle_plant
 from oracles.planar.vehicle_at import vehicle_at
 from test_oracle_linear_model import TOLERANCE, flat_earth
 
+from maxq import Flight
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import state_names
 from maxq.design.model.linearised import linearise
 from maxq.sim.packing.pendulums import pendulums
-from maxq.sim.run.flight import WAVE_BREAKING_NAME, Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout
@@ -192,7 +192,7 @@ BREAKS = ("run.duration_s=30", "vehicle.stage.0.tank.1.breaking_height_m=0.02")
 def test_wave_that_breaks_is_reported_and_changes_nothing() -> None:
     calm = fly(load_scenario("nominal", BREAKS[:1]))
     broken = fly(load_scenario("nominal", [*BREAKS, "vehicle.stage.0.tank.1.viscosity_m2ps=1e-10"]))
-    found = [e for e in broken.events if e.name == WAVE_BREAKING_NAME]
+    found = [e for e in broken.events if e.name == "wave_breaking"]
     assert [e.detail.split(":")[0] for e in found] == ["tank jeta1"]
     waves, time_s = broken["slosh_jeta1_wave_m"], broken.time_s("slosh_jeta1_wave_m")
     lifted = time_s >= broken.event_s("liftoff")

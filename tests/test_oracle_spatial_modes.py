@@ -33,9 +33,9 @@ from maxq.design.laws.wind import Spectrum
 from maxq.design.loop.fixed_path import PadeFixedPath
 from maxq.design.loop.wind import wind_response
 from maxq.design.model.dispersion import Dispersion
-from maxq.design.model.held import WIND, FlightCondition
-from maxq.design.model.instruments import Plane, actuator
-from maxq.design.model.linearised import LinearModel, linearise, settled
+from maxq.design.model.held import FlightCondition
+from maxq.design.model.instruments import actuator
+from maxq.design.model.linearised import linearise, settled
 from maxq.design.model.node import disperse, node_of
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
@@ -580,7 +580,7 @@ def test_modes_of_both_planes_in_incidence_feel_each_others_flow(trim_deg: tuple
         np.testing.assert_allclose(got / row, expected / row, rtol=1e-8, atol=1e-9)
 
 
-def both_planes(theirs: LinearModel, modes: int, loaded: bool = False) -> Array:
+def both_planes(theirs, modes: int, loaded: bool = False) -> Array:
     """State matrix in the order of the plant's states, yaw in its mirrored axes."""
 
     def swinging(plane: str) -> list[str]:
@@ -673,7 +673,7 @@ def test_a_plane_of_the_coupled_plant_holds_the_other() -> None:
 
 
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
-def test_bending_moments_of_spatial_modes_are_those_of_planar_ones(plane: Plane) -> None:
+def test_bending_moments_of_spatial_modes_are_those_of_planar_ones(plane: str) -> None:
     """Planar pairs written as spatial modes, 30 deg turned: every moment by command and by wind, at six stations."""
     section, rest = as_spatial(PARTS, np.radians(30.0))
     start = {"initial": {"ned_mps": [200.0, 0.0, 0.0]}, "earth": {"gravity": "uniform"}}
@@ -693,18 +693,18 @@ def test_bending_moments_of_spatial_modes_are_those_of_planar_ones(plane: Plane)
 
 
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
-def test_air_that_moves_with_the_vehicle_does_nothing(plane: Plane) -> None:
+def test_air_that_moves_with_the_vehicle_does_nothing(plane: str) -> None:
     """Turned pairs, which couple the planes, under tables over incidence: the wind's column is that of w, reversed."""
     section, rest = as_spatial(PARTS, np.radians(30.0))
     start = {"initial": {"ned_mps": [200.0, 20.0, -15.0]}, "earth": {"gravity": "uniform"}}
     tree = with_stage(merged(scenario_of(rest, **AIR), start), aero=AERO | TABLES, spatial_modes=section)
     node = node_of(pack_flight(load(tree).scenario), 0.0, 0, plane)
     whole = node.plant_in_wind()
-    wind, w = whole.inputs.index(WIND), whole.states.index("w_mps")
+    wind, w = whole.inputs.index("wind_mps"), whole.states.index("w_mps")
     np.testing.assert_allclose(whole.b[:, wind], -whole.a[:, w], rtol=1e-9, atol=1e-11)
     felt = [n for n, name in enumerate(whole.outputs) if name != "w_mps"]  # which is not relative to the air
     np.testing.assert_allclose(whole.d[felt, wind], -whole.c[felt, w], rtol=1e-9, atol=1e-11)
-    assert whole.inputs == (*node.plant.inputs, WIND)
+    assert whole.inputs == (*node.plant.inputs, "wind_mps")
 
 
 def test_the_replay_bends_the_same() -> None:

@@ -12,13 +12,12 @@ import tomli_w
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
+from maxq import Flight, FlightRun, LoadedScenario, ScenarioError
+from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import orbit_metrics
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text, to_toml
+from maxq.sim.scenario.loader import load_scenario, load_scenario_text, to_toml
 from maxq.sim.vehicle.state import Q_BI, R_I, V_I, W_BI_B
-from maxq.sim.world.earth import Earth, flat
+from maxq.sim.world.earth import flat, wgs84
 
 TWO = "checkcases/two-stage"  # burns 40 s, separates at 45 s; 1500 kg before, 900 kg after
 
@@ -244,7 +243,7 @@ def test_orbital_elements_are_those_that_an_orbit_was_made_of(
     plane = turn(2, node) @ turn(0, i) @ turn(2, perigee)
     r = plane @ (p / (1.0 + e * math.cos(f)) * np.array([math.cos(f), math.sin(f), 0.0]))
     v = plane @ (math.sqrt(MU / p) * np.array([-math.sin(f), e + math.cos(f), 0.0]))
-    found = orbit_metrics(Earth(), tuple(r), tuple(v))
+    found = orbit_metrics(wgs84(), tuple(r), tuple(v))
     given = (a * (1 - e) - RADIUS, a * (1 + e) - RADIUS, a, e, i, node, perigee, anomaly)
     assert tuple(found) == pytest.approx(given, rel=1e-7)
     path = solve_ivp(
@@ -258,7 +257,7 @@ def test_orbital_elements_are_those_that_an_orbit_was_made_of(
 
 def test_orbits_that_escape_or_have_no_centre() -> None:
     r, v = np.array([7.0e6, 0.0, 0.0]), np.array([0.0, 12000.0, 0.0])
-    found = orbit_metrics(Earth(), tuple(r), tuple(v))
+    found = orbit_metrics(wgs84(), tuple(r), tuple(v))
     assert found.apogee_altitude_m == math.inf
     assert found.orbit_semimajor_m < 0.0
     assert found.perigee_altitude_m == pytest.approx(7.0e6 - RADIUS)

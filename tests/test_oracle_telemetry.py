@@ -13,11 +13,11 @@ from flightkit import Parts, load, scenario_of
 from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
+from maxq import Flight, FlightRun
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array
 from maxq.sim.flight.metrics import METRIC, _gather_incidence
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.workspace import AUX_SIZE, FLOW
 

@@ -10,10 +10,11 @@ import numpy as np
 import petrelkit as petrel
 import pytest
 
+from maxq import LoadedScenario
 from maxq.design.model.node import node_of
 from maxq.design.model.powered import flown_run, node_times, powered_flight
 from maxq.design.verify.uncovered import uncovered
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 
 
 def points(scenario: LoadedScenario) -> dict[int, list[float]]:

@@ -8,29 +8,34 @@ from typing import Any
 
 import numpy as np
 import petrelkit
+import petrelkit as petrel
 import pytest
 
+import maxq
+from maxq import ScenarioError
 from maxq.control.kernel.tables import find_interval, interpolate
 from maxq.design.case.schema import read_case
 from maxq.design.verify.suite import read_suite
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_values import OverTime, at_time
 from maxq.sim.vehicle.state import R_I, V_I
-from maxq.sim.world.earth import WGS84_MU_m3ps2, WGS84_RADIUS_m
 from maxq.tools import simvehicle
 from maxq.tools.vehicle import build as building
 from maxq.tools.vehicle.aerodynamics import aerodynamics
-from maxq.tools.vehicle.beam import ELEMENTS, Beam
-from maxq.tools.vehicle.build import Built, build, burning, least_rigid_hz, m_alpha_1ps2, m_delta_1ps2
+from maxq.tools.vehicle.beam import Beam
+from maxq.tools.vehicle.build import build, burning, least_rigid_hz, m_alpha_1ps2, m_delta_1ps2
 from maxq.tools.vehicle.figures import page
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import Engines, Layout, read_layout
 from maxq.tools.vehicle.masses import Rod, stacks
 from maxq.tools.vehicle.trajectory import Orbit, ascent
+
+WGS84_RADIUS_m = 6378137.0
+WGS84_MU_m3ps2 = 3.986004418e14
+
+ELEMENTS = 120
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +44,7 @@ def layout() -> Layout:
 
 
 @pytest.fixture(scope="module")
-def built(layout: Layout) -> Built:
+def built(layout: Layout):
     return build(layout)
 
 
@@ -49,6 +54,7 @@ def changed(layout: Layout, stage: int, **change: Any) -> Layout:
     return layout.model_copy(update={"stage": tuple(stages)})
 
 
+@pytest.mark.slow
 def test_guidance_to_an_orbit_and_an_accelerometer_are_written(layout: Layout, tmp_path: Path) -> None:
     """The specific impulse is the engine's, by impulse over propellant of the last burn."""
     wanted = layout.trajectory.model_copy(update={"apogee_altitude_m": 500e3})
@@ -109,7 +115,7 @@ def test_a_beam_held_at_its_tail_is_a_cantilever() -> None:
         assert (mode.phi[0], mode.phi[-1], mode.slope_pm[-1]) == pytest.approx((1.0, 0.0, 0.0), abs=1e-12)
 
 
-def test_page_holds_all_pictures(built: Built) -> None:
+def test_page_holds_all_pictures(built) -> None:
     text = page(built)
     for name in ("vehicle", "masses", "modes", "aerodynamics", "control", "ascent"):
         assert text.count(f'id="figure-{name}"') == 1
@@ -168,7 +174,7 @@ def test_fins_and_nose_have_barrowmans_slopes(layout: Layout) -> None:
     assert (aero.roll_damping < 0.0).all()
 
 
-def test_ascent_ends_in_the_orbit_asked_for(built: Built) -> None:
+def test_ascent_ends_in_the_orbit_asked_for(built) -> None:
     last = built.flight.points[-1]
     assert math.degrees(last.path_rad) == pytest.approx(0.0, abs=0.01)
     assert built.flight.orbit.perigee_m == pytest.approx(250e3, abs=1e3)
@@ -179,7 +185,7 @@ def test_ascent_ends_in_the_orbit_asked_for(built: Built) -> None:
         assert omega == pytest.approx(2.0 * math.pi * 0.4, rel=0.02)
 
 
-def test_fairing_is_dropped_and_nothing_else(built: Built, layout: Layout) -> None:
+def test_fairing_is_dropped_and_nothing_else(built, layout: Layout) -> None:
     """One burn in two parts: mass and its flow go on, but for the fairing."""
     assert layout.fairing is not None
     _, with_it, without = built.stacks
@@ -233,10 +239,9 @@ def test_a_wrong_layout_is_answered_in_one_line(
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_the_gimbals_of_a_cluster_hold_its_roll(tmp_path: Path) -> None:
+def test_the_gimbals_of_a_cluster_hold_its_roll() -> None:
     """Moments of every engine by itself, its force across times its arm: roll turns at 0.4 Hz with damping 0.7."""
-    write(build(read_layout("petrel")), tmp_path)
-    loaded = load_scenario(tmp_path / "scenario.toml")
+    loaded = load_scenario(petrel.folder() / "scenario.toml")
     scenario, stage = loaded.scenario, loaded.vehicle.stage[0]
     assert [e.group for e in stage.engines].count("left") == [e.offset_m[0] < -0.1 for e in stage.engines].count(True)
     packed = pack_flight(scenario)
@@ -259,9 +264,8 @@ def test_the_gimbals_of_a_cluster_hold_its_roll(tmp_path: Path) -> None:
     assert one.groups == ("lower", "upper")
 
 
-def test_the_campaign_of_a_layout_flies_every_stage_in_wind(tmp_path: Path) -> None:
-    write(build(read_layout("petrel")), tmp_path)
-    campaign = load_campaign(tmp_path / "campaign.toml")
+def test_the_campaign_of_a_layout_flies_every_stage_in_wind() -> None:
+    campaign = maxq.load(petrel.folder() / "campaign.toml")
     stages = [
         {t.key.split(".")[2] for t in d.targets if t.key.startswith("vehicle.stage")} for d in campaign.plan.draws
     ]
@@ -275,13 +279,12 @@ def test_the_campaign_of_a_layout_flies_every_stage_in_wind(tmp_path: Path) -> N
     assert upper[0] == upper[1] != 1.0
 
 
-def test_a_case_from_a_layout_asks_for_what_its_suite_asks(tmp_path: Path) -> None:
+def test_a_case_from_a_layout_asks_for_what_its_suite_asks() -> None:
     """And for more, so that a design that meets the one is not rejected by the other for it."""
-    write(build(read_layout("petrel")), tmp_path)
-    suite = read_suite(tmp_path / "suite.toml").suite
+    suite = read_suite(petrel.folder() / "suite.toml").suite
     asked = suite.margins.nominal
     assert suite.margins.trajectories > 0
-    limits = read_case(tmp_path / "case.toml").case.limits
+    limits = read_case(petrel.folder() / "case.toml").case.limits
     assert limits.gain_margin_db > asked.gain_up_db == asked.gain_down_db
     assert limits.phase_margin_deg > asked.rigid_phase_deg
     assert limits.first_mode_phase_deg > asked.first_mode_phase_deg
@@ -326,14 +329,14 @@ def _petrel() -> Path:
     return builtin_files("layout")["petrel"]
 
 
-def _built_with(path: Path, override: str) -> Built:
+def _built_with(path: Path, override: str):
     from maxq.sim.scenario.loader import load_file  # noqa: PLC0415  # only here
 
     return build(load_file(Layout, "layout", path, [override])[0])
 
 
 @pytest.mark.slow
-def test_the_vehicle_flies_the_point_mass_s_path_to_orbit(tmp_path: Path, built: Built) -> None:
+def test_the_vehicle_flies_the_point_mass_s_path_to_orbit(tmp_path: Path, built) -> None:
     """All stages, nine engines, under the first gains, six degrees of freedom over the oblate Earth."""
     assert simvehicle.main(["petrel", "--out", str(tmp_path)]) == 0
     flight = fly(load_scenario(tmp_path / "scenario.toml"))

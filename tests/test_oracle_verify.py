@@ -21,17 +21,16 @@ import numpy as np
 import pytest
 
 import maxq
-from maxq.design.margins.measure import margins
+from maxq import LoadedCampaign, Node, margins
 from maxq.design.model.deviations import deviations_of
 from maxq.design.model.dispersion import Dispersion
-from maxq.design.model.node import Node, disperse
+from maxq.design.model.node import disperse
 from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.model.vehicle_at import without_engine_inertia
 from maxq.design.verify.linear import authority, study, vehicles
 from maxq.design.verify.memory import Memory
 from maxq.design.verify.slosh import advise, percussion_station_m
 from maxq.design.verify.suite import LinearMargins
-from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design
 

@@ -24,18 +24,18 @@ from test_oracle_linear_model import flat_earth, plane_states
 from zero_incidence import zero_incidence
 
 import maxq
+from maxq import Flight, LoadedScenario
 from maxq.control.kernel.records import Array
 from maxq.design.laws.wind import MOMENTS, Spectrum
 from maxq.design.loop.wind import wind_response
 from maxq.design.model.instruments import actuator
-from maxq.design.model.linearised import LinearModel, linearise
+from maxq.design.model.linearised import linearise
 from maxq.design.model.node import node_of, with_cuts
 from maxq.design.model.state_space import StateSpace
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.loads import MOMENT_Z
 
 TOLERANCE = 1e-8
@@ -47,7 +47,7 @@ def flight() -> Flight:
     return fly(load_scenario("nominal", ["run.duration_s=56"]))
 
 
-def simulated(model: LinearModel, plane: str, names: list[str]) -> Array:
+def simulated(model, plane: str, names: list[str]) -> Array:
     """Moments by states of a plane, in the plane's mirrored axes: (stations, names)."""
     rows = [k for k, name in enumerate(model.outputs) if name.startswith(f"bending_{plane}")]
     turned = ("r_radps", "psi_rad", "actuator_yaw")

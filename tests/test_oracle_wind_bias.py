@@ -17,13 +17,12 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
+from maxq import Flight, ScenarioError
 from maxq.control.kernel.records import Array
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign
-from maxq.tools.design.bias import Biased, wind_biased
+from maxq.tools.design.bias import wind_biased
 
 ALTITUDE_M = [0.0, 3000.0, 7000.0, 10000.0, 18000.0, 30000.0]
 SPEED_MPS, FROM_DEG = [0.0, 5.0, 35.0, 45.0, 5.0, 5.0], 120.0
@@ -34,7 +33,7 @@ AT_S = np.arange(25.0, 55.0, 0.5)  # above a third of the largest dynamic pressu
 
 
 @cache
-def biased(share: float = 1.0) -> Biased:
+def biased(share: float = 1.0):
     return wind_biased(load_scenario("nominal", [*FLOWN, *WINDY]), share)
 
 

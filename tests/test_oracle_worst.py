@@ -16,21 +16,19 @@ import scipy.linalg
 import scipy.optimize
 
 import maxq
+from maxq import LoadedCampaign, Loop, Node, ScenarioError, margins
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop, law_at
-from maxq.design.margins.measure import margins
-from maxq.design.model.deviations import Deviations, deviations_of
-from maxq.design.model.dispersion import NOMINAL, Dispersion
-from maxq.design.model.node import Node, disperse
+from maxq.design.loop.loop import law_at
+from maxq.design.model.deviations import deviations_of
+from maxq.design.model.dispersion import Dispersion
+from maxq.design.model.node import disperse
 from maxq.design.model.spread import DEVIATIONS, Spread, campaign_of
 from maxq.design.optimise.descent import Region, descend
 from maxq.design.verify import worst
 from maxq.design.verify.linear import vehicles
 from maxq.design.verify.suite import LinearMargins, WorstWanted
 from maxq.design.verify.worst import WorstVehicle, distance, search_node, slope, worst_requirements
-from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.schema import Correlated
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 
 FEW = {  # what deviates in the brute-force case; the rest of Spread is 0
@@ -52,7 +50,7 @@ def deviating(spread: Spread) -> LoadedCampaign:
     return campaign_of(spread, design_nodes.nominal())
 
 
-def alone(deviations: Deviations, **sigmas: float) -> np.ndarray:
+def alone(deviations, **sigmas: float) -> np.ndarray:
     """Scores of a vehicle in which a few deviate, by their names, and none of the others."""
     return np.array([sigmas.get(name.replace(" ", "_"), 0.0) / 3.0 for name in deviations.places])
 
@@ -80,7 +78,7 @@ def test_no_corner_of_a_small_box_is_worse() -> None:
     reached = exact(node, vehicle(node, spread, u))
     assert found == pytest.approx(reached, abs=1e-3)  # the search's own grid; what is reported is measured exactly
     assert reached <= min(corners) + 1e-9
-    assert min(corners) < exact(node, NOMINAL) - 0.05  # the box matters
+    assert min(corners) < exact(node, Dispersion()) - 0.05  # the box matters
 
 
 def test_slopes_are_those_of_the_sampled_loop() -> None:
@@ -118,7 +116,7 @@ def test_no_vehicle_by_chance_in_the_ellipsoid_is_worse() -> None:
         v = rng.normal(size=len(places)) + (0.0 if n % 2 else 12.0) * u
         by_chance.append(exact(node, vehicle(node, spread, v / np.linalg.norm(v))))
     assert found <= min(by_chance) + 5e-4
-    assert found < exact(node, NOMINAL) - 0.03
+    assert found < exact(node, Dispersion()) - 0.03
 
 
 def test_distance_of_an_unstable_loop_is_negative() -> None:
@@ -200,9 +198,9 @@ def test_the_scenario_written_is_the_vehicle_measured() -> None:
     scenario = deviations.scenario(base, u)
     again = load_scenario_text(scenario.as_flown, (), "worst")
     (flown,) = maxq.nodes(again, [40.0])
-    wanted, nominal = exact(node, by), exact(node, NOMINAL)
+    wanted, nominal = exact(node, by), exact(node, Dispersion())
     assert abs(wanted - nominal) > 0.02
-    assert exact(flown, NOMINAL) == pytest.approx(wanted, rel=5e-3)  # the ascent differs a little, with its forces
+    assert exact(flown, Dispersion()) == pytest.approx(wanted, rel=5e-3)  # the ascent differs a little, with its forces
 
 
 def test_the_delay_is_that_of_the_stages_computer_up_to_its_sample() -> None:

@@ -7,8 +7,10 @@ import pytest
 
 from maxq.control.kernel.records import pack
 from maxq.control.kernel.tables import Pool
-from maxq.sim.world.atmosphere import Atmosphere, GEOPOTENTIAL_RADIUS_m, air
+from maxq.sim.world.atmosphere import Atmosphere, air
 from maxq.sim.world.thermosphere import number_densities, upper_air
+
+GEOPOTENTIAL_RADIUS_m = 6356766.0
 
 _pool = Pool()
 STANDARD = pack([Atmosphere(table=_pool.add(upper_air()))])[0]

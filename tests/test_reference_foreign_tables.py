@@ -14,7 +14,7 @@ import pytest
 import tomli_w
 from pydantic_core import PydanticCustomError
 
-from maxq.sim.scenario.errors import ScenarioError
+from maxq import ScenarioError
 from maxq.sim.scenario.foreign import read_datcom, read_rasp
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simvehicle

@@ -14,8 +14,8 @@ from oracles.sampled_pitch_loop import DESIGN_FILE, VEHICLE_FOLDER, Design, Verd
 from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
-from maxq.tools.vehicle.build import Built, build
-from maxq.tools.vehicle.compare import Difference, compared
+from maxq.tools.vehicle.build import build
+from maxq.tools.vehicle.compare import compared
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout
 
@@ -139,14 +139,14 @@ def test_pitch_programme() -> None:
 
 
 @pytest.fixture(scope="module")
-def from_layout(tmp_path_factory: pytest.TempPathFactory) -> tuple[Built, list[Difference]]:
+def from_layout(tmp_path_factory: pytest.TempPathFactory) -> tuple:
     folder = tmp_path_factory.mktemp("ksr3")
     built = build(read_layout("ksr3"))
     write(built, folder)
     return built, compared(built, folder, "vehicles/ksr3")
 
 
-def test_the_layout_makes_the_vehicle_that_is_flown(from_layout: tuple[Built, list[Difference]]) -> None:
+def test_the_layout_makes_the_vehicle_that_is_flown(from_layout: tuple) -> None:
     """The tables are of an earlier programme with its own beam, liquids and ascent: within these shares."""
     allowed = {
         "body: total": 1e-3, "vehicle: ": 3e-3, "body: core mass": 3e-3, "body: core transverse inertia, ": 6e-3,
@@ -162,7 +162,7 @@ def test_the_layout_makes_the_vehicle_that_is_flown(from_layout: tuple[Built, li
             assert d.largest <= most, d.name
 
 
-def test_the_layout_flies_the_fitted_trajectory(from_layout: tuple[Built, list[Difference]]) -> None:
+def test_the_layout_flies_the_fitted_trajectory(from_layout: tuple) -> None:
     times, _, altitude, speed, path = rows_of("point_mass_flight.csv").T[:5]
     for point in from_layout[0].flight.points[::20]:
         at = point.time_s
@@ -171,7 +171,7 @@ def test_the_layout_flies_the_fitted_trajectory(from_layout: tuple[Built, list[D
         assert np.degrees(point.path_rad) == pytest.approx(np.interp(at, times, path), abs=0.5)
 
 
-def test_pitch_damping_is_that_of_the_strips(from_layout: tuple[Built, list[Difference]]) -> None:
+def test_pitch_damping_is_that_of_the_strips(from_layout: tuple) -> None:
     """Cmq is among the tables that are given: without it the surfaces give the same, at the CG of that Mach number."""
     built = from_layout[0]
     aero, cg = built.aero[0], built.stacks[0].mass_properties(1.0).x_cg_m

@@ -12,10 +12,10 @@ import pytest
 from flightkit import Parts, scenario_of, toml, with_stage
 from pydantic_core import PydanticCustomError
 
+from maxq import LoadedScenario, ScenarioError
 from maxq.sim.packing.engines import Mount
 from maxq.sim.packing.modes import ModeShapes, _softening_up_to
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
+from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.sim.scenario.nastran import read_nastran, spatial_columns
 
 DATA = Path(__file__).parent / "data" / "nastran"

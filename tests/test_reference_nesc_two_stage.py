@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from oracles.textbook_flight import RATE, Air, Body, State, Vector, cross, geodetic, integrate, start
 
-from maxq.sim.run.flight import Flight
+from maxq import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
+from maxq import Flight, FlightRun
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 
 BEFORE = json.loads(Path("tests/data/one-engine-before.json").read_text())["flights"]

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 import maxq
-from maxq.design.margins.measure import margins
-from maxq.sim.campaign.read import load_campaign
+from maxq import margins
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 
@@ -66,7 +65,7 @@ def test_the_gentle_programme_turns_as_far_and_ends_as_fast() -> None:
 
 
 def test_design_has_gain_for_the_turn_and_for_the_least_stable_instant() -> None:
-    flight = fly(load_campaign("campaigns/ksr3-ringed").scenario_of(900), log=False)
+    flight = fly(maxq.load("campaigns/ksr3-ringed").scenario_of(900), log=False)
     assert 4.0 < flight.metrics["max_attitude_error_deg"] <= LIMITS["max_attitude_error_deg"]
     ringed = load_scenario("ksr3-ringed")
     assert ringed.design is not None

@@ -10,7 +10,7 @@ import pytest
 from aero_tables import OVER_TOTAL, PARTS, REFERENCE
 from flightkit import Tree, load, scenario_of, toml, with_stage
 
-from maxq.sim.scenario.errors import ScenarioError
+from maxq import ScenarioError
 from maxq.sim.scenario.grids import grid_table
 from maxq.sim.scenario.loader import load_scenario
 

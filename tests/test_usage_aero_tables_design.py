@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from oracles.hand_model import planar_of
 
-from maxq.design.model.node import Node, nodes_along
+from maxq import LoadedScenario, Node
+from maxq.design.model.node import nodes_along
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign
 
 TOTAL_DEG = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0, 30.0, 45.0, 60.0, 90.0, 135.0, 180.0)

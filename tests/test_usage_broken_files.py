@@ -14,11 +14,11 @@ import pytest
 from file_fuzzer import BASES, FILES, KINDS, answer, broken, write_files
 from hypothesis import HealthCheck, given, settings
 
+import maxq
+from maxq import ScenarioError
 from maxq.design.case.schema import read_case
 from maxq.design.laws.schedule import UnsolvableError, lowest_above
 from maxq.design.verify.suite import read_suite
-from maxq.sim.campaign.read import load_campaign
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.ranges import RANGES, range_of
@@ -182,7 +182,7 @@ def test_all_that_is_shipped_is_within_the_ranges(tmp_path: Path, monkeypatch: p
     monkeypatch.chdir(tmp_path)
     for kind, read in (
         ("scenario", load_scenario),
-        ("campaign", load_campaign),
+        ("campaign", maxq.load),
         ("case", read_case),
         ("suite", read_suite),
     ):

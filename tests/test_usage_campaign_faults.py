@@ -18,12 +18,10 @@ from typing import Any
 import campaignkit
 import pytest
 
-from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.read import LoadedCampaign
+import maxq
+from maxq import CampaignError, FlightRun, LoadedCampaign, ScenarioError
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.store import Store, open_store
-from maxq.sim.run.fly import FlightRun
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools import simrun
 
 TESTS = Path(__file__).resolve().parent
@@ -129,9 +127,9 @@ def test_a_part_that_stands_twice_is_counted_once(campaign: LoadedCampaign, undi
 def test_two_processes_on_one_folder(campaign: LoadedCampaign, tmp_path: Path) -> None:
     store, _ = open_store(tmp_path / "out", campaign)
     script = (
-        "import sys; from pathlib import Path; from maxq.sim.campaign.read import load_campaign;"
+        "import sys; from pathlib import Path; import maxq;"
         "from maxq.sim.campaign.runner import run_campaign; from maxq.sim.campaign.error import CampaignError\n"
-        "try: run_campaign(load_campaign(sys.argv[1]), Path(sys.argv[2]))\n"
+        "try: run_campaign(maxq.load(sys.argv[1]), Path(sys.argv[2]))\n"
         "except CampaignError as error: print(error)"
     )
     command = [sys.executable, "-c", script, str(tmp_path / "small.toml"), str(tmp_path / "out")]
@@ -349,7 +347,7 @@ def test_mistakes_in_a_campaign_are_said_in_one_line(tmp_path: Path, inputs: str
     law = "" if "distribution" in inputs else '\ndistribution = "normal"\nsigma = 1.0'
     file = campaignkit.write_campaign(tmp_path, inputs=f"[[disperse]]\n{inputs}{law}\n")
     with pytest.raises(ScenarioError) as caught:
-        campaignkit.load_campaign(file)
+        maxq.load(file)
     assert says in str(caught.value)
     assert "small.toml" in str(caught.value)
     assert "\n" not in str(caught.value)

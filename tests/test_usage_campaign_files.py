@@ -7,12 +7,13 @@ from pathlib import Path
 import campaignkit
 import pytest
 
+from maxq import ScenarioError
 from maxq.sim.campaign.investigation import refly
-from maxq.sim.campaign.read import ACCURACY
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
+
+ACCURACY = 0.05
 
 THRUST, DELAY = "vehicle.stage.0.engine.thrust_factor", "vehicle.computer.delay_s"
 SAME_NOISE = 'noise = "as-scenario"'

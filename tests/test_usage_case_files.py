@@ -7,9 +7,9 @@ from pathlib import Path
 import petrelkit as petrel
 import pytest
 
+from maxq import ScenarioError
 from maxq.design.case.schema import read_case
 from maxq.design.optimise.solve import solve
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.files import builtin_files
 
 

@@ -25,13 +25,13 @@ import petrelkit as petrel
 import pytest
 
 import maxq
+from maxq import ScenarioError
 from maxq.design.case.basis import Basis, DesignLimits, stated_basis
 from maxq.design.laws.design_file import design_text
 from maxq.design.optimise.solve import solve
 from maxq.design.verify.compared import against_basis
 from maxq.design.verify.judging import Wanted, checks, judge, judge_solution, stage_checks
 from maxq.design.verify.suite import read_suite
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design
@@ -166,7 +166,27 @@ def test_a_shipped_robust_design_is_judged_by_all_of_its_limits() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(builtin_files("design")))
+def test_a_robust_design_of_three_stages_passes_its_analysis_where_its_limits_are_tight(capsys: Printed) -> None:
+    """At points where a limit is nearly reached, by the vehicle or by dispersed ones; all points are a long test."""
+    times_s = (0.5, 32.0, 54.0, 111.0, 125.0, 162.0, 163.5, 400.0)
+    at = [word for time_s in times_s for word in ("--at", f"{time_s}")]
+    code, _, record = analysed(capsys, "petrel-robust", "--scenario", f"{petrel.folder()}/scenario.toml", *at)
+    assert [node["time_s"] for node in record["nodes"]] == list(times_s)
+    assert [(c["name"], c["worst"]) for c in record["limits"] if not c["met"]] == []
+    assert (code, record["passed"]) == (0, True)
+    keys = [c["key"] for c in record["limits"]]
+    for key in ("gain_margin_db", "dispersed_gain_margin_db", "coupled_yaw_gain_margin_db"):
+        assert keys.count(key) == 3, key
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.long if name == "petrel-robust" else [])
+        for name in sorted(builtin_files("design"))
+    ],
+)
 def test_a_shipped_design_passes_its_own_analysis(name: str, capsys: Printed) -> None:
     """By the command, so by every limit of its basis, and of each axis with the loops of the others closed."""
     folder = petrel.folder() if name == "petrel-robust" else None

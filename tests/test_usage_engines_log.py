@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from maxq import ScenarioError
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly, logged_channels
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.engine import engine_row
 from maxq.sim.vehicle.workspace import AUX_SIZE, ENGINE_THRUSTS

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from flight_code import EXAMPLES, compiled, flies, needs_compiler
 
+import maxq
 from maxq.control.external import HEADER
-from maxq.sim.log.reader import read_log
 from maxq.sim.run.fly import fly as fly_once
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
@@ -70,7 +70,7 @@ def test_code_that_fails_in_flight_ends_it_with_a_closed_log(
     assert fly(*flies(library=wrong(tmp_path, **macros), timeout_s=0.5)) == 1
     printed = capsys.readouterr().out
     assert f"FAILED: flight software at 1.210 s: {said}" in printed.splitlines()[-1]
-    log = read_log("out/flight.mcap")
+    log = maxq.read("out/flight.mcap")
     assert log.complete
     assert log.end["outcome"] == "flight_software"
     assert log.time_s("gyro_pitch_rate_degps")[-1] == pytest.approx(1.21, abs=0.0011)

@@ -17,8 +17,9 @@ from file_fuzzer import LAYOUT
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+import maxq
+from maxq import ScenarioError
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.vehicle.build import build
 from maxq.tools.vehicle.build import warnings as warnings_of
@@ -174,5 +175,5 @@ def test_what_once_was_written_and_could_not_be_flown(
     (tmp_path / "layout.toml").write_text(text)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        write(build(read_layout(tmp_path / "layout.toml")), tmp_path)
+        maxq.vehicle(tmp_path / "layout.toml", tmp_path)
     assert load_scenario(tmp_path / "scenario.toml").vehicle.stage

@@ -12,19 +12,18 @@ from file_fuzzer import LAYOUT
 from matplotlib.text import Text
 from scenario_files import write_ascent
 
+import maxq
+from maxq import DataSet, ScenarioError
 from maxq.design.verify.suite import read_suite
 from maxq.design.verify.verify import verify
-from maxq.sim.campaign.analysis import DataSet, judged, lost
-from maxq.sim.campaign.read import load_campaign
+from maxq.sim.campaign.analysis import judged, lost
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.campaign_report import report as campaign_text
 from maxq.tools.campaign_report import write_report
 from maxq.tools.cli.terminal import Progress
 from maxq.tools.flight_report import report as flight_text
-from maxq.tools.pages import render
 from maxq.tools.plots.style import drawing, png, sheet
 from maxq.tools.vehicle.build import build
 from maxq.tools.vehicle.figures import page as layout_page
@@ -38,7 +37,7 @@ NAME = f"{SCRIPT} {{{{7*7}}}} [red]&amp; $\\frac$"
 """HTML, a template, rich's markup, an entity, mathematics that is none."""
 QUOTED = NAME.replace("\\", "\\\\")
 
-OURS = (Path(render.__file__).parent / "plots.js").read_text(encoding="utf-8")
+OURS = (Path(__file__).parents[1] / "tools" / "pages" / "plots.js").read_text(encoding="utf-8")
 """The one script that a page may run."""
 
 SHORT = f"""\
@@ -144,7 +143,7 @@ def test_a_page_that_acts_is_found() -> None:
 
 @pytest.mark.slow
 def test_pages_and_texts_of_a_campaign(here: Path) -> None:
-    campaign, folder = load_campaign("campaign.toml"), here / "out"
+    campaign, folder = maxq.load("campaign.toml"), here / "out"
     run_campaign(campaign, folder, workers=1)
     data = DataSet(folder, campaign)
     write_report(data, judged(data), lost(data), 12)

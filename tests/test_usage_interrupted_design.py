@@ -14,17 +14,16 @@ import petrelkit as petrel
 import pytest
 
 import maxq
-from maxq.design.case.schema import LoadedCase, read_case
-from maxq.design.optimise.search import Progress
+from maxq.design.case.schema import read_case
 from maxq.design.verify.judging import judge
-from maxq.design.verify.own_flight import CaseDesign, design_case, with_design
+from maxq.design.verify.own_flight import design_case, with_design
 from maxq.tools import simdesign
 from maxq.tools.design import run_case
 
 STAGES = """
 schema = 2
 scenario = "scenario.toml"
-nodes_s = [40.0, 42.0, 140.0, 142.0, 300.0, 302.0]
+nodes_s = [40.0, 42.0, 140.0, 142.0, 165.0, 167.0]
 gains = {schedule = "linear"}
 objective = {kind = "least-margin"}
 filter = {structure = "F2"}
@@ -35,11 +34,11 @@ Stop = Callable[[int, str, int], bool]
 """Asked with stage, from 0, what is searched, and the number of calls about it."""
 
 
-def interrupted(loaded: LoadedCase, stop: Stop) -> CaseDesign:
+def interrupted(loaded, stop: Stop):
     """Return the design of a case that is interrupted where `stop` says so."""
     calls: list[tuple[int, str]] = []
 
-    def progress(stage: int, number: int) -> Progress:
+    def progress(stage: int, number: int):
         def show(done: int, of: int, best_db: float, what: str) -> None:
             calls.append((stage, what))
             if stop(stage, what, calls.count((stage, what))):
@@ -109,7 +108,9 @@ FEW = [
     for name in ("slosh_frequency", "slosh_mass", "slosh_damping", "actuator_frequency", "thrust", "normal_force",
                  "centre_of_pressure_m", "inertia")
 ]  # fmt: skip  # ten more lines otherwise
-ROBUST = ("nodes_s=[45.0, 47.0]", "search.starts=1", "search.leaps=0", "between_nodes='hold'", *FEW)
+ROBUST = (
+    "nodes_s=[45.0, 47.0]", "filter.structure=F2", "search.starts=1", "search.leaps=0", "between_nodes='hold'", *FEW,
+)  # fmt: skip  # six more lines otherwise
 
 
 @pytest.mark.slow

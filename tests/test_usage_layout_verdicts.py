@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from oracles.layout_margins import evaluate
 
+from maxq import margins
 from maxq.design.certificate.in_flight import in_flight_response
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import close_loop
-from maxq.design.margins.measure import margins
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign, simvehicle, simverify
 

@@ -13,17 +13,20 @@ from mcap.writer import Writer
 from numba import njit
 from replaykit import OLD_LOG
 
+import maxq
+from maxq import LogError
 from maxq.control.kernel.jit import entry
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import NorthEastDown, PitchYaw, put
 from maxq.sim.flight.channels import Channel, ChannelTable, Topic, declared_channels, unit_suffix
 from maxq.sim.flight.telemetry import channel_table
-from maxq.sim.log.head import Attachment, LogError, RunHead
-from maxq.sim.log.messages import MOST_FIELDS, Event, FramePath, Level, doubles_template
-from maxq.sim.log.reader import read_log
+from maxq.sim.log.head import Attachment, RunHead
+from maxq.sim.log.messages import Event, FramePath, Level, doubles_template
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.vehicle.state import Sizes
 from maxq.tools.dev.documents.reference import topics_markdown
+
+MOST_FIELDS = 2047  # from field 2048 on, a tag takes three bytes
 
 ALPHA = Channel("alpha_deg", "deg", "", "angle of attack")
 
@@ -116,7 +119,7 @@ def test_a_topic_with_most_fields_round_trips(tmp_path: Path) -> None:
     values = np.random.default_rng(1).normal(size=(3, MOST_FIELDS))
     with LogWriter(tmp_path / "a.mcap", table, RunHead()) as writer:
         writer.write_block({"fast": (np.arange(3), values)})
-    log = read_log(tmp_path / "a.mcap")
+    log = maxq.read(tmp_path / "a.mcap")
     assert np.array_equal(np.array(list(log.topic("/a").values())).T, values)
 
 
@@ -171,7 +174,7 @@ def test_a_closed_log_takes_no_more(tmp_path: Path) -> None:
     log.close()
     with pytest.raises(LogError, match="closed"):
         log.write_block({"fast": FAST})
-    assert read_log(tmp_path / "a.mcap").complete
+    assert maxq.read(tmp_path / "a.mcap").complete
 
 
 def test_a_log_that_cannot_be_written_names_file_and_reason(tmp_path: Path) -> None:
@@ -210,14 +213,14 @@ def test_a_disk_that_fills_up_keeps_the_chunks_before(tmp_path: Path, monkeypatc
     monkeypatch.setattr(log._container, "_file", FullDisk())
     with pytest.raises(LogError, match="No space left"), log:
         log.write_block({"fast": (FAST[0][rows[2]], FAST[1][rows[2]])})
-    read = read_log(path)
+    read = maxq.read(path)
     assert len(read["truth_0_m"]) == 200
     assert not read.complete
 
 
 def test_an_unknown_channel_is_answered_with_close_names(tmp_path: Path) -> None:
     write_example(tmp_path / "a.mcap")
-    log = read_log(tmp_path / "a.mcap")
+    log = maxq.read(tmp_path / "a.mcap")
     with pytest.raises(KeyError, match=r"no channel or topic alfa_deg; did you mean alpha_deg\?"):
         log["alfa_deg"]
     assert log.channel("w_BI_B_y_radps").frame == "B"
@@ -227,15 +230,16 @@ def test_an_unknown_channel_is_answered_with_close_names(tmp_path: Path) -> None
 
 def test_files_that_are_no_logs(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"none\.mcap: the log cannot be read: No such file"):
-        read_log(tmp_path / "none.mcap")
+        maxq.read(tmp_path / "none.mcap")
+    (tmp_path / "flight.mcap").mkdir()
     with pytest.raises(LogError, match="cannot be read: Is a directory"):
-        read_log(tmp_path)
+        maxq.read(tmp_path)  # where the log is looked for in the folder
     (tmp_path / "a.csv").write_text("t,alpha\n0,1\n")
     with pytest.raises(LogError, match=r"a\.csv: this is not a log"):
-        read_log(tmp_path / "a.csv")
+        maxq.read(tmp_path / "a.csv")
     (tmp_path / "empty.mcap").write_bytes(b"")
     with pytest.raises(LogError, match="this is not a log"):
-        read_log(tmp_path / "empty.mcap")
+        maxq.read(tmp_path / "empty.mcap")
 
 
 def test_a_log_of_someone_else(tmp_path: Path) -> None:
@@ -244,18 +248,18 @@ def test_a_log_of_someone_else(tmp_path: Path) -> None:
         writer.start(profile="ros2", library="rosbag2")
         writer.finish()
     with pytest.raises(LogError, match=r"an MCAP file, but not a log of maxq \(written by .*rosbag2"):
-        read_log(tmp_path / "ros.mcap")
+        maxq.read(tmp_path / "ros.mcap")
 
 
 def test_a_log_of_a_later_schema(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maxq.sim.log.head.SCHEMA_VERSION", "3")
     write_example(tmp_path / "a.mcap")
     with pytest.raises(LogError, match=r"has schema 3, written by maxq \d.*; this maxq reads schemas up to 2"):
-        read_log(tmp_path / "a.mcap")
+        maxq.read(tmp_path / "a.mcap")
 
 
 def test_a_log_of_schema_1_is_read_with_the_names_of_today() -> None:
-    log = read_log(OLD_LOG)
+    log = maxq.read(OLD_LOG)
     assert log.complete
     assert log.metadata["schema"] == "1"
     old_names = ("felt_B_x_mps2", "pitch_counted_deg", "held_down")
@@ -268,7 +272,7 @@ def test_a_log_of_schema_1_is_read_with_the_names_of_today() -> None:
 
 
 def test_a_kept_log_of_schema_2_is_read_as_it_was_written() -> None:
-    log = read_log(OLD_LOG.parents[1] / "schema-2" / "flight.mcap")
+    log = maxq.read(OLD_LOG.parents[1] / "schema-2" / "flight.mcap")
     assert log.complete
     assert log.metadata["schema"] == "2"
     assert [event.text for event in log.events] == ["ignition (stage 1)"]
@@ -280,7 +284,7 @@ def test_a_log_cut_in_its_head_says_so(tmp_path: Path) -> None:
     data = write_example(tmp_path / "a.mcap")
     (tmp_path / "a.mcap").write_bytes(data[:1000])
     with pytest.raises(LogError, match="within its head"):
-        read_log(tmp_path / "a.mcap")
+        maxq.read(tmp_path / "a.mcap")
 
 
 class TiltRow(NamedTuple):

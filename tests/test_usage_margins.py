@@ -9,11 +9,11 @@ import pytest
 from design_nodes import TIMES_S, design, node_at, without
 from textbook_loops import ModalLoop, TransferLoop
 
+from maxq import Margins, margins
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import close_loop
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins.distances import Zone
-from maxq.design.margins.measure import Margins, margins
 
 
 def resonance(kind: str, number: int, omega: float, zeta: float) -> Resonance:

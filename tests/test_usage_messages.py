@@ -7,13 +7,9 @@ from pathlib import Path
 import pytest
 
 import maxq
-from maxq.sim.campaign.error import CampaignError
-from maxq.sim.campaign.read import load_campaign
-from maxq.sim.campaign.store import MANIFEST, open_store
-from maxq.sim.run.fly import FlightRun
-from maxq.sim.run.record import record
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.loader import LoadedScenario, copy_scenario, load_scenario
+from maxq import CampaignError, FlightRun, LoadedScenario, ScenarioError, record
+from maxq.sim.campaign.store import open_store
+from maxq.sim.scenario.loader import copy_scenario, load_scenario
 from maxq.tools import simreplay
 from maxq.tools.cli.frame import show_list
 
@@ -46,13 +42,13 @@ def test_a_mistyped_log_is_named_before_the_missing_display(capsys: pytest.Captu
 
 def test_a_campaign_without_logs_says_how_to_keep_some(capsys: pytest.CaptureFixture[str]) -> None:
     Path("runs/first").mkdir(parents=True)
-    Path("runs/first", MANIFEST).write_text("{}")
+    Path("runs/first", "campaign.json").write_text("{}")
     assert simreplay.main(["runs/first"]) == 2
     assert "simrun report runs/first --keep worst:5" in capsys.readouterr().err
 
 
 def test_a_folder_in_use_advises_what_can_help() -> None:
-    campaign = load_campaign("campaigns/first")
+    campaign = maxq.load("campaigns/first")
     store, _ = open_store(Path("there"), campaign)
     try:
         with pytest.raises(CampaignError, match=r"wait for it, or give another --out$"):

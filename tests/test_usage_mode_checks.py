@@ -10,7 +10,7 @@ import petrelkit as petrel
 import pytest
 from flightkit import Parts, Tree, load, scenario_of, with_stage
 
-from maxq.sim.scenario.errors import ScenarioError
+from maxq import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 
 LENGTH_M = 14.0

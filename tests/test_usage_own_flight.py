@@ -19,8 +19,8 @@ import optimise_kit as kit
 import pytest
 
 import maxq
+from maxq import multiloop_margins
 from maxq.design.case.basis import stated_basis
-from maxq.design.margins.multiloop import multiloop_margins
 from maxq.design.verify import own_flight
 from maxq.design.verify.judging import Check, judge, multiloop_checks
 from maxq.design.verify.own_flight import design_case, with_design

@@ -14,10 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import maxq
-from maxq.sim.campaign.read import LoadedCampaign
-from maxq.sim.log.reader import Log
-from maxq.sim.run.flight import Flight
-from maxq.sim.scenario.loader import LoadedScenario
+from maxq import Flight, LoadedCampaign, LoadedScenario, Log
 from maxq.tools import simreplay
 
 

@@ -15,6 +15,7 @@ import math
 import pytest
 
 import maxq
+from maxq import ScenarioError
 from maxq.design.case.basis import Limits
 from maxq.design.case.schema import read_case
 from maxq.design.margins import many
@@ -24,7 +25,6 @@ from maxq.design.quantities import MEASURED, QUANTITIES, SWEPT, CommonLimits, Co
 from maxq.design.verify.judging import Wanted, checks, judge
 from maxq.design.verify.linear import measured
 from maxq.design.verify.suite import LinearMargins, read_suite
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
 
 ASKED = Limits(modulus_db=-8.0, first_mode_db=20.0, modes_from_2_db=0.0, modes_from_3_db=0.0, first_mode_phase_deg=45.0)

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from replaykit import OLD_LOG, headless_viewer
+from replaykit import OLD_LOG, free_port, headless_viewer
 
-from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC
-from maxq.sim.log.reader import read_log
-from maxq.sim.run.launch_frames import CHILD, PARENT
+import maxq
 from maxq.tools.replay import log_layout, viewer
 
 FOXGLOVE = Path(__file__).parents[1] / "docs" / "viewers" / "maxq.foxglove-layout.json"
@@ -33,14 +31,14 @@ def test_rerun_alone_shows_the_events_of_a_log() -> None:
 
 @pytest.mark.slow
 def test_rerun_shows_frames_and_every_number_once_told(tmp_path: Path) -> None:
-    table = read_log(OLD_LOG).table
+    table = maxq.read(OLD_LOG).table
     log = shutil.copy(OLD_LOG, tmp_path / "another.mcap")  # the viewer names recordings after the file
     with headless_viewer() as client:
         viewer.open_whole(client, log)
         log_layout.send_layout(log, int(client.url.rsplit(":", 1)[1].split("/")[0]))
         viewer.steady_picture(client)
         for time_s in (3.0, 9.0):
-            client.pause_at(log_layout.TIMELINE, timestamp=time_s)
+            client.pause_at("message_log_time", timestamp=time_s)
             viewer.steady_picture(client)
             assert viewer.complaints_of(client) == []
         views = {view.name: view for view in client.get_state().views}
@@ -52,7 +50,7 @@ def test_rerun_shows_frames_and_every_number_once_told(tmp_path: Path) -> None:
 
 
 def test_a_layout_without_a_viewer_says_so(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    port = viewer.free_port()
+    port = free_port()
     monkeypatch.setattr("sys.argv", ["log_layout", str(OLD_LOG), str(port)])
     assert log_layout.main() == 2
     assert capsys.readouterr().err == f"log_layout: no viewer listens on port {port} of 127.0.0.1\n"
@@ -76,18 +74,18 @@ def values(node: Any, key: str) -> Iterator[Any]:
 
 
 def test_the_foxglove_layout_names_what_a_log_has() -> None:
-    layout, log = json.loads(FOXGLOVE.read_text(encoding="utf-8")), read_log(OLD_LOG)
+    layout, log = json.loads(FOXGLOVE.read_text(encoding="utf-8")), maxq.read(OLD_LOG)
     topics = {topic.name: {channel.name for channel in topic.channels} for topic in log.table.topics}
     plotted = [path["value"] for paths in values(layout, "paths") for path in paths]
     assert len(plotted) > 15
     for value in plotted:
         topic, _, field = value.partition(".")
         assert field in topics[topic], value
-    known = {*topics, EVENTS_TOPIC, FRAMES_TOPIC}
+    known = {*topics, "/events", "/tf"}
     assert set(values(layout, "topicToRender")) | set(values(layout, "topicPath")) <= known
     scene = layout["configById"]["3D!scene"]
     frames = {scene["followTf"], *values(scene["layers"], "frameId"), *scene["transforms"]}
-    assert {name.removeprefix("frame:") for name in frames} == {PARENT, CHILD}
+    assert {name.removeprefix("frame:") for name in frames} == {"launch_site", "body"}
 
 
 def test_the_foxglove_layout_has_panels_that_foxglove_knows() -> None:
@@ -102,7 +100,7 @@ def test_the_foxglove_scene_stands_upright() -> None:
     """A camera that follows the body takes over how the body lies when the log is opened: on its tail."""
     layout = json.loads(FOXGLOVE.read_text(encoding="utf-8"))
     scene = layout["configById"]["3D!scene"]
-    assert (scene["followTf"], scene["followMode"]) == (PARENT, "follow-none")
+    assert (scene["followTf"], scene["followMode"]) == ("launch_site", "follow-none")
 
 
 def test_the_foxglove_layout_places_every_panel_once() -> None:

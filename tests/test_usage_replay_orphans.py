@@ -11,10 +11,9 @@ from pathlib import Path
 
 import psutil
 import pytest
-from replaykit import OLD_LOG
+from replaykit import OLD_LOG, free_port
 
 from maxq.tools.replay import viewer
-from maxq.tools.replay.viewer import free_port
 
 PATIENCE_S = 60.0
 

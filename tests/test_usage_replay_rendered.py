@@ -17,14 +17,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from replaykit import OLD_LOG, headless_viewer, no_driver
+from replaykit import OLD_LOG, free_port, headless_viewer, no_driver
 
 from maxq.tools import simreplay, simrun
 from maxq.tools.replay import viewer
 from maxq.tools.replay.convert import Options, save
-from maxq.tools.replay.flight import ReplayFlight, open_flight
+from maxq.tools.replay.flight import open_flight
 from maxq.tools.replay.viewer import ReplayError
-from maxq.tools.replay.viewer_control import ViewerControl
 
 KEPT = Path(__file__).parent / "data" / "replay"
 TIMES_S = (0.3, 8.0, 9.4, 13.5)  # lift-off, pitching over, control being lost, tumbling
@@ -33,12 +32,12 @@ TOLERANCE = 6.0  # of 255, mean over the picture: another driver draws edges dif
 
 
 @pytest.fixture(scope="module")
-def flight() -> ReplayFlight:
+def flight():
     return open_flight(OLD_LOG)
 
 
 @pytest.fixture(scope="module")
-def shown(flight: ReplayFlight, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ViewerControl, Path]]:
+def shown(flight, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple]:
     path = tmp_path_factory.mktemp("rendered") / "flight.rrd"
     save([flight], Options(), path)
     with headless_viewer() as client:
@@ -50,17 +49,17 @@ def pixels(png: bytes) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(png)).convert("L"), float)
 
 
-def at(client: ViewerControl, time_s: float) -> bytes:
+def at(client, time_s: float) -> bytes:
     client.pause_at("sim_time", duration=time_s)
     return viewer.steady_picture(client)
 
 
-def view_picture(client: ViewerControl, name: str) -> np.ndarray:
+def view_picture(client, name: str) -> np.ndarray:
     found = next(v for v in client.get_state().views if v.name.startswith(name))
     return pixels(viewer.steady_picture(client, found.view_id))
 
 
-def test_no_view_complains_at_any_time(shown: tuple[ViewerControl, Path]) -> None:
+def test_no_view_complains_at_any_time(shown: tuple) -> None:
     client, _ = shown
     for time_s in TIMES_S:
         picture = pixels(at(client, time_s))
@@ -71,7 +70,7 @@ def test_no_view_complains_at_any_time(shown: tuple[ViewerControl, Path]) -> Non
 
 
 @pytest.mark.slow
-def test_the_vehicle_moves_and_the_trajectory_grows(shown: tuple[ViewerControl, Path]) -> None:
+def test_the_vehicle_moves_and_the_trajectory_grows(shown: tuple) -> None:
     client, _ = shown
     seen = []
     for time_s in TIMES_S[1:]:
@@ -83,7 +82,7 @@ def test_the_vehicle_moves_and_the_trajectory_grows(shown: tuple[ViewerControl, 
 
 
 @pytest.mark.parametrize("time_s", TIMES_S)
-def test_the_picture_is_what_it_was(shown: tuple[ViewerControl, Path], time_s: float) -> None:
+def test_the_picture_is_what_it_was(shown: tuple, time_s: float) -> None:
     client, _ = shown
     picture = Image.open(io.BytesIO(at(client, time_s))).convert("L").resize(SMALL, Image.Resampling.BOX)
     kept = KEPT / f"window-{time_s:g}.png"
@@ -96,9 +95,7 @@ def test_the_picture_is_what_it_was(shown: tuple[ViewerControl, Path], time_s: f
 
 
 @pytest.mark.parametrize("tab", ["Air", "Attitude", "Gimbal", "Bending", "Slosh", "Computer", "Loads", "Vehicle"])
-def test_every_tab_draws_its_plots(
-    shown: tuple[ViewerControl, Path], flight: ReplayFlight, tab: str, tmp_path: Path
-) -> None:
+def test_every_tab_draws_its_plots(shown: tuple, flight, tab: str, tmp_path: Path) -> None:
     client, _ = shown
     path = tmp_path / f"{tab}.rrd"
     save([flight], Options(tab=tab, rate_hz=10.0), path)
@@ -110,14 +107,14 @@ def test_every_tab_draws_its_plots(
     assert sum(_shows_curves(client, v.view_id) for v in plots) >= 4
 
 
-def _shows_curves(client: ViewerControl, view_id: str) -> bool:
+def _shows_curves(client, view_id: str) -> bool:
     try:
         return bool(pixels(client.take_screenshot(view_id)).std() > 5.0)
     except ConnectionError:
         return False  # a view behind another tab has no picture
 
 
-def test_several_flights_in_one_window(flight: ReplayFlight, tmp_path: Path) -> None:
+def test_several_flights_in_one_window(flight, tmp_path: Path) -> None:
     import dataclasses  # noqa: PLC0415  # only here
 
     flights = [dataclasses.replace(flight, label=label) for label in ("nominal", "run-000001", "run-000002")]
@@ -162,7 +159,7 @@ def test_a_live_flight_is_shown_and_its_log_is_the_same(tmp_path: Path, monkeypa
 
 
 def test_a_live_flight_without_a_viewer_is_not_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    port = viewer.free_port()
+    port = free_port()
     assert simrun.main(["nominal", "--view-port", str(port), "--out", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err
     assert err == f"simrun: --view: no viewer listens on port {port} of 127.0.0.1\n"
@@ -200,7 +197,7 @@ def test_a_run_of_a_campaign_is_flown_again_and_shown(
     assert simrun.main(["short.toml", "--out", "flown", "--no-report"]) in {0, 3}
     again = ["--from", "flown", "--run", "1", "--out", "again"]
 
-    free = viewer.free_port()
+    free = free_port()
     assert simrun.main([*again, "--view-port", str(free)]) == 2
     assert capsys.readouterr().err.endswith(f"simrun: --view: no viewer listens on port {free} of 127.0.0.1\n")
     assert not Path("again").exists()

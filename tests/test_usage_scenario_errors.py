@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from scenario_files import modes_csv, write_ascent, write_free
 
-from maxq.sim.scenario.errors import ScenarioError, suggestion
+from maxq import ScenarioError
+from maxq.sim.scenario.errors import suggestion
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 
 VEHICLE = "vehicles/rocket/vehicle.toml"

@@ -13,9 +13,9 @@ import pytest
 from pydantic import ValidationError
 from scenario_files import ASCENT, TABLES, write_ascent, write_free
 
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.files import builtin_files, builtin_names, scenarios_folder
-from maxq.sim.scenario.loader import LoadedScenario, copy_scenario, load_scenario, load_scenario_text
+from maxq import LoadedScenario, ScenarioError, builtin_names
+from maxq.sim.scenario.files import builtin_files, scenarios_folder
+from maxq.sim.scenario.loader import copy_scenario, load_scenario, load_scenario_text
 from maxq.sim.scenario.schema_values import is_whole_ns, period_ns, to_ns
 
 

@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from flightkit import Parts, Tank, Tree, load, merged, scenario_of, with_stage
 
-from maxq.sim.campaign.analysis import DataSet, judged
+from maxq import DataSet, Flight, ScenarioError
+from maxq.sim.campaign.analysis import judged
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.flight.metric_table import METRICS, SectionMetrics
-from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly, logged_channels
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.scenario.schema_loads import BORNE, SECTION_PREFIX
+from maxq.sim.scenario.schema_loads import BORNE
 from maxq.sim.vehicle.loads import KINDS
 from maxq.sim.vehicle.state import Sizes
 
@@ -46,7 +45,7 @@ def said_of(tree: Tree) -> str:
 
 def test_names_agree_across_layers() -> None:
     assert [name.rsplit("_", 1)[0] for name in BORNE] == list(KINDS)
-    assert all(name.startswith(SECTION_PREFIX) and name in METRICS for name in SectionMetrics._fields)
+    assert all(name.startswith("max_section_") and name in METRICS for name in SectionMetrics._fields)
     assert load(with_loads()).scenario.vehicle.stage[0].loads is not None
 
 

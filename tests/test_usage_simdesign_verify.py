@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from maxq.tools import simdesign
+from maxq.tools.design import run_case
 from maxq.tools.verify.run import Candidate, in_order, try_in_order
 
 Printed = pytest.CaptureFixture[str]
@@ -23,12 +25,39 @@ corner_sigmas = 0.0
 [margins.nominal]
 gain_down_db = {aero_db}
 """
+AT_NODES = "margins.between_nodes=ignore"
+
+
+@pytest.fixture(scope="module")
+def memory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of verified parts for all tests of this module."""
+    return tmp_path_factory.mktemp("memory")
+
+
+@pytest.fixture(scope="module")
+def designed() -> dict[str, Any]:
+    """What the cases are designed to, by their content, for all tests of this module."""
+    return {}
 
 
 @pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _in_an_empty_folder(tmp_path: Path, memory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("maxq.design.verify.memory.default_folder", lambda: tmp_path / "memory")
+    monkeypatch.setattr("maxq.design.verify.memory.default_folder", lambda: memory)
+
+
+@pytest.fixture
+def _design_once(designed: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Design a case when the first test asks for it; the others take over the result."""
+    design_case = run_case.design_case
+
+    def remembered(loaded: Any, *rest: Any) -> Any:
+        key = repr(loaded.case)
+        if key not in designed:
+            designed[key] = design_case(loaded, *rest)
+        return designed[key]
+
+    monkeypatch.setattr(run_case, "design_case", remembered)
 
 
 def _suite(aero_db: float) -> str:
@@ -44,6 +73,7 @@ def _run(*arguments: str) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("_design_once")
 def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> None:
     """The relaxed case has the lower peak of mode 1, so it goes first; its aerodynamic margin is 9.4 dB."""
     assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(10.0), "--out", "out") == 0
@@ -63,6 +93,7 @@ def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("_design_once")
 def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
     assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(20.0), "--out", "out") == 1
     said = capsys.readouterr().out
@@ -79,7 +110,7 @@ def test_designs_are_tried_until_one_is_accepted() -> None:
     accepted, every = try_in_order(
         designs,
         _suite(6.0),
-        ["margins.nominal.rigid_phase_deg=50.0"],
+        [AT_NODES, "margins.nominal.rigid_phase_deg=50.0"],
         tell=told.append,
         keep=lambda d, *_: kept.append(d),
     )
@@ -91,7 +122,7 @@ def test_designs_are_tried_until_one_is_accepted() -> None:
     assert told[-1].startswith(
         "PASSED SCREENING: no dispersed flight flown, no dispersed vehicle, no certificate; ksr3-robust"
     )
-    nothing, all_ = try_in_order(designs, _suite(50.0), tell=told.append)
+    nothing, all_ = try_in_order(designs, _suite(50.0), [AT_NODES], tell=told.append)
     assert nothing is None
     assert [v.judgement for v in all_] == ["rejected"] * 3
 

@@ -13,16 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maxq.sim.log.head import LogError
+import maxq
+from maxq import Flight, FlightRun, LogError, record
 from maxq.sim.log.messages import Level
-from maxq.sim.log.reader import read_log
 from maxq.sim.run import record as recording
-from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun, fly
-from maxq.sim.run.record import record
+from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
-from maxq.tools.cli.frame import TRACEBACK
 from maxq.tools.cli.terminal import Progress
 
 SHORT = ["nominal", "--set", "run.duration_s=1.5", "--set", "requirement="]
@@ -86,7 +83,7 @@ def test_a_flight_leaves_log_and_summary_and_says_what_happened(capsys: Printed)
     assert told["steps"] > 1500
     assert set(told["versions"]) == {"maxq", "python", "numpy", "numba"}
     assert set(told["timing"]) == {"load_s", "prepare_s", "flight_s", "total_s"}
-    log = read_log("out/flight.mcap")
+    log = maxq.read("out/flight.mcap")
     assert log.complete
     assert log.end["state_hash"] == told["state_hash"]
     assert told["final"]["altitude_m"] == log["altitude_m"][-1]
@@ -138,7 +135,7 @@ def test_lost_control_is_exit_1_with_cause_and_time(capsys: Printed) -> None:
     assert "45 deg" in failure
     assert capsys.readouterr().out.splitlines()[-1].startswith(f"FAILED: {failure}; beyond the model: wave breaks at ")
     assert "control_lost" in [event["name"] for event in summary()["events"]]
-    (event,) = (e for e in read_log("out/flight.mcap").events if e.text.startswith("control_lost"))
+    (event,) = (e for e in maxq.read("out/flight.mcap").events if e.text.startswith("control_lost"))
     assert event.level is Level.ERROR
 
 
@@ -153,7 +150,7 @@ def test_a_diverged_flight_says_why_and_when_and_keeps_its_log(capsys: Printed) 
     assert f"state at {told['end_s']:.3f} s, before it diverged" in out
     assert "body_pitch_rate_degps" in out
     assert 1.0 < told["end_s"] < 1.2
-    log = read_log("out/flight.mcap")
+    log = maxq.read("out/flight.mcap")
     assert log.complete
     assert log.events[-1].level is Level.FATAL
     assert log.events[-1].text == f"diverged: {told['cause']}"
@@ -227,7 +224,7 @@ def test_ctrl_c_closes_the_log_and_the_flight_can_be_compared(capsys: Printed, m
         assert run(*SHORT, "--out", "out") == 130
     assert capsys.readouterr().out.splitlines()[-1] == "INTERRUPTED at 1.000 s of flight"
     assert (summary()["outcome"], summary()["passed"]) == ("interrupted", False)
-    log = read_log("out/flight.mcap")
+    log = maxq.read("out/flight.mcap")
     assert log.notes == ("the run was aborted: Interrupted: at 1.000 s",)
     assert log.time_s("altitude_m")[-1] == 0.99
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -332,7 +329,7 @@ def test_a_full_disk_is_one_line(capsys: Printed, monkeypatch: pytest.MonkeyPatc
     assert run(*SHORT, "--out", "out") == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not Path("out/summary.json").exists()
-    assert "aborted" in read_log("out/flight.mcap").notes[0]
+    assert "aborted" in maxq.read("out/flight.mcap").notes[0]
 
 
 # built-in scenarios
@@ -389,13 +386,13 @@ def test_a_fault_of_ours_has_its_own_exit_code_and_asks_for_a_report(
         raise ZeroDivisionError("two\nlines")
 
     monkeypatch.setattr("maxq.tools.simrun_fly.execute", broken)
-    monkeypatch.delenv(TRACEBACK, raising=False)
+    monkeypatch.delenv("MAXQ_TRACEBACK", raising=False)
     assert run("nominal") == 70
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("simrun: internal error: ZeroDivisionError: two lines (test_usage_simrun.py, line ")
     assert "please report it" in line
-    assert TRACEBACK in line
-    monkeypatch.setenv(TRACEBACK, "1")
+    assert "MAXQ_TRACEBACK" in line
+    monkeypatch.setenv("MAXQ_TRACEBACK", "1")
     assert run("nominal") == 70
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "Traceback (most recent call last):"
@@ -409,7 +406,7 @@ def test_a_flight_from_python_equals_the_one_in_the_log(tmp_path: Path) -> None:
     loaded = load_scenario("nominal", ["run.duration_s=0.1", "run.step_s=0.01"])  # short: it is flown uncompiled, too
     flight: Flight = fly(loaded)
     recorded = record(FlightRun(loaded), tmp_path / "out")
-    log = read_log(tmp_path / "out" / "flight.mcap")
+    log = maxq.read(tmp_path / "out" / "flight.mcap")
     assert flight.state_hash == recorded.state_hash
     assert log.table == flight.table
     for name in flight.table.names:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from maxq.sim.log.reader import read_log
+import maxq
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 
@@ -60,7 +60,7 @@ def test_ctrl_c_ends_the_flight_soon_and_properly() -> None:
     told = json.loads(Path("out/summary.json").read_text())
     assert told["outcome"] == "interrupted"
     assert out.splitlines()[-1] == f"INTERRUPTED at {told['end_s']:.3f} s of flight"
-    log = read_log(log_path)
+    log = maxq.read(log_path)
     assert log.notes == (f"the run was aborted: Interrupted: at {told['end_s']:.3f} s",)
     assert log.time_s("mach")[-1] == pytest.approx(told["end_s"], abs=0.0101)
     assert took_s < 3.0  # a segment, the summary and the end of the process, on a busy machine
@@ -73,7 +73,7 @@ def test_a_killed_flight_leaves_a_log_that_can_be_read() -> None:
     wait_for(Path("out/flight.mcap"), 1_500_000, process)
     process.kill()
     process.wait()
-    log = read_log("out/flight.mcap")
+    log = maxq.read("out/flight.mcap")
     assert not log.complete
     assert len(log["mach"]) >= 100
     assert not Path("out/summary.json").exists()
@@ -190,4 +190,4 @@ def test_a_full_disk_is_one_line_and_the_log_is_readable() -> None:
     assert done.stderr == "simrun: out/flight.mcap: the log cannot be written: File too large\n"
     assert done.stdout == ""
     assert not Path("out/summary.json").exists()
-    assert len(read_log("out/flight.mcap")["mach"]) > 100
+    assert len(maxq.read("out/flight.mcap")["mach"]) > 100

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import maxq
+from maxq import ScenarioError
 from maxq.control.kernel.records import pack
 from maxq.control.kernel.tables import Pool
-from maxq.sim.campaign.read import load_campaign
 from maxq.sim.packing.environment import pack_wind
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.world.atmosphere import pressure_altitude
 from maxq.sim.world.wind import wind_ned
 
@@ -157,7 +156,7 @@ def test_an_ensemble_of_a_folder_and_of_a_file_of_soundings(tmp_path: Path) -> N
         'extends = "nominal.toml"\n[campaign]\nruns = 6\n[wind_model]\nmodel = "ensemble"\norder = "in-turn"\n'
         'profiles = ["autumn", "autumn/a.csv"]\n'
     )
-    campaign = load_campaign(str(file))
+    campaign = maxq.load(str(file))
     names = ["autumn/a.csv", "autumn/b.txt", "autumn/c.txt#1", "autumn/c.txt#2", "autumn/a.csv", "autumn/a.csv"]
     drawn = campaign.plan.draw(0, 6)
     wind = campaign.plan.wind
@@ -167,7 +166,7 @@ def test_an_ensemble_of_a_folder_and_of_a_file_of_soundings(tmp_path: Path) -> N
     assert len(wind.profile(drawn.wind[3])) == 3
 
 
-def wind_at(scenario: Scenario, altitude_m: float) -> tuple[float, ...]:
+def wind_at(scenario, altitude_m: float) -> tuple[float, ...]:
     pool = Pool()
     row = pack([pack_wind(scenario.wind, pool, scenario.site.altitude_m)])[0]
     return wind_ned(row, pool.array(), altitude_m)[:2]

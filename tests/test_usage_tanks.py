@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from flightkit import Tree, load, merged
 
+from maxq import ScenarioError
 from maxq.design.model.node import surface_radii_m
 from maxq.sim.packing.schedule import stage_sizes
 from maxq.sim.run.fly import logged_channels
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.tools.replay.vehicle_shape import shape_of
 
 SPHERE: Tree = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from pathlib import Path
@@ -13,17 +14,18 @@ import pytest
 import zstandard
 from example_log import TABLE, write_example
 from lz4.frame import compress as lz4_compress
+from mcap.data_stream import ReadDataStream
+from mcap.reader import make_reader
+from mcap.records import Chunk, ChunkIndex
 from scenario_files import write_ascent
 
+import maxq
+from maxq import CampaignError, LogError, ScenarioError
 from maxq.sim.campaign import store
-from maxq.sim.campaign.error import CampaignError
 from maxq.sim.files import plain_name
 from maxq.sim.log import reader
-from maxq.sim.log.head import Attachment, LogError, RunHead
-from maxq.sim.log.reader import read_log, read_run
+from maxq.sim.log.head import Attachment, RunHead
 from maxq.sim.log.writer import LogWriter
-from maxq.sim.run.record import SCENARIO_ATTACHMENT
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.tools import simrun
 
@@ -37,20 +39,28 @@ def chunk(content: bytes, compression: str, packed: bytes, says: int | None = No
     return struct.pack("<BQ", 6, len(body)) + body
 
 
+def first_chunk(log: bytes) -> ChunkIndex:
+    summary = make_reader(io.BytesIO(log)).get_summary()
+    assert summary is not None
+    return min(summary.chunk_indexes, key=lambda index: index.chunk_start_offset)
+
+
 def with_chunks(folder: Path, *chunks: bytes) -> Path:
     """The example's head with these chunks behind it, and no end."""
     whole = write_example(folder / "example.mcap")
-    first = next(start for opcode, start, _ in reader._frames(whole, 8) if opcode == 6)
     path = folder / "made.mcap"
-    path.write_bytes(whole[:first] + b"".join(chunks))
+    path.write_bytes(whole[: first_chunk(whole).chunk_start_offset] + b"".join(chunks))
     return path
 
 
 def own_chunk(folder: Path) -> bytes:
     """The content of the example's first chunk."""
     whole = write_example(folder / "example.mcap")
-    start, end = next((start, end) for opcode, start, end in reader._frames(whole, 8) if opcode == 6)
-    return reader._chunk_content(whole, start, end)
+    index = first_chunk(whole)
+    start = index.chunk_start_offset + 9  # behind opcode and length
+    record = Chunk.read(ReadDataStream(io.BytesIO(whole[start : start + index.chunk_length - 9])))
+    assert record.compression == "zstd"
+    return zstandard.decompress(record.data)
 
 
 PACKED = {"": lambda content: content, "zstd": zstandard.compress, "lz4": lz4_compress}
@@ -60,7 +70,7 @@ PACKED = {"": lambda content: content, "zstd": zstandard.compress, "lz4": lz4_co
 def test_chunks_of_every_compression_are_read(tmp_path: Path, compression: str) -> None:
     content = own_chunk(tmp_path)
     path = with_chunks(tmp_path, chunk(content, compression, PACKED[compression](content)))
-    log = read_log(path)
+    log = maxq.read(path)
     assert not [note for note in log.notes if "left out" in note]
     assert len(log.time_ns(TABLE.topics[0].name)) > 0
 
@@ -75,7 +85,7 @@ def test_a_chunk_that_is_larger_than_is_read(tmp_path: Path, compression: str, m
         chunk(bomb, compression, PACKED[compression](bomb)),
         chunk(content, compression, PACKED[compression](content)),
     )
-    log = read_log(path)
+    log = maxq.read(path)
     said = "chunk 1 of 2 was left out: it says that it decompresses to 5 MB; at most 1 MB are read"
     assert said in log.notes
     assert len(log.time_ns(TABLE.topics[0].name)) > 0  # the other one is there
@@ -85,7 +95,7 @@ def test_a_chunk_that_is_larger_than_is_read(tmp_path: Path, compression: str, m
 def test_a_chunk_that_is_larger_than_it_says(tmp_path: Path, compression: str) -> None:
     bomb = bytes(50_000_000)
     path = with_chunks(tmp_path, chunk(bomb, compression, PACKED[compression](bomb), says=1000))
-    assert any("chunk 1 of 1 was left out: " in note for note in read_log(path).notes)
+    assert any("chunk 1 of 1 was left out: " in note for note in maxq.read(path).notes)
 
 
 def test_a_frame_that_claims_a_terabyte_takes_no_memory(tmp_path: Path) -> None:
@@ -93,23 +103,23 @@ def test_a_frame_that_claims_a_terabyte_takes_no_memory(tmp_path: Path) -> None:
     frame = b"\x28\xb5\x2f\xfd" + bytes([0b11100000]) + struct.pack("<Q", 1 << 40) + b"\x01\x00\x00"
     assert zstandard.frame_content_size(frame) == 1 << 40
     path = with_chunks(tmp_path, chunk(bytes(1000), "zstd", frame))
-    assert "chunk 1 of 1 was left out: its size does not match" in read_log(path).notes
+    assert "chunk 1 of 1 was left out: its size does not match" in maxq.read(path).notes
 
 
 def test_a_frame_of_unknown_length(tmp_path: Path) -> None:
     bomb = bytes(50_000_000)
     packed = zstandard.ZstdCompressor(write_content_size=False).compress(bomb)
     path = with_chunks(tmp_path, chunk(bomb, "zstd", packed, says=1000))
-    assert "chunk 1 of 1 was left out: it cannot be decompressed" in read_log(path).notes
+    assert "chunk 1 of 1 was left out: it cannot be decompressed" in maxq.read(path).notes
 
 
 def test_a_log_that_is_larger_than_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     content = own_chunk(tmp_path)
     path = with_chunks(tmp_path, *[chunk(content, "zstd", PACKED["zstd"](content))] * 20)
-    read_log(path)
+    maxq.read(path)
     monkeypatch.setattr(reader, "MOST_LOG_BYTES", 10 * len(content))
     with pytest.raises(LogError, match=r"made\.mcap: the log decompresses to more than 0 GB, the most that is read"):
-        read_log(path)
+        maxq.read(path)
 
 
 # data sets
@@ -133,9 +143,7 @@ def test_a_part_that_is_larger_than_is_read(tmp_path: Path, monkeypatch: pytest.
 
 def log_with(folder: Path, scenario: str) -> Path:
     path = folder / "flight.mcap"
-    writer = LogWriter(
-        path, TABLE, RunHead({}, (Attachment(SCENARIO_ATTACHMENT, "application/toml", scenario.encode()),))
-    )
+    writer = LogWriter(path, TABLE, RunHead({}, (Attachment("scenario.toml", "application/toml", scenario.encode()),)))
     writer.close(None, None)
     return path
 
@@ -189,7 +197,7 @@ def test_attachments_are_never_unpacked(tmp_path: Path) -> None:
     path.parent.mkdir()
     odd = Attachment("../../out.toml", "application/toml", b"x = 1")
     LogWriter(path, TABLE, RunHead({}, (odd,))).close(None, None)
-    assert "../../out.toml" in read_run(path).attachments
+    assert "../../out.toml" in maxq.read(path).attachments
     assert [p.name for p in tmp_path.rglob("*")] == ["deep", "flight.mcap"]
 
 

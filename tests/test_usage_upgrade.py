@@ -18,10 +18,10 @@ from pathlib import Path
 
 import pytest
 
+from maxq import ScenarioError
 from maxq.design.case.basis import stated_basis
 from maxq.design.case.schema import read_case
 from maxq.design.verify.suite import read_suite
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.tools import simdesign, simrun, simverify
 

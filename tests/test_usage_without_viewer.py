@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -55,15 +56,16 @@ made = maxq.optimise("ksr3-relaxed", "search.starts=2", "nodes_s=[10, 40]", "fil
 made.save("mine.toml")
 assert made.bode(40.0).axes
 check(0, simdesign, "analyse", "mine.toml", "--at", "40", "--out", "analysis")
-short = [word for part in ("certificate=", "margins=") for word in ("--set", part)]
+flight = "flight=[{name='half a second', set=['run.duration_s=0.5']}]"
+short = [word for part in ("certificate=", "margins=", flight) for word in ("--set", part)]
 check(0, simverify, "mine.toml", "--suite", "quick", *short, "--out", "verdict")
 """
 
 
-def without_viewer(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+def without_viewer(code: str, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """Run Python code in `folder` as if rerun-sdk, and what comes with it alone, were not installed."""
     return subprocess.run(
-        [sys.executable, "-c", HIDE + code],
+        [sys.executable, "-c", HIDE + code, *words],
         cwd=folder, env=os.environ,  # without COLUMNS, which readline sets below Python
         capture_output=True, text=True, check=False,
     )  # fmt: skip  # four more lines otherwise
@@ -84,25 +86,34 @@ def test_all_else_works_without_the_viewer(tmp_path: Path) -> None:
     assert (tmp_path / "campaign" / "report.html").is_file()
 
 
-@pytest.mark.parametrize(
-    ("command", "arguments", "says"),
-    [
-        ("simreplay", "OLD --web", "simreplay: "),
-        ("simreplay", "OLD --save replay.rrd", "simreplay: "),
-        ("simreplay", "OLD --screenshot replay.png --at 1", "simreplay: "),
-        ("simrun", "nominal --view", "simrun: --view: "),
-        ("simrun", "nominal --view --view-port 9876", "simrun: --view: "),
-    ],
-)
-def test_a_command_that_needs_the_viewer_says_how_to_install_it(
-    command: str, arguments: str, says: str, tmp_path: Path
-) -> None:
-    given = arguments.replace("OLD", str(OLD_LOG)).split()
-    done = without_viewer(f"from maxq.tools import {command}; sys.exit({command}.main({given!r}))", tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
-    said = re.fullmatch(rf"{says}the Rerun viewer is not installed; install it with: pip install '(.+)'\n", done.stderr)
-    assert said, done.stderr
-    assert Requirement(said[1]) == VIEWER
+NEED_THE_VIEWER = [
+    ("simreplay", "OLD --web", "simreplay: "),
+    ("simreplay", "OLD --save replay.rrd", "simreplay: "),
+    ("simreplay", "OLD --screenshot replay.png --at 1", "simreplay: "),
+    ("simrun", "nominal --view", "simrun: --view: "),
+    ("simrun", "nominal --view --view-port 9876", "simrun: --view: "),
+]
+EVERY_NEED = """
+import contextlib, importlib, io, json
+
+for command, *arguments in json.loads(sys.argv[1]):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = importlib.import_module(f"maxq.tools.{command}").main(arguments)
+    print(json.dumps([code, out.getvalue(), err.getvalue()]))
+"""
+
+
+def test_a_command_that_needs_the_viewer_says_how_to_install_it(tmp_path: Path) -> None:
+    words = [[command, *arguments.replace("OLD", str(OLD_LOG)).split()] for command, arguments, _ in NEED_THE_VIEWER]
+    done = without_viewer(EVERY_NEED, tmp_path, json.dumps(words))
+    assert (done.returncode, done.stderr) == (0, "")
+    found = [json.loads(line) for line in done.stdout.splitlines()]
+    for (code, out, err), (_, arguments, says) in zip(found, NEED_THE_VIEWER, strict=True):
+        assert (code, out) == (2, ""), arguments
+        said = re.fullmatch(rf"{says}the Rerun viewer is not installed; install it with: pip install '(.+)'\n", err)
+        assert said, err
+        assert Requirement(said[1]) == VIEWER
     assert list(tmp_path.iterdir()) == []
 
 

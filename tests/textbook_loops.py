@@ -11,7 +11,6 @@ import scipy.linalg
 from numpy.typing import ArrayLike
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.state_space import ComplexArray
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class TransferLoop:
     def highest_hz(self) -> float:
         return np.inf if self.sample_s is None else 0.5 / self.sample_s
 
-    def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
+    def response(self, frequencies_hz: ArrayLike) -> np.ndarray:
         s = 2j * np.pi * np.asarray(frequencies_hz, float)
         x = s if self.sample_s is None else np.exp(s * self.sample_s)
         below = np.polyval(self.denominator, x)
@@ -43,21 +42,21 @@ class TransferLoop:
             below = np.prod([from_one + (at_one - pole) for pole in self.exact], axis=0)
         return np.polyval(self.numerator, x) / below * np.exp(-s * self.delay_s)
 
-    def open_poles(self) -> ComplexArray:
+    def open_poles(self) -> np.ndarray:
         return self._poles(self.exact if len(self.exact) else np.roots(self.denominator))
 
-    def closed_poles(self) -> ComplexArray:
+    def closed_poles(self) -> np.ndarray:
         if self.delay_s > 0.0:
             return np.asarray(self.rightmost, complex)
         return self._poles(np.roots(np.polyadd(self.numerator, self.denominator)))
 
-    def _poles(self, x: ArrayLike) -> ComplexArray:
+    def _poles(self, x: ArrayLike) -> np.ndarray:
         values = np.asarray(x, complex)
         if self.sample_s is None:
             return values
         return np.log(values[values != 0.0]) / self.sample_s
 
-    def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
+    def factors(self) -> tuple[np.ndarray, np.ndarray] | None:
         poles = self.exact if len(self.exact) else np.roots(self.denominator)
         return None if self.delay_s > 0.0 else (np.roots(self.numerator).astype(complex), np.asarray(poles, complex))
 
@@ -91,7 +90,7 @@ class ModalLoop:
             b[i + 1], c[i], c[i + 1] = omega, gain * place, gain * rate
         return cls(a, b, c)
 
-    def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
+    def response(self, frequencies_hz: ArrayLike) -> np.ndarray:
         s = 2j * np.pi * np.asarray(frequencies_hz, float)
         out = np.zeros(s.shape, complex)
         i = 0
@@ -105,28 +104,28 @@ class ModalLoop:
                 i += 1
         return out
 
-    def open_poles(self) -> ComplexArray:
+    def open_poles(self) -> np.ndarray:
         return np.linalg.eigvals(self.a).astype(complex)
 
-    def closed_poles(self) -> ComplexArray:
+    def closed_poles(self) -> np.ndarray:
         return self.poles_with(1.0)
 
-    def factors(self) -> tuple[ComplexArray, ComplexArray]:
+    def factors(self) -> tuple[np.ndarray, np.ndarray]:
         n = len(self.a)
         left, right = np.zeros((n + 1, n + 1)), np.diag(np.append(np.ones(n), 0.0))
         left[:n, :n], left[:n, n], left[n, :n] = self.a, self.b, self.c
         zeros = scipy.linalg.eigvals(left, right)
         return zeros[np.isfinite(zeros)], self.open_poles()
 
-    def poles_with(self, gain: float) -> ComplexArray:
+    def poles_with(self, gain: float) -> np.ndarray:
         return np.linalg.eigvals(self.a - gain * np.outer(self.b, self.c)).astype(complex)
 
-    def gain_crossings_hz(self) -> ComplexArray:
+    def gain_crossings_hz(self) -> np.ndarray:
         """Eigenvalues / 2 pi j of the Hamiltonian whose imaginary ones are where |L| = 1."""
         h = np.block([[self.a, np.outer(self.b, self.b)], [-np.outer(self.c, self.c), -self.a.T]])
         return np.linalg.eigvals(h) / (2j * np.pi)
 
-    def real_crossings_hz(self) -> ComplexArray:
+    def real_crossings_hz(self) -> np.ndarray:
         """Zeros / 2 pi j of L(s) - L(-s), whose imaginary ones are where L is real."""
         n = len(self.a)
         zero = np.zeros((n, n))
@@ -146,8 +145,8 @@ class ZpkLoop:
     Zeros and poles are in rad/s; those of a sampled loop are mapped to z = exp(p T).
     """
 
-    zeros: ComplexArray
-    poles: ComplexArray
+    zeros: np.ndarray
+    poles: np.ndarray
     gain: float = 1.0
     sample_s: float | None = None
 
@@ -155,24 +154,24 @@ class ZpkLoop:
     def highest_hz(self) -> float:
         return np.inf if self.sample_s is None else 0.5 / self.sample_s
 
-    def _mapped(self, roots: ComplexArray) -> ComplexArray:
+    def _mapped(self, roots: np.ndarray) -> np.ndarray:
         return np.asarray(roots if self.sample_s is None else np.exp(roots * self.sample_s))
 
-    def _from(self, s: ComplexArray, roots: ComplexArray) -> ComplexArray:
+    def _from(self, s: np.ndarray, roots: np.ndarray) -> np.ndarray:
         away = s[..., None] - roots
         return away if self.sample_s is None else np.exp(roots * self.sample_s) * np.expm1(away * self.sample_s)
 
-    def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
+    def response(self, frequencies_hz: ArrayLike) -> np.ndarray:
         s = 2j * np.pi * np.asarray(frequencies_hz, float)
         return self.gain * self._from(s, self.zeros).prod(axis=-1) / self._from(s, self.poles).prod(axis=-1)
 
-    def open_poles(self) -> ComplexArray:
+    def open_poles(self) -> np.ndarray:
         return self.poles
 
-    def factors(self) -> tuple[ComplexArray, ComplexArray]:
+    def factors(self) -> tuple[np.ndarray, np.ndarray]:
         return self._mapped(self.zeros), self._mapped(self.poles)
 
-    def closed_poles(self) -> ComplexArray:
+    def closed_poles(self) -> np.ndarray:
         """Return the roots of the polynomial in 60-digit arithmetic."""
         with mpmath.workdps(60):
             t = self.sample_s

@@ -91,7 +91,7 @@ def structured_singular_value(matrix: ComplexArray) -> float:
 
     def size(x: Array) -> float:
         d = np.exp(np.append(0.0, x))
-        return float(np.linalg.norm(matrix * (d[:, None] / d), 2))
+        return float(np.linalg.svd(matrix * (d[:, None] / d), compute_uv=False)[0])  # norm takes twice as long
 
     best = size(scales[1:] - scales[0])
     if len(matrix) > 2:  # two are balanced where their greatest singular value is least

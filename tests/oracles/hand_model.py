@@ -6,8 +6,8 @@ import dataclasses
 
 from oracles.planar.vehicle_at import PlanarVehicle, vehicle_at
 
+from maxq import Node
 from maxq.control.kernel.records import blank
-from maxq.design.model.node import Node
 from maxq.sim.flight.parameters import Memory
 from maxq.sim.packing.flight import Packed
 

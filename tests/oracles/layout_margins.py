@@ -25,7 +25,8 @@ from oracles.hand_model import planar_of
 from oracles.pitch_plane import Linear, gyro
 from oracles.sampled_pitch_loop import Margins, Quadratic
 
-from maxq.design.model.node import Node, nodes_along
+from maxq import Node
+from maxq.design.model.node import nodes_along
 from maxq.sim.scenario.loader import load_scenario
 
 SUMMED = ("vacuum_thrust_N", "exit_area_m2", "gimballed_mass_kg", "inertia_about_gimbal_kgm2", "flow_share")

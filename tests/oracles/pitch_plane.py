@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.tables import Cubics, fit
+from maxq.control.kernel.tables import fit
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def read_rows(path: Path) -> list[list[float]]:
         return [[float(v) for v in row] for row in list(csv.reader(file))[1:]]
 
 
-def table(path: Path) -> Cubics:
+def table(path: Path):
     rows = np.array(read_rows(path))
     return fit(rows[:, 0], rows[:, 1:])
 

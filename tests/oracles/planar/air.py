@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from oracles.planar.incidence import reference_station_m, table_slopes
@@ -12,10 +12,6 @@ from oracles.planar.incidence import reference_station_m, table_slopes
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.sim.vehicle import aero, schedule
-
-if TYPE_CHECKING:
-    from maxq.design.model.held import Trim
-    from maxq.design.model.instruments import Plane
 
 
 @dataclass(frozen=True)
@@ -58,7 +54,7 @@ class Aerodynamics:
 
 
 def aerodynamics_at(
-    pool: Array, vehicle: Any, props: Array, clock_s: float, mach: float, plane: Plane, trim: Trim
+    pool: Array, vehicle: Any, props: Array, clock_s: float, mach: float, plane: str, trim: tuple[float, float]
 ) -> Aerodynamics:
     a, tables = vehicle.aero, int(vehicle.sizes.tables)
     surfaces = int(vehicle.sizes.surfaces) - tables
@@ -122,7 +118,7 @@ def aerodynamics_at(
 
 
 def _beyond(
-    a: Any, row: Array, by_mach: Array, flow: tuple[float, float, float], plane: Plane, across: bool = False
+    a: Any, row: Array, by_mach: Array, flow: tuple[float, float, float], plane: str, across: bool = False
 ) -> Array:
     """Slopes and slopes times stations, (2, surfaces and one), of what incidence adds to those along the axis.
 

@@ -8,7 +8,6 @@ from oracles.planar.vehicle_at import PlanarVehicle
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import OUTPUTS, FlightCondition, state_names
-from maxq.design.model.instruments import ACCELERATION
 from maxq.design.model.state_space import StateSpace
 from maxq.design.paper.errata import Errata
 
@@ -111,7 +110,7 @@ class Coupled:
             bobs, phi = plane.vehicle.pendulums, plane.vehicle.modes.phi_hinge
             turned = turning - self._beside(plane) @ pulled / plane.inertia
             for k, (name, _) in enumerate(plane.vehicle.sensors):
-                if name == ACCELERATION:
+                if name == "accel_mps2":
                     sensed[len(OUTPUTS) + k] += plane.vehicle.modes.sensors[k][0] @ drive + pushed
                     sensed[len(OUTPUTS) + k] -= (plane.cg - plane.sensor_station_m[k]) * turned
             seen.append(sensed)

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from maxq.design.model.instruments import Plane
 
 
 @dataclass(frozen=True)
@@ -32,7 +28,7 @@ class GimballedEngine:
     from_cg_m: float = 0.0  # and from the core's CG
     axis: tuple[float, float, float] = (1.0, 0.0, 0.0)  # of thrust at rest, B
     unloaded: tuple[float, float, float] | None = None  # the same without axial load, where that bends its mount
-    plane: Plane = "pitch"
+    plane: str = "pitch"
     across: float = 0.0  # 1 where it is gimballed in the other plane as well
     flow_share: float = 1.0  # of the mass flow
     exit_square_m2: float = 0.0  # mean square of the nozzle exits' distance across from the CG

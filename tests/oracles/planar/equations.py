@@ -10,8 +10,8 @@ from oracles.planar.sections import bending_moments
 from oracles.planar.vehicle_at import PlanarVehicle
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.held import OUTPUTS, WIND, FlightCondition, moment_name, state_names
-from maxq.design.model.instruments import ACCELERATION, DERIVATIVES, of_drive
+from maxq.design.model.held import OUTPUTS, FlightCondition, moment_name, state_names
+from maxq.design.model.instruments import DERIVATIVES, of_drive
 from maxq.design.model.state_space import StateSpace
 from maxq.design.paper.errata import Errata
 
@@ -55,7 +55,7 @@ class Equations:
         # of each engine on a load its angle in this plane and, canted, the other one, which moves it in this plane too
         self.loaded = [swing for engine in vehicle.engines for swing in swings_of(engine)]
         self.names = state_names(self.modes, self.tanks, len(self.loaded))
-        self.inputs = inputs_of(vehicle) + ((WIND,) if wind else ())
+        self.inputs = inputs_of(vehicle) + (("wind_mps",) if wind else ())
         n, m, states = self.modes, self.tanks, len(self.names)
         # behind states and inputs the unknown accelerations of engines on a TVC load
         rows = np.eye(states + len(self.inputs) + len(self.loaded))
@@ -68,7 +68,7 @@ class Equations:
         swinging = rows[states - 2 * len(self.loaded) : states]
         self.swing, self.swing_rate = swinging[: len(self.loaded)], swinging[len(self.loaded) :]
         self.swing_accel = rows[states + len(self.inputs) :]
-        self.through_air = self.w - self.driven[WIND] if wind else self.w
+        self.through_air = self.w - self.driven["wind_mps"] if wind else self.w
         body = vehicle.body
         self.mass, self.inertia, self.cg = (
             (body.core_mass_kg, body.core_inertia_kgm2, body.core_cg_station_m)
@@ -291,7 +291,7 @@ class Equations:
         out = [self.q, self.q + dot(modes.slope_gyro_pm, rates), self.w, self.theta]
         sensors = zip(self.vehicle.sensors, self.sensor_station_m, modes.sensors, strict=True)
         for (name, _), station_m, (phi, slope) in sensors:
-            if name == ACCELERATION:
+            if name == "accel_mps2":
                 tilted = self.specific_force * dot(slope, self.eta)
                 out.append(lateral - (self.cg - station_m) * turning + dot(phi, bending) + tilted)
             else:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.kernel.grids import Grid, grid_in
+from maxq.control.kernel.grids import grid_in
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.sim.vehicle import aero, incidence, schedule
@@ -175,7 +175,7 @@ def _sloped(table: _Table, direction: Array) -> tuple[list[Gradient], list[Gradi
 class _Table:
     mach_moves = 1.0  # 0: the Mach number stands still under the flow
 
-    def __init__(self, grid: Grid, a: Any, j: int, mach: float) -> None:
+    def __init__(self, grid, a: Any, j: int, mach: float) -> None:
         self.grid, self.mach, self.aero = grid, mach, a
         self.kinds = [int(kind) for kind in a.tables.axis[j]]
         self.roles = [int(role) for role in a.tables.role[j, : grid.nodes.shape[4]]]

@@ -60,12 +60,13 @@ from oracles.planar.equations import Equations, inputs_of, outputs_of, swings_of
 from oracles.planar.vehicle_at import Pendulums, PlanarVehicle, with_pendulums
 
 from maxq.control.kernel.records import Array
-from maxq.design.model.held import WIND, FlightCondition, state_names
+from maxq.design.model.held import FlightCondition, state_names
 from maxq.design.model.state_space import StateSpace
-from maxq.design.paper.errata import CORRECTED, Errata
+from maxq.design.paper.errata import Errata
 
 XI = 1.84118378134066
 _SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero
+CORRECTED = Errata()
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def alone(whole: StateSpace, vehicle: PlanarVehicle, wind: bool = False) -> Stat
     """The plane itself of a plant of both: body, liquid and gimbal of the other are held."""
     if vehicle.across is None:
         return whole
-    inputs, outputs = inputs_of(vehicle) + ((WIND,) if wind else ()), outputs_of(vehicle)
+    inputs, outputs = inputs_of(vehicle) + (("wind_mps",) if wind else ()), outputs_of(vehicle)
     swinging = sum(len(swings_of(engine)) for engine in vehicle.engines)
     n = len(state_names(len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg), swinging))
     m, rows = len(inputs), len(outputs)

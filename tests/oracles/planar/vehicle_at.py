@@ -17,8 +17,8 @@ from oracles.planar.sections import Cuts, cuts_of
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
-from maxq.design.model.held import FlightCondition, Trim, table_clock_s
-from maxq.design.model.instruments import Plane, drives_of, sensed
+from maxq.design.model.held import FlightCondition, table_clock_s
+from maxq.design.model.instruments import drives_of, sensed
 from maxq.design.model.vehicle_at import StabilityDerivatives
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle import schedule
@@ -171,7 +171,12 @@ class PlanarVehicle:
 
 
 def vehicle_at(
-    packed: Packed, time_s: float, mach: float, plane: Plane = "pitch", stage: int = 0, trim: Trim = (0.0, 0.0)
+    packed: Packed,
+    time_s: float,
+    mach: float,
+    plane: str = "pitch",
+    stage: int = 0,
+    trim: tuple[float, float] = (0.0, 0.0),
 ) -> PlanarVehicle:
     """Read a burning stage at `time_s` of its own clock and a Mach number.
 
@@ -180,11 +185,13 @@ def vehicle_at(
     one = _in_plane(packed, time_s, mach, plane, stage, trim)
     if one.modes.spatial == 0:
         return one
-    other: Plane = "yaw" if plane == "pitch" else "pitch"
+    other: str = "yaw" if plane == "pitch" else "pitch"
     return dataclasses.replace(one, across=_in_plane(packed, time_s, mach, other, stage, trim))
 
 
-def _in_plane(packed: Packed, time_s: float, mach: float, plane: Plane, stage: int, trim: Trim) -> PlanarVehicle:
+def _in_plane(
+    packed: Packed, time_s: float, mach: float, plane: str, stage: int, trim: tuple[float, float]
+) -> PlanarVehicle:
     row = packed.parameters[stage]
     vehicle, sizes = row.vehicle, row.vehicle.sizes
     table = table_in(packed.pool, vehicle.schedule)
@@ -233,7 +240,7 @@ def _pendulums(vehicle: Any, sizes: Any, props: Array) -> Pendulums:
     )
 
 
-def _modes(vehicle: Any, sizes: Any, props: Array, plane: Plane) -> Modes:
+def _modes(vehicle: Any, sizes: Any, props: Array, plane: str) -> Modes:
     pitch = plane == "pitch"
     n = int(sizes.pitch_modes if pitch else sizes.yaw_modes)
     tanks, surfaces = int(sizes.pendulums), int(sizes.surfaces)
@@ -269,7 +276,7 @@ def _modes(vehicle: Any, sizes: Any, props: Array, plane: Plane) -> Modes:
     return of_plane if int(sizes.spatial_modes) == 0 else _with_spatial(vehicle, sizes, props, plane, of_plane)
 
 
-def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: Plane, of_plane: Modes) -> Modes:
+def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: str, of_plane: Modes) -> Modes:
     n, k = int(sizes.spatial_modes), len(of_plane.omega_radps)
     across, about, sign = (2, 4, 1.0) if plane == "pitch" else (1, 5, -1.0)
 
@@ -320,7 +327,7 @@ def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: Plane, of_plane
     )  # fmt: skip  # four more lines otherwise
 
 
-def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane) -> tuple[GimballedEngine, ...]:
+def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: str) -> tuple[GimballedEngine, ...]:
     """Each of the simulator's engines. Angles of the other plane, and what allocation sends there, are left out."""
     vehicle, e, sizes = row.vehicle, row.vehicle.engine, row.vehicle.sizes
     pitch, n = plane == "pitch", int(sizes.engines)
@@ -363,7 +370,7 @@ def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: Plane
     return tuple(out)
 
 
-def _gains(packed: Packed, row: Any, time_s: float, plane: Plane) -> list[float]:
+def _gains(packed: Packed, row: Any, time_s: float, plane: str) -> list[float]:
     """Angle of each group per command of the law in this plane."""
     a, axis = row.computer.allocation, 0 if plane == "pitch" else 1
     if a.groups == 1:
