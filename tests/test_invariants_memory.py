@@ -11,7 +11,6 @@ from types import ModuleType
 import pytest
 
 from maxq.control.kernel.limits import MAX_ENGINES
-from maxq.sim.flight import step
 from maxq.sim.vehicle import environment, schedule, slosh, tvc_load, workspace
 
 
@@ -33,14 +32,12 @@ def blocks(module: ModuleType, first: str, last: str) -> list[tuple[str, int, in
     ("module", "first", "last", "end"),
     [
         (workspace, "FORCE", "WORK_SIZE", None),
-        (workspace, "ALTITUDE", "AUX_SIZE", None),
         (slosh, "ARM", "ALONG_X", workspace.PENDULUM_WIDTH),
         (tvc_load, "FORCE", "INERTIA", workspace.LOAD_WIDTH),
         (environment, "_PLACE", "_REACH_UP", workspace.ANCHOR + workspace.ANCHOR_WIDTH),
         (schedule, "TANK_MASS", "TANK_WAVE", schedule.TANK_WIDTH),
         (schedule, "MODE_OMEGA", "MODE_FIRST", None),
         (schedule, "INVERSE_CORE_MASS", "RATE_DAMPING", schedule.N_DERIVED),
-        (step, "_Y_END", "ARENA_SIZE", None),
     ],
 )
 def test_no_block_begins_before_the_last_one_ends(module: ModuleType, first: str, last: str, end: int | None) -> None:

@@ -15,8 +15,11 @@ the air in B, m/s (3).
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Annotated
 
 from maxq.control.kernel.jit import bare_pointer, entry, kernel, routine
+from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array, IntArray, Records
 from maxq.control.kernel.tables import find_interval
 from maxq.control.kernel.vectors import (
@@ -40,8 +43,10 @@ from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
 from maxq.sim.vehicle.derivative import derive_properties
-from maxq.sim.vehicle.loads import MOMENT_Y, MOMENT_Z, SECTION_WIDTH, evaluate_sections
-from maxq.sim.vehicle.workspace import ENGINE_PITCH, ENGINE_YAW, GYRO_BEND, Evaluation
+from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS, MOMENT_Y, MOMENT_Z, SECTION_WIDTH, evaluate_sections
+from maxq.sim.vehicle.outputs import Aux, Evaluation
+from maxq.sim.vehicle.state import MAX_STATE
+from maxq.sim.vehicle.workspace import WORK_SIZE
 
 PLACE, VELOCITY, TURN, RATE, FLAT = 0, 3, 6, 9, 12  # of the coordinates
 FLEXIBLE = FLAT + states.N_FIXED - states.ACTUATOR
@@ -234,8 +239,9 @@ def motion(
     state_of(sizes, spin, quaternion_at(reference, 0), x, at.y)
     evaluate(p, pool, memory, now_ns, 0.0, at, work)
     rates_of(sizes, spin, vector_at(reference, 4), x, at.y, at.dy, out)
-    out[n], out[n + 1] = at.aux[ENGINE_PITCH], at.aux[ENGINE_YAW]
-    out[n + 2], out[n + 3] = at.y[W_BI_B + 1] + at.aux[GYRO_BEND], at.y[W_BI_B + 2] + at.aux[GYRO_BEND + 1]
+    channel, bending = at.aux.engines.channel, at.aux.gyro_bending_radps
+    out[n], out[n + 1] = channel[0].angle_rad, channel[1].angle_rad
+    out[n + 2], out[n + 3] = at.y[W_BI_B + 1] + bending[0], at.y[W_BI_B + 2] + bending[1]
     stations = p.loads.stations
     if stations > 0:
         clock_s = schedule_clock(p, memory.clock, now_ns, 0.0)
@@ -246,18 +252,29 @@ def motion(
             out[n + OUTPUTS + stations + k] = memory.sections.section[first + MOMENT_Z]
 
 
+@dataclass
+class Space:
+    """The memory of evaluations."""
+
+    rate: Annotated[Array, (MAX_STATE,)]
+    work: Annotated[Array, (WORK_SIZE,)]
+    aux: Aux
+    columns: Annotated[Array, (MAX_LOAD_COLUMNS,)]
+    coordinates: Annotated[Array, (MAX_STATE + 2 * MAX_ENGINES + 3,)]  # and inputs
+
+
 @entry
 def differentiate(
     P: Records, pool: Array, state: Records, y: Array, now_ns: int, read: int, which: IntArray, steps: Array,
-    wanted: IntArray, levels: int, properties: Array, space: Array, tableau: Array, rate: Array, slopes: Array,
+    wanted: IntArray, levels: int, properties: Array, space: Records, tableau: Array, rate: Array, slopes: Array,
 ) -> None:  # fmt: skip  # fifteen lines otherwise
     """Rates and outputs at states `y` (vehicles, MAX_STATE) into `rate` (vehicles, rows), and the derivatives of those
     that are `wanted` into `slopes` (vehicles, wanted, columns).
 
     Vehicle k has row `memory.clock.stage` + k of `P` and row k of `y` and `properties`. `which`: coordinates and inputs
     of the columns, with their first `steps`. `read`: 1 reads the `properties` of the vehicle at the instant, 0 takes
-    them as they are given, and derives what follows from them. `space`: (5, most of what an evaluation needs);
-    `tableau`: (3 LEVELS + 4, rows). Derivatives are central differences, extrapolated to step zero over all powers of
+    them as they are given, and derives what follows from them. `space`: (1,) of Space; `tableau`:
+    (3 LEVELS + 4, rows). Derivatives are central differences, extrapolated to step zero over all powers of
     the step (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau by its
     error estimate.
     """
@@ -273,7 +290,7 @@ def differentiate(
         else:
             derive_properties(p.vehicle, pool, clock_s, mine)
         differentiate_vehicle(
-            p, pool, memory, now_ns, bare_pointer(y[vehicle]), which, steps, wanted, levels, mine, space, tableau,
+            p, pool, memory, now_ns, bare_pointer(y[vehicle]), which, steps, wanted, levels, mine, space[0], tableau,
             rate[vehicle], slopes[vehicle],
         )  # fmt: skip  # twelve lines otherwise
 
@@ -281,11 +298,11 @@ def differentiate(
 @routine
 def differentiate_vehicle(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, y: Array, which: IntArray, steps: Array, wanted: IntArray,
-    levels: int, properties: Array, space: Array, tableau: Array, rate: Array, slopes: Array,
+    levels: int, properties: Array, space: Space, tableau: Array, rate: Array, slopes: Array,
 ) -> None:  # fmt: skip  # fourteen lines otherwise
     """`differentiate` for one vehicle."""
-    dy, work, aux = bare_pointer(space[0]), bare_pointer(space[1]), bare_pointer(space[2])
-    columns, x = bare_pointer(space[3]), bare_pointer(space[4])
+    dy, work = bare_pointer(space.rate), bare_pointer(space.work)
+    columns, x = bare_pointer(space.columns), bare_pointer(space.coordinates)
     sizes = counts(p.vehicle.sizes)
     rows, n, inputs = len(rate), coordinate_count(sizes), 2 * (1 + sizes.further_groups) + 3
     reference, command = bare_pointer(tableau[3 * LEVELS]), bare_pointer(tableau[3 * LEVELS + 1])
@@ -300,7 +317,7 @@ def differentiate_vehicle(
     coordinates_of(sizes, p.environment.earth.rate_radps, y, x)
     for k in range(inputs):
         x[n + k] = 0.0
-    at = Evaluation(properties, y, dy, aux)
+    at = Evaluation(properties, y, dy, space.aux)
     there, back = bare_pointer(tableau[3 * LEVELS + 2]), bare_pointer(tableau[3 * LEVELS + 3])
     for column in range(len(which)):
         j = which[column]

@@ -7,23 +7,24 @@ from typing import NamedTuple
 import numpy as np
 
 from maxq.control.kernel.jit import bare_pointer, entry
-from maxq.control.kernel.records import Array, Records
+from maxq.control.kernel.records import Array, Records, blank
 from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight.loop import begin
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS, SECTION_WIDTH, evaluate_sections
+from maxq.sim.vehicle.outputs import Aux, Evaluation
 from maxq.sim.vehicle.state import MAX_STATE
-from maxq.sim.vehicle.workspace import AUX_SIZE, PROPERTIES_SIZE, WORK_SIZE, Evaluation
+from maxq.sim.vehicle.workspace import PROPERTIES_SIZE, WORK_SIZE
 
 
 class Instant(NamedTuple):
-    """An evaluation of the simulator: derivative (MAX_STATE,), `aux` (AUX_SIZE,) and section loads (stations, 5):
+    """An evaluation of the simulator: derivative (MAX_STATE,), auxiliary outputs and section loads (stations, 5):
     axial force, shear along y and z (N), bending moment about y and z (N m), as sim/vehicle/loads.py signs them.
     """
 
     rate: Array
-    aux: Array
+    aux: Aux
     sections: Array
 
 
@@ -36,31 +37,30 @@ def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
     memory = packed.memory.copy()
     if memory[0].clock.started == 0:
         begin(packed.parameters, packed.pool, memory, packed.state.copy())
-    sizes = (PROPERTIES_SIZE, MAX_STATE, WORK_SIZE, AUX_SIZE, MAX_LOAD_COLUMNS)
-    properties, dy, work, aux, columns = (np.zeros(n) for n in sizes)
-    now_ns, into = round(1e9 * time_s), (properties, dy, work, aux, columns)
-    evaluate_into(packed.parameters, packed.pool, memory, y, now_ns, 0.0, *into)
+    properties, dy, work, columns = (np.zeros(n) for n in (PROPERTIES_SIZE, MAX_STATE, WORK_SIZE, MAX_LOAD_COLUMNS))
+    now_ns, aux = round(1e9 * time_s), blank(Aux)
+    evaluate_into(packed.parameters, packed.pool, memory, y, now_ns, 0.0, properties, dy, work, aux, columns)
     stations = int(packed.parameters[int(memory[0].clock.stage)].loads.stations)
-    return Instant(dy, aux, memory[0].sections.section.reshape(-1, SECTION_WIDTH)[:stations].copy())
+    return Instant(dy, aux[0], memory[0].sections.section.reshape(-1, SECTION_WIDTH)[:stations].copy())
 
 
 @entry
 def evaluate_into(
     P: Records, pool: Array, state: Records, y: Array, now_ns: int, elapsed_s: float, properties: Array, dy: Array,
-    work: Array, aux: Array, columns: Array,
+    work: Array, aux: Records, columns: Array,
 ) -> None:  # fmt: skip  # twelve lines otherwise
     """Derivative of `y` and its by-products `elapsed_s` into a step that starts at the instant `now_ns`, with section
-    loads where there are stations; `P` of Parameters, `state` of Memory.
+    loads where there are stations; `P` of Parameters, `state` of Memory, `aux` (1,) of Aux.
     """
     memory = state[0]
     p = P[memory.clock.stage]
     pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(properties)
-    dy, work, aux = bare_pointer(dy), bare_pointer(work), bare_pointer(aux)
+    dy, work = bare_pointer(dy), bare_pointer(work)
     # a step lies in one interval of the schedule; breakpoints are met to the nanosecond
     within_s = schedule_clock(p, memory.clock, now_ns, 1e-9)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, within_s)
     read_schedule(p, pool, memory, now_ns, elapsed_s, properties)
-    at = Evaluation(properties, y, dy, aux)
+    at = Evaluation(properties, y, dy, aux[0])
     evaluate(p, pool, memory, now_ns, elapsed_s, at, work)
     if p.loads.stations > 0:
         columns = bare_pointer(columns)

@@ -22,6 +22,7 @@ from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.bending import add_to_modes, modal_sum, of_plane
 from maxq.sim.vehicle.block import Counts
+from maxq.sim.vehicle.environment import AirData
 from maxq.sim.vehicle.incidence import ALWAYS, POWER_ON, IncidenceTables, rate_loads, static_loads, table_coefficients
 from maxq.sim.vehicle.spatial_modes import apply_spatial_load, outer_spatial_load, spatial_motion
 
@@ -57,9 +58,9 @@ class Aero:
 
 
 @kernel
-def air_acts(aero: Aero, aux: Array) -> bool:
+def air_acts(aero: Aero, air: AirData) -> bool:
     """Whether there are aerodynamic forces: where the air is, above the floor of the airspeed."""
-    acts: bool = aero.on == 1 and aux[ws.DENSITY] > 0.0 and aux[ws.AIRSPEED] >= aero.airspeed_floor_mps
+    acts: bool = aero.on == 1 and air.density_kgpm3 > 0.0 and air.airspeed_mps >= aero.airspeed_floor_mps
     return acts
 
 

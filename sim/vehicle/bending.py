@@ -22,7 +22,7 @@ from maxq.control.kernel.vectors import Vector
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle.block import Counts, StateBlock
 from maxq.sim.vehicle.spatial_modes import Load, SpatialModes
-from maxq.sim.vehicle.workspace import ACCEL, ETA, FORCE, GIMBAL_BEND, NU, RATE
+from maxq.sim.vehicle.workspace import ACCEL, ETA, FORCE, NU, RATE
 
 _EXCESS = "a bending mode exceeds 10 m"
 ETA_STATES = StateBlock({"eta_{}_m": "m"}, "pitch_modes", bound=10.0, excess=_EXCESS)
@@ -37,6 +37,16 @@ class Bending:
     zeta_yaw: Annotated[Array, (MAX_MODES,)]
     frequency_factor: Annotated[Array, (MAX_MODES,)]
     softening_factor: float  # 0 without axial softening
+
+
+@dataclass
+class GimbalBending:
+    """Motion of the first gimbal's station by bending, B."""
+
+    moved_y_m: float
+    moved_z_m: float
+    slope_y_rad: float
+    slope_z_rad: float
 
 
 def pack_bending(given: Any, softening: bool) -> Bending:
@@ -349,8 +359,8 @@ def put_modes(row: Array, column: int, y: Array, first: int, count: int, logged:
 
 
 @kernel
-def bending_row(aux: Array) -> BendingRow:
+def bending_row(gimbal: GimbalBending) -> BendingRow:
     return BendingRow(
-        bend_axis_gimbal_m=PitchYaw(aux[GIMBAL_BEND + 1], aux[GIMBAL_BEND]),
-        bend_axis_gimbal_deg=PitchYaw(DEG * aux[GIMBAL_BEND + 2], DEG * aux[GIMBAL_BEND + 3]),
+        bend_axis_gimbal_m=PitchYaw(gimbal.moved_z_m, gimbal.moved_y_m),
+        bend_axis_gimbal_deg=PitchYaw(DEG * gimbal.slope_y_rad, DEG * gimbal.slope_z_rad),
     )

@@ -48,14 +48,15 @@ from maxq.sim.vehicle.engine import (
     deflected_at,
     deflected_engine,
     engine_axis_motion,
-    group_angles,
     put_deflected,
+    set_motion,
     thrust,
 )
 from maxq.sim.vehicle.engine_modes import Rates, engine_velocity, gimbal_rates, modal_roll_response
-from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration, winds_along_body
+from maxq.sim.vehicle.environment import AirData, Environment, air_data, pad_acceleration, winds_along_body
 from maxq.sim.vehicle.faults import N_FAULT_SLOTS
 from maxq.sim.vehicle.gyro import Gyro, gyro_derivative, sensed_rate
+from maxq.sim.vehicle.outputs import Aux, Evaluation
 from maxq.sim.vehicle.sensors import Sensor, sense
 from maxq.sim.vehicle.slosh import Slosh, exchange_loads, pendulum_derivative, pendulum_loads
 from maxq.sim.vehicle.spatial_modes import (
@@ -161,7 +162,7 @@ def _derive_properties(vehicle: Vehicle, sizes: Counts, pool: Array, clock_s: fl
 
 @routine_beside
 def derivative(
-    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: ws.Evaluation,
+    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
     work: Array,
 ) -> None:  # fmt: skip  # nine lines otherwise
     """Derivative of `at.y` into `at.dy`, auxiliary outputs into `at.aux`, with the properties of this instant."""
@@ -174,7 +175,7 @@ def derivative(
 
 @rare_routine
 def _unusual_derivative(
-    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: ws.Evaluation,
+    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
     work: Array,
 ) -> None:  # fmt: skip  # nine lines otherwise
     _derivative(vehicle, counts(vehicle.sizes), environment, pool, held, inputs, at, work)
@@ -183,7 +184,7 @@ def _unusual_derivative(
 @kernel
 def _derivative(
     vehicle: Vehicle, sizes: Counts, environment: Environment, pool: Array, held: Held, inputs: StageInputs,
-    at: ws.Evaluation, work: Array,
+    at: Evaluation, work: Array,
 ) -> None:  # fmt: skip  # ten lines otherwise
     properties, y, dy, aux = at
     eta, xi, spatial, pendulums = (
@@ -197,14 +198,14 @@ def _derivative(
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
 
     gust = (inputs.gust_x_mps, inputs.gust_y_mps, inputs.gust_z_mps)
-    gravitation = air_data(environment, pool, gust, rotation, y, work, aux)
+    gravitation = air_data(environment, pool, gust, rotation, y, work, aux.air)
     modal_state(sizes, rate[0], y, eta, xi, work)
     if sizes.spatial_modes > 0:
         spatial_state(sizes, rate[0], properties, y, spatial, work)
     engine, balanced = engine_motion(vehicle, sizes, held, properties, y, work, aux)
 
     aero_force, aero_moment = aerodynamics(
-        vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux
+        vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux.air
     )  # fmt: skip  # twelve lines otherwise
     thrust_force, thrust_moment, gimbal_load = thrust_loads(vehicle, sizes, engine, properties, work, aux)
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_TOTAL_MASS]
@@ -270,8 +271,8 @@ def _derivative(
 
     if sizes.tvc_loads > 0:
         prepare_loads(
-            vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, first_rates, axial_load, at,
-            loads, held.faults, work,
+            vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, first_rates, axial_load,
+            properties, y, loads, held.faults, work, aux.tvc_loads,
         )  # fmt: skip  # eleven lines otherwise
     specific_force, alpha = accelerate(sizes, held.on_pad, balanced, force, moment, pad, properties, y, pendulums, work)
 
@@ -298,41 +299,41 @@ def _derivative(
     for tank in range(sizes.pendulums):
         first = pendulums + states.N_PENDULUM * tank
         pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, first, dy, work)
-        aux[ws.TENSIONS + tank] = work[ws.TENSION + tank]
+        aux.tension_N[tank] = work[ws.TENSION + tank]
     if sizes.tvc_loads > 0:
-        load_derivative(vehicle.tvc_load, vehicle.engine, sizes, y, loads, dy, work, aux)
+        load_derivative(vehicle.tvc_load, vehicle.engine, sizes, y, loads, dy, work, aux.engines, aux.tvc_loads)
     if sizes.sensors > 0:
         first = states.sensor_index(sizes, 0)
         sense(vehicle.sensors, sizes, rate, specific_force, alpha, properties, held.faults, y, first, dy, work)
-    aux[ws.AXIAL_LOAD] = axial_load
-    set_vector(aux, ws.AERO_FORCE, aero_force)
-    set_vector(aux, ws.AERO_MOMENT, aero_moment)
-    set_vector(aux, ws.SPECIFIC_FORCE, specific_force)
-    set_vector(aux, ws.ANGULAR_ACCEL, alpha)
-    aux[ws.GYRO_BEND], aux[ws.GYRO_BEND + 1] = bend_y, bend_z
+    aux.axial_load_mps2 = axial_load
+    set_vector(aux.aero_force_B_N, 0, aero_force)
+    set_vector(aux.aero_moment_B_Nm, 0, aero_moment)
+    set_vector(aux.specific_force_B_mps2, 0, specific_force)
+    set_vector(aux.alpha_BI_B_radps2, 0, alpha)
+    aux.gyro_bending_radps[0], aux.gyro_bending_radps[1] = bend_y, bend_z
 
 
 @kernel
 def engine_motion(
-    vehicle: Vehicle, sizes: Counts, held: Held, properties: Array, y: Array, work: Array, aux: Array
+    vehicle: Vehicle, sizes: Counts, held: Held, properties: Array, y: Array, work: Array, aux: Aux
 ) -> tuple[Deflected, rigid.Balance]:
     """The first engine, deflected by its actuators, further ones into `work`; CG and inertia with all of them.
 
     Angles, rates and accelerations of each group go into `aux`.
     """
     i, command, before, faults = states.ACTUATOR, held.command_rad, held.engine_rad, held.faults
-    set_vector(aux, ws.ENGINE_PITCH, actuator_motion(vehicle.actuator_pitch, faults, 0, y, i, command, before))
+    channel = aux.engines.channel
+    set_motion(channel[0], actuator_motion(vehicle.actuator_pitch, faults, 0, y, i, command, before))
     i += states.N_ACTUATOR
-    set_vector(aux, ws.ENGINE_YAW, actuator_motion(vehicle.actuator_yaw, faults, 1, y, i, command, before))
+    set_motion(channel[1], actuator_motion(vehicle.actuator_yaw, faults, 1, y, i, command, before))
     for k in range(2 * sizes.further_groups):
         i = states.actuator_index(sizes, 1) + states.N_ACTUATOR * k
-        set_vector(
-            aux, group_angles(1) + 3 * k,
-            actuator_motion(vehicle.further_actuators[k], faults, 2 + k, y, i, command, before),
-        )  # fmt: skip  # three lines otherwise
+        motion = actuator_motion(vehicle.further_actuators[k], faults, 2 + k, y, i, command, before)
+        set_motion(channel[2 + k], motion)
     if sizes.tvc_loads > 0:  # the actuators' position is the spring's other end; the engine has angles of its own
-        swing_engines(vehicle.tvc_load, vehicle.engine, sizes, y, states.tvc_load_index(sizes), aux)
-    axis, axis_rate, axis_accel = engine_axis_motion(vehicle.engine, 0, aux, ws.ENGINE_PITCH)
+        first_load = states.tvc_load_index(sizes)
+        swing_engines(vehicle.tvc_load, vehicle.engine, sizes, y, first_load, aux.engines, aux.tvc_loads)
+    axis, axis_rate, axis_accel = engine_axis_motion(vehicle.engine, 0, channel[0], channel[1])
     first = deflected_engine(vehicle.engine, 0, axis, axis_rate, axis_accel, properties)
     if sizes.engines > 1:
         further_motion(vehicle.engine, vehicle.sizes, properties, work, aux)
@@ -343,26 +344,26 @@ def engine_motion(
 
 
 @routine
-def further_motion(e: Engine, of: Sizes, properties: Array, work: Array, aux: Array) -> None:
+def further_motion(e: Engine, of: Sizes, properties: Array, work: Array, aux: Aux) -> None:
     """The engines beyond the first, deflected, into `work`."""
     for k in range(1, of.engines):
-        at = group_angles(e.group[k])
+        pitch, yaw = aux.engines.channel[2 * e.group[k]], aux.engines.channel[2 * e.group[k] + 1]
         if of.tvc_loads > 0 and e.swings[k] >= 0:
-            at = ws.SWING + 6 * e.swings[k]
-        axis, axis_rate, axis_accel = engine_axis_motion(e, k, aux, at)
+            pitch, yaw = aux.tvc_loads.swing[2 * e.swings[k]], aux.tvc_loads.swing[2 * e.swings[k] + 1]
+        axis, axis_rate, axis_accel = engine_axis_motion(e, k, pitch, yaw)
         put_deflected(work, k, deflected_engine(e, k, axis, axis_rate, axis_accel, properties))
 
 
 @kernel
 def aerodynamics(
     vehicle: Vehicle, sizes: Counts, environment: Environment, pool: Array, held: Held,
-    rotation: Matrix, rate: Vector, properties: Array, y: Array, work: Array, aux: Array,
+    rotation: Matrix, rate: Vector, properties: Array, y: Array, work: Array, air: AirData,
 ) -> tuple[Vector, Vector]:  # fmt: skip  # nine more lines otherwise
     """Force and moment about the core CG in B; adds to the generalised forces of the modes in `work`."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    if air_acts(vehicle.aero, aux):
-        flow = vector_at(aux, ws.FLOW)
-        coefficients(vehicle.aero, pool, aux[ws.MACH], work)
+    if air_acts(vehicle.aero, air):
+        flow = vector_at(air.flow_B_mps, 0)
+        coefficients(vehicle.aero, pool, air.mach, work)
         if vehicle.aero.earth_rates == 1:
             spin = environment.earth.rate_radps
             rate = (rate[0] - rotation[6] * spin, rate[1] - rotation[7] * spin, rate[2] - rotation[8] * spin)
@@ -370,14 +371,14 @@ def aerodynamics(
         if environment.penetration == 1:
             winds_along_body(
                 environment, pool, vehicle.aero.station_m, sizes.surfaces, vehicle.aero.crossflow_station_m, cg[0],
-                rotation, y, work, aux,
+                rotation, y, work, air,
             )  # fmt: skip  # eleven lines otherwise
-        force, moment = body_loads(vehicle.aero, aux[ws.DENSITY], flow, rate, held.burning, cg, work)
-        surface_force, surface_moment = surface_loads(vehicle.aero, sizes, aux[ws.DENSITY], flow, properties, work)
+        force, moment = body_loads(vehicle.aero, air.density_kgpm3, flow, rate, held.burning, cg, work)
+        surface_force, surface_moment = surface_loads(vehicle.aero, sizes, air.density_kgpm3, flow, properties, work)
         force, moment = add(force, surface_force), add(moment, surface_moment)
         if sizes.tables > 0:
             table_force, table_moment = table_loads(
-                vehicle.aero, sizes, pool, aux[ws.DENSITY], aux[ws.MACH], flow, rate, held.burning, properties, work
+                vehicle.aero, sizes, pool, air.density_kgpm3, air.mach, flow, rate, held.burning, properties, work
             )  # fmt: skip  # twelve lines otherwise
             force, moment = add(force, table_force), add(moment, table_moment)
     return force, moment
@@ -385,18 +386,19 @@ def aerodynamics(
 
 @kernel
 def thrust_loads(
-    vehicle: Vehicle, sizes: Counts, engine: Deflected, properties: Array, work: Array, aux: Array
+    vehicle: Vehicle, sizes: Counts, engine: Deflected, properties: Array, work: Array, aux: Aux
 ) -> tuple[Vector, Vector, Load]:
     """Thrust along the deflected engines on the bent body: force, moment about the core CG, load on the modes.
 
     The load is that at the first station of gimbals; loads at others have gone to the modes. The moment on what spatial
     modes displace is left to `outer_spatial_load`.
     """
-    strength = thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux[ws.PRESSURE])
-    aux[ws.ENGINE_THRUSTS], aux[ws.THRUST] = strength, vehicle.engine.rest_x[0] * strength
+    strength = thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux.air.pressure_Pa)
+    aux.engines.thrust_N[0], aux.engines.axial_thrust_N = strength, vehicle.engine.rest_x[0] * strength
     bend = gimbal_bend(sizes, properties, 0, work)
-    aux[ws.GIMBAL_BEND], aux[ws.GIMBAL_BEND + 1] = bend.moved_y, bend.moved_z
-    aux[ws.GIMBAL_BEND + 2], aux[ws.GIMBAL_BEND + 3] = bend.slope_y, bend.slope_z
+    gimbal = aux.gimbal_bending
+    gimbal.moved_y_m, gimbal.moved_z_m = bend.moved_y, bend.moved_z
+    gimbal.slope_y_rad, gimbal.slope_z_rad = bend.slope_y, bend.slope_z
     force, moment, load = thrust_load(vehicle.engine, 0, engine, strength, vehicle.follower_thrust, bend)
     if sizes.engines > 1:
         further_force, further_moment, load = further_thrusts(
@@ -449,15 +451,15 @@ def thrust_load(
 
 @routine
 def further_thrusts(
-    e: Engine, of: Sizes, follower: int, load: Load, first_bend: Bend, properties: Array, work: Array, aux: Array
+    e: Engine, of: Sizes, follower: int, load: Load, first_bend: Bend, properties: Array, work: Array, aux: Aux
 ) -> tuple[Vector, Vector, Load]:
     """Force and moment of the engines beyond the first, and `load` with theirs at the first station of gimbals."""
     sizes = counts(of)
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(1, sizes.engines):
-        strength = thrust(e, k, properties[sch.thrust_column(sizes, e.curve[k])], aux[ws.PRESSURE])
-        aux[ws.ENGINE_THRUSTS + k] = strength
-        aux[ws.THRUST] += e.rest_x[k] * strength
+        strength = thrust(e, k, properties[sch.thrust_column(sizes, e.curve[k])], aux.air.pressure_Pa)
+        aux.engines.thrust_N[k] = strength
+        aux.engines.axial_thrust_N += e.rest_x[k] * strength
         gimbal, bend = e.gimbal[k], first_bend
         if gimbal > 0:
             bend = gimbal_bend(sizes, properties, gimbal, work)

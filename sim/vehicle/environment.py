@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
@@ -46,11 +47,28 @@ class Environment:
     reach_m: float  # how far behind the nose parts lie
 
 
+@dataclass
+class AirData:
+    """Air and gravitation at the core CG."""
+
+    altitude_m: float  # above the ellipsoid, sphere or plane
+    density_kgpm3: float
+    pressure_Pa: float
+    temperature_K: float
+    sound_speed_mps: float
+    airspeed_mps: float  # relative to the moving air
+    mach: float
+    dynamic_pressure_Pa: float
+    flow_B_mps: Annotated[Array, (3,)]  # velocity relative to the air
+    wind_N_mps: Annotated[Array, (3,)]  # the air's motion relative to the Earth: north, east, down
+    gravitation_I_mps2: Annotated[Array, (3,)]
+
+
 @kernel
 def air_data(
-    environment: Environment, pool: Array, gust: Vector, rotation: Matrix, y: Array, work: Array, aux: Array
+    environment: Environment, pool: Array, gust: Vector, rotation: Matrix, y: Array, work: Array, out: AirData
 ) -> Vector:  # fmt: skip  # nine lines otherwise
-    """Air data into `aux`; returns the gravitation in I, m/s2. `gust`: of the turbulence, in its frame, m/s."""
+    """Air data into `out`; returns the gravitation in I, m/s2. `gust`: of the turbulence, in its frame, m/s."""
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     gravity = gravitation(environment.earth, x, yy, z)
     if environment.earth.gravity == ALONG_BODY:
@@ -66,19 +84,19 @@ def air_data(
         gust = rotate_back(rotation, ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, gust[0], gust[1], gust[2]))
     flow = add(rotate_back(rotation, relative), scaled(-1.0, gust))
     airspeed = math.sqrt(flow[0] * flow[0] + flow[1] * flow[1] + flow[2] * flow[2])
-    aux[ws.ALTITUDE], aux[ws.DENSITY], aux[ws.PRESSURE] = altitude, density, pressure
-    aux[ws.TEMPERATURE], aux[ws.SOUND_SPEED], aux[ws.AIRSPEED] = temperature, sound_speed, airspeed
-    aux[ws.MACH], aux[ws.DYNAMIC_PRESSURE] = airspeed / sound_speed, 0.5 * density * airspeed * airspeed
-    set_vector(aux, ws.FLOW, flow)
-    set_vector(aux, ws.WIND_N, wind)
-    set_vector(aux, ws.GRAVITATION, gravity)
+    out.altitude_m, out.density_kgpm3, out.pressure_Pa = altitude, density, pressure
+    out.temperature_K, out.sound_speed_mps, out.airspeed_mps = temperature, sound_speed, airspeed
+    out.mach, out.dynamic_pressure_Pa = airspeed / sound_speed, 0.5 * density * airspeed * airspeed
+    set_vector(out.flow_B_mps, 0, flow)
+    set_vector(out.wind_N_mps, 0, wind)
+    set_vector(out.gravitation_I_mps2, 0, gravity)
     return gravity
 
 
 @kernel
 def winds_along_body(
     environment: Environment, pool: Array, stations_m: Array, parts: int, crossflow_m: float, cg_m: float,
-    rotation: Matrix, y: Array, work: Array, aux: Array,
+    rotation: Matrix, y: Array, work: Array, air_at_cg: AirData,
 ) -> None:  # fmt: skip  # ten lines otherwise
     """Air's velocity at each part less that at the core CG, in B, into the workspace.
 
@@ -87,7 +105,7 @@ def winds_along_body(
     frame, _ = frame_and_air(environment.earth, environment.atmosphere, pool, y[R_I], y[R_I + 1], y[R_I + 2], work)
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = frame
     upward = cos_lat * (cos_lon * rotation[0] + sin_lon * rotation[3]) + sin_lat * rotation[6]  # of the x axis
-    here = vector_at(aux, ws.WIND_N)
+    here = vector_at(air_at_cg.wind_N_mps, 0)
     for k in range(parts + 1):
         station, at = (crossflow_m, ws.CROSSFLOW_PART) if k == parts else (stations_m[k], k)
         there = wind_ned(environment.wind, pool, altitude + (cg_m - station) * upward)

@@ -27,6 +27,7 @@ from maxq.sim.vehicle.aero import air_acts
 from maxq.sim.vehicle.bending import of_plane
 from maxq.sim.vehicle.block import W_BI_B, Counts, counts
 from maxq.sim.vehicle.derivative import StageInputs, Vehicle
+from maxq.sim.vehicle.outputs import Aux, Evaluation
 from maxq.sim.vehicle.rigid import coriolis_of_outflow
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, PITCH, TANK_HINGE, YAW, tank_column
 from maxq.sim.vehicle.slosh import DAMPER_FORCE, DAMPING, SHIFT, bob_mass, pendulum_length, tank_block
@@ -127,7 +128,7 @@ def station_width(sizes: Counts, alike: int) -> int:
 
 @routine
 def evaluate_sections(
-    loads: Loads, vehicle: Vehicle, inputs: StageInputs, pool: Array, clock_s: float, at: ws.Evaluation, work: Array,
+    loads: Loads, vehicle: Vehicle, inputs: StageInputs, pool: Array, clock_s: float, at: Evaluation, work: Array,
     columns: Array, out: SectionLoads,
 ) -> None:  # fmt: skip  # eleven lines otherwise
     """Loads at all stations into `out.section`, right after the derivative at `at`; `columns` is scratch memory."""
@@ -141,7 +142,7 @@ def evaluate_sections(
         total, shift_y, shift_z = _inertia(sizes, loads.alike, drivers, station, roll, work, columns, c)
         if sizes.spatial_modes > 0:
             more, moved_y, moved_z = _spatial_inertia(
-                sizes, loads.alike, drivers, roll, at.aux[ws.ANGULAR_ACCEL], work, columns, c
+                sizes, loads.alike, drivers, roll, at.aux.alpha_BI_B_radps2[0], work, columns, c
             )
             total, shift_y, shift_z = _add(total, more), shift_y + moved_y, shift_z + moved_z
         total = _add(total, _aerodynamic(loads, drivers, station, shift_y, shift_z, at.aux, work))
@@ -174,14 +175,14 @@ def _of_point(station: float, x: float, force: Vector, y: float, z: float) -> Se
 
 @kernel
 def _drivers(
-    loads: Loads, vehicle: Vehicle, sizes: Counts, at: ws.Evaluation, work: Array, columns: Array
+    loads: Loads, vehicle: Vehicle, sizes: Counts, at: Evaluation, work: Array, columns: Array
 ) -> Drivers:  # fmt: skip
     """The line mass carries the momentum of the core: scaled to its mass, and what of the rate of the angular momentum
     its transverse motion does not hold (sections turn as well) is a moment a kilogram, the same everywhere.
     """
     properties, y, _, aux = at
     mass, cg, rate = properties[CORE_MASS], vector_at(properties, CORE_CG), vector_at(y, W_BI_B)
-    alpha, accel = vector_at(aux, ws.ANGULAR_ACCEL), vector_at(aux, ws.SPECIFIC_FORCE)
+    alpha, accel = vector_at(aux.alpha_BI_B_radps2, 0), vector_at(aux.specific_force_B_mps2, 0)
     inertia = symmetric_at(properties, CORE_INERTIA)
     momentum_rate = add(inertia_times(inertia, alpha), cross(rate, inertia_times(inertia, rate)))
     if vehicle.jet_damping == 1:  # the propellant's Coriolis force acts where it flows: spread over the mass
@@ -197,21 +198,21 @@ def _drivers(
     force = (-accel[0], -accel[1], -accel[2])
     moment_y = -momentum_rate[1] + lever * force[2] + spin * per_m[2]
     moment_z = -momentum_rate[2] - lever * force[1] - spin * per_m[1]
-    surfaces = sizes.surfaces if air_acts(vehicle.aero, aux) else 0
+    surfaces = sizes.surfaces if air_acts(vehicle.aero, aux.air) else 0
     spread = _spread(loads, surfaces, cg, aux, work)
     return Drivers(scale, cg, force, per_m, (moment_y / mass, moment_z / mass), surfaces, spread)
 
 
 @kernel
-def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Array, work: Array) -> tuple[float, float, float, float]:
+def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Aux, work: Array) -> tuple[float, float, float, float]:
     """Lateral force a metre, linear along the body, with the force and moment that the lifting parts leave over:
     cross-flow, damping, coefficients of the whole vehicle.
     """
-    force_y, force_z = aux[ws.AERO_FORCE + 1], aux[ws.AERO_FORCE + 2]
+    force_y, force_z = aux.aero_force_B_N[1], aux.aero_force_B_N[2]
     # first moments about the body's nose; the axial force acts on the body axis, beside the CG
     arm = cg[0] - loads.nose_m
-    first_y = arm * force_y - (aux[ws.AERO_MOMENT + 2] - cg[1] * aux[ws.AERO_FORCE])
-    first_z = arm * force_z + (aux[ws.AERO_MOMENT + 1] + cg[2] * aux[ws.AERO_FORCE])
+    first_y = arm * force_y - (aux.aero_moment_B_Nm[2] - cg[1] * aux.aero_force_B_N[0])
+    first_z = arm * force_z + (aux.aero_moment_B_Nm[1] + cg[2] * aux.aero_force_B_N[0])
     for s in range(surfaces):
         c = ws.SURFACE_LOAD + ws.SURFACE_LOAD_WIDTH * s
         place = _surface_station(loads, work, c) - loads.nose_m
@@ -307,7 +308,7 @@ def _spatial_inertia(
 
 @kernel
 def _aerodynamic(
-    loads: Loads, d: Drivers, station: float, shift_y: float, shift_z: float, aux: Array, work: Array
+    loads: Loads, d: Drivers, station: float, shift_y: float, shift_z: float, aux: Aux, work: Array
 ) -> Section:
     """Lifting parts at their stations, the axial force by its shares, the rest spread over the body."""
     x = min(max(station - loads.nose_m, 0.0), loads.tail_m - loads.nose_m)
@@ -324,7 +325,7 @@ def _aerodynamic(
             total = _add(total, _of_point(station, place, (0.0, work[c], work[c + 1]), 0.0, 0.0))
     for k in range(loads.axial_points):
         if loads.axial_m[k] <= station:
-            force = (loads.axial_share[k] * aux[ws.AERO_FORCE], 0.0, 0.0)
+            force = (loads.axial_share[k] * aux.aero_force_B_N[0], 0.0, 0.0)
             total = _add(total, _of_point(station, loads.axial_m[k], force, -shift_y, -shift_z))
     return total
 
@@ -332,7 +333,7 @@ def _aerodynamic(
 @kernel
 def _of_pendulum(
     loads: Loads, vehicle: Vehicle, sizes: Counts, tank: int, station: float, shift_y: float, shift_z: float,
-    at: ws.Evaluation, work: Array,
+    at: Evaluation, work: Array,
 ) -> Section:  # fmt: skip  # eleven lines otherwise
     """The rod's pull at its hinge, along the body at the tank's bottom; the damper's force at the bob."""
     b, y = tank_block(tank), at.y

@@ -373,7 +373,9 @@ class SloshRow(NamedTuple):
 
 
 @kernel
-def slosh_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int, aux: Array) -> SloshRow:
+def slosh_row(
+    slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int, tension_N: Array
+) -> SloshRow:
     """Nan throughout for an empty tank and one that the stage does not have."""
     if tank >= sizes.pendulums or bob_mass(properties, tank) <= 0.0:
         return SloshRow(math.nan, math.nan, math.nan, math.nan, math.nan)
@@ -388,7 +390,7 @@ def slosh_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array
         slosh_tank_yaw_deg=DEG * math.atan2(u_y, u_x),
         slosh_tank_pitch_rate_degps=DEG * ((u_x * rate_z - u_z * rate_x) / (u_x * u_x + u_z * u_z)),
         slosh_tank_yaw_rate_degps=DEG * ((u_x * rate_y - u_y * rate_x) / (u_x * u_x + u_y * u_y)),
-        slosh_tank_tension_N=aux[ws.TENSIONS + tank],
+        slosh_tank_tension_N=tension_N[tank],
     )
 
 

@@ -48,7 +48,7 @@ from maxq.sim.vehicle.bending import (
     product_of_modes,
 )
 from maxq.sim.vehicle.block import Counts, Sizes, StateBlock
-from maxq.sim.vehicle.engine import Deflected, Engine, deflected_at, group_angles
+from maxq.sim.vehicle.engine import Deflected, Engine, EngineOutputs, GimbalMotion, deflected_at, set_motion
 from maxq.sim.vehicle.engine_modes import Rates, engine_velocity, gimbal_rates, load_at_gimbal, roll_moment_of_modes
 from maxq.sim.vehicle.faults import ACTUATOR_FAULT, FLOATING
 from maxq.sim.vehicle.spatial_modes import apply_spatial_load, spatial_motion
@@ -94,18 +94,33 @@ class TvcLoad:
     play_yaw_rad: Numbers
 
 
+@dataclass
+class TvcLoadOutputs:
+    """Auxiliary outputs of the TVC loads: pitch, yaw of each."""
+
+    swing: Annotated[tuple[GimbalMotion, ...], (2 * MAX_TVC_LOADS,)]  # of the engine
+    actuator_rad: Annotated[Array, (2 * MAX_TVC_LOADS,)]  # position of its actuators
+    actuator_radps: Annotated[Array, (2 * MAX_TVC_LOADS,)]
+    hinge_moment_Nm: Annotated[Array, (2 * MAX_TVC_LOADS,)]  # on the engine about its gimbal
+
+
 @routine
-def swing_engines(load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int, aux: Array) -> None:
+def swing_engines(
+    load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int, engines: EngineOutputs, out: TvcLoadOutputs
+) -> None:
     """Angles and rates of engines on a load; those of their actuators are kept. A group shows its first engine's."""
     for k in range(sizes.tvc_loads):
-        at, held = group_angles(e.group[load.engine[k]]), ws.HELD + 4 * k
-        aux[held], aux[held + 1], aux[held + 2], aux[held + 3] = aux[at], aux[at + 1], aux[at + 3], aux[at + 4]
+        channel = 2 * e.group[load.engine[k]]
+        for axis in range(2):
+            held = engines.channel[channel + axis]
+            out.actuator_rad[2 * k + axis], out.actuator_radps[2 * k + axis] = held.angle_rad, held.rate_radps
     for back in range(sizes.tvc_loads):
         k = sizes.tvc_loads - 1 - back
-        at, i = group_angles(e.group[load.engine[k]]), first + N_TVC_LOAD * k
-        for to in (ws.SWING + 6 * k, at):
-            set_vector(aux, to, (y[i], y[i + 1], 0.0))
-            set_vector(aux, to + 3, (y[i + N_AXIS], y[i + N_AXIS + 1], 0.0))
+        channel = 2 * e.group[load.engine[k]]
+        for axis in range(2):
+            i = first + N_TVC_LOAD * k + N_AXIS * axis
+            set_motion(out.swing[2 * k + axis], (y[i], y[i + 1], 0.0))
+            set_motion(engines.channel[channel + axis], (y[i], y[i + 1], 0.0))
 
 
 @kernel
@@ -150,14 +165,13 @@ def hinge_moment(
 @routine
 def prepare_loads(
     load: TvcLoad, e: Engine, first: Deflected, offset: Vector, sizes: Counts, rate: Vector, first_rates: Rates,
-    axial_load: float, at: ws.Evaluation, states: int, faults: Array, work: Array,
+    axial_load: float, properties: Array, y: Array, states: int, faults: Array, work: Array, out: TvcLoadOutputs,
 ) -> None:  # fmt: skip  # twelve lines otherwise
     """Fill the blocks of both unknowns of each load; their states lie at y[states:].
 
     `first`: the first engine; `first_rates`: those of its gimbal. `offset` leads from the core CG to the CG with the
     engines deflected.
     """
-    properties, y, aux = at.properties, at.y, at.aux
     for n in range(sizes.tvc_loads):
         k, i = load.engine[n], states + N_TVC_LOAD * n
         engine = first if k == 0 else deflected_at(work, k)
@@ -187,12 +201,12 @@ def prepare_loads(
             else:
                 along, lever, own = (-cp * sy, -cy, -sp * sy), 1.0, -cy * sy * pitch_rate * pitch_rate
                 moves, stop, play = e.follows_yaw[k], load.stop_yaw_rad[n], load.play_yaw_rad[n]
-            held, channel = ws.HELD + 4 * n + 2 * axis, 2 * e.group[k] + axis
-            floating = 1 if faults[ACTUATOR_FAULT + channel] == FLOATING else 0
-            moment_Nm = hinge_moment(load, n, y, i + N_AXIS * axis, aux[held], aux[held + 1], stop, play, floating)
+            floating = 1 if faults[ACTUATOR_FAULT + 2 * e.group[k] + axis] == FLOATING else 0
+            position, speed = out.actuator_rad[unknown], out.actuator_radps[unknown]
+            moment_Nm = hinge_moment(load, n, y, i + N_AXIS * axis, position, speed, stop, play, floating)
             if moves == 0.0:  # not gimballed in this plane: it stands
                 along, lever, own, moment_Nm = (0.0, 0.0, 0.0), 1.0, 0.0, 0.0
-            aux[ws.HINGE_MOMENT + unknown] = moment_Nm
+            out.hinge_moment_Nm[unknown] = moment_Nm
             b, turn = load_block(unknown), cross(engine.axis, along)
             force = scaled(unbalance, along)
             moment = add(scaled(unbalance, cross(cg, along)), scaled(-inertia, turn))
@@ -257,17 +271,18 @@ def add_load_to_modes(sizes: Counts, k: int, amount: float, work: Array) -> None
 
 @routine
 def load_derivative(
-    load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int, dy: Array, work: Array, aux: Array
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
-    """Derivatives of the states at y[first:] once the accelerations are known, which go into `aux` as well."""
+    load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int, dy: Array, work: Array, engines: EngineOutputs,
+    out: TvcLoadOutputs,
+) -> None:  # fmt: skip  # ten lines otherwise
+    """Derivatives of the states at y[first:] once the accelerations are known, which are outputs as well."""
     for back in range(2 * sizes.tvc_loads):
         k = 2 * sizes.tvc_loads - 1 - back
         n, i, accel = k // 2, first + N_AXIS * k, work[ws.TENSION + sizes.pendulums + k]
         dy[i], dy[i + 1], dy[i + 2] = y[i + 1], accel, 0.0
         if load.friction_Nm[n] > 0.0:
             dy[i + 2] = (y[i + 1] - abs(y[i + 1]) * y[i + 2]) / load.friction_angle_rad[n]
-        aux[ws.SWING + 3 * k + 2] = accel
-        aux[group_angles(e.group[load.engine[n]]) + 3 * (k % 2) + 2] = accel
+        out.swing[k].accel_radps2 = accel
+        engines.channel[2 * e.group[load.engine[n]] + k % 2].accel_radps2 = accel
 
 
 class TvcLoadRow(NamedTuple):
@@ -284,24 +299,24 @@ class SwingRow(NamedTuple):
 
 
 @kernel
-def swing_row(loads: int, n: int, aux: Array) -> SwingRow:
+def swing_row(loads: int, n: int, out: TvcLoadOutputs) -> SwingRow:
     """Nan for a load that the stage does not have."""
     if n >= loads:
         none = PitchYaw(math.nan, math.nan)
         return SwingRow(none, none, none)
     return SwingRow(
-        swing_load_axis_angle_deg=PitchYaw(DEG * aux[ws.SWING + 6 * n], DEG * aux[ws.SWING + 6 * n + 3]),
-        actuator_load_axis_angle_deg=PitchYaw(DEG * aux[ws.HELD + 4 * n], DEG * aux[ws.HELD + 4 * n + 2]),
-        hinge_load_axis_moment_Nm=PitchYaw(aux[ws.HINGE_MOMENT + 2 * n], aux[ws.HINGE_MOMENT + 2 * n + 1]),
+        swing_load_axis_angle_deg=PitchYaw(DEG * out.swing[2 * n].angle_rad, DEG * out.swing[2 * n + 1].angle_rad),
+        actuator_load_axis_angle_deg=PitchYaw(DEG * out.actuator_rad[2 * n], DEG * out.actuator_rad[2 * n + 1]),
+        hinge_load_axis_moment_Nm=PitchYaw(out.hinge_moment_Nm[2 * n], out.hinge_moment_Nm[2 * n + 1]),
     )
 
 
 @kernel
-def tvc_load_row(sizes: Sizes, aux: Array) -> TvcLoadRow:
+def tvc_load_row(sizes: Sizes, out: TvcLoadOutputs) -> TvcLoadRow:
     """The first; nan for a stage whose engines follow their actuators."""
     if sizes.tvc_loads == 0:
         return TvcLoadRow(PitchYaw(math.nan, math.nan), PitchYaw(math.nan, math.nan))
     return TvcLoadRow(
-        actuator_axis_angle_deg=PitchYaw(DEG * aux[ws.HELD], DEG * aux[ws.HELD + 2]),
-        hinge_axis_moment_Nm=PitchYaw(aux[ws.HINGE_MOMENT], aux[ws.HINGE_MOMENT + 1]),
+        actuator_axis_angle_deg=PitchYaw(DEG * out.actuator_rad[0], DEG * out.actuator_rad[1]),
+        hinge_axis_moment_Nm=PitchYaw(out.hinge_moment_Nm[0], out.hinge_moment_Nm[1]),
     )
