@@ -20,13 +20,10 @@ from maxq.control.kernel.records import Array, Records, blank
 from maxq.sim.flight import events as flight_events
 from maxq.sim.flight import loop as flight_loop
 from maxq.sim.packing.flight import Packed, pack_flight
-from maxq.sim.run.evaluate import evaluate_into
+from maxq.sim.run.evaluate import Space, evaluate_into
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario_text
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle import workspace
-from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS
-from maxq.sim.vehicle.outputs import Aux
 from maxq.sim.vehicle.state import MAX_STATE, state_size
 
 Tree = dict[str, Any]
@@ -250,11 +247,11 @@ def oracle_vehicle(parts: Parts, damping_1ps: tuple[float, ...] = ()) -> system.
 
 # --- kernels
 @entry
-def _meet(P, pool, state, y, aux, props, until_ns):  # type: ignore[no-untyped-def]  # Numba infers
+def _meet(P, pool, state, y, space, until_ns):  # type: ignore[no-untyped-def]  # Numba infers
     memory = state[0]
     p = P[memory.clock.stage]
-    pool, y, props = bare_pointer(pool), bare_pointer(y), bare_pointer(props)
-    flight_events.process_due_events(p, pool, memory, y, aux[0], props)
+    pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(space[0].properties)
+    flight_events.process_due_events(p, pool, memory, y, space[0].aux, properties)
     return flight_events.step_length(p, pool, memory, until_ns)
 
 
@@ -274,10 +271,7 @@ class Rig:
     loaded: LoadedScenario
     packed: Packed
     n: int
-    dy: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
-    work: Array = field(default_factory=lambda: np.zeros(workspace.WORK_SIZE))
-    outputs: Records = field(default_factory=lambda: blank(Aux))
-    props: Array = field(default_factory=lambda: np.zeros(workspace.PROPERTIES_SIZE))
+    space: Records = field(default_factory=lambda: blank(Space))
 
     @property
     def y(self) -> Array:
@@ -285,7 +279,15 @@ class Rig:
 
     @property
     def aux(self) -> Any:
-        return self.outputs[0]
+        return self.space[0].aux
+
+    @property
+    def props(self) -> Array:
+        return self.space["properties"][0]
+
+    @property
+    def dy(self) -> Array:
+        return self.space["rate"][0]
 
     @property
     def motion(self) -> Array:
@@ -320,7 +322,7 @@ class Rig:
         full[: self.n] = y
         evaluate_into(
             self.packed.parameters, self.packed.pool, self.packed.memory, full, now_ns, elapsed_s,
-            self.props, self.dy, self.work, self.outputs, np.zeros(MAX_LOAD_COLUMNS),
+            self.space,
         )  # fmt: skip  # eight more lines otherwise
         return self.dy[: self.n].copy()
 
@@ -359,15 +361,7 @@ def flown(made: Rig, duration_s: float, every_s: float | None = None) -> Array:
 def meet(made: Rig, until_ns: int) -> int:
     """Everything that is due now (samples, commands, ignition); nanoseconds to the next such instant."""
     return int(
-        _meet(
-            made.packed.parameters,
-            made.packed.pool,
-            made.packed.memory,
-            made.packed.state,
-            made.outputs,
-            made.props,
-            until_ns,
-        )
+        _meet(made.packed.parameters, made.packed.pool, made.packed.memory, made.packed.state, made.space, until_ns)
     )
 
 

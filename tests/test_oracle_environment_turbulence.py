@@ -17,8 +17,7 @@ from maxq.control.kernel.tables import Pool
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.sim.vehicle import environment as surroundings
-from maxq.sim.vehicle.environment import AirData
-from maxq.sim.vehicle.workspace import WORK_SIZE
+from maxq.sim.vehicle.environment import AirData, Anchor
 from maxq.sim.world.turbulence import (
     HORIZONTAL,
     VON_KARMAN,
@@ -353,7 +352,7 @@ def test_the_gust_enters_the_flow_in_its_frame(frame, turned):
     flows = []
     for given in ((0.0, 0.0, 0.0), gust):
         air = blank(AirData)[0]
-        air_data(environment, packed.pool, given, rotation, y, np.zeros(WORK_SIZE), air)
+        air_data(environment, packed.pool, given, rotation, y, blank(Anchor)[0], air)
         flows.append(air.flow_B_mps.copy())
     expected = np.array(gust)
     if turned:

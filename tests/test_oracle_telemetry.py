@@ -19,7 +19,7 @@ from maxq.sim.flight.metrics import METRIC, _gather_incidence
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import FlightRun, fly
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.vehicle.outputs import Aux
+from maxq.sim.vehicle.workspace import Aux
 
 START = [
     "run.duration_s=0.04", "log.fast_hz=1000", "log.slow_hz=1000", "run.stop_at=[]",

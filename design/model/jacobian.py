@@ -15,11 +15,8 @@ the air in B, m/s (3).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated
 
 from maxq.control.kernel.jit import bare_pointer, entry, kernel, routine
-from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array, IntArray, Records
 from maxq.control.kernel.tables import find_interval
 from maxq.control.kernel.vectors import (
@@ -40,13 +37,12 @@ from maxq.control.kernel.vectors import (
 )
 from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
+from maxq.sim.run.evaluate import Space
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
 from maxq.sim.vehicle.derivative import derive_properties
-from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS, MOMENT_Y, MOMENT_Z, SECTION_WIDTH, evaluate_sections
-from maxq.sim.vehicle.outputs import Aux, Evaluation
-from maxq.sim.vehicle.state import MAX_STATE
-from maxq.sim.vehicle.workspace import WORK_SIZE
+from maxq.sim.vehicle.loads import MOMENT_Y, MOMENT_Z, SECTION_WIDTH, evaluate_sections
+from maxq.sim.vehicle.workspace import Evaluation, Work
 
 PLACE, VELOCITY, TURN, RATE, FLAT = 0, 3, 6, 9, 12  # of the coordinates
 FLEXIBLE = FLAT + states.N_FIXED - states.ACTUATOR
@@ -223,7 +219,7 @@ def _bob(pitch: float, pitch_rate: float, yaw: float, yaw_rate: float) -> tuple[
 @routine
 def motion(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, reference: Array, command: Array, x: Array,
-    at: Evaluation, work: Array, columns: Array, out: Array,
+    at: Evaluation, work: Work, columns: Array, out: Array,
 ) -> None:  # fmt: skip  # twelve lines otherwise
     """Rates of the coordinates at `x`, then the outputs. `reference`: attitude, angular velocity; `command`: the point
     of the inputs, to which those behind the coordinates add."""
@@ -252,31 +248,21 @@ def motion(
             out[n + OUTPUTS + stations + k] = memory.sections.section[first + MOMENT_Z]
 
 
-@dataclass
-class Space:
-    """The memory of evaluations."""
-
-    rate: Annotated[Array, (MAX_STATE,)]
-    work: Annotated[Array, (WORK_SIZE,)]
-    aux: Aux
-    columns: Annotated[Array, (MAX_LOAD_COLUMNS,)]
-    coordinates: Annotated[Array, (MAX_STATE + 2 * MAX_ENGINES + 3,)]  # and inputs
-
-
 @entry
 def differentiate(
     P: Records, pool: Array, state: Records, y: Array, now_ns: int, read: int, which: IntArray, steps: Array,
-    wanted: IntArray, levels: int, properties: Array, space: Records, tableau: Array, rate: Array, slopes: Array,
-) -> None:  # fmt: skip  # fifteen lines otherwise
+    wanted: IntArray, levels: int, properties: Array, space: Records, x: Array, tableau: Array, rate: Array,
+    slopes: Array,
+) -> None:  # fmt: skip  # sixteen lines otherwise
     """Rates and outputs at states `y` (vehicles, MAX_STATE) into `rate` (vehicles, rows), and the derivatives of those
     that are `wanted` into `slopes` (vehicles, wanted, columns).
 
     Vehicle k has row `memory.clock.stage` + k of `P` and row k of `y` and `properties`. `which`: coordinates and inputs
     of the columns, with their first `steps`. `read`: 1 reads the `properties` of the vehicle at the instant, 0 takes
-    them as they are given, and derives what follows from them. `space`: (1,) of Space; `tableau`:
-    (3 LEVELS + 4, rows). Derivatives are central differences, extrapolated to step zero over all powers of
-    the step (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau by its
-    error estimate.
+    them as they are given, and derives what follows from them. `space`: (1,) of Space; `x`: memory of coordinates and
+    inputs; `tableau`: (3 LEVELS + 4, rows). Derivatives are central differences, extrapolated to step zero over all
+    powers of the step (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau
+    by its error estimate.
     """
     memory, pool = state[0], bare_pointer(pool)
     for vehicle in range(len(y)):
@@ -290,7 +276,7 @@ def differentiate(
         else:
             derive_properties(p.vehicle, pool, clock_s, mine)
         differentiate_vehicle(
-            p, pool, memory, now_ns, bare_pointer(y[vehicle]), which, steps, wanted, levels, mine, space[0], tableau,
+            p, pool, memory, now_ns, bare_pointer(y[vehicle]), which, steps, wanted, levels, mine, space[0], x, tableau,
             rate[vehicle], slopes[vehicle],
         )  # fmt: skip  # twelve lines otherwise
 
@@ -298,11 +284,10 @@ def differentiate(
 @routine
 def differentiate_vehicle(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, y: Array, which: IntArray, steps: Array, wanted: IntArray,
-    levels: int, properties: Array, space: Space, tableau: Array, rate: Array, slopes: Array,
+    levels: int, properties: Array, space: Space, x: Array, tableau: Array, rate: Array, slopes: Array,
 ) -> None:  # fmt: skip  # fourteen lines otherwise
     """`differentiate` for one vehicle."""
-    dy, work = bare_pointer(space.rate), bare_pointer(space.work)
-    columns, x = bare_pointer(space.columns), bare_pointer(space.coordinates)
+    dy, work, columns, x = bare_pointer(space.rate), space.work, bare_pointer(space.columns), bare_pointer(x)
     sizes = counts(p.vehicle.sizes)
     rows, n, inputs = len(rate), coordinate_count(sizes), 2 * (1 + sizes.further_groups) + 3
     reference, command = bare_pointer(tableau[3 * LEVELS]), bare_pointer(tableau[3 * LEVELS + 1])

@@ -40,7 +40,7 @@ from maxq.design.model import jacobian
 from maxq.design.model.state_space import StateSpace
 from maxq.sim.flight.loop import begin
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.evaluate import evaluate_at
+from maxq.sim.run.evaluate import Space, evaluate_at
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle.block import Sizes
 from maxq.sim.vehicle.workspace import PROPERTIES_SIZE
@@ -105,14 +105,12 @@ def differentiate(
         np.atleast_2d(np.zeros(PROPERTIES_SIZE) if properties is None else properties),
     )
     wanted = np.arange(rows) if wanted is None else wanted
-    space, rate, slopes = (
-        blank(jacobian.Space),
-        np.zeros((len(states), rows)),
-        np.zeros((len(states), len(wanted), len(which))),
-    )
+    rate, slopes = np.zeros((len(states), rows)), np.zeros((len(states), len(wanted), len(which)))
+    space, x = blank(Space), np.zeros(rows + len(inputs_of(sizes)) + 3)
     jacobian.differentiate(
         parameters, pool, memory.copy(), states, now_ns, int(properties is None), np.asarray(which, np.int64), steps,
-        np.asarray(wanted, np.int64), levels, given, space, np.zeros((3 * jacobian.LEVELS + 4, rows)), rate, slopes,
+        np.asarray(wanted, np.int64), levels, given, space, x, np.zeros((3 * jacobian.LEVELS + 4, rows)), rate,
+        slopes,
     )  # fmt: skip  # fourteen lines otherwise
     return (rate[0], slopes[0]) if np.ndim(y) == 1 else (rate, slopes)
 

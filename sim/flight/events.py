@@ -34,9 +34,9 @@ from maxq.sim.vehicle.engine import total_thrust
 from maxq.sim.vehicle.environment import Environment, climb_rate, flight_direction, velocity_over_ground
 from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_LOST, GYRO_WALK
 from maxq.sim.vehicle.gyro import GYRO_STREAM
-from maxq.sim.vehicle.outputs import Aux
 from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
 from maxq.sim.vehicle.sensors import SENSOR_STREAM, sensor_slots
+from maxq.sim.vehicle.workspace import Aux
 from maxq.sim.world.atmosphere import air
 from maxq.sim.world.earth import local_frame
 from maxq.sim.world.gust_history import history_tick

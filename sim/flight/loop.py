@@ -16,10 +16,9 @@ from maxq.sim.flight.telemetry import Logged, fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, counts
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
 from maxq.sim.vehicle.loads import evaluate_sections, gather_sections
-from maxq.sim.vehicle.outputs import Evaluation
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_MASS, TOTAL_MASS, properties_size
 from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
-from maxq.sim.vehicle.workspace import ANCHOR
+from maxq.sim.vehicle.workspace import Evaluation
 from maxq.sim.world.gust_history import history_start
 from maxq.sim.world.turbulence import turbulence_start
 
@@ -100,7 +99,7 @@ def advance(
         middle=Evaluation(middle, y_stage, rate, aux),
         end=Evaluation(bare_pointer(room.end_properties), y_stage, rate, aux),
         y_end=bare_pointer(room.y_end),
-        work=bare_pointer(room.work),
+        work=room.work,
         columns=bare_pointer(room.columns),
         moved=bare_pointer(room.moved),
         kept=bare_pointer(room.kept),
@@ -179,7 +178,7 @@ def fly_step(
 @kernel
 def evaluate_exactly(p: Parameters, pool: Array, memory: Memory, space: step.Workspace) -> None:
     """Derivative at the start of a step. Its position becomes the anchor from which the later stages are near."""
-    space.work[ANCHOR] = ANCHOR_DUE
+    space.work.anchor.state = ANCHOR_DUE
     step.evaluate(p, pool, memory, memory.clock.now_ns, 0.0, space.start, space.work)
     for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
         memory.held.engine_rad[channel] = space.start.aux.engines.channel[channel].angle_rad

@@ -15,10 +15,10 @@ from maxq.control.kernel.vectors import vector_at
 from maxq.sim.flight.metric_table import N_METRICS, MetricIndex
 from maxq.sim.flight.parameters import Extremes, Memory, Parameters
 from maxq.sim.vehicle.derivative import Vehicle
-from maxq.sim.vehicle.outputs import Aux, Evaluation
 from maxq.sim.vehicle.schedule import TOTAL_MASS
 from maxq.sim.vehicle.slosh import bob_mass, wave_share
 from maxq.sim.vehicle.state import R_I, V_I, Sizes, counts, pendulum_index
+from maxq.sim.vehicle.workspace import Aux, Evaluation
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 SIGNIFICANT_PRESSURE_PA = 1000.0  # incidence below this dynamic pressure is of no consequence

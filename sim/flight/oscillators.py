@@ -19,8 +19,8 @@ from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle.actuator import Actuator, linear_sections
 from maxq.sim.vehicle.block import Counts, counts
 from maxq.sim.vehicle.derivative import Vehicle
-from maxq.sim.vehicle.outputs import Evaluation
 from maxq.sim.vehicle.state import ACTUATOR, GYRO, N_ACTUATOR, actuator_index, eta_index, spatial_index, xi_index
+from maxq.sim.vehicle.workspace import Evaluation
 
 D = 0  # matrices of a block, row by row, one behind the other
 FORCED_HALF = 1  # h/2 phi_1(Z/2): motion by half a step under a constant force

@@ -32,13 +32,13 @@ from maxq.sim.flight.oscillators import (
 from maxq.sim.flight.parameters import ERRORS_SQUARED, Clock, Memory, Parameters
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import state as states
-from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, Counts, counts
 from maxq.sim.vehicle.derivative import derivative, derive_properties
 from maxq.sim.vehicle.engine import EngineOutputs
+from maxq.sim.vehicle.environment import CROSSFLOW_PART
 from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS
-from maxq.sim.vehicle.outputs import Aux, Evaluation
 from maxq.sim.vehicle.slosh import bob_mass
+from maxq.sim.vehicle.workspace import PROPERTIES_SIZE, Aux, Evaluation, Work
 from maxq.sim.world.gust_history import gust_behind
 from maxq.sim.world.turbulence import turbulence_at
 
@@ -50,7 +50,7 @@ class Workspace(NamedTuple):
     middle: Evaluation  # at its later stages; `middle` and `end` have properties of their own, and share the rest
     end: Evaluation
     y_end: Array  # state at the end of the step
-    work: Array  # scratch memory of the derivative
+    work: Work  # scratch memory of the derivative
     columns: Array  # of the section loads
     moved: Array  # of each block of oscillators: what its stages need of each other
     kept: Array  # the blocks' matrices, see oscillators.py
@@ -69,10 +69,10 @@ class Arena:
     y_stage: Annotated[Array, (states.MAX_STATE,)]
     start_rate: Annotated[Array, (states.MAX_STATE,)]
     stage_rate: Annotated[Array, (states.MAX_STATE,)]
-    start_properties: Annotated[Array, (ws.PROPERTIES_SIZE,)]
-    middle_properties: Annotated[Array, (ws.PROPERTIES_SIZE,)]
-    end_properties: Annotated[Array, (ws.PROPERTIES_SIZE,)]
-    work: Annotated[Array, (ws.WORK_SIZE,)]
+    start_properties: Annotated[Array, (PROPERTIES_SIZE,)]
+    middle_properties: Annotated[Array, (PROPERTIES_SIZE,)]
+    end_properties: Annotated[Array, (PROPERTIES_SIZE,)]
+    work: Work
     start_aux: Aux
     stage_aux: Aux
     columns: Annotated[Array, (MAX_LOAD_COLUMNS,)]
@@ -119,7 +119,7 @@ def stop_flow(sizes: Counts, properties: Array) -> None:
 
 @routine
 def evaluate(
-    p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, at: Evaluation, work: Array
+    p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, at: Evaluation, work: Work
 ) -> None:  # fmt: skip  # nine lines otherwise
     """Derivative `elapsed_s` into the step that starts at `now_ns`."""
     inputs = memory.inputs
@@ -135,22 +135,22 @@ def evaluate(
         since_s = 1e-9 * (now_ns - memory.clock.next_gust_ns + tick) + elapsed_s
         gust = turbulence_at(memory.gusts, 1e9 * since_s / tick)
         if p.environment.penetration == 1:
-            gust = gusts_along_body(p, memory, 1e9 * since_s / tick, at.properties[sch.CORE_CG], work)
+            gust = gusts_along_body(p, memory, 1e9 * since_s / tick, at.properties[sch.CORE_CG], work.aero.wind_B_mps)
         inputs.gust_x_mps, inputs.gust_y_mps, inputs.gust_z_mps = gust
     derivative(p.vehicle, p.environment, pool, memory.held, inputs, at, work)
 
 
 @kernel
-def gusts_along_body(p: Parameters, memory: Memory, fraction: float, cg_m: float, work: Array) -> Vector:
-    """Turbulence at the core CG; at each part, less that, into the workspace. The nose meets it first."""
+def gusts_along_body(p: Parameters, memory: Memory, fraction: float, cg_m: float, wind_B_mps: Array) -> Vector:
+    """Turbulence at the core CG; at each part, less that, into `wind_B_mps`. The nose meets it first."""
     here = gust_behind(memory.history, memory.gusts, fraction, max(cg_m, 0.0))
     parts = counts(p.vehicle.sizes).surfaces
     for k in range(parts + 1):
         station, at = (
-            (p.vehicle.aero.crossflow_station_m, ws.CROSSFLOW_PART) if k == parts else (p.vehicle.aero.station_m[k], k)
+            (p.vehicle.aero.crossflow_station_m, CROSSFLOW_PART) if k == parts else (p.vehicle.aero.station_m[k], k)
         )
         there = gust_behind(memory.history, memory.gusts, fraction, max(station, 0.0))
-        set_vector(work, ws.PART_WIND + 3 * at, add(there, scaled(-1.0, here)))
+        set_vector(wind_B_mps, 3 * at, add(there, scaled(-1.0, here)))
     return here
 
 

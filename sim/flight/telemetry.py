@@ -27,7 +27,6 @@ from maxq.sim.vehicle.engine import EngineRow, GroupRow, engine_row, group_row
 from maxq.sim.vehicle.environment import AirData
 from maxq.sim.vehicle.gyro import GyroRow, gyro_row
 from maxq.sim.vehicle.loads import SectionRow, section_row
-from maxq.sim.vehicle.outputs import Aux, Evaluation
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
 from maxq.sim.vehicle.sensors import ACCELEROMETER, AccelerometerRow, RateGyroRow, accelerometer_row, rate_gyro_row
 from maxq.sim.vehicle.slosh import SloshRow, WaveRow, slosh_row, wave_row
@@ -45,6 +44,7 @@ from maxq.sim.vehicle.state import (
     xi_index,
 )
 from maxq.sim.vehicle.tvc_load import SwingRow, TvcLoadRow, swing_row, tvc_load_row
+from maxq.sim.vehicle.workspace import Aux, Evaluation
 from maxq.sim.world.earth import FLAT, earth_rotation, geodetic, inertial_to_earth, ned_axes
 
 FAST, SLOW = "fast", "slow"

@@ -22,7 +22,6 @@ from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.vectors import Vector, cross, scaled, set_vector, sine_cosine, vector_at
 from maxq.sim.vehicle.block import Counts
 from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM, thrust_column
-from maxq.sim.vehicle.workspace import ENGINE, ENGINE_WIDTH
 
 _PER_ENGINE = (MAX_ENGINES,)
 Numbers = Annotated[Array, _PER_ENGINE]
@@ -138,6 +137,22 @@ class Deflected(NamedTuple):
     relative_accel: Vector
 
 
+@dataclass
+class KeptEngine:
+    """A Deflected as a record."""
+
+    axis: Annotated[Array, (3,)]
+    gimbal_m: Annotated[Array, (3,)]
+    delta_m: Annotated[Array, (3,)]
+    delta_rate_mps: Annotated[Array, (3,)]
+    delta_accel_mps2: Annotated[Array, (3,)]
+    relative_rate_radps: Annotated[Array, (3,)]
+    relative_accel_radps2: Annotated[Array, (3,)]
+
+
+KeptEngines = tuple[KeptEngine, ...]
+
+
 @kernel
 def deflected_engine(
     e: Engine, k: int, axis: Vector, axis_rate: Vector, axis_accel: Vector, properties: Array
@@ -165,24 +180,23 @@ def gimbal_point(e: Engine, k: int, properties: Array) -> Vector:
 
 
 @kernel
-def put_deflected(work: Array, k: int, engine: Deflected) -> None:
-    """Keep an engine beyond the first in the workspace."""
-    at = ENGINE + ENGINE_WIDTH * (k - 1)
-    set_vector(work, at, engine.axis)
-    set_vector(work, at + 3, engine.gimbal)
-    set_vector(work, at + 6, engine.delta)
-    set_vector(work, at + 9, engine.delta_rate)
-    set_vector(work, at + 12, engine.delta_accel)
-    set_vector(work, at + 15, engine.relative_rate)
-    set_vector(work, at + 18, engine.relative_accel)
+def put_deflected(kept: KeptEngine, engine: Deflected) -> None:
+    """Keep an engine beyond the first for the other parts of the derivative."""
+    set_vector(kept.axis, 0, engine.axis)
+    set_vector(kept.gimbal_m, 0, engine.gimbal)
+    set_vector(kept.delta_m, 0, engine.delta)
+    set_vector(kept.delta_rate_mps, 0, engine.delta_rate)
+    set_vector(kept.delta_accel_mps2, 0, engine.delta_accel)
+    set_vector(kept.relative_rate_radps, 0, engine.relative_rate)
+    set_vector(kept.relative_accel_radps2, 0, engine.relative_accel)
 
 
 @kernel
-def deflected_at(work: Array, k: int) -> Deflected:
-    at = ENGINE + ENGINE_WIDTH * (k - 1)
+def deflected_at(kept: KeptEngine) -> Deflected:
     return Deflected(
-        vector_at(work, at), vector_at(work, at + 3), vector_at(work, at + 6), vector_at(work, at + 9),
-        vector_at(work, at + 12), vector_at(work, at + 15), vector_at(work, at + 18),
+        vector_at(kept.axis, 0), vector_at(kept.gimbal_m, 0), vector_at(kept.delta_m, 0),
+        vector_at(kept.delta_rate_mps, 0), vector_at(kept.delta_accel_mps2, 0),
+        vector_at(kept.relative_rate_radps, 0), vector_at(kept.relative_accel_radps2, 0),
     )  # fmt: skip  # nine lines otherwise
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Annotated
 
 import numpy as np
 from scipy.integrate import DOP853
@@ -20,19 +19,10 @@ from maxq.control.kernel.records import Array, Records, blank
 from maxq.sim.flight.events import process_due_events, step_length
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.flight.step import evaluate, read_schedule
+from maxq.sim.run.evaluate import Space
 from maxq.sim.run.fly import FlightRun
-from maxq.sim.vehicle.outputs import Aux, Evaluation
 from maxq.sim.vehicle.state import MAX_STATE, R_I, V_I, state_size
-from maxq.sim.vehicle.workspace import PROPERTIES_SIZE, WORK_SIZE
-
-
-@dataclass
-class Scratch:
-    """The memory of an evaluation."""
-
-    properties: Annotated[Array, (PROPERTIES_SIZE,)]
-    work: Annotated[Array, (WORK_SIZE,)]
-    aux: Aux
+from maxq.sim.vehicle.workspace import Evaluation
 
 
 @entry
@@ -40,7 +30,7 @@ def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: A
     """Derivative `elapsed_s` after the flight's present instant."""
     p, memory = P[0], state[0]
     pool, y, dy = bare_pointer(pool), bare_pointer(y), bare_pointer(dy)
-    props, work, aux = bare_pointer(scratch[0].properties), bare_pointer(scratch[0].work), scratch[0].aux
+    props, work, aux = bare_pointer(scratch[0].properties), scratch[0].work, scratch[0].aux
     now = memory.clock.now_ns
     read_schedule(p, pool, memory, now, elapsed_s, props)
     evaluate(p, pool, memory, now, elapsed_s, Evaluation(props, y, dy, aux), work)
@@ -62,7 +52,7 @@ class AdaptiveFlight:
     run: FlightRun
     relative: float  # tolerance
     evaluations: int = 0
-    _scratch: Records = field(default_factory=lambda: blank(Scratch))
+    _scratch: Records = field(default_factory=lambda: blank(Space))
     _full: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
     _dy: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
 
