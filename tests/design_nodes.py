@@ -20,7 +20,6 @@ from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle import schedule
-from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, MACH, PRESSURE
 
 TIMES_S = tuple(float(t) for t in range(5, 60, 5))  # the paper's
 
@@ -112,9 +111,15 @@ def frozen(time_s: float, *overrides: str, plane: str = "pitch") -> tuple[Loaded
         f"initial.ned_mps={velocity!r}", *overrides,
     ])  # fmt: skip  # fourteen more lines otherwise
     packed = pack_flight(loaded.scenario)
-    air = evaluate_at(packed, packed.state, time_s).aux
+    air = evaluate_at(packed, packed.state, time_s).aux.air
     condition = FlightCondition(
-        time_s, float(air[AIRSPEED]), float(air[DENSITY]), float(air[PRESSURE]), float(air[MACH]), path, 9.80665
+        time_s,
+        float(air.airspeed_mps),
+        float(air.density_kgpm3),
+        float(air.pressure_Pa),
+        float(air.mach),
+        path,
+        9.80665,
     )
     held = hold_stage(packed, table_clock_s(packed.parameters[0], time_s))
     return loaded, Node(time_s, held, condition, instruments_of(packed.parameters[0], plane), plane)

@@ -17,15 +17,13 @@ from oracles import multibody_system as system
 
 from maxq import FlightRun, LoadedScenario
 from maxq.control.kernel.jit import bare_pointer, entry
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, Records, blank
 from maxq.sim.flight import events as flight_events
 from maxq.sim.flight import loop as flight_loop
 from maxq.sim.packing.flight import Packed, pack_flight
-from maxq.sim.run.evaluate import evaluate_into
+from maxq.sim.run.evaluate import Space, evaluate_into
 from maxq.sim.scenario.loader import load_scenario_text
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle import workspace
-from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS
 from maxq.sim.vehicle.state import MAX_STATE, state_size
 
 Tree = dict[str, Any]
@@ -249,12 +247,17 @@ def oracle_vehicle(parts: Parts, damping_1ps: tuple[float, ...] = ()) -> system.
 
 # --- kernels
 @entry
-def _meet(P, pool, state, y, aux, props, until_ns):  # type: ignore[no-untyped-def]  # Numba infers
+def _meet(P, pool, state, y, space, until_ns):  # type: ignore[no-untyped-def]  # Numba infers
     memory = state[0]
     p = P[memory.clock.stage]
-    pool, y, aux, props = bare_pointer(pool), bare_pointer(y), bare_pointer(aux), bare_pointer(props)
-    flight_events.process_due_events(p, pool, memory, y, aux, props)
+    pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(space[0].properties)
+    flight_events.process_due_events(p, pool, memory, y, space[0].aux, properties)
     return flight_events.step_length(p, pool, memory, until_ns)
+
+
+def gimbal_motions(channels: Any) -> Array:
+    """Angle, rate and acceleration (n, 3) of some gimbal gimbal_motions."""
+    return np.array(channels.tolist())
 
 
 @dataclass
@@ -268,14 +271,28 @@ class Rig:
     loaded: LoadedScenario
     packed: Packed
     n: int
-    dy: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
-    work: Array = field(default_factory=lambda: np.zeros(workspace.WORK_SIZE))
-    aux: Array = field(default_factory=lambda: np.zeros(workspace.AUX_SIZE))
-    props: Array = field(default_factory=lambda: np.zeros(workspace.PROPERTIES_SIZE))
+    space: Records = field(default_factory=lambda: blank(Space))
 
     @property
     def y(self) -> Array:
         return self.packed.state[: self.n]
+
+    @property
+    def aux(self) -> Any:
+        return self.space[0].aux
+
+    @property
+    def props(self) -> Array:
+        return self.space["properties"][0]
+
+    @property
+    def dy(self) -> Array:
+        return self.space["rate"][0]
+
+    @property
+    def motion(self) -> Array:
+        """Angle, rate and acceleration (2, 3) of the first group of engines in pitch and yaw."""
+        return gimbal_motions(self.aux.engines.channel[:2])
 
     @property
     def vehicle(self) -> Any:
@@ -305,7 +322,7 @@ class Rig:
         full[: self.n] = y
         evaluate_into(
             self.packed.parameters, self.packed.pool, self.packed.memory, full, now_ns, elapsed_s,
-            self.props, self.dy, self.work, self.aux, np.zeros(MAX_LOAD_COLUMNS),
+            self.space,
         )  # fmt: skip  # eight more lines otherwise
         return self.dy[: self.n].copy()
 
@@ -344,15 +361,7 @@ def flown(made: Rig, duration_s: float, every_s: float | None = None) -> Array:
 def meet(made: Rig, until_ns: int) -> int:
     """Everything that is due now (samples, commands, ignition); nanoseconds to the next such instant."""
     return int(
-        _meet(
-            made.packed.parameters,
-            made.packed.pool,
-            made.packed.memory,
-            made.packed.state,
-            made.aux,
-            made.props,
-            until_ns,
-        )
+        _meet(made.packed.parameters, made.packed.pool, made.packed.memory, made.packed.state, made.space, until_ns)
     )
 
 
@@ -360,14 +369,14 @@ def meet(made: Rig, until_ns: int) -> int:
 def engine_states(made: Rig, angle: Array, rate: Array, accel: Array) -> Array:
     """Smallest actuator states (12,) that give engine angles, rates and accelerations (pitch, yaw; rad)."""
     out = np.zeros(12)
-    for axis, first in enumerate((workspace.ENGINE_PITCH, workspace.ENGINE_YAW)):
+    for axis in range(2):
         columns = []
         for k in range(layout.N_ACTUATOR):
             y = made.y.copy()
             y[layout.ACTUATOR : layout.ACTUATOR + 12] = 0.0
             y[layout.ACTUATOR + 6 * axis + k] = 1.0
             made.derivative(y)
-            columns.append(made.aux[first : first + 3].copy())
+            columns.append(made.motion[axis])
         matrix = np.array(columns).T
         scale = np.array([1.0, 1e-2, 1e-4])  # rates of tens and accelerations of thousands per radian
         wanted = scale * np.array([angle[axis], rate[axis], accel[axis]])
@@ -400,8 +409,7 @@ def to_simulator(made: Rig, state: system.State) -> Array:
 def to_oracle(made: Rig, y: Array) -> system.State:
     """The inverse of `to_simulator`; engine angles come from the actuators' states."""
     made.derivative(y)
-    pitch, yaw = workspace.ENGINE_PITCH, workspace.ENGINE_YAW
-    engine = np.array([made.aux[pitch : pitch + 3], made.aux[yaw : yaw + 3]])
+    engine = made.motion
     w = y[layout.W_BI_B : layout.W_BI_B + 3].copy()
     n, tanks = int(made.sizes.pitch_modes), int(made.sizes.pendulums)
     i, j = int(layout.eta_index(made.sizes)), int(layout.xi_index(made.sizes))

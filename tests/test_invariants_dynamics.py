@@ -30,7 +30,6 @@ from oracles.multibody_system import State, quaternion_from_rotation, rotation_f
 
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle import workspace
 
 MODES = (
     Mode(3.0, 600.0, (1.2, 0.3, -0.4, -0.5, 0.6, 1.1), (-0.35, -0.3, -0.15, 0.2, 0.3, 0.3)),
@@ -252,7 +251,7 @@ def test_slosh_damping_takes_energy_and_leaves_momentum() -> None:
             y[i + 3 : i + 6] = 2.0 * np.cross(rng.normal(size=3), y[i : i + 3])
         change = damped.derivative(y) - plain.derivative(y)
         state = to_oracle(damped, y)
-        axial = damped.aux[workspace.AXIAL_LOAD]
+        axial = damped.aux.axial_load_mps2
         wanted = 0.0
         for k, tank in enumerate(parts.tanks):
             c = 2 * 0.1 * np.sqrt(abs(axial) / tank.length_m)

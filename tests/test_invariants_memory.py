@@ -10,9 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from maxq.control.kernel.limits import MAX_ENGINES
-from maxq.sim.flight import step
-from maxq.sim.vehicle import environment, schedule, slosh, tvc_load, workspace
+from maxq.sim.vehicle import schedule
 
 
 def blocks(module: ModuleType, first: str, last: str) -> list[tuple[str, int, int]]:
@@ -32,15 +30,9 @@ def blocks(module: ModuleType, first: str, last: str) -> list[tuple[str, int, in
 @pytest.mark.parametrize(
     ("module", "first", "last", "end"),
     [
-        (workspace, "FORCE", "WORK_SIZE", None),
-        (workspace, "ALTITUDE", "AUX_SIZE", None),
-        (slosh, "ARM", "ALONG_X", workspace.PENDULUM_WIDTH),
-        (tvc_load, "FORCE", "INERTIA", workspace.LOAD_WIDTH),
-        (environment, "_PLACE", "_REACH_UP", workspace.ANCHOR + workspace.ANCHOR_WIDTH),
         (schedule, "TANK_MASS", "TANK_WAVE", schedule.TANK_WIDTH),
         (schedule, "MODE_OMEGA", "MODE_FIRST", None),
         (schedule, "INVERSE_CORE_MASS", "RATE_DAMPING", schedule.N_DERIVED),
-        (step, "_Y_END", "ARENA_SIZE", None),
     ],
 )
 def test_no_block_begins_before_the_last_one_ends(module: ModuleType, first: str, last: str, end: int | None) -> None:
@@ -49,7 +41,3 @@ def test_no_block_begins_before_the_last_one_ends(module: ModuleType, first: str
     for (_, at, width), (name, following, _) in pairwise(found):
         assert at + width <= following, name
     assert end is None or sum(found[-1][1:]) <= end
-
-
-def test_the_workspace_has_room_for_every_engine() -> None:
-    assert workspace.WORK_SIZE - workspace.ENGINE >= (MAX_ENGINES - 1) * workspace.ENGINE_WIDTH

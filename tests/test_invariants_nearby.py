@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from maxq.control.kernel.jit import from_python
-from maxq.control.kernel.records import pack
+from maxq.control.kernel.records import blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.sim.vehicle import environment
-from maxq.sim.vehicle.environment import ANCHOR_DUE, ANCHOR_SET, NO_ANCHOR, NEAR_m
-from maxq.sim.vehicle.workspace import ANCHOR, WORK_SIZE
+from maxq.sim.vehicle.environment import ANCHOR_DUE, ANCHOR_SET, NO_ANCHOR, Anchor, NEAR_m
 from maxq.sim.world.atmosphere import Atmosphere, air
 from maxq.sim.world.earth import earth_position, flat, local_frame, sphere, wgs84
 from maxq.sim.world.thermosphere import upper_air
@@ -28,10 +27,10 @@ EDGES_m = [6356766.0 * h / (6356766.0 - h) for h in (11e3, 20e3, 32e3, 47e3, 51e
 
 
 def anchored(earth, atmosphere, place):
-    work = np.zeros(WORK_SIZE)
-    work[ANCHOR] = ANCHOR_DUE
-    frame_and_air(earth, atmosphere, POOL, *place, work)
-    return work
+    anchor = blank(Anchor)[0]
+    anchor.state = ANCHOR_DUE
+    frame_and_air(earth, atmosphere, POOL, *place, anchor)
+    return anchor
 
 
 def exact(earth, atmosphere, place):
@@ -50,9 +49,9 @@ def test_a_neighbour_is_where_the_exact_formulas_have_it(earth, distance_m):
         place = np.array(earth_position(earth, latitude, longitude, rng.uniform(0.0, 84e3)))
         direction = rng.normal(size=3)
         there = place + distance_m * direction / np.linalg.norm(direction)
-        work = anchored(earth, AIR, place)
-        assert work[ANCHOR] == ANCHOR_SET
-        frame, gas = frame_and_air(earth, AIR, POOL, *there, work)
+        anchor = anchored(earth, AIR, place)
+        assert anchor.state == ANCHOR_SET
+        frame, gas = frame_and_air(earth, AIR, POOL, *there, anchor)
         frame_there, gas_there = exact(earth, AIR, there)
         # rounding of the exact altitude, and the third powers
         assert abs(frame[0] - frame_there[0]) < 5e-9
@@ -64,12 +63,12 @@ def test_a_neighbour_is_where_the_exact_formulas_have_it(earth, distance_m):
 def test_the_series_is_used_at_all():
     """Else the test before would compare the exact formulas with themselves."""
     place = np.array(earth_position(WGS84, 0.6, 2.2, 5000.0))
-    work = anchored(WGS84, AIR, place)
+    anchor = anchored(WGS84, AIR, place)
     there = place + np.array([3.0, 4.0, 5.0])
-    near, far = frame_and_air(WGS84, AIR, POOL, *there, work)[0], exact(WGS84, AIR, there)[0]
+    near, far = frame_and_air(WGS84, AIR, POOL, *there, anchor)[0], exact(WGS84, AIR, there)[0]
     assert near[1] != far[1]
     beyond = place + np.array([0.0, 0.0, 1.01 * NEAR_m])
-    assert frame_and_air(WGS84, AIR, POOL, *beyond, work)[0] == tuple(exact(WGS84, AIR, beyond)[0])
+    assert frame_and_air(WGS84, AIR, POOL, *beyond, anchor)[0] == tuple(exact(WGS84, AIR, beyond)[0])
 
 
 @pytest.mark.parametrize("edge_m", EDGES_m)
@@ -78,20 +77,20 @@ def test_no_series_reaches_into_another_layer(edge_m):
         latitude, longitude = 0.6, 2.2
         place = np.array(earth_position(WGS84, latitude, longitude, edge_m - below_m))
         there = np.array(earth_position(WGS84, latitude, longitude, edge_m - below_m + rise_m))
-        work = anchored(WGS84, AIR, place)
-        _, gas = frame_and_air(WGS84, AIR, POOL, *there, work)
+        anchor = anchored(WGS84, AIR, place)
+        _, gas = frame_and_air(WGS84, AIR, POOL, *there, anchor)
         assert np.abs(np.array(gas) / exact(WGS84, AIR, there)[1] - 1.0).max() < 1e-11
 
 
 def test_what_is_not_near_anything_is_exact():
     flat_earth = pack([flat()])[0]
-    assert anchored(flat_earth, AIR, (10.0, 20.0, -3000.0))[ANCHOR] == NO_ANCHOR
+    assert anchored(flat_earth, AIR, (10.0, 20.0, -3000.0)).state == NO_ANCHOR
     pole = earth_position(WGS84, math.radians(88.0), 0.3, 1000.0)
-    assert anchored(WGS84, AIR, pole)[ANCHOR] == NO_ANCHOR
+    assert anchored(WGS84, AIR, pole).state == NO_ANCHOR
     place = earth_position(WGS84, 0.6, 2.2, 5000.0)
-    work = np.zeros(WORK_SIZE)  # nobody has dropped an anchor
-    frame, gas = frame_and_air(WGS84, AIR, POOL, *place, work)
-    assert work[ANCHOR] == NO_ANCHOR
+    anchor = blank(Anchor)[0]  # nobody has dropped an anchor
+    frame, gas = frame_and_air(WGS84, AIR, POOL, *place, anchor)
+    assert anchor.state == NO_ANCHOR
     assert frame == tuple(exact(WGS84, AIR, place)[0])
     assert gas == tuple(exact(WGS84, AIR, place)[1])
 
@@ -99,12 +98,12 @@ def test_what_is_not_near_anything_is_exact():
 def test_other_atmospheres_are_not_continued():
     vacuum = pack([Atmosphere(VACUUM)])[0]
     place = np.array(earth_position(WGS84, 0.6, 2.2, 5000.0))
-    work = anchored(WGS84, vacuum, place)
-    _, gas = frame_and_air(WGS84, vacuum, POOL, *(place + 1.0), work)
+    anchor = anchored(WGS84, vacuum, place)
+    _, gas = frame_and_air(WGS84, vacuum, POOL, *(place + 1.0), anchor)
     assert gas[0] == 0.0
 
 
 def test_a_place_that_is_no_number_is_not_near():
-    work = anchored(WGS84, AIR, earth_position(WGS84, 0.6, 2.2, 5000.0))
-    frame, _ = frame_and_air(WGS84, AIR, POOL, math.nan, 0.0, 0.0, work)
+    anchor = anchored(WGS84, AIR, earth_position(WGS84, 0.6, 2.2, 5000.0))
+    frame, _ = frame_and_air(WGS84, AIR, POOL, math.nan, 0.0, 0.0, anchor)
     assert math.isnan(frame[0])

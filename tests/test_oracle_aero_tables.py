@@ -27,7 +27,6 @@ from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import Pool
 from maxq.sim.vehicle.state import eta_index, xi_index
-from maxq.sim.vehicle.workspace import AERO_FORCE, AERO_MOMENT, MACH
 
 _interpolate_grid = from_python(interpolate_grid)
 X = (np.array([0.0, 0.3, 0.9, 1.6]), np.array([0.0, 0.1, 0.5, np.pi]), np.array([-1.0, 0.5, 2.0, 2 * np.pi - 1.0]))
@@ -184,7 +183,7 @@ def about_cg(force: Array, moment: Array, reference_m: float) -> Array:
 
 def loads(made: Rig) -> tuple[Array, Array]:
     made.derivative(made.y)
-    return made.aux[AERO_FORCE : AERO_FORCE + 3].copy(), made.aux[AERO_MOMENT : AERO_MOMENT + 3].copy()
+    return made.aux.aero_force_B_N.copy(), made.aux.aero_moment_B_Nm.copy()
 
 
 FLOWS = ([300.0, 20.0, -35.0], [250.0, -90.0, 120.0], [-180.0, 60.0, 30.0], [5.0, 140.0, 130.0], [310.0, 0.0, 25.0])
@@ -199,7 +198,7 @@ def test_forces_and_moments(columns: Tree, flow: list[float]) -> None:
     }  # fmt: skip  # three more lines otherwise
     made = flying(aero, flow)
     force, moment = loads(made)
-    ours = expected(columns, np.array(flow), float(made.aux[MACH]), (1.2, 0.9))
+    ours = expected(columns, np.array(flow), float(made.aux.air.mach), (1.2, 0.9))
     scale = float(np.linalg.norm(ours[0]))
     np.testing.assert_allclose(force, ours[0], rtol=1e-11, atol=1e-11 * scale)
     np.testing.assert_allclose(moment, about_cg(*ours, 6.2), rtol=1e-11, atol=1e-10 * scale)
@@ -211,7 +210,7 @@ def test_tables_add_up_and_shift_moves_what_is_across() -> None:
     aero = {"interpolation": "linear", "moment_reference_m": 6.2, "coefficients": [{"table": t} for t in all_of_them]}
     made = flying(aero, flow)
     force, moment = loads(made)
-    ours = [expected(t, np.array(flow), float(made.aux[MACH])) for t in all_of_them]
+    ours = [expected(t, np.array(flow), float(made.aux.air.mach)) for t in all_of_them]
     np.testing.assert_allclose(force, sum(f for f, _ in ours), rtol=1e-11)
     np.testing.assert_allclose(moment, sum(about_cg(f, m, 6.2) for f, m in ours), rtol=1e-11)
     _, shifted = loads(flying(aero | {"centre_shift_m": shift}, flow))
@@ -229,7 +228,7 @@ def test_derivatives_by_body_rates() -> None:
     made = flying(aero, [*flow])
     made.y[10:13] = rate
     force, moment = loads(made)
-    c = looked_up(RATES, ["mach", "alpha_deg"], [float(made.aux[MACH]), math.degrees(math.atan2(flow[2], flow[0]))])
+    c = looked_up(RATES, ["mach", "alpha_deg"], [float(made.aux.air.mach), math.degrees(math.atan2(flow[2], flow[0]))])
     speed = float(np.linalg.norm(flow))
     lengths = np.array([REFERENCE["span_m"], REFERENCE["chord_m"], REFERENCE["yaw_chord_m"]])
     p, q, r = rate * lengths / (2.0 * speed)
@@ -262,7 +261,7 @@ def test_power_on_and_off(burning: int) -> None:
     made.held.burning = burning
     force, _ = loads(made)
     acting = ["always", "on" if burning else "off"]
-    ours = [expected(tables[k], np.array(flow), float(made.aux[MACH]))[0] for k in acting]
+    ours = [expected(tables[k], np.array(flow), float(made.aux.air.mach))[0] for k in acting]
     np.testing.assert_allclose(force, sum(ours), rtol=1e-11)
 
 
@@ -288,7 +287,7 @@ def test_moment_reference_moves(key: str) -> None:
         stage = {"interpolation": "linear", "aero": aero | reference_key}
         made = burning(stage, burn, flow)
         made.derivative(made.y, 4.0)
-        return made.aux[AERO_MOMENT : AERO_MOMENT + 3].copy()
+        return made.aux.aero_moment_B_Nm.copy()
 
     np.testing.assert_allclose(moment(**{key: reference}), moment(moment_reference_m=6.4), rtol=1e-12)
     assert abs(moment(moment_reference_m=6.41)[1] / moment(moment_reference_m=6.4)[1] - 1.0) > 1e-4
@@ -316,7 +315,7 @@ def test_bent_body_feels_and_is_bent_by_the_local_flow() -> None:
     local = flow + np.array([0.0, flow[0] * slope @ xi + phi @ nu_yaw, flow[0] * slope @ eta + phi @ nu])
     force, _ = loads(made)
     rate = made.derivative(made.y) - still.derivative(still.y)
-    ours, moment = expected(OVER_ALPHA_BETA, local, float(made.aux[MACH]))
+    ours, moment = expected(OVER_ALPHA_BETA, local, float(made.aux.air.mach))
     np.testing.assert_allclose(force, ours, rtol=1e-11)
     couple = moment + np.cross([5.0 - 6.2, 0.0, 0.0], [0.0, ours[1], ours[2]])
     masses = np.array([mode.mass_kg for mode in MODES])

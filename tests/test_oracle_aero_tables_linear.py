@@ -17,7 +17,6 @@ from maxq.design.loop.fixed_path import ExactFixedPath, fixed_path
 from maxq.design.model.linearised import linearise
 from maxq.design.model.node import node_of
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.vehicle.workspace import MACH
 
 TOLERANCE = 1e-8
 RIGID = dataclasses.replace(PARTS, pitch=(), yaw=(), core_cg=(7.0, 0.0, 0.0), engine=False)
@@ -58,7 +57,7 @@ def test_all_slopes_at_a_trim(method: str, trim_deg: tuple[float, float]) -> Non
     }  # fmt: skip  # five more lines otherwise
     made = made_of(RIGID, aero, [*flow])
     model = linearise(made.packed, made.packed.state, 0.0)
-    mach = float(evaluate_at(made.packed, made.packed.state, 0.0).aux[MACH])
+    mach = float(evaluate_at(made.packed, made.packed.state, 0.0).aux.air.mach)
     made.derivative(made.y)
     scale = 0.5 * 0.9 * speed * REFERENCE["area_m2"]
     by_flow, by_rate, turn_by_flow, turn_by_rate = np.zeros((4, 3, 3))

@@ -30,7 +30,6 @@ from maxq.sim.packing.flight import Packed
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import Q_BI
-from maxq.sim.vehicle.workspace import GRAVITATION
 
 TIME_S = 40.0
 BANDS = (band(0.05, 2.5, 14, 40.0, 40.0, 4), band(2.75, 12.0, 12, 40.0, 12.0, 2))
@@ -81,7 +80,7 @@ def test_gravity_along_the_body_follows_it_and_leaves_its_loop() -> None:
     y = held.packed.state.copy()
     turned = Rotation.random(random_state=1)
     y[Q_BI : Q_BI + 4] = np.roll(turned.as_quat(), 1)
-    felt = evaluate_at(held.packed, y, TIME_S).aux[GRAVITATION : GRAVITATION + 3]
+    felt = evaluate_at(held.packed, y, TIME_S).aux.air.gravitation_I_mps2
     load = node.axial_load_mps2
     np.testing.assert_allclose(felt, -load * turned.apply([1.0, 0.0, 0.0]), rtol=1e-9)
     assert loaded.design is not None

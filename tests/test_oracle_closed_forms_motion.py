@@ -16,7 +16,6 @@ from scipy.special import ellipj, ellipk
 
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle import workspace
 from maxq.sim.vehicle.schedule import PITCH, mode_column, softening_row
 
 BARE = Parts(engine=False)
@@ -263,7 +262,7 @@ def test_hold_down_statics() -> None:
     made = rig(with_stage(tree, actuator={"bias_deg": [2.0, -1.0]}))
     y = made.y.copy()
     made.derivative(y)
-    weight = made.aux[workspace.SPECIFIC_FORCE : workspace.SPECIFIC_FORCE + 3].copy()
+    weight = made.aux.specific_force_B_mps2.copy()
     assert 9.78 < weight[0] < 9.82  # gravity less centrifugal at 37 degrees, upwards along the nose
     assert abs(weight[1]) < 1e-4  # the ellipsoid's normal is the plumb line but for the J2 model's rest
     assert np.hypot(weight[1], weight[2]) < 2e-3
@@ -344,7 +343,7 @@ def test_jet_damping_force_on_a_turning_rocket() -> None:
     rows = [row(0.0, 4000.0, 7.0, (900.0, 5.0e4, 5.0e4)), row(20.0, 2000.0, 7.0, (900.0, 5.0e4, 5.0e4))]
     made = burning(rows, np.array([0.3, 0.2, -0.1]))
     made.derivative(made.y)
-    felt = made.aux[workspace.SPECIFIC_FORCE : workspace.SPECIFIC_FORCE + 3]
+    felt = made.aux.specific_force_B_mps2
     wanted = -2.0 * np.cross([0.3, 0.2, -0.1], [-6.0, 0.0, 0.0]) * 100.0 / 4000.0
     assert np.allclose(felt, wanted, rtol=0.0, atol=1e-12)
     plain = burning(rows, np.array([0.3, 0.0, 0.0]))

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy as sp
-from flightkit import Mode, Parts, Rig, Tree, rig, scenario_of, with_stage
+from flightkit import Mode, Parts, Rig, Tree, gimbal_motions, rig, scenario_of, with_stage
 
 from maxq import ScenarioError
 from maxq.control.kernel.records import Array
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle.workspace import AXIAL_LOAD, ENGINE_PITCH, GROUPS, HINGE_MOMENT, SPECIFIC_FORCE, SWING, THRUST
 
 NINE = "tests/data/nine-engines/flight.toml"
 PARTS = Parts(
@@ -96,10 +95,10 @@ def motions(made: Rig, given: list[Tree]) -> list[tuple[Array, ...]]:
     for number, e in enumerate(given):
         planes = e.get("gimbal", "both")
         group = groups.index(e.get("group", "")) if planes != "fixed" else 0
-        at = ENGINE_PITCH if group == 0 else GROUPS + 6 * (group - 1)
+        channels, at = made.aux.engines.channel, 2 * group
         if made.sizes.tvc_loads > 0 and number in SWINGING:
-            at = SWING + 6 * SWINGING.index(number)
-        angles = made.aux[at : at + 6].copy()
+            channels, at = made.aux.tvc_loads.swing, 2 * SWINGING.index(number)
+        angles = gimbal_motions(channels[at : at + 2]).ravel()
         angles[:3] *= planes in ("both", "pitch")
         angles[3:] *= planes in ("both", "yaw")
         cant, error = np.radians(e.get("cant_deg", [0, 0])), np.radians(e.get("misalignment_deg", [0, 0]))
@@ -169,7 +168,7 @@ def test_unlike_engines_obey_newton_and_euler_body_by_body(seed: int, loads: lis
     dy = made.derivative(y)
     w = y[layout.W_BI_B : layout.W_BI_B + 3]
     accel, alpha = newton_euler(made, UNLIKE, w)
-    np.testing.assert_allclose(made.aux[SPECIFIC_FORCE : SPECIFIC_FORCE + 3], accel, rtol=1e-11)
+    np.testing.assert_allclose(made.aux.specific_force_B_mps2, accel, rtol=1e-11)
     np.testing.assert_allclose(dy[layout.W_BI_B : layout.W_BI_B + 3], alpha, rtol=1e-10)
     if loads:
         still = [(np.zeros(3), np.zeros(3))] * len(UNLIKE)
@@ -197,15 +196,15 @@ def check_hinges(made: Rig, y: Array, w: Array, accel: Array, alpha: Array, bend
         turning = alpha + turn + np.cross(d, d2)
         for plane in range(2):
             if e.get("gimbal", "both") not in ("both", ("pitch", "yaw")[plane]):
-                assert made.aux[SWING + 6 * n + 3 * plane + 2] == 0.0
+                assert made.aux.tvc_loads.swing[2 * n + plane].accel_radps2 == 0.0
                 continue
             work = mass * felt @ (-arm * by[plane]) + own * turning @ np.cross(d, by[plane])
             work += (
                 2.0 * own * w @ np.cross(d1, by[plane])
             )  # by Lagrange, the engine's roll about its own axis left out
             # what the axial load does through the gimbal's slope is left to the caller
-            assert made.aux[HINGE_MOMENT + 2 * n + plane] == pytest.approx(work, rel=1e-9)
-            assert abs(made.aux[SWING + 6 * n + 3 * plane + 2]) > 1.0
+            assert made.aux.tvc_loads.hinge_moment_Nm[2 * n + plane] == pytest.approx(work, rel=1e-9)
+            assert abs(made.aux.tvc_loads.swing[2 * n + plane].accel_radps2) > 1.0
 
 
 @pytest.mark.slow
@@ -215,7 +214,7 @@ def test_loads_on_the_modes_are_the_virtual_work_of_thrust_and_reaction(loads: l
     made = with_engines(BENT, UNLIKE, **({"tvc_load": loads} if loads else {}))
     y = moving(made, 5, rate=0.0)
     dy = made.derivative(y)
-    load = made.aux[AXIAL_LOAD]
+    load = made.aux.axial_load_mps2
     bend = [(np.zeros(3), np.zeros(3)) for _ in UNLIKE]
     for plane, lateral in (("pitch", 2), ("yaw", 1)):
         for number, mode in enumerate(PITCH):
@@ -243,7 +242,7 @@ def test_loads_on_the_modes_are_the_virtual_work_of_thrust_and_reaction(loads: l
                 shift[lateral] += mode.phi[at] * dy[i]
                 turn[3 - lateral] += mode.slope_pm[at] * (1.0 if plane == "pitch" else -1.0) * dy[i]
     if loads:
-        accel, alpha = made.aux[SPECIFIC_FORCE : SPECIFIC_FORCE + 3], dy[layout.W_BI_B : layout.W_BI_B + 3]
+        accel, alpha = made.aux.specific_force_B_mps2, dy[layout.W_BI_B : layout.W_BI_B + 3]
         check_hinges(made, y, np.zeros(3), accel, alpha, bend)
 
 
@@ -258,7 +257,7 @@ def test_n_engines_on_the_axis_are_one_of_n_fold_size(seed: int) -> None:
     np.testing.assert_array_equal(y[: one.n], of_one)
     many = four.derivative(y)[: one.n]
     np.testing.assert_allclose(many, one.derivative(of_one), rtol=1e-12, atol=1e-10)
-    assert four.aux[THRUST] == pytest.approx(8.0e4)
+    assert four.aux.engines.axial_thrust_N == pytest.approx(8.0e4)
 
 
 @pytest.mark.slow

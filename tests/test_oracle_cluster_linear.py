@@ -29,7 +29,6 @@ from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import tvc_load_index
-from maxq.sim.vehicle.workspace import DENSITY, MACH, PRESSURE
 
 NINE = "tests/data/nine-engines/flight.toml"
 # at a row of the mass table: between them the total mass is not quite that of core and bobs
@@ -62,8 +61,8 @@ def cluster(cant_deg: float, *more: str) -> Packed:
 
 
 def condition_of(packed: Packed) -> FlightCondition:
-    air = evaluate_at(packed, packed.state, TIME_S).aux
-    values = [float(air[i]) for i in (DENSITY, PRESSURE, MACH)]
+    air = evaluate_at(packed, packed.state, TIME_S).aux.air
+    values = [float(x) for x in (air.density_kgpm3, air.pressure_Pa, air.mach)]
     return FlightCondition(TIME_S, SPEED_MPS, *values, float(np.radians(PATH_DEG)), GRAVITY_MPS2)
 
 

@@ -16,7 +16,6 @@ from oracles.multibody_system import rotation_from_quaternion
 
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle import workspace
 
 W, V = layout.W_BI_B, layout.V_I
 PITCH, YAW = 0, 1
@@ -32,8 +31,7 @@ MOVED = Mode(7.0, 500.0, (0.6,) * 6, (0.0,) * 6)  # moves without turning
 def answer(made: Rig, y: Array | None = None) -> tuple[Array, Array]:
     """Specific force at the core CG and angular acceleration, both in B."""
     made.derivative(made.y if y is None else y)
-    felt, alpha = workspace.SPECIFIC_FORCE, workspace.ANGULAR_ACCEL
-    return made.aux[felt : felt + 3].copy(), made.aux[alpha : alpha + 3].copy()
+    return made.aux.specific_force_B_mps2.copy(), made.aux.alpha_BI_B_radps2.copy()
 
 
 def ideal(parts: Parts, **sections: object) -> Tree:
@@ -190,7 +188,7 @@ def hanging(plane: int, angle_rad: float, **sections: object) -> tuple[Rig, Arra
 def test_slosh_pulls_the_body_towards_the_bob(plane: int) -> None:
     made, y, _ = hanging(plane, 0.1)
     felt, alpha = answer(made, y)
-    tension = made.aux[workspace.TENSIONS]
+    tension = made.aux.tension_N[0]
     assert tension > 0.0
     assert np.isclose(felt[ALONG[plane]], tension * math.sin(0.1) / 4000.0, rtol=1e-9)
     # a pull to +z ahead of the CG lowers the nose, a pull to +y turns it right
@@ -232,7 +230,7 @@ def test_slosh_and_bending_meet_at_the_hinge(plane: int) -> None:
     y = made.y.copy()
     y[i], y[i + ALONG[plane]] = -math.cos(0.1), math.sin(0.1)
     dy = made.derivative(y)
-    wanted = 0.6 * made.aux[workspace.TENSIONS] * math.sin(0.1) / 500.0
+    wanted = 0.6 * made.aux.tension_N[0] * math.sin(0.1) / 500.0
     assert np.isclose(dy[m + 1], wanted, rtol=1e-9)
 
 
@@ -321,13 +319,13 @@ def test_local_incidence_by_slope_and_by_motion(plane: int) -> None:
         y[m + index] = (0.01, 0.5)[index]
         force = 0.5 * 1.2 * 0.8 * 3.0 * SPEED * cross_flow
         dy = made.derivative(y)
-        assert np.isclose(made.aux[workspace.AERO_FORCE + ALONG[plane]], -force, rtol=1e-9)
+        assert np.isclose(made.aux.aero_force_B_N[ALONG[plane]], -force, rtol=1e-9)
         bent = -STIFFNESS * y[m] - mode.phi[1] * force / 500.0
         assert np.isclose(dy[m + 1], bent, rtol=1e-9)
         assert np.isclose(dy[W + ABOUT[plane]], SIGN[plane] * 4.0 * force / 5.0e4, rtol=1e-9)
         off = through_air(wing(3.0), [SPEED, 0.0, 0.0], Parts(**planes(mode)), switches={"local_incidence": False})
         off.derivative(y)
-        assert off.aux[workspace.AERO_FORCE + ALONG[plane]] == 0.0
+        assert off.aux.aero_force_B_N[ALONG[plane]] == 0.0
 
 
 @PLANES

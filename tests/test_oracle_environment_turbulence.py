@@ -17,7 +17,7 @@ from maxq.control.kernel.tables import Pool
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.sim.vehicle import environment as surroundings
-from maxq.sim.vehicle.workspace import AUX_SIZE, FLOW, WORK_SIZE
+from maxq.sim.vehicle.environment import AirData, Anchor
 from maxq.sim.world.turbulence import (
     HORIZONTAL,
     VON_KARMAN,
@@ -352,9 +352,9 @@ def test_the_gust_enters_the_flow_in_its_frame(frame, turned):
     gust = (3.0, -2.0, 1.0)
     flows = []
     for given in ((0.0, 0.0, 0.0), gust):
-        aux = np.zeros(AUX_SIZE)
-        air_data(environment, packed.pool, given, rotation, y, np.zeros(WORK_SIZE), aux)
-        flows.append(aux[FLOW : FLOW + 3].copy())
+        air = blank(AirData)[0]
+        air_data(environment, packed.pool, given, rotation, y, blank(Anchor)[0], air)
+        flows.append(air.flow_B_mps.copy())
     expected = np.array(gust)
     if turned:
         latitude = math.radians(36.70)  # of nominal.toml; geodetic, at t = 0 the inertial longitude is the Earth's

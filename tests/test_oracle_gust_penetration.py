@@ -18,7 +18,6 @@ from maxq.sim.packing.schedule import surface_stations
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import eta_index, xi_index
-from maxq.sim.vehicle.workspace import AERO_FORCE, AERO_MOMENT, FLOW
 from maxq.sim.world.gust_history import GustHistory, gust_behind, history_start, history_tick
 from maxq.sim.world.turbulence import TurbulenceState
 
@@ -109,9 +108,9 @@ def test_surfaces_and_cross_flow_meet_their_own_wind() -> None:
     _, v, w = flow_at(9.0)
     part = -half * 1.7 * math.hypot(v, w) * np.array([0.0, v, w])
     force, moment = force + part, moment + np.cross([-9.0, 0.0, 0.0] - cg, part)
-    np.testing.assert_allclose(made.aux[FLOW : FLOW + 3], flow_at(PARTS.core_cg[0]), rtol=1e-9, atol=1e-7)
-    np.testing.assert_allclose(made.aux[AERO_FORCE : AERO_FORCE + 3], force, rtol=1e-8, atol=1e-5)
-    np.testing.assert_allclose(made.aux[AERO_MOMENT : AERO_MOMENT + 3], moment, rtol=1e-8, atol=1e-4)
+    np.testing.assert_allclose(made.aux.air.flow_B_mps, flow_at(PARTS.core_cg[0]), rtol=1e-9, atol=1e-7)
+    np.testing.assert_allclose(made.aux.aero_force_B_N, force, rtol=1e-8, atol=1e-5)
+    np.testing.assert_allclose(made.aux.aero_moment_B_Nm, moment, rtol=1e-8, atol=1e-4)
     masses = np.array([mode.mass_kg for mode in MODES])
     for first, work in ((eta_index(made.sizes), pitch), (xi_index(made.sizes), yaw)):
         np.testing.assert_allclose(rate[first + 2 : first + 4] * masses, work, rtol=1e-7)
@@ -138,9 +137,7 @@ def test_table_meets_the_wind_of_its_station() -> None:
         aero, wind={}, switches={"gust_penetration": False}, initial={"ned_mps": list(attitude() @ flow_at(2.0))}
     )
     calm.derivative(calm.y)
-    np.testing.assert_allclose(
-        made.aux[AERO_FORCE : AERO_FORCE + 3], calm.aux[AERO_FORCE : AERO_FORCE + 3], rtol=1e-8, atol=1e-5
-    )
+    np.testing.assert_allclose(made.aux.aero_force_B_N, calm.aux.aero_force_B_N, rtol=1e-8, atol=1e-5)
 
 
 def test_wind_of_a_station_over_a_round_earth() -> None:
@@ -156,9 +153,7 @@ def test_wind_of_a_station_over_a_round_earth() -> None:
     there = in_wind(aero, **ON)
     made.derivative(made.y)
     there.derivative(there.y)
-    np.testing.assert_allclose(
-        made.aux[AERO_FORCE : AERO_FORCE + 3], there.aux[AERO_FORCE : AERO_FORCE + 3], rtol=1e-5, atol=0.01
-    )
+    np.testing.assert_allclose(made.aux.aero_force_B_N, there.aux.aero_force_B_N, rtol=1e-5, atol=0.01)
 
 
 def test_slender_body_on_the_edge_of_a_gust() -> None:
@@ -189,14 +184,14 @@ def test_slender_body_on_the_edge_of_a_gust() -> None:
     first = primitive(high) - primitive(low) - 10.0 * whole  # int (s - s_cg) w ds, s - s_cg = x_cg - x
     line = 0.5 * 0.9 * REFERENCE["area_m2"] * SPEED * 2.0 / length
     # B's z axis points north when the vehicle stands upright: the air overtakes it along +z, the force is along +z
-    np.testing.assert_allclose(made.aux[AERO_FORCE + 2], line * whole, rtol=1e-9)
-    np.testing.assert_allclose(made.aux[AERO_MOMENT + 1], -line * first, rtol=1e-8)
+    np.testing.assert_allclose(made.aux.aero_force_B_N[2], line * whole, rtol=1e-9)
+    np.testing.assert_allclose(made.aux.aero_moment_B_Nm[1], -line * first, rtol=1e-8)
     together = in_wind(
         {"surface": tables, "table": {"mach": [0.0]}}, parts, {"gust": [gust]}, initial=up
     )  # fmt: skip  # three more lines otherwise
     together.derivative(together.y)
     at_cg = 0.5 * strength * (1.0 - math.cos(10.0 * k))
-    np.testing.assert_allclose(together.aux[AERO_FORCE + 2], line * length * at_cg, rtol=1e-9)
+    np.testing.assert_allclose(together.aux.aero_force_B_N[2], line * length * at_cg, rtol=1e-9)
 
 
 # --- turbulence: the field that the nose has flown through
@@ -247,8 +242,8 @@ def test_flight_through_turbulence_meets_one_field() -> None:
             run.fly_segment(2_500_000)
             now = evaluate_at(run.packed, run.packed.state, 1e-9 * int(run.memory.clock.now_ns))
             times.append(1e-9 * int(run.memory.clock.now_ns))
-            flows.append(now.aux[FLOW : FLOW + 3])
-            across.append(-now.aux[AERO_FORCE + 1 : AERO_FORCE + 3] / (per_mps * now.aux[FLOW]))
+            flows.append(now.aux.air.flow_B_mps)
+            across.append(-now.aux.aero_force_B_N[1:] / (per_mps * now.aux.air.flow_B_mps[0]))
         flown[on] = np.array(times), np.array(flows), np.array(across)
     times, together, beside = flown[False]
     np.testing.assert_allclose(beside, together[:, 1:], rtol=1e-6, atol=1e-9)

@@ -177,12 +177,12 @@ import json
 import sys
 import numpy as np
 from flightkit import Mode, Parts, rig, scenario_of
-from maxq.sim.flight import oscillators as o, step
+from maxq.sim.flight import oscillators as o
 mode = Mode(20.0, 500.0, (1.0, 0.4, -0.2, -0.4, 0.5, 1.1), (-0.3, -0.3, -0.2, 0.2, 0.3, 0.3), 0.01)
 made = rig(scenario_of(Parts(pitch=(mode,), yaw=(mode,)), run={"accuracy": 0.05}, switches={"actuator": sys.argv[1]}))
 run = made.run()
 run.fly_segment(600_000_000)
-kept = run._arena[step._KEPT : step._KEPT + o.KEPT_SIZE]
+kept = run._arena[0].kept
 found = []
 for slot in np.arange(o.LENGTHS) * o.LENGTH_WIDTH:
     blocks = kept[slot + o.HEAD :][: 4 * int(kept[slot + o.COUNT])].reshape(-1, 4).astype(int)

@@ -46,7 +46,6 @@ from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.state import Q_BI
-from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, GRAVITATION, MACH, PRESSURE
 from maxq.tools.dev.documents.derivatives_table import COLUMNS, PAPER, flown_derivatives
 
 NODES_S = tuple(range(5, 60, 5))
@@ -134,13 +133,13 @@ def flat_earth(flight: Flight, time_s: float, *overrides: str) -> tuple[Packed, 
         f"initial.ned_mps={velocity!r}",
     ]  # fmt: skip  # five more lines otherwise
     packed = pack_flight(load_scenario("nominal", [*start, *overrides]).scenario)
-    air = evaluate_at(packed, packed.state, time_s).aux
+    air = evaluate_at(packed, packed.state, time_s).aux.air
     condition = FlightCondition(
         time_s=time_s,
         airspeed_mps=speed,
-        density_kgpm3=float(air[DENSITY]),
-        pressure_Pa=float(air[PRESSURE]),
-        mach=float(air[MACH]),
+        density_kgpm3=float(air.density_kgpm3),
+        pressure_Pa=float(air.pressure_Pa),
+        mach=float(air.mach),
         pitch_rad=float(path),
         gravity_mps2=GRAVITY_MPS2,
     )
@@ -393,12 +392,12 @@ def flown_nodes() -> dict[tuple[int, str], Node]:
             run.fly_segment()
         packed = dataclasses.replace(run.packed, memory=run.packed.memory.copy(), state=run.packed.state.copy())
         for name, y in (("flown", packed.state), ("zero incidence", zero_incidence(packed, packed.state))):
-            air = evaluate_at(packed, y, time_s).aux
-            gravitation = air[GRAVITATION : GRAVITATION + 3]
+            air = evaluate_at(packed, y, time_s).aux.air
+            gravitation = air.gravitation_I_mps2
             gravity = float(np.linalg.norm(gravitation))
             forward = rotation(y[Q_BI : Q_BI + 4])[:, 0]
             condition = FlightCondition(
-                time_s, float(air[AIRSPEED]), float(air[DENSITY]), float(air[PRESSURE]), float(air[MACH]),
+                time_s, float(air.airspeed_mps), float(air.density_kgpm3), float(air.pressure_Pa), float(air.mach),
                 float(np.arcsin(-forward @ gravitation / gravity)), gravity,
             )  # fmt: skip  # five more lines otherwise
             out[time_s, name] = Node(packed, condition, linearise(packed, y, time_s), linear_plant(packed, condition))

@@ -14,14 +14,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from flightkit import Mode, Parts, Rig, Tank, Tree, rig, scenario_of
+from flightkit import Mode, Parts, Rig, Tank, Tree, gimbal_motions, rig, scenario_of
 from oracles.rolling_particles import Bob, Floats, Particles, PointEngine, jacobian_of
 from test_oracle_spatial_modes import spatial_section
 
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle import workspace
-from maxq.sim.vehicle.engine import group_angles
 
 ROLL_RADPS, MODES = 1.0, 4
 OMEGA, MODAL_KG = np.array([20.0, 26.0, 35.0, 50.0]), 500.0  # of the modes, rad/s
@@ -163,12 +161,11 @@ def of_simulator(v: Vehicles, q: Floats, rate: Floats, actuators: Floats) -> tup
     dy, w = made.derivative(y), rate[3:6]
     out, (_, at_nu) = np.zeros(v.particles.size), modal_places(made)
     alpha = dy[layout.W_BI_B : layout.W_BI_B + 3]
-    out[:3] = made.aux[workspace.SPECIFIC_FORCE : workspace.SPECIFIC_FORCE + 3]
+    out[:3] = made.aux.specific_force_B_mps2
     out[3:6] = alpha
     modes = slice(6, 6 + MODES)
     out[modes] = dy[at_nu] - v.share @ (alpha[0] * q[modes] + w[0] * rate[modes])
-    motion = np.concatenate([made.aux[group_angles(n) : group_angles(n) + 6] for n in range(len(ENGINES))])
-    motion = motion.reshape(-1, 3)
+    motion = gimbal_motions(made.aux.engines.channel[: 2 * len(ENGINES)])
     out[v.angles_at : v.angles_at + len(motion)] = motion[:, 2]
     for k in range(len(BOBS)):
         i, at = int(layout.pendulum_index(made.sizes, k)), v.angles_at + 2 * len(ENGINES) + 2 * k
@@ -207,8 +204,9 @@ def actuator_maps(v: Vehicles) -> list[Floats]:
         columns = []
         for state in range(6):
             _, motion = of_simulator(v, zero, zero, 1e-6 * np.eye(24)[6 * number + state])
-            held = workspace.HELD + 2 * number
-            columns.append(motion[number] if v.driven else np.append(v.made.aux[held : held + 2], 0.0))
+            held = v.made.aux.tvc_loads
+            far_end = np.array([held.actuator_rad[number], held.actuator_radps[number], 0.0])
+            columns.append(motion[number] if v.driven else far_end)
         scale = np.array([1.0, 1e-2, 1e-4])[:, None]
         out.append(np.linalg.pinv(scale * 1e6 * np.array(columns).T) * scale.T)
     return out

@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flightkit import Mode, Parts, Rig, Tank, Tree, engine_states, merged, rig, scenario_of, with_stage
+from flightkit import Mode, Parts, Rig, Tank, Tree, engine_states, gimbal_motions, merged, rig, scenario_of, with_stage
 from oracles.beam_frame import Beam
 
 from maxq.control.kernel.records import Array
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle import workspace
 from maxq.sim.vehicle.loads import AXIAL, MOMENT_Y, MOMENT_Z, SHEAR_Y, SHEAR_Z
 
 ON = {"section_loads": True, "actuator": "ideal"}
@@ -86,7 +85,7 @@ def test_a_rod_spun_end_over_end_is_in_tension() -> None:
 def test_a_rod_that_stands_on_the_pad_bears_its_weight() -> None:
     upright = {"held": True, "euler_deg": [0.0, 90.0, 0.0]}
     made, now = at_start(loaded_rod(initial=upright, earth={"gravity": "uniform"}, holddown=HELD))
-    gravity = float(np.linalg.norm(now.aux[workspace.GRAVITATION : workspace.GRAVITATION + 3]))
+    gravity = float(np.linalg.norm(now.aux.air.gravitation_I_mps2))
     s = np.array(STATIONS_M) / LENGTH_M
     assert made.held.on_pad == 1
     assert gravity > 9.7
@@ -313,15 +312,15 @@ def test_what_is_forward_of_the_gimbal_balances_what_is_behind_it() -> None:
         y[i : i + 3], y[i + 3 : i + 6] = u, kappa - (kappa @ u) * u
     now = evaluate_at(made.packed, y, 0.0)
     aux, rate = now.aux, y[layout.W_BI_B : layout.W_BI_B + 3]
-    d, d_rate, d_accel = thrust_axis(aux)
+    d, d_rate, d_accel = thrust_axis(gimbal_motions(aux.engines.channel[:2]))
     cg = composed_core_cg()
     gimbal = np.array([cg - BOTH.gimbal_station_m, 0.0, 0.0])  # relative to C: on the line of the CGs
-    accel, alpha = aux[workspace.SPECIFIC_FORCE :][:3], aux[workspace.ANGULAR_ACCEL :][:3]
+    accel, alpha = aux.specific_force_B_mps2, aux.alpha_BI_B_radps2
     arm = -BOTH.engine_cg_m
     at = gimbal + arm * d
     of_engine = accel + np.cross(alpha, at) + np.cross(rate, np.cross(rate, at))
     of_engine = of_engine + arm * (d_accel + 2.0 * np.cross(rate, d_rate))
-    force = aux[workspace.THRUST] * d - BOTH.engine_mass_kg * of_engine
+    force = aux.engines.axial_thrust_N * d - BOTH.engine_mass_kg * of_engine
     moment = np.cross(arm * d, -BOTH.engine_mass_kg * of_engine)
     last = now.sections[-1]
     # about the body axis at the gimbal: the force acts beside it
@@ -333,9 +332,8 @@ def test_what_is_forward_of_the_gimbal_balances_what_is_behind_it() -> None:
     assert np.abs(last).min() > 100.0
 
 
-def thrust_axis(aux: Array) -> tuple[Array, Array, Array]:
+def thrust_axis(angles: Array) -> tuple[Array, Array, Array]:
     """Axis of the thrust and its derivatives, by finite differences in time of its definition."""
-    angles = np.array([aux[workspace.ENGINE_PITCH :][:3], aux[workspace.ENGINE_YAW :][:3]])
 
     def axis(t: float) -> Array:
         p, y = angles @ np.array([1.0, t, 0.5 * t * t])

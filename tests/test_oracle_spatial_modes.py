@@ -40,7 +40,6 @@ from maxq.design.model.node import disperse, node_of
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle import workspace
 from maxq.tools.replay.vehicle_shape import bent_line, shape_of
 
 STATIONS = (0.0, 3.0, 5.0, 10.0, 12.0, 14.0)
@@ -163,8 +162,8 @@ def test_pairs_written_as_spatial_modes_have_the_same_derivative(angle_deg: floa
         got = spatial.derivative(spatial_state(spatial, planar, y, angle))
         scale = np.maximum(np.abs(wanted), 1e-3 * np.abs(wanted).max())
         np.testing.assert_allclose((got - wanted) / scale, 0.0, atol=2e-11)
-        bent = slice(workspace.GIMBAL_BEND, workspace.GIMBAL_BEND + 4)
-        np.testing.assert_allclose(spatial.aux[bent], planar.aux[bent], rtol=1e-11, atol=1e-14)
+        bent = (made.aux.gimbal_bending.tolist() for made in (spatial, planar))
+        np.testing.assert_allclose(*bent, rtol=1e-11, atol=1e-14)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0])
@@ -330,7 +329,7 @@ def test_section_loads_of_coupled_modes_are_those_of_particles() -> None:
     i, y, roll, rate = int(layout.spatial_index(made.sizes)), made.y.copy(), 3.0, rng.normal(size=6)
     y[layout.W_BI_B], y[i + 6 : i + 12] = roll, rate
     now, w = evaluate_at(made.packed, y, 0.0), np.array([roll, 0.0, 0.0])
-    accel, alpha = now.aux[workspace.SPECIFIC_FORCE :][:3], now.aux[workspace.ANGULAR_ACCEL :][:3]
+    accel, alpha = now.aux.specific_force_B_mps2, now.aux.alpha_BI_B_radps2
     bending = now.rate[i + 6 : i + 12] - roll * share @ rate
     places = np.stack([x, 0 * x, 0 * x], axis=1)
     moved, moving = np.einsum("i,ink->nk", bending, shapes), np.einsum("i,ink->nk", rate, shapes)
@@ -493,10 +492,10 @@ def ascending(section: Tree, rest: Parts, **stage: Any) -> tuple[Packed, FlightC
     start = {"initial": {"ned_mps": velocity, "euler_deg": [0.0, 50.0, 0.0]}, "earth": {"gravity": "uniform"}}
     tree = merged(scenario_of(straight, **AIR), start)
     packed = rig(with_stage(tree, aero=AERO, spatial_modes=section, **stage)).packed
-    air = evaluate_at(packed, packed.state, 0.0).aux
+    air = evaluate_at(packed, packed.state, 0.0).aux.air
     condition = FlightCondition(
-        0.0, float(air[workspace.AIRSPEED]), float(air[workspace.DENSITY]), float(air[workspace.PRESSURE]),
-        float(air[workspace.MACH]), float(path), float(np.linalg.norm(air[workspace.GRAVITATION :][:3])),
+        0.0, float(air.airspeed_mps), float(air.density_kgpm3), float(air.pressure_Pa),
+        float(air.mach), float(path), float(np.linalg.norm(air.gravitation_I_mps2)),
     )  # fmt: skip  # five more lines otherwise
     return packed, condition
 

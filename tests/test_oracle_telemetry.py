@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from maxq import Flight, FlightRun
 from maxq.control.kernel.jit import from_python
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, blank
 from maxq.sim.flight.metrics import METRIC, _gather_incidence
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.vehicle.workspace import AUX_SIZE, FLOW
+from maxq.sim.vehicle.workspace import Aux
 
 START = [
     "run.duration_s=0.04", "log.fast_hz=1000", "log.slow_hz=1000", "run.stop_at=[]",
@@ -139,10 +139,10 @@ def test_metrics_are_the_extremes_of_what_is_logged(flight: Flight) -> None:
 def test_incidence_and_its_product_with_pressure_have_extremes_of_their_own() -> None:
     """The angle is worked out where it may raise either of them: it rises as the pressure falls, and the reverse."""
     run = FlightRun(load_scenario("nominal", START), log=False)
-    extremes, aux = run.memory.extremes, np.zeros(AUX_SIZE)
+    extremes, aux = run.memory.extremes, blank(Aux)[0]
     gather = from_python(_gather_incidence)
     for now_ns, q, alpha_deg in ((0, 2000.0, 5.0), (1, 1100.0, 6.0), (2, 4000.0, 4.0), (3, 900.0, 50.0)):
-        aux[FLOW : FLOW + 3] = 300.0, 300.0 * math.tan(math.radians(alpha_deg)), 0.0
+        aux.air.flow_B_mps = 300.0, 300.0 * math.tan(math.radians(alpha_deg)), 0.0
         gather(extremes, q, aux, now_ns)
     assert extremes.value[METRIC.max_alpha_deg] == pytest.approx(6.0)  # below 1 kPa nothing counts
     assert extremes.value[METRIC.max_q_alpha_Padeg] == pytest.approx(16_000.0)

@@ -45,7 +45,6 @@ from maxq.design.model.node import nodes_along
 from maxq.sim.scenario.files import scenarios_folder
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle import workspace
 
 STATIONS = (0.0, 3.0, 5.0, 10.0, 12.0, 14.0)
 FREQUENCY_HZ = 15.6
@@ -118,7 +117,7 @@ def test_free_engine_agrees_with_lagrange(seed: int, tanks: int) -> None:
     y = with_engine(made, y, rng.normal(0.0, 0.3, 2), rng.normal(size=2))
     y[layout.ACTUATOR : layout.ACTUATOR + 12] = rng.normal(0.0, 0.02, 12)
     ours = accelerations(made, y)
-    moment = made.aux[workspace.HINGE_MOMENT : workspace.HINGE_MOMENT + 2].copy()
+    moment = made.aux.tvc_loads.hinge_moment_Nm[:2].copy()
     engine = to_oracle(made, y)
     assert np.abs(engine.deflection_radps2).min() > 1.0
     theirs = multibody_sympy.accelerations(oracle_vehicle(parts), engine)

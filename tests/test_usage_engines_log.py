@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from maxq import ScenarioError
+from maxq.control.kernel.records import blank
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly, logged_channels
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.vehicle.engine import engine_row
-from maxq.sim.vehicle.workspace import AUX_SIZE, ENGINE_THRUSTS
+from maxq.sim.vehicle.engine import EngineOutputs, engine_row
 
 NINE = "tests/data/nine-engines/flight.toml"
 GROUPED = ["vehicle.stage.0.engine.8.group='middle'", "fault=[{kind='engine-off',engine=1,at_s=3.0}]"]
@@ -47,11 +47,11 @@ def test_each_engine_shows_its_own_thrust_and_each_group_its_angle() -> None:
 
 
 def test_engines_taken_together_show_equal_shares_and_one_that_is_not_there_none() -> None:
-    aux = np.zeros(AUX_SIZE)
-    aux[ENGINE_THRUSTS : ENGINE_THRUSTS + 2] = 3e4, 7e3
+    engines = blank(EngineOutputs)[0]
+    engines.thrust_N[:2] = 3e4, 7e3
     engine = SimpleNamespace(parts=(3.0, 1.0, 3.0, 0.0), taken_as=(0, 1, 0, 0))
     row = getattr(engine_row, "py_func", engine_row)
-    thrusts = [row(engine, number, aux).thrust_engine_N for number in range(4)]
+    thrusts = [row(engine, number, engines).thrust_engine_N for number in range(4)]
     np.testing.assert_array_equal(thrusts, [1e4, 7e3, 1e4, np.nan])
 
 

@@ -26,6 +26,7 @@ def process_wide() -> dict[str, Any]:
         "get_call_type": BaseFunction.get_call_type,
         "from_struct_dtype": numpy_support.from_struct_dtype,
         "mangling_args": types.Record.mangling_args,
+        "mangling_of_tuples": types.NamedTuple.mangling_args,
         "slp_vectorize": numba.config.SLP_VECTORIZE,
         "frozen": gc.get_freeze_count(),
         "collecting": gc.isenabled(),

@@ -115,9 +115,12 @@ def _link_into(module: Any, libraries: list[Any], apart: bool = False) -> list[_
     return late
 
 
+_LONG_NAME = 200
+
+
 @functools.cache
-def _mangled_layout(name: str) -> tuple[str, tuple[int]]:
-    return "Record", (int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "big"),)
+def _mangled(kind: str, name: str) -> tuple[str, tuple[int]]:
+    return kind, (int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "big"),)
 
 
 class _AdaptedNumba:
@@ -129,8 +132,9 @@ class _AdaptedNumba:
       the same bit by bit; measured, it saves a twentieth of a flight's time.
     - `get_call_type`: the type of a call is looked up once for the same arguments. Numba tries its templates anew at
       every addition; measured, that is a fifth of a compilation.
-    - `mangling_args`: names in machine code hold the layout of a record. Numba writes a number that counts the records
-      of a process, so that code for other layouts, kept by other processes, can have the same name.
+    - `mangling_args`: names in machine code hold a hash of the layout of a record. Numba writes a number that counts
+      the records of a process, so that code for other layouts, kept by other processes, can have the same name; and for
+      a tuple with records it writes all their fields, 17,000 characters.
     """
 
     def __init__(self) -> None:
@@ -150,11 +154,14 @@ class _AdaptedNumba:
                 known[key] = function, find_type(function, context, args, named)  # with what the identity belongs to
             return known[key][1]
 
-        layout = property(lambda record: _mangled_layout(record.name))
+        layout = property(lambda record: _mangled("Record", record.name))
+        plain = vars(types.Type)["mangling_args"].fget
+        short = property(lambda of: plain(of) if len(of.name) < _LONG_NAME else _mangled(type(of).__name__, of.name))
         return (
             (numba.config, "SLP_VECTORIZE", 1),
             (BaseFunction, "get_call_type", known_type),
             (types.Record, "mangling_args", layout),
+            (types.Type, "mangling_args", short),
         )
 
     def __enter__(self) -> None:

@@ -37,11 +37,12 @@ from maxq.control.kernel.vectors import (
 )
 from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
+from maxq.sim.run.evaluate import Space
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
 from maxq.sim.vehicle.derivative import derive_properties
 from maxq.sim.vehicle.loads import MOMENT_Y, MOMENT_Z, SECTION_WIDTH, evaluate_sections
-from maxq.sim.vehicle.workspace import ENGINE_PITCH, ENGINE_YAW, GYRO_BEND, Evaluation
+from maxq.sim.vehicle.workspace import Evaluation, Work
 
 PLACE, VELOCITY, TURN, RATE, FLAT = 0, 3, 6, 9, 12  # of the coordinates
 FLEXIBLE = FLAT + states.N_FIXED - states.ACTUATOR
@@ -218,7 +219,7 @@ def _bob(pitch: float, pitch_rate: float, yaw: float, yaw_rate: float) -> tuple[
 @routine
 def motion(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, reference: Array, command: Array, x: Array,
-    at: Evaluation, work: Array, columns: Array, out: Array,
+    at: Evaluation, work: Work, columns: Array, out: Array,
 ) -> None:  # fmt: skip  # twelve lines otherwise
     """Rates of the coordinates at `x`, then the outputs. `reference`: attitude, angular velocity; `command`: the point
     of the inputs, to which those behind the coordinates add."""
@@ -234,8 +235,9 @@ def motion(
     state_of(sizes, spin, quaternion_at(reference, 0), x, at.y)
     evaluate(p, pool, memory, now_ns, 0.0, at, work)
     rates_of(sizes, spin, vector_at(reference, 4), x, at.y, at.dy, out)
-    out[n], out[n + 1] = at.aux[ENGINE_PITCH], at.aux[ENGINE_YAW]
-    out[n + 2], out[n + 3] = at.y[W_BI_B + 1] + at.aux[GYRO_BEND], at.y[W_BI_B + 2] + at.aux[GYRO_BEND + 1]
+    channel, bending = at.aux.engines.channel, at.aux.gyro_bending_radps
+    out[n], out[n + 1] = channel[0].angle_rad, channel[1].angle_rad
+    out[n + 2], out[n + 3] = at.y[W_BI_B + 1] + bending[0], at.y[W_BI_B + 2] + bending[1]
     stations = p.loads.stations
     if stations > 0:
         clock_s = schedule_clock(p, memory.clock, now_ns, 0.0)
@@ -249,17 +251,18 @@ def motion(
 @entry
 def differentiate(
     P: Records, pool: Array, state: Records, y: Array, now_ns: int, read: int, which: IntArray, steps: Array,
-    wanted: IntArray, levels: int, properties: Array, space: Array, tableau: Array, rate: Array, slopes: Array,
-) -> None:  # fmt: skip  # fifteen lines otherwise
+    wanted: IntArray, levels: int, properties: Array, space: Records, x: Array, tableau: Array, rate: Array,
+    slopes: Array,
+) -> None:  # fmt: skip  # sixteen lines otherwise
     """Rates and outputs at states `y` (vehicles, MAX_STATE) into `rate` (vehicles, rows), and the derivatives of those
     that are `wanted` into `slopes` (vehicles, wanted, columns).
 
     Vehicle k has row `memory.clock.stage` + k of `P` and row k of `y` and `properties`. `which`: coordinates and inputs
     of the columns, with their first `steps`. `read`: 1 reads the `properties` of the vehicle at the instant, 0 takes
-    them as they are given, and derives what follows from them. `space`: (5, most of what an evaluation needs);
-    `tableau`: (3 LEVELS + 4, rows). Derivatives are central differences, extrapolated to step zero over all powers of
-    the step (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau by its
-    error estimate.
+    them as they are given, and derives what follows from them. `space`: (1,) of Space; `x`: memory of coordinates and
+    inputs; `tableau`: (3 LEVELS + 4, rows). Derivatives are central differences, extrapolated to step zero over all
+    powers of the step (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau
+    by its error estimate.
     """
     memory, pool = state[0], bare_pointer(pool)
     for vehicle in range(len(y)):
@@ -273,7 +276,7 @@ def differentiate(
         else:
             derive_properties(p.vehicle, pool, clock_s, mine)
         differentiate_vehicle(
-            p, pool, memory, now_ns, bare_pointer(y[vehicle]), which, steps, wanted, levels, mine, space, tableau,
+            p, pool, memory, now_ns, bare_pointer(y[vehicle]), which, steps, wanted, levels, mine, space[0], x, tableau,
             rate[vehicle], slopes[vehicle],
         )  # fmt: skip  # twelve lines otherwise
 
@@ -281,11 +284,10 @@ def differentiate(
 @routine
 def differentiate_vehicle(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, y: Array, which: IntArray, steps: Array, wanted: IntArray,
-    levels: int, properties: Array, space: Array, tableau: Array, rate: Array, slopes: Array,
+    levels: int, properties: Array, space: Space, x: Array, tableau: Array, rate: Array, slopes: Array,
 ) -> None:  # fmt: skip  # fourteen lines otherwise
     """`differentiate` for one vehicle."""
-    dy, work, aux = bare_pointer(space[0]), bare_pointer(space[1]), bare_pointer(space[2])
-    columns, x = bare_pointer(space[3]), bare_pointer(space[4])
+    dy, work, columns, x = bare_pointer(space.rate), space.work, bare_pointer(space.columns), bare_pointer(x)
     sizes = counts(p.vehicle.sizes)
     rows, n, inputs = len(rate), coordinate_count(sizes), 2 * (1 + sizes.further_groups) + 3
     reference, command = bare_pointer(tableau[3 * LEVELS]), bare_pointer(tableau[3 * LEVELS + 1])
@@ -300,7 +302,7 @@ def differentiate_vehicle(
     coordinates_of(sizes, p.environment.earth.rate_radps, y, x)
     for k in range(inputs):
         x[n + k] = 0.0
-    at = Evaluation(properties, y, dy, aux)
+    at = Evaluation(properties, y, dy, space.aux)
     there, back = bare_pointer(tableau[3 * LEVELS + 2]), bare_pointer(tableau[3 * LEVELS + 3])
     for column in range(len(which)):
         j = which[column]

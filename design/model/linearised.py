@@ -35,17 +35,15 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray, blank
 from maxq.design.model import jacobian
 from maxq.design.model.state_space import StateSpace
 from maxq.sim.flight.loop import begin
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.evaluate import evaluate_at
+from maxq.sim.run.evaluate import Space, evaluate_at
 from maxq.sim.vehicle import state as layout
 from maxq.sim.vehicle.block import Sizes
-from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS
-from maxq.sim.vehicle.state import MAX_STATE
-from maxq.sim.vehicle.workspace import AUX_SIZE, PROPERTIES_SIZE, WORK_SIZE
+from maxq.sim.vehicle.workspace import PROPERTIES_SIZE
 
 OUTPUTS = ("delta_pitch_rad", "delta_yaw_rad", "local_rate_pitch_radps", "local_rate_yaw_radps")
 WINDS = ("wind_x_mps", "wind_y_mps", "wind_z_mps")
@@ -107,11 +105,12 @@ def differentiate(
         np.atleast_2d(np.zeros(PROPERTIES_SIZE) if properties is None else properties),
     )
     wanted = np.arange(rows) if wanted is None else wanted
-    space = np.zeros((5, max(MAX_STATE, WORK_SIZE, AUX_SIZE, MAX_LOAD_COLUMNS)))
     rate, slopes = np.zeros((len(states), rows)), np.zeros((len(states), len(wanted), len(which)))
+    space, x = blank(Space), np.zeros(rows + len(inputs_of(sizes)) + 3)
     jacobian.differentiate(
         parameters, pool, memory.copy(), states, now_ns, int(properties is None), np.asarray(which, np.int64), steps,
-        np.asarray(wanted, np.int64), levels, given, space, np.zeros((3 * jacobian.LEVELS + 4, rows)), rate, slopes,
+        np.asarray(wanted, np.int64), levels, given, space, x, np.zeros((3 * jacobian.LEVELS + 4, rows)), rate,
+        slopes,
     )  # fmt: skip  # fourteen lines otherwise
     return (rate[0], slopes[0]) if np.ndim(y) == 1 else (rate, slopes)
 
@@ -148,7 +147,7 @@ def at_rest(packed: Packed, time_s: float) -> tuple[Packed, Array]:
 
     Place, attitude, velocity and roll rate are kept; rates in pitch and yaw are zero, the gyros' output with them.
     """
-    memory, out = packed.memory.copy(), np.zeros(MAX_STATE)
+    memory, out = packed.memory.copy(), np.zeros(layout.MAX_STATE)
     memory[0].held.command_rad[:] = 0.0
     out[: layout.W_BI_B + 1] = packed.state[: layout.W_BI_B + 1]
     out[layout.GYRO] = out[layout.W_BI_B]

@@ -44,7 +44,6 @@ from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator import Actuator
 from maxq.sim.vehicle.slosh import RING_DRAG
 from maxq.sim.vehicle.state import Q_BI, R_I, V_I
-from maxq.sim.vehicle.workspace import AIRSPEED, DENSITY, FLOW, GRAVITATION, MACH, PRESSURE
 from maxq.sim.world.earth import ground_velocity
 
 
@@ -355,21 +354,21 @@ def surface_radii_m(stage: Stage, clock_s: float) -> tuple[float, ...]:
 
 def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch") -> Node:
     """Return the node at the state and time at which a packed flight stands."""
-    air = evaluate_at(packed, packed.state, time_s).aux
-    gravitation = air[GRAVITATION : GRAVITATION + 3]
+    air = evaluate_at(packed, packed.state, time_s).aux.air
+    gravitation = air.gravitation_I_mps2
     gravity = float(np.linalg.norm(gravitation))
     forward = rotation(packed.state[Q_BI : Q_BI + 4])[:, 0]
     pitch = math.asin(max(-1.0, min(1.0, float(-forward @ gravitation) / gravity))) if gravity > 0.0 else 0.0
-    u, v, w = (float(x) for x in air[FLOW : FLOW + 3])
+    u, v, w = (float(x) for x in air.flow_B_mps)
     row, trim = packed.parameters[stage], (math.atan2(w, u), math.atan2(v, math.hypot(u, w)))
-    flies = air[AIRSPEED] >= row.vehicle.aero.airspeed_floor_mps  # below it no air acts, and its pressure does
+    flies = air.airspeed_mps >= row.vehicle.aero.airspeed_floor_mps  # below it no air acts, and its pressure does
     carried = ground_velocity(row.environment.earth, *packed.state[R_I : R_I + 2])
     condition = FlightCondition(
         time_s=time_s,
-        airspeed_mps=float(air[AIRSPEED]),
-        density_kgpm3=float(air[DENSITY]) if flies else 0.0,
-        pressure_Pa=float(air[PRESSURE]),
-        mach=float(air[MACH]),
+        airspeed_mps=float(air.airspeed_mps),
+        density_kgpm3=float(air.density_kgpm3) if flies else 0.0,
+        pressure_Pa=float(air.pressure_Pa),
+        mach=float(air.mach),
         pitch_rad=pitch,
         gravity_mps2=gravity,
     )

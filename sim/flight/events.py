@@ -36,7 +36,7 @@ from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_LOST, GYRO_WALK
 from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
 from maxq.sim.vehicle.sensors import SENSOR_STREAM, sensor_slots
-from maxq.sim.vehicle.workspace import AIRSPEED, ALTITUDE, AXIAL_LOAD, DYNAMIC_PRESSURE, FLOW, PRESSURE
+from maxq.sim.vehicle.workspace import Aux
 from maxq.sim.world.atmosphere import air
 from maxq.sim.world.earth import local_frame
 from maxq.sim.world.gust_history import history_tick
@@ -66,7 +66,7 @@ def burn_out(p: Parameters, memory: Memory) -> None:
 
 @routine
 def process_due_events(
-    p: Parameters, pool: Array, memory: Memory, y: Array, aux: Array, properties: Array
+    p: Parameters, pool: Array, memory: Memory, y: Array, aux: Aux, properties: Array
 ) -> int:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Process all events that are due now. Returns 1 if the engine has been ignited or cut off."""
     clock, held = memory.clock, memory.held
@@ -91,9 +91,10 @@ def process_due_events(
         clock.next_gust_ns = now + p.environment.turbulence.tick_ns
         if clock.steps > 0:  # the first gust was drawn at the start
             along_N = flight_direction(p.environment, pool, y)
-            turbulence_tick(p.environment.turbulence, pool, memory.gusts, aux[AIRSPEED], aux[ALTITUDE], along_N)
+            turbulence, air = p.environment.turbulence, aux.air
+            turbulence_tick(turbulence, pool, memory.gusts, air.airspeed_mps, air.altitude_m, along_N)
             if p.environment.penetration == 1:
-                way_m = aux[AIRSPEED] * 1e-9 * p.environment.turbulence.tick_ns
+                way_m = air.airspeed_mps * 1e-9 * turbulence.tick_ns
                 history_tick(memory.history, memory.gusts, way_m, p.environment.reach_m)
     apply_due_command(p, memory)  # before the sample: its command replaces what is pending
     if now >= clock.next_sample_ns:
@@ -262,11 +263,11 @@ def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
 
 
 @routine
-def event_function(p: Parameters, event: int, y: Array, properties: Array, aux: Array) -> float:
+def event_function(p: Parameters, event: int, y: Array, properties: Array, aux: Aux) -> float:
     """A number that turns positive as `event` happens; `aux` is that of the start of the step."""
     if event == LIFTOFF:
-        thrust_N = total_thrust(p.vehicle.engine, counts(p.vehicle.sizes), properties, aux[PRESSURE])
-        surplus_N: float = thrust_N - properties[TOTAL_MASS] * aux[AXIAL_LOAD]
+        thrust_N = total_thrust(p.vehicle.engine, counts(p.vehicle.sizes), properties, aux.air.pressure_Pa)
+        surplus_N: float = thrust_N - properties[TOTAL_MASS] * aux.axial_load_mps2
         return surplus_N
     altitude, climb = climb_rate(p.environment.earth, y)
     if event == APOGEE:
@@ -275,7 +276,7 @@ def event_function(p: Parameters, event: int, y: Array, properties: Array, aux: 
 
 
 @routine
-def detect_loss_of_control(p: Parameters, memory: Memory, aux: Array) -> None:
+def detect_loss_of_control(p: Parameters, memory: Memory, aux: Aux) -> None:
     """Events that are detected at the start of a step: loss of control, tumbling."""
     if memory.held.on_pad == 1:
         return
@@ -283,8 +284,8 @@ def detect_loss_of_control(p: Parameters, memory: Memory, aux: Array) -> None:
     if memory.held.burning == 1 and clock.event_ns[CONTROL_LOST] < 0:
         if max(abs(error_rad[1]), abs(error_rad[2])) > timeline.control_lost_rad:
             record_event(p, memory, CONTROL_LOST, clock.now_ns)
-    if aux[DYNAMIC_PRESSURE] > timeline.tumble_pressure_Pa and clock.event_ns[TUMBLE] < 0:
-        if aux[FLOW] < math.cos(timeline.tumble_rad) * aux[AIRSPEED]:
+    if aux.air.dynamic_pressure_Pa > timeline.tumble_pressure_Pa and clock.event_ns[TUMBLE] < 0:
+        if aux.air.flow_B_mps[0] < math.cos(timeline.tumble_rad) * aux.air.airspeed_mps:
             record_event(p, memory, TUMBLE, clock.now_ns)
 
 

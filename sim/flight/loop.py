@@ -14,12 +14,11 @@ from maxq.sim.flight.metrics import gather
 from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVENTS, NEVER, Memory, Parameters
 from maxq.sim.flight.telemetry import Logged, fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, counts
-from maxq.sim.vehicle.engine import group_angles
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
 from maxq.sim.vehicle.loads import evaluate_sections, gather_sections
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_MASS, TOTAL_MASS, properties_size
 from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
-from maxq.sim.vehicle.workspace import ALTITUDE, ANCHOR, Evaluation
+from maxq.sim.vehicle.workspace import Evaluation
 from maxq.sim.world.gust_history import history_start
 from maxq.sim.world.turbulence import turbulence_start
 
@@ -79,18 +78,33 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
 
 @entry
 def advance(
-    P: Records, pool: Array, state: Records, y: Array, arena: Array, until_ns: int, log_of: Records,
+    P: Records, pool: Array, state: Records, y: Array, arena: Records, until_ns: int, log_of: Records,
     fast_ns: IntArray, fast: Array, slow_ns: IntArray, slow: Array, rows: IntArray,
 ) -> None:  # fmt: skip  # fourteen lines otherwise
     """Fly until `until_ns` or the end of the flight, whichever comes first.
 
-    `P` (stages,) of Parameters, `state` (1,) of Memory, `log_of` (1,) of Logged. Log rows go to `fast`, `slow` with
-    their times (ns) and counts `rows` (2,). Where a call ends changes nothing in the flight, as long as `until_ns` is
-    a multiple of the step; with steps of equal length it ends with the first step that reaches `until_ns`.
+    `P` (stages,) of Parameters, `state` (1,) of Memory, `arena` (1,) of Arena, `log_of` (1,) of Logged. Log rows go to
+    `fast`, `slow` with their times (ns) and counts `rows` (2,). Where a call ends changes nothing in the flight, as
+    long as `until_ns` is a multiple of the step; with steps of equal length it ends with the first step that reaches
+    `until_ns`.
     """
     memory, logged = state[0], log_of[0]
     clock = memory.clock
-    pool, space = bare_pointer(pool), step.workspace_of(arena, y)
+    room = arena[0]
+    y_stage, rate, aux = bare_pointer(room.y_stage), bare_pointer(room.stage_rate), room.stage_aux
+    start, middle = bare_pointer(room.start_properties), bare_pointer(room.middle_properties)
+    pool = bare_pointer(pool)
+    space = step.Workspace(  # here, because no kernel can return a tuple with a record
+        start=Evaluation(start, bare_pointer(y), bare_pointer(room.start_rate), room.start_aux),
+        middle=Evaluation(middle, y_stage, rate, aux),
+        end=Evaluation(bare_pointer(room.end_properties), y_stage, rate, aux),
+        y_end=bare_pointer(room.y_end),
+        work=room.work,
+        columns=bare_pointer(room.columns),
+        moved=bare_pointer(room.moved),
+        kept=bare_pointer(room.kept),
+        between=Evaluation(middle, bare_pointer(room.y_between), bare_pointer(room.between_rate), aux),
+    )
     now_at, log_rows = space.start, LogRows(fast_ns, fast, slow_ns, slow, rows)
     while clock.finished == 0 and clock.now_ns < until_ns:
         p = P[clock.stage]
@@ -164,10 +178,10 @@ def fly_step(
 @kernel
 def evaluate_exactly(p: Parameters, pool: Array, memory: Memory, space: step.Workspace) -> None:
     """Derivative at the start of a step. Its position becomes the anchor from which the later stages are near."""
-    space.work[ANCHOR] = ANCHOR_DUE
+    space.work.anchor.state = ANCHOR_DUE
     step.evaluate(p, pool, memory, memory.clock.now_ns, 0.0, space.start, space.work)
     for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
-        memory.held.engine_rad[channel] = space.start.aux[group_angles(channel // 2) + 3 * (channel % 2)]
+        memory.held.engine_rad[channel] = space.start.aux.engines.channel[channel].angle_rad
 
 
 @routine
@@ -228,7 +242,7 @@ def detect_crossing(p: Parameters, memory: Memory, space: step.Workspace) -> int
             return APOGEE
         return -1
     # a vehicle that has just left a pad on the ground has not come down
-    above = aux[ALTITUDE] > p.timeline.ground_altitude_m + 1e-3
+    above = aux.air.altitude_m > p.timeline.ground_altitude_m + 1e-3
     if above and events.event_function(p, IMPACT, y, properties, aux) >= 0.0:
         return IMPACT
     if events.event_function(p, APOGEE, y, properties, aux) < 0.0:

@@ -11,13 +11,14 @@ import math
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.records import Array
+from maxq.control.kernel.vectors import vector_at
 from maxq.sim.flight.metric_table import N_METRICS, MetricIndex
 from maxq.sim.flight.parameters import Extremes, Memory, Parameters
-from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.derivative import Vehicle
 from maxq.sim.vehicle.schedule import TOTAL_MASS
 from maxq.sim.vehicle.slosh import bob_mass, wave_share
 from maxq.sim.vehicle.state import R_I, V_I, Sizes, counts, pendulum_index
+from maxq.sim.vehicle.workspace import Aux, Evaluation
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 SIGNIFICANT_PRESSURE_PA = 1000.0  # incidence below this dynamic pressure is of no consequence
@@ -40,30 +41,28 @@ def largest_error(error_rad: Array) -> tuple[float, float]:
 
 
 @routine
-def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: ws.Evaluation) -> None:
+def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evaluation) -> None:
     """Update all metrics at an evaluation, from which a step of `step_s` begins."""
     props, y, aux, extremes = at.properties, at.y, at.aux, memory.extremes
     turning = p.environment.earth.rate_radps
     vx, vy, vz = y[V_I] + turning * y[R_I + 1], y[V_I + 1] - turning * y[R_I], y[V_I + 2]
     raise_to(extremes, METRIC.max_speed_mps, math.sqrt(vx * vx + vy * vy + vz * vz), now_ns)
-    raise_to(extremes, METRIC.max_altitude_m, aux[ws.ALTITUDE], now_ns)
-    raise_to(extremes, METRIC.max_mach, aux[ws.MACH], now_ns)
-    q = aux[ws.DYNAMIC_PRESSURE]
+    raise_to(extremes, METRIC.max_altitude_m, aux.air.altitude_m, now_ns)
+    raise_to(extremes, METRIC.max_mach, aux.air.mach, now_ns)
+    q = aux.air.dynamic_pressure_Pa
     raise_to(extremes, METRIC.max_dynamic_pressure_Pa, q, now_ns)
-    raise_to(
-        extremes, METRIC.max_thrust_over_weight_g, aux[ws.THRUST] / props[TOTAL_MASS] / STANDARD_GRAVITY_MPS2, now_ns
-    )
-    sensed = (aux[ws.AERO_FORCE] + aux[ws.THRUST]) / props[TOTAL_MASS]
+    thrust_N = aux.engines.axial_thrust_N
+    thrust_g = thrust_N / props[TOTAL_MASS] / STANDARD_GRAVITY_MPS2
+    raise_to(extremes, METRIC.max_thrust_over_weight_g, thrust_g, now_ns)
+    sensed = (aux.aero_force_B_N[0] + thrust_N) / props[TOTAL_MASS]
     raise_to(extremes, METRIC.max_axial_load_g, abs(sensed) / STANDARD_GRAVITY_MPS2, now_ns)
     _gather_bending(extremes, p.vehicle.sizes, now_ns, aux)
     if memory.held.burning == 0 or memory.held.on_pad == 1:
         return
     raise_to(extremes, METRIC.max_powered_dynamic_pressure_Pa, q, now_ns)
     _gather_incidence(extremes, q, aux, now_ns)
-    lateral_mps2 = math.sqrt(
-        aux[ws.SPECIFIC_FORCE + 1] * aux[ws.SPECIFIC_FORCE + 1]
-        + aux[ws.SPECIFIC_FORCE + 2] * aux[ws.SPECIFIC_FORCE + 2]
-    )
+    _, force_y, force_z = vector_at(aux.specific_force_B_mps2, 0)
+    lateral_mps2 = math.sqrt(force_y * force_y + force_z * force_z)
     raise_to(extremes, METRIC.max_lateral_load_g, lateral_mps2 / STANDARD_GRAVITY_MPS2, now_ns)
     roll_deg, lateral_deg = largest_error(memory.truth.error_rad)
     raise_to(extremes, METRIC.max_attitude_error_deg, lateral_deg, now_ns)
@@ -71,9 +70,10 @@ def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: ws.Eva
     roll_deg, lateral_deg = largest_error(memory.computer.attitude.error_rad)
     raise_to(extremes, METRIC.max_computer_attitude_error_deg, lateral_deg, now_ns)
     raise_to(extremes, METRIC.max_computer_roll_error_deg, roll_deg, now_ns)
-    gimbal = max(abs(aux[ws.ENGINE_PITCH]), abs(aux[ws.ENGINE_YAW]))
+    pitch, yaw = aux.engines.channel[0], aux.engines.channel[1]
+    gimbal = max(abs(pitch.angle_rad), abs(yaw.angle_rad))
     raise_to(extremes, METRIC.max_gimbal_deg, math.degrees(gimbal), now_ns)
-    gimbal_rate = max(abs(aux[ws.ENGINE_PITCH + 1]), abs(aux[ws.ENGINE_YAW + 1]))
+    gimbal_rate = max(abs(pitch.rate_radps), abs(yaw.rate_radps))
     raise_to(extremes, METRIC.max_gimbal_rate_degps, math.degrees(gimbal_rate), now_ns)
     _gather_slosh(p.vehicle, memory, now_ns, props, y)
     limited = memory.computer.command_limited
@@ -91,19 +91,20 @@ def angle_above(lateral: float, axial: float, floor_deg: float) -> float:
 
 
 @kernel
-def _gather_incidence(extremes: Extremes, q: float, aux: Array, now_ns: int) -> None:
+def _gather_incidence(extremes: Extremes, q: float, aux: Aux, now_ns: int) -> None:
     if q > SIGNIFICANT_PRESSURE_PA:
-        lateral = math.sqrt(aux[ws.FLOW + 1] * aux[ws.FLOW + 1] + aux[ws.FLOW + 2] * aux[ws.FLOW + 2])
+        u, v, w = vector_at(aux.air.flow_B_mps, 0)
+        lateral = math.sqrt(v * v + w * w)
         floor_deg = min(extremes.value[METRIC.max_alpha_deg], extremes.value[METRIC.max_q_alpha_Padeg] / q)
-        alpha_deg = angle_above(lateral, aux[ws.FLOW], floor_deg)
+        alpha_deg = angle_above(lateral, u, floor_deg)
         raise_to(extremes, METRIC.max_alpha_deg, alpha_deg, now_ns)
         raise_to(extremes, METRIC.max_q_alpha_Padeg, q * alpha_deg, now_ns)
 
 
 @kernel
-def _gather_bending(extremes: Extremes, sizes: Sizes, now_ns: int, aux: Array) -> None:
+def _gather_bending(extremes: Extremes, sizes: Sizes, now_ns: int, aux: Aux) -> None:
     if sizes.pitch_modes + sizes.yaw_modes + sizes.spatial_modes > 0:
-        move_y, move_z = aux[ws.GIMBAL_BEND], aux[ws.GIMBAL_BEND + 1]
+        move_y, move_z = aux.gimbal_bending.moved_y_m, aux.gimbal_bending.moved_z_m
         raise_to(extremes, METRIC.max_bending_m, math.sqrt(move_y * move_y + move_z * move_z), now_ns)
 
 

@@ -20,7 +20,7 @@ from maxq.sim.vehicle.actuator import Actuator, linear_sections
 from maxq.sim.vehicle.block import Counts, counts
 from maxq.sim.vehicle.derivative import Vehicle
 from maxq.sim.vehicle.state import ACTUATOR, GYRO, N_ACTUATOR, actuator_index, eta_index, spatial_index, xi_index
-from maxq.sim.vehicle.workspace import AXIAL_LOAD, Evaluation
+from maxq.sim.vehicle.workspace import Evaluation
 
 D = 0  # matrices of a block, row by row, one behind the other
 FORCED_HALF = 1  # h/2 phi_1(Z/2): motion by half a step under a constant force
@@ -107,7 +107,7 @@ def _add_block(kept: Array, slot: int, first: int, stride: int, states: int, mat
 def _add_modes(kept: Array, slot: int, vehicle: Vehicle, sizes: Counts, h: float, at: Evaluation) -> int:
     """All modes, with the present stiffness under the axial load; returns where the matrices of what follows begin."""
     p, end = at.properties, slot + _NUMBERS
-    soft = vehicle.bending.softening_factor * at.aux[AXIAL_LOAD]
+    soft = vehicle.bending.softening_factor * at.aux.axial_load_mps2
     for plane in (sch.PITCH, sch.YAW):
         n, first = sizes.pitch_modes, eta_index(sizes)
         if plane == sch.YAW:

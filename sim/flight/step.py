@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.jit import bare_pointer, disjoint_routine, kernel, routine
+from maxq.control.kernel.jit import disjoint_routine, kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import interpolate_into
 from maxq.control.kernel.vectors import Vector, add, scaled, set_vector
@@ -31,12 +32,13 @@ from maxq.sim.flight.oscillators import (
 from maxq.sim.flight.parameters import ERRORS_SQUARED, Clock, Memory, Parameters
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import state as states
-from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, Counts, counts
 from maxq.sim.vehicle.derivative import derivative, derive_properties
-from maxq.sim.vehicle.engine import group_angles
+from maxq.sim.vehicle.engine import EngineOutputs
+from maxq.sim.vehicle.environment import CROSSFLOW_PART
 from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS
 from maxq.sim.vehicle.slosh import bob_mass
+from maxq.sim.vehicle.workspace import PROPERTIES_SIZE, Aux, Evaluation, Work
 from maxq.sim.world.gust_history import gust_behind
 from maxq.sim.world.turbulence import turbulence_at
 
@@ -44,63 +46,40 @@ from maxq.sim.world.turbulence import turbulence_at
 class Workspace(NamedTuple):
     """The arrays that a step works with, besides the flight's own state."""
 
-    start: ws.Evaluation  # at the start of the step, with the state of the flight
-    middle: ws.Evaluation  # at its later stages; `middle` and `end` have properties of their own, and share the rest
-    end: ws.Evaluation
+    start: Evaluation  # at the start of the step, with the state of the flight
+    middle: Evaluation  # at its later stages; `middle` and `end` have properties of their own, and share the rest
+    end: Evaluation
     y_end: Array  # state at the end of the step
-    work: Array  # scratch memory of the derivative
+    work: Work  # scratch memory of the derivative
     columns: Array  # of the section loads
     moved: Array  # of each block of oscillators: what its stages need of each other
     kept: Array  # the blocks' matrices, see oscillators.py
-    between: ws.Evaluation  # at an instant within the step
+    between: Evaluation  # at an instant within the step
 
 
 ERRORS_NS = 500_000_000
 """Between two estimates of a flight's errors."""
-_Y_END = 0
-_Y_STAGE = _Y_END + states.MAX_STATE
-_K_1 = _Y_STAGE + states.MAX_STATE
-_K = _K_1 + states.MAX_STATE
-_START = _K + states.MAX_STATE
-_MIDDLE = _START + ws.PROPERTIES_SIZE
-_END = _MIDDLE + ws.PROPERTIES_SIZE
-_WORK = _END + ws.PROPERTIES_SIZE
-_AUX = _WORK + ws.WORK_SIZE
-_AUX_STAGE = _AUX + ws.AUX_SIZE
-_COLUMNS = _AUX_STAGE + ws.AUX_SIZE
-_MOVED = _COLUMNS + MAX_LOAD_COLUMNS
-_KEPT = _MOVED + MOVED_SIZE
-_Y_BETWEEN = _KEPT + KEPT_SIZE
-_K_BETWEEN = _Y_BETWEEN + states.MAX_STATE
-ARENA_SIZE = _K_BETWEEN + states.MAX_STATE
 
 
-@kernel
-def workspace_of(arena: Array, y: Array) -> Workspace:
-    """Parts of `arena` (ARENA_SIZE,) and the state `y`, as bare pointers."""
-    y_stage, k = bare_pointer(arena[_Y_STAGE:_K_1]), bare_pointer(arena[_K:_START])
-    aux = bare_pointer(arena[_AUX_STAGE:_COLUMNS])
-    return Workspace(
-        start=ws.Evaluation(
-            bare_pointer(arena[_START:_MIDDLE]),
-            bare_pointer(y),
-            bare_pointer(arena[_K_1:_K]),
-            bare_pointer(arena[_AUX:_AUX_STAGE]),
-        ),
-        middle=ws.Evaluation(bare_pointer(arena[_MIDDLE:_END]), y_stage, k, aux),
-        end=ws.Evaluation(bare_pointer(arena[_END:_WORK]), y_stage, k, aux),
-        y_end=bare_pointer(arena[_Y_END:_Y_STAGE]),
-        work=bare_pointer(arena[_WORK:_AUX]),
-        columns=bare_pointer(arena[_COLUMNS:_MOVED]),
-        moved=bare_pointer(arena[_MOVED:_KEPT]),
-        kept=bare_pointer(arena[_KEPT:_Y_BETWEEN]),
-        between=ws.Evaluation(
-            bare_pointer(arena[_MIDDLE:_END]),
-            bare_pointer(arena[_Y_BETWEEN:_K_BETWEEN]),
-            bare_pointer(arena[_K_BETWEEN:ARENA_SIZE]),
-            aux,
-        ),
-    )
+@dataclass
+class Arena:
+    """The memory behind a Workspace."""
+
+    y_end: Annotated[Array, (states.MAX_STATE,)]
+    y_stage: Annotated[Array, (states.MAX_STATE,)]
+    start_rate: Annotated[Array, (states.MAX_STATE,)]
+    stage_rate: Annotated[Array, (states.MAX_STATE,)]
+    start_properties: Annotated[Array, (PROPERTIES_SIZE,)]
+    middle_properties: Annotated[Array, (PROPERTIES_SIZE,)]
+    end_properties: Annotated[Array, (PROPERTIES_SIZE,)]
+    work: Work
+    start_aux: Aux
+    stage_aux: Aux
+    columns: Annotated[Array, (MAX_LOAD_COLUMNS,)]
+    moved: Annotated[Array, (MOVED_SIZE,)]
+    kept: Annotated[Array, (KEPT_SIZE,)]
+    y_between: Annotated[Array, (states.MAX_STATE,)]
+    between_rate: Annotated[Array, (states.MAX_STATE,)]
 
 
 @kernel
@@ -140,7 +119,7 @@ def stop_flow(sizes: Counts, properties: Array) -> None:
 
 @routine
 def evaluate(
-    p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, at: ws.Evaluation, work: Array
+    p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, at: Evaluation, work: Work
 ) -> None:  # fmt: skip  # nine lines otherwise
     """Derivative `elapsed_s` into the step that starts at `now_ns`."""
     inputs = memory.inputs
@@ -156,22 +135,22 @@ def evaluate(
         since_s = 1e-9 * (now_ns - memory.clock.next_gust_ns + tick) + elapsed_s
         gust = turbulence_at(memory.gusts, 1e9 * since_s / tick)
         if p.environment.penetration == 1:
-            gust = gusts_along_body(p, memory, 1e9 * since_s / tick, at.properties[sch.CORE_CG], work)
+            gust = gusts_along_body(p, memory, 1e9 * since_s / tick, at.properties[sch.CORE_CG], work.aero.wind_B_mps)
         inputs.gust_x_mps, inputs.gust_y_mps, inputs.gust_z_mps = gust
     derivative(p.vehicle, p.environment, pool, memory.held, inputs, at, work)
 
 
 @kernel
-def gusts_along_body(p: Parameters, memory: Memory, fraction: float, cg_m: float, work: Array) -> Vector:
-    """Turbulence at the core CG; at each part, less that, into the workspace. The nose meets it first."""
+def gusts_along_body(p: Parameters, memory: Memory, fraction: float, cg_m: float, wind_B_mps: Array) -> Vector:
+    """Turbulence at the core CG; at each part, less that, into `wind_B_mps`. The nose meets it first."""
     here = gust_behind(memory.history, memory.gusts, fraction, max(cg_m, 0.0))
     parts = counts(p.vehicle.sizes).surfaces
     for k in range(parts + 1):
         station, at = (
-            (p.vehicle.aero.crossflow_station_m, ws.CROSSFLOW_PART) if k == parts else (p.vehicle.aero.station_m[k], k)
+            (p.vehicle.aero.crossflow_station_m, CROSSFLOW_PART) if k == parts else (p.vehicle.aero.station_m[k], k)
         )
         there = gust_behind(memory.history, memory.gusts, fraction, max(station, 0.0))
-        set_vector(work, ws.PART_WIND + 3 * at, add(there, scaled(-1.0, here)))
+        set_vector(wind_B_mps, 3 * at, add(there, scaled(-1.0, here)))
     return here
 
 
@@ -318,7 +297,7 @@ def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, ste
     """
     sizes, errors, whole, y_end = counts(p.vehicle.sizes), memory.errors, space.between.y, space.y_end
     n, half_ns = states.state_size(sizes), step_ns // 2
-    met = starts_or_stops(p.vehicle.sizes.further_groups, space.start.aux, space.end.aux)
+    met = starts_or_stops(p.vehicle.sizes.further_groups, space.start.aux.engines, space.end.aux.engines)
     for i in range(n):
         whole[i] = y_end[i]
     take_step(p, pool, memory, now_ns, half_ns, space)
@@ -327,7 +306,7 @@ def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, ste
     read_schedule(p, pool, memory, now_ns + half_ns, 0.0, space.start.properties)
     evaluate(p, pool, memory, now_ns + half_ns, 0.0, space.start, space.work)
     take_step(p, pool, memory, now_ns + half_ns, step_ns - half_ns, space)
-    met = met or starts_or_stops(p.vehicle.sizes.further_groups, space.start.aux, space.end.aux)
+    met = met or starts_or_stops(p.vehicle.sizes.further_groups, space.start.aux.engines, space.end.aux.engines)
     steps, share, between_s = ERRORS_NS / step_ns, 16.0 / 15.0, 1e-9 * ERRORS_NS
     turned, away, faster, pushed = 0.0, 0.0, 0.0, 0.0
     for i in range(Q_BI, Q_BI + 4):
@@ -335,7 +314,7 @@ def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, ste
     for i in range(3):
         away += (whole[R_I + i] - y_end[R_I + i]) ** 2
         faster += (whole[V_I + i] - y_end[V_I + i]) ** 2
-        pushed += space.end.aux[ws.SPECIFIC_FORCE + i] ** 2
+        pushed += space.end.aux.specific_force_B_mps2[i] ** 2
     bent, swung = 0.0, 0.0
     for first, modes in (
         (states.eta_index(sizes), sizes.pitch_modes), (states.xi_index(sizes), sizes.yaw_modes),
@@ -363,11 +342,10 @@ def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, ste
 
 
 @kernel
-def starts_or_stops(further_groups: int, before: Array, after: Array) -> bool:
-    """Whether an engine rests at one of two evaluations' aux and moves at the other."""
+def starts_or_stops(further_groups: int, before: EngineOutputs, after: EngineOutputs) -> bool:
+    """Return True if an engine rests at one of two evaluations and moves at the other."""
     for channel in range(2 + 2 * further_groups):
-        rate = group_angles(channel // 2) + 3 * (channel % 2) + 1
-        if (before[rate] == 0.0) != (after[rate] == 0.0):
+        if (before.channel[channel].rate_radps == 0.0) != (after.channel[channel].rate_radps == 0.0):
             return True
     return False
 

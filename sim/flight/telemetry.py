@@ -21,10 +21,10 @@ from maxq.control.laws.load_relief import LoadReliefRow, load_relief_row
 from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
-from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.actuator import ActuatorRow, actuator_row
 from maxq.sim.vehicle.bending import BendingRow, ModeRow, bending_row, put_modes
 from maxq.sim.vehicle.engine import EngineRow, GroupRow, engine_row, group_row
+from maxq.sim.vehicle.environment import AirData
 from maxq.sim.vehicle.gyro import GyroRow, gyro_row
 from maxq.sim.vehicle.loads import SectionRow, section_row
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
@@ -44,6 +44,7 @@ from maxq.sim.vehicle.state import (
     xi_index,
 )
 from maxq.sim.vehicle.tvc_load import SwingRow, TvcLoadRow, swing_row, tvc_load_row
+from maxq.sim.vehicle.workspace import Aux, Evaluation
 from maxq.sim.world.earth import FLAT, earth_rotation, geodetic, inertial_to_earth, ned_axes
 
 FAST, SLOW = "fast", "slow"
@@ -74,16 +75,18 @@ class FastRow(NamedTuple):
 
 
 @routine
-def fill_fast(p: Parameters, out: Logged, memory: Memory, at: ws.Evaluation, row: Array) -> None:
+def fill_fast(p: Parameters, out: Logged, memory: Memory, at: Evaluation, row: Array) -> None:
     """One row of the fast group."""
     props, y, aux, logged = at.properties, at.y, at.aux, out.sizes
-    sizes = p.vehicle.sizes
+    sizes, engines = p.vehicle.sizes, aux.engines
     column = put(
         row,
         0,
         FastRow(
-            actuator=actuator_row(memory.held.command_rad[0], memory.held.command_rad[1], aux),
-            gyro=gyro_row(y, GYRO, memory.held.faults, aux),
+            actuator=actuator_row(
+                memory.held.command_rad[0], memory.held.command_rad[1], engines.channel[0], engines.channel[1]
+            ),
+            gyro=gyro_row(y, GYRO, memory.held.faults, aux.gyro_bending_radps),
             control=control_row(memory.computer),
         ),
     )
@@ -91,21 +94,22 @@ def fill_fast(p: Parameters, out: Logged, memory: Memory, at: ws.Evaluation, row
         column = put_modes(row, column, y, eta_index(sizes), sizes.pitch_modes, logged.pitch_modes)
         column = put_modes(row, column, y, xi_index(sizes), sizes.yaw_modes, logged.yaw_modes)
         column = put_modes(row, column, y, spatial_index(sizes), sizes.spatial_modes, logged.spatial_modes)
-        column = put(row, column, bending_row(aux))
+        column = put(row, column, bending_row(aux.gimbal_bending))
     for tank in range(logged.pendulums):
-        column = put(row, column, slosh_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank), aux))
+        first = pendulum_index(sizes, tank)
+        column = put(row, column, slosh_row(p.vehicle.slosh, sizes, tank, props, y, first, aux.tension_N))
     for tank in range(logged.pendulums * out.waves):
         column = put(row, column, wave_row(p.vehicle.slosh, sizes, tank, props, y, pendulum_index(sizes, tank)))
     if logged.tvc_loads == 1:
-        column = put(row, column, tvc_load_row(sizes, aux))
+        column = put(row, column, tvc_load_row(sizes, aux.tvc_loads))
     if logged.tvc_loads > 1:
         for load in range(logged.tvc_loads):
-            column = put(row, column, swing_row(sizes.tvc_loads, load, aux))
+            column = put(row, column, swing_row(sizes.tvc_loads, load, aux.tvc_loads))
     if logged.further_groups > 0:
         for group in range(1 + logged.further_groups):
-            column = put(row, column, group_row(sizes.further_groups, group, memory.held.command_rad, aux))
+            column = put(row, column, group_row(sizes.further_groups, group, memory.held.command_rad, engines))
     for number in range(out.engines):
-        column = put(row, column, engine_row(p.vehicle.engine, number, aux))
+        column = put(row, column, engine_row(p.vehicle.engine, number, engines))
     if out.external == 1:
         column = put(row, column, monitor_row(memory.computer.external))
     if out.adaptive == 1:
@@ -193,22 +197,22 @@ class AirRow(NamedTuple):
 
 
 @kernel
-def air_row(aux: Array) -> AirRow:
-    u, v, w = xyz(aux, ws.FLOW)
+def air_row(air: AirData) -> AirRow:
+    u, v, w = xyz(air.flow_B_mps, 0)
     alpha_total = math.atan2(math.sqrt(v**2 + w**2), u)
     return AirRow(
-        density_kgpm3=aux[ws.DENSITY],
-        pressure_Pa=aux[ws.PRESSURE],
-        temperature_K=aux[ws.TEMPERATURE],
-        sound_speed_mps=aux[ws.SOUND_SPEED],
-        airspeed_mps=aux[ws.AIRSPEED],
-        mach=aux[ws.MACH],
-        dynamic_pressure_Pa=aux[ws.DYNAMIC_PRESSURE],
+        density_kgpm3=air.density_kgpm3,
+        pressure_Pa=air.pressure_Pa,
+        temperature_K=air.temperature_K,
+        sound_speed_mps=air.sound_speed_mps,
+        airspeed_mps=air.airspeed_mps,
+        mach=air.mach,
+        dynamic_pressure_Pa=air.dynamic_pressure_Pa,
         alpha_deg=DEG * math.atan2(w, u),
         beta_deg=DEG * math.atan2(v, math.sqrt(u**2 + w**2)),
         alpha_total_deg=DEG * alpha_total,
-        q_alpha_Padeg=DEG * (aux[ws.DYNAMIC_PRESSURE] * alpha_total),
-        wind_N_axis_mps=NorthEastDown(aux[ws.WIND_N], aux[ws.WIND_N + 1], aux[ws.WIND_N + 2]),
+        q_alpha_Padeg=DEG * (air.dynamic_pressure_Pa * alpha_total),
+        wind_N_axis_mps=NorthEastDown(air.wind_N_mps[0], air.wind_N_mps[1], air.wind_N_mps[2]),
     )
 
 
@@ -223,16 +227,16 @@ class LoadsRow(NamedTuple):
 
 
 @kernel
-def loads_row(props: Array, aux: Array) -> LoadsRow:
+def loads_row(props: Array, aux: Aux) -> LoadsRow:
     weight_N = props[TOTAL_MASS] * STANDARD_GRAVITY_MPS2
     return LoadsRow(
-        aero_force_B_axis_N=xyz(aux, ws.AERO_FORCE),
-        aero_moment_B_axis_Nm=xyz(aux, ws.AERO_MOMENT),
-        specific_force_B_axis_mps2=xyz(aux, ws.SPECIFIC_FORCE),
-        alpha_BI_B_axis_radps2=xyz(aux, ws.ANGULAR_ACCEL),
-        gravitation_I_axis_mps2=xyz(aux, ws.GRAVITATION),
-        thrust_over_weight_g=aux[ws.THRUST] / weight_N,
-        axial_load_g=(aux[ws.THRUST] + aux[ws.AERO_FORCE]) / weight_N,
+        aero_force_B_axis_N=xyz(aux.aero_force_B_N, 0),
+        aero_moment_B_axis_Nm=xyz(aux.aero_moment_B_Nm, 0),
+        specific_force_B_axis_mps2=xyz(aux.specific_force_B_mps2, 0),
+        alpha_BI_B_axis_radps2=xyz(aux.alpha_BI_B_radps2, 0),
+        gravitation_I_axis_mps2=xyz(aux.air.gravitation_I_mps2, 0),
+        thrust_over_weight_g=aux.engines.axial_thrust_N / weight_N,
+        axial_load_g=(aux.engines.axial_thrust_N + aux.aero_force_B_N[0]) / weight_N,
     )
 
 
@@ -250,9 +254,9 @@ class VehicleRow(NamedTuple):
 
 
 @kernel
-def vehicle_row(memory: Memory, props: Array, aux: Array) -> VehicleRow:
+def vehicle_row(memory: Memory, props: Array, aux: Aux) -> VehicleRow:
     return VehicleRow(
-        thrust_N=aux[ws.THRUST],
+        thrust_N=aux.engines.axial_thrust_N,
         mass_flow_kgps=props[MASS_FLOW],
         mass_kg=props[TOTAL_MASS],
         core_mass_kg=props[CORE_MASS],
@@ -276,12 +280,12 @@ class SlowRow(NamedTuple):
 
 
 @routine
-def fill_slow(p: Parameters, stations: int, memory: Memory, at: ws.Evaluation, row: Array) -> None:
+def fill_slow(p: Parameters, stations: int, memory: Memory, at: Evaluation, row: Array) -> None:
     """One row of the slow group; `stations` is how many sections the log has columns for."""
     props, aux = at.properties, at.aux
     values = SlowRow(
         truth=motion_row(p, memory, at.y),
-        air=air_row(aux),
+        air=air_row(aux.air),
         loads=loads_row(props, aux),
         vehicle=vehicle_row(memory, props, aux),
         guidance=guidance_row(memory.computer),

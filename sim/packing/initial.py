@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.jit import entry, from_python
-from maxq.control.kernel.records import Array, pack
+from maxq.control.kernel.records import Array, Records, blank, pack
 from maxq.control.kernel.tables import table_in
 from maxq.control.kernel.vectors import rotation_from_quaternion
 from maxq.sim.packing.environment import pack_earth
@@ -17,10 +17,9 @@ from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.schema_scenario import Initial, Scenario
 from maxq.sim.scenario.schema_values import NS_PER_S
 from maxq.sim.vehicle.engine import total_thrust
-from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration
+from maxq.sim.vehicle.environment import AirData, Anchor, Environment, air_data, pad_acceleration
 from maxq.sim.vehicle.schedule import TOTAL_MASS
 from maxq.sim.vehicle.state import Q_BI, R_I, V_I, W_BI_B
-from maxq.sim.vehicle.workspace import AUX_SIZE, PRESSURE, WORK_SIZE
 from maxq.sim.world import earth as kernels
 from maxq.sim.world.earth import Earth
 
@@ -153,7 +152,7 @@ def thrust_exceeds_weight_s(p: Any, pool: Array, y: Array) -> float:
     Till then it stands still in air that does not change, so that thrust and mass over time tell: to the nanosecond
     where the flight finds it, but for rounding.
     """
-    pressure_Pa, load_mps2 = _on_the_pad(p.environment, pool, y, np.zeros(WORK_SIZE), np.zeros(AUX_SIZE))
+    pressure_Pa, load_mps2 = _on_the_pad(p.environment, pool, y, blank(Anchor), blank(AirData))
     table, timeline = table_in(pool, p.vehicle.schedule), p.timeline
     start_ns, burnout_ns = (int(timeline[f"{name}_ns"]) for name in ("burn_start", "burnout"))
 
@@ -174,8 +173,8 @@ def thrust_exceeds_weight_s(p: Any, pool: Array, y: Array) -> float:
 
 
 @entry
-def _on_the_pad(environment: Environment, pool: Array, y: Array, work: Array, aux: Array) -> tuple[float, float]:
+def _on_the_pad(environment: Environment, pool: Array, y: Array, anchor: Records, out: Records) -> tuple[float, float]:
     """Pressure, Pa, and axial specific force, m/s2, of a vehicle that the Earth carries along."""
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
-    gravity = air_data(environment, pool, (0.0, 0.0, 0.0), rotation, y, work, aux)
-    return aux[PRESSURE], pad_acceleration(environment.earth, rotation, gravity, y)[0]
+    gravity = air_data(environment, pool, (0.0, 0.0, 0.0), rotation, y, anchor[0], out[0])
+    return out[0].pressure_Pa, pad_acceleration(environment.earth, rotation, gravity, y)[0]

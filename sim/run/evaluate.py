@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import bare_pointer, entry
-from maxq.control.kernel.records import Array, Records
+from maxq.control.kernel.records import Array, Records, blank
 from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight.loop import begin
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS, SECTION_WIDTH, evaluate_sections
 from maxq.sim.vehicle.state import MAX_STATE
-from maxq.sim.vehicle.workspace import AUX_SIZE, PROPERTIES_SIZE, WORK_SIZE, Evaluation
+from maxq.sim.vehicle.workspace import PROPERTIES_SIZE, Aux, Evaluation, Work
+
+
+@dataclass
+class Space:
+    """The memory of an evaluation."""
+
+    properties: Annotated[Array, (PROPERTIES_SIZE,)]
+    rate: Annotated[Array, (MAX_STATE,)]
+    work: Work
+    aux: Aux
+    columns: Annotated[Array, (MAX_LOAD_COLUMNS,)]  # of the section loads
 
 
 class Instant(NamedTuple):
-    """An evaluation of the simulator: derivative (MAX_STATE,), `aux` (AUX_SIZE,) and section loads (stations, 5):
+    """An evaluation of the simulator: derivative (MAX_STATE,), auxiliary outputs and section loads (stations, 5):
     axial force, shear along y and z (N), bending moment about y and z (N m), as sim/vehicle/loads.py signs them.
     """
 
     rate: Array
-    aux: Array
+    aux: Aux
     sections: Array
 
 
@@ -36,33 +46,29 @@ def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
     memory = packed.memory.copy()
     if memory[0].clock.started == 0:
         begin(packed.parameters, packed.pool, memory, packed.state.copy())
-    sizes = (PROPERTIES_SIZE, MAX_STATE, WORK_SIZE, AUX_SIZE, MAX_LOAD_COLUMNS)
-    properties, dy, work, aux, columns = (np.zeros(n) for n in sizes)
-    now_ns, into = round(1e9 * time_s), (properties, dy, work, aux, columns)
-    evaluate_into(packed.parameters, packed.pool, memory, y, now_ns, 0.0, *into)
+    space = blank(Space)
+    evaluate_into(packed.parameters, packed.pool, memory, y, round(1e9 * time_s), 0.0, space)
     stations = int(packed.parameters[int(memory[0].clock.stage)].loads.stations)
-    return Instant(dy, aux, memory[0].sections.section.reshape(-1, SECTION_WIDTH)[:stations].copy())
+    return Instant(space[0].rate, space[0].aux, memory[0].sections.section.reshape(-1, SECTION_WIDTH)[:stations].copy())
 
 
 @entry
 def evaluate_into(
-    P: Records, pool: Array, state: Records, y: Array, now_ns: int, elapsed_s: float, properties: Array, dy: Array,
-    work: Array, aux: Array, columns: Array,
-) -> None:  # fmt: skip  # twelve lines otherwise
+    P: Records, pool: Array, state: Records, y: Array, now_ns: int, elapsed_s: float, space: Records
+) -> None:  # fmt: skip  # nine lines otherwise
     """Derivative of `y` and its by-products `elapsed_s` into a step that starts at the instant `now_ns`, with section
-    loads where there are stations; `P` of Parameters, `state` of Memory.
+    loads where there are stations; `P` of Parameters, `state` of Memory, `space` of Space.
     """
-    memory = state[0]
+    memory, room = state[0], space[0]
     p = P[memory.clock.stage]
-    pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(properties)
-    dy, work, aux = bare_pointer(dy), bare_pointer(work), bare_pointer(aux)
+    pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(room.properties)
     # a step lies in one interval of the schedule; breakpoints are met to the nanosecond
     within_s = schedule_clock(p, memory.clock, now_ns, 1e-9)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, within_s)
     read_schedule(p, pool, memory, now_ns, elapsed_s, properties)
-    at = Evaluation(properties, y, dy, aux)
-    evaluate(p, pool, memory, now_ns, elapsed_s, at, work)
+    at = Evaluation(properties, y, bare_pointer(room.rate), room.aux)
+    evaluate(p, pool, memory, now_ns, elapsed_s, at, room.work)
     if p.loads.stations > 0:
-        columns = bare_pointer(columns)
+        columns = bare_pointer(room.columns)
         clock_s = schedule_clock(p, memory.clock, now_ns, elapsed_s)
-        evaluate_sections(p.loads, p.vehicle, memory.inputs, pool, clock_s, at, work, columns, memory.sections)
+        evaluate_sections(p.loads, p.vehicle, memory.inputs, pool, clock_s, at, room.work, columns, memory.sections)

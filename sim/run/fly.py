@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maxq.control.kernel.limits import MAX_PENDULUMS
-from maxq.control.kernel.records import Array, IntArray, Records, pack
+from maxq.control.kernel.records import Array, IntArray, Records, blank, pack
 from maxq.control.orbit_guidance import CUT_OFF, STEERING
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import advance, begin
@@ -30,7 +30,7 @@ from maxq.sim.flight.parameters import (
     SEPARATION,
     Clock,
 )
-from maxq.sim.flight.step import ARENA_SIZE
+from maxq.sim.flight.step import Arena
 from maxq.sim.flight.telemetry import FAST, SLOW, Logged, channel_table
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, KeptRows, Rows, copied
@@ -87,7 +87,7 @@ class FlightRun:
         external = int(self.packed.parameters[0].computer.external)
         widths = self.packed.sizes, stations, waves, engines, external, int(_adapts(loaded.scenario))
         self._on, self._off = (_logged(on, *widths) for on in (1, 0))
-        self._arena = np.zeros(ARENA_SIZE)
+        self._arena = blank(Arena)
         timeline = self.packed.parameters[0].timeline
         periods_ns = {FAST: int(timeline.fast_ns), SLOW: int(timeline.slow_ns)}
         step_ns = 1_000_000 if timeline.even == 1 else int(timeline.step_ns)

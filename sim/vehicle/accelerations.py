@@ -9,11 +9,11 @@ linear system for these (docs/model.md, section 7): exact, and no larger than th
 from __future__ import annotations
 
 from maxq.control.kernel import vectors as vec
-from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.jit import bare_pointer, formula, kernel, record_at
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import slosh
-from maxq.sim.vehicle.bending import add_to_modes, modal_accelerations, modal_sum, of_plane
+from maxq.sim.vehicle.bending import Modes, PlanarMotion, add_to_modes, modal_accelerations, modal_sum, of_plane
 from maxq.sim.vehicle.block import Counts
 from maxq.sim.vehicle.engine_modes import add_roll_to_modes, roll_moment_of_modes
 from maxq.sim.vehicle.rigid import Balance
@@ -25,35 +25,14 @@ from maxq.sim.vehicle.spatial_modes import (
     spatial_compliance,
     spatial_motion,
 )
-from maxq.sim.vehicle.tvc_load import ALPHA as LOAD_ALPHA
-from maxq.sim.vehicle.tvc_load import (
-    INERTIA,
-    KNOWN,
-    RIGID_ACCEL,
-    add_load_to_modes,
-    load_block,
-    load_modal,
-    load_responses,
-    load_spatial,
-    moment_about_hinge,
-)
-from maxq.sim.vehicle.workspace import (
-    ACCEL,
-    FORCE,
-    GRAM,
-    MAX_UNKNOWNS,
-    ROLL,
-    SPATIAL_ACCEL,
-    SPATIAL_FORCE,
-    SPATIAL_ROLL,
-    TENSION,
-)
+from maxq.sim.vehicle.tvc_load import MAX_UNKNOWNS, System, add_load_to_modes, load_responses, moment_about_hinge
+from maxq.sim.vehicle.workspace import Work
 
 
 @kernel
 def accelerate(
     sizes: Counts, on_pad: int, balanced: Balance, force: vec.Vector, moment: vec.Vector,
-    pad_accel: vec.Vector, properties: Array, y: Array, first: int, work: Array,
+    pad_accel: vec.Vector, properties: Array, y: Array, first: int, work: Work,
 ) -> tuple[vec.Vector, vec.Vector]:  # fmt: skip  # twelve lines otherwise
     """Specific force at the core CG and angular acceleration, in B; modal accelerations and tensions (N) in `work`.
 
@@ -61,165 +40,173 @@ def accelerate(
     engines deflected. The pendulums' states begin at y[first]. On the pad the body has the accelerations of the pad,
     and only modes and bobs respond.
     """
-    offset, inverse = balanced.offset, balanced.inverse_inertia
+    offset, inverse, modes = balanced.offset, balanced.inverse_inertia, work.modes
+    planar, spatial, system, unknown = modes.planar, modes.spatial, work.system, bare_pointer(work.system.unknown)
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_CORE_MASS]
     accel = vec.scaled(inverse_mass, force)  # of the CG with the engine deflected, without tensions
     if on_pad == 1:
         inverse_mass, accel, inverse = 0.0, pad_accel, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     rolls_modes = balanced.given_way_kgm2 > 0.0  # else no deflected mass couples roll and modes
     for k in range(sizes.pendulums):
-        b = slosh.tank_block(k)
-        _add_damper_to_modes(sizes, k, work[b + slosh.DAMPER_FORCE], work[b + slosh.DAMPER_FORCE + 1], properties, work)
+        tank = record_at(work.tank, k)
+        _add_damper_to_modes(sizes, k, tank, properties, modes)
         if rolls_modes:
-            _arm_through_modes(sizes, k, vec.vector_at(y, first + slosh.N_PENDULUM * k), properties, work)
-        vec.set_vector(work, b + slosh.ALPHA, vec.symmetric_times(inverse, vec.vector_at(work, b + slosh.ARM)))
+            _arm_through_modes(sizes, k, vec.vector_at(y, first + slosh.N_PENDULUM * k), properties, modes, tank)
+        vec.set_vector(tank.alpha_radps2pN, 0, vec.symmetric_times(inverse, vec.vector_at(tank.arm_m, 0)))
     if rolls_modes:
-        moment = (moment[0] + roll_moment_of_modes(sizes, FORCE, SPATIAL_FORCE, work), moment[1], moment[2])
+        moment = (moment[0] + roll_moment_of_modes(sizes, planar.force_N, spatial.force_N, modes), moment[1], moment[2])
     alpha = vec.symmetric_times(inverse, vec.add(moment, vec.scaled(-1.0, vec.cross(offset, force))))
-    modal_accelerations(sizes, properties, work, FORCE, ACCEL)
+    modal_accelerations(sizes, properties, planar.force_N, planar.accel_mps2)
     if sizes.spatial_modes > 0:
-        free_spatial_accelerations(sizes, properties, work)
+        free_spatial_accelerations(sizes, properties, spatial)
     if sizes.tvc_loads > 0:
-        load_responses(sizes, inverse_mass, inverse, properties, work)
+        load_responses(sizes, inverse_mass, inverse, properties, system)
     _solve_tensions(sizes, inverse_mass, accel, alpha, properties, y, first, work)
     for k in range(sizes.pendulums):
-        u, tension = vec.vector_at(y, first + slosh.N_PENDULUM * k), work[TENSION + k]
+        u, tension, tank = vec.vector_at(y, first + slosh.N_PENDULUM * k), unknown[k], record_at(work.tank, k)
         accel = vec.add(accel, vec.scaled(inverse_mass * tension, u))
-        alpha = vec.add(alpha, vec.scaled(tension, vec.vector_at(work, slosh.tank_block(k) + slosh.ALPHA)))
-        _add_tension_to_modes(sizes, k, tension * u[1], tension * u[2], properties, work)
+        alpha = vec.add(alpha, vec.scaled(tension, vec.vector_at(tank.alpha_radps2pN, 0)))
+        _add_tension_to_modes(sizes, k, tension * u[1], tension * u[2], properties, planar)
         if sizes.spatial_modes > 0:
-            add_tension_to_spatial(sizes, properties, k, tension, work)
+            shapes = bare_pointer(tank.shapes_along_rod)
+            add_tension_to_spatial(sizes, properties, shapes, tension, bare_pointer(spatial.accel_mps2))
     for k in range(2 * sizes.tvc_loads):
-        b, swing = load_block(k), work[TENSION + sizes.pendulums + k]
-        accel = vec.add(accel, vec.scaled(swing, vec.vector_at(work, b + RIGID_ACCEL)))
-        alpha = vec.add(alpha, vec.scaled(swing, vec.vector_at(work, b + LOAD_ALPHA)))
-        add_load_to_modes(sizes, k, swing, work)
+        swing, turn = record_at(system.swing, k), unknown[sizes.pendulums + k]
+        accel = vec.add(accel, vec.scaled(turn, vec.vector_at(swing.accel_mps2, 0)))
+        alpha = vec.add(alpha, vec.scaled(turn, vec.vector_at(swing.alpha_radps2, 0)))
+        add_load_to_modes(sizes, swing, turn, modes)
     if rolls_modes:
-        add_roll_to_modes(sizes, alpha[0], work)
+        add_roll_to_modes(sizes, alpha[0], modes)
         for k in range(sizes.pendulums):
-            b = slosh.tank_block(k)
-            work[b + slosh.BENDING_ACCEL] += alpha[0] * work[b + slosh.ROLL_BEND]
-            work[b + slosh.BENDING_ACCEL + 1] += alpha[0] * work[b + slosh.ROLL_BEND + 1]
+            tank = record_at(work.tank, k)
+            tank.bending_accel_mps2[1] += alpha[0] * tank.roll_bend_y_m
+            tank.bending_accel_mps2[2] += alpha[0] * tank.roll_bend_z_m
     if sizes.spatial_modes > 0:
         for k in range(sizes.pendulums):
-            b, moved = slosh.tank_block(k), spatial_motion(sizes, properties, sch.tank_place(k), work, SPATIAL_ACCEL)
-            work[b + slosh.ALONG_X + 3] = moved[0]
-            work[b + slosh.BENDING_ACCEL] += moved[1]
-            work[b + slosh.BENDING_ACCEL + 1] += moved[2]
+            bending = record_at(work.tank, k).bending_accel_mps2
+            moved = spatial_motion(sizes, properties, sch.tank_place(k), spatial.accel_mps2)
+            bending[0] = moved[0]
+            bending[1] += moved[1]
+            bending[2] += moved[2]
     return vec.add(accel, vec.cross(offset, alpha)), alpha
 
 
 @kernel
-def _arm_through_modes(sizes: Counts, k: int, u: vec.Vector, properties: Array, work: Array) -> None:
+def _arm_through_modes(
+    sizes: Counts, k: int, u: vec.Vector, properties: Array, modes: Modes, tank: slosh.TankWork
+) -> None:
     """Add to the roll arm of tank k what its tension moves of deflected engines through the modes (7.3)."""
-    b = slosh.tank_block(k)
-    y, z = _bending_acceleration(sizes, k, properties, work, ROLL)
-    work[b + slosh.ROLL_BEND], work[b + slosh.ROLL_BEND + 1] = y, z
+    y, z = _bending_acceleration(sizes, k, properties, modes.planar.roll_m)
+    tank.roll_bend_y_m, tank.roll_bend_z_m = y, z
     roll = u[1] * y + u[2] * z
     if sizes.spatial_modes > 0:
-        moved = spatial_motion(sizes, properties, sch.tank_place(k), work, SPATIAL_ROLL)
+        moved = spatial_motion(sizes, properties, sch.tank_place(k), modes.spatial.roll_m)
         roll += u[0] * moved[0] + u[1] * moved[1] + u[2] * moved[2]
-    work[b + slosh.ARM] += roll
+    tank.arm_m[0] += roll
 
 
 @kernel
 def _add_damper_to_modes(
-    sizes: Counts, k: int, force_y: float, force_z: float, properties: Array, work: Array
+    sizes: Counts, k: int, tank: slosh.TankWork, properties: Array, modes: Modes
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Add the force of the damper of tank k to the generalised forces."""
+    force_y, force_z = tank.damper_force_N[1], tank.damper_force_N[2]
     in_pitch, in_yaw = (
         sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + k),
         sch.mode_column(sizes, sch.YAW, sch.MODE_FIRST + k),
     )
-    add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(FORCE, sch.PITCH))
-    add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(FORCE, sch.YAW))
+    add_to_modes(sizes, properties, in_pitch, force_z, modes.planar.force_N, of_plane(sch.PITCH))
+    add_to_modes(sizes, properties, in_yaw, force_y, modes.planar.force_N, of_plane(sch.YAW))
     if sizes.spatial_modes > 0:
-        load = (work[slosh.tank_block(k) + slosh.ALONG_X + 2], force_y, force_z, 0.0, 0.0, 0.0)
-        apply_spatial_load(sizes, properties, sch.tank_place(k), load, work, SPATIAL_FORCE)
+        load = (tank.damper_force_N[0], force_y, force_z, 0.0, 0.0, 0.0)
+        apply_spatial_load(sizes, properties, sch.tank_place(k), load, modes.spatial.force_N)
 
 
 @kernel
 def _add_tension_to_modes(
-    sizes: Counts, k: int, force_y: float, force_z: float, properties: Array, work: Array
+    sizes: Counts, k: int, force_y: float, force_z: float, properties: Array, modes: PlanarMotion
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
     """Add the lateral force of the rod of tank k to the modal accelerations."""
     in_pitch = sch.derived_column(sizes, sch.PITCH, sch.MODE_TANK_COMPLIANCE + k)
     in_yaw = sch.derived_column(sizes, sch.YAW, sch.MODE_TANK_COMPLIANCE + k)
-    add_to_modes(sizes, properties, in_pitch, force_z, work, of_plane(ACCEL, sch.PITCH))
-    add_to_modes(sizes, properties, in_yaw, force_y, work, of_plane(ACCEL, sch.YAW))
+    add_to_modes(sizes, properties, in_pitch, force_z, modes.accel_mps2, of_plane(sch.PITCH))
+    add_to_modes(sizes, properties, in_yaw, force_y, modes.accel_mps2, of_plane(sch.YAW))
 
 
-@kernel
-def _gram(row: int, column: int) -> int:
-    """Where the workspace holds an entry of the matrix of the tensions."""
-    return GRAM + row * MAX_UNKNOWNS + column
+@formula
+def _entry(row: int, column: int) -> int:
+    """Return the place of an entry in the matrix of the system."""
+    return row * MAX_UNKNOWNS + column
 
 
 @kernel
 def _solve_tensions(
     sizes: Counts, inverse_mass: float, accel: vec.Vector, alpha: vec.Vector, properties: Array, y: Array,
-    first: int, work: Array,
+    first: int, work: Work,
 ) -> None:  # fmt: skip  # ten lines otherwise
     """Solve  (1/m_k) T_k + sum_l G_kl T_l = demand_k - (hinge acceleration along the rod without tensions).
 
     G is symmetric: how much the hinge of k accelerates along its rod per newton of tension in l. With arms about the CG
     of the deflected vehicle the rigid part of it is u_k.u_l / m + arm_k.(J^-1 arm_l). Both sides are multiplied by m_k.
     """
-    n = sizes.pendulums
+    n, planar, spatial, system = sizes.pendulums, work.modes.planar, work.modes.spatial, work.system
+    matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
     in_pitch, in_yaw = sch.compliance_column(sizes, sch.PITCH), sch.compliance_column(sizes, sch.YAW)
     for k in range(n):
-        b, u, mass = slosh.tank_block(k), vec.vector_at(y, first + slosh.N_PENDULUM * k), slosh.bob_mass(properties, k)
-        arm = vec.vector_at(work, b + slosh.ARM)
-        bend_y, bend_z = _bending_acceleration(sizes, k, properties, work, ACCEL)
-        work[b + slosh.BENDING_ACCEL], work[b + slosh.BENDING_ACCEL + 1] = bend_y, bend_z
+        u, mass = vec.vector_at(y, first + slosh.N_PENDULUM * k), slosh.bob_mass(properties, k)
+        tank = record_at(work.tank, k)
+        arm, shapes = vec.vector_at(tank.arm_m, 0), bare_pointer(tank.shapes_along_rod)
+        bend_y, bend_z = _bending_acceleration(sizes, k, properties, planar.accel_mps2)
+        tank.bending_accel_mps2[1], tank.bending_accel_mps2[2] = bend_y, bend_z
         along = vec.dot(u, accel) + vec.dot(arm, alpha) + u[1] * bend_y + u[2] * bend_z
         if sizes.spatial_modes > 0:
-            along += spatial_along_rod(sizes, properties, sch.tank_place(k), k, u, work, SPATIAL_ACCEL)
-        work[TENSION + k] = mass * (work[b + slosh.DEMAND] - along)
+            accel_mps2 = bare_pointer(spatial.accel_mps2)
+            along += spatial_along_rod(sizes, properties, sch.tank_place(k), u, accel_mps2, shapes)
+        unknown[k] = mass * (tank.demand_mps2 - along)
         for j in range(k + 1):
-            u_j = vec.vector_at(y, first + slosh.N_PENDULUM * j)
+            u_j, other = vec.vector_at(y, first + slosh.N_PENDULUM * j), record_at(work.tank, j)
             g = inverse_mass * vec.dot(u, u_j)
-            g += vec.dot(arm, vec.vector_at(work, slosh.tank_block(j) + slosh.ALPHA))
+            g += vec.dot(arm, vec.vector_at(other.alpha_radps2pN, 0))
             g += properties[in_pitch + k * n + j] * u[2] * u_j[2] + properties[in_yaw + k * n + j] * u[1] * u_j[1]
             if sizes.spatial_modes > 0:
-                g += spatial_compliance(sizes, properties, k, j, work)
-            work[_gram(j, k)] = slosh.bob_mass(properties, j) * g
-            work[_gram(k, j)] = mass * g
-        work[_gram(k, k)] += 1.0
+                g += spatial_compliance(sizes, properties, shapes, bare_pointer(other.shapes_along_rod))
+            matrix[_entry(j, k)] = slosh.bob_mass(properties, j) * g
+            matrix[_entry(k, j)] = mass * g
+        matrix[_entry(k, k)] += 1.0
     if sizes.tvc_loads > 0:
         _add_loads(sizes, accel, alpha, properties, y, first, work)
-    _eliminate(n + 2 * sizes.tvc_loads, work)
+    _eliminate(n + 2 * sizes.tvc_loads, system)
     for k in range(n):  # the tensions accelerate the hinges, too
-        u, tension = vec.vector_at(y, first + slosh.N_PENDULUM * k), work[TENSION + k]
+        u, tension = vec.vector_at(y, first + slosh.N_PENDULUM * k), unknown[k]
         for j in range(n):
-            b = slosh.tank_block(j)
-            work[b + slosh.BENDING_ACCEL] += properties[in_yaw + k * n + j] * (tension * u[1])
-            work[b + slosh.BENDING_ACCEL + 1] += properties[in_pitch + k * n + j] * (tension * u[2])
+            bending = record_at(work.tank, j).bending_accel_mps2
+            bending[1] += properties[in_yaw + k * n + j] * (tension * u[1])
+            bending[2] += properties[in_pitch + k * n + j] * (tension * u[2])
     for k in range(2 * sizes.tvc_loads):  # and so does the engine's swing
         for j in range(n):
-            b, swing = slosh.tank_block(j), work[TENSION + n + k]
-            bend_y, bend_z = _bending_acceleration(sizes, j, properties, work, load_modal(k, 1))
-            work[b + slosh.BENDING_ACCEL] += swing * bend_y
-            work[b + slosh.BENDING_ACCEL + 1] += swing * bend_z
+            bending, turn = record_at(work.tank, j).bending_accel_mps2, unknown[n + k]
+            bend_y, bend_z = _bending_acceleration(sizes, j, properties, record_at(system.swing, k).planar_accel_mps2)
+            bending[1] += turn * bend_y
+            bending[2] += turn * bend_z
 
 
 @kernel
 def _bending_acceleration(
-    sizes: Counts, k: int, properties: Array, work: Array, quantity: int
+    sizes: Counts, k: int, properties: Array, accel_mps2: Array
 ) -> tuple[float, float]:  # fmt: skip  # as ruff would, but for a line of one bracket
-    """Acceleration of the hinge of tank k along y and z, from the modal accelerations at `quantity`."""
+    """Acceleration of the hinge of tank k along y and z, from the modal accelerations."""
     bend_z = modal_sum(
-        sizes, properties, sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + k), work, of_plane(quantity, sch.PITCH)
+        sizes, properties, sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + k), accel_mps2, of_plane(sch.PITCH)
     )
     bend_y = modal_sum(
-        sizes, properties, sch.mode_column(sizes, sch.YAW, sch.MODE_FIRST + k), work, of_plane(quantity, sch.YAW)
+        sizes, properties, sch.mode_column(sizes, sch.YAW, sch.MODE_FIRST + k), accel_mps2, of_plane(sch.YAW)
     )
     return bend_y, bend_z
 
 
 @kernel
 def _add_loads(
-    sizes: Counts, accel: vec.Vector, alpha: vec.Vector, properties: Array, y: Array, first: int, work: Array
+    sizes: Counts, accel: vec.Vector, alpha: vec.Vector, properties: Array, y: Array, first: int, work: Work
 ) -> None:  # fmt: skip  # ten lines otherwise
     """Rows and columns of the engine's angular accelerations s in the system of the tensions (docs/model.md, 14.4):
 
@@ -227,49 +214,54 @@ def _add_loads(
 
     and m_k h_ki s_i in the row of tank k, h_ki the acceleration of its hinge along the rod per unit of s_i.
     """
-    n = sizes.pendulums
+    n, system, modes = sizes.pendulums, work.system, work.modes
+    matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
+    accelerations = bare_pointer(modes.planar.accel_mps2), bare_pointer(modes.spatial.accel_mps2)
     for i in range(2 * sizes.tvc_loads):
-        b, modal, row = load_block(i), load_modal(i, 1), n + i
-        rigid, turning = vec.vector_at(work, b + RIGID_ACCEL), vec.vector_at(work, b + LOAD_ALPHA)
+        swing, row = record_at(system.swing, i), n + i
+        rigid, turning = vec.vector_at(swing.accel_mps2, 0), vec.vector_at(swing.alpha_radps2, 0)
+        planar, spatial = bare_pointer(swing.planar_accel_mps2), bare_pointer(swing.spatial_accel_mps2)
         for k in range(n):
-            u, arm = (
-                vec.vector_at(y, first + slosh.N_PENDULUM * k),
-                vec.vector_at(work, slosh.tank_block(k) + slosh.ARM),
-            )
-            bend_y, bend_z = _bending_acceleration(sizes, k, properties, work, modal)
+            u, tank = vec.vector_at(y, first + slosh.N_PENDULUM * k), record_at(work.tank, k)
+            arm = vec.vector_at(tank.arm_m, 0)
+            bend_y, bend_z = _bending_acceleration(sizes, k, properties, planar)
             along = vec.dot(u, rigid) + vec.dot(arm, turning) + u[1] * bend_y + u[2] * bend_z
             if sizes.spatial_modes > 0:
-                along += spatial_along_rod(sizes, properties, sch.tank_place(k), k, u, work, load_spatial(i, 1))
-            work[_gram(k, row)] = slosh.bob_mass(properties, k) * along
-            work[_gram(row, k)] = -along
+                shapes = bare_pointer(tank.shapes_along_rod)
+                along += spatial_along_rod(sizes, properties, sch.tank_place(k), u, spatial, shapes)
+            matrix[_entry(k, row)] = slosh.bob_mass(properties, k) * along
+            matrix[_entry(row, k)] = -along
         for j in range(2 * sizes.tvc_loads):
-            work[_gram(n + j, row)] = -moment_about_hinge(sizes, j, rigid, turning, modal, load_spatial(i, 1), work)
-        work[_gram(row, row)] += work[b + INERTIA]
-        work[TENSION + row] = work[b + KNOWN] + moment_about_hinge(sizes, i, accel, alpha, ACCEL, SPATIAL_ACCEL, work)
+            about = moment_about_hinge(sizes, record_at(system.swing, j), rigid, turning, planar, spatial)
+            matrix[_entry(n + j, row)] = -about
+        matrix[_entry(row, row)] += swing.inertia_kgm2
+        about = moment_about_hinge(sizes, swing, accel, alpha, accelerations[0], accelerations[1])
+        unknown[row] = swing.known_Nm + about
 
 
 @kernel
-def _eliminate(n: int, work: Array) -> None:
-    """Solve GRAM T = TENSION in place, right-hand side in, tensions out.
+def _eliminate(n: int, system: System) -> None:
+    """Solve the system in place, right-hand side in, tensions out.
 
     No pivoting is needed: brought to symmetric form, tensions first, the matrix is definite in every pivot.
     """
+    matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
     if n == 2:
-        a, b, c, d = work[_gram(0, 0)], work[_gram(0, 1)], work[_gram(1, 0)], work[_gram(1, 1)]
-        e, f = work[TENSION], work[TENSION + 1]
+        a, b, c, d = matrix[_entry(0, 0)], matrix[_entry(0, 1)], matrix[_entry(1, 0)], matrix[_entry(1, 1)]
+        e, f = unknown[0], unknown[1]
         scale = 1.0 / (a * d - b * c)
-        work[TENSION], work[TENSION + 1] = scale * (d * e - b * f), scale * (a * f - c * e)
+        unknown[0], unknown[1] = scale * (d * e - b * f), scale * (a * f - c * e)
         return
     for k in range(n):
-        pivot = 1.0 / work[_gram(k, k)]
+        pivot = 1.0 / matrix[_entry(k, k)]
         for row in range(k + 1, n):
-            factor = work[_gram(row, k)] * pivot
+            factor = matrix[_entry(row, k)] * pivot
             for j in range(k + 1, n):
-                work[_gram(row, j)] -= factor * work[_gram(k, j)]
-            work[TENSION + row] -= factor * work[TENSION + k]
+                matrix[_entry(row, j)] -= factor * matrix[_entry(k, j)]
+            unknown[row] -= factor * unknown[k]
     for back in range(n):
         k = n - 1 - back
-        total = work[TENSION + k]
+        total = unknown[k]
         for j in range(k + 1, n):
-            total -= work[_gram(k, j)] * work[TENSION + j]
-        work[TENSION + k] = total / work[_gram(k, k)]
+            total -= matrix[_entry(k, j)] * unknown[j]
+        unknown[k] = total / matrix[_entry(k, k)]

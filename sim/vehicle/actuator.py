@@ -26,8 +26,8 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.sim.vehicle.block import StateBlock
+from maxq.sim.vehicle.engine import GimbalMotion
 from maxq.sim.vehicle.faults import ACTUATOR_ANGLE, ACTUATOR_FAULT, ANY_FAULT, FLOATING, HARD_OVER, STUCK
-from maxq.sim.vehicle.workspace import ENGINE_PITCH, ENGINE_YAW
 
 ACTUATORS = StateBlock(
     {f"actuator_{{}}_{k}": "rad" if k % 2 else "rad/s" for k in range(1, 7)},  # positions and rates
@@ -272,10 +272,12 @@ class ActuatorRow(NamedTuple):
 
 
 @kernel
-def actuator_row(command_pitch_rad: float, command_yaw_rad: float, aux: Array) -> ActuatorRow:
+def actuator_row(
+    command_pitch_rad: float, command_yaw_rad: float, pitch: GimbalMotion, yaw: GimbalMotion
+) -> ActuatorRow:
     return ActuatorRow(
         gimbal_axis_command_deg=PitchYaw(DEG * command_pitch_rad, DEG * command_yaw_rad),
-        gimbal_axis_angle_deg=PitchYaw(DEG * aux[ENGINE_PITCH], DEG * aux[ENGINE_YAW]),
-        gimbal_axis_rate_degps=PitchYaw(DEG * aux[ENGINE_PITCH + 1], DEG * aux[ENGINE_YAW + 1]),
-        gimbal_axis_accel_degps2=PitchYaw(DEG * aux[ENGINE_PITCH + 2], DEG * aux[ENGINE_YAW + 2]),
+        gimbal_axis_angle_deg=PitchYaw(DEG * pitch.angle_rad, DEG * yaw.angle_rad),
+        gimbal_axis_rate_degps=PitchYaw(DEG * pitch.rate_radps, DEG * yaw.rate_radps),
+        gimbal_axis_accel_degps2=PitchYaw(DEG * pitch.accel_radps2, DEG * yaw.accel_radps2),
     )

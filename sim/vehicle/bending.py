@@ -21,8 +21,7 @@ from maxq.control.kernel.rows import DEG, PitchYaw, put
 from maxq.control.kernel.vectors import Vector
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle.block import Counts, StateBlock
-from maxq.sim.vehicle.spatial_modes import Load, SpatialModes
-from maxq.sim.vehicle.workspace import ACCEL, ETA, FORCE, GIMBAL_BEND, NU, RATE
+from maxq.sim.vehicle.spatial_modes import Load, SpatialModes, SpatialMotion
 
 _EXCESS = "a bending mode exceeds 10 m"
 ETA_STATES = StateBlock({"eta_{}_m": "m"}, "pitch_modes", bound=10.0, excess=_EXCESS)
@@ -37,6 +36,37 @@ class Bending:
     zeta_yaw: Annotated[Array, (MAX_MODES,)]
     frequency_factor: Annotated[Array, (MAX_MODES,)]
     softening_factor: float  # 0 without axial softening
+
+
+PerMode = Annotated[Array, (2 * MAX_MODES,)]  # in pitch and then in yaw
+
+
+@dataclass
+class PlanarMotion:
+    """The modes in an evaluation of the derivative, zeros from a plane's last to the next multiple of four."""
+
+    force_N: PerMode  # generalised force
+    eta_m: PerMode  # modal coordinate: eta in pitch, xi in yaw
+    rate_mps: PerMode  # its time derivative
+    nu_mps: PerMode  # its quasi-velocity
+    accel_mps2: PerMode  # time derivative of the quasi-velocity
+    roll_m: PerMode  # acceleration per roll acceleration with engines deflected
+
+
+@dataclass
+class Modes:
+    planar: PlanarMotion
+    spatial: SpatialMotion
+
+
+@dataclass
+class GimbalBending:
+    """Motion of the first gimbal's station by bending, B."""
+
+    moved_y_m: float
+    moved_z_m: float
+    slope_y_rad: float
+    slope_z_rad: float
 
 
 def pack_bending(given: Any, softening: bool) -> Bending:
@@ -55,9 +85,9 @@ def pack_spatial_modes(given: Any) -> SpatialModes:
 
 
 @kernel
-def of_plane(quantity: int, plane: int) -> int:
-    """Where the workspace holds a modal quantity (FORCE, ETA, ...) of the plane PITCH or YAW."""
-    return quantity + plane * MAX_MODES
+def of_plane(plane: int) -> int:
+    """Return where a modal quantity of the plane PITCH or YAW begins."""
+    return plane * MAX_MODES
 
 
 # A plane has room for MAX_MODES = 12 modes, processed four at a time without a loop: LLVM would unroll a loop of
@@ -65,110 +95,112 @@ def of_plane(quantity: int, plane: int) -> int:
 
 
 @kernel
-def modal_sum(sizes: Counts, properties: Array, row: int, work: Array, quantity: int) -> float:
+def modal_sum(sizes: Counts, properties: Array, row: int, quantity: Array, first: int) -> float:
     """Sum over a plane's modes of a row of the schedule (its first column) times a modal quantity."""
     total = 0.0
     if sizes.mode_groups > 0:
-        total = _sum_of_four(properties, row, work, quantity)
+        total = _sum_of_four(properties, row, quantity, first)
     if sizes.mode_groups > 1:
-        total += _sum_of_four(properties, row + 4, work, quantity + 4)
+        total += _sum_of_four(properties, row + 4, quantity, first + 4)
     if sizes.mode_groups > 2:
-        total += _sum_of_four(properties, row + 8, work, quantity + 8)
+        total += _sum_of_four(properties, row + 8, quantity, first + 8)
     return total
 
 
 @kernel
-def _sum_of_four(properties: Array, r: int, work: Array, q: int) -> float:
-    ab = properties[r] * work[q] + properties[r + 1] * work[q + 1]
-    cd = properties[r + 2] * work[q + 2] + properties[r + 3] * work[q + 3]
+def _sum_of_four(properties: Array, r: int, quantity: Array, q: int) -> float:
+    ab = properties[r] * quantity[q] + properties[r + 1] * quantity[q + 1]
+    cd = properties[r + 2] * quantity[q + 2] + properties[r + 3] * quantity[q + 3]
     total: float = ab + cd
     return total
 
 
 @kernel
-def add_to_modes(sizes: Counts, properties: Array, row: int, amount: float, work: Array, quantity: int) -> None:
+def add_to_modes(sizes: Counts, properties: Array, row: int, amount: float, quantity: Array, first: int) -> None:
     """Add a row of the schedule times `amount` to a modal quantity, as the generalised forces of a load at a point."""
     if sizes.mode_groups > 0:
-        _add_to_four(properties, row, amount, work, quantity)
+        _add_to_four(properties, row, amount, quantity, first)
     if sizes.mode_groups > 1:
-        _add_to_four(properties, row + 4, amount, work, quantity + 4)
+        _add_to_four(properties, row + 4, amount, quantity, first + 4)
     if sizes.mode_groups > 2:
-        _add_to_four(properties, row + 8, amount, work, quantity + 8)
+        _add_to_four(properties, row + 8, amount, quantity, first + 8)
 
 
 @kernel
-def _add_to_four(properties: Array, r: int, amount: float, work: Array, q: int) -> None:
-    a, b = work[q] + amount * properties[r], work[q + 1] + amount * properties[r + 1]
-    c, d = work[q + 2] + amount * properties[r + 2], work[q + 3] + amount * properties[r + 3]
-    work[q], work[q + 1], work[q + 2], work[q + 3] = a, b, c, d
+def _add_to_four(properties: Array, r: int, amount: float, quantity: Array, q: int) -> None:
+    a, b = quantity[q] + amount * properties[r], quantity[q + 1] + amount * properties[r + 1]
+    c, d = quantity[q + 2] + amount * properties[r + 2], quantity[q + 3] + amount * properties[r + 3]
+    quantity[q], quantity[q + 1], quantity[q + 2], quantity[q + 3] = a, b, c, d
 
 
 @kernel
-def clear_modes(sizes: Counts, work: Array, quantity: int) -> None:
+def clear_modes(sizes: Counts, quantity: Array) -> None:
     """Set a quantity of the modes of both planes to zero."""
     for plane in (sch.PITCH, sch.YAW):
-        q = of_plane(quantity, plane)
+        q = of_plane(plane)
         if sizes.mode_groups > 0:
-            work[q], work[q + 1], work[q + 2], work[q + 3] = 0.0, 0.0, 0.0, 0.0
+            quantity[q], quantity[q + 1], quantity[q + 2], quantity[q + 3] = 0.0, 0.0, 0.0, 0.0
         if sizes.mode_groups > 1:
-            work[q + 4], work[q + 5], work[q + 6], work[q + 7] = 0.0, 0.0, 0.0, 0.0
+            quantity[q + 4], quantity[q + 5], quantity[q + 6], quantity[q + 7] = 0.0, 0.0, 0.0, 0.0
         if sizes.mode_groups > 2:
-            work[q + 8], work[q + 9], work[q + 10], work[q + 11] = 0.0, 0.0, 0.0, 0.0
+            quantity[q + 8], quantity[q + 9], quantity[q + 10], quantity[q + 11] = 0.0, 0.0, 0.0, 0.0
 
 
 @kernel
-def product_of_modes(sizes: Counts, work: Array, first: int, second: int) -> float:
+def product_of_modes(sizes: Counts, a: Array, b: Array) -> float:
     """Return the sum of the products of two quantities over the modes of both planes."""
-    in_pitch: float = modal_sum(sizes, work, of_plane(first, sch.PITCH), work, of_plane(second, sch.PITCH))
-    in_yaw: float = modal_sum(sizes, work, of_plane(first, sch.YAW), work, of_plane(second, sch.YAW))
+    in_pitch: float = modal_sum(sizes, a, of_plane(sch.PITCH), b, of_plane(sch.PITCH))
+    in_yaw: float = modal_sum(sizes, a, of_plane(sch.YAW), b, of_plane(sch.YAW))
     return in_pitch + in_yaw
 
 
 @kernel
-def add_multiple_of_modes(sizes: Counts, work: Array, of: int, amount: float, quantity: int) -> None:
+def add_multiple_of_modes(sizes: Counts, of: Array, amount: float, quantity: Array) -> None:
     """Add `amount` times the modal quantity `of` to another one, in both planes."""
     for plane in (sch.PITCH, sch.YAW):
-        add_to_modes(sizes, work, of_plane(of, plane), amount, work, of_plane(quantity, plane))
+        add_to_modes(sizes, of, of_plane(plane), amount, quantity, of_plane(plane))
 
 
 @kernel
-def modal_accelerations(sizes: Counts, properties: Array, work: Array, forces: int, accelerations: int) -> None:
-    """Set the accelerations of the modes of both planes under generalised forces (FORCE and ACCEL, say)."""
+def modal_accelerations(sizes: Counts, properties: Array, forces: Array, accelerations: Array) -> None:
+    """Set the accelerations of the modes of both planes under generalised forces."""
     for plane in (sch.PITCH, sch.YAW):
         row = sch.derived_column(sizes, plane, sch.MODE_INVERSE_MASS)
-        force, accel = of_plane(forces, plane), of_plane(accelerations, plane)
+        q = of_plane(plane)
         if sizes.mode_groups > 0:
-            _accelerate_four(properties, row, work, force, accel)
+            _accelerate_four(properties, row, forces, accelerations, q)
         if sizes.mode_groups > 1:
-            _accelerate_four(properties, row + 4, work, force + 4, accel + 4)
+            _accelerate_four(properties, row + 4, forces, accelerations, q + 4)
         if sizes.mode_groups > 2:
-            _accelerate_four(properties, row + 8, work, force + 8, accel + 8)
+            _accelerate_four(properties, row + 8, forces, accelerations, q + 8)
 
 
 @kernel
-def _accelerate_four(properties: Array, r: int, work: Array, force: int, accel: int) -> None:
-    a, b = work[force] * properties[r], work[force + 1] * properties[r + 1]
-    c, d = work[force + 2] * properties[r + 2], work[force + 3] * properties[r + 3]
-    work[accel], work[accel + 1], work[accel + 2], work[accel + 3] = a, b, c, d
+def _accelerate_four(properties: Array, r: int, force: Array, accel: Array, q: int) -> None:
+    a, b = force[q] * properties[r], force[q + 1] * properties[r + 1]
+    c, d = force[q + 2] * properties[r + 2], force[q + 3] * properties[r + 3]
+    accel[q], accel[q + 1], accel[q + 2], accel[q + 3] = a, b, c, d
 
 
 @kernel
-def modal_state(sizes: Counts, roll_rate: float, y: Array, eta: int, xi: int, work: Array) -> None:
-    """From the states at y[eta:] (pitch plane) and y[xi:] (yaw plane) into the workspace: modal coordinates,
+def modal_state(sizes: Counts, roll_rate: float, y: Array, eta: int, xi: int, modes: PlanarMotion) -> None:
+    """From the states at y[eta:] (pitch plane) and y[xi:] (yaw plane) into `modes`: modal coordinates,
     quasi-velocities and from them d(eta)/dt, d(xi)/dt. Sets the generalised forces to zero.
     """
     if sizes.mode_groups > 0:
-        _state_of_four(sizes, 0, roll_rate, y, eta, xi, work)
+        _state_of_four(sizes, 0, roll_rate, y, eta, xi, modes)
     if sizes.mode_groups > 1:
-        _state_of_four(sizes, 4, roll_rate, y, eta, xi, work)
+        _state_of_four(sizes, 4, roll_rate, y, eta, xi, modes)
     if sizes.mode_groups > 2:
-        _state_of_four(sizes, 8, roll_rate, y, eta, xi, work)
+        _state_of_four(sizes, 8, roll_rate, y, eta, xi, modes)
 
 
 @kernel
-def _state_of_four(sizes: Counts, first: int, roll_rate: float, y: Array, eta: int, xi: int, work: Array) -> None:
+def _state_of_four(
+    sizes: Counts, first: int, roll_rate: float, y: Array, eta: int, xi: int, modes: PlanarMotion
+) -> None:
     for i in range(first, first + 4):
-        p, q = of_plane(0, sch.PITCH) + i, of_plane(0, sch.YAW) + i
+        p, q = of_plane(sch.PITCH) + i, of_plane(sch.YAW) + i
         in_pitch, in_yaw, nu_pitch, nu_yaw, rate_pitch, rate_yaw = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         if i < sizes.pitch_modes:
             in_pitch, nu_pitch = y[eta + i], y[eta + sizes.pitch_modes + i]
@@ -177,73 +209,73 @@ def _state_of_four(sizes: Counts, first: int, roll_rate: float, y: Array, eta: i
             rate_yaw = nu_yaw + roll_rate * in_pitch
         if i < sizes.pitch_modes:
             rate_pitch = nu_pitch - roll_rate * in_yaw
-        work[ETA + p], work[ETA + q] = in_pitch, in_yaw
-        work[NU + p], work[NU + q] = nu_pitch, nu_yaw
-        work[RATE + p], work[RATE + q] = rate_pitch, rate_yaw
-        work[FORCE + p], work[FORCE + q] = 0.0, 0.0
+        modes.eta_m[p], modes.eta_m[q] = in_pitch, in_yaw
+        modes.nu_mps[p], modes.nu_mps[q] = nu_pitch, nu_yaw
+        modes.rate_mps[p], modes.rate_mps[q] = rate_pitch, rate_yaw
+        modes.force_N[p], modes.force_N[q] = 0.0, 0.0
 
 
 @kernel
-def modal_derivative(sizes: Counts, eta: int, xi: int, dy: Array, work: Array) -> None:
-    """Derivatives of the states at y[eta:] and y[xi:], once the workspace holds the modal accelerations."""
+def modal_derivative(sizes: Counts, eta: int, xi: int, dy: Array, modes: PlanarMotion) -> None:
+    """Derivatives of the states at y[eta:] and y[xi:], once the modal accelerations are known."""
     for i in range(sizes.pitch_modes):
-        dy[eta + i] = work[of_plane(RATE, sch.PITCH) + i]
-        dy[eta + sizes.pitch_modes + i] = work[of_plane(ACCEL, sch.PITCH) + i]
+        dy[eta + i] = modes.rate_mps[of_plane(sch.PITCH) + i]
+        dy[eta + sizes.pitch_modes + i] = modes.accel_mps2[of_plane(sch.PITCH) + i]
     for i in range(sizes.yaw_modes):
-        dy[xi + i] = work[of_plane(RATE, sch.YAW) + i]
-        dy[xi + sizes.yaw_modes + i] = work[of_plane(ACCEL, sch.YAW) + i]
+        dy[xi + i] = modes.rate_mps[of_plane(sch.YAW) + i]
+        dy[xi + sizes.yaw_modes + i] = modes.accel_mps2[of_plane(sch.YAW) + i]
 
 
 @kernel
 def gimbal_displacement(
-    sizes: Counts, properties: Array, gimbal: int, work: Array
+    sizes: Counts, properties: Array, gimbal: int, modes: PlanarMotion
 ) -> tuple[float, float, float, float]:
     """Displacement along y and z (m) and rotation about y and z (rad) of a gimbal's station by bending."""
-    return motion_at(sizes, properties, gimbal, work, of_plane(ETA, sch.PITCH), of_plane(ETA, sch.YAW))
+    return motion_at(sizes, properties, gimbal, modes.eta_m, of_plane(sch.PITCH), of_plane(sch.YAW))
 
 
 @kernel
 def motion_at(
-    sizes: Counts, properties: Array, gimbal: int, work: Array, pitch: int, yaw: int
+    sizes: Counts, properties: Array, gimbal: int, quantity: Array, pitch: int, yaw: int
 ) -> tuple[float, float, float, float]:
-    """The same of other modal quantities (ETA, NU, ...), of the pitch and of the yaw plane's modes."""
+    """The same of another modal quantity, of the pitch and of the yaw plane's modes."""
     phi = sch.gimbal_row(sizes, gimbal)
     return (
-        modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, phi), work, yaw),
-        modal_sum(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi), work, pitch),
-        modal_sum(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi + 1), work, pitch),
-        -modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, phi + 1), work, yaw),
+        modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, phi), quantity, yaw),
+        modal_sum(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi), quantity, pitch),
+        modal_sum(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi + 1), quantity, pitch),
+        -modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, phi + 1), quantity, yaw),
     )
 
 
 @kernel
-def bending_rate_at_gyro(sizes: Counts, properties: Array, work: Array) -> tuple[float, float]:
+def bending_rate_at_gyro(sizes: Counts, properties: Array, modes: PlanarMotion) -> tuple[float, float]:
     """Angular rate about y and z that bending adds at the gyro, rad/s."""
     return (
         modal_sum(
-            sizes, properties, sch.mode_column(sizes, sch.PITCH, sch.MODE_SLOPE_GYRO), work, of_plane(NU, sch.PITCH)
+            sizes, properties, sch.mode_column(sizes, sch.PITCH, sch.MODE_SLOPE_GYRO), modes.nu_mps, of_plane(sch.PITCH)
         ),
         -modal_sum(
-            sizes, properties, sch.mode_column(sizes, sch.YAW, sch.MODE_SLOPE_GYRO), work, of_plane(NU, sch.YAW)
+            sizes, properties, sch.mode_column(sizes, sch.YAW, sch.MODE_SLOPE_GYRO), modes.nu_mps, of_plane(sch.YAW)
         ),
     )
 
 
 @kernel
 def apply_gimbal_load(
-    sizes: Counts, properties: Array, gimbal: int, load: Load, work: Array, quantity: int
+    sizes: Counts, properties: Array, gimbal: int, load: Load, quantity: Array
 ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
-    """Add the generalised forces of a load on the body at a gimbal's station to a modal quantity (FORCE, ROLL)."""
+    """Add the generalised forces of a load on the body at a gimbal's station to a modal quantity."""
     _, force_y, force_z, _, moment_y, moment_z = load
-    pitch, yaw, phi = of_plane(quantity, sch.PITCH), of_plane(quantity, sch.YAW), sch.gimbal_row(sizes, gimbal)
-    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi), force_z, work, pitch)
-    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi + 1), moment_y, work, pitch)
-    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.YAW, phi), force_y, work, yaw)
-    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.YAW, phi + 1), -moment_z, work, yaw)
+    pitch, yaw, phi = of_plane(sch.PITCH), of_plane(sch.YAW), sch.gimbal_row(sizes, gimbal)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi), force_z, quantity, pitch)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.PITCH, phi + 1), moment_y, quantity, pitch)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.YAW, phi), force_y, quantity, yaw)
+    add_to_modes(sizes, properties, sch.mode_column(sizes, sch.YAW, phi + 1), -moment_z, quantity, yaw)
 
 
 @kernel
-def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_load: float, work: Array) -> float:
+def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_load: float, modes: PlanarMotion) -> float:
     """Add stiffness, damping and axial softening to the generalised forces.
 
     Returns the roll moment of these internal forces on the body, which is not zero where the two planes differ in
@@ -252,48 +284,48 @@ def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_loa
     k_soft = bending.softening_factor * axial_load
     roll = 0.0
     if sizes.mode_groups > 0:
-        roll = _elastic_forces_on_four(sizes, sch.YAW, 0, k_soft, properties, work)
-        roll -= _elastic_forces_on_four(sizes, sch.PITCH, 0, k_soft, properties, work)
+        roll = _elastic_forces_on_four(sizes, sch.YAW, 0, k_soft, properties, modes)
+        roll -= _elastic_forces_on_four(sizes, sch.PITCH, 0, k_soft, properties, modes)
     if sizes.mode_groups > 1:
-        roll += _elastic_forces_on_four(sizes, sch.YAW, 4, k_soft, properties, work)
-        roll -= _elastic_forces_on_four(sizes, sch.PITCH, 4, k_soft, properties, work)
+        roll += _elastic_forces_on_four(sizes, sch.YAW, 4, k_soft, properties, modes)
+        roll -= _elastic_forces_on_four(sizes, sch.PITCH, 4, k_soft, properties, modes)
     if sizes.mode_groups > 2:
-        roll += _elastic_forces_on_four(sizes, sch.YAW, 8, k_soft, properties, work)
-        roll -= _elastic_forces_on_four(sizes, sch.PITCH, 8, k_soft, properties, work)
+        roll += _elastic_forces_on_four(sizes, sch.YAW, 8, k_soft, properties, modes)
+        roll -= _elastic_forces_on_four(sizes, sch.PITCH, 8, k_soft, properties, modes)
     return roll
 
 
 @kernel
 def _elastic_forces_on_four(
-    sizes: Counts, plane: int, first: int, k_soft: float, properties: Array, work: Array
+    sizes: Counts, plane: int, first: int, k_soft: float, properties: Array, modes: PlanarMotion
 ) -> float:
     """The same on four modes of one plane; returns the sum of their forces times the other plane's coordinates."""
     s = sch.derived_column(sizes, plane, sch.MODE_STIFFNESS) + first
     d = sch.derived_column(sizes, plane, sch.MODE_DAMPING) + first
-    e, r, o = of_plane(ETA, plane) + first, of_plane(RATE, plane) + first, of_plane(ETA, 1 - plane) + first
-    f_0 = -(properties[s] * work[e] + properties[d] * work[r])
-    f_1 = -(properties[s + 1] * work[e + 1] + properties[d + 1] * work[r + 1])
-    f_2 = -(properties[s + 2] * work[e + 2] + properties[d + 2] * work[r + 2])
-    f_3 = -(properties[s + 3] * work[e + 3] + properties[d + 3] * work[r + 3])
+    eta, rate, force = modes.eta_m, modes.rate_mps, modes.force_N
+    q, o = of_plane(plane) + first, of_plane(1 - plane) + first
+    f_0 = -(properties[s] * eta[q] + properties[d] * rate[q])
+    f_1 = -(properties[s + 1] * eta[q + 1] + properties[d + 1] * rate[q + 1])
+    f_2 = -(properties[s + 2] * eta[q + 2] + properties[d + 2] * rate[q + 2])
+    f_3 = -(properties[s + 3] * eta[q + 3] + properties[d + 3] * rate[q + 3])
     for four in range(3):
         if four < sizes.mode_groups:
             for k in range(4 * four, 4 * four + 4):
                 c = sch.mode_column(sizes, plane, sch.softening_row(sizes, k)) + first
-                taken = k_soft * work[of_plane(ETA, plane) + k]
+                taken = k_soft * eta[of_plane(plane) + k]
                 f_0 += taken * properties[c]
                 f_1 += taken * properties[c + 1]
                 f_2 += taken * properties[c + 2]
                 f_3 += taken * properties[c + 3]
-    q = of_plane(FORCE, plane) + first
-    roll: float = (f_0 * work[o] + f_1 * work[o + 1]) + (f_2 * work[o + 2] + f_3 * work[o + 3])
-    f_0, f_1, f_2, f_3 = work[q] + f_0, work[q + 1] + f_1, work[q + 2] + f_2, work[q + 3] + f_3
-    work[q], work[q + 1], work[q + 2], work[q + 3] = f_0, f_1, f_2, f_3
+    roll: float = (f_0 * eta[o] + f_1 * eta[o + 1]) + (f_2 * eta[o + 2] + f_3 * eta[o + 3])
+    f_0, f_1, f_2, f_3 = force[q] + f_0, force[q + 1] + f_1, force[q + 2] + f_2, force[q + 3] + f_3
+    force[q], force[q + 1], force[q + 2], force[q + 3] = f_0, f_1, f_2, f_3
     return roll
 
 
 @kernel
 def gyroscopic_forces(
-    sizes: Counts, properties: Array, gimbal: int, rate: Vector, engines: Load, work: Array
+    sizes: Counts, properties: Array, gimbal: int, rate: Vector, engines: Load, modes: PlanarMotion
 ) -> Vector:
     """Roll-rate coupling of the two planes, and the moment of the modes' angular momentum about x on the body.
 
@@ -310,15 +342,15 @@ def gyroscopic_forces(
     for four in range(3):
         if four < sizes.mode_groups:
             for i in range(4 * four, 4 * four + 4):
-                j = i + of_plane(0, sch.YAW)
-                nu_eta, nu_xi = work[NU + i], work[NU + j]
+                j = i + of_plane(sch.YAW)
+                nu_eta, nu_xi = modes.nu_mps[i], modes.nu_mps[j]
                 p_eta = own * properties[mass + i] * nu_eta + properties[phi + i] * momentum_z
                 p_eta += properties[slope + i] * angular_y
                 p_xi = own * properties[mass + apart + i] * nu_xi + properties[phi + apart + i] * momentum_y
                 p_xi += properties[slope + apart + i] * angular_z
-                work[FORCE + i] -= p * p_xi
-                work[FORCE + j] += p * p_eta
-                h += work[ETA + j] * p_eta - work[ETA + i] * p_xi
+                modes.force_N[i] -= p * p_xi
+                modes.force_N[j] += p * p_eta
+                h += modes.eta_m[j] * p_eta - modes.eta_m[i] * p_xi
                 roll -= p_eta * nu_xi - p_xi * nu_eta
     return (roll, -r * h, q * h)
 
@@ -349,8 +381,8 @@ def put_modes(row: Array, column: int, y: Array, first: int, count: int, logged:
 
 
 @kernel
-def bending_row(aux: Array) -> BendingRow:
+def bending_row(gimbal: GimbalBending) -> BendingRow:
     return BendingRow(
-        bend_axis_gimbal_m=PitchYaw(aux[GIMBAL_BEND + 1], aux[GIMBAL_BEND]),
-        bend_axis_gimbal_deg=PitchYaw(DEG * aux[GIMBAL_BEND + 2], DEG * aux[GIMBAL_BEND + 3]),
+        bend_axis_gimbal_m=PitchYaw(gimbal.moved_z_m, gimbal.moved_y_m),
+        bend_axis_gimbal_deg=PitchYaw(DEG * gimbal.slope_y_rad, DEG * gimbal.slope_z_rad),
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.jit import kernel, rare_routine, routine, routine_beside
+from maxq.control.kernel.jit import kernel, rare_routine, record_at, routine, routine_beside
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
@@ -27,12 +27,12 @@ from maxq.control.kernel.vectors import (
 from maxq.sim.vehicle import rigid
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import state as states
-from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.accelerations import accelerate
 from maxq.sim.vehicle.actuator import Actuator, actuator_motion, actuator_rates
 from maxq.sim.vehicle.aero import Aero, air_acts, body_loads, coefficients, moment_reference, surface_loads, table_loads
 from maxq.sim.vehicle.bending import (
     Bending,
+    Modes,
     apply_gimbal_load,
     bending_rate_at_gyro,
     elastic_forces,
@@ -48,12 +48,12 @@ from maxq.sim.vehicle.engine import (
     deflected_at,
     deflected_engine,
     engine_axis_motion,
-    group_angles,
     put_deflected,
+    set_motion,
     thrust,
 )
 from maxq.sim.vehicle.engine_modes import Rates, engine_velocity, gimbal_rates, modal_roll_response
-from maxq.sim.vehicle.environment import Environment, air_data, pad_acceleration, winds_along_body
+from maxq.sim.vehicle.environment import AirData, Environment, air_data, pad_acceleration, winds_along_body
 from maxq.sim.vehicle.faults import N_FAULT_SLOTS
 from maxq.sim.vehicle.gyro import Gyro, gyro_derivative, sensed_rate
 from maxq.sim.vehicle.sensors import Sensor, sense
@@ -72,6 +72,7 @@ from maxq.sim.vehicle.spatial_modes import (
     sum_of_loads,
 )
 from maxq.sim.vehicle.tvc_load import TvcLoad, load_derivative, prepare_loads, swing_engines
+from maxq.sim.vehicle.workspace import Aux, Evaluation, Work
 from maxq.sim.world.earth import gravity_gradient_torque
 
 
@@ -163,8 +164,8 @@ def _derive_properties(vehicle: Vehicle, sizes: Counts, pool: Array, clock_s: fl
 
 @routine_beside
 def derivative(
-    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: ws.Evaluation,
-    work: Array,
+    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
+    work: Work,
 ) -> None:  # fmt: skip  # nine lines otherwise
     """Derivative of `at.y` into `at.dy`, auxiliary outputs into `at.aux`, with the properties of this instant."""
     sizes = counts(vehicle.sizes)
@@ -178,8 +179,8 @@ def derivative(
 
 @rare_routine
 def _unusual_derivative(
-    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: ws.Evaluation,
-    work: Array,
+    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
+    work: Work,
 ) -> None:  # fmt: skip  # nine lines otherwise
     _derivative(vehicle, counts(vehicle.sizes), environment, pool, held, inputs, at, work)
 
@@ -195,9 +196,9 @@ def _rigid_derivative(
 @kernel
 def _derivative(
     vehicle: Vehicle, sizes: Counts, environment: Environment, pool: Array, held: Held, inputs: StageInputs,
-    at: ws.Evaluation, work: Array,
+    at: Evaluation, work: Work,
 ) -> None:  # fmt: skip  # ten lines otherwise
-    properties, y, dy, aux = at
+    (properties, y, dy, aux), modes = at, work.modes
     eta, xi, spatial, pendulums = (
         states.eta_index(sizes),
         states.xi_index(sizes),
@@ -209,14 +210,14 @@ def _derivative(
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
 
     gust = (inputs.gust_x_mps, inputs.gust_y_mps, inputs.gust_z_mps)
-    gravitation = air_data(environment, pool, gust, rotation, y, work, aux)
-    modal_state(sizes, rate[0], y, eta, xi, work)
+    gravitation = air_data(environment, pool, gust, rotation, y, work.anchor, aux.air)
+    modal_state(sizes, rate[0], y, eta, xi, modes.planar)
     if sizes.spatial_modes > 0:
-        spatial_state(sizes, rate[0], properties, y, spatial, work)
+        spatial_state(sizes, rate[0], properties, y, spatial, modes.spatial)
     engine, balanced = engine_motion(vehicle, sizes, held, properties, y, work, aux)
 
     aero_force, aero_moment = aerodynamics(
-        vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux
+        vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux.air
     )  # fmt: skip  # twelve lines otherwise
     thrust_force, thrust_moment, gimbal_load = thrust_loads(vehicle, sizes, engine, properties, work, aux)
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_TOTAL_MASS]
@@ -242,12 +243,14 @@ def _derivative(
     moment = add(moment, scaled(-1.0, cross(rate, inertia_times(balanced.inertia, rate))))
 
     if sizes.spatial_modes > 0:
-        moment = add(moment, outer_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), gimbal_load, work))
+        moment = add(
+            moment, outer_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), gimbal_load, modes.spatial)
+        )
     reaction_load, momentum = (
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         rigid.engine_momentum(vehicle.engine, 0, engine, rate[0]),
     )
-    first_rates = gimbal_rates(sizes, properties, 0, work)
+    first_rates = gimbal_rates(sizes, properties, 0, modes)
     if vehicle.engine.gimballed_mass_kg[0] > 0.0 or vehicle.engine.inertia_kgm2[0] > 0.0:
         reaction_force, reaction_moment, reaction_load = rigid.engine_reaction(
             vehicle.engine, 0, engine, rate, axial_load, engine_velocity(vehicle.engine, 0, first_rates)
@@ -259,31 +262,34 @@ def _derivative(
         )  # fmt: skip  # thirteen lines otherwise
         force, moment = add(force, further_force), add(moment, further_moment)
     if sizes.spatial_modes > 0:
-        apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), reaction_load, work, ws.SPATIAL_FORCE)
-        apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), momentum, work, ws.SPATIAL_MOMENTUM)
+        apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), reaction_load, modes.spatial.force_N)
+        apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), momentum, modes.spatial.momentum_Ns)
     if sizes.pitch_modes + sizes.yaw_modes > 0:
-        apply_gimbal_load(sizes, properties, 0, sum_of_loads(gimbal_load, reaction_load), work, ws.FORCE)
-        gyroscopic = gyroscopic_forces(sizes, properties, 0, rate, momentum, work)
-        roll = elastic_forces(vehicle.bending, sizes, properties, axial_load, work)
+        apply_gimbal_load(sizes, properties, 0, sum_of_loads(gimbal_load, reaction_load), modes.planar.force_N)
+        gyroscopic = gyroscopic_forces(sizes, properties, 0, rate, momentum, modes.planar)
+        roll = elastic_forces(vehicle.bending, sizes, properties, axial_load, modes.planar)
         moment = add(moment, (gyroscopic[0] + roll, gyroscopic[1], gyroscopic[2]))
     if sizes.spatial_modes > 0:
-        moment = add(moment, spatial_gyroscopic(sizes, properties, rate, work))
+        moment = add(moment, spatial_gyroscopic(sizes, properties, rate, modes.spatial))
         k_soft = vehicle.bending.softening_factor * axial_load
-        moment = add(moment, (spatial_elastic_forces(sizes, properties, k_soft, work), 0.0, 0.0))
+        moment = add(moment, (spatial_elastic_forces(sizes, properties, k_soft, modes.spatial), 0.0, 0.0))
     for tank in range(sizes.pendulums):
         first = pendulums + states.N_PENDULUM * tank
         damper_force, damper_moment = pendulum_loads(
-            vehicle.slosh, sizes, tank, rate, axial_load, balanced.offset, properties, y, first, work
+            vehicle.slosh, sizes, tank, rate, axial_load, balanced.offset, properties, y, first, modes,
+            record_at(work.tank, tank),
         )  # fmt: skip  # twelve lines otherwise
         force, moment = add(force, damper_force), add(moment, damper_moment)
     if vehicle.slosh.exchange == 1:
-        liquid_force, liquid_moment = exchange_loads(vehicle.slosh, sizes, rate, properties, y, pendulums, work)
+        liquid_force, liquid_moment = exchange_loads(
+            vehicle.slosh, sizes, rate, properties, y, pendulums, modes, work.tank
+        )
         force, moment = add(force, liquid_force), add(moment, liquid_moment)
 
     if sizes.tvc_loads > 0:
         prepare_loads(
-            vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, first_rates, axial_load, at,
-            loads, held.faults, work,
+            vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, first_rates, axial_load,
+            properties, y, loads, held.faults, work.engine, modes, work.system, aux.tvc_loads,
         )  # fmt: skip  # eleven lines otherwise
     specific_force, alpha = accelerate(sizes, held.on_pad, balanced, force, moment, pad, properties, y, pendulums, work)
 
@@ -297,84 +303,85 @@ def _derivative(
     for k in range(2 * sizes.further_groups):
         i = states.actuator_index(sizes, 1) + states.N_ACTUATOR * k
         actuator_rates(vehicle.further_actuators[k], held.faults, 2 + k, y, i, held.command_rad[2 + k], dy)
-    bend_y, bend_z = bending_rate_at_gyro(sizes, properties, work)
+    bend_y, bend_z = bending_rate_at_gyro(sizes, properties, modes.planar)
     local = (rate[0], rate[1] + bend_y, rate[2] + bend_z)
     if sizes.spatial_modes > 0:
-        added = spatial_rate_at_gyro(sizes, rate[0], properties, work)
+        added = spatial_rate_at_gyro(sizes, rate[0], properties, modes.spatial)
         local, bend_y, bend_z = add(local, added), bend_y + added[1], bend_z + added[2]
     sensed = sensed_rate(vehicle.gyro, local)
     gyro_derivative(vehicle.gyro, y, states.GYRO, sensed, held.faults, dy)
-    modal_derivative(sizes, eta, xi, dy, work)
+    modal_derivative(sizes, eta, xi, dy, modes.planar)
     if sizes.spatial_modes > 0:
-        spatial_derivative(sizes, spatial, dy, work)
+        spatial_derivative(sizes, spatial, dy, modes.spatial)
     for tank in range(sizes.pendulums):
         first = pendulums + states.N_PENDULUM * tank
-        pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, first, dy, work)
-        aux[ws.TENSIONS + tank] = work[ws.TENSION + tank]
+        own = record_at(work.tank, tank)
+        pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, first, dy, own)
+        aux.tension_N[tank] = work.system.unknown[tank]
     if sizes.tvc_loads > 0:
-        load_derivative(vehicle.tvc_load, vehicle.engine, sizes, y, loads, dy, work, aux)
+        load_derivative(vehicle.tvc_load, vehicle.engine, sizes, y, loads, dy, work.system, aux.engines, aux.tvc_loads)
     if sizes.sensors > 0:
         first = states.sensor_index(sizes, 0)
-        sense(vehicle.sensors, sizes, rate, specific_force, alpha, properties, held.faults, y, first, dy, work)
-    aux[ws.AXIAL_LOAD] = axial_load
-    set_vector(aux, ws.AERO_FORCE, aero_force)
-    set_vector(aux, ws.AERO_MOMENT, aero_moment)
-    set_vector(aux, ws.SPECIFIC_FORCE, specific_force)
-    set_vector(aux, ws.ANGULAR_ACCEL, alpha)
-    aux[ws.GYRO_BEND], aux[ws.GYRO_BEND + 1] = bend_y, bend_z
+        sense(vehicle.sensors, sizes, rate, specific_force, alpha, properties, held.faults, y, first, dy, modes)
+    aux.axial_load_mps2 = axial_load
+    set_vector(aux.aero_force_B_N, 0, aero_force)
+    set_vector(aux.aero_moment_B_Nm, 0, aero_moment)
+    set_vector(aux.specific_force_B_mps2, 0, specific_force)
+    set_vector(aux.alpha_BI_B_radps2, 0, alpha)
+    aux.gyro_bending_radps[0], aux.gyro_bending_radps[1] = bend_y, bend_z
 
 
 @kernel
 def engine_motion(
-    vehicle: Vehicle, sizes: Counts, held: Held, properties: Array, y: Array, work: Array, aux: Array
+    vehicle: Vehicle, sizes: Counts, held: Held, properties: Array, y: Array, work: Work, aux: Aux
 ) -> tuple[Deflected, rigid.Balance]:
     """The first engine, deflected by its actuators, further ones into `work`; CG and inertia with all of them.
 
     Angles, rates and accelerations of each group go into `aux`.
     """
     i, command, before, faults = states.ACTUATOR, held.command_rad, held.engine_rad, held.faults
-    set_vector(aux, ws.ENGINE_PITCH, actuator_motion(vehicle.actuator_pitch, faults, 0, y, i, command, before))
+    channel = aux.engines.channel
+    set_motion(channel[0], actuator_motion(vehicle.actuator_pitch, faults, 0, y, i, command, before))
     i += states.N_ACTUATOR
-    set_vector(aux, ws.ENGINE_YAW, actuator_motion(vehicle.actuator_yaw, faults, 1, y, i, command, before))
+    set_motion(channel[1], actuator_motion(vehicle.actuator_yaw, faults, 1, y, i, command, before))
     for k in range(2 * sizes.further_groups):
         i = states.actuator_index(sizes, 1) + states.N_ACTUATOR * k
-        set_vector(
-            aux, group_angles(1) + 3 * k,
-            actuator_motion(vehicle.further_actuators[k], faults, 2 + k, y, i, command, before),
-        )  # fmt: skip  # three lines otherwise
+        motion = actuator_motion(vehicle.further_actuators[k], faults, 2 + k, y, i, command, before)
+        set_motion(channel[2 + k], motion)
     if sizes.tvc_loads > 0:  # the actuators' position is the spring's other end; the engine has angles of its own
-        swing_engines(vehicle.tvc_load, vehicle.engine, sizes, y, states.tvc_load_index(sizes), aux)
-    axis, axis_rate, axis_accel = engine_axis_motion(vehicle.engine, 0, aux, ws.ENGINE_PITCH)
+        first_load = states.tvc_load_index(sizes)
+        swing_engines(vehicle.tvc_load, vehicle.engine, sizes, y, first_load, aux.engines, aux.tvc_loads)
+    axis, axis_rate, axis_accel = engine_axis_motion(vehicle.engine, 0, channel[0], channel[1])
     first = deflected_engine(vehicle.engine, 0, axis, axis_rate, axis_accel, properties)
     if sizes.engines > 1:
         further_motion(vehicle.engine, vehicle.sizes, properties, work, aux)
     given_way = 0.0
     if sizes.mode_groups + sizes.spatial_modes > 0:
-        given_way = modal_roll_response(vehicle.engine, vehicle.sizes, first.delta, properties, work)
-    return first, rigid.balance(vehicle.engine, sizes, first, given_way, properties, work)
+        given_way = modal_roll_response(vehicle.engine, vehicle.sizes, first.delta, properties, work.engine, work.modes)
+    return first, rigid.balance(vehicle.engine, sizes, first, given_way, properties, work.engine)
 
 
 @routine
-def further_motion(e: Engine, of: Sizes, properties: Array, work: Array, aux: Array) -> None:
+def further_motion(e: Engine, of: Sizes, properties: Array, work: Work, aux: Aux) -> None:
     """The engines beyond the first, deflected, into `work`."""
     for k in range(1, of.engines):
-        at = group_angles(e.group[k])
+        pitch, yaw = aux.engines.channel[2 * e.group[k]], aux.engines.channel[2 * e.group[k] + 1]
         if of.tvc_loads > 0 and e.swings[k] >= 0:
-            at = ws.SWING + 6 * e.swings[k]
-        axis, axis_rate, axis_accel = engine_axis_motion(e, k, aux, at)
-        put_deflected(work, k, deflected_engine(e, k, axis, axis_rate, axis_accel, properties))
+            pitch, yaw = aux.tvc_loads.swing[2 * e.swings[k]], aux.tvc_loads.swing[2 * e.swings[k] + 1]
+        axis, axis_rate, axis_accel = engine_axis_motion(e, k, pitch, yaw)
+        put_deflected(work.engine[k], deflected_engine(e, k, axis, axis_rate, axis_accel, properties))
 
 
 @kernel
 def aerodynamics(
     vehicle: Vehicle, sizes: Counts, environment: Environment, pool: Array, held: Held,
-    rotation: Matrix, rate: Vector, properties: Array, y: Array, work: Array, aux: Array,
+    rotation: Matrix, rate: Vector, properties: Array, y: Array, work: Work, air: AirData,
 ) -> tuple[Vector, Vector]:  # fmt: skip  # nine more lines otherwise
     """Force and moment about the core CG in B; adds to the generalised forces of the modes in `work`."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    if air_acts(vehicle.aero, aux):
-        flow = vector_at(aux, ws.FLOW)
-        coefficients(vehicle.aero, pool, aux[ws.MACH], work)
+    if air_acts(vehicle.aero, air):
+        flow = vector_at(air.flow_B_mps, 0)
+        coefficients(vehicle.aero, pool, air.mach, work.aero.mach_row)
         if vehicle.aero.earth_rates == 1:
             spin = environment.earth.rate_radps
             rate = (rate[0] - rotation[6] * spin, rate[1] - rotation[7] * spin, rate[2] - rotation[8] * spin)
@@ -382,14 +389,17 @@ def aerodynamics(
         if environment.penetration == 1:
             winds_along_body(
                 environment, pool, vehicle.aero.station_m, sizes.surfaces, vehicle.aero.crossflow_station_m, cg[0],
-                rotation, y, work, aux,
+                rotation, y, work.anchor, air, work.aero.wind_B_mps,
             )  # fmt: skip  # eleven lines otherwise
-        force, moment = body_loads(vehicle.aero, aux[ws.DENSITY], flow, rate, held.burning, cg, work)
-        surface_force, surface_moment = surface_loads(vehicle.aero, sizes, aux[ws.DENSITY], flow, properties, work)
+        force, moment = body_loads(vehicle.aero, air.density_kgpm3, flow, rate, held.burning, cg, work.aero)
+        surface_force, surface_moment = surface_loads(
+            vehicle.aero, sizes, air.density_kgpm3, flow, properties, work.modes, work.aero
+        )
         force, moment = add(force, surface_force), add(moment, surface_moment)
         if sizes.tables > 0:
             table_force, table_moment = table_loads(
-                vehicle.aero, sizes, pool, aux[ws.DENSITY], aux[ws.MACH], flow, rate, held.burning, properties, work
+                vehicle.aero, sizes, pool, air.density_kgpm3, air.mach, flow, rate, held.burning, properties,
+                work.modes, work.aero,
             )  # fmt: skip  # twelve lines otherwise
             force, moment = add(force, table_force), add(moment, table_moment)
     return force, moment
@@ -397,18 +407,19 @@ def aerodynamics(
 
 @kernel
 def thrust_loads(
-    vehicle: Vehicle, sizes: Counts, engine: Deflected, properties: Array, work: Array, aux: Array
+    vehicle: Vehicle, sizes: Counts, engine: Deflected, properties: Array, work: Work, aux: Aux
 ) -> tuple[Vector, Vector, Load]:
     """Thrust along the deflected engines on the bent body: force, moment about the core CG, load on the modes.
 
     The load is that at the first station of gimbals; loads at others have gone to the modes. The moment on what spatial
     modes displace is left to `outer_spatial_load`.
     """
-    strength = thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux[ws.PRESSURE])
-    aux[ws.ENGINE_THRUSTS], aux[ws.THRUST] = strength, vehicle.engine.rest_x[0] * strength
-    bend = gimbal_bend(sizes, properties, 0, work)
-    aux[ws.GIMBAL_BEND], aux[ws.GIMBAL_BEND + 1] = bend.moved_y, bend.moved_z
-    aux[ws.GIMBAL_BEND + 2], aux[ws.GIMBAL_BEND + 3] = bend.slope_y, bend.slope_z
+    strength = thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux.air.pressure_Pa)
+    aux.engines.thrust_N[0], aux.engines.axial_thrust_N = strength, vehicle.engine.rest_x[0] * strength
+    bend = gimbal_bend(sizes, properties, 0, work.modes)
+    gimbal = aux.gimbal_bending
+    gimbal.moved_y_m, gimbal.moved_z_m = bend.moved_y, bend.moved_z
+    gimbal.slope_y_rad, gimbal.slope_z_rad = bend.slope_y, bend.slope_z
     force, moment, load = thrust_load(vehicle.engine, 0, engine, strength, vehicle.follower_thrust, bend)
     if sizes.engines > 1:
         further_force, further_moment, load = further_thrusts(
@@ -431,11 +442,11 @@ class Bend(NamedTuple):
 
 
 @kernel
-def gimbal_bend(sizes: Counts, properties: Array, gimbal: int, work: Array) -> Bend:
-    shift_y, shift_z, slope_y, slope_z = gimbal_displacement(sizes, properties, gimbal, work)
+def gimbal_bend(sizes: Counts, properties: Array, gimbal: int, modes: Modes) -> Bend:
+    shift_y, shift_z, slope_y, slope_z = gimbal_displacement(sizes, properties, gimbal, modes.planar)
     moved_y, moved_z, twist = shift_y, shift_z, 0.0
     if sizes.spatial_modes > 0:
-        spatial = spatial_motion(sizes, properties, sch.gimbal_place(sizes, gimbal), work, ws.SPATIAL_ETA)
+        spatial = spatial_motion(sizes, properties, sch.gimbal_place(sizes, gimbal), modes.spatial.eta_m)
         moved_y, moved_z = shift_y + spatial[1], shift_z + spatial[2]
         twist, slope_y, slope_z = spatial[3], slope_y + spatial[4], slope_z + spatial[5]
     return Bend(shift_y, shift_z, moved_y, moved_z, twist, slope_y, slope_z)
@@ -461,46 +472,46 @@ def thrust_load(
 
 @routine
 def further_thrusts(
-    e: Engine, of: Sizes, follower: int, load: Load, first_bend: Bend, properties: Array, work: Array, aux: Array
+    e: Engine, of: Sizes, follower: int, load: Load, first_bend: Bend, properties: Array, work: Work, aux: Aux
 ) -> tuple[Vector, Vector, Load]:
     """Force and moment of the engines beyond the first, and `load` with theirs at the first station of gimbals."""
-    sizes = counts(of)
+    sizes, modes = counts(of), work.modes
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(1, sizes.engines):
-        strength = thrust(e, k, properties[sch.thrust_column(sizes, e.curve[k])], aux[ws.PRESSURE])
-        aux[ws.ENGINE_THRUSTS + k] = strength
-        aux[ws.THRUST] += e.rest_x[k] * strength
+        strength = thrust(e, k, properties[sch.thrust_column(sizes, e.curve[k])], aux.air.pressure_Pa)
+        aux.engines.thrust_N[k] = strength
+        aux.engines.axial_thrust_N += e.rest_x[k] * strength
         gimbal, bend = e.gimbal[k], first_bend
         if gimbal > 0:
-            bend = gimbal_bend(sizes, properties, gimbal, work)
-        own_force, own_moment, own_load = thrust_load(e, k, deflected_at(work, k), strength, follower, bend)
+            bend = gimbal_bend(sizes, properties, gimbal, modes)
+        own_force, own_moment, own_load = thrust_load(e, k, deflected_at(work.engine[k]), strength, follower, bend)
         force, moment = add(force, own_force), add(moment, own_moment)
         if gimbal == 0:
             load = sum_of_loads(load, own_load)
             continue
-        apply_gimbal_load(sizes, properties, gimbal, own_load, work, ws.FORCE)
+        apply_gimbal_load(sizes, properties, gimbal, own_load, modes.planar.force_N)
         if sizes.spatial_modes > 0:
             place = sch.gimbal_place(sizes, gimbal)
-            moment = add(moment, outer_spatial_load(sizes, properties, place, own_load, work))
+            moment = add(moment, outer_spatial_load(sizes, properties, place, own_load, modes.spatial))
     return force, moment, load
 
 
 @routine
 def further_reactions(
     e: Engine, of: Sizes, rate: Vector, axial_load: float, first_rates: Rates, load: Load, momentum: Load,
-    properties: Array, work: Array,
+    properties: Array, work: Work,
 ) -> tuple[Vector, Vector, Load, Load]:  # fmt: skip  # eleven lines otherwise
     """Reaction of the engines beyond the first: force, moment; `load` and `momentum` with theirs at the first station.
 
     What acts at other stations goes to the modes at once, and their gyroscopic moment into the moment.
     """
-    sizes = counts(of)
+    sizes, modes = counts(of), work.modes
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(1, sizes.engines):
-        engine, gimbal = deflected_at(work, k), e.gimbal[k]
+        engine, gimbal = deflected_at(work.engine[k]), e.gimbal[k]
         rates = first_rates
         if gimbal > 0:
-            rates = gimbal_rates(sizes, properties, gimbal, work)
+            rates = gimbal_rates(sizes, properties, gimbal, modes)
         own_force, own_moment, own_load = rigid.engine_reaction(
             e, k, engine, rate, axial_load, engine_velocity(e, k, rates)
         )
@@ -509,12 +520,12 @@ def further_reactions(
         if gimbal == 0:
             load, momentum = sum_of_loads(load, own_load), sum_of_loads(momentum, own_momentum)
             continue
-        apply_gimbal_load(sizes, properties, gimbal, own_load, work, ws.FORCE)
-        moment = add(moment, gyroscopic_forces(sizes, properties, gimbal, rate, own_momentum, work))
+        apply_gimbal_load(sizes, properties, gimbal, own_load, modes.planar.force_N)
+        moment = add(moment, gyroscopic_forces(sizes, properties, gimbal, rate, own_momentum, modes.planar))
         if sizes.spatial_modes > 0:
             place = sch.gimbal_place(sizes, gimbal)
-            apply_spatial_load(sizes, properties, place, own_load, work, ws.SPATIAL_FORCE)
-            apply_spatial_load(sizes, properties, place, own_momentum, work, ws.SPATIAL_MOMENTUM)
+            apply_spatial_load(sizes, properties, place, own_load, modes.spatial.force_N)
+            apply_spatial_load(sizes, properties, place, own_momentum, modes.spatial.momentum_Ns)
     return force, moment, load, momentum
 
 

@@ -22,7 +22,6 @@ from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.vectors import Vector, cross, scaled, set_vector, sine_cosine, vector_at
 from maxq.sim.vehicle.block import Counts
 from maxq.sim.vehicle.schedule import CORE_CG, THRUST_VACUUM, thrust_column
-from maxq.sim.vehicle.workspace import ENGINE, ENGINE_PITCH, ENGINE_THRUSTS, ENGINE_WIDTH, GROUPS
 
 _PER_ENGINE = (MAX_ENGINES,)
 Numbers = Annotated[Array, _PER_ENGINE]
@@ -72,19 +71,36 @@ class Engine:
     parts: Numbers  # and how many those are
 
 
-@kernel
-def group_angles(group: int) -> int:
-    """Where aux holds angle, rate and acceleration of a group in pitch and then in yaw."""
-    return ENGINE_PITCH if group == 0 else GROUPS + 6 * (group - 1)
+@dataclass
+class GimbalMotion:
+    """Gimbal angle in one plane with its derivatives."""
+
+    angle_rad: float
+    rate_radps: float
+    accel_radps2: float
+
+
+@dataclass
+class EngineOutputs:
+    """Auxiliary outputs of the engines."""
+
+    channel: Annotated[tuple[GimbalMotion, ...], (2 * MAX_ENGINES,)]  # pitch, yaw of each group
+    thrust_N: Annotated[Array, _PER_ENGINE]
+    axial_thrust_N: float  # of all engines at rest
 
 
 @kernel
-def engine_axis_motion(e: Engine, k: int, aux: Array, at: int) -> tuple[Vector, Vector, Vector]:
-    """`thrust_axis_motion` of engine k, its group's angles standing at aux[at]."""
+def set_motion(channel: GimbalMotion, motion: Vector) -> None:
+    channel.angle_rad, channel.rate_radps, channel.accel_radps2 = motion[0], motion[1], motion[2]
+
+
+@kernel
+def engine_axis_motion(e: Engine, k: int, pitch: GimbalMotion, yaw: GimbalMotion) -> tuple[Vector, Vector, Vector]:
+    """`thrust_axis_motion` of engine k, from the motion of its group."""
     in_pitch, in_yaw = e.follows_pitch[k], e.follows_yaw[k]
     return thrust_axis_motion(
-        in_pitch * aux[at] + e.turned_pitch_rad[k], in_pitch * aux[at + 1], in_pitch * aux[at + 2],
-        in_yaw * aux[at + 3] + e.turned_yaw_rad[k], in_yaw * aux[at + 4], in_yaw * aux[at + 5],
+        in_pitch * pitch.angle_rad + e.turned_pitch_rad[k], in_pitch * pitch.rate_radps, in_pitch * pitch.accel_radps2,
+        in_yaw * yaw.angle_rad + e.turned_yaw_rad[k], in_yaw * yaw.rate_radps, in_yaw * yaw.accel_radps2,
     )  # fmt: skip  # eight lines otherwise
 
 
@@ -121,6 +137,22 @@ class Deflected(NamedTuple):
     relative_accel: Vector
 
 
+@dataclass
+class KeptEngine:
+    """A Deflected as a record."""
+
+    axis: Annotated[Array, (3,)]
+    gimbal_m: Annotated[Array, (3,)]
+    delta_m: Annotated[Array, (3,)]
+    delta_rate_mps: Annotated[Array, (3,)]
+    delta_accel_mps2: Annotated[Array, (3,)]
+    relative_rate_radps: Annotated[Array, (3,)]
+    relative_accel_radps2: Annotated[Array, (3,)]
+
+
+KeptEngines = tuple[KeptEngine, ...]
+
+
 @kernel
 def deflected_engine(
     e: Engine, k: int, axis: Vector, axis_rate: Vector, axis_accel: Vector, properties: Array
@@ -148,24 +180,23 @@ def gimbal_point(e: Engine, k: int, properties: Array) -> Vector:
 
 
 @kernel
-def put_deflected(work: Array, k: int, engine: Deflected) -> None:
-    """Keep an engine beyond the first in the workspace."""
-    at = ENGINE + ENGINE_WIDTH * (k - 1)
-    set_vector(work, at, engine.axis)
-    set_vector(work, at + 3, engine.gimbal)
-    set_vector(work, at + 6, engine.delta)
-    set_vector(work, at + 9, engine.delta_rate)
-    set_vector(work, at + 12, engine.delta_accel)
-    set_vector(work, at + 15, engine.relative_rate)
-    set_vector(work, at + 18, engine.relative_accel)
+def put_deflected(kept: KeptEngine, engine: Deflected) -> None:
+    """Keep an engine beyond the first for the other parts of the derivative."""
+    set_vector(kept.axis, 0, engine.axis)
+    set_vector(kept.gimbal_m, 0, engine.gimbal)
+    set_vector(kept.delta_m, 0, engine.delta)
+    set_vector(kept.delta_rate_mps, 0, engine.delta_rate)
+    set_vector(kept.delta_accel_mps2, 0, engine.delta_accel)
+    set_vector(kept.relative_rate_radps, 0, engine.relative_rate)
+    set_vector(kept.relative_accel_radps2, 0, engine.relative_accel)
 
 
 @kernel
-def deflected_at(work: Array, k: int) -> Deflected:
-    at = ENGINE + ENGINE_WIDTH * (k - 1)
+def deflected_at(kept: KeptEngine) -> Deflected:
     return Deflected(
-        vector_at(work, at), vector_at(work, at + 3), vector_at(work, at + 6), vector_at(work, at + 9),
-        vector_at(work, at + 12), vector_at(work, at + 15), vector_at(work, at + 18),
+        vector_at(kept.axis, 0), vector_at(kept.gimbal_m, 0), vector_at(kept.delta_m, 0),
+        vector_at(kept.delta_rate_mps, 0), vector_at(kept.delta_accel_mps2, 0),
+        vector_at(kept.relative_rate_radps, 0), vector_at(kept.relative_accel_radps2, 0),
     )  # fmt: skip  # nine lines otherwise
 
 
@@ -215,16 +246,16 @@ class GroupRow(NamedTuple):
 
 
 @kernel
-def group_row(further_groups: int, group: int, command_rad: Array, aux: Array) -> GroupRow:
+def group_row(further_groups: int, group: int, command_rad: Array, engines: EngineOutputs) -> GroupRow:
     """Nan throughout for a group that the stage does not have."""
     if group > further_groups:
         none = PitchYaw(math.nan, math.nan)
         return GroupRow(none, none, none)
-    at = group_angles(group)
+    pitch, yaw = engines.channel[2 * group], engines.channel[2 * group + 1]
     return GroupRow(
         gimbal_group_axis_command_deg=PitchYaw(DEG * command_rad[2 * group], DEG * command_rad[2 * group + 1]),
-        gimbal_group_axis_angle_deg=PitchYaw(DEG * aux[at], DEG * aux[at + 3]),
-        gimbal_group_axis_rate_degps=PitchYaw(DEG * aux[at + 1], DEG * aux[at + 4]),
+        gimbal_group_axis_angle_deg=PitchYaw(DEG * pitch.angle_rad, DEG * yaw.angle_rad),
+        gimbal_group_axis_rate_degps=PitchYaw(DEG * pitch.rate_radps, DEG * yaw.rate_radps),
     )
 
 
@@ -235,8 +266,8 @@ class EngineRow(NamedTuple):
 
 
 @kernel
-def engine_row(e: Engine, number: int, aux: Array) -> EngineRow:
+def engine_row(e: Engine, number: int, engines: EngineOutputs) -> EngineRow:
     """Nan for an engine that the stage does not have."""
     if e.parts[number] == 0.0:
         return EngineRow(math.nan)
-    return EngineRow(thrust_engine_N=aux[ENGINE_THRUSTS + e.taken_as[number]] / e.parts[number])
+    return EngineRow(thrust_engine_N=engines.thrust_N[e.taken_as[number]] / e.parts[number])

@@ -11,8 +11,8 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Vector
 from maxq.sim.vehicle import schedule as sch
-from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.bending import (
+    Modes,
     add_multiple_of_modes,
     apply_gimbal_load,
     clear_modes,
@@ -22,7 +22,7 @@ from maxq.sim.vehicle.bending import (
     product_of_modes,
 )
 from maxq.sim.vehicle.block import Counts, Sizes, are_usual, counts, usual_counts
-from maxq.sim.vehicle.engine import Engine, beside_axis, deflected_at
+from maxq.sim.vehicle.engine import Engine, KeptEngines, beside_axis, deflected_at
 from maxq.sim.vehicle.spatial_modes import Load, apply_spatial_load, spatial_motion
 
 
@@ -40,16 +40,15 @@ Rates = tuple[Vector, Vector]  # velocity (m/s) and angular rate (rad/s) that th
 
 
 @kernel
-def gimbal_rates(sizes: Counts, properties: Array, gimbal: int, work: Array) -> Rates:
+def gimbal_rates(sizes: Counts, properties: Array, gimbal: int, modes: Modes) -> Rates:
     """Return velocity (m/s) and angular rate (rad/s) that the modes give a station of gimbals, in B.
 
     Both are sums over the quasi-velocities, which include the roll rate's share.
     """
-    y, z, about_y, about_z = motion_at(
-        sizes, properties, gimbal, work, of_plane(ws.NU, sch.PITCH), of_plane(ws.NU, sch.YAW)
-    )
+    nu = modes.planar.nu_mps
+    y, z, about_y, about_z = motion_at(sizes, properties, gimbal, nu, of_plane(sch.PITCH), of_plane(sch.YAW))
     if sizes.spatial_modes > 0:
-        spatial = spatial_motion(sizes, properties, sch.gimbal_place(sizes, gimbal), work, ws.SPATIAL_NU)
+        spatial = spatial_motion(sizes, properties, sch.gimbal_place(sizes, gimbal), modes.spatial.nu_mps)
         return ((spatial[0], y + spatial[1], z + spatial[2]), (spatial[3], about_y + spatial[4], about_z + spatial[5]))
     return (0.0, y, z), (0.0, about_y, about_z)
 
@@ -71,57 +70,59 @@ def engine_velocity(e: Engine, k: int, rates: Rates) -> Vector:
 
 
 @routine
-def modal_roll_response(e: Engine, of: Sizes, first: Vector, properties: Array, work: Array) -> float:
-    """Set the accelerations of the modes per unit of roll acceleration (ROLL, SPATIAL_ROLL) with the engines deflected.
+def modal_roll_response(
+    e: Engine, of: Sizes, first: Vector, properties: Array, engines: KeptEngines, modes: Modes
+) -> float:
+    """Set the accelerations of the modes per unit of roll acceleration (`roll_m`) with the engines deflected.
 
-    `first`: displacement of the first engine's CG by its deflection (B, m); the workspace holds those of further ones.
-    Returns the roll inertia (kg m2) that the body lacks because the modes give way (docs/model.md, 7.3). ACCEL and
-    SPATIAL_ACCEL hold the forces meanwhile.
+    `first`: displacement of the first engine's CG by its deflection (B, m); `engines` holds those of further ones.
+    Returns the roll inertia (kg m2) that the body lacks because the modes give way (docs/model.md, 7.3). `accel_mps2`
+    holds the forces meanwhile.
     """
     sizes = counts(of)
     if are_usual(sizes):
-        return _roll_response(e, usual_counts(sizes), first, properties, work)
-    return _roll_response(e, sizes, first, properties, work)
+        return _roll_response(e, usual_counts(sizes), first, properties, engines, modes)
+    return _roll_response(e, sizes, first, properties, engines, modes)
 
 
 @kernel
-def _roll_response(e: Engine, sizes: Counts, first: Vector, properties: Array, work: Array) -> float:
-    clear_modes(sizes, work, ws.ACCEL)
+def _roll_response(
+    e: Engine, sizes: Counts, first: Vector, properties: Array, engines: KeptEngines, modes: Modes
+) -> float:
+    planar, spatial = modes.planar, modes.spatial
+    clear_modes(sizes, planar.accel_mps2)
     for i in range(sizes.spatial_modes):
-        work[ws.SPATIAL_ACCEL + i] = 0.0
+        spatial.accel_mps2[i] = 0.0
     for k in range(sizes.engines):
         mass, delta = e.gimballed_mass_kg[k], first
         if k > 0:
-            delta = deflected_at(work, k).delta
+            delta = deflected_at(engines[k]).delta
         load = load_at_gimbal(e, k, (0.0, mass * delta[2], -mass * delta[1]), (0.0, 0.0, 0.0))
-        apply_gimbal_load(sizes, properties, e.gimbal[k], load, work, ws.ACCEL)
+        apply_gimbal_load(sizes, properties, e.gimbal[k], load, planar.accel_mps2)
         if sizes.spatial_modes > 0:
-            apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, e.gimbal[k]), load, work, ws.SPATIAL_ACCEL)
-    modal_accelerations(sizes, properties, work, ws.ACCEL, ws.ROLL)
-    given_way: float = product_of_modes(sizes, work, ws.ACCEL, ws.ROLL)
+            apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, e.gimbal[k]), load, spatial.accel_mps2)
+    modal_accelerations(sizes, properties, planar.accel_mps2, planar.roll_m)
+    given_way: float = product_of_modes(sizes, planar.accel_mps2, planar.roll_m)
     inverse = sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS)
     for i in range(sizes.spatial_modes):
-        force = work[ws.SPATIAL_ACCEL + i]
-        work[ws.SPATIAL_ROLL + i] = force * properties[inverse + i]
-        given_way += force * work[ws.SPATIAL_ROLL + i]
+        force = spatial.accel_mps2[i]
+        spatial.roll_m[i] = force * properties[inverse + i]
+        given_way += force * spatial.roll_m[i]
     return given_way
 
 
 @kernel
-def roll_moment_of_modes(sizes: Counts, planar: int, spatial: int, work: Array) -> float:
-    """Return the roll moment (N m) that generalised forces on the modes exert through the deflected engines.
-
-    `planar`, `spatial`: indices of the forces in the workspace (FORCE and SPATIAL_FORCE, or those of a TVC load).
-    """
-    total = product_of_modes(sizes, work, ws.ROLL, planar)
+def roll_moment_of_modes(sizes: Counts, planar_N: Array, spatial_N: Array, modes: Modes) -> float:
+    """Return the roll moment (N m) that generalised forces on the modes exert through the deflected engines."""
+    total = product_of_modes(sizes, modes.planar.roll_m, planar_N)
     for i in range(sizes.spatial_modes):
-        total += work[ws.SPATIAL_ROLL + i] * work[spatial + i]
+        total += modes.spatial.roll_m[i] * spatial_N[i]
     return total
 
 
 @kernel
-def add_roll_to_modes(sizes: Counts, roll_accel: float, work: Array) -> None:
+def add_roll_to_modes(sizes: Counts, roll_accel: float, modes: Modes) -> None:
     """Add the effect of the roll acceleration (rad/s2) on deflected engines to the modal accelerations."""
-    add_multiple_of_modes(sizes, work, ws.ROLL, roll_accel, ws.ACCEL)
+    add_multiple_of_modes(sizes, modes.planar.roll_m, roll_accel, modes.planar.accel_mps2)
     for i in range(sizes.spatial_modes):
-        work[ws.SPATIAL_ACCEL + i] += roll_accel * work[ws.SPATIAL_ROLL + i]
+        modes.spatial.accel_mps2[i] += roll_accel * modes.spatial.roll_m[i]

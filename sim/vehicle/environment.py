@@ -2,7 +2,7 @@
 
 The local frame on the ellipsoid and the standard atmosphere are long chains of roots, divisions and powers. The four
 stages of a Runge-Kutta step lie within metres of each other: the first is evaluated exactly and stored as the anchor
-(`ANCHOR_DUE` becomes `ANCHOR_SET`), the others follow from it by short series. A workspace of zeros (`NO_ANCHOR`)
+(`ANCHOR_DUE` becomes `ANCHOR_SET`), the others follow from it by short series. An anchor of zeros (`NO_ANCHOR`)
 stores nothing: each evaluation is then independent, as numerical differentiation requires.
 
 Within `NEAR_m`, and at that distance: altitude to 3e-11 m (third powers omitted), pressure to 3e-13 relative, the
@@ -15,11 +15,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Matrix, Vector, add, cross, rotate, rotate_back, scaled, set_vector, vector_at
-from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.block import R_I, V_I
 from maxq.sim.world.atmosphere import (
     US1976,
@@ -46,16 +47,61 @@ class Environment:
     reach_m: float  # how far behind the nose parts lie
 
 
+@dataclass
+class AirData:
+    """Air and gravitation at the core CG."""
+
+    altitude_m: float  # above the ellipsoid, sphere or plane
+    density_kgpm3: float
+    pressure_Pa: float
+    temperature_K: float
+    sound_speed_mps: float
+    airspeed_mps: float  # relative to the moving air
+    mach: float
+    dynamic_pressure_Pa: float
+    flow_B_mps: Annotated[Array, (3,)]  # velocity relative to the air
+    wind_N_mps: Annotated[Array, (3,)]  # the air's motion relative to the Earth: north, east, down
+    gravitation_I_mps2: Annotated[Array, (3,)]
+
+
+@dataclass
+class Anchor:
+    """A place with its local frame and air."""
+
+    state: int  # NO_ANCHOR ... ANCHOR_SET
+    place_I_m: Annotated[Array, (3,)]
+    altitude_m: float
+    sin_lat: float
+    cos_lat: float
+    sin_lon: float
+    cos_lon: float
+    curvature_north_1pm: float  # of the surface at this altitude
+    curvature_east_1pm: float
+    longitude_1pm: float  # turn of the longitude per metre to the east
+    pressure_Pa: float
+    temperature_K: float
+    inverse_temperature_1pK: float
+    scale: float  # of the geopotential altitude, with the next two: see `us1976_about`
+    curvature_1pm: float
+    lapse_Kpm: float
+    reach_down_m: float
+    reach_up_m: float
+
+
+CROSSFLOW_PART = MAX_SURFACES + 1  # the last part that has a wind of its own: the cross-flow's station
+PartWinds = Annotated[Array, (3 * (CROSSFLOW_PART + 1),)]  # of each surface and the cross-flow, less that at the CG
+
+
 @kernel
 def air_data(
-    environment: Environment, pool: Array, gust: Vector, rotation: Matrix, y: Array, work: Array, aux: Array
+    environment: Environment, pool: Array, gust: Vector, rotation: Matrix, y: Array, anchor: Anchor, out: AirData
 ) -> Vector:  # fmt: skip  # nine lines otherwise
-    """Air data into `aux`; returns the gravitation in I, m/s2. `gust`: of the turbulence, in its frame, m/s."""
+    """Air data into `out`; returns the gravitation in I, m/s2. `gust`: of the turbulence, in its frame, m/s."""
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     gravity = gravitation(environment.earth, x, yy, z)
     if environment.earth.gravity == ALONG_BODY:
         gravity = rotate(rotation, (-environment.earth.uniform_mps2, 0.0, 0.0))
-    frame, gas = frame_and_air(environment.earth, environment.atmosphere, pool, x, yy, z, work)
+    frame, gas = frame_and_air(environment.earth, environment.atmosphere, pool, x, yy, z, anchor)
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = frame
     density, pressure, temperature, sound_speed = gas
     wind = wind_ned(environment.wind, pool, altitude)
@@ -66,38 +112,38 @@ def air_data(
         gust = rotate_back(rotation, ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, gust[0], gust[1], gust[2]))
     flow = add(rotate_back(rotation, relative), scaled(-1.0, gust))
     airspeed = math.sqrt(flow[0] * flow[0] + flow[1] * flow[1] + flow[2] * flow[2])
-    aux[ws.ALTITUDE], aux[ws.DENSITY], aux[ws.PRESSURE] = altitude, density, pressure
-    aux[ws.TEMPERATURE], aux[ws.SOUND_SPEED], aux[ws.AIRSPEED] = temperature, sound_speed, airspeed
-    aux[ws.MACH], aux[ws.DYNAMIC_PRESSURE] = airspeed / sound_speed, 0.5 * density * airspeed * airspeed
-    set_vector(aux, ws.FLOW, flow)
-    set_vector(aux, ws.WIND_N, wind)
-    set_vector(aux, ws.GRAVITATION, gravity)
+    out.altitude_m, out.density_kgpm3, out.pressure_Pa = altitude, density, pressure
+    out.temperature_K, out.sound_speed_mps, out.airspeed_mps = temperature, sound_speed, airspeed
+    out.mach, out.dynamic_pressure_Pa = airspeed / sound_speed, 0.5 * density * airspeed * airspeed
+    set_vector(out.flow_B_mps, 0, flow)
+    set_vector(out.wind_N_mps, 0, wind)
+    set_vector(out.gravitation_I_mps2, 0, gravity)
     return gravity
 
 
 @kernel
 def winds_along_body(
     environment: Environment, pool: Array, stations_m: Array, parts: int, crossflow_m: float, cg_m: float,
-    rotation: Matrix, y: Array, work: Array, aux: Array,
+    rotation: Matrix, y: Array, anchor: Anchor, air_at_cg: AirData, wind_B_mps: Array,
 ) -> None:  # fmt: skip  # ten lines otherwise
-    """Air's velocity at each part less that at the core CG, in B, into the workspace.
+    """Air's velocity at each part less that at the core CG, in B, into `wind_B_mps`.
 
     Profile and gusts at the part's own altitude, along the straight axis. The turbulence's difference is there already.
     """
-    frame, _ = frame_and_air(environment.earth, environment.atmosphere, pool, y[R_I], y[R_I + 1], y[R_I + 2], work)
+    frame, _ = frame_and_air(environment.earth, environment.atmosphere, pool, y[R_I], y[R_I + 1], y[R_I + 2], anchor)
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = frame
     upward = cos_lat * (cos_lon * rotation[0] + sin_lon * rotation[3]) + sin_lat * rotation[6]  # of the x axis
-    here = vector_at(aux, ws.WIND_N)
+    here = vector_at(air_at_cg.wind_N_mps, 0)
     for k in range(parts + 1):
-        station, at = (crossflow_m, ws.CROSSFLOW_PART) if k == parts else (stations_m[k], k)
+        station, at = (crossflow_m, CROSSFLOW_PART) if k == parts else (stations_m[k], k)
         there = wind_ned(environment.wind, pool, altitude + (cg_m - station) * upward)
         more, turbulence = add(there, scaled(-1.0, here)), (0.0, 0.0, 0.0)
         if environment.turbulence.on == 1:
-            turbulence = vector_at(work, ws.PART_WIND + 3 * at)
+            turbulence = vector_at(wind_B_mps, 3 * at)
         if environment.turbulence.frame == HORIZONTAL:
             more, turbulence = add(more, turbulence), (0.0, 0.0, 0.0)
         more_I = ned_to_earth(sin_lat, cos_lat, sin_lon, cos_lon, more[0], more[1], more[2])
-        set_vector(work, ws.PART_WIND + 3 * at, add(rotate_back(rotation, more_I), turbulence))
+        set_vector(wind_B_mps, 3 * at, add(rotate_back(rotation, more_I), turbulence))
 
 
 @kernel
@@ -156,86 +202,72 @@ def flight_direction(environment: Environment, pool: Array, y: Array) -> Vector:
     return north / speed, east / speed, down / speed
 
 
-NO_ANCHOR, ANCHOR_DUE, ANCHOR_SET = 0.0, 1.0, 2.0  # of the workspace's anchor
+NO_ANCHOR, ANCHOR_DUE, ANCHOR_SET = range(3)  # states of an anchor
 NEAR_m = 10.0
 
 Frame = tuple[float, float, float, float, float]  # as `earth.local_frame` returns it
 Gas = tuple[float, float, float, float]  # as `atmosphere.air` returns it
 
-_PLACE = ws.ANCHOR + 1  # x, y, z, m
-_FRAME = ws.ANCHOR + 4  # altitude, sines and cosines
-_CURVATURE_NORTH = ws.ANCHOR + 9  # 1/m, of the surface at this altitude
-_CURVATURE_EAST = ws.ANCHOR + 10
-_LONGITUDE = ws.ANCHOR + 11  # by how much the longitude turns per metre to the east, 1/m
-_GAS = ws.ANCHOR + 12  # density, pressure, temperature, speed of sound
-_INVERSE_TEMPERATURE = ws.ANCHOR + 16
-_GEOPOTENTIAL = ws.ANCHOR + 17  # see `us1976_about`
-_REACH_DOWN = ws.ANCHOR + 20
-_REACH_UP = ws.ANCHOR + 21
-
 
 @kernel
 def frame_and_air(
-    earth: Earth, atmosphere: Atmosphere, pool: Array, x: float, y: float, z: float, work: Array
+    earth: Earth, atmosphere: Atmosphere, pool: Array, x: float, y: float, z: float, anchor: Anchor
 ) -> tuple[Frame, Gas]:
     """`local_frame` and `air` at a position (I, m)."""
-    dx, dy, dz = x - work[_PLACE], y - work[_PLACE + 1], z - work[_PLACE + 2]
-    if work[ws.ANCHOR] == ANCHOR_SET and dx * dx + dy * dy + dz * dz < NEAR_m * NEAR_m:
-        frame = _frame_nearby(dx, dy, dz, work)
-        rise = frame[0] - work[_FRAME]
-        if work[_REACH_DOWN] < rise < work[_REACH_UP]:
-            return frame, _air_nearby(atmosphere, rise, work)
+    dx, dy, dz = x - anchor.place_I_m[0], y - anchor.place_I_m[1], z - anchor.place_I_m[2]
+    if anchor.state == ANCHOR_SET and dx * dx + dy * dy + dz * dz < NEAR_m * NEAR_m:
+        frame = _frame_nearby(dx, dy, dz, anchor)
+        rise = frame[0] - anchor.altitude_m
+        if anchor.reach_down_m < rise < anchor.reach_up_m:
+            return frame, _air_nearby(atmosphere, rise, anchor)
         return frame, air(atmosphere, pool, frame[0])
     frame = local_frame(earth, x, y, z)
     gas = air(atmosphere, pool, frame[0])
-    if work[ws.ANCHOR] == ANCHOR_DUE:
-        _set_anchor(earth, atmosphere, x, y, z, frame, gas, work)
+    if anchor.state == ANCHOR_DUE:
+        _set_anchor(earth, atmosphere, x, y, z, frame, gas, anchor)
     return frame, gas
 
 
 @kernel
 def _set_anchor(
-    earth: Earth, atmosphere: Atmosphere, x: float, y: float, z: float, frame: Frame, gas: Gas, work: Array
+    earth: Earth, atmosphere: Atmosphere, x: float, y: float, z: float, frame: Frame, gas: Gas, anchor: Anchor
 ) -> None:
     """Remember a place, unless there is no ellipsoid or a pole is so near that meridians converge within metres."""
     altitude, sin_lat, cos_lat, _, _ = frame
     if earth.figure == FLAT or cos_lat < 0.1 or altitude < -1e5:
-        work[ws.ANCHOR] = NO_ANCHOR
+        anchor.state = NO_ANCHOR
         return
-    work[ws.ANCHOR] = ANCHOR_SET
-    work[_PLACE], work[_PLACE + 1], work[_PLACE + 2] = x, y, z
-    for j in range(5):
-        work[_FRAME + j] = frame[j]
+    anchor.state = ANCHOR_SET
+    set_vector(anchor.place_I_m, 0, (x, y, z))
+    anchor.altitude_m, anchor.sin_lat, anchor.cos_lat, anchor.sin_lon, anchor.cos_lon = frame
     e2 = earth.flattening * (2.0 - earth.flattening)
     flat = 1.0 - e2 * sin_lat * sin_lat
     normal = earth.equatorial_radius_m / math.sqrt(flat)
-    work[_CURVATURE_NORTH] = 1.0 / (normal * (1.0 - e2) / flat + altitude)
-    work[_CURVATURE_EAST] = 1.0 / (normal + altitude)
-    work[_LONGITUDE] = work[_CURVATURE_EAST] / cos_lat
-    work[_REACH_DOWN], work[_REACH_UP] = 0.0, 0.0
+    anchor.curvature_north_1pm = 1.0 / (normal * (1.0 - e2) / flat + altitude)
+    anchor.curvature_east_1pm = 1.0 / (normal + altitude)
+    anchor.longitude_1pm = anchor.curvature_east_1pm / cos_lat
+    anchor.reach_down_m, anchor.reach_up_m = 0.0, 0.0
     if atmosphere.model == US1976 and altitude < TOP_m:
-        for j in range(4):
-            work[_GAS + j] = gas[j]
-        work[_INVERSE_TEMPERATURE] = 1.0 / gas[2]
+        anchor.pressure_Pa, anchor.temperature_K = gas[1], gas[2]
+        anchor.inverse_temperature_1pK = 1.0 / gas[2]
         scale, curvature, lapse, down, up = us1976_about(altitude, gas[2])
-        work[_GEOPOTENTIAL], work[_GEOPOTENTIAL + 1], work[_GEOPOTENTIAL + 2] = scale, curvature, lapse
-        work[_REACH_DOWN], work[_REACH_UP] = down, up
+        anchor.scale, anchor.curvature_1pm, anchor.lapse_Kpm = scale, curvature, lapse
+        anchor.reach_down_m, anchor.reach_up_m = down, up
 
 
 @kernel
-def _frame_nearby(dx: float, dy: float, dz: float, work: Array) -> Frame:
+def _frame_nearby(dx: float, dy: float, dz: float, anchor: Anchor) -> Frame:
     """The local frame `dx`, `dy`, `dz` from the anchor: the surface curves away beneath."""
-    sin_lat, cos_lat = work[_FRAME + 1], work[_FRAME + 2]
-    sin_lon, cos_lon = work[_FRAME + 3], work[_FRAME + 4]
+    sin_lat, cos_lat, sin_lon, cos_lon = anchor.sin_lat, anchor.cos_lat, anchor.sin_lon, anchor.cos_lon
     outward = cos_lon * dx + sin_lon * dy
     north = cos_lat * dz - sin_lat * outward
     east = cos_lon * dy - sin_lon * dx
     up = cos_lat * outward + sin_lat * dz
-    turn_north = work[_CURVATURE_NORTH] * north
-    turn_east = work[_LONGITUDE] * east
-    bulge = 0.5 * (turn_north * north + work[_CURVATURE_EAST] * east * east)
+    turn_north = anchor.curvature_north_1pm * north
+    turn_east = anchor.longitude_1pm * east
+    bulge = 0.5 * (turn_north * north + anchor.curvature_east_1pm * east * east)
     return (
-        work[_FRAME] + (up + bulge),
+        anchor.altitude_m + (up + bulge),
         sin_lat + turn_north * cos_lat,
         cos_lat - turn_north * sin_lat,
         sin_lon + turn_east * cos_lon,
@@ -244,10 +276,10 @@ def _frame_nearby(dx: float, dy: float, dz: float, work: Array) -> Frame:
 
 
 @kernel
-def _air_nearby(atmosphere: Atmosphere, rise: float, work: Array) -> Gas:
+def _air_nearby(atmosphere: Atmosphere, rise: float, anchor: Anchor) -> Gas:
     """The standard atmosphere `rise` metres above the anchor, in the same layer."""
-    geopotential = work[_GEOPOTENTIAL] * rise * (1.0 - rise * work[_GEOPOTENTIAL + 1])
-    pressure, warmer = us1976_nearby(work[_GAS + 1], work[_INVERSE_TEMPERATURE], work[_GEOPOTENTIAL + 2], geopotential)
-    temperature = warmer * work[_GAS + 2]
+    geopotential = anchor.scale * rise * (1.0 - rise * anchor.curvature_1pm)
+    pressure, warmer = us1976_nearby(anchor.pressure_Pa, anchor.inverse_temperature_1pK, anchor.lapse_Kpm, geopotential)
+    temperature = warmer * anchor.temperature_K
     density = atmosphere.density_factor * pressure / (GAS_CONSTANT_Jpkg_K * temperature)
     return density, pressure, temperature, speed_of_sound(temperature)

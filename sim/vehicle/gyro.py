@@ -16,7 +16,6 @@ from maxq.control.kernel.rows import DEG, PitchYaw, RollPitchYaw
 from maxq.control.kernel.vectors import Vector
 from maxq.sim.vehicle.block import W_BI_B, StateBlock
 from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_ADDED, GYRO_LOST
-from maxq.sim.vehicle.workspace import GYRO_BEND
 
 _AXES = ("roll", "pitch", "yaw")
 GYROS = StateBlock({"gyro_{}_radps": "rad/s", "gyro_{}_rate_radps2": "rad/s2"}, parts=_AXES)
@@ -132,10 +131,10 @@ class GyroRow(NamedTuple):
 
 
 @kernel
-def gyro_row(y: Array, first: int, faults: Array, aux: Array) -> GyroRow:
+def gyro_row(y: Array, first: int, faults: Array, bending_radps: Array) -> GyroRow:
     roll, pitch, yaw = outputs_after_fault(faults, GYRO_LOST, y, first)
     return GyroRow(
         gyro_axis_rate_degps=RollPitchYaw(DEG * roll, DEG * pitch, DEG * yaw),
         body_axis_rate_degps=RollPitchYaw(DEG * y[W_BI_B], DEG * y[W_BI_B + 1], DEG * y[W_BI_B + 2]),
-        bending_axis_rate_degps=PitchYaw(DEG * aux[GYRO_BEND], DEG * aux[GYRO_BEND + 1]),
+        bending_axis_rate_degps=PitchYaw(DEG * bending_radps[0], DEG * bending_radps[1]),
     )

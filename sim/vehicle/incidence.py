@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.kernel.grids import N_COLUMNS, GridRefs, interpolate_grid
-from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.jit import bare_pointer, kernel, routine
 from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.vectors import Vector
-from maxq.sim.vehicle.workspace import COEFFICIENTS, GRID_ROW
 
 NO_AXIS, MACH_AXIS, TOTAL, ROLL, ALPHA, BETA = range(6)  # what a grid's variables are
 BODY_AXES, AEROBALLISTIC = 0, 1
@@ -43,6 +42,14 @@ class IncidenceTables:
     any_rates: Annotated[IntArray, (MAX_SURFACES,)]  # 1: has derivatives by the body rates
 
 
+@dataclass
+class IncidenceWork:
+    """A table's coefficients in an evaluation of the derivative."""
+
+    grid_row: Annotated[Array, (N_ROLES,)]  # by its columns
+    coefficient: Annotated[Array, (N_ROLES,)]  # by their roles
+
+
 @kernel
 def _angle(kind: int, mach: float, flow: Vector, lateral: float, first_roll: float) -> float:
     """The variable of a grid, rad; `lateral` is the speed across the axis."""
@@ -62,8 +69,10 @@ def _angle(kind: int, mach: float, flow: Vector, lateral: float, first_roll: flo
 
 
 @routine
-def table_coefficients(tables: IncidenceTables, pool: Array, j: int, mach: float, flow: Vector, work: Array) -> None:
-    """Coefficients of table `j` in the local flow (B, m/s) into the workspace, those it does not have as zero."""
+def table_coefficients(
+    tables: IncidenceTables, pool: Array, j: int, mach: float, flow: Vector, work: IncidenceWork
+) -> None:
+    """Coefficients of table `j` in the local flow (B, m/s) into `work`, those it does not have as zero."""
     lateral = math.sqrt(flow[1] * flow[1] + flow[2] * flow[2])
     first_roll = float(tables.first_roll_rad[j])
     interpolate_grid(
@@ -71,32 +80,32 @@ def table_coefficients(tables: IncidenceTables, pool: Array, j: int, mach: float
         _angle(tables.axis[j, 0], mach, flow, lateral, first_roll),
         _angle(tables.axis[j, 1], mach, flow, lateral, first_roll),
         _angle(tables.axis[j, 2], mach, flow, lateral, first_roll),
-        work, GRID_ROW,
+        bare_pointer(work.grid_row), 0,
     )  # fmt: skip  # ten lines otherwise
     for role in range(N_ROLES):
-        work[COEFFICIENTS + role] = 0.0
+        work.coefficient[role] = 0.0
     for c in range(tables.grid.at[j, N_COLUMNS]):
-        work[COEFFICIENTS + tables.role[j, c]] = work[GRID_ROW + c]
+        work.coefficient[tables.role[j, c]] = work.grid_row[c]
 
 
 @routine
 def static_loads(
     tables: IncidenceTables, j: int, flow: Vector, lengths: Vector, axial_factor: float, force_factor: float,
-    work: Array,
+    work: IncidenceWork,
 ) -> tuple[Vector, Vector, Vector]:  # fmt: skip  # seven more lines otherwise
-    """From the workspace, per dynamic pressure and area: axial force (B), lateral force (B), moment (B, m).
+    """From `work`, per dynamic pressure and area: axial force (B), lateral force (B), moment (B, m).
 
     `lengths`: references of roll, pitch and yaw moment, m. Along the wind the axial force includes drag and lift.
     """
-    u, v, w = flow
+    (u, v, w), c = flow, work.coefficient
     lateral, across_y, across_z = 0.0, 0.0, 1.0  # unit vector of z'
     if tables.axes[j] == AEROBALLISTIC:
         lateral = math.sqrt(v * v + w * w)
         across_z = 0.0  # along the axis all that depends on the plane is zero
         if lateral > 0.0:
             across_y, across_z = v / lateral, w / lateral
-    x = axial_factor * work[COEFFICIENTS + CX]
-    y, z = force_factor * work[COEFFICIENTS + CY], force_factor * work[COEFFICIENTS + CZ]
+    x = axial_factor * c[CX]
+    y, z = force_factor * c[CY], force_factor * c[CZ]
     if tables.along_wind[j] == 1:
         in_plane = lateral if tables.axes[j] == AEROBALLISTIC else w
         speed = math.sqrt(u * u + in_plane * in_plane)
@@ -104,8 +113,8 @@ def static_loads(
             cosine, sine = u / speed, in_plane / speed
             x, z = cosine * x - sine * z, sine * x + cosine * z
     yaw_length = lengths[1] if tables.axes[j] == AEROBALLISTIC else lengths[2]
-    roll = lengths[0] * work[COEFFICIENTS + CL]
-    pitch, yaw = lengths[1] * work[COEFFICIENTS + CM], yaw_length * work[COEFFICIENTS + CN]
+    roll = lengths[0] * c[CL]
+    pitch, yaw = lengths[1] * c[CM], yaw_length * c[CN]
     moment = (
         force_factor * roll,
         force_factor * (pitch * across_z + yaw * across_y),
@@ -115,15 +124,11 @@ def static_loads(
 
 
 @routine
-def rate_loads(rate: Vector, lengths: Vector, work: Array) -> tuple[Vector, Vector]:
-    """From the workspace, per air density, speed and area over four: lateral force (B, m2/s), moment (B, m3/s)."""
+def rate_loads(rate: Vector, lengths: Vector, work: IncidenceWork) -> tuple[Vector, Vector]:
+    """From `work`, per air density, speed and area over four: lateral force (B, m2/s), moment (B, m3/s)."""
     p, q, r = lengths[0] * rate[0], lengths[1] * rate[1], lengths[2] * rate[2]
-    c = COEFFICIENTS
+    c = work.coefficient
     return (
-        (0.0, work[c + CYP] * p + work[c + CYR] * r, -work[c + CNQ] * q),
-        (
-            lengths[0] * (work[c + CLP] * p + work[c + CLR] * r),
-            lengths[1] * work[c + CMQ] * q,
-            lengths[2] * (work[c + CNR] * r + work[c + CNP] * p),
-        ),
+        (0.0, c[CYP] * p + c[CYR] * r, -c[CNQ] * q),
+        (lengths[0] * (c[CLP] * p + c[CLR] * r), lengths[1] * c[CMQ] * q, lengths[2] * (c[CNR] * r + c[CNP] * p)),
     )

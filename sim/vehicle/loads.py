@@ -16,21 +16,21 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.jit import formula, kernel, routine
+from maxq.control.kernel.jit import formula, kernel, record_at, routine
 from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_MODES, MAX_PENDULUMS, MAX_STAGES, MAX_SURFACES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
 from maxq.control.kernel.vectors import Vector, add, cross, inertia_times, scaled, symmetric_at, vector_at
-from maxq.sim.vehicle import workspace as ws
-from maxq.sim.vehicle.aero import air_acts
+from maxq.sim.vehicle.aero import SurfaceLoad, air_acts
 from maxq.sim.vehicle.bending import of_plane
 from maxq.sim.vehicle.block import W_BI_B, Counts, counts
 from maxq.sim.vehicle.derivative import StageInputs, Vehicle
 from maxq.sim.vehicle.rigid import coriolis_of_outflow
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, PITCH, TANK_HINGE, YAW, tank_column
-from maxq.sim.vehicle.slosh import DAMPER_FORCE, DAMPING, SHIFT, bob_mass, pendulum_length, tank_block
+from maxq.sim.vehicle.slosh import bob_mass, pendulum_length
 from maxq.sim.vehicle.state import N_PENDULUM, pendulum_index
+from maxq.sim.vehicle.workspace import Aux, Evaluation, Work
 
 # What is compared with limits, in the order of the extremes and of a station's limits; forces and moments are
 # magnitudes of both planes together.
@@ -127,7 +127,7 @@ def station_width(sizes: Counts, alike: int) -> int:
 
 @routine
 def evaluate_sections(
-    loads: Loads, vehicle: Vehicle, inputs: StageInputs, pool: Array, clock_s: float, at: ws.Evaluation, work: Array,
+    loads: Loads, vehicle: Vehicle, inputs: StageInputs, pool: Array, clock_s: float, at: Evaluation, work: Work,
     columns: Array, out: SectionLoads,
 ) -> None:  # fmt: skip  # eleven lines otherwise
     """Loads at all stations into `out.section`, right after the derivative at `at`; `columns` is scratch memory."""
@@ -141,7 +141,7 @@ def evaluate_sections(
         total, shift_y, shift_z = _inertia(sizes, loads.alike, drivers, station, roll, work, columns, c)
         if sizes.spatial_modes > 0:
             more, moved_y, moved_z = _spatial_inertia(
-                sizes, loads.alike, drivers, roll, at.aux[ws.ANGULAR_ACCEL], work, columns, c
+                sizes, loads.alike, drivers, roll, at.aux.alpha_BI_B_radps2[0], work, columns, c
             )
             total, shift_y, shift_z = _add(total, more), shift_y + moved_y, shift_z + moved_z
         total = _add(total, _aerodynamic(loads, drivers, station, shift_y, shift_z, at.aux, work))
@@ -174,14 +174,14 @@ def _of_point(station: float, x: float, force: Vector, y: float, z: float) -> Se
 
 @kernel
 def _drivers(
-    loads: Loads, vehicle: Vehicle, sizes: Counts, at: ws.Evaluation, work: Array, columns: Array
+    loads: Loads, vehicle: Vehicle, sizes: Counts, at: Evaluation, work: Work, columns: Array
 ) -> Drivers:  # fmt: skip
     """The line mass carries the momentum of the core: scaled to its mass, and what of the rate of the angular momentum
     its transverse motion does not hold (sections turn as well) is a moment a kilogram, the same everywhere.
     """
     properties, y, _, aux = at
     mass, cg, rate = properties[CORE_MASS], vector_at(properties, CORE_CG), vector_at(y, W_BI_B)
-    alpha, accel = vector_at(aux, ws.ANGULAR_ACCEL), vector_at(aux, ws.SPECIFIC_FORCE)
+    alpha, accel = vector_at(aux.alpha_BI_B_radps2, 0), vector_at(aux.specific_force_B_mps2, 0)
     inertia = symmetric_at(properties, CORE_INERTIA)
     momentum_rate = add(inertia_times(inertia, alpha), cross(rate, inertia_times(inertia, rate)))
     if vehicle.jet_damping == 1:  # the propellant's Coriolis force acts where it flows: spread over the mass
@@ -197,28 +197,28 @@ def _drivers(
     force = (-accel[0], -accel[1], -accel[2])
     moment_y = -momentum_rate[1] + lever * force[2] + spin * per_m[2]
     moment_z = -momentum_rate[2] - lever * force[1] - spin * per_m[1]
-    surfaces = sizes.surfaces if air_acts(vehicle.aero, aux) else 0
+    surfaces = sizes.surfaces if air_acts(vehicle.aero, aux.air) else 0
     spread = _spread(loads, surfaces, cg, aux, work)
     return Drivers(scale, cg, force, per_m, (moment_y / mass, moment_z / mass), surfaces, spread)
 
 
 @kernel
-def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Array, work: Array) -> tuple[float, float, float, float]:
+def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Aux, work: Work) -> tuple[float, float, float, float]:
     """Lateral force a metre, linear along the body, with the force and moment that the lifting parts leave over:
     cross-flow, damping, coefficients of the whole vehicle.
     """
-    force_y, force_z = aux[ws.AERO_FORCE + 1], aux[ws.AERO_FORCE + 2]
+    force_y, force_z = aux.aero_force_B_N[1], aux.aero_force_B_N[2]
     # first moments about the body's nose; the axial force acts on the body axis, beside the CG
     arm = cg[0] - loads.nose_m
-    first_y = arm * force_y - (aux[ws.AERO_MOMENT + 2] - cg[1] * aux[ws.AERO_FORCE])
-    first_z = arm * force_z + (aux[ws.AERO_MOMENT + 1] + cg[2] * aux[ws.AERO_FORCE])
+    first_y = arm * force_y - (aux.aero_moment_B_Nm[2] - cg[1] * aux.aero_force_B_N[0])
+    first_z = arm * force_z + (aux.aero_moment_B_Nm[1] + cg[2] * aux.aero_force_B_N[0])
     for s in range(surfaces):
-        c = ws.SURFACE_LOAD + ws.SURFACE_LOAD_WIDTH * s
-        place = _surface_station(loads, work, c) - loads.nose_m
-        force_y -= work[c]
-        force_z -= work[c + 1]
-        first_y -= place * work[c]
-        first_z -= place * work[c + 1]
+        surface = work.aero.surface[s]
+        place = _surface_station(loads, surface) - loads.nose_m
+        force_y -= surface.force_y_N
+        force_z -= surface.force_z_N
+        first_y -= place * surface.force_y_N
+        first_z -= place * surface.force_z_N
     length = loads.tail_m - loads.nose_m
     per, square = 1.0 / length, 1.0 / (length * length)
     slope_y = (12.0 * first_y * per - 6.0 * force_y) * square
@@ -227,17 +227,17 @@ def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Array, work: Array) ->
 
 
 @kernel
-def _surface_station(loads: Loads, work: Array, c: int) -> float:
+def _surface_station(loads: Loads, surface: SurfaceLoad) -> float:
     """Where a lifting part's force acts; within the body (a slope near zero has its centre anywhere)."""
-    if work[c + 2] == 0.0:
+    if surface.slope == 0.0:
         return loads.tail_m
-    place: float = work[c + 3] / work[c + 2]
+    place: float = surface.slope_station_m / surface.slope
     return min(max(place, loads.nose_m), loads.tail_m)
 
 
 @kernel
 def _inertia(
-    sizes: Counts, alike: int, d: Drivers, station: float, roll: float, work: Array, columns: Array, c: int
+    sizes: Counts, alike: int, d: Drivers, station: float, roll: float, work: Work, columns: Array, c: int
 ) -> tuple[Section, float, float]:
     """Inertial loads of the line mass forward of a station, and the station's displacement by bending (y, z, m)."""
     mass, first, second = d.scale * columns[c + MASS], d.scale * columns[c + FIRST], d.scale * columns[c + SECOND]
@@ -249,15 +249,15 @@ def _inertia(
     shear_y, shear_z = d.force[1] * mass + d.per_m[1] * lever, d.force[2] * mass + d.per_m[2] * lever
     moment_y = -(d.force[2] * arm + d.per_m[2] * spin) + d.moment[0] * mass
     moment_z = d.force[1] * arm + d.per_m[1] * spin + d.moment[1] * mass
-    m = modes_of_planes(sizes)
+    m, planar = modes_of_planes(sizes), work.modes.planar
     in_pitch = c + STATION_MODES
     in_yaw = in_pitch + (1 - alike) * MODE_ROWS * m
     shift_y, shift_z = 0.0, 0.0
     aside_y, aside_z = 0.0, 0.0  # of the hanging mass relative to the cut by bending: mass times displacement
     for i in range(m):
-        eta, xi = work[of_plane(ws.ETA, PITCH) + i], work[of_plane(ws.ETA, YAW) + i]
-        along_z = d.scale * (work[of_plane(ws.ACCEL, PITCH) + i] + roll * work[of_plane(ws.NU, YAW) + i])
-        along_y = d.scale * (work[of_plane(ws.ACCEL, YAW) + i] - roll * work[of_plane(ws.NU, PITCH) + i])
+        eta, xi = planar.eta_m[of_plane(PITCH) + i], planar.eta_m[of_plane(YAW) + i]
+        along_z = d.scale * (planar.accel_mps2[of_plane(PITCH) + i] + roll * planar.nu_mps[of_plane(YAW) + i])
+        along_y = d.scale * (planar.accel_mps2[of_plane(YAW) + i] - roll * planar.nu_mps[of_plane(PITCH) + i])
         shear_z -= along_z * columns[in_pitch + INERTIA * m + i]
         shear_y -= along_y * columns[in_yaw + INERTIA * m + i]
         moment_y += along_z * columns[in_pitch + INERTIA_MOMENT * m + i]
@@ -273,20 +273,16 @@ def _inertia(
 
 @kernel
 def _spatial_inertia(
-    sizes: Counts, alike: int, d: Drivers, roll: float, roll_accel: float, work: Array, columns: Array, c: int
+    sizes: Counts, alike: int, d: Drivers, roll: float, roll_accel: float, work: Work, columns: Array, c: int
 ) -> tuple[Section, float, float]:
     """As `_inertia`, what spatial modes add (docs/model.md, 13.3)."""
     n, first = sizes.spatial_modes, c + STATION_MODES + (2 - alike) * MODE_ROWS * modes_of_planes(sizes)
     axial, shear_y, shear_z, moment_y, moment_z = 0.0, 0.0, 0.0, 0.0, 0.0
-    shift_y, shift_z, aside_y, aside_z = 0.0, 0.0, 0.0, 0.0
+    shift_y, shift_z, aside_y, aside_z, modes = 0.0, 0.0, 0.0, 0.0, work.modes.spatial
     for i in range(n):
-        eta, rate = work[ws.SPATIAL_ETA + i], work[ws.SPATIAL_RATE + i]
+        eta, rate = modes.eta_m[i], modes.rate_mps[i]
         # of the modal coordinate itself: the quasi-velocities hold what the roll rate does
-        accel = (
-            work[ws.SPATIAL_ACCEL + i]
-            - roll_accel * work[ws.SPATIAL_TURNED + i]
-            - roll * work[ws.SPATIAL_TURNED_RATE + i]
-        )
+        accel = modes.accel_mps2[i] - roll_accel * modes.turned_m[i] - roll * modes.turned_rate_mps[i]
         along, across = d.scale * (accel - roll * roll * eta), d.scale * (2.0 * roll * rate + roll_accel * eta)
         in_z, in_y = first + i, first + MODE_ROWS * n + i
         axial -= d.scale * accel * columns[first + 2 * MODE_ROWS * n + i]
@@ -307,7 +303,7 @@ def _spatial_inertia(
 
 @kernel
 def _aerodynamic(
-    loads: Loads, d: Drivers, station: float, shift_y: float, shift_z: float, aux: Array, work: Array
+    loads: Loads, d: Drivers, station: float, shift_y: float, shift_z: float, aux: Aux, work: Work
 ) -> Section:
     """Lifting parts at their stations, the axial force by its shares, the rest spread over the body."""
     x = min(max(station - loads.nose_m, 0.0), loads.tail_m - loads.nose_m)
@@ -318,13 +314,13 @@ def _aerodynamic(
     moment_y = -(constant_z / 2.0 + slope_z * x / 6.0) * x * x - beyond * shear_z
     total = (0.0, shear_y, shear_z, moment_y, moment_z)
     for s in range(d.surfaces):
-        c = ws.SURFACE_LOAD + ws.SURFACE_LOAD_WIDTH * s
-        place = _surface_station(loads, work, c)
+        surface = work.aero.surface[s]
+        place = _surface_station(loads, surface)
         if place <= station:
-            total = _add(total, _of_point(station, place, (0.0, work[c], work[c + 1]), 0.0, 0.0))
+            total = _add(total, _of_point(station, place, (0.0, surface.force_y_N, surface.force_z_N), 0.0, 0.0))
     for k in range(loads.axial_points):
         if loads.axial_m[k] <= station:
-            force = (loads.axial_share[k] * aux[ws.AERO_FORCE], 0.0, 0.0)
+            force = (loads.axial_share[k] * aux.aero_force_B_N[0], 0.0, 0.0)
             total = _add(total, _of_point(station, loads.axial_m[k], force, -shift_y, -shift_z))
     return total
 
@@ -332,15 +328,15 @@ def _aerodynamic(
 @kernel
 def _of_pendulum(
     loads: Loads, vehicle: Vehicle, sizes: Counts, tank: int, station: float, shift_y: float, shift_z: float,
-    at: ws.Evaluation, work: Array,
+    at: Evaluation, work: Work,
 ) -> Section:  # fmt: skip  # eleven lines otherwise
     """The rod's pull at its hinge, along the body at the tank's bottom; the damper's force at the bob."""
-    b, y = tank_block(tank), at.y
+    own, y = record_at(work.tank, tank), at.y
     first = pendulum_index(sizes, 0) + N_PENDULUM * tank
-    u, pull = vector_at(y, first), work[ws.TENSION + tank]
+    u, pull = vector_at(y, first), work.system.unknown[tank]
     hinge = at.properties[tank_column(tank) + TANK_HINGE]
     length = pendulum_length(at.properties, tank)
-    aside_y, aside_z = work[b + SHIFT] - shift_y, work[b + SHIFT + 1] - shift_z
+    aside_y, aside_z = own.shift_m[1] - shift_y, own.shift_m[2] - shift_z
     total = (0.0, 0.0, 0.0, 0.0, 0.0)
     if hinge <= station:
         total = _of_point(station, hinge, (0.0, pull * u[1], pull * u[2]), 0.0, 0.0)
@@ -348,8 +344,8 @@ def _of_pendulum(
         total = _add(total, _of_point(station, hinge, (pull * u[0], 0.0, 0.0), aside_y, aside_z))
     bob = hinge - length * u[0]
     if bob <= station:
-        along = -bob_mass(at.properties, tank) * work[b + DAMPING]
-        force = (along, work[b + DAMPER_FORCE], work[b + DAMPER_FORCE + 1])
+        along = -bob_mass(at.properties, tank) * own.damping_mps2[0]
+        force = (along, own.damper_force_N[1], own.damper_force_N[2])
         total = _add(total, _of_point(station, bob, force, aside_y + length * u[1], aside_z + length * u[2]))
     return total
 

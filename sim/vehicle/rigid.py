@@ -22,7 +22,7 @@ from maxq.control.kernel.vectors import (
 )
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts
-from maxq.sim.vehicle.engine import Deflected, Engine, deflected_at, flow_share
+from maxq.sim.vehicle.engine import Deflected, Engine, KeptEngines, deflected_at, flow_share
 from maxq.sim.vehicle.engine_modes import load_at_gimbal
 from maxq.sim.vehicle.slosh import pendulum_length
 from maxq.sim.vehicle.spatial_modes import Load
@@ -54,14 +54,14 @@ def displaced_inertia(e: Engine, k: int, engine: Deflected, inertia: Symmetric) 
 
 @kernel
 def balance(
-    e: Engine, sizes: Counts, first: Deflected, given_way_kgm2: float, properties: Array, work: Array
+    e: Engine, sizes: Counts, first: Deflected, given_way_kgm2: float, properties: Array, engines: KeptEngines
 ) -> Balance:
-    """Return CG and inertia with the first engine as it is, and further ones as the workspace holds them."""
+    """Return CG and inertia with the first engine as it is, and further ones as `engines` holds them."""
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_CORE_MASS]
     inertia = displaced_inertia(e, 0, first, symmetric_at(properties, sch.CORE_INERTIA))
     offset = scaled(e.gimballed_mass_kg[0] * inverse_mass, first.delta)
     for k in range(1, sizes.engines):
-        engine = deflected_at(work, k)
+        engine = deflected_at(engines[k])
         inertia = displaced_inertia(e, k, engine, inertia)
         offset = add(offset, scaled(e.gimballed_mass_kg[k] * inverse_mass, engine.delta))
     xx, yy, zz, xy, xz, yz = _plus_point(inertia, -properties[sch.CORE_MASS], offset)

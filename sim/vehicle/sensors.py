@@ -21,8 +21,7 @@ from maxq.control.kernel.limits import MAX_SENSORS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, RollPitchYaw, Xyz
 from maxq.control.kernel.vectors import Vector, add, cross, scaled, vector_at
-from maxq.sim.vehicle import workspace as ws
-from maxq.sim.vehicle.bending import motion_at, of_plane
+from maxq.sim.vehicle.bending import Modes, motion_at, of_plane
 from maxq.sim.vehicle.block import Counts, StateBlock
 from maxq.sim.vehicle.faults import SENSOR_FAULT, SENSOR_SLOTS
 from maxq.sim.vehicle.gyro import Gyro, after_fault, lagged, outputs_after_fault, pack_gyro, sensed_rate
@@ -71,15 +70,15 @@ def pack_sensors(stage: Any, ideal: bool) -> tuple[Sensor, ...]:
 @routine
 def sense(
     sensors: Any, sizes: Counts, rate: Vector, specific_force: Vector, alpha: Vector, properties: Array, faults: Array,
-    y: Array, first: int, dy: Array, work: Array,
+    y: Array, first: int, dy: Array, modes: Modes,
 ) -> None:  # fmt: skip  # thirteen lines otherwise
     """Derivatives of the sensors' states, from y[first] on, once all accelerations are known."""
     for k in range(sizes.sensors):
         sensor, i, place = sensors[k], first + 9 * k, sizes.gimbals - sizes.sensors + k
         if sensor.kind == ACCELEROMETER:
-            motion = force_at(sizes, place, sensor.station_m, rate, specific_force, alpha, properties, work)
+            motion = force_at(sizes, place, sensor.station_m, rate, specific_force, alpha, properties, modes)
         else:
-            motion = rate_at(sizes, place, rate, properties, work)
+            motion = rate_at(sizes, place, rate, properties, modes)
         sensed = sensed_rate(sensor.triad, motion)
         for axis in range(3):
             output = lagged(sensor.triad, y, i + 2 * axis, sensed[axis], dy)
@@ -93,45 +92,46 @@ def sensor_slots(k: int) -> int:
 
 
 @kernel
-def rate_at(sizes: Counts, place: int, rate: Vector, properties: Array, work: Array) -> Vector:
+def rate_at(sizes: Counts, place: int, rate: Vector, properties: Array, modes: Modes) -> Vector:
     """Angular rate of the bent body at a sensor, B, rad/s."""
-    _, _, about_y, about_z = motion_at(sizes, properties, place, work, of_plane(ws.NU, PITCH), of_plane(ws.NU, YAW))
+    _, _, about_y, about_z = motion_at(sizes, properties, place, modes.planar.nu_mps, of_plane(PITCH), of_plane(YAW))
     turned = (rate[0], rate[1] + about_y, rate[2] + about_z)
     if sizes.spatial_modes > 0:
-        there = gimbal_place(sizes, place)
-        of_modes = spatial_motion(sizes, properties, there, work, ws.SPATIAL_NU)
-        more = roll_defect(sizes, properties, there, work, ws.SPATIAL_ETA, ws.SPATIAL_TURNED)
-        spatial = (of_modes[3] + rate[0] * more[3], of_modes[4] + rate[0] * more[4], of_modes[5] + rate[0] * more[5])
-        turned = add(turned, spatial)
+        there, spatial = gimbal_place(sizes, place), modes.spatial
+        of_modes = spatial_motion(sizes, properties, there, spatial.nu_mps)
+        more = roll_defect(sizes, properties, there, spatial.eta_m, spatial.turned_m)
+        bent = (of_modes[3] + rate[0] * more[3], of_modes[4] + rate[0] * more[4], of_modes[5] + rate[0] * more[5])
+        turned = add(turned, bent)
     return turned
 
 
 @kernel
 def force_at(
     sizes: Counts, place: int, station_m: float, rate: Vector, specific_force: Vector, alpha: Vector, properties: Array,
-    work: Array,
+    modes: Modes,
 ) -> Vector:  # fmt: skip  # ten lines otherwise
     """Specific force at a sensor, in axes that turn with the bent body, m/s2.
 
     Of the modes' own accelerations the quasi-velocities hold what the roll rate does: with nu = d(eta)/dt + p A eta the
     second derivative of eta is nu' - p' A eta - p A d(eta)/dt.
     """
-    pitch, yaw, p, p_dot = of_plane(0, PITCH), of_plane(0, YAW), rate[0], alpha[0]
-    moved_y, moved_z, about_y, about_z = motion_at(sizes, properties, place, work, ws.ETA + pitch, ws.ETA + yaw)
-    speed_y, speed_z, _, _ = motion_at(sizes, properties, place, work, ws.RATE + pitch, ws.RATE + yaw)
-    accel_y, accel_z, _, _ = motion_at(sizes, properties, place, work, ws.ACCEL + pitch, ws.ACCEL + yaw)
+    pitch, yaw, p, p_dot = of_plane(PITCH), of_plane(YAW), rate[0], alpha[0]
+    planar, spatial = modes.planar, modes.spatial
+    moved_y, moved_z, about_y, about_z = motion_at(sizes, properties, place, planar.eta_m, pitch, yaw)
+    speed_y, speed_z, _, _ = motion_at(sizes, properties, place, planar.rate_mps, pitch, yaw)
+    accel_y, accel_z, _, _ = motion_at(sizes, properties, place, planar.accel_mps2, pitch, yaw)
     # A eta: a mode in pitch turns into one in yaw
-    turned_y, turned_z, _, _ = motion_at(sizes, properties, place, work, ws.ETA + yaw, ws.ETA + pitch)
-    turning_y, turning_z, _, _ = motion_at(sizes, properties, place, work, ws.RATE + yaw, ws.RATE + pitch)
+    turned_y, turned_z, _, _ = motion_at(sizes, properties, place, planar.eta_m, yaw, pitch)
+    turning_y, turning_z, _, _ = motion_at(sizes, properties, place, planar.rate_mps, yaw, pitch)
     moved, speed, tilt = (0.0, moved_y, moved_z), (0.0, speed_y, speed_z), (0.0, about_y, about_z)
     accel = (0.0, accel_y + p_dot * turned_y + p * turning_y, accel_z - p_dot * turned_z - p * turning_z)
     if sizes.spatial_modes > 0:
         there = gimbal_place(sizes, place)
-        at = spatial_motion(sizes, properties, there, work, ws.SPATIAL_ETA)
-        moves = spatial_motion(sizes, properties, there, work, ws.SPATIAL_RATE)
-        gains = spatial_motion(sizes, properties, there, work, ws.SPATIAL_ACCEL)
-        turned = spatial_motion(sizes, properties, there, work, ws.SPATIAL_TURNED)
-        turns = spatial_motion(sizes, properties, there, work, ws.SPATIAL_TURNED_RATE)
+        at = spatial_motion(sizes, properties, there, spatial.eta_m)
+        moves = spatial_motion(sizes, properties, there, spatial.rate_mps)
+        gains = spatial_motion(sizes, properties, there, spatial.accel_mps2)
+        turned = spatial_motion(sizes, properties, there, spatial.turned_m)
+        turns = spatial_motion(sizes, properties, there, spatial.turned_rate_mps)
         moved, speed = add(moved, (at[0], at[1], at[2])), add(speed, (moves[0], moves[1], moves[2]))
         tilt = add(tilt, (at[3], at[4], at[5]))
         accel = add(accel, (gains[0], gains[1], gains[2]))

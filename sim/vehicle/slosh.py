@@ -8,8 +8,8 @@ the body that it passes, and reacts on the body at that same point: so it dissip
 angular momentum (docs/model.md, section 5; with the reaction at the hinge instead, as eq. 27 of the paper has it, the
 moment arm of the damper is lost).
 
-The tensions and all accelerations are solved for together, in accelerations.py. For every tank a block of the workspace
-holds the quantities that this needs.
+The tensions and all accelerations are solved for together, in accelerations.py, with the quantities that `TankWork`
+holds for every tank.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.jit import kernel, record_at, routine
 from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG
 from maxq.control.kernel.vectors import Vector, add, cross, dot, scaled, set_vector, vector_at
 from maxq.sim.vehicle import schedule as sch
-from maxq.sim.vehicle import workspace as ws
-from maxq.sim.vehicle.bending import modal_sum, of_plane
+from maxq.sim.vehicle.bending import Modes, PlanarMotion, modal_sum, of_plane
 from maxq.sim.vehicle.block import W_BI_B, Counts, Sizes, StateBlock
-from maxq.sim.vehicle.spatial_modes import roll_defect, spatial_motion
+from maxq.sim.vehicle.spatial_modes import PerMode, roll_defect, spatial_motion
 
 # The unit vector u_B from the hinge to the bob, and kappa_B, its inertial derivative in body components.
 PENDULUMS = StateBlock(
@@ -41,27 +40,29 @@ N_PENDULUM = len(PENDULUMS.states)
 # 1 over the first Fourier coefficient of |cos|^(1/2) cos
 RING_DRAG = 0.5 * math.sqrt(math.pi) * math.gamma(2.25) / math.gamma(1.75)
 
-# a tank's block of the workspace
-ARM = 0  # moment of a unit tension about the CG with the engine deflected, B, m (3)
-HINGE_ACCEL = 3  # acceleration of the hinge that does not depend on the accelerations sought, B, m/s2 (3)
-SHIFT = 6  # displacement of the hinge by bending: y, z, m (2)
-DEMAND = 8  # tension per bob mass at zero acceleration, m/s2
-ALPHA = 9  # angular acceleration of the body per unit tension, rad/s2 per N (3)
-HINGE = 12  # hinge relative to the core CG without bending, B, m (3)
-DAMPING = 15  # acceleration of the bob by damping, B, m/s2 (3)
-ASYMMETRY = 18  # see `_plane_asymmetry`: y, z, m (2)
-DAMPER_FORCE = 20  # lateral force of the damper on the bent axis: y, z, N (2)
-BENDING_ACCEL = 22  # acceleration of the hinge by bending: y, z, m/s2 (2)
-BOB_PLACE = 24  # bob relative to the core CG, B, m (3); this and the next only with `Slosh.exchange`
-BOB_VELOCITY = 27  # bob's velocity relative to the core CG, B, m/s (3)
-ALONG_X = 30  # by spatial modes, along x: SHIFT, ASYMMETRY, DAMPER_FORCE, BENDING_ACCEL (4)
-ROLL_BEND = 34  # acceleration of the hinge by planar modes per roll acceleration with engines deflected: y, z, m (2)
+
+@dataclass
+class TankWork:
+    """A tank in an evaluation of the derivative; along x only by spatial modes."""
+
+    arm_m: Annotated[Array, (3,)]  # moment of a unit tension about the CG with the engine deflected, B
+    hinge_accel_mps2: Annotated[Array, (3,)]  # of the hinge, as far as independent of the accelerations sought, B
+    shift_m: Annotated[Array, (3,)]  # displacement of the hinge by bending
+    demand_mps2: float  # tension per bob mass at zero acceleration
+    alpha_radps2pN: Annotated[Array, (3,)]  # angular acceleration of the body per unit tension
+    hinge_m: Annotated[Array, (3,)]  # relative to the core CG without bending, B
+    damping_mps2: Annotated[Array, (3,)]  # acceleration of the bob by damping, B
+    asymmetry_m: Annotated[Array, (3,)]  # see `_plane_asymmetry`
+    damper_force_N: Annotated[Array, (3,)]  # of the damper on the bent axis
+    bending_accel_mps2: Annotated[Array, (3,)]  # of the hinge by bending
+    roll_bend_y_m: float  # acceleration of the hinge by planar modes per roll acceleration with engines deflected
+    roll_bend_z_m: float
+    bob_place_m: Annotated[Array, (3,)]  # relative to the core CG, B; this and the next only with `Slosh.exchange`
+    bob_velocity_mps: Annotated[Array, (3,)]  # relative to the core CG, B
+    shapes_along_rod: PerMode  # of spatial modes at the hinge
 
 
-@kernel
-def tank_block(tank: int) -> int:
-    """Where the workspace holds the block of a tank."""
-    return ws.PENDULUM + ws.PENDULUM_WIDTH * tank
+Tanks = tuple[TankWork, ...]
 
 
 @dataclass(frozen=True)
@@ -121,15 +122,15 @@ def restore_pendulum(y: Array, first: int) -> None:
 @kernel
 def pendulum_loads(
     slosh: Slosh, sizes: Counts, tank: int, rate: Vector, axial_load: float, offset: Vector, properties: Array,
-    y: Array, first: int, work: Array,
+    y: Array, first: int, modes: Modes, own: TankWork,
 ) -> tuple[Vector, Vector]:  # fmt: skip  # eleven lines otherwise
-    """Fill a tank's block of the workspace; returns the force and moment (about the core CG) of its damper, B.
+    """Fill `own` of a tank; returns the force and moment (about the core CG) of its damper, B.
 
     The states of the pendulum lie at y[first:first+6]; `offset` leads from the core CG to the CG with the engine
     deflected.
     """
     p, q, r = rate
-    b, column = tank_block(tank), sch.tank_column(tank)
+    column, spatial = sch.tank_column(tank), modes.spatial
     u, kappa = vector_at(y, first), vector_at(y, first + 3)
     length = pendulum_length(properties, tank)
     hinge = (
@@ -137,21 +138,22 @@ def pendulum_loads(
         -properties[sch.CORE_CG + 1],
         -properties[sch.CORE_CG + 2],
     )
-    shift_y, shift_z, shift_rate_y, shift_rate_z, nu_y, nu_z = _bending_at_tank(sizes, tank, properties, work)
+    shift_y, shift_z, shift_rate_y, shift_rate_z, nu_y, nu_z = _bending_at_tank(sizes, tank, properties, modes.planar)
     # velocity of the hinge by bending, with the rotation of the bent axis (docs/model.md, eq. 5.3)
     bend = (q * shift_z - r * shift_y, nu_y, nu_z)
     asymmetry_y, asymmetry_z, asymmetry_rate_y, asymmetry_rate_z = 0.0, 0.0, 0.0, 0.0
     if slosh.planes_differ == 1:
-        asymmetry_y, asymmetry_z, asymmetry_rate_y, asymmetry_rate_z = _plane_asymmetry(sizes, tank, properties, work)
+        asymmetry = _plane_asymmetry(sizes, tank, properties, modes.planar)
+        asymmetry_y, asymmetry_z, asymmetry_rate_y, asymmetry_rate_z = asymmetry
         bend = (bend[0], bend[1] - p * asymmetry_z, bend[2] + p * asymmetry_y)
     shift_x, shift_rate_x, asymmetry_x, asymmetry_rate_x = 0.0, 0.0, 0.0, 0.0
     if sizes.spatial_modes > 0:
         at = sch.tank_place(tank)
-        moved = spatial_motion(sizes, properties, at, work, ws.SPATIAL_ETA)
-        moving = spatial_motion(sizes, properties, at, work, ws.SPATIAL_RATE)
-        nu = spatial_motion(sizes, properties, at, work, ws.SPATIAL_NU)
-        defect = roll_defect(sizes, properties, at, work, ws.SPATIAL_ETA, ws.SPATIAL_TURNED)
-        defect_rate = roll_defect(sizes, properties, at, work, ws.SPATIAL_RATE, ws.SPATIAL_TURNED_RATE)
+        moved = spatial_motion(sizes, properties, at, spatial.eta_m)
+        moving = spatial_motion(sizes, properties, at, spatial.rate_mps)
+        nu = spatial_motion(sizes, properties, at, spatial.nu_mps)
+        defect = roll_defect(sizes, properties, at, spatial.eta_m, spatial.turned_m)
+        defect_rate = roll_defect(sizes, properties, at, spatial.rate_mps, spatial.turned_rate_mps)
         shift_x, shift_y, shift_z = moved[0], shift_y + moved[1], shift_z + moved[2]
         shift_rate_x = moving[0]
         shift_rate_y, shift_rate_z = shift_rate_y + moving[1], shift_rate_z + moving[2]
@@ -175,26 +177,26 @@ def pendulum_loads(
     arm = (roll_arm, arm[1] + shift_z * u[0], arm[2] - shift_y * u[0])
     if sizes.spatial_modes > 0:
         arm = (arm[0] + asymmetry_x * u[0], arm[1] - shift_x * u[2], arm[2] + shift_x * u[1])
-    set_vector(work, b + ARM, arm)
-    set_vector(work, b + HINGE_ACCEL, accel)
-    set_vector(work, b + HINGE, hinge)
-    work[b + SHIFT], work[b + SHIFT + 1] = shift_y, shift_z
-    work[b + ASYMMETRY], work[b + ASYMMETRY + 1] = asymmetry_y, asymmetry_z
-    work[b + DEMAND] = length * dot(kappa, kappa) - dot(accel, u)
+    set_vector(own.arm_m, 0, arm)
+    set_vector(own.hinge_accel_mps2, 0, accel)
+    set_vector(own.hinge_m, 0, hinge)
+    own.shift_m[1], own.shift_m[2] = shift_y, shift_z
+    own.asymmetry_m[1], own.asymmetry_m[2] = asymmetry_y, asymmetry_z
+    own.demand_mps2 = length * dot(kappa, kappa) - dot(accel, u)
     u_rate = add(kappa, scaled(-1.0, cross(rate, u)))  # d(u)/dt in B
     # 2 zeta omega L with omega = sqrt(a / L)
     damping = scaled(-2.0 * slosh.damping_ratio[tank] * math.sqrt(abs(axial_load) * length), u_rate)
     if slosh.law == 1:
         drag = wall_and_ring_damping(slosh, tank, length, abs(axial_load), math.sqrt(dot(u_rate, u_rate)), properties)
         damping = add(damping, scaled(-drag, u_rate))
-    set_vector(work, b + DAMPING, damping)
+    set_vector(own.damping_mps2, 0, damping)
     force = scaled(-bob_mass(properties, tank), damping)
-    work[b + DAMPER_FORCE], work[b + DAMPER_FORCE + 1] = force[1], force[2]
+    own.damper_force_N[1], own.damper_force_N[2] = force[1], force[2]
     if slosh.exchange == 1:
         place = add((hinge[0] + shift_x, hinge[1] + shift_y, hinge[2] + shift_z), scaled(length, u))
         velocity = add(add(cross(rate, place), scaled(length, u_rate)), (shift_rate_x, shift_rate_y, shift_rate_z))
-        set_vector(work, b + BOB_PLACE, place)
-        set_vector(work, b + BOB_VELOCITY, velocity)
+        set_vector(own.bob_place_m, 0, place)
+        set_vector(own.bob_velocity_mps, 0, velocity)
     moment = cross(add(hinge, scaled(length, u)), force)
     roll = moment[0] + asymmetry_y * force[2] - asymmetry_z * force[1]
     moment = (roll, moment[1] + shift_z * force[0], moment[2] - shift_y * force[0])
@@ -202,7 +204,7 @@ def pendulum_loads(
         moment = (
             moment[0] + asymmetry_x * force[0], moment[1] - shift_x * force[2], moment[2] + shift_x * force[1]
         )  # fmt: skip  # five lines otherwise
-        work[b + ALONG_X], work[b + ALONG_X + 1], work[b + ALONG_X + 2] = shift_x, asymmetry_x, force[0]
+        own.shift_m[0], own.asymmetry_m[0], own.damper_force_N[0] = shift_x, asymmetry_x, force[0]
     return force, moment
 
 
@@ -227,7 +229,7 @@ def wall_and_ring_damping(
 
 @routine
 def exchange_loads(
-    slosh: Slosh, sizes: Counts, rate: Vector, properties: Array, y: Array, first: int, work: Array
+    slosh: Slosh, sizes: Counts, rate: Vector, properties: Array, y: Array, first: int, modes: Modes, tanks: Tanks
 ) -> tuple[Vector, Vector]:
     """Force and moment (about the core CG, B) on the core by the liquid that goes over between bobs and core.
 
@@ -240,15 +242,15 @@ def exchange_loads(
     share = properties[sch.schedule_width(sizes) + sch.INVERSE_TOTAL_MASS]
     for tank in range(sizes.pendulums):
         mass = bob_mass(properties, tank)
-        drift = add(drift, scaled(share * mass, vector_at(work, tank_block(tank) + BOB_VELOCITY)))
+        drift = add(drift, scaled(share * mass, vector_at(record_at(tanks, tank).bob_velocity_mps, 0)))
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for tank in range(sizes.pendulums):
-        b, mass = tank_block(tank), bob_mass(properties, tank)
+        own, mass = record_at(tanks, tank), bob_mass(properties, tank)
         flow = -properties[sch.tank_column(tank) + sch.TANK_MASS_RATE]  # from bob to core
         if flow == 0.0 or mass <= 0.0:
             continue
-        hinge, place = vector_at(work, b + HINGE), vector_at(work, b + BOB_PLACE)
-        velocity = vector_at(work, b + BOB_VELOCITY)
+        hinge, place = vector_at(own.hinge_m, 0), vector_at(own.bob_place_m, 0)
+        velocity = vector_at(own.bob_velocity_mps, 0)
         rest = (hinge[0] - pendulum_length(properties, tank), hinge[1], hinge[2])
         rest_velocity = cross(rate, rest)
         carried = velocity if flow > 0.0 else rest_velocity
@@ -258,34 +260,34 @@ def exchange_loads(
         spin = add(spin, scaled(-1.0, cross(rest, add(rest_velocity, scaled(-1.0, drift)))))
         moment = add(moment, scaled(flow, spin))
         if flow > 0.0:  # pushes the modes, by the velocity relative to the bent axis
-            _, _, shift_rate_y, shift_rate_z, _, _ = _bending_at_tank(sizes, tank, properties, work)
+            _, _, shift_rate_y, shift_rate_z, _, _ = _bending_at_tank(sizes, tank, properties, modes.planar)
             by_modes = 0.0
             if sizes.spatial_modes > 0:
-                moving = spatial_motion(sizes, properties, sch.tank_place(tank), work, ws.SPATIAL_RATE)
+                moving = spatial_motion(sizes, properties, sch.tank_place(tank), modes.spatial.rate_mps)
                 shift_rate_y, shift_rate_z = shift_rate_y + moving[1], shift_rate_z + moving[2]
                 push_x = push[0] - flow * moving[0]
-                work[b + ALONG_X + 2] += push_x
-                by_modes = -work[b + ALONG_X + 1] * push_x
-            shift_y, shift_z = work[b + SHIFT], work[b + SHIFT + 1]
+                own.damper_force_N[0] += push_x
+                by_modes = -own.asymmetry_m[0] * push_x
+            shift_y, shift_z = own.shift_m[1], own.shift_m[2]
             push_y, push_z = push[1] - flow * shift_rate_y, push[2] - flow * shift_rate_z
-            work[b + DAMPER_FORCE] += push_y
-            work[b + DAMPER_FORCE + 1] += push_z
+            own.damper_force_N[1] += push_y
+            own.damper_force_N[2] += push_z
             # the part of the roll moment that the modes take (docs/model.md, eq. 4.4)
-            by_modes += (shift_y - work[b + ASYMMETRY]) * push_z - (shift_z - work[b + ASYMMETRY + 1]) * push_y
+            by_modes += (shift_y - own.asymmetry_m[1]) * push_z - (shift_z - own.asymmetry_m[2]) * push_y
             moment = (moment[0] - by_modes, moment[1], moment[2])
         else:
             u = vector_at(y, first + N_PENDULUM * tank)
             brake = scaled(flow / mass, add(velocity, scaled(-1.0, rest_velocity)))
             along = dot(brake, u)
-            work[b + DEMAND] += along
+            own.demand_mps2 += along
             for j in range(3):
-                work[b + DAMPING + j] += brake[j] - along * u[j]
+                own.damping_mps2[j] += brake[j] - along * u[j]
     return force, moment
 
 
 @kernel
 def _bending_at_tank(
-    sizes: Counts, tank: int, properties: Array, work: Array
+    sizes: Counts, tank: int, properties: Array, modes: PlanarMotion
 ) -> tuple[float, float, float, float, float, float]:
     """Displacement of a hinge by bending, its rate in B, and its quasi-velocity: y, z each."""
     in_pitch, in_yaw = (
@@ -293,17 +295,19 @@ def _bending_at_tank(
         sch.mode_column(sizes, sch.YAW, sch.MODE_FIRST + tank),
     )
     return (
-        modal_sum(sizes, properties, in_yaw, work, of_plane(ws.ETA, sch.YAW)),
-        modal_sum(sizes, properties, in_pitch, work, of_plane(ws.ETA, sch.PITCH)),
-        modal_sum(sizes, properties, in_yaw, work, of_plane(ws.RATE, sch.YAW)),
-        modal_sum(sizes, properties, in_pitch, work, of_plane(ws.RATE, sch.PITCH)),
-        modal_sum(sizes, properties, in_yaw, work, of_plane(ws.NU, sch.YAW)),
-        modal_sum(sizes, properties, in_pitch, work, of_plane(ws.NU, sch.PITCH)),
+        modal_sum(sizes, properties, in_yaw, modes.eta_m, of_plane(sch.YAW)),
+        modal_sum(sizes, properties, in_pitch, modes.eta_m, of_plane(sch.PITCH)),
+        modal_sum(sizes, properties, in_yaw, modes.rate_mps, of_plane(sch.YAW)),
+        modal_sum(sizes, properties, in_pitch, modes.rate_mps, of_plane(sch.PITCH)),
+        modal_sum(sizes, properties, in_yaw, modes.nu_mps, of_plane(sch.YAW)),
+        modal_sum(sizes, properties, in_pitch, modes.nu_mps, of_plane(sch.PITCH)),
     )
 
 
 @kernel
-def _plane_asymmetry(sizes: Counts, tank: int, properties: Array, work: Array) -> tuple[float, float, float, float]:
+def _plane_asymmetry(
+    sizes: Counts, tank: int, properties: Array, modes: PlanarMotion
+) -> tuple[float, float, float, float]:
     """Displacement of the hinge less that with each plane's shapes in the other: y, z (m) and their rates in B.
 
     The quasi-velocities include the roll rate with the shapes of their own plane; where the planes differ, roll moves
@@ -315,42 +319,41 @@ def _plane_asymmetry(sizes: Counts, tank: int, properties: Array, work: Array) -
     )
     along_y, along_z, rate_y, rate_z = 0.0, 0.0, 0.0, 0.0
     for i in range(max(sizes.pitch_modes, sizes.yaw_modes)):
-        p, q = of_plane(0, sch.PITCH) + i, of_plane(0, sch.YAW) + i
+        p, q = of_plane(sch.PITCH) + i, of_plane(sch.YAW) + i
         more_in_yaw = properties[in_yaw + i] - properties[in_pitch + i]
-        along_y += more_in_yaw * work[ws.ETA + q]
-        rate_y += more_in_yaw * work[ws.RATE + q]
-        along_z -= more_in_yaw * work[ws.ETA + p]
-        rate_z -= more_in_yaw * work[ws.RATE + p]
+        along_y += more_in_yaw * modes.eta_m[q]
+        rate_y += more_in_yaw * modes.rate_mps[q]
+        along_z -= more_in_yaw * modes.eta_m[p]
+        rate_z -= more_in_yaw * modes.rate_mps[p]
     return along_y, along_z, rate_y, rate_z
 
 
 @kernel
 def pendulum_derivative(
     slosh: Slosh, sizes: Counts, tank: int, rate: Vector, specific_force: Vector, alpha: Vector, properties: Array,
-    y: Array, first: int, dy: Array, work: Array,
+    y: Array, first: int, dy: Array, own: TankWork,
 ) -> None:  # fmt: skip  # eleven lines otherwise
     """Derivative of the states at y[first:first+6] once the body's accelerations are known.
 
     The pendulum of an empty tank rests: without mass it has no effect.
     """
-    b = tank_block(tank)
     if bob_mass(properties, tank) <= 0.0:
         for j in range(6):
             dy[first + j] = 0.0
         return
     u, kappa = vector_at(y, first), vector_at(y, first + 3)
-    shift_y, shift_z = work[b + SHIFT], work[b + SHIFT + 1]
-    accel, damping = vector_at(work, b + HINGE_ACCEL), vector_at(work, b + DAMPING)
-    tangential = cross(alpha, vector_at(work, b + HINGE))
-    bend_y, bend_z = work[b + BENDING_ACCEL], work[b + BENDING_ACCEL + 1]
-    asymmetry_y, asymmetry_z = work[b + ASYMMETRY], work[b + ASYMMETRY + 1]
+    shift_y, shift_z = own.shift_m[1], own.shift_m[2]
+    accel, damping = vector_at(own.hinge_accel_mps2, 0), vector_at(own.damping_mps2, 0)
+    tangential = cross(alpha, vector_at(own.hinge_m, 0))
+    bend_y, bend_z = own.bending_accel_mps2[1], own.bending_accel_mps2[2]
+    asymmetry_y, asymmetry_z = own.asymmetry_m[1], own.asymmetry_m[2]
     hinge = (
         accel[0] + specific_force[0] + tangential[0] + alpha[1] * shift_z - alpha[2] * shift_y,
         accel[1] + specific_force[1] + tangential[1] + bend_y - alpha[0] * asymmetry_z,
         accel[2] + specific_force[2] + tangential[2] + bend_z + alpha[0] * asymmetry_y,
     )
     if sizes.spatial_modes > 0:
-        shift_x, asymmetry_x, bend_x = work[b + ALONG_X], work[b + ALONG_X + 1], work[b + ALONG_X + 3]
+        shift_x, asymmetry_x, bend_x = own.shift_m[0], own.asymmetry_m[0], own.bending_accel_mps2[0]
         hinge = (
             hinge[0] + bend_x + alpha[0] * asymmetry_x, hinge[1] + alpha[2] * shift_x, hinge[2] - alpha[1] * shift_x
         )  # fmt: skip  # five lines otherwise
@@ -373,7 +376,9 @@ class SloshRow(NamedTuple):
 
 
 @kernel
-def slosh_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int, aux: Array) -> SloshRow:
+def slosh_row(
+    slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int, tension_N: Array
+) -> SloshRow:
     """Nan throughout for an empty tank and one that the stage does not have."""
     if tank >= sizes.pendulums or bob_mass(properties, tank) <= 0.0:
         return SloshRow(math.nan, math.nan, math.nan, math.nan, math.nan)
@@ -388,7 +393,7 @@ def slosh_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array
         slosh_tank_yaw_deg=DEG * math.atan2(u_y, u_x),
         slosh_tank_pitch_rate_degps=DEG * ((u_x * rate_z - u_z * rate_x) / (u_x * u_x + u_z * u_z)),
         slosh_tank_yaw_rate_degps=DEG * ((u_x * rate_y - u_y * rate_x) / (u_x * u_x + u_y * u_y)),
-        slosh_tank_tension_N=aux[ws.TENSIONS + tank],
+        slosh_tank_tension_N=tension_N[tank],
     )
 
 

@@ -16,12 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.jit import bare_pointer, kernel, routine
 from maxq.control.kernel.limits import MAX_MODES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Vector
 from maxq.sim.vehicle import schedule as sch
-from maxq.sim.vehicle import workspace as ws
 from maxq.sim.vehicle.block import Counts, StateBlock
 
 SPATIAL_STATES = StateBlock(
@@ -29,6 +28,7 @@ SPATIAL_STATES = StateBlock(
 )
 NU_SPATIAL_STATES = StateBlock({"nu_spatial_{}_mps": "m/s"}, "spatial_modes")
 
+PerMode = Annotated[Array, (MAX_MODES,)]
 Load = tuple[float, float, float, float, float, float]  # force and moment of B, or displacement and rotation
 
 
@@ -39,48 +39,70 @@ def sum_of_loads(a: Load, b: Load) -> Load:
 
 @dataclass(frozen=True)
 class SpatialModes:
-    zeta: Annotated[Array, (MAX_MODES,)]
-    frequency_factor: Annotated[Array, (MAX_MODES,)]
+    zeta: PerMode
+    frequency_factor: PerMode
+
+
+@dataclass
+class SpatialMotion:
+    """The modes in an evaluation of the derivative."""
+
+    force_N: PerMode  # generalised force
+    eta_m: PerMode  # modal coordinate
+    rate_mps: PerMode  # its time derivative
+    nu_mps: PerMode  # its quasi-velocity
+    accel_mps2: PerMode  # time derivative of the quasi-velocity
+    turned_m: PerMode  # A eta (eq. 4.7)
+    turned_rate_mps: PerMode  # A d(eta)/dt
+    momentum_Ns: PerMode  # what the moving engine adds to the modal momentum
+    roll_m: PerMode  # acceleration per roll acceleration with engines deflected
 
 
 @routine
-def spatial_state(sizes: Counts, roll_rate: float, properties: Array, y: Array, first: int, work: Array) -> None:
-    """From the states at y[first:] into the workspace; sets the generalised forces to zero."""
+def spatial_state(
+    sizes: Counts, roll_rate: float, properties: Array, y: Array, first: int, modes: SpatialMotion
+) -> None:
+    """From the states at y[first:] into `modes`; sets the generalised forces to zero."""
     n = sizes.spatial_modes
     for i in range(n):
-        work[ws.SPATIAL_ETA + i], work[ws.SPATIAL_NU + i] = y[first + i], y[first + n + i]
-        work[ws.SPATIAL_FORCE + i], work[ws.SPATIAL_MOMENTUM + i] = 0.0, 0.0
-    _turn(sizes, properties, work, ws.SPATIAL_ETA, ws.SPATIAL_TURNED)
+        modes.eta_m[i], modes.nu_mps[i] = y[first + i], y[first + n + i]
+        modes.force_N[i], modes.momentum_Ns[i] = 0.0, 0.0
+    _turn(sizes, properties, modes.eta_m, modes.turned_m)
     for i in range(n):
-        work[ws.SPATIAL_RATE + i] = work[ws.SPATIAL_NU + i] - roll_rate * work[ws.SPATIAL_TURNED + i]
-    _turn(sizes, properties, work, ws.SPATIAL_RATE, ws.SPATIAL_TURNED_RATE)
+        modes.rate_mps[i] = modes.nu_mps[i] - roll_rate * modes.turned_m[i]
+    _turn(sizes, properties, modes.rate_mps, modes.turned_rate_mps)
 
 
 @kernel
-def _turn(sizes: Counts, properties: Array, work: Array, quantity: int, turned: int) -> None:
+def _turn(sizes: Counts, properties: Array, quantity: Array, turned: Array) -> None:
     """A times a modal quantity."""
     for i in range(sizes.spatial_modes):
         total = 0.0
         for j in range(sizes.spatial_modes):
-            total += properties[sch.spatial_column(sizes, sch.turning_row(sizes, j)) + i] * work[quantity + j]
-        work[turned + i] = total
+            total += properties[sch.spatial_column(sizes, sch.turning_row(sizes, j)) + i] * quantity[j]
+        turned[i] = total
 
 
 @routine
-def spatial_derivative(sizes: Counts, first: int, dy: Array, work: Array) -> None:
-    """Derivatives of the states at y[first:], once the workspace holds the modal accelerations."""
+def spatial_derivative(sizes: Counts, first: int, dy: Array, modes: SpatialMotion) -> None:
+    """Derivatives of the states at y[first:], once the modal accelerations are known."""
     for i in range(sizes.spatial_modes):
-        dy[first + i] = work[ws.SPATIAL_RATE + i]
-        dy[first + sizes.spatial_modes + i] = work[ws.SPATIAL_ACCEL + i]
+        dy[first + i] = modes.rate_mps[i]
+        dy[first + sizes.spatial_modes + i] = modes.accel_mps2[i]
+
+
+@kernel
+def spatial_motion(sizes: Counts, properties: Array, place: int, quantity: Array) -> Load:
+    """Motion of a place: its shapes times a modal quantity."""
+    return _spatial_motion(sizes, properties, place, bare_pointer(quantity))
 
 
 @routine
-def spatial_motion(sizes: Counts, properties: Array, place: int, work: Array, quantity: int) -> Load:
-    """Motion of a place: its shapes times a modal quantity (SPATIAL_ETA, SPATIAL_NU, ...)."""
+def _spatial_motion(sizes: Counts, properties: Array, place: int, quantity: Array) -> Load:
     x, y, z, about_x, about_y, about_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     n, c = sizes.spatial_modes, sch.place_column(sizes, place, 0)
     for i in range(n):
-        amount = work[quantity + i]
+        amount = quantity[i]
         x += properties[c + i] * amount
         y += properties[c + n + i] * amount
         z += properties[c + 2 * n + i] * amount
@@ -91,45 +113,50 @@ def spatial_motion(sizes: Counts, properties: Array, place: int, work: Array, qu
 
 
 @kernel
-def roll_defect(sizes: Counts, properties: Array, place: int, work: Array, quantity: int, turned: int) -> Load:
+def roll_defect(sizes: Counts, properties: Array, place: int, quantity: Array, turned: Array) -> Load:
     """Motion of a place per roll rate beyond what the quasi-velocities hold: (x cross Phi) eta - Phi A eta, eq. 4.8.
 
-    `quantity`, `turned`: SPATIAL_ETA with SPATIAL_TURNED, or their rates. Zero where the turned shapes are modes, too.
+    `quantity`, `turned`: `eta_m` with `turned_m`, or their rates. Zero where the turned shapes are modes, too.
     """
-    whole = spatial_motion(sizes, properties, place, work, quantity)
-    held = spatial_motion(sizes, properties, place, work, turned)
+    whole = spatial_motion(sizes, properties, place, quantity)
+    held = spatial_motion(sizes, properties, place, turned)
     return -held[0], -whole[2] - held[1], whole[1] - held[2], -held[3], -whole[5] - held[4], whole[4] - held[5]
 
 
+@kernel
+def apply_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, quantity: Array) -> None:
+    """Add the generalised forces of a load at a place to a modal quantity."""
+    _apply_spatial_load(sizes, properties, place, load, bare_pointer(quantity))
+
+
 @routine
-def apply_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, work: Array, quantity: int) -> None:
-    """Add the generalised forces of a load at a place to a modal quantity (SPATIAL_FORCE, SPATIAL_MOMENTUM)."""
+def _apply_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, quantity: Array) -> None:
     n, c = sizes.spatial_modes, sch.place_column(sizes, place, 0)
     for i in range(n):
         force = properties[c + i] * load[0] + properties[c + n + i] * load[1] + properties[c + 2 * n + i] * load[2]
         moment = properties[c + 3 * n + i] * load[3] + properties[c + 4 * n + i] * load[4]
-        work[quantity + i] += force + (moment + properties[c + 5 * n + i] * load[5])
+        quantity[i] += force + (moment + properties[c + 5 * n + i] * load[5])
 
 
 @routine
-def outer_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, work: Array) -> Vector:
+def outer_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, modes: SpatialMotion) -> Vector:
     """As `apply_spatial_load`, of a load from outside (thrust, air, a pendulum) on the displaced place.
 
     Returns the moment on the body (B, N m) that comes on top of that of the force at the undisplaced place.
     """
-    apply_spatial_load(sizes, properties, place, load, work, ws.SPATIAL_FORCE)
-    moved = spatial_motion(sizes, properties, place, work, ws.SPATIAL_ETA)
-    defect = roll_defect(sizes, properties, place, work, ws.SPATIAL_ETA, ws.SPATIAL_TURNED)
+    apply_spatial_load(sizes, properties, place, load, modes.force_N)
+    moved = spatial_motion(sizes, properties, place, modes.eta_m)
+    defect = roll_defect(sizes, properties, place, modes.eta_m, modes.turned_m)
     roll = defect[0] * load[0] + defect[1] * load[1] + defect[2] * load[2]
     roll += defect[3] * load[3] + defect[4] * load[4] + defect[5] * load[5]
     return roll, moved[2] * load[0] - moved[0] * load[2], moved[0] * load[1] - moved[1] * load[0]
 
 
 @routine
-def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, work: Array) -> Vector:
+def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, modes: SpatialMotion) -> Vector:
     """Angular rate (B, rad/s) that the modes add at the gyro."""
-    of_modes = spatial_motion(sizes, properties, sch.GYRO_PLACE, work, ws.SPATIAL_NU)
-    defect = roll_defect(sizes, properties, sch.GYRO_PLACE, work, ws.SPATIAL_ETA, ws.SPATIAL_TURNED)
+    of_modes = spatial_motion(sizes, properties, sch.GYRO_PLACE, modes.nu_mps)
+    defect = roll_defect(sizes, properties, sch.GYRO_PLACE, modes.eta_m, modes.turned_m)
     return (
         of_modes[3] + roll_rate * defect[3],
         of_modes[4] + roll_rate * defect[4],
@@ -138,79 +165,75 @@ def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, wor
 
 
 @routine
-def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, work: Array) -> float:
+def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, modes: SpatialMotion) -> float:
     """Add stiffness, damping and axial softening to the generalised forces; returns their roll moment on the body."""
     roll = 0.0
     stiffness, damping = sch.spatial_derived(sizes, sch.MODE_STIFFNESS), sch.spatial_derived(sizes, sch.MODE_DAMPING)
     for i in range(sizes.spatial_modes):
-        force = -(
-            properties[stiffness + i] * work[ws.SPATIAL_ETA + i] + properties[damping + i] * work[ws.SPATIAL_RATE + i]
-        )
+        force = -(properties[stiffness + i] * modes.eta_m[i] + properties[damping + i] * modes.rate_mps[i])
         for j in range(sizes.spatial_modes):
             taken = properties[sch.spatial_column(sizes, sch.spatial_softening_row(sizes, j)) + i]
-            force += k_soft * taken * work[ws.SPATIAL_ETA + j]
-        work[ws.SPATIAL_FORCE + i] += force
-        roll -= force * work[ws.SPATIAL_TURNED + i]
+            force += k_soft * taken * modes.eta_m[j]
+        modes.force_N[i] += force
+        roll -= force * modes.turned_m[i]
     return roll
 
 
 @routine
-def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, work: Array) -> Vector:
+def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, modes: SpatialMotion) -> Vector:
     """Roll-rate coupling of the modes, and the moment of their angular momentum about x on the body (eq. 4.9).
 
-    SPATIAL_MOMENTUM holds what moving engines add to the modal momenta.
+    `momentum_Ns` holds what moving engines add to the modal momenta.
     """
     p, q, r = rate
     mass, n = sch.spatial_column(sizes, sch.SPATIAL_MASS), sizes.spatial_modes
     h, roll = 0.0, 0.0
     for i in range(n):
-        momentum = properties[mass + i] * work[ws.SPATIAL_NU + i] + work[ws.SPATIAL_MOMENTUM + i]
-        h += momentum * work[ws.SPATIAL_TURNED + i]
+        momentum = properties[mass + i] * modes.nu_mps[i] + modes.momentum_Ns[i]
+        h += momentum * modes.turned_m[i]
         for j in range(n):
             share = properties[sch.spatial_column(sizes, sch.turning_row(sizes, j)) + i]  # A_ij
-            work[ws.SPATIAL_FORCE + j] += p * (share * momentum)
-            roll -= momentum * (share * work[ws.SPATIAL_NU + j])
+            modes.force_N[j] += p * (share * momentum)
+            roll -= momentum * (share * modes.nu_mps[j])
     return roll, -r * h, q * h
 
 
 @routine
-def free_spatial_accelerations(sizes: Counts, properties: Array, work: Array) -> None:
+def free_spatial_accelerations(sizes: Counts, properties: Array, modes: SpatialMotion) -> None:
     """Accelerations of the modes under their generalised forces, without the tensions of the pendulums."""
     inverse = sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS)
     for i in range(sizes.spatial_modes):
-        work[ws.SPATIAL_ACCEL + i] = properties[inverse + i] * work[ws.SPATIAL_FORCE + i]
+        modes.accel_mps2[i] = properties[inverse + i] * modes.force_N[i]
 
 
 @routine
 def spatial_along_rod(
-    sizes: Counts, properties: Array, place: int, tank: int, u: Vector, work: Array, quantity: int
+    sizes: Counts, properties: Array, place: int, u: Vector, accel_mps2: Array, shapes: Array
 ) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
-    """Keep the shapes at a hinge along its rod `u`; returns its acceleration by the modal ones at `quantity`."""
+    """Keep the shapes at a hinge along its rod `u`; returns its acceleration by the modal ones."""
     n, c, total = sizes.spatial_modes, sch.place_column(sizes, place, 0), 0.0
     for i in range(n):
         along = properties[c + i] * u[0] + properties[c + n + i] * u[1] + properties[c + 2 * n + i] * u[2]
-        work[_along(tank) + i] = along
-        total += along * work[quantity + i]
+        shapes[i] = along
+        total += along * accel_mps2[i]
     return total
 
 
 @routine
-def spatial_compliance(sizes: Counts, properties: Array, k: int, j: int, work: Array) -> float:
-    """How much the hinge of tank k accelerates along its rod per newton of tension in tank j, 1/kg."""
+def spatial_compliance(sizes: Counts, properties: Array, shapes: Array, of_other: Array) -> float:
+    """Return the acceleration of a hinge along its rod per newton of tension in another tank, 1/kg.
+
+    The shapes along both rods are given.
+    """
     inverse, total = sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS), 0.0
     for i in range(sizes.spatial_modes):
-        total += work[_along(k) + i] * (work[_along(j) + i] * properties[inverse + i])
+        total += shapes[i] * (of_other[i] * properties[inverse + i])
     return total
 
 
 @routine
-def add_tension_to_spatial(sizes: Counts, properties: Array, tank: int, tension: float, work: Array) -> None:
-    """Add the pull of the rod of a tank to the modal accelerations."""
+def add_tension_to_spatial(sizes: Counts, properties: Array, shapes: Array, tension: float, accel_mps2: Array) -> None:
+    """Add the pull of a rod, along which `shapes` are, to the modal accelerations."""
     inverse = sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS)
     for i in range(sizes.spatial_modes):
-        work[ws.SPATIAL_ACCEL + i] += tension * (work[_along(tank) + i] * properties[inverse + i])
-
-
-@kernel
-def _along(tank: int) -> int:
-    return ws.SPATIAL_ALONG + tank * MAX_MODES
+        accel_mps2[i] += tension * (shapes[i] * properties[inverse + i])

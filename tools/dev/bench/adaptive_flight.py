@@ -15,39 +15,33 @@ import numpy as np
 from scipy.integrate import DOP853
 
 from maxq.control.kernel.jit import bare_pointer, entry
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, Records, blank
 from maxq.sim.flight.events import process_due_events, step_length
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.flight.step import evaluate, read_schedule
+from maxq.sim.run.evaluate import Space
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.vehicle.state import MAX_STATE, R_I, V_I, state_size
-from maxq.sim.vehicle.workspace import AUX_SIZE, PROPERTIES_SIZE, WORK_SIZE, Evaluation
-
-_PROPS = 0
-_WORK = _PROPS + PROPERTIES_SIZE
-_AUX = _WORK + WORK_SIZE
-SCRATCH = _AUX + AUX_SIZE
+from maxq.sim.vehicle.workspace import Evaluation
 
 
 @entry
-def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: Array, scratch: Array) -> None:
+def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: Array, scratch: Records) -> None:
     """Derivative `elapsed_s` after the flight's present instant."""
     p, memory = P[0], state[0]
     pool, y, dy = bare_pointer(pool), bare_pointer(y), bare_pointer(dy)
-    props, work = bare_pointer(scratch[_PROPS:_WORK]), bare_pointer(scratch[_WORK:_AUX])
-    aux = bare_pointer(scratch[_AUX:SCRATCH])
+    props, work, aux = bare_pointer(scratch[0].properties), scratch[0].work, scratch[0].aux
     now = memory.clock.now_ns
     read_schedule(p, pool, memory, now, elapsed_s, props)
     evaluate(p, pool, memory, now, elapsed_s, Evaluation(props, y, dy, aux), work)
 
 
 @entry
-def next_instant(P: Array, pool: Array, state: Array, y: Array, scratch: Array) -> int:
+def next_instant(P: Array, pool: Array, state: Array, y: Array, scratch: Records) -> int:
     """Meet all that is due now; nanoseconds until something is due again."""
     p, memory = P[0], state[0]
-    pool, y = bare_pointer(pool), bare_pointer(y)
-    props, aux = bare_pointer(scratch[_PROPS:_WORK]), bare_pointer(scratch[_AUX:SCRATCH])
-    process_due_events(p, pool, memory, y, aux, props)
+    pool, y, props = bare_pointer(pool), bare_pointer(y), bare_pointer(scratch[0].properties)
+    process_due_events(p, pool, memory, y, scratch[0].aux, props)
     return step_length(p, pool, memory, NEVER)
 
 
@@ -58,7 +52,7 @@ class AdaptiveFlight:
     run: FlightRun
     relative: float  # tolerance
     evaluations: int = 0
-    _scratch: Array = field(default_factory=lambda: np.zeros(SCRATCH))
+    _scratch: Records = field(default_factory=lambda: blank(Space))
     _full: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
     _dy: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
 
