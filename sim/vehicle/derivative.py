@@ -187,8 +187,8 @@ def _unusual_derivative(
 
 @rare_routine
 def _rigid_derivative(
-    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: ws.Evaluation,
-    work: Array,
+    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
+    work: Work,
 ) -> None:  # fmt: skip  # nine lines otherwise
     _derivative(vehicle, rigid_counts(counts(vehicle.sizes)), environment, pool, held, inputs, at, work)
 

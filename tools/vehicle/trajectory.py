@@ -326,8 +326,11 @@ def _level(ends: Callable[[Array], Array], x: Array) -> Array:
     another processor. So the pitch-over is rounded to 1 mrad, and the tangents follow from it.
     """
     kick = round(float(x[0]), 2)
-    tangents = fsolve(lambda y: ends(np.array([kick, *y]))[:2], x[1:], xtol=1e-8, epsfcn=1e-10)
-    return np.array([kick, *tangents])
+
+    def missed(tangents: Array) -> Array:
+        return ends(np.array([kick, *tangents]))[:2]
+
+    return np.array([kick, *fsolve(missed, x[1:], xtol=1e-8, epsfcn=1e-10)])
 
 
 def _steer_to(model: _Model, altitude_m: float) -> None:
