@@ -30,26 +30,26 @@ if TYPE_CHECKING:  # for type checkers and editors; _HOMES says the same to the 
     from matplotlib.figure import Figure
 
     from maxq.design.laws.design_file import load_design
-    from maxq.design.loop.fixed_path import Cut, Kind
+    from maxq.design.loop.fixed_path import Cut, LoopKind
     from maxq.design.loop.loop import Loop, loops
     from maxq.design.loop.multiloop import multiloops
     from maxq.design.margins.measure import Margins, margins
     from maxq.design.margins.multiloop import multiloop_margins
     from maxq.design.model.instruments import Plane
     from maxq.design.model.node import Node
-    from maxq.design.operating_points import Plant, nodes
+    from maxq.design.operating_points import PlantKind, nodes
     from maxq.design.paper.errata import Errata
     from maxq.design.verify.verify import Verification
     from maxq.sim.campaign.analysis import DataSet
     from maxq.sim.campaign.error import CampaignError
     from maxq.sim.campaign.read import LoadedCampaign
+    from maxq.sim.input.errors import ScenarioError
+    from maxq.sim.input.files import builtin_names
     from maxq.sim.log.head import LogError
     from maxq.sim.log.reader import Log
     from maxq.sim.run.flight import Flight
     from maxq.sim.run.fly import FlightRun
     from maxq.sim.run.record import record
-    from maxq.sim.scenario.errors import ScenarioError
-    from maxq.sim.scenario.files import builtin_names
     from maxq.sim.scenario.loader import LoadedScenario
     from maxq.sim.scenario.schema_design import Design
     from maxq.tools.design.designed import Designed
@@ -77,8 +77,8 @@ _HOMES = {
     "maxq.sim.run.flight": ("Flight",),
     "maxq.sim.run.fly": ("FlightRun",),
     "maxq.sim.run.record": ("record",),
-    "maxq.sim.scenario.errors": ("ScenarioError",),
-    "maxq.sim.scenario.files": ("builtin_names",),
+    "maxq.sim.input.errors": ("ScenarioError",),
+    "maxq.sim.input.files": ("builtin_names",),
     "maxq.sim.scenario.loader": ("LoadedScenario",),
     "maxq.tools.design.designed": ("Designed",),
 }
@@ -230,10 +230,10 @@ def loop(
     time_s: float | None = None,
     *,
     plane: Plane = "pitch",
-    kind: Kind = "sampled",
+    kind: LoopKind = "sampled",
     cut: Cut = "gimbal_command",
     errata: Errata | str = "corrected",
-    plant: Plant = "flown",
+    plant: PlantKind = "flown",
 ) -> Loop:
     """Return a design's loop at one operating point.
 

@@ -38,14 +38,14 @@ from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance, unroll
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
-from maxq.control.kernel.rows import PitchYaw, Quaternion, RollPitchYaw, degrees, quaternion
+from maxq.control.kernel.rows import PitchYaw, QuaternionRow, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
 from maxq.control.laws import load_relief
 from maxq.control.laws.adaptive import Adaptive, AdaptiveState, augmented, start_adaptive
 from maxq.control.laws.pd import (
     LawInputs,
     LawRow,
-    Pd,
+    PdRecord,
     PdState,
     filtered,
     law_row,
@@ -103,7 +103,7 @@ class Computer:
     converter: Converter
     attitude: int
     angle_error_limit_rad: float
-    law: Pd
+    law: PdRecord
     pid: Pid
     command_limit_rad: float
     dac_step_rad: float
@@ -540,8 +540,8 @@ class GuidanceRow(NamedTuple):
 
     axis_commanded_deg: Annotated[RollPitchYaw, "deg", "integral of the commanded rate"]
     axis_measured_deg: Annotated[RollPitchYaw, "deg", "attitude angle: sum of the gyro pulses"]
-    q_BR_commanded_axis: Annotated[Quaternion, "1", "commanded attitude, B to R, component"]
-    q_BR_measured_axis: Annotated[Quaternion, "1", "measured attitude, B to R, component"]
+    q_BR_commanded_axis: Annotated[QuaternionRow, "1", "commanded attitude, B to R, component"]
+    q_BR_measured_axis: Annotated[QuaternionRow, "1", "measured attitude, B to R, component"]
 
 
 @kernel

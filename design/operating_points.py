@@ -14,7 +14,7 @@ from maxq.design.paper.nodes import PaperNode, paper_nodes
 from maxq.design.paper.table2 import imposed, read_derivatives
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 
-Plant = Literal["flown", "table2"]
+PlantKind = Literal["flown", "table2"]
 
 
 def nodes(
@@ -23,7 +23,7 @@ def nodes(
     *,
     plane: Plane = "pitch",
     errata: Errata | str = "corrected",
-    plant: Plant = "flown",
+    plant: PlantKind = "flown",
     faults: bool = False,
 ) -> list[Node]:
     """Return the operating points of a scenario's flight in one plane, in the order of `times_s`.
@@ -46,7 +46,7 @@ def nodes(
 
 def published_nodes(
     scenario: LoadedScenario, times_s: Iterable[float], *, plane: Plane = "pitch", errata: Errata | str = "corrected",
-    plant: Plant = "flown", faults: bool = False,
+    plant: PlantKind = "flown", faults: bool = False,
 ) -> list[PaperNode]:  # fmt: skip  # nine lines otherwise
     """Return nodes as `nodes`, on the published planar equations even where no erratum is left in."""
     found = paper_nodes(scenario, times_s, plane, preset(errata), faults)

@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import Field
 
-from maxq.sim.scenario.schema_values import Positive, PositiveOverTime, Section, optional
+from maxq.sim.input.values import Positive, PositiveOverTime, Section, optional
 
 Sense = Literal[">=", "<="]
 RigidBody = Literal["paper", "aerodynamic"]

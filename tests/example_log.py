@@ -10,7 +10,7 @@ from maxq import Log
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import Channel, ChannelTable, Topic
 from maxq.sim.log.head import Attachment, RunHead
-from maxq.sim.log.messages import Event, FramePath, Level
+from maxq.sim.log.messages import EventMessage, FramePath, Level
 from maxq.sim.log.writer import LogWriter
 
 SECOND = 1_000_000_000
@@ -52,9 +52,9 @@ def samples(group: str, rate_hz: int, duration_s: float) -> Samples:
 FAST = samples("fast", 100, 3.25)
 SLOW = samples("slow", 20, 3.25)
 EVENTS = (
-    Event(0, Level.INFO, "lift-off", "sequence"),
-    Event(1_500_000_001, Level.WARNING, "gimbal at its limit: 6°", "actuator"),
-    Event(3 * SECOND, Level.FATAL, "q·alpha out of bounds"),
+    EventMessage(0, Level.INFO, "lift-off", "sequence"),
+    EventMessage(1_500_000_001, Level.WARNING, "gimbal at its limit: 6°", "actuator"),
+    EventMessage(3 * SECOND, Level.FATAL, "q·alpha out of bounds"),
 )
 FRAMES = FramePath(
     "I", "B", SLOW[0], np.arange(3.0 * len(SLOW[0])).reshape(-1, 3), np.tile([0.5, -0.5, 0.1, 0.7], (len(SLOW[0]), 1))

@@ -14,7 +14,7 @@ from dask_cluster import machines
 
 import maxq
 from maxq import CampaignError
-from maxq.sim.campaign.runner import Cluster, run_campaign
+from maxq.sim.campaign.runner import DaskCluster, run_campaign
 
 distributed = pytest.importorskip("distributed")
 
@@ -24,11 +24,11 @@ distributed = pytest.importorskip("distributed")
 def test_batches_leave_no_thread_without_one(threads: int, runs: int) -> None:
     """However many threads: unless there are fewer runs than threads each gets a batch, none larger than usual."""
     flyers: Any = SimpleNamespace(_given=False, _threads=threads)
-    size = Cluster.batch(flyers, 32, runs)
+    size = DaskCluster.batch(flyers, 32, runs)
     assert 1 <= size <= 32
     assert -(-runs // size) >= min(runs, threads)
     flyers._given = True
-    assert Cluster.batch(flyers, 32, runs) == 32
+    assert DaskCluster.batch(flyers, 32, runs) == 32
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from maxq import LoadedCampaign, ScenarioError
 from maxq.sim.campaign import draws
 from maxq.sim.campaign.plan import VectorWind
 from maxq.sim.campaign.schema import WindModel
-from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.input.tables_csv import CsvTable
 
 SAMPLINGS = ("random", "latin-hypercube", "sobol")
 FURTHER = """\

@@ -12,9 +12,9 @@ import pytest
 
 import maxq
 from maxq import LoadedCampaign, LoadedScenario
-from maxq.sim.campaign.targets import Change, Dispersed, Refused, find_target
+from maxq.sim.campaign.targets import Dispersed, Refused, TargetChange, find_target
+from maxq.sim.input.remembered import cached_by_identity
 from maxq.sim.packing.flight import Packed, pack_flight
-from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 
 ACCURACY = 0.05
@@ -60,7 +60,7 @@ def test_of_scaled_columns(key: str) -> None:
     """Against the table written out with NumPy and read as a file would be."""
     base = load_scenario("nominal")
     target = find_target(base.scenario, f"vehicle.stage.0.{key}")
-    scenario = Dispersed(base.scenario, [Change(target, "scale", "x")])({"x": 1.03})
+    scenario = Dispersed(base.scenario, [TargetChange(target, "scale", "x")])({"x": 1.03})
     section, table, column = key.rsplit(".", 2)
     named = getattr(_at(base.scenario, f"vehicle.stage.0.{section}"), table)
     lists = {name: (np.array(c) * (1.03 if name == column else 1.0)).tolist() for name, c in named.columns.items()}
@@ -78,7 +78,7 @@ def _at(value: object, path: str) -> object:
 def test_rows_that_where_names() -> None:
     base = load_scenario("nominal")
     target = find_target(base.scenario, "vehicle.stage.0.bending.pitch.slope_pm")
-    scenario = Dispersed(base.scenario, [Change(target, "scale", "x", (("mode", 2.0),))])({"x": 2.0})
+    scenario = Dispersed(base.scenario, [TargetChange(target, "scale", "x", (("mode", 2.0),))])({"x": 2.0})
     before, after = (s.vehicle.stage[0].bending.pitch for s in (base.scenario, scenario))  # type: ignore[union-attr]  # nominal bends
     assert before is not None
     assert after is not None
@@ -114,8 +114,8 @@ def test_no_dispersion_is_the_scenario_itself(tmp_path: Path) -> None:
 def test_a_draw_of_a_scenario_with_wind_flies_in_still_air() -> None:
     """The worst vehicle of a campaign in wind flies the scenario of its design, which has none."""
     windy, still = load_scenario("nominal", ["wind.profile=winds/anheung-november.csv"]), load_scenario("nominal")
-    wind = Change(find_target(windy.scenario, "wind.profile.speed_mps"), "scale", "wind")
-    thrust = Change(find_target(windy.scenario, "vehicle.stage.0.engine.thrust_factor"), "set", "thrust")
+    wind = TargetChange(find_target(windy.scenario, "wind.profile.speed_mps"), "scale", "wind")
+    thrust = TargetChange(find_target(windy.scenario, "vehicle.stage.0.engine.thrust_factor"), "set", "thrust")
     dispersed = Dispersed(still.scenario, [wind, thrust])
     expected = load_scenario("nominal", ["vehicle.stage.0.engine.thrust_factor=1.02"])
     assert packed_bytes(LoadedScenario(dispersed({"thrust": 1.02}), "", ())) == packed_bytes(expected)

@@ -34,7 +34,7 @@ from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import blank, pack
 from maxq.design.certificate.certificate import MarginRow, certify_node
 from maxq.design.certificate.certificate import _with_noise as with_noise
-from maxq.design.certificate.excitation import Band, band, excitation_level, injections
+from maxq.design.certificate.excitation import LineBand, band, excitation_level, injections
 from maxq.design.certificate.held_flight import hold, linear_limits
 from maxq.design.certificate.in_flight import _reason as reason_of
 from maxq.design.certificate.in_flight import converters_share, in_flight_response
@@ -134,7 +134,7 @@ def test_slow_root_is_found_under_a_coarse_output() -> None:
 
 
 @pytest.mark.parametrize("lines", BANDS, ids=["low", "middle", "high"])
-def test_excitation_does_what_the_linear_loop_predicts(held, lines: Band) -> None:
+def test_excitation_does_what_the_linear_loop_predicts(held, lines: LineBand) -> None:
     assert held.loaded.design is not None
     loop = maxq.loops([held.node], held.loaded.design)[0]
     level = excitation_level(held, loop, lines)

@@ -24,7 +24,7 @@ import maxq
 from maxq import Log, LogError
 from maxq.sim.flight.channels import Channel, ChannelTable, Topic
 from maxq.sim.log.head import RunHead
-from maxq.sim.log.messages import Event, Level
+from maxq.sim.log.messages import EventMessage, Level
 from maxq.sim.log.writer import LogWriter
 
 SECONDS = [0, 1, 2, 3]
@@ -206,7 +206,7 @@ def test_an_empty_log_is_a_log(tmp_path: Path) -> None:
 def test_times_up_to_the_last_nanosecond(tmp_path: Path) -> None:
     table = ChannelTable((Topic("/a", "fast", (Channel("b", "1", "", ""),)),))
     times = np.array([0, 1, SECOND - 1, SECOND, 2**53 + 1, 2**63 - 1])
-    event = Event(2**63 - 1, Level.ERROR, "end of time")
+    event = EventMessage(2**63 - 1, Level.ERROR, "end of time")
     with LogWriter(tmp_path / "a.mcap", table, RunHead()) as writer:
         writer.write_block({"fast": (times, np.arange(6.0)[:, None])}, [event])
     log = maxq.read(tmp_path / "a.mcap")

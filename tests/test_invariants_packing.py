@@ -14,7 +14,7 @@ import pytest
 
 PACK = """
 import hashlib
-from maxq.sim.scenario.files import builtin_names
+from maxq.sim.input.files import builtin_names
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.packing.flight import pack_flight
 cases = [(name, []) for name in builtin_names()]

@@ -21,7 +21,7 @@ import pytest
 from maxq import Verification
 from maxq.design.verify.suite import read_suite
 from maxq.design.verify.verify import verify
-from maxq.sim.scenario.files import builtin_files
+from maxq.sim.input.files import builtin_files
 
 SUITE = """
 schema = 2

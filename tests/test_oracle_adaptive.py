@@ -28,9 +28,9 @@ from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.verify.certified import certificate_requirements
 from maxq.design.verify.judging import Wanted, checks, judge
+from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.tools import simvehicle
 
 T = 0.01

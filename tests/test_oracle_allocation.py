@@ -9,10 +9,10 @@ from maxq.control.allocation import Allocation, AllocationState, allocate, pseud
 from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool, fit, table_in
-from maxq.sim.packing.allocation import moments
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle.engine.allocation import moments
 
 NINE = "tests/data/nine-engines/flight.toml"
 GROUPS = [f"vehicle.stage.0.engine.{k}.group='{name}'" for k, name in enumerate("abcdabcd")]  # opposite ones together

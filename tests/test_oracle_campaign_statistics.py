@@ -22,7 +22,7 @@ from maxq.sim.campaign.draws import box, chosen, correlated, quantile
 from maxq.sim.campaign.runner import Tally
 from maxq.sim.campaign.schema import Disperse
 from maxq.sim.campaign.tails import fit_pareto, tail_of
-from maxq.sim.scenario.schema_scenario import Requirement
+from maxq.sim.scenario.schema_scenario import RequirementSection
 
 OPEN = "not yet enough runs"
 
@@ -345,7 +345,7 @@ def test_the_box_of_a_search() -> None:
 def test_a_run_beyond_its_limit_is_counted_and_one_without_a_value_too(
     bound: str, values: tuple[float, ...], worst: float
 ) -> None:
-    tally = Tally("incidence", Requirement.model_validate({"metric": "max_alpha_deg", bound: 5.0}))
+    tally = Tally("incidence", RequirementSection.model_validate({"metric": "max_alpha_deg", bound: 5.0}))
     missed = [tally.add("burnout", "", {"max_alpha_deg": value}) for value in values]
     assert missed == [False, True, False]  # the second lies beyond, the third on it
     assert tally.add("diverged", "", {"max_alpha_deg": 5.0})
@@ -363,7 +363,7 @@ def test_runs_are_judged_up_to_the_first_gap_and_one_without_a_value_has_failed(
         campaign=SimpleNamespace(campaign=level), in_order=5, planned=None, runs=runs, void=runs == 4, kept=runs != 4,
         numbers=lambda name: np.array([1.0, 5.0, 6.0, 7.0, 2.0, 8.0 if bound == "limit" else 0.0]),
     )  # fmt: skip  # five more lines otherwise
-    requirement = Requirement.model_validate({"metric": "max_alpha_deg", bound: 5.0})
+    requirement = RequirementSection.model_validate({"metric": "max_alpha_deg", bound: 5.0})
     found = _judged(data, "incidence", requirement)
     assert (found.kind, found.shown.failures, found.shown.runs) == (bound, 3 if bound == "limit" else 2, 5)
     assert [w.run for w in found.worst] == ([7, 3, 2, 1, 0] if bound == "limit" else [7, 0, 1, 2, 3])

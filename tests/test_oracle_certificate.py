@@ -21,7 +21,7 @@ import maxq
 from maxq import Loop, margins
 from maxq.design.certificate import measured_margins
 from maxq.design.certificate.certificate import certify_node
-from maxq.design.certificate.excitation import Band, band, excitation_level
+from maxq.design.certificate.excitation import LineBand, band, excitation_level
 from maxq.design.certificate.held_flight import hold
 from maxq.design.certificate.measured_margins import growth_rate, measure_margin
 from maxq.design.certificate.response import BANDS as RESPONSE_BANDS
@@ -60,7 +60,7 @@ def test_held_flight_keeps_speed_mass_and_gains(held) -> None:
 
 
 @pytest.mark.parametrize("lines", BANDS, ids=["low", "middle"])
-def test_response_in_flight_is_that_of_the_sampled_loop(held, loop: Loop, lines: Band) -> None:
+def test_response_in_flight_is_that_of_the_sampled_loop(held, loop: Loop, lines: LineBand) -> None:
     seen = measure(held, lines, excitation_level(held, loop, lines), loop.closed_poles())
     ratio = seen.response / loop.response(seen.lines_hz)
     assert seen.outcome == "duration"
@@ -141,7 +141,7 @@ def test_growth_changes_with_the_gain_as_a_line_does(monkeypatch: pytest.MonkeyP
 
 def test_neither_mean_nor_nyquist_counts_as_noise() -> None:
     """Both bins are real, and hold the offset and half of a tone; the noise beside the lines tells the error."""
-    top = Band(np.array([45.0, 49.5]), 4.0, 4.0, 1)
+    top = LineBand(np.array([45.0, 49.5]), 4.0, 4.0, 1)
     lines = np.round(top.lines_hz * top.period_s).astype(int)
     rng = np.random.default_rng(4)
     out = 1e-3 * (rng.normal(size=201) + 1j * rng.normal(size=201))
@@ -157,7 +157,7 @@ def test_neither_mean_nor_nyquist_counts_as_noise() -> None:
 
 def test_a_flight_that_ends_a_sample_early_has_no_response() -> None:
     """Two periods of ten samples after five; a command is read one row later."""
-    short = Band(np.array([1.0]), period_s=1.0, settle_s=0.5, periods=2)
+    short = LineBand(np.array([1.0]), period_s=1.0, settle_s=0.5, periods=2)
     rows = np.random.default_rng(4).normal(size=(2, 26))
     assert _spectra(short, 0.1, rows[0, :25], rows[1, :25]) is None
     found = _spectra(short, 0.1, *rows)

@@ -17,7 +17,7 @@ from scipy.signal import tf2ss
 
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle.tvc_load import hinge_moment
+from maxq.sim.vehicle.tvc_load.kernel import hinge_moment
 
 STEP_DEG = 2.0
 EFFECT_S = 0.013  # first sample after 10 ms, plus 3 ms of computing

@@ -35,7 +35,7 @@ from maxq.design.optimise.robust import deviated as plant_at
 from maxq.design.optimise.robust import modes_off, ranges_of
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.linear import vehicles
-from maxq.design.verify.memory import Memory
+from maxq.design.verify.memory import PartsOnDisk
 from maxq.design.verify.parts import Parts
 from maxq.design.verify.suite import LinearMargins, read_suite
 from maxq.sim.packing.flight import pack_flight
@@ -372,7 +372,7 @@ def test_a_verification_says_which_description_its_vehicles_have(
     )
     flies = [load_wanted(read, wanted, "designs/ksr3-default.toml", None) for wanted in read.suite.campaign]
     scenario = load_scenario("nominal", ["design='designs/ksr3-default.toml'"])
-    job = Parts(read.suite, scenario, scenario, Memory(None), lambda *_: None, 1, next(iter(flies), None))
+    job = Parts(read.suite, scenario, scenario, PartsOnDisk(None), lambda *_: None, 1, next(iter(flies), None))
     assert job.deviations == f"dispersed vehicles: {said}"
     (node,) = job.nodes("pitch")
     assert [d.label for d in vehicles(read.suite.margins, node, job.described.at(node))[1]][-1] == "vehicle 4"  # type: ignore[arg-type]  # the suite asks for margins

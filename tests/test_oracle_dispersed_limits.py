@@ -24,7 +24,7 @@ from maxq.design.model.spread import campaign_of
 from maxq.design.optimise.descent import Region, to_corner
 from maxq.design.quantities import MEASURED, Convention
 from maxq.design.verify.dispersed_limits import guides, rooms, worst_of_basis
-from maxq.sim.scenario.files import builtin_files
+from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign
 

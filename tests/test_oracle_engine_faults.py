@@ -22,9 +22,9 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.burn import stage_burns
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule
+from maxq.sim.vehicle.engine.burn import stage_burns
 
 NINE = "tests/data/nine-engines/flight.toml"
 OFF = "fault=[{kind='engine-off',engine=8,at_s=20.0}]"

@@ -10,9 +10,9 @@ from pydantic import ValidationError
 
 from maxq.control.kernel.records import pack
 from maxq.control.kernel.tables import Pool, fit
+from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.packing.environment import pack_wind
 from maxq.sim.scenario import schema_environment as schema
-from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.world.wind import Wind, wind_components, wind_ned
 
 MAX_GUSTS = 16
@@ -41,7 +41,7 @@ def one_minus_cosine(altitude_m, thickness_m, speed_mps, from_deg, edge_m):
 
 
 def gusty(*gusts):
-    return pack([pack_wind(schema.Wind(gust=gusts), Pool(), 0.0)])[0]
+    return pack([pack_wind(schema.WindSection(gust=gusts), Pool(), 0.0)])[0]
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_a_turned_profile_blows_from_a_turned_direction(turn_deg):
     def packed(directions, **more):
         table = CsvTable("", {"altitude_m": levels, "speed_mps": np.array([5.0, 20.0, 12.0]), "from_deg": directions})
         pool = Pool()
-        wind = pack([pack_wind(schema.Wind(profile=table, **more), pool, 0.0)])[0]
+        wind = pack([pack_wind(schema.WindSection(profile=table, **more), pool, 0.0)])[0]
         return [wind_ned(wind, pool.array(), altitude) for altitude in (0.0, 400.0, 2000.0)]
 
     levels, directions = np.array([0.0, 1000.0, 2000.0]), np.array([330.0, 20.0, 180.0])
@@ -82,7 +82,7 @@ def test_a_turned_profile_blows_from_a_turned_direction(turn_deg):
 
 def test_factor_leaves_the_gusts_alone():
     pool = Pool()
-    wind = schema.Wind(speed_mps=10.0, from_deg=180.0, factor=3.0, gust=(shear(0.0, 1.0, 7.0, 180.0),))
+    wind = schema.WindSection(speed_mps=10.0, from_deg=180.0, factor=3.0, gust=(shear(0.0, 1.0, 7.0, 180.0),))
     row = pack([pack_wind(wind, pool, 0.0)])[0]
     assert wind_ned(row, pool.array(), 500.0) == pytest.approx((37.0, 0.0, 0.0), abs=1e-12)
 

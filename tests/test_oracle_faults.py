@@ -13,7 +13,7 @@ import pytest
 import maxq
 from maxq import Flight, FlightRun, ScenarioError, record
 from maxq.control.kernel.records import Array
-from maxq.sim.campaign.targets import Change, Dispersed, find_target
+from maxq.sim.campaign.targets import Dispersed, TargetChange, find_target
 from maxq.sim.packing.faults import WRITES
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
@@ -119,7 +119,7 @@ def test_a_fault_stands_in_log_summary_and_report(tmp_path: Path) -> None:
 
 def test_numbers_of_a_fault_can_be_drawn() -> None:
     base = load_scenario("nominal", ('fault=[{kind = "gyro-bias", at_s = 1.0, bias_degps = 0.5}]',)).scenario
-    changes = [Change(find_target(base, f"fault.0.{key}"), "set", key) for key in ("at_s", "bias_degps")]
+    changes = [TargetChange(find_target(base, f"fault.0.{key}"), "set", key) for key in ("at_s", "bias_degps")]
     drawn = Dispersed(base, changes)({"at_s": 7.25, "bias_degps": -2.0}).fault[0]
     assert (drawn.at_s, drawn.bias_degps) == (7.25, -2.0)
 

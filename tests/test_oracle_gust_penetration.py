@@ -14,9 +14,9 @@ from oracles.hand_model import planar_of
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank
 from maxq.design.model.node import nodes_along
-from maxq.sim.packing.schedule import surface_stations
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle.air.packing import surface_stations
 from maxq.sim.vehicle.state import eta_index, xi_index
 from maxq.sim.world.gust_history import GustHistory, gust_behind, history_start, history_tick
 from maxq.sim.world.turbulence import TurbulenceState

@@ -23,7 +23,7 @@ from maxq.sim.packing.vehicle import pack_actuators
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import step_failure
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.vehicle.actuator import actuator_derivative, linear_sections
+from maxq.sim.vehicle.actuator.kernel import actuator_derivative, linear_sections
 from maxq.sim.vehicle.state import eta_index
 from maxq.tools.flight_report import report
 

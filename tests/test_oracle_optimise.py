@@ -28,7 +28,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.laws.bending_filter import FilterVariables
 from maxq.design.laws.pd import Pd
 from maxq.design.laws.pd_variables import least_gains
-from maxq.design.optimise.problem import Rows
+from maxq.design.optimise.problem import ProblemRows
 from maxq.design.optimise.quadratic_programme import solve_quadratic
 from maxq.design.optimise.sqp import Merit, model_step
 
@@ -228,7 +228,7 @@ def test_a_step_weighs_the_objective_against_the_largest_excess(reachable: bool)
     excess_db = np.array([4.0, 3.5, 0.4 if reachable else 9.0, -0.3])
     objective, curvature, radius = np.array([True, True, False, False]), np.array([[2.0, 0.3], [0.3, 1.0]]), 0.5
     none, no_index = np.zeros(4), np.zeros(4, np.int64)
-    rows = Rows(
+    rows = ProblemRows(
         no_index.astype(np.int8), no_index, none, none, excess_db, objective, np.zeros((4, 0)),
         no_index.astype(np.int8), no_index, none, np.zeros(4, bool),
     )  # fmt: skip  # seven more lines otherwise

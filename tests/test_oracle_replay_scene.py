@@ -21,7 +21,7 @@ from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.scene import Scene
 from maxq.tools.replay.stream import send_now
 from maxq.tools.replay.vehicle_shape import (
-    Sections,
+    LoadStations,
     bent_line,
     exaggeration_of,
     modal_coordinates,
@@ -206,7 +206,7 @@ def test_skin_has_the_colour_of_its_bending_moment(
     monkeypatch.setattr(Scene, "_send", keep)
     monkeypatch.setattr(Scene, "_log", note)
     stage = shape().stages[0]
-    sections = Sections(np.array([0.0, stage.end_m]), limit_Nm)
+    sections = LoadStations(np.array([0.0, stage.end_m]), limit_Nm)
     drawn = replace(shape(), stages=(replace(stage, sections=sections),))
     scene = Scene(rr.RecordingStream("test"), "flight", place_of(flight()), drawn, exaggeration_of(flight().log, drawn))
     scene.add(Loaded())

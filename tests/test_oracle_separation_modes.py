@@ -13,9 +13,9 @@ from oracles.beam_frame import Beam
 from scipy.linalg import eigh
 
 from maxq import FlightRun
-from maxq.sim.packing.separation import RIGID, Part, modal_transfer
+from maxq.sim.packing.separation import RIGID, StageModes, modal_transfer
 from maxq.sim.scenario.loader import load_scenario_text
-from maxq.sim.scenario.modes import MODE_COLUMNS, ModeTable, SpatialModeTable
+from maxq.sim.vehicle.modes.tables import MODE_COLUMNS, ModeTable, SpatialModeTable
 from maxq.sim.vehicle.state import N_FIXED, Q_BI, R_I, V_I, W_BI_B
 
 CUT_S, LATER_S, LENGTH_M, FRONT_M, ELEMENTS, MODES = 0.1, 0.5, 20.0, 9.0, 60, 4
@@ -208,7 +208,7 @@ def test_the_front_part_moves_on_as_finite_elements_do() -> None:
         assert energies[MODES:].sum() < 0.05 * energies.sum()  # what the table's modes leave out
 
 
-def part(beam: Piece, table: ModeTable | SpatialModeTable | None = None, planar: bool = True) -> Part:
+def part(beam: Piece, table: ModeTable | SpatialModeTable | None = None, planar: bool = True) -> StageModes:
     """The beam's modes in both planes, or as spatial modes."""
     omega, shapes = beam.modes()
     shapes = shapes[:, :MODES].T
@@ -216,7 +216,7 @@ def part(beam: Piece, table: ModeTable | SpatialModeTable | None = None, planar:
     given = np.zeros(1), beam.nodes_m, omega[None, :MODES] / (2.0 * np.pi), mass
     if planar:
         table = ModeTable(*given, shapes[None, :, 0::2], shapes[None, :, 1::2], beam.forward_kg[None])
-        return Part(table, table, None, 0.0, "pchip")
+        return StageModes(table, table, None, 0.0, "pchip")
     zero = np.zeros_like(shapes[:, 0::2])
     phi, slope = shapes[:, 0::2], shapes[:, 1::2]
     displacement = np.concatenate([np.stack([zero, zero, phi], -1), np.stack([zero, phi, zero], -1)])
@@ -225,7 +225,7 @@ def part(beam: Piece, table: ModeTable | SpatialModeTable | None = None, planar:
     spatial = SpatialModeTable(
         given[0], given[1], frequency, masses, displacement[None], rotation[None], beam.forward_kg[None], None, None
     )
-    return Part(None, None, spatial, 0.0, "pchip")
+    return StageModes(None, None, spatial, 0.0, "pchip")
 
 
 def test_energy_is_lost_by_what_the_modes_cannot_hold_and_by_nothing_else() -> None:
@@ -260,7 +260,7 @@ def test_a_shaft_that_is_cut_turns_on_with_the_mean_of_its_twist() -> None:
     mode cos(k pi x / a) takes the integral of both, in closed form."""
     x, a, length = np.linspace(0.0, 6.0, 241), 6.0, 10.0
 
-    def shaft(end_m: float, modes: int) -> Part:
+    def shaft(end_m: float, modes: int) -> StageModes:
         stations = x if end_m == a else np.linspace(0.0, end_m, 401)
         twist = np.array([np.cos((k + 1) * np.pi * stations / end_m) for k in range(modes)])
         rotation = np.stack([twist, 0.0 * twist, 0.0 * twist], axis=-1)[None]
@@ -268,7 +268,7 @@ def test_a_shaft_that_is_cut_turns_on_with_the_mean_of_its_twist() -> None:
         table = SpatialModeTable(
             np.zeros(1), stations, ones, ones, 0.0 * rotation, rotation, 50.0 * stations[None], None, None
         )
-        return Part(None, None, table, 0.0, "pchip")
+        return StageModes(None, None, table, 0.0, "pchip")
 
     found = modal_transfer(shaft(length, 1), shaft(a, 3), 0.0, 0.25)[:, 0]
     b = np.pi / length
@@ -281,7 +281,7 @@ def test_a_shaft_that_is_cut_turns_on_with_the_mean_of_its_twist() -> None:
 
 
 def test_a_front_part_without_modes_takes_the_rigid_motion_up_to_its_mass() -> None:
-    rigid = modal_transfer(part(WHOLE), Part(None, None, None, 0.0, "pchip"), FRONT.mass_kg, 0.0)
+    rigid = modal_transfer(part(WHOLE), StageModes(None, None, None, 0.0, "pchip"), FRONT.mass_kg, 0.0)
     n = 2 * len(FRONT.nodes_m)
     whole = WHOLE.modes()[1][:n, :MODES]
     gram = FRONT.rigid.T @ FRONT.mass @ FRONT.rigid

@@ -27,10 +27,10 @@ from maxq import Flight
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import state_names
 from maxq.design.model.linearised import linearise
-from maxq.sim.packing.pendulums import pendulums
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout
+from maxq.sim.vehicle.slosh.packing import pendulums
 from maxq.tools.flight_report import verdict_line
 
 RADIUS_M, LENGTH_M, GRAVITY_MPS2, START = 0.5, 0.27, 9.80665, 0.08

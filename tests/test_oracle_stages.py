@@ -27,8 +27,8 @@ from maxq.design.verify.judging import judge_solution, make_design
 from maxq.design.verify.suite import read_suite
 from maxq.sim.packing.flight import Packed
 from maxq.sim.run.flight import Event
-from maxq.sim.scenario.burn import stage_burns
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle.engine.burn import stage_burns
 from maxq.tools import simdesign
 from maxq.tools.design import run_case
 

@@ -20,9 +20,9 @@ import pytest
 from scipy.special import lpmv
 from threadpoolctl import threadpool_limits
 
-from maxq.sim.packing.pendulums import WAVE_PER_SWING, XI
-from maxq.sim.packing.slosh_modes import MEASURED_OVER_LAMINAR, modes_over, slosh_modes
-from maxq.sim.scenario.schema_tank import Profile
+from maxq.sim.vehicle.slosh.packing import WAVE_PER_SWING, XI
+from maxq.sim.vehicle.slosh.section import Profile
+from maxq.sim.vehicle.slosh.shapes import MEASURED_OVER_LAMINAR, modes_over, slosh_modes
 
 SPHERE = Profile(1.0, 0.0, 1.0)
 

@@ -42,7 +42,7 @@ from oracles.planar.vehicle_at import PlanarVehicle
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.node import nodes_along
-from maxq.sim.scenario.files import scenarios_folder
+from maxq.sim.input.files import scenarios_folder
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import state as layout
 

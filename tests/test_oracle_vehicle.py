@@ -16,10 +16,10 @@ from maxq import ScenarioError
 from maxq.control.kernel.tables import find_interval, interpolate
 from maxq.design.case.schema import read_case
 from maxq.design.verify.suite import read_suite
+from maxq.sim.input.values import OverTime, at_time
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.scenario.schema_values import OverTime, at_time
 from maxq.sim.vehicle.state import R_I, V_I
 from maxq.tools import simvehicle
 from maxq.tools.vehicle import build as building
@@ -28,7 +28,7 @@ from maxq.tools.vehicle.beam import Beam
 from maxq.tools.vehicle.build import build, burning, least_rigid_hz, m_alpha_1ps2, m_delta_1ps2
 from maxq.tools.vehicle.figures import page
 from maxq.tools.vehicle.files import write
-from maxq.tools.vehicle.layout import Engines, Layout, read_layout
+from maxq.tools.vehicle.layout import Layout, LayoutEngines, read_layout
 from maxq.tools.vehicle.masses import Rod, stacks
 from maxq.tools.vehicle.trajectory import Orbit, ascent
 
@@ -160,9 +160,9 @@ def test_cg_and_inertia_are_the_integrals_over_slices(layout: Layout) -> None:
 def test_fins_and_nose_have_barrowmans_slopes(layout: Layout) -> None:
     """NARAM-8: nose 2 / rad; four fins of 0.8 m root, 0.4 m tip, 0.6 m span and 0.2 m sweep on a body of 1.2 m."""
     fins = {"root_chord_m": 0.8, "tip_chord_m": 0.4, "semispan_m": 0.6, "leading_edge_station_m": 16.0, "sweep_m": 0.2}
-    from maxq.tools.vehicle.layout import Fins  # noqa: PLC0415  # only here
+    from maxq.tools.vehicle.layout import LayoutFins  # noqa: PLC0415  # only here
 
-    aero = aerodynamics(stacks(changed(layout, 0, fins=Fins(**fins)))[0])
+    aero = aerodynamics(stacks(changed(layout, 0, fins=LayoutFins(**fins)))[0])
     nose, finned = aero.surfaces
     assert nose.slope_pr[0] == pytest.approx(2.0, rel=0.01)
     assert nose.station_m[0] == pytest.approx(0.466 * 2.4)
@@ -259,8 +259,8 @@ def test_the_gimbals_of_a_cluster_hold_its_roll() -> None:
     assert omega / (2.0 * math.pi) == pytest.approx(0.4, rel=1e-3)
     assert gains.k_d_s * roll_Nm / inertia / (2.0 * omega) == pytest.approx(0.7, rel=1e-3)
     assert scenario.design.roll_gimbal == scenario.design.of_stage(0).roll_gimbal
-    one = Engines(positions_m=((0.0, 0.3), (0.0, -0.3)), thrust_vacuum_N=1e4, isp_vacuum_s=300.0, gimbal_station_m=9.0,
-                  exit_station_m=9.5, mass_kg=20.0)  # fmt: skip  # one line more otherwise
+    one = LayoutEngines(positions_m=((0.0, 0.3), (0.0, -0.3)), thrust_vacuum_N=1e4, isp_vacuum_s=300.0,
+                        gimbal_station_m=9.0, exit_station_m=9.5, mass_kg=20.0)  # fmt: skip  # one line more otherwise
     assert one.groups == ("lower", "upper")
 
 
@@ -324,7 +324,7 @@ def test_rigid_limits_follow_actuator_and_mode_1(layout: Layout) -> None:
 
 
 def _petrel() -> Path:
-    from maxq.sim.scenario.files import builtin_files  # noqa: PLC0415  # only here
+    from maxq.sim.input.files import builtin_files  # noqa: PLC0415  # only here
 
     return builtin_files("layout")["petrel"]
 

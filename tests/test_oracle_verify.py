@@ -28,7 +28,7 @@ from maxq.design.model.node import disperse
 from maxq.design.model.spread import Spread, campaign_of
 from maxq.design.model.vehicle_at import without_engine_inertia
 from maxq.design.verify.linear import authority, study, vehicles
-from maxq.design.verify.memory import Memory
+from maxq.design.verify.memory import PartsOnDisk
 from maxq.design.verify.slosh import advise, percussion_station_m
 from maxq.design.verify.suite import LinearMargins
 from maxq.sim.scenario.loader import load_scenario
@@ -127,7 +127,7 @@ def test_every_mode_of_the_vehicle_deviates(nodes: list[Node]) -> None:
 
 
 def test_vehicle_that_does_not_deviate_has_the_margins_of_the_design(nodes: list[Node], design: Design) -> None:
-    found = study(nodes, design, LinearMargins(cases=1, corner_sigmas=0.0), campaign(), Memory(None))
+    found = study(nodes, design, LinearMargins(cases=1, corner_sigmas=0.0), campaign(), PartsOnDisk(None))
     for node, measured in zip(nodes, found.nominal.nodes, strict=True):
         expected = margins(maxq.loops([node], design)[0])
         assert measured["gain_up_db"] == pytest.approx(expected.gain_up_db.value, abs=1e-9)
@@ -149,16 +149,16 @@ def test_slosh_grows_with_less_damping_than_it_needs(nodes: list[Node], design: 
 def test_one_changed_gain_redoes_its_neighbours_only(nodes: list[Node], design: Design, tmp_path: Path) -> None:
     wanted = LinearMargins(cases=1, corner_sigmas=0.0)
     free = maxq.load_design("designs/ksr3-free")  # a gain at every node
-    study(nodes, free, wanted, campaign(), Memory(tmp_path))
+    study(nodes, free, wanted, campaign(), PartsOnDisk(tmp_path))
     text = _with_more_gain(free, 30.0)
-    second = Memory(tmp_path)
+    second = PartsOnDisk(tmp_path)
     study(nodes, text, wanted, campaign(), second)
     assert (second.worked_out, second.recalled) == (1, 3)
 
 
 def _with_more_gain(design: Design, time_s: float) -> Design:
     """k_p of one row 1 % higher."""
-    from maxq.sim.scenario.documents import Source, adopt, plain  # noqa: PLC0415  # for this helper only
+    from maxq.sim.input.documents import Source, adopt, plain  # noqa: PLC0415  # for this helper only
 
     table = design.gains.table
     rows = [

@@ -15,7 +15,7 @@ import tomli_w
 from pydantic_core import PydanticCustomError
 
 from maxq import ScenarioError
-from maxq.sim.scenario.foreign import read_datcom, read_rasp
+from maxq.sim.input.foreign import read_datcom, read_rasp
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simvehicle
 from maxq.tools.vehicle.build import build, burning, m_alpha_1ps2

@@ -12,7 +12,7 @@ from maxq import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.dev.verification import nesc
-from maxq.tools.dev.verification.nesc_cases import ALL_CASES, Difference, fly_case, read_tolerances
+from maxq.tools.dev.verification.nesc_cases import ALL_CASES, LargestDifference, fly_case, read_tolerances
 
 ATMOSPHERIC = "01", "02", "04", "05", "06", "07", "09"
 
@@ -23,12 +23,12 @@ def flown(scenario: str) -> Flight:
 
 
 @cache
-def differences(case: str) -> list[Difference]:
+def differences(case: str) -> list[LargestDifference]:
     scenario, compare = ALL_CASES[case]
     return compare(flown(scenario))
 
 
-def outside(found: list[Difference]) -> list[str]:
+def outside(found: list[LargestDifference]) -> list[str]:
     """Variables that miss their tolerance; one that is not a number misses it too."""
     return [f"{d.variable}: {d.largest:.3g} > {d.tolerance:.3g}" for d in found if not d.ratio <= 1.0]
 
@@ -78,7 +78,7 @@ def test_tolerances_resolve_a_small_mistake(mistake):
 
 
 def test_a_difference_that_is_no_number_misses():
-    assert outside([Difference("", "x", "", math.nan, 1.0, 0.0)])
+    assert outside([LargestDifference("", "x", "", math.nan, 1.0, 0.0)])
 
 
 def test_table_goes_between_the_markers(tmp_path):

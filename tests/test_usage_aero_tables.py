@@ -11,8 +11,8 @@ from aero_tables import OVER_TOTAL, PARTS, REFERENCE
 from flightkit import Tree, load, scenario_of, toml, with_stage
 
 from maxq import ScenarioError
-from maxq.sim.scenario.grids import grid_table
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle.air.tables import grid_table
 
 SMALL = {"mach": [0.0, 0.0, 1.0, 1.0], "alpha_deg": [-5.0, 5.0, -5.0, 5.0], "CN": [-1.0, 1.0, -2.0, 2.0]}
 

@@ -19,9 +19,9 @@ from maxq import ScenarioError
 from maxq.design.case.schema import read_case
 from maxq.design.laws.schedule import UnsolvableError, lowest_above
 from maxq.design.verify.suite import read_suite
-from maxq.sim.scenario.files import builtin_files
+from maxq.sim.input.files import builtin_files
+from maxq.sim.input.ranges import RANGES, range_of
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.scenario.ranges import RANGES, range_of
 from maxq.tools import simdesign, simrun, simverify
 
 

@@ -10,7 +10,7 @@ import pytest
 from maxq import ScenarioError
 from maxq.design.case.schema import read_case
 from maxq.design.optimise.solve import solve
-from maxq.sim.scenario.files import builtin_files
+from maxq.sim.input.files import builtin_files
 
 
 def test_built_in_cases_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

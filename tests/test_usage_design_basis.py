@@ -32,7 +32,7 @@ from maxq.design.optimise.solve import solve
 from maxq.design.verify.compared import against_basis
 from maxq.design.verify.judging import Wanted, checks, judge, judge_solution, stage_checks
 from maxq.design.verify.suite import read_suite
-from maxq.sim.scenario.files import builtin_files
+from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools import simdesign

@@ -12,7 +12,7 @@ from maxq.control.kernel.records import blank
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly, logged_channels
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.vehicle.engine import EngineOutputs, engine_row
+from maxq.sim.vehicle.engine.kernel import EngineOutputs, engine_row
 
 NINE = "tests/data/nine-engines/flight.toml"
 GROUPED = ["vehicle.stage.0.engine.8.group='middle'", "fault=[{kind='engine-off',engine=1,at_s=3.0}]"]

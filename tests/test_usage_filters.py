@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from maxq.control.filters import BendingFilter, DiscreteFilter, FirstOrderSection, QuadraticSection
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.scenario.schema_design import Filter
+from maxq.sim.scenario.schema_design import FilterSection
 
 GOOD = QuadraticSection(9.0, 0.3, 7.0, 0.7)
 SAMPLE_S = 0.01
@@ -93,7 +93,7 @@ def test_structure_fixes_the_sections(structure: str, quadratic: int, first_orde
     first = {"zero_hz": 30.0, "pole_hz": 5.0}
     given = {"quadratic": (asdict(GOOD),) * quadratic, "first_order": (first,) * first_order, "prewarp_hz": 9.0}
     with pytest.raises(ValidationError) as refused:
-        Filter.model_validate({"structure": structure, **given})
+        FilterSection.model_validate({"structure": structure, **given})
     assert re.search(words, str(refused.value.errors()))
 
 

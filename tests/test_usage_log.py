@@ -21,7 +21,7 @@ from maxq.control.kernel.rows import NorthEastDown, PitchYaw, put
 from maxq.sim.flight.channels import Channel, ChannelTable, Topic, declared_channels, unit_suffix
 from maxq.sim.flight.telemetry import channel_table
 from maxq.sim.log.head import Attachment, RunHead
-from maxq.sim.log.messages import Event, FramePath, Level, doubles_template
+from maxq.sim.log.messages import EventMessage, FramePath, Level, doubles_template
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.vehicle.state import Sizes
 from maxq.tools.dev.documents.reference import topics_markdown
@@ -165,7 +165,7 @@ def test_bad_events_and_frames_are_refused(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="rotation"):
             log.write_block({}, (), [path])
         with pytest.raises(ValueError, match="events"):
-            log.write_block({}, [Event(-1, Level.INFO, "before the start")])
+            log.write_block({}, [EventMessage(-1, Level.INFO, "before the start")])
 
 
 def test_a_closed_log_takes_no_more(tmp_path: Path) -> None:

@@ -148,7 +148,8 @@ PAPER_MODE = {
     "design/case/schema.py", "design/paper/errata_effects.py", "design/paper/errata.py",
     "design/paper/model.py", "design/paper/nodes.py", "design/quantities.py",
     "design/verify/judging.py", "sim/scenario/schema_design.py",
-    "sim/scenario/schema_stage.py", "sim/scenario/schema_vehicle.py", "tools/design/analyse.py",
+    "sim/vehicle/actuator/section.py",
+    "sim/vehicle/air/section.py", "sim/scenario/schema_vehicle.py", "tools/design/analyse.py",
     "tools/design/report.py", "tools/simdesign.py",
 }  # fmt: skip  # a line each otherwise
 

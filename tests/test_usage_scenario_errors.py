@@ -12,7 +12,7 @@ import pytest
 from scenario_files import modes_csv, write_ascent, write_free
 
 from maxq import ScenarioError
-from maxq.sim.scenario.errors import suggestion
+from maxq.sim.input.errors import suggestion
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 
 VEHICLE = "vehicles/rocket/vehicle.toml"

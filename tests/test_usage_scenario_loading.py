@@ -14,9 +14,9 @@ from pydantic import ValidationError
 from scenario_files import ASCENT, TABLES, write_ascent, write_free
 
 from maxq import LoadedScenario, ScenarioError, builtin_names
-from maxq.sim.scenario.files import builtin_files, scenarios_folder
+from maxq.sim.input.files import builtin_files, scenarios_folder
+from maxq.sim.input.values import is_whole_ns, period_ns, to_ns
 from maxq.sim.scenario.loader import copy_scenario, load_scenario, load_scenario_text
-from maxq.sim.scenario.schema_values import is_whole_ns, period_ns, to_ns
 
 
 @pytest.fixture
@@ -336,8 +336,8 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (root / "checkcases").mkdir()
     (root / "checkcases" / "windy.toml").write_text('extends = "../ascent"\n[wind]\nfactor = 2.0\n')
     (root / "vehicles" / "rocket" / "NOTES.md").write_text("notes\n")
-    for module in ("loader", "files"):
-        monkeypatch.setattr(f"maxq.sim.scenario.{module}.scenarios_folder", lambda: root)
+    for module in ("scenario.loader", "input.files"):
+        monkeypatch.setattr(f"maxq.sim.{module}.scenarios_folder", lambda: root)
     empty = tmp_path / "elsewhere"
     empty.mkdir()
     monkeypatch.chdir(empty)
@@ -366,8 +366,8 @@ def test_a_copy_stands_on_its_own(shipped: Path, tmp_path: Path, monkeypatch: py
     copied = copy_scenario("checkcases/windy", "mine")
     assert copied == Path("mine/checkcases/windy.toml")
     assert not Path("mine/vehicles/rocket/NOTES.md").exists()  # nothing that the scenario does not read
-    for module in ("loader", "files"):
-        monkeypatch.setattr(f"maxq.sim.scenario.{module}.scenarios_folder", lambda: tmp_path / "gone")
+    for module in ("scenario.loader", "input.files"):
+        monkeypatch.setattr(f"maxq.sim.{module}.scenarios_folder", lambda: tmp_path / "gone")
     after = load_scenario(copied)
     assert same_bits(before, after)
     assert all(file.path.is_relative_to(tmp_path / "elsewhere" / "mine") for file in after.files)

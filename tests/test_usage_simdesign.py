@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from maxq.design.optimise import search, way_out
+from maxq.sim.input.files import builtin_files
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign
 from maxq.tools.cli import terminal

@@ -15,8 +15,8 @@ import pytest
 from maxq.design.laws import design_file
 from maxq.design.laws.registry import designed_law
 from maxq.sim.files import write_whole
+from maxq.sim.input.files import builtin_files
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools import simdesign

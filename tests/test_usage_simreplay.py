@@ -29,7 +29,7 @@ from maxq.tools.replay import flight as flight_module
 from maxq.tools.replay import viewer
 from maxq.tools.replay.convert import Options, free_corner, parts_of, save, with_scale
 from maxq.tools.replay.flight import Moment, open_flight
-from maxq.tools.replay.plots import Axis, Curve, Plot, tabs_of
+from maxq.tools.replay.plots import PlotAxis, PlotLine, ReplayPlot, tabs_of
 from maxq.tools.replay.sheets import write_sheets
 from maxq.tools.replay.stream import first_phase, phases
 from maxq.tools.replay.text import summary_text
@@ -197,8 +197,8 @@ def test_plots_are_parted_by_stages_and_legends_stand_aside_of_curves() -> None:
 
     def corner(values: list[float]) -> str:
         rows = np.interp(ns, [ns[0], ns[-1]], values)
-        plot = Plot("a/b", "", "", (Curve("", "mach", lambda _: (ns, rows)),))
-        return free_corner(plot, Axis(0.0, 1.0, (), ()), (start, end), [flight]).name
+        plot = ReplayPlot("a/b", "", "", (PlotLine("", "mach", lambda _: (ns, rows)),))
+        return free_corner(plot, PlotAxis(0.0, 1.0, (), ()), (start, end), [flight]).name
 
     assert corner([0.0, 1.0]) == "LeftTop"
     assert corner([1.0, 0.0]) == "RightTop"

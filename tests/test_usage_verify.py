@@ -35,12 +35,12 @@ from maxq.design.verify.linear import (
     meet_limits,
 )
 from maxq.design.verify.linear import vehicles as vehicles_of
-from maxq.design.verify.memory import Memory
+from maxq.design.verify.memory import PartsOnDisk
 from maxq.design.verify.parts import Parts
-from maxq.design.verify.suite import LinearMargins, Requirement, overall, read_suite, room_left, shared_risk
+from maxq.design.verify.suite import JudgedRequirement, LinearMargins, overall, read_suite, room_left, shared_risk
 from maxq.sim.campaign.statistics import judge_failures
+from maxq.sim.input.files import builtin_files
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.simverify import main
 from maxq.tools.verify import report as pack_report
@@ -406,7 +406,7 @@ def test_vehicles_deviate_by_the_starter_set_unless_a_suite_says_otherwise() -> 
 
 
 def test_a_suite_that_asks_for_little_is_a_screening(suite: Path) -> None:
-    one = Requirement("margins", "x", ">= 1", "2", "accepted", 1.0)
+    one = JudgedRequirement("margins", "x", ">= 1", "2", "accepted", 1.0)
     full, quick, small = read_suite("standard").suite, read_suite("quick").suite, read_suite(suite).suite
     assert full.lacks == []
     assert quick.lacks == ["no dispersed flight flown", "no dispersed vehicle", "one certificate node"]
@@ -555,7 +555,7 @@ def test_a_campaign_s_requirement_names_its_worst_run() -> None:
 
 
 def test_verdict_of_all_is_that_of_the_worst() -> None:
-    one = Requirement("margins", "x", ">= 1", "2", "accepted", 1.0)
+    one = JudgedRequirement("margins", "x", ">= 1", "2", "accepted", 1.0)
     doubt, bad = dataclasses.replace(one, judgement="undecided"), dataclasses.replace(one, judgement="rejected")
     assert overall([one]) == "accepted"
     assert overall([one, doubt]) == "undecided"
@@ -565,7 +565,7 @@ def test_verdict_of_all_is_that_of_the_worst() -> None:
 
 def test_a_part_is_known_by_the_bits_that_it_depends_on(tmp_path: Path) -> None:
     things = [0.1, 0.1 + 1e-18, 0.2, 1, True, "1", None, (1,), ((1,),), np.ones(2), np.ones((1, 2)), Dispersion()]
-    memory = Memory(tmp_path)
+    memory = PartsOnDisk(tmp_path)
     for thing in things:
         memory.recall("part", thing, lambda: 7)
     assert (memory.recalled, memory.worked_out) == (1, len(things) - 1)  # the same float
@@ -583,7 +583,7 @@ def test_memory_works_out_once_and_again_when_a_file_is_damaged(tmp_path: Path) 
         count[0] += 1
         return 7
 
-    memory = Memory(tmp_path)
+    memory = PartsOnDisk(tmp_path)
     assert [memory.recall("part", (1.0,), work_out) for _ in range(3)] == [7, 7, 7]
     assert memory.recall("part", (2.0,), work_out) == 7
     assert count == [2]
@@ -598,7 +598,7 @@ def test_an_entry_with_any_bit_flipped_or_of_another_making_is_made_anew(tmp_pat
     """Also one whose checksum is right: another part's under this name, and what no result can hold."""
 
     def recalled(depends: tuple[float, ...] = (1.0,)) -> tuple[Any, int]:
-        memory = Memory(tmp_path)
+        memory = PartsOnDisk(tmp_path)
         return memory.recall("part", depends, lambda: {"room": np.array([0.25, depends[0]])}), memory.worked_out
 
     recalled((2.0,))
@@ -636,7 +636,7 @@ def test_memory_gives_back_what_it_was_given(tmp_path: Path) -> None:
         None, True, 3, -0.0, math.inf, "text", (1, [2.0, ()]), {1: "a", "b": (2,)}, 1 + 2j, Path("a/b"), node,
         np.float64(0.1), np.int64(3), np.arange(6.0).reshape(2, 3), np.zeros((0, 2)), np.array([1 + 1e-30j]),
     ]  # fmt: skip  # a table
-    memory = Memory(tmp_path)
+    memory = PartsOnDisk(tmp_path)
     memory.recall("part", 1.0, lambda: things)
     again = memory.recall("part", 1.0, list[Any])
     assert memory.recalled == 1
@@ -651,7 +651,7 @@ def test_memory_gives_back_what_it_was_given(tmp_path: Path) -> None:
     "name", ["os:system", "maxq.sim.files:write_whole", "maxq.sim.nothing:X", "builtins:eval", "maxq.sim.files:Path"]
 )
 def test_memory_makes_nothing_but_results(tmp_path: Path, name: str) -> None:
-    memory = Memory(tmp_path)
+    memory = PartsOnDisk(tmp_path)
     memory.recall("part", 1.0, lambda: 7)
     (path,) = tmp_path.glob("part-*")
     rest = path.read_bytes().split(b"\n")[1] + b"\n" + json.dumps({name: ["true"]}).encode()
@@ -684,8 +684,8 @@ def test_ranking_puts_fewer_rejections_first() -> None:
 def test_requirements_of_each_plane_stand_under_its_name() -> None:
     """`quick` listed the margins of pitch and of yaw one below the other, with equal names."""
 
-    def asked(*wheres: str) -> list[Requirement]:
-        return [Requirement("margins", "stable", "", "", "accepted", math.nan, where) for where in wheres]
+    def asked(*wheres: str) -> list[JudgedRequirement]:
+        return [JudgedRequirement("margins", "stable", "", "", "accepted", math.nan, where) for where in wheres]
 
     both = asked("", "5 s, pitch", "9 s, pitch", "", "5 s, yaw", "7 s, yaw", "")
     assert pack_report._headings(both) == [", pitch"] * 3 + [", yaw"] * 4

@@ -20,7 +20,7 @@ from maxq.sim.campaign.availability import Month, availability
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import Draw
 from maxq.sim.campaign.read import LoadedCampaign, channel_units
-from maxq.sim.campaign.runner import Progress
+from maxq.sim.campaign.runner import CampaignProgress
 from maxq.sim.campaign.statistics import ANY_TIME, MET, NOT_MET
 from maxq.sim.campaign.store import read_manifest, write_json
 from maxq.sim.campaign.tails import Tail, tail_of
@@ -37,10 +37,10 @@ _DRIVEN = 6  # requirements whose drivers are shown: those nearest to their limi
 _NAMED = 8  # drivers in the summary of each
 
 
-def watcher(bar: terminal.Progress) -> Callable[[Progress], None]:
+def watcher(bar: terminal.Progress) -> Callable[[CampaignProgress], None]:
     """Shows runs, rate, time left, failures, and the worst of each requirement."""
 
-    def show(progress: Progress) -> None:
+    def show(progress: CampaignProgress) -> None:
         interim = progress.interim
         unfinished = math.isfinite(progress.left_s) and progress.done < progress.total
         left = f", {duration(progress.left_s)} left" if unfinished else ""
@@ -69,10 +69,10 @@ def labels_of(campaign: LoadedCampaign) -> dict[str, str]:
     return {d.name: d.label for d in campaign.plan.draws}
 
 
-Rows = list[tuple[str, ...]]  # of a table; the first is its head
+ReportRows = list[tuple[str, ...]]  # of a table; the first is its head
 
 
-def requirement_rows(data: DataSet, verdicts: Sequence[Judged]) -> Rows:
+def requirement_rows(data: DataSet, verdicts: Sequence[Judged]) -> ReportRows:
     """The table of verdicts."""
     campaign = data.campaign.campaign
     quantile, bound = f"{100 * campaign.success:g} %", f"bound at {100 * campaign.confidence:g} %"
@@ -149,9 +149,9 @@ def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
     return [(v, tail(v)) for v in nearest_limits(verdicts)]
 
 
-def tail_rows(tails: Tails) -> Rows:
+def tail_rows(tails: Tails) -> ReportRows:
     """The table of tails."""
-    rows: Rows = [
+    rows: ReportRows = [
         ("tail", "limit", "threshold", "runs beyond", "shape", "quantile", "bound", "P(limit missed)", "bound", "fit")
     ]
     for v, tail in tails:
@@ -166,9 +166,9 @@ def tail_rows(tails: Tails) -> Rows:
     return rows
 
 
-def month_rows(months: Sequence[Month]) -> Rows:
+def month_rows(months: Sequence[Month]) -> ReportRows:
     """The table of launch availability."""
-    rows: Rows = [("month", "flights", "all limits met", "at least", "at most", "first that missed")]
+    rows: ReportRows = [("month", "flights", "all limits met", "at least", "at most", "first that missed")]
     for m in months:
         shares = (f"{100.0 * share:.1f} %" for share in (m.share, m.least, m.most))
         rows.append((m.name, str(m.runs), *shares, f"run {m.first_missed}" if m.first_missed is not None else ""))

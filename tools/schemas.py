@@ -8,10 +8,10 @@ from maxq.design.case.basis import Basis
 from maxq.design.case.schema import Case
 from maxq.design.verify.suite import Suite
 from maxq.sim.campaign.schema import CampaignFile
-from maxq.sim.scenario.ranges import range_of
+from maxq.sim.input.ranges import range_of
+from maxq.sim.input.values import Section, optional
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import Section, optional
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.vehicle.layout import Layout
 

@@ -209,7 +209,7 @@ def _in_present_form(arguments: list[str]) -> list[str]:
 
 def _command_for(name: str) -> str:
     """Return the subcommand that flies this scenario or campaign. Raises ScenarioError where there is no such file."""
-    from maxq.sim.scenario.files import locate  # noqa: PLC0415  # lazy, as all imports below: --help is quick
+    from maxq.sim.input.files import locate  # noqa: PLC0415  # lazy, as all imports below: --help is quick
     from maxq.sim.scenario.loader import is_campaign  # noqa: PLC0415  # lazy
 
     locate(name, "scenario")

@@ -24,8 +24,8 @@ from maxq.sim.campaign.store import RUNS, campaign_in
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.files import plain_name, write_whole
 from maxq.sim.flight.metric_table import METRIC_NAMES, figures, title_of, unit_of
+from maxq.sim.input.errors import suggestion
 from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
-from maxq.sim.scenario.errors import suggestion
 from maxq.tools import campaign_report as text
 from maxq.tools.cli.frame import Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, aligned, printable, tell

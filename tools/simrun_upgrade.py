@@ -6,9 +6,9 @@ import shutil
 from pathlib import Path
 
 from maxq.sim.files import whole_file
-from maxq.sim.scenario.documents import Array, Source, Table, parse
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.files import Reading, kind, shown
+from maxq.sim.input.documents import Source, TomlArray, TomlTable, parse
+from maxq.sim.input.errors import ScenarioError
+from maxq.sim.input.files import Reading, kind, shown
 from maxq.sim.scenario.upgrade import newest_version, upgraded_text
 from maxq.tools.cli.frame import Exit
 from maxq.tools.cli.terminal import tell
@@ -54,12 +54,12 @@ def role_of(path: Path, label: str, reading: Reading) -> str:
     raise problem or ScenarioError(label, "is of no kind with an earlier version", allowed=_ALLOWED)
 
 
-def _role_by_keys(tree: Table) -> str:
+def _role_by_keys(tree: TomlTable) -> str:
     gains = tree.get("gains")
-    if any(key in tree for key in _OF_SUITES) or isinstance(tree.get("campaign"), Array):
+    if any(key in tree for key in _OF_SUITES) or isinstance(tree.get("campaign"), TomlArray):
         return "suite"
     if "vehicle" in tree and "run" in tree:
         return "scenario"
-    if isinstance(gains, Table) and "table" in gains:
+    if isinstance(gains, TomlTable) and "table" in gains:
         return "design"
     return "case" if "scenario" in tree else ""

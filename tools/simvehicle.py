@@ -38,7 +38,7 @@ def _run(arguments: list[str]) -> int:
 
 def _build(name: str, *, out: str | None = None, compare: str | None = None) -> int:
     from maxq.sim.files import check_writable, plain_name, write_whole  # noqa: PLC0415  # lazy, as all here
-    from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
+    from maxq.sim.input.errors import ScenarioError  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.build import build, too_weak  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.compare import compared, comparison  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.figures import page  # noqa: PLC0415  # lazy

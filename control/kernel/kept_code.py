@@ -25,8 +25,8 @@ from maxq.control.kernel.machine import own_cache
 if sys.platform != "win32":
     import fcntl
 
-_KERNEL_FREE = {"scenario", "log", "packing", "run", "campaign"}
-"""Parts of sim/ whose constants no kernel takes."""
+_KERNEL_FREE = {"input", "scenario", "log", "packing", "run", "campaign", "section.py", "packing.py"}
+"""Folders and files of sim/ whose constants no kernel takes."""
 _COMPILED = re.compile(rb"^@(?:kernel|formula|\w*routine\w*|entry|from_python)\b", re.MULTILINE)
 
 
@@ -46,7 +46,7 @@ def _source_files() -> dict[Path, bytes]:
 
 def _flies(parts: tuple[str, ...]) -> bool:
     """Return True for a file of control/, and of sim/ outside of `_KERNEL_FREE`, by its path below the layers."""
-    return parts[0] != "design" and not _KERNEL_FREE.intersection(parts)
+    return parts[0] == "control" or (parts[0] == "sim" and not _KERNEL_FREE.intersection(parts))
 
 
 def source_hash() -> str:

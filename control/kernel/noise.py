@@ -17,7 +17,8 @@ import math
 from maxq.control.kernel.jit import kernel, routine
 
 # Streams in use, so that no two components share a sequence: 1 turbulence, 16 to 18 the gyro's three axes
-# (GYRO_STREAM in sim/vehicle/gyro.py), 32 to 51 further sensors (SENSOR_STREAM in sim/vehicle/sensors.py).
+# (GYRO_STREAM in sim/vehicle/sensor/gyro.py), 32 to 51 further sensors (SENSOR_STREAM in
+# sim/vehicle/sensor/further.py).
 TURBULENCE_STREAM = 1
 
 _MASK = 0xFFFFFFFF

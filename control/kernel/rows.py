@@ -32,7 +32,7 @@ class Xyz(NamedTuple):
     z: float
 
 
-class Quaternion(NamedTuple):
+class QuaternionRow(NamedTuple):
     w: float
     x: float
     y: float
@@ -63,9 +63,9 @@ def xyz(values: Array, first: int) -> Xyz:
 
 
 @kernel
-def quaternion(values: Array) -> Quaternion:
+def quaternion(values: Array) -> QuaternionRow:
     """Four components, scalar first."""
-    return Quaternion(values[0], values[1], values[2], values[3])
+    return QuaternionRow(values[0], values[1], values[2], values[3])
 
 
 @kernel

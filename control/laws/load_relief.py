@@ -26,7 +26,7 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.tables import look_up
-from maxq.control.laws.pd import LawInputs, Pd, PdState, filtered, proportional_derivative
+from maxq.control.laws.pd import LawInputs, PdRecord, PdState, filtered, proportional_derivative
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def start_load_relief(state: LoadReliefState) -> None:
 
 @kernel
 def tick_load_relief(
-    law: Pd, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
+    law: PdRecord, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
 ) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
     """As `tick_pd`, the gains' table with three columns an axis. The lag always runs."""
     law_rad, gimbal, sign = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal
@@ -81,7 +81,7 @@ def tick_load_relief(
 
 @kernel
 def tick_incidence_relief(
-    law: Pd, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
+    law: PdRecord, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
 ) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
     """As `tick_load_relief`, the gains' table with five columns an axis."""
     law_rad, gimbal, sign, at = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal, given.at

@@ -52,7 +52,7 @@ class GainSchedule:
 
 
 @dataclass(frozen=True)
-class Pd:
+class PdRecord:
     """Pairs are per gimbal axis (pitch, yaw).
 
     `gains`: table of k_p, k_d in pitch, then in yaw (`gains_table`); none means a law that gives 0.
@@ -98,7 +98,7 @@ def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
     return merge(tables)
 
 
-def make_pd(gains: TableRef, sample_ns: int, *filters: DiscreteFilter | None) -> Pd:
+def make_pd(gains: TableRef, sample_ns: int, *filters: DiscreteFilter | None) -> PdRecord:
     """`filters` in pitch and yaw, none passing its input on. Raises ValueError for one of another sample period."""
     sections, n_sections = np.zeros((2, MAX_SECTIONS, 5)), np.zeros(2, np.int64)
     for gimbal, discrete in enumerate(filters):
@@ -107,11 +107,11 @@ def make_pd(gains: TableRef, sample_ns: int, *filters: DiscreteFilter | None) ->
         if round(discrete.sample_s * 1e9) != sample_ns:
             raise ValueError(f"filter's sample_s = {discrete.sample_s}: allowed is {sample_ns / 1e9}, the computer's")
         sections[gimbal], n_sections[gimbal] = discrete.padded(), discrete.n_sections
-    return Pd(gains, sections, n_sections)
+    return PdRecord(gains, sections, n_sections)
 
 
 @kernel
-def start_pd(law: Pd, state: PdState) -> None:
+def start_pd(law: PdRecord, state: PdState) -> None:
     """Gains and outputs 0, filters settled at 0."""
     for gimbal in range(2):
         state.k_p[gimbal] = 0.0
@@ -122,7 +122,7 @@ def start_pd(law: Pd, state: PdState) -> None:
 
 
 @kernel
-def settle_pd(law: Pd, state: PdState, gimbal: int) -> None:
+def settle_pd(law: PdRecord, state: PdState, gimbal: int) -> None:
     """Filters as they are after a long time at the law's last output: what follows is no transient of theirs."""
     settle_filter(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], state.pd_rad[gimbal])
 
@@ -141,7 +141,7 @@ class LawInputs(NamedTuple):
 
 
 @kernel
-def tick_pd(law: Pd, pool: Array, state: PdState, given: LawInputs) -> float:
+def tick_pd(law: PdRecord, pool: Array, state: PdState, given: LawInputs) -> float:
     """Filtered command, rad, of an axis (eq 33).
 
     With `on` = 0 the filter's input is 0. The filter runs on in any case, so that it is settled when the law takes
@@ -154,7 +154,7 @@ def tick_pd(law: Pd, pool: Array, state: PdState, given: LawInputs) -> float:
 
 
 @kernel
-def proportional_derivative(law: Pd, pool: Array, state: PdState, given: LawInputs, columns: int) -> float:
+def proportional_derivative(law: PdRecord, pool: Array, state: PdState, given: LawInputs, columns: int) -> float:
     """-k_p theta_e - k_d q_g, rad; k_p and k_d are the first of an axis's `columns` in the gains' table."""
     gimbal, at = given.gimbal, given.at
     k_p = look_up(pool, law.gains, at, columns * gimbal)
@@ -165,7 +165,7 @@ def proportional_derivative(law: Pd, pool: Array, state: PdState, given: LawInpu
 
 
 @kernel
-def filtered(law: Pd, state: PdState, gimbal: int, law_rad: float) -> float:
+def filtered(law: PdRecord, state: PdState, gimbal: int, law_rad: float) -> float:
     """The bending filter's output, rad, for a law's command."""
     state.pd_rad[gimbal] = law_rad
     filtered_rad = filter_sample(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], law_rad)

@@ -16,7 +16,7 @@ from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, PitchYaw
 from maxq.control.kernel.tables import look_up
-from maxq.control.laws.pd import LawInputs, Pd, PdState, filtered, proportional_derivative
+from maxq.control.laws.pd import LawInputs, PdRecord, PdState, filtered, proportional_derivative
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def start_pid(state: PidState) -> None:
 
 
 @kernel
-def tick_pid(law: Pd, pid: Pid, pool: Array, state: PdState, integral: PidState, given: LawInputs) -> float:
+def tick_pid(law: PdRecord, pid: Pid, pool: Array, state: PdState, integral: PidState, given: LawInputs) -> float:
     """As `tick_pd`, the gains' table with three columns an axis. With `on` = 0 the integral is 0."""
     pid_rad, gimbal = 0.0, given.gimbal
     if given.on == 0:

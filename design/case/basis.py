@@ -13,16 +13,16 @@ from pydantic import Field, ValidationError
 
 from maxq.design.model.spread import Shares, Spread
 from maxq.design.quantities import CommonLimits, Degrees, RigidBody, ZoneName
-from maxq.sim.scenario.documents import Source, adopt, plain
-from maxq.sim.scenario.errors import refuse
+from maxq.sim.input.documents import Source, adopt, plain
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.values import NotNegative, Positive, PositiveOverTime, Section, optional
 from maxq.sim.scenario.loader import told
 from maxq.sim.scenario.messages import explain
 from maxq.sim.scenario.schema_design import Design
-from maxq.sim.scenario.schema_values import NotNegative, Positive, PositiveOverTime, Section, optional
 
 LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
 
-Range = tuple[float, float]
+BetweenTimes = tuple[float, float]
 BetweenNodes = Literal["ignore", "hold"]
 BETWEEN = (
     "hold: instants between the nodes that are worse by 0.02 dB or 0.1 deg are searched and become nodes, until "
@@ -32,7 +32,7 @@ WIND_KEYS = ("q_alpha_Padeg", "drift_mps", "bending_moment")
 """Limits that need a wind."""
 
 
-def check_range(value: Range, key: str, lowest: float) -> None:
+def check_range(value: BetweenTimes, key: str, lowest: float) -> None:
     low, high = value
     if not lowest < low:
         raise refuse("reaches down to an unstable or right-half-plane root", "numbers above 0", key)
@@ -114,13 +114,13 @@ class Limits(MarginLimits, DesignLimits):
     )
 
 
-class Wind(Section):
+class CaseWind(Section):
     """Lateral wind that load and drift are limited in: a spectrum of MIL-F-8785C."""
 
     sigma_mps: Positive = Field(description="intensity, m/s")
     length_v_m: Positive = optional("scale length, m", 533.0)
     model: Literal["dryden", "von-karman"] = optional("form of the spectrum", "dryden")
-    band_hz: Range = optional(
+    band_hz: BetweenTimes = optional(
         "frequencies that count, from 0.02 Hz to less than half the sample rate: shears lie below some tenths of one, "
         "where a law can give way; bending modes count if they lie within",
         (0.02, 5.0),
@@ -175,7 +175,7 @@ class Basis(Section):
         "thrust)"
     )
     between_nodes: BetweenNodes = optional(BETWEEN, "ignore")
-    wind: Wind | None = optional("absent: no limits of load and drift")
+    wind: CaseWind | None = optional("absent: no limits of load and drift")
     limits: DesignLimits = DesignLimits()
     robust: Robust | None = optional("absent: the nominal plants only")
 

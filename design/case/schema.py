@@ -21,19 +21,19 @@ from maxq.design.case.basis import (
     WIND_KEYS,
     Basis,
     BetweenNodes,
+    BetweenTimes,
     DesignLimits,
     Limits,
-    Range,
     check_range,
     check_rising,
     limit_of,
 )
-from maxq.sim.scenario.documents import Text
-from maxq.sim.scenario.errors import ScenarioError, refuse
-from maxq.sim.scenario.files import builtin_files, find, shown
+from maxq.sim.input.documents import Text
+from maxq.sim.input.errors import ScenarioError, refuse
+from maxq.sim.input.files import builtin_files, find, shown
+from maxq.sim.input.values import Positive, Section, at_time, optional
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
-from maxq.sim.scenario.schema_design import Design, LoadRelief
-from maxq.sim.scenario.schema_values import Positive, Section, at_time, optional
+from maxq.sim.scenario.schema_design import Design, LoadReliefSection
 
 ObjectiveName = Literal["first-mode-peak", "least-margin", "load", "bending-moment"]
 """Keys of `design.optimise.criteria.OBJECTIVES`."""
@@ -42,7 +42,7 @@ Model = TypeVar("Model", bound=Section)
 CORNER = 0.1  # of the rigid body's least frequency: corner of the integral where the case does not say
 
 
-class Gains(Section):
+class CaseGains(Section):
     """The gain schedules."""
 
     schedule: Literal["two-phase", "linear", "free", "nodes"] = optional(
@@ -75,25 +75,25 @@ class FilterBounds(Section):
     network).
     """
 
-    zero_hz: Range = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
-    zero_zeta: Range = optional(
+    zero_hz: BetweenTimes = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
+    zero_zeta: BetweenTimes = optional(
         "a notch of 0.01 is optimal on paper and brittle; one of 0.1 keeps 10 of its 14 dB where a mode is 10 % off",
         (0.1, 1.2),
     )
-    pole_hz: Range = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
-    pole_zeta: Range = optional(
+    pole_hz: BetweenTimes = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
+    pole_zeta: BetweenTimes = optional(
         "below 0.3 a filter amplifies by more than 4 dB at its own resonance, and rings; above 1 the roots are real",
         (0.3, 1.2),
     )
-    first_order_zero_hz: Range = optional("of first-order sections", (2.0, 200.0))
-    first_order_pole_hz: Range = optional("of first-order sections", (2.0, 200.0))
+    first_order_zero_hz: BetweenTimes = optional("of first-order sections", (2.0, 200.0))
+    first_order_pole_hz: BetweenTimes = optional("of first-order sections", (2.0, 200.0))
 
     def _check(self) -> None:
         for key in type(self).model_fields:
             check_range(getattr(self, key), key, 0.0)
 
 
-class Sections(Section):
+class FilterSections(Section):
     """A filter's form."""
 
     structure: DesignedStructure = optional(
@@ -114,7 +114,7 @@ class Sections(Section):
         return STRUCTURES.get(self.structure, (self.quadratic or 0, self.first_order or 0))
 
 
-class Filter(Sections):
+class CaseFilter(FilterSections):
     """The bending filter's form."""
 
     prewarp_hz: Positive | None = optional(
@@ -123,12 +123,12 @@ class Filter(Sections):
     bounds: FilterBounds = FilterBounds()
 
 
-class LoopFilters(Section):
+class CaseLoopFilters(Section):
     """Filters of what the law works on, each loop by itself, with the bounds and prewarping of [filter]."""
 
-    attitude: Sections | None = optional("of the attitude error")
-    rate: Sections | None = optional("of the (blended) rate")
-    acceleration: Sections | None = optional("of the lateral acceleration, before its lag; with load relief")
+    attitude: FilterSections | None = optional("of the attitude error")
+    rate: FilterSections | None = optional("of the (blended) rate")
+    acceleration: FilterSections | None = optional("of the lateral acceleration, before its lag; with load relief")
 
     @property
     def each(self) -> tuple[tuple[int, int], ...]:
@@ -136,7 +136,7 @@ class LoopFilters(Section):
         return tuple((0, 0) if f is None else f.sections for f in (self.attitude, self.rate, self.acceleration))
 
 
-class Objective(Section):
+class ObjectiveSection(Section):
     """The quantity that a design optimises."""
 
     renamed: ClassVar[dict[str, str]] = {"band": ""}
@@ -159,14 +159,14 @@ class Objective(Section):
             check_rising(self.stations_m, "stations_m")
 
 
-class Reference(Section):
+class ReferencePhase(Section):
     """Phase 1 of the two-phase design: the least gains linear in time that meet these."""
 
     rigid_hz: Positive = optional("natural frequency at every node, Hz (paper, 5.1)", 0.5)
     rigid_zeta: Positive = optional("damping ratio at every node (paper, 5.1)", 0.7)
 
 
-class Search(Section):
+class SearchSettings(Section):
     """The optimiser's starts."""
 
     starts: Annotated[int, Field(ge=1, le=1000)] = optional("number of starts of the whole problem", 8)
@@ -182,12 +182,12 @@ class Search(Section):
 class StageCase(Section):
     """What differs in a stage: keys that are given replace those of the case."""
 
-    gains: Gains | None = optional("see [gains]")
-    filter: Filter | None = optional("see [filter]")
-    loop_filters: LoopFilters | None = optional("see [loop_filters]")
-    objective: Objective | None = optional("see [objective]")
+    gains: CaseGains | None = optional("see [gains]")
+    filter: CaseFilter | None = optional("see [filter]")
+    loop_filters: CaseLoopFilters | None = optional("see [loop_filters]")
+    objective: ObjectiveSection | None = optional("see [objective]")
     limits: Limits | None = optional("see [limits]")
-    reference: Reference | None = optional("see [reference]")
+    reference: ReferencePhase | None = optional("see [reference]")
 
 
 class CaseHead(Section):
@@ -215,16 +215,18 @@ class Case(Basis, CaseHead):
         "pd with the lateral acceleration fed back; incidence-relief: pd with an estimated angle of attack fed back",
         "pd",
     )
-    blend: Range | None = optional(
+    blend: BetweenTimes | None = optional(
         "bounds of the weights of the vehicle's further rate gyros, which are variables (default: the first gyro alone)"
     )
-    load_relief: LoadRelief = optional("accelerometer's lag, of both laws of load relief", LoadRelief(corner_hz=1.0))
-    gains: Gains = Gains()
-    filter: Filter = Filter()
-    loop_filters: LoopFilters = LoopFilters()
-    objective: Objective = Objective()
-    reference: Reference = Reference()
-    search: Search = Search()
+    load_relief: LoadReliefSection = optional(
+        "accelerometer's lag, of both laws of load relief", LoadReliefSection(corner_hz=1.0)
+    )
+    gains: CaseGains = CaseGains()
+    filter: CaseFilter = CaseFilter()
+    loop_filters: CaseLoopFilters = CaseLoopFilters()
+    objective: ObjectiveSection = ObjectiveSection()
+    reference: ReferencePhase = ReferencePhase()
+    search: SearchSettings = SearchSettings()
     stage: tuple[StageCase, ...] = optional(
         "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
     )

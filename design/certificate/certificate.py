@@ -12,8 +12,8 @@ from functools import partial
 
 from maxq.design import operating_points
 from maxq.design.certificate import measured_margins, response
-from maxq.design.certificate.excitation import Band, below
-from maxq.design.certificate.held_flight import Change, HeldFlight, hold, with_ideal_converters
+from maxq.design.certificate.excitation import LineBand, below
+from maxq.design.certificate.held_flight import HeldFlight, PackedChange, hold, with_ideal_converters
 from maxq.design.certificate.measured_margins import MARGIN_NAMES, LimitCycle, MarginName, MeasuredMargin, bound_of
 from maxq.design.certificate.response import BANDS, FAULTY, NOISE, UNEXPLAINED, ResponseTable, RingLine
 from maxq.design.loop.loop import loops
@@ -141,8 +141,8 @@ def certify_node(
     loaded: LoadedScenario,
     node: Node,
     *,
-    fault: Change | None = None,
-    bands: tuple[Band, ...] = BANDS,
+    fault: PackedChange | None = None,
+    bands: tuple[LineBand, ...] = BANDS,
     names: tuple[MarginName, ...] = MARGIN_NAMES,
 ) -> NodeCertificate:
     """Certificate at one node, in its plane. Raises ValueError where the node cannot be held (held_flight.py).

@@ -50,7 +50,7 @@ class Excited(Protocol):
 
 
 @dataclass(frozen=True)
-class Band:
+class LineBand:
     """Lines (Hz), each an even multiple of 1 / `period_s`, and how long they are played.
 
     The odd multiples stay silent: what shows there is noise. One long period is better than many short ones: the
@@ -82,7 +82,7 @@ class Band:
 
 def band(
     low_hz: float, high_hz: float, lines: int, period_s: float, settle_s: float, periods: int, dithered: bool = False
-) -> Band:
+) -> LineBand:
     """About `lines` lines from low to high, evenly on a logarithmic scale.
 
     Raises ValueError if the lowest line does not fit the period.
@@ -91,10 +91,10 @@ def band(
         raise ValueError(f"low_hz = {low_hz}: allowed is at least {2.0 / period_s:g}, two turns a period")
     wanted = np.geomspace(low_hz, high_hz, lines)
     even = 2.0 * np.unique(np.round(wanted * period_s / 2.0))
-    return Band(even / period_s, period_s, settle_s, periods, dithered)
+    return LineBand(even / period_s, period_s, settle_s, periods, dithered)
 
 
-def below(bands: tuple[Band, ...], highest_hz: float) -> tuple[Band, ...]:
+def below(bands: tuple[LineBand, ...], highest_hz: float) -> tuple[LineBand, ...]:
     """With the lines that a computer of this sample rate can send."""
     kept = (dataclasses.replace(band, lines_hz=band.lines_hz[band.lines_hz < 0.995 * highest_hz]) for band in bands)
     return tuple(band for band in kept if len(band.lines_hz))
@@ -114,7 +114,7 @@ class ExcitationLevel:
     dither: Groups
 
 
-def excitation_level(held: HeldFlight, loop: Excited, band: Band, scale: float = 1.0) -> ExcitationLevel:
+def excitation_level(held: HeldFlight, loop: Excited, band: LineBand, scale: float = 1.0) -> ExcitationLevel:
     """Amplitudes for a band; `scale` below 1 plays the same at a lower level."""
     lines = band.lines_hz
     at_gyro = np.abs(loop.fixed.response(lines)) / np.abs(1.0 + loop.response(lines))
@@ -140,7 +140,7 @@ def dither(held: HeldFlight, loop: Excited, tones_hz: Array) -> Groups:
     out = []
     for a, hz in zip((DITHER_COUNTS * count / increment).tolist(), tones_hz, strict=True):
         line = np.array([hz])
-        peaks = _peaks(held, loop, [(a, line)], Band(line, 2.0 / float(hz), 0.0, 1))
+        peaks = _peaks(held, loop, [(a, line)], LineBand(line, 2.0 / float(hz), 0.0, 1))
         out.append((a * min(1.0, *(limit / p for limit, p in zip(limits, peaks, strict=True))), line))
     return out
 
@@ -215,7 +215,7 @@ def linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
     return SHARE_OF_LIMITS * min(angle, rate / servo), INCIDENCE_RAD / incidence
 
 
-def _peaks(held: HeldFlight, loop: Excited, groups: Groups, band: Band) -> tuple[float, float, float]:
+def _peaks(held: HeldFlight, loop: Excited, groups: Groups, band: LineBand) -> tuple[float, float, float]:
     """Largest command (rad), servo rate (rad/s) and incidence (rad) over a period, by the linear loop."""
     lines, injected = phasors(groups)
     command = injected / (1.0 + loop.response(lines))
@@ -234,7 +234,7 @@ def _peaks(held: HeldFlight, loop: Excited, groups: Groups, band: Band) -> tuple
 
 def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, ComplexArray]:
     """Rate that each drive's servo commands, (drives, lines) in 1/s as if all had the lowest limit of it
-    (sim/vehicle/actuator.py), and incidence w / U, per gimbal command.
+    (sim/vehicle/actuator/kernel.py), and incidence w / U, per gimbal command.
     """
     s = np.asarray(2j * np.pi * lines_hz, np.complex128)
     records, inputs = node.instruments.actuators, node.plant.inputs

@@ -35,14 +35,14 @@ from maxq.design.laws.registry import law_kind
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, at_swing, node_of
 from maxq.sim.flight.telemetry import FAST
+from maxq.sim.input.values import to_ns
 from maxq.sim.packing.computer import pack_injections
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.flight import KeptRows
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Wind
-from maxq.sim.scenario.schema_scenario import Geodetic, Guidance, Initial, Injection, Log, Run, Scenario
-from maxq.sim.scenario.schema_values import to_ns
+from maxq.sim.scenario.schema_environment import AtmosphereSection, EarthSection, WindSection
+from maxq.sim.scenario.schema_scenario import Geodetic, Guidance, Initial, Injection, LogSection, Run, Scenario
 from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K
 from maxq.sim.world.earth import ALONG_BODY
 
@@ -51,7 +51,7 @@ DETUNED = 0.02  # share of half the bandwidth of a mode, its damping ratio times
 _NOSE_UP_DEG = (0.0, 90.0, 0.0)
 
 
-Change = Callable[[Packed], None]
+PackedChange = Callable[[Packed], None]
 """Alters a packed flight in place."""
 
 
@@ -70,7 +70,7 @@ class HeldFlight:
     packed: Packed
     node: Node
     plane: Plane
-    fault: Change = unchanged
+    fault: PackedChange = unchanged
 
     @property
     def axis(self) -> int:
@@ -81,7 +81,7 @@ class HeldFlight:
     def sample_s(self) -> float:
         return self.node.instruments.sample_s
 
-    def run(self, duration_s: float, injections: tuple[Injection, ...], change: Change = unchanged) -> FlightRun:
+    def run(self, duration_s: float, injections: tuple[Injection, ...], change: PackedChange = unchanged) -> FlightRun:
         """A new flight with signals injected; `change` may alter the packed parameters before it flies.
 
         Only what differs is packed anew: tables take longer than the flight.
@@ -98,7 +98,7 @@ class HeldFlight:
         return FlightRun(dataclasses.replace(self.loaded, scenario=scenario), packed)
 
     def fly(
-        self, duration_s: float, injections: tuple[Injection, ...], change: Change = unchanged
+        self, duration_s: float, injections: tuple[Injection, ...], change: PackedChange = unchanged
     ) -> tuple[FlightRun, Array]:
         """As `run`, flown to its end: the flight, and its rows at the computer's sample rate (samples, channels)."""
         run = self.run(duration_s, injections, change)
@@ -120,7 +120,7 @@ def with_ideal_converters(loaded: LoadedScenario) -> LoadedScenario:
 
 
 def hold(
-    loaded: LoadedScenario, node: Node, fault: Change | None = None, *, along_body: bool = False,
+    loaded: LoadedScenario, node: Node, fault: PackedChange | None = None, *, along_body: bool = False,
     rings_by_law: bool = False,
 ) -> HeldFlight:  # fmt: skip  # seven lines otherwise
     """Hold the scenario at a node of its flight, in the node's plane; with `along_body` without gravity turn.
@@ -165,11 +165,11 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
     return {
         "vehicle": vehicle.model_copy(update={"stage": (alone,)}),
         "design": design and law_kind(design.law).frozen(design, node.scheduled(design.gains.over)),
-        "earth": Earth(shape="flat", rotating=False, gravity="uniform", uniform_mps2=load_mps2),
-        "atmosphere": Atmosphere(
+        "earth": EarthSection(shape="flat", rotating=False, gravity="uniform", uniform_mps2=load_mps2),
+        "atmosphere": AtmosphereSection(
             model="constant", density_kgpm3=air.density_kgpm3, temperature_K=temperature, pressure_Pa=air.pressure_Pa
         ),
-        "wind": Wind(),
+        "wind": WindSection(),
         "initial": Initial(
             geodetic=Geodetic(latitude_deg=0.0, longitude_deg=0.0, altitude_m=ALTITUDE_M),
             euler_deg=_NOSE_UP_DEG,
@@ -185,7 +185,7 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
             freeze_vehicle_at_s=round(node.time_s - node.stage_start_s, 9),
             stop_at=(),
         ),
-        "log": Log(fast_hz=fast, slow_hz=1.0, transform_hz=1.0),
+        "log": LogSection(fast_hz=fast, slow_hz=1.0, transform_hz=1.0),
     }
 
 

@@ -32,7 +32,7 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
-from maxq.sim.scenario.schema_scenario import Injection, Log
+from maxq.sim.scenario.schema_scenario import Injection, LogSection
 
 WINDOW_S = 8.0
 SETTLE_S = 2.5  # after lift-off
@@ -186,7 +186,7 @@ def _flown(
 ) -> _Ascent:
     scenario = loaded.scenario
     run_s = scenario.run.model_copy(update={"duration_s": math.ceil(end_s - scenario.run.start_s) + 1.0})
-    log = Log(fast_hz=1.0 / sample_s, slow_hz=1.0, transform_hz=1.0)
+    log = LogSection(fast_hz=1.0 / sample_s, slow_hz=1.0, transform_hz=1.0)
     still = {"injection": signals, "fault": (), "run": run_s, "log": log}
     if scenario.design is not None:
         still["design"] = scenario.design.at_unit_gain

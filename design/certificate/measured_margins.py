@@ -23,11 +23,11 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.control.structures import MAX_SECTIONS
 from maxq.design.certificate import excitation
-from maxq.design.certificate.held_flight import Change, HeldFlight, unchanged
+from maxq.design.certificate.held_flight import HeldFlight, PackedChange, unchanged
 from maxq.design.certificate.response import UNEXPLAINED
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
-from maxq.design.margins.measure import Bound, Margins, margins
+from maxq.design.margins.measure import LeastValue, Margins, margins
 from maxq.design.model.dispersion import Dispersion
 from maxq.design.model.node import disperse, slosh_columns
 from maxq.sim.packing.flight import Packed
@@ -116,7 +116,7 @@ class MeasuredMargin:
         return self.measured - self.linear
 
 
-def bound_of(of: Margins, what: MarginName) -> Bound:
+def bound_of(of: Margins, what: MarginName) -> LeastValue:
     """A margin of the linear loop by name."""
     return {"gain_up": of.gain_up_db, "gain_down": of.gain_down_db, "delay": of.delay_s}[what]
 
@@ -182,7 +182,7 @@ def settle(
     return at, False
 
 
-def is_too_slow(loop: Loop, what: MarginName, bound: Bound) -> bool:
+def is_too_slow(loop: Loop, what: MarginName, bound: LeastValue) -> bool:
     """Whether what bounds a margin is a slow oscillation that grows e-fold in no flight, however the gain is altered.
 
     Seen at the boundary and BEYOND_DB past it. In thin air an attitude that nothing holds drifts away like that.
@@ -233,14 +233,16 @@ def _gain(what: MarginName, amount_db: float) -> float:
     return float(10.0 ** ((amount_db if what == "gain_up" else -amount_db) / 20.0))
 
 
-def _slope(loop: Loop, what: MarginName, bound: Bound) -> float:
+def _slope(loop: Loop, what: MarginName, bound: LeastValue) -> float:
     """Rate of change of the linear loop's critical pole with the alteration, 1/s per unit."""
     step, place = 1e-3 * bound.value, 2j * np.pi * bound.frequency_hz
     low, high = (altered(loop, what, x).closed_poles() for x in (bound.value - step, bound.value + step))
     return float(np.ptp([p[np.argmin(np.abs(p - place))].real for p in (low, high)]) / (2.0 * step))
 
 
-def measured_growth(held: HeldFlight, loop: excitation.Excited, test: BurstTest, change: Change = unchanged) -> float:
+def measured_growth(
+    held: HeldFlight, loop: excitation.Excited, test: BurstTest, change: PackedChange = unchanged
+) -> float:
     """Growth rate (1/s) of the free response in flight; NaN where the flight ended early. `loop` sets the dither."""
     amplitude = excitation.burst_rad(held, test.frequency_hz, test.growth)
     swings = test.frequency_hz > 0.0
@@ -396,7 +398,7 @@ class LimitCycle:
 
 
 def limit_cycle(
-    held: HeldFlight, frequency_hz: float, change: Change = unchanged, watched_s: float = WATCHED_S
+    held: HeldFlight, frequency_hz: float, change: PackedChange = unchanged, watched_s: float = WATCHED_S
 ) -> LimitCycle:
     """Excite the held flight by a burst at a frequency and see where it ends; `change` may make it unstable."""
     run, rows = held.fly(watched_s, (excitation.sine_burst(held, frequency_hz),), change)

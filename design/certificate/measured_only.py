@@ -18,8 +18,8 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.certificate import measured_margins
-from maxq.design.certificate.excitation import Band, burst_rad, excitation_level, gimbal_injection
-from maxq.design.certificate.held_flight import Change, HeldFlight, hold, linear_limits, unchanged
+from maxq.design.certificate.excitation import LineBand, burst_rad, excitation_level, gimbal_injection
+from maxq.design.certificate.held_flight import HeldFlight, PackedChange, hold, linear_limits, unchanged
 from maxq.design.certificate.measured_margins import MARGIN_NAMES, UNBOUNDED, UNITS, MarginName, MeasuredMargin
 from maxq.design.certificate.response import BANDS, measure
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
@@ -99,8 +99,8 @@ def measure_node(
     loaded: LoadedScenario,
     node: Node,
     *,
-    fault: Change | None = None,
-    bands: tuple[Band, ...] = BANDS,
+    fault: PackedChange | None = None,
+    bands: tuple[LineBand, ...] = BANDS,
     names: tuple[MarginName, ...] = MARGIN_NAMES,
 ) -> MeasuredNode:
     """Measure at a node, in its plane. Raises ValueError where the node cannot be held (held_flight.py)."""
@@ -117,7 +117,7 @@ def measure_node(
     return MeasuredNode(node.time_s, node.plane, True, lines, response, error, margins, cycles)
 
 
-def measured_loop(held: HeldFlight, path: FixedPath, bands: tuple[Band, ...]) -> tuple[Array, ComplexArray, Array]:
+def measured_loop(held: HeldFlight, path: FixedPath, bands: tuple[LineBand, ...]) -> tuple[Array, ComplexArray, Array]:
     """Lines, L and its relative standard error: first at a low level, then at one that suits what was found."""
     if not bands:
         return np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)
@@ -140,7 +140,7 @@ class _Trial:
     level_deg: float  # amplitude at the end
 
 
-def _trial(held: HeldFlight, change: Change, floor_deg: float = 0.0) -> _Trial:
+def _trial(held: HeldFlight, change: PackedChange, floor_deg: float = 0.0) -> _Trial:
     """Wake all motions by a doublet, and see whether the command grows; `floor_deg`: that of the loop as it is."""
     kick = gimbal_injection(held.plane, "doublet", 0.5 * burst_rad(held, 1.0), stop_s=0.3)
     run, rows = held.fly(WATCHED_S, (kick,), change)
@@ -175,7 +175,7 @@ def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) ->
     def found(measured: float, frequency_hz: float, reason: str = "") -> MeasuredMargin:
         return MeasuredMargin(what, UNITS[what], math.nan, measured, frequency_hz, tuple(tried), reason)
 
-    def change(amount: float) -> Change:
+    def change(amount: float) -> PackedChange:
         return lambda packed: measured_margins.alter(packed, held, what, amount)
 
     most = measured_margins.longest_delay_s(held) if what == "delay" else math.inf

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.certificate.excitation import Band, ExcitationLevel, band, excitation_level, injections
+from maxq.design.certificate.excitation import ExcitationLevel, LineBand, band, excitation_level, injections
 from maxq.design.certificate.held_flight import HeldFlight
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
@@ -46,7 +46,7 @@ _DISTINCT = 0.01  # a root that changes less than this over the record cannot be
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredResponse:
     """L at lines, (lines,), with its quality.
 
     `error` is the standard error of L relative to L, `coherence` the share of the return that L explains: both from
@@ -62,7 +62,7 @@ class Measured:
     outcome: str
 
 
-def measure(held: HeldFlight, band: Band, level: ExcitationLevel, closed_poles: ComplexArray) -> Measured:
+def measure(held: HeldFlight, band: LineBand, level: ExcitationLevel, closed_poles: ComplexArray) -> MeasuredResponse:
     """Fly with the signal injected at the gimbal command, and compare filter output and gimbal command.
 
     L = -U / E with U the output of the bending filter and E = U + injected, limited and quantised: the command that
@@ -75,7 +75,9 @@ def measure(held: HeldFlight, band: Band, level: ExcitationLevel, closed_poles: 
     return _measured(held, band, closed_poles, run, values)
 
 
-def _measured(held: HeldFlight, band: Band, closed_poles: ComplexArray, run: FlightRun, values: Array) -> Measured:
+def _measured(
+    held: HeldFlight, band: LineBand, closed_poles: ComplexArray, run: FlightRun, values: Array
+) -> MeasuredResponse:
     back = values[:, run.table.index(f"filtered_{held.plane}_deg")]
     sent = values[:, run.table.index(f"gimbal_{held.plane}_command_deg")]
     flight = run.result()
@@ -83,12 +85,14 @@ def _measured(held: HeldFlight, band: Band, closed_poles: ComplexArray, run: Fli
     spectra = _spectra(band, held.sample_s, back, sent)
     if spectra is None:
         nothing = np.full(len(band.lines_hz), np.nan)
-        return Measured(band.lines_hz, nothing.astype(complex), 0.0 * nothing, nothing, saturated_s, flight.outcome)
+        return MeasuredResponse(
+            band.lines_hz, nothing.astype(complex), 0.0 * nothing, nothing, saturated_s, flight.outcome
+        )
     out, into = (_settled(x, band, closed_poles) for x in spectra)
     return _estimated(band, out, into, saturated_s, flight.outcome)
 
 
-def _spectra(band: Band, sample_s: float, back: Array, sent: Array) -> tuple[ComplexArray, ComplexArray] | None:
+def _spectra(band: LineBand, sample_s: float, back: Array, sent: Array) -> tuple[ComplexArray, ComplexArray] | None:
     """(periods, bins) of the return and of the command; None if the flight ended before.
 
     A command is logged after its tick: it is read one row later.
@@ -103,7 +107,7 @@ def _spectra(band: Band, sample_s: float, back: Array, sent: Array) -> tuple[Com
     return out, into
 
 
-def _settled(spectra: ComplexArray, band: Band, closed_poles: ComplexArray) -> ComplexArray:
+def _settled(spectra: ComplexArray, band: LineBand, closed_poles: ComplexArray) -> ComplexArray:
     """Mean over the periods, (bins,), without transients: each root's part changes by exp(p times the period). The
     slowest roots first: there are not periods enough for all."""
     distinct = np.abs(closed_poles.real) * band.duration_s > _DISTINCT
@@ -114,7 +118,9 @@ def _settled(spectra: ComplexArray, band: Band, closed_poles: ComplexArray) -> C
     return np.asarray(np.linalg.lstsq(shapes, spectra, rcond=None)[0][0])
 
 
-def _estimated(band: Band, out: ComplexArray, into: ComplexArray, saturated_s: float, outcome: str) -> Measured:
+def _estimated(
+    band: LineBand, out: ComplexArray, into: ComplexArray, saturated_s: float, outcome: str
+) -> MeasuredResponse:
     """At the lines; between them nothing is sent, and U = E is noise that has gone round the loop: N / (1 + L)."""
     lines = np.round(band.lines_hz * band.period_s).astype(int)
     response = -out[lines] / into[lines]
@@ -129,7 +135,7 @@ def _estimated(band: Band, out: ComplexArray, into: ComplexArray, saturated_s: f
         near = np.flatnonzero(silent[low : line + reach + 1]) + low
         noise[i] = np.sqrt(np.mean(np.abs(out[near] * (1.0 + response[i])) ** 2))
     error = noise / np.abs(out[lines])
-    return Measured(band.lines_hz, response, 1.0 / (1.0 + error**2), error, saturated_s, outcome)
+    return MeasuredResponse(band.lines_hz, response, 1.0 / (1.0 + error**2), error, saturated_s, outcome)
 
 
 @dataclass(frozen=True)
@@ -185,7 +191,7 @@ def degrees(ratio: ComplexArray) -> Array:
 
 
 def measured_response(
-    held: HeldFlight, loop: Loop, pade: Loop, bands: tuple[Band, ...] = BANDS, *, at_half: bool = True
+    held: HeldFlight, loop: Loop, pade: Loop, bands: tuple[LineBand, ...] = BANDS, *, at_half: bool = True
 ) -> ResponseTable:
     """All bands measured, as they fly and without rounding, and judged. `at_half`: at half the level as well."""
     if not bands:
@@ -199,7 +205,7 @@ def measured_response(
     high = np.flatnonzero(lines > UNROUNDED_FROM_HZ)
     if len(high):
         fine = _without_rounding(held)
-        one = Band(_even(lines[high]), UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S, 1)
+        one = LineBand(_even(lines[high]), UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S, 1)
         found = measure(fine, one, excitation_level(fine, loop, one), poles)
         clean[high] = found.response * loop.response(lines[high]) / loop.response(one.lines_hz)
         if at_half:
@@ -255,7 +261,7 @@ def ring_lines(by_law: HeldFlight, loop: Loop) -> tuple[RingLine, ...]:
     omega = 2.0 * np.pi * SWING_PERIODS / swing_window_s(node)
     ringed = node.vehicle.pendulums.ring * node.vehicle.pendulums.mass_kg > 0.0
     for hz in sorted(set(_even(omega[ringed] / (2.0 * np.pi)).tolist())):
-        one = Band(np.array([hz]), UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S, 3)
+        one = LineBand(np.array([hz]), UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S, 3)
         level = excitation_level(by_law, loop, one, RING_SHARE)
         run, rows = by_law.fly(one.duration_s, injections([*level.groups, *level.dither], by_law.plane))
         seen = _measured(by_law, one, loop.closed_poles(), run, rows)

@@ -20,7 +20,7 @@ from maxq.control.kernel.records import Array
 from maxq.control.laws.load_relief import lag_share
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 
-Pair = tuple[float, float]
+FrequencyAndDamping = tuple[float, float]
 AnyFilter = BendingFilter | DiscreteFilter | None
 """Continuous, discrete at the flight computer's period, or none: 1."""
 
@@ -308,7 +308,12 @@ def random_ranges(layout: FilterVariables, lower: Array, upper: Array, mode_hz: 
     low[frequency] = np.clip(centre - reach, low[frequency], high[frequency])
     high[frequency] = np.clip(centre + reach, low[frequency], high[frequency])
 
-    def ranges(zero: Pair, zero_zeta: Pair, pole: Pair, pole_zeta: Pair) -> list[Pair]:
+    def ranges(
+        zero: FrequencyAndDamping,
+        zero_zeta: FrequencyAndDamping,
+        pole: FrequencyAndDamping,
+        pole_zeta: FrequencyAndDamping,
+    ) -> list[FrequencyAndDamping]:
         hz = [tuple(math.log(x * mode_hz) for x in pair) for pair in (zero, pole)]
         return [(hz[0][0], hz[0][1]), zero_zeta, (hz[1][0], hz[1][1]), pole_zeta]
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import tomli_w
 
 from maxq.design.laws.law import DesignedLaw
-from maxq.sim.scenario.documents import Source, adopt, plain
-from maxq.sim.scenario.errors import ScenarioError, suggestion
-from maxq.sim.scenario.files import builtin_files
+from maxq.sim.input.documents import Source, adopt, plain
+from maxq.sim.input.errors import ScenarioError, suggestion
+from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.sim.scenario.schema_design import Basis, Design, Roll, StageLaw
+from maxq.sim.scenario.schema_design import Design, DesignBasis, RollSection, StageLaw
 
 DESIGN_NAME = "design.toml"
 _DIGITS = 9
@@ -56,7 +56,13 @@ def load_design(name: str | Path, beside: LoadedScenario | str | Path = "nominal
 
 
 def design_of(
-    *, name: str, description: str, vehicle: str, law: DesignedLaw, roll: Roll | None = None, basis: Basis | None = None
+    *,
+    name: str,
+    description: str,
+    vehicle: str,
+    law: DesignedLaw,
+    roll: RollSection | None = None,
+    basis: DesignBasis | None = None,
 ) -> Design:
     """A design with numbers of nine digits: what is written, judged and flown are the same numbers."""
     rounded = json.loads(json.dumps(law.tables()), parse_float=lambda text: float(f"{float(text):.{_DIGITS}g}"))

@@ -26,9 +26,9 @@ from maxq.control.structures import Over, structure_of
 from maxq.design.laws.bending_filter import AnyFilter, Lag, check_period, filter_poles, filter_state_space
 from maxq.design.model.instruments import ACCELERATION, Plane, further_rate
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
+from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.packing.computer import bending_filter, gain_schedules
 from maxq.sim.scenario.schema_design import Design
-from maxq.sim.scenario.tables_csv import CsvTable
 
 LoopFilter = tuple[BendingFilter, Discretization, float | None]
 """A loop's own continuous filter, how it is discretised, and where it is prewarped."""

@@ -33,11 +33,11 @@ GAIN_FACTOR = 1.02  # of starting gains over the least that meet the limits
 HERTZ, ZETA, AT_INFINITY = range(3)  # numbers of `PdVariables.limits`
 GAIN_OF = {"angle_rad": "k_p", "angle_integral_rads": "k_i_ps"}
 AIR = ("percussion_m", "accel_per_incidence_mps2")
-Curve = tuple[ComplexArray, ComplexArray, ComplexArray]
+ValueAndSlopes = tuple[ComplexArray, ComplexArray, ComplexArray]
 """Values at points with their first and second derivative by x = ln f."""
 
 
-def _product(a: Curve, b: Curve) -> Curve:
+def _product(a: ValueAndSlopes, b: ValueAndSlopes) -> ValueAndSlopes:
     return a[0] * b[0], a[1] * b[0] + a[0] * b[1], a[2] * b[0] + 2.0 * a[1] * b[1] + a[0] * b[2]
 
 
@@ -198,7 +198,7 @@ class PdVariables:
             return LogResponse(common, (np.exp(own[:, n:]), None, None))
         return LogResponse(common, self._on_measurements(own, axis)[0])
 
-    def _on_measurements(self, own: Array, axis: Axis) -> tuple[Curve, ComplexArray]:
+    def _on_measurements(self, own: Array, axis: Axis) -> tuple[ValueAndSlopes, ComplexArray]:
         """Gains (points, inputs) at own parameters (points, own), with both derivatives by x, and their slopes by the
         own parameters behind the filter's.
         """
@@ -209,9 +209,9 @@ class PdVariables:
         shape = points, len(self.inputs)
         out = tuple(np.zeros(shape, np.complex128) for _ in range(3))
         slopes = np.zeros((*shape, self.own_size - n), np.complex128)
-        one: Curve = (np.ones(points, complex), np.zeros(points, complex), np.zeros(points, complex))
-        lag: Curve = axis[3:6] if self.lag is not None else one  # type: ignore[assignment]  # three of them
-        change: Curve = axis[6:9] if self.by_incidence else one  # type: ignore[assignment]  # three of them
+        one: ValueAndSlopes = (np.ones(points, complex), np.zeros(points, complex), np.zeros(points, complex))
+        lag: ValueAndSlopes = axis[3:6] if self.lag is not None else one  # type: ignore[assignment]  # three of them
+        change: ValueAndSlopes = axis[6:9] if self.by_incidence else one  # type: ignore[assignment]  # three of them
         for i, name in enumerate(self.inputs):
             bank = 0 if name in ANGLES else 2 if name == ACCELERATION else 1
             loop, y = self.loops[bank], own[:, at_loops[bank] : at_loops[bank + 1]]

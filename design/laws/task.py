@@ -13,7 +13,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.case.basis import MarginLimits, limit_of
 from maxq.design.case.schema import Case
 from maxq.design.laws.wind import Winds
-from maxq.sim.scenario.schema_values import at_time
+from maxq.sim.input.values import at_time
 
 DB = 20.0 / math.log(10.0)  # dB of a change of a natural logarithm
 

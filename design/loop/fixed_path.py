@@ -41,9 +41,9 @@ from maxq.design.model.instruments import actuator_poles, actuators, gyro, lag, 
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels
 
-Kind = Literal["sampled", "pade", "exact"]
+LoopKind = Literal["sampled", "pade", "exact"]
 Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
+KINDS: tuple[LoopKind, ...] = get_args(LoopKind)
 CUTS: tuple[Cut, ...] = get_args(Cut)
 IMAGES = 8  # on either side of a mode's own part; they fall with the third power of their number at least
 
@@ -51,7 +51,7 @@ IMAGES = 8  # on either side of a mode's own part; they fall with the third powe
 class FixedPath(abc.ABC):
     """Common to all kinds; `response` and `integrator` take frequencies in Hz of any shape."""
 
-    kind: ClassVar[Kind]
+    kind: ClassVar[LoopKind]
 
     def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
         if cut not in CUTS:
@@ -389,7 +389,7 @@ def delayed(path: StateSpace, output: int, samples: int) -> StateSpace:
 
 
 def fixed_path(
-    node: Node, kind: Kind = "sampled", cut: Cut = "gimbal_command", senses: bool = False
+    node: Node, kind: LoopKind = "sampled", cut: Cut = "gimbal_command", senses: bool = False
 ) -> FixedPath:  # fmt: skip  # as ruff would, but for a line of one bracket
     """The fixed path of a node; `senses`: with further sensors. Raises ValueError for an unknown kind or cut."""
     kinds = {one.kind: one for one in (SampledFixedPath, PadeFixedPath, ExactFixedPath)}

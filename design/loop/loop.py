@@ -14,7 +14,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.laws.bending_filter import FASTEST
 from maxq.design.laws.law import ANGLES, MEASUREMENTS, Controller
 from maxq.design.laws.registry import designed_law
-from maxq.design.loop.fixed_path import Cut, ExactFixedPath, FixedPath, Kind, PadeFixedPath, fixed_path
+from maxq.design.loop.fixed_path import Cut, ExactFixedPath, FixedPath, LoopKind, PadeFixedPath, fixed_path
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain, zeros_and_poles
 from maxq.sim.scenario.schema_design import Design
@@ -164,7 +164,7 @@ class Loop:
         return np.asarray(law.sum(axis=-1) * exact.at(s))
 
 
-def law_at(design: Design, node: Node, kind: Kind = "sampled") -> Controller:
+def law_at(design: Design, node: Node, kind: LoopKind = "sampled") -> Controller:
     """Return the design's law at a node's time and in its plane, as the flight computer runs it or continuous."""
     law = designed_law(design.of_stage(node.stage))
     return law.at(node.scheduled(law.over), node.plane, node.instruments.sample_s if kind == "sampled" else None)
@@ -175,7 +175,9 @@ def close_loop(path: FixedPath, design: Design) -> Loop:
     return Loop(path, law_at(design, path.node, path.kind))
 
 
-def loops(where: Iterable[Node], design: Design, *, kind: Kind = "sampled", cut: Cut = "gimbal_command") -> list[Loop]:
+def loops(
+    where: Iterable[Node], design: Design, *, kind: LoopKind = "sampled", cut: Cut = "gimbal_command"
+) -> list[Loop]:
     """Return a design's loop at each operating point, opened at `cut`.
 
     `kind`: as the flight computer samples it (`sampled`), or continuous with the paper's approximations (`pade`) or

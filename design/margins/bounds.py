@@ -35,7 +35,7 @@ PROBES = 64  # points of the curve at which they are compared
 MOST_HALVINGS = 40
 
 
-class Factors(NamedTuple):
+class ZerosAndPoles(NamedTuple):
     """Zeros and poles of L in s, or in z at a period, (factors,): `sign` is +1 of a zero, -1 of a pole.
 
     `period_s` is 0 for s. `size_at` and `phase_at`, (places, factors), are where the derivatives of ln |.| and of the
@@ -51,7 +51,7 @@ class Factors(NamedTuple):
     phase: Array
 
 
-def factors_of(loop: OpenLoop) -> Factors:
+def factors_of(loop: OpenLoop) -> ZerosAndPoles:
     """Return the zeros and poles of a loop; none where they are not known, or without number."""
     known = loop.factors()
     if known is None:
@@ -68,7 +68,7 @@ def factors_of(loop: OpenLoop) -> Factors:
     return with_extremes(np.concatenate([zeros, poles]).astype(np.complex128), sign, loop.sample_s or 0.0)
 
 
-def with_extremes(at: ComplexArray, sign: Array, period_s: float) -> Factors:
+def with_extremes(at: ComplexArray, sign: Array, period_s: float) -> ZerosAndPoles:
     """Return zeros and poles with the places and values of the extremes of their derivatives."""
     with np.errstate(all="ignore"):
         if period_s == 0.0:
@@ -82,11 +82,11 @@ def with_extremes(at: ComplexArray, sign: Array, period_s: float) -> Factors:
             size_at = [u + near, u - near, u + near - 2.0 * np.pi, u - near + 2.0 * np.pi]
             size, far = [top, -top, top, -top], 1.0 / (1.0 + r)
             phase_at, phase = [u, u + np.pi, u - np.pi], [1.0 / (1.0 - r), far, far]
-    return Factors(at, sign, period_s, np.array(size_at), np.array(size), np.array(phase_at), np.array(phase))
+    return ZerosAndPoles(at, sign, period_s, np.array(size_at), np.array(size), np.array(phase_at), np.array(phase))
 
 
 @routine
-def _agree(f: Array, loop: ComplexArray, by: Factors) -> NDArray[np.bool_]:
+def _agree(f: Array, loop: ComplexArray, by: ZerosAndPoles) -> NDArray[np.bool_]:
     """Return where along the curve L is the product of its factors, by a constant the same for most points."""
     n = len(f)
     probes = np.unique(np.linspace(0.0, n - 1.0, PROBES).astype(np.int64))
@@ -133,7 +133,7 @@ def _range_of(
 
 
 @routine
-def slopes(low_hz: float, high_hz: float, by: Factors) -> tuple[float, float, float, float]:
+def slopes(low_hz: float, high_hz: float, by: ZerosAndPoles) -> tuple[float, float, float, float]:
     """Return the least and greatest derivative of ln |L| and of the phase over an interval, by w or t.
 
     They are no numbers where an end of it lies on a zero or pole.
@@ -157,7 +157,7 @@ def slopes(low_hz: float, high_hz: float, by: Factors) -> tuple[float, float, fl
 
 
 @routine
-def separated(f: Array, loop: ComplexArray, by: Factors, source: LoopResponse) -> tuple[Array, ComplexArray]:
+def separated(f: Array, loop: ComplexArray, by: ZerosAndPoles, source: LoopResponse) -> tuple[Array, ComplexArray]:
     """Return a curve with as many more points as it takes that no step hides two crossings of |L| = 1, or two of the
     negative real axis where |L| is above FLOOR.
 
@@ -181,7 +181,7 @@ def separated(f: Array, loop: ComplexArray, by: Factors, source: LoopResponse) -
 
 
 @routine
-def _unsettled(low_hz: float, high_hz: float, first: complex, last: complex, by: Factors) -> bool:
+def _unsettled(low_hz: float, high_hz: float, first: complex, last: complex, by: ZerosAndPoles) -> bool:
     """Return True for a step that may hide a pair."""
     size_least, size_most, phase_least, phase_most = slopes(low_hz, high_hz, by)
     width = (high_hz - low_hz) * TWO_PI * (by.period_s if by.period_s > 0.0 else 1.0)

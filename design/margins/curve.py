@@ -72,7 +72,7 @@ class Trace(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Curve:
+class LoopCurve:
     """L at rising frequencies, and the poles (rad/s) that the grid is made of; `finite_end`: it ends at Nyquist.
 
     `at_zero` is the limit of L at zero frequency where `slope_at_zero` is 0 (there L is real and even in f).
@@ -94,7 +94,7 @@ class Curve:
         """Poles slower than this are drift."""
         return float(2.0 * np.pi * self.frequency_hz[0])
 
-    def with_points(self, frequency_hz: Array, loop: ComplexArray) -> Curve:
+    def with_points(self, frequency_hz: Array, loop: ComplexArray) -> LoopCurve:
         """Return the curve with points in place of its own."""
         return replace(self, frequency_hz=frequency_hz, loop=loop)
 

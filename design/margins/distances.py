@@ -28,7 +28,7 @@ from maxq.design.margins.response import LoopResponse
 from maxq.design.margins.solving import DB, from_minus_one_deg, log_size, objective, objectives
 from maxq.design.model.state_space import ComplexArray
 
-Shape = Literal["diamond", "rectangle", "ellipse"]
+ExclusionShape = Literal["diamond", "rectangle", "ellipse"]
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def _phase_deg(size: float) -> float:
 class Zone:
     """Half axes. Raises ValueError unless both are positive."""
 
-    shape: Shape = "diamond"
+    shape: ExclusionShape = "diamond"
     phase_deg: float = 30.0
     gain_db: float = 6.0
 

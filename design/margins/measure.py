@@ -16,9 +16,9 @@ from maxq.design.loop.loop import OpenLoop
 from maxq.design.loop.resonance import Resonance
 from maxq.design.margins import crossings
 from maxq.design.margins import curve as curves
-from maxq.design.margins.bounds import Factors, factors_of, separated
+from maxq.design.margins.bounds import ZerosAndPoles, factors_of, separated
 from maxq.design.margins.crossings import Crossings, GainCrossings, PhaseCrossings
-from maxq.design.margins.curve import Curve, Trace
+from maxq.design.margins.curve import LoopCurve, Trace
 from maxq.design.margins.distances import (
     NO_DISKS,
     Clearance,
@@ -40,7 +40,7 @@ BENDING_KINDS = ("bending", "slosh")
 
 
 @dataclass(frozen=True)
-class Bound:
+class LeastValue:
     """The least of several values and its frequency: infinite at NaN if nothing bounds; NaN for an unstable loop."""
 
     value: float
@@ -50,7 +50,7 @@ class Bound:
         return self.value
 
 
-NOTHING = Bound(np.nan, np.nan)
+NOTHING = LeastValue(np.nan, np.nan)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,15 +78,15 @@ class Margins:
     growth_hz: float  # of that pole
     gain_crossings: GainCrossings
     phase_crossings: PhaseCrossings
-    curve: Curve
+    curve: LoopCurve
     clearances: tuple[Clearance, ...]
-    gain_up_db: Bound = NOTHING
-    gain_down_db: Bound = NOTHING
-    phase_deg: Bound = NOTHING
-    delay_s: Bound = NOTHING
-    aero_gain_db: Bound = NOTHING
-    rigid_gain_db: Bound = NOTHING
-    rigid_phase_deg: Bound = NOTHING
+    gain_up_db: LeastValue = NOTHING
+    gain_down_db: LeastValue = NOTHING
+    phase_deg: LeastValue = NOTHING
+    delay_s: LeastValue = NOTHING
+    aero_gain_db: LeastValue = NOTHING
+    rigid_gain_db: LeastValue = NOTHING
+    rigid_phase_deg: LeastValue = NOTHING
     crossover_hz: float = np.nan  # 0 without one
     disks: Disks = NO_DISKS
     lobes: tuple[Lobe, ...] = ()
@@ -152,7 +152,7 @@ def margins(
         )
     every, after, bounds, table = found.crossings, found.trace, found.bounds, found.lobes
     clearances, at = found.nearest
-    curve = Curve(
+    curve = LoopCurve(
         loop, after.frequency_hz, after.loop, open_poles, closed_poles, t.slope_at_zero, t.at_zero, t.slope_at_end,
         t.finite_end,
     )  # fmt: skip  # one line for each otherwise
@@ -169,7 +169,9 @@ def margins(
     if not stable:
         nothing = complex(np.nan, np.nan)
         return Margins(**facts, clearances=tuple(Clearance(zone, np.nan, np.nan, nothing) for zone in zones))
-    facts |= {name: Bound(value, hz) for name, (value, hz) in zip(BOUNDS, bounds[:CROSSOVER].tolist(), strict=True)}
+    facts |= {
+        name: LeastValue(value, hz) for name, (value, hz) in zip(BOUNDS, bounds[:CROSSOVER].tolist(), strict=True)
+    }
     clear = zip(zones, clearances.tolist(), at.tolist(), strict=True)
     return Margins(
         **facts, crossover_hz=float(bounds[CROSSOVER, 1]),
@@ -185,7 +187,7 @@ BOUNDS = (
 GAIN_UP, GAIN_DOWN, PHASE, DELAY, AERO_GAIN, RIGID_GAIN, RIGID_PHASE, CROSSOVER = range(len(BOUNDS) + 1)
 
 
-class Found(NamedTuple):
+class LoopResults(NamedTuple):
     """The results of compiled code for one loop."""
 
     trace: Trace
@@ -200,7 +202,7 @@ class Found(NamedTuple):
 
 @entry
 def _trace(
-    open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, factors: Factors, source: LoopResponse
+    open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, factors: ZerosAndPoles, source: LoopResponse
 ) -> Trace:  # fmt: skip  # as ruff would, but for a line of one bracket
     t = curves.traced(open_, closed, lowest, end, source)
     f, loop = curves.with_extremes(t.frequency_hz, t.loop, 3, source)
@@ -213,12 +215,12 @@ def _trace(
 def _measure(
     t: Trace, open_: ComplexArray, closed: ComplexArray, centre: Array, width: Array, part: ComplexArray,
     slosh: NDArray[np.bool_], least_share: float, limit_db: float, zones: Array, source: LoopResponse,
-) -> Found:  # fmt: skip  # one line for each otherwise
+) -> LoopResults:  # fmt: skip  # one line for each otherwise
     every, after, growing, encircled = counted(t, open_, closed, source)
     on_axis = open_.imag[open_.real == 0.0] / (2.0 * np.pi)
     table = find_lobes(after, every, centre, width, part, least_share, limit_db, on_axis, source)
     bounds, nearest = bounds_of(after, every, table, slosh), find_clearances(after, every, zones, source)
-    return Found(after, every, growing, encircled, table, bounds, least_distances(after), nearest)
+    return LoopResults(after, every, growing, encircled, table, bounds, least_distances(after), nearest)
 
 
 @routine

@@ -32,8 +32,8 @@ from maxq.design.model.spread import Spread, with_actuators_apart
 from maxq.sim.campaign.plan import Draw, Drawn, Plan
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.targets import Refused, Target
-from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.input.errors import ScenarioError
+from maxq.sim.input.remembered import cached_by_identity
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import Stage
 

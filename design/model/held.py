@@ -29,7 +29,7 @@ from maxq.sim.flight.parameters import Memory
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle import schedule
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle.sensors import ACCELEROMETER
+from maxq.sim.vehicle.sensor.further import ACCELEROMETER
 from maxq.sim.vehicle.state import MAX_STATE
 from maxq.sim.vehicle.workspace import PROPERTIES_SIZE
 from maxq.sim.world.atmosphere import CONSTANT, HEAT_RATIO, GAS_CONSTANT_Jpkg_K

@@ -13,9 +13,9 @@ import scipy.linalg
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.sim.vehicle.actuator import Actuator
-from maxq.sim.vehicle.gyro import Gyro
-from maxq.sim.vehicle.sensors import ACCELEROMETER
+from maxq.sim.vehicle.actuator.kernel import Actuator
+from maxq.sim.vehicle.sensor.further import ACCELEROMETER
+from maxq.sim.vehicle.sensor.gyro import Gyro
 
 Plane = Literal["pitch", "yaw"]
 

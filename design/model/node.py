@@ -31,18 +31,18 @@ from maxq.design.model.vehicle_at import (
 )
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.flight.telemetry import FAST
+from maxq.sim.input.ranges import LONGEST_S
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.flight import KeptRows
 from maxq.sim.run.fly import FlightRun
-from maxq.sim.scenario.burn import stage_burns, table_time_s, when_spent_s
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.ranges import LONGEST_S
-from maxq.sim.scenario.schema_scenario import Log, Scenario
+from maxq.sim.scenario.schema_scenario import LogSection, Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.vehicle.actuator import Actuator
-from maxq.sim.vehicle.slosh import RING_DRAG
+from maxq.sim.vehicle.actuator.kernel import Actuator
+from maxq.sim.vehicle.engine.burn import stage_burns, table_time_s, when_spent_s
+from maxq.sim.vehicle.slosh.kernel import RING_DRAG
 from maxq.sim.vehicle.state import Q_BI, R_I, V_I
 from maxq.sim.world.earth import ground_velocity
 
@@ -218,7 +218,7 @@ def with_cuts(nodes: Sequence[Node], scenario: LoadedScenario) -> list[Node]:
 
 
 SWING_PERIODS = 3.0  # of a pendulum, about a node, over which its swing is averaged
-_SWING_LOG = Log(fast_hz=200.0, slow_hz=1.0, transform_hz=1.0)
+_SWING_LOG = LogSection(fast_hz=200.0, slow_hz=1.0, transform_hz=1.0)
 
 
 def with_swings(nodes: Sequence[Node], scenario: LoadedScenario, faults: bool = False) -> list[Node]:

@@ -14,9 +14,9 @@ from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, TUMBLE
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.flight import Event
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, IGNITION_NAME, FlightRun
-from maxq.sim.scenario.burn import Burn, stage_burns, when_spent_s
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.vehicle.engine.burn import Burn, stage_burns, when_spent_s
 
 
 @dataclass(frozen=True)

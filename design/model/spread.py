@@ -16,17 +16,17 @@ from pydantic_core import PydanticCustomError
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign, made_of
 from maxq.sim.campaign.schema import CampaignFile, Correlated
 from maxq.sim.campaign.targets import find_target
-from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.scenario.errors import ScenarioError, refuse
+from maxq.sim.input.errors import ScenarioError, refuse
+from maxq.sim.input.remembered import cached_by_identity
+from maxq.sim.input.values import LIST_FORM, TABLE_FORM, NotNegative, Section, optional
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.schema_stage import ActuatorAxis
-from maxq.sim.scenario.schema_values import LIST_FORM, TABLE_FORM, NotNegative, Section, optional
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
+from maxq.sim.vehicle.actuator.section import ActuatorAxis
 
-Share = Annotated[float, Field(ge=0.0, lt=1.0)]
+RelativeDeviation = Annotated[float, Field(ge=0.0, lt=1.0)]
 """A relative deviation; one of 1 would turn the sign of what deviates."""
 Shares = Annotated[
-    Annotated[Share, Tag(TABLE_FORM)] | Annotated[tuple[Share, ...], Tag(LIST_FORM)],
+    Annotated[RelativeDeviation, Tag(TABLE_FORM)] | Annotated[tuple[RelativeDeviation, ...], Tag(LIST_FORM)],
     Discriminator(lambda value: LIST_FORM if isinstance(value, list | tuple) else TABLE_FORM),
 ]
 """One for all modes, tanks, engines or groups of engines, or one each, the last for all beyond."""
@@ -46,8 +46,8 @@ class Spread(Section):
     slosh_damping: Shares = optional("of each tank, with that of walls and rings", 0.5)
     actuator_frequency: Shares = optional("poles of the actuators, of each group of engines", 0.15)
     thrust: Shares = optional("lateral authority, of each engine", 0.03)
-    normal_force: Share = optional("of all surfaces", 0.15)
-    inertia: Share = optional("transverse", 0.05)
+    normal_force: RelativeDeviation = optional("of all surfaces", 0.15)
+    inertia: RelativeDeviation = optional("transverse", 0.05)
     centre_of_pressure_m: NotNegative = optional("m", 0.25)
     delay_s: NotNegative = optional("either way, s; never below no delay, nor above the sample", 0.002)
     correlated: tuple[Correlated, ...] = optional(

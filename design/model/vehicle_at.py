@@ -10,7 +10,8 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.model.held import Drives, FlightCondition, HeldStage, Trim
 from maxq.design.model.instruments import ACCELERATION, Plane, sensed
-from maxq.sim.vehicle import aero, schedule
+from maxq.sim.vehicle import schedule
+from maxq.sim.vehicle.air import kernel as aero
 
 
 @dataclass(frozen=True)

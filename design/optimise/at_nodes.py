@@ -19,7 +19,7 @@ from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.loops import Loops
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem
-from maxq.design.optimise.search import Found, Progress, search
+from maxq.design.optimise.search import BestPoint, SearchProgress, search
 from maxq.design.optimise.solution import Solution, make_solution
 
 MORE_STARTS = 3  # times as many, where the limits cannot be met
@@ -37,7 +37,7 @@ def _problem_of(case: Case, plants: Plants, law: LawVariables) -> Problem:
 
 
 def solve_at_nodes(
-    loaded: LoadedCase, plants: Plants, also_from: Sequence[DesignedLaw] = (), progress: Progress | None = None
+    loaded: LoadedCase, plants: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
 ) -> Solution:
     """The best design found for the plants at the case's nodes.
 
@@ -58,15 +58,15 @@ def solve_at_nodes(
     return replace(solution, stable_without=tuple(freed))
 
 
-def finished(case: Case, plants: Plants, problem: Problem, found: Found, begun: float) -> Solution:
+def finished(case: Case, plants: Plants, problem: Problem, found: BestPoint, begun: float) -> Solution:
     """The solution at a search's best point, its stability checked by poles."""
     seconds = time.perf_counter() - begun
     return make_solution(case, plants, problem, found, seconds, closes_stably(plants, problem, found))
 
 
 def search_best(
-    case: Case, plants: Plants, also_from: Sequence[DesignedLaw] = (), progress: Progress | None = None
-) -> tuple[Problem, Found]:
+    case: Case, plants: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
+) -> tuple[Problem, BestPoint]:
     """Search from all starts: other laws, and as many of the law's own as the case asks for.
 
     Where the limits cannot be met from these, once more from several times as many: how much they miss has valleys of
@@ -82,8 +82,8 @@ def search_best(
 
 
 def _search_from(
-    case: Case, plants: Plants, also_from: Sequence[DesignedLaw], progress: Progress | None
-) -> tuple[Problem, Found]:
+    case: Case, plants: Plants, also_from: Sequence[DesignedLaw], progress: SearchProgress | None
+) -> tuple[Problem, BestPoint]:
     problem = make_problem(case, plants)
     law, (count, leaps, seed) = problem.law, (case.search.starts, case.search.leaps, case.search.seed)
     given = [x for x in map(law.variables_of, also_from) if x is not None]
@@ -98,7 +98,7 @@ def _search_from(
     )
 
 
-def closes_stably(plants: Plants, problem: Problem, found: Found) -> bool:
+def closes_stably(plants: Plants, problem: Problem, found: BestPoint) -> bool:
     """Return True if every closed loop is stable by its eigenvalues, which the optimiser has not used."""
     for plant, law in zip(plants.each, problem.law.controllers(found.best.variables), strict=True):
         poles = plant.without_drift(Loop(plant.path, law).closed_poles())

@@ -21,8 +21,8 @@ from maxq.design.case.basis import Limits
 from maxq.design.case.schema import ObjectiveName
 from maxq.design.laws.task import DB, PlantLimits
 from maxq.design.optimise import features
-from maxq.design.optimise.curves import Indices
-from maxq.design.optimise.features import Cross, Kind, LogLoop, Mask, Search
+from maxq.design.optimise.curves import CurveIndices
+from maxq.design.optimise.features import Cross, FeatureKind, FeatureSearch, LogLoop, Mask
 from maxq.design.quantities import LAST_MODE, QUANTITIES
 
 
@@ -35,8 +35,8 @@ class Seen:
     """
 
     kind: NDArray[np.int8]
-    plant: Indices
-    mode: Indices
+    plant: CurveIndices
+    mode: CurveIndices
     weight_db: Array
     at: LogLoop
     cross: Cross
@@ -56,7 +56,7 @@ class Seen:
     @cached_property
     def distance_db(self) -> Array:
         """|1 + L| of the nearest approaches to -1, else nan."""
-        out, near = self.none.copy(), self.kind == Kind.MODULUS
+        out, near = self.none.copy(), self.kind == FeatureKind.MODULUS
         out[near] = DB * np.log(np.abs(1.0 + np.exp(self.at.value[near])))
         return out
 
@@ -74,7 +74,7 @@ class Seen:
         return self.limits[name][self.plant]
 
 
-Part = tuple[Mask, Array, Array, Array]
+JudgedFeatures = tuple[Mask, Array, Array, Array]
 """Which features, value, limit, excess (dB); an objective's excess is what is made small. nan: not judged."""
 
 
@@ -86,8 +86,8 @@ class Criterion:
     """
 
     key: str
-    searches: tuple[Search, ...]
-    parts: Callable[[Seen], list[Part]]
+    searches: tuple[FeatureSearch, ...]
+    parts: Callable[[Seen], list[JudgedFeatures]]
 
     @property
     def text(self) -> str:
@@ -117,10 +117,10 @@ class Objective:
     needs_mode: bool = False
 
 
-def _peak(key: str, first: int, last: int) -> Callable[[Seen], list[Part]]:
+def _peak(key: str, first: int, last: int) -> Callable[[Seen], list[JudgedFeatures]]:
     """Return the rows of the peaks of bending modes `first` to `last`; `key` of the limit, none for an objective."""
 
-    def parts(seen: Seen) -> list[Part]:
+    def parts(seen: Seen) -> list[JudgedFeatures]:
         most = seen.limit(key) if key else seen.none
         which = (seen.mode >= first) & (seen.mode <= last)
         peak_db = seen.gain_db + seen.weight_db
@@ -129,8 +129,8 @@ def _peak(key: str, first: int, last: int) -> Callable[[Seen], list[Part]]:
     return parts
 
 
-def _distance(seen: Seen) -> list[Part]:
-    return [(seen.kind == Kind.MODULUS, seen.distance_db, seen.none, -seen.distance_db)]
+def _distance(seen: Seen) -> list[JudgedFeatures]:
+    return [(seen.kind == FeatureKind.MODULUS, seen.distance_db, seen.none, -seen.distance_db)]
 
 
 OBJECTIVES: dict[ObjectiveName, Objective] = {
@@ -158,39 +158,39 @@ OBJECTIVES: dict[ObjectiveName, Objective] = {
 }
 
 
-def _gain_margin(seen: Seen) -> list[Part]:
+def _gain_margin(seen: Seen) -> list[JudgedFeatures]:
     """(44) at every crossing and end, and what approaches 180 deg within the margin without a crossing."""
     least = seen.limit("gain_margin_db")
-    crossing = (seen.kind == Kind.GAIN_CROSSING) | (seen.kind == Kind.END)
-    turn = (seen.kind == Kind.PHASE_TURN) & (np.abs(seen.gain_db) < least)
+    crossing = (seen.kind == FeatureKind.GAIN_CROSSING) | (seen.kind == FeatureKind.END)
+    turn = (seen.kind == FeatureKind.PHASE_TURN) & (np.abs(seen.gain_db) < least)
     return [
         (crossing, seen.gain_db, least, least - np.abs(seen.gain_db)),
         (turn, seen.beside_deg, seen.none, -np.abs(seen.beside_deg) * seen.db_per_deg),
     ]
 
 
-def _phase_margin(seen: Seen) -> list[Part]:
+def _phase_margin(seen: Seen) -> list[JudgedFeatures]:
     """(45) at every crossing of 0 dB, and what approaches 0 dB within the margin without a crossing."""
-    least, crossing = seen.limit("phase_margin_deg"), seen.kind == Kind.PHASE_CROSSING
-    turn = (seen.kind == Kind.GAIN_TURN) & (np.abs(seen.beside_deg) < least)
+    least, crossing = seen.limit("phase_margin_deg"), seen.kind == FeatureKind.PHASE_CROSSING
+    turn = (seen.kind == FeatureKind.GAIN_TURN) & (np.abs(seen.beside_deg) < least)
     return [
         (crossing, seen.beside_deg, least, (least - np.abs(seen.beside_deg)) * seen.db_per_deg),
         (turn, seen.gain_db, seen.none, -np.abs(seen.gain_db)),
     ]
 
 
-def _first_mode_phase(seen: Seen) -> list[Part]:
+def _first_mode_phase(seen: Seen) -> list[JudgedFeatures]:
     least = seen.limit("first_mode_phase_deg")
     return [(seen.of_first_mode, seen.beside_deg, least, (least - np.abs(seen.beside_deg)) * seen.db_per_deg)]
 
 
-def _modulus(seen: Seen) -> list[Part]:
+def _modulus(seen: Seen) -> list[JudgedFeatures]:
     least = seen.limit("modulus_db")
-    return [(seen.kind == Kind.MODULUS, seen.distance_db, least, least - seen.distance_db)]
+    return [(seen.kind == FeatureKind.MODULUS, seen.distance_db, least, least - seen.distance_db)]
 
 
-def _zone(seen: Seen) -> list[Part]:
-    near = (seen.kind == Kind.ZONE) | (seen.kind == Kind.ZONE_CORNER)
+def _zone(seen: Seen) -> list[JudgedFeatures]:
+    near = (seen.kind == FeatureKind.ZONE) | (seen.kind == FeatureKind.ZONE_CORNER)
     value = features.zone_value(seen.at.value.real, np.radians(seen.beside_deg), seen.cross)
     return [(near, value, np.ones(len(near)), (1.0 - value) * seen.limit("gain_margin_db"))]
 

@@ -22,7 +22,7 @@ from maxq.design.loop.own_part import NEAREST_NYQUIST
 from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.state_space import ComplexArray
 
-Indices = NDArray[np.int64]
+CurveIndices = NDArray[np.int64]
 
 BASE = "rate_radps"  # the measurement that the fixed path's response is to
 TOLERANCE = 2e-7  # of ln P
@@ -32,7 +32,7 @@ MOST_ROUNDS = 14
 CLOSEST = 1e-6  # points, in ln f
 
 
-Log = tuple[ComplexArray, ComplexArray, ComplexArray]
+LogAndSlopes = tuple[ComplexArray, ComplexArray, ComplexArray]
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class Points:
     `log_ratio` of each measurement over `BASE`, None for that itself.
     """
 
-    log_path: Log
-    log_ratio: dict[str, Log | None]
+    log_path: LogAndSlopes
+    log_ratio: dict[str, LogAndSlopes | None]
 
 
 class Curves:
@@ -52,7 +52,7 @@ class Curves:
     def __init__(self, meshes: Sequence[PathMesh]) -> None:
         self.sizes = np.array([len(m.x) for m in meshes])
         self.start = np.concatenate([[0], np.cumsum(self.sizes)])
-        self.plant: Indices = np.repeat(np.arange(len(meshes)), self.sizes)
+        self.plant: CurveIndices = np.repeat(np.arange(len(meshes)), self.sizes)
         self.x = np.concatenate([m.x for m in meshes])
         self.frequency_hz = np.exp(self.x)
         self.path = np.concatenate([m.path for m in meshes])
@@ -66,7 +66,7 @@ class Curves:
         )
         self.meshes = meshes
 
-    def in_cells(self, cell: Indices, x: Array) -> Points:
+    def in_cells(self, cell: CurveIndices, x: Array) -> Points:
         """Values at x within (or next to) known intervals of the mesh, counted over all plants."""
         t = (x - self.x[cell])[:, None]
         c = self._coefficients[:, cell, :]

@@ -15,7 +15,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 
-Shape = Literal["box", "ellipsoid"]
+RangeShape = Literal["box", "ellipsoid"]
 _FIRST, _LAST = 0.3, 0.003  # steps, in shares of the reach
 _SHARES = np.array([1.0, 0.6, 0.35, 0.2, 0.1])
 _GAIN = 1e-5  # what a round must lower the value by, of a value near 1
@@ -26,7 +26,7 @@ _MOST_ROUNDS = 40
 class Region:
     """The points u with |u_i| <= reach (box), or |u| <= reach (ellipsoid, in coordinates in which it is a ball)."""
 
-    shape: Shape
+    shape: RangeShape
     reach: float
 
     def nearest(self, points: Array) -> Array:

@@ -36,7 +36,7 @@ from maxq.design.laws.task import DB
 from maxq.design.loop.own_part import SHARE, dominance
 from maxq.design.margins import solving
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.optimise.curves import Curves, Indices
+from maxq.design.optimise.curves import CurveIndices, Curves
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -48,7 +48,7 @@ REAL_WITHIN_RAD = 0.02
 WIDEST_ZONE = 2.5  # approaches to a zone that are rows
 
 
-class Kind(IntEnum):
+class FeatureKind(IntEnum):
     """What a feature is."""
 
     PEAK = 0
@@ -73,7 +73,7 @@ class Cross:
     phase: Array
     zone: str
 
-    def of(self, which: Indices | Mask) -> Cross:
+    def of(self, which: CurveIndices | Mask) -> Cross:
         """Those of plants, or some of these features."""
         return Cross(self.gain[which], self.phase[which], self.zone)
 
@@ -102,20 +102,20 @@ class LogLoop:
         first = self.first + self.second * change
         return replace(self, value=self.value + 0.5 * (self.first + first) * change, first=first)
 
-    def taken(self, i: Indices) -> LogLoop:
+    def taken(self, i: CurveIndices) -> LogLoop:
         """Some of the points."""
         axis = tuple(a[i] for a in self.axis)
         return LogLoop(self.value[i], self.first[i], self.second[i], self.weights[i], self.own[i], axis)
 
 
 @dataclass(frozen=True)
-class Places:
+class MeshPlaces:
     """Mesh intervals in which something lies, and where to begin looking for it."""
 
     kind: NDArray[np.int8]
-    cell: Indices
+    cell: CurveIndices
     x: Array
-    tag: Indices  # the band of a peak; else 0
+    tag: CurveIndices  # the band of a peak; else 0
     fixed: Mask  # the frequency is given: ends of bands and of the mesh
 
 
@@ -125,7 +125,7 @@ def wrapped(log_loop: ComplexArray) -> Array:
 
 
 @dataclass(frozen=True)
-class Mode:
+class FeatureMode:
     """A bending mode of a plant, as `loop.own_part` describes it.
 
     `log_weight`: ln of the factor that makes max |L| in its band the peak of the mode.
@@ -146,14 +146,14 @@ class Bands:
     `centre`: the mesh point of the mode's frequency.
     """
 
-    first: Indices
-    last: Indices
-    centre: Indices
-    plant: Indices
-    each: tuple[Mode, ...]
+    first: CurveIndices
+    last: CurveIndices
+    centre: CurveIndices
+    plant: CurveIndices
+    each: tuple[FeatureMode, ...]
 
     @cached_property
-    def mode(self) -> Indices:
+    def mode(self) -> CurveIndices:
         return np.array([mode.number for mode in self.each], np.int64)
 
     @cached_property
@@ -161,7 +161,7 @@ class Bands:
         return DB * np.array([mode.log_weight for mode in self.each])
 
     @cached_property
-    def _by_plant(self) -> tuple[Indices, Indices, ComplexArray, Array, Array]:
+    def _by_plant(self) -> tuple[CurveIndices, CurveIndices, ComplexArray, Array, Array]:
         """Numbers of modes, and of each at each plant, (modes, plants): mesh point, own part, frequency, half width."""
         numbers, row = np.unique(self.mode, return_inverse=True)
         shape, at = (len(numbers), int(self.plant.max(initial=-1)) + 1), (row, self.plant)
@@ -171,7 +171,9 @@ class Bands:
         hz[at], width[at] = [mode.centre_hz for mode in self.each], [mode.half_width_hz for mode in self.each]
         return numbers, centre, part, hz, width
 
-    def own_crossings(self, number: int, plant: Indices, x: Array, value: ComplexArray, loop: ComplexArray) -> Mask:
+    def own_crossings(
+        self, number: int, plant: CurveIndices, x: Array, value: ComplexArray, loop: ComplexArray
+    ) -> Mask:
         """Return True for points (x = ln f, L = `value`) of plants at which a mode's own part is larger than SHARE
         times the rest and the largest of all modes; `loop`: L on the mesh. The rule is that of `margins.lobes`.
         """
@@ -186,7 +188,7 @@ class Bands:
         return np.asarray(strong & (sizes[row] > SHARE * np.abs(value - own)) & (sizes[row] >= sizes.max(axis=0)))
 
     @cached_property
-    def points(self) -> tuple[Indices, Indices, Indices, Indices]:
+    def points(self) -> tuple[CurveIndices, CurveIndices, CurveIndices, CurveIndices]:
         """Mesh points of all bands one after the other, their bands, and where each band starts and ends in these."""
         size = self.last - self.first + 1
         end = np.cumsum(size)
@@ -195,7 +197,7 @@ class Bands:
 
 
 @dataclass(frozen=True)
-class Mesh:
+class CurveMesh:
     """All loops on the mesh of their curves: what features are searched on.
 
     `beside`: arg L - 180 deg, rad. `cross` of each mesh point. `finite_at_zero` (plants,): L has no pole at s = 0.
@@ -216,7 +218,7 @@ class Mesh:
         return np.asarray(np.angle(-self.loop))
 
 
-Search = Callable[[Mesh], Places]
+FeatureSearch = Callable[[CurveMesh], MeshPlaces]
 
 
 def joined(parts: Sequence[Record]) -> Record:
@@ -225,13 +227,13 @@ def joined(parts: Sequence[Record]) -> Record:
     return type(parts[0])(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
-def _untagged(kind: Kind | Array, cell: Indices, x: Array, fixed: bool = False) -> Places:
+def _untagged(kind: FeatureKind | Array, cell: CurveIndices, x: Array, fixed: bool = False) -> MeshPlaces:
     """Places of one kind, or each of its own."""
     n = len(cell)
-    return Places(np.full(n, kind, np.int8), cell, x, np.zeros(n, np.int64), np.full(n, fixed))
+    return MeshPlaces(np.full(n, kind, np.int8), cell, x, np.zeros(n, np.int64), np.full(n, fixed))
 
 
-def peaks(mesh: Mesh) -> Places:
+def peaks(mesh: CurveMesh) -> MeshPlaces:
     """Local maxima of |L| in each band: inner ones, and ends from which the curve falls inwards."""
     curves, bands = mesh.curves, mesh.bands
     k, tag, starts, ends = bands.points
@@ -244,10 +246,10 @@ def peaks(mesh: Mesh) -> Places:
     inner = (k > bands.first[tag]) & (k < bands.last[tag])
     at = curves.x[k]
     at[inner] = vertex(curves.x, mesh.log_gain, k[inner])
-    return Places(np.full(len(k), Kind.PEAK, np.int8), k, at, tag, ~inner)
+    return MeshPlaces(np.full(len(k), FeatureKind.PEAK, np.int8), k, at, tag, ~inner)
 
 
-def crossings(mesh: Mesh) -> Places:
+def crossings(mesh: CurveMesh) -> MeshPlaces:
     """Changes of sign of arg L - 180 deg and of ln|L| between neighbours on the mesh, by linear interpolation."""
     curves, loop, log_gain = mesh.curves, mesh.loop, mesh.log_gain
     same = curves.plant[1:] == curves.plant[:-1]
@@ -261,12 +263,12 @@ def crossings(mesh: Mesh) -> Places:
     g = np.flatnonzero(same & (np.signbit(log_gain[1:]) != np.signbit(log_gain[:-1])))
     level = log_gain[g] / (log_gain[g] - log_gain[g + 1])
     level = np.where(np.isfinite(level), level, 0.5)
-    found = (Kind.GAIN_CROSSING, k, share), (Kind.PHASE_CROSSING, g, level)
+    found = (FeatureKind.GAIN_CROSSING, k, share), (FeatureKind.PHASE_CROSSING, g, level)
     width = np.diff(curves.x)
     return joined([_untagged(kind, cell, curves.x[cell] + part * width[cell]) for kind, cell, part in found])
 
 
-def ends(mesh: Mesh) -> Places:
+def ends(mesh: CurveMesh) -> MeshPlaces:
     """First mesh points of loops that are finite at zero frequency, and last ones, where L points at -1.
 
     There L is real and cannot cross the axis, but a change of gain takes it to -1 all the same.
@@ -274,10 +276,10 @@ def ends(mesh: Mesh) -> Places:
     curves, loop = mesh.curves, mesh.loop
     points = np.concatenate([curves.start[:-1][mesh.finite_at_zero], curves.start[1:] - 1])
     k = points[np.abs(np.angle(-loop[points])) < REAL_WITHIN_RAD]
-    return _untagged(Kind.END, k, curves.x[k], True)
+    return _untagged(FeatureKind.END, k, curves.x[k], True)
 
 
-def _extremes(curves: Curves, value: Array, lowest: bool, where: Mask) -> tuple[Indices, Array]:
+def _extremes(curves: Curves, value: Array, lowest: bool, where: Mask) -> tuple[CurveIndices, Array]:
     """Mesh points (of `where`) that are local extremes inside a plant's mesh, and the parabola's vertex."""
     v = value if lowest else -value
     inner = np.zeros(len(v), bool)
@@ -287,7 +289,7 @@ def _extremes(curves: Curves, value: Array, lowest: bool, where: Mask) -> tuple[
     return k, vertex(curves.x, value, k)
 
 
-def vertex(x: Array, value: Array, k: Indices) -> Array:
+def vertex(x: Array, value: Array, k: CurveIndices) -> Array:
     """Where the parabola through mesh points k - 1, k, k + 1 has its vertex, held between the outer two."""
     around = k + np.arange(-1, 2)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -295,26 +297,26 @@ def vertex(x: Array, value: Array, k: Indices) -> Array:
     return np.clip(np.where(np.isfinite(at), at, x[k]), x[k - 1], x[k + 1])
 
 
-def turns(mesh: Mesh) -> Places:
+def turns(mesh: CurveMesh) -> MeshPlaces:
     """Extremes that approach the cross |arg - 180| < phase at 0 dB, |ln L| < gain at 180 deg, without crossing it."""
     curves, log_gain, beside, cross = mesh.curves, mesh.log_gain, mesh.beside, mesh.cross
     found = []
     for sign in (1.0, -1.0):
         near = (sign * log_gain > 0) & (np.abs(beside) < cross.phase)
-        found.append(_untagged(Kind.GAIN_TURN, *_extremes(curves, log_gain, sign > 0, near)))
+        found.append(_untagged(FeatureKind.GAIN_TURN, *_extremes(curves, log_gain, sign > 0, near)))
         # 1.5 rad: where the wrapped phase jumps is no extreme
         near = (sign * beside > 0) & (np.abs(beside) < 1.5) & (np.abs(log_gain) < cross.gain)
-        found.append(_untagged(Kind.PHASE_TURN, *_extremes(curves, beside, sign > 0, near)))
+        found.append(_untagged(FeatureKind.PHASE_TURN, *_extremes(curves, beside, sign > 0, near)))
     return joined(found)
 
 
-def approaches(mesh: Mesh) -> Places:
+def approaches(mesh: CurveMesh) -> MeshPlaces:
     """Local minima of |1 + L| on the mesh that lie below 1."""
     distance = np.abs(1.0 + mesh.loop)
-    return _untagged(Kind.MODULUS, *_extremes(mesh.curves, distance, True, distance < 1.0))
+    return _untagged(FeatureKind.MODULUS, *_extremes(mesh.curves, distance, True, distance < 1.0))
 
 
-def near_zone(mesh: Mesh) -> Places:
+def near_zone(mesh: CurveMesh) -> MeshPlaces:
     """Local minima of the zone's function: on a face, or for a rectangle where two faces meet.
 
     A diamond's edges lie on the axes of the cross, where the crossings are.
@@ -323,11 +325,11 @@ def near_zone(mesh: Mesh) -> Places:
     value = zone_value(log_gain, beside, cross)
     k, x = _extremes(curves, value, True, value < WIDEST_ZONE)
     if cross.zone == "ellipse":
-        return _untagged(Kind.ZONE, k, x)
+        return _untagged(FeatureKind.ZONE, k, x)
     if cross.zone == "diamond":
         face = np.signbit(log_gain) * 2 + np.signbit(beside)
         inside = (face[k] == face[k - 1]) & (face[k] == face[k + 1])
-        return _untagged(Kind.ZONE, k[inside], x[inside])
+        return _untagged(FeatureKind.ZONE, k[inside], x[inside])
     a, p = np.abs(log_gain) / cross.gain, np.abs(beside) / cross.phase
     higher = a > p
     own = np.where(higher[k], (a[k - 1], a[k], a[k + 1]), (p[k - 1], p[k], p[k + 1]))
@@ -338,10 +340,10 @@ def near_zone(mesh: Mesh) -> Places:
     with np.errstate(divide="ignore", invalid="ignore"):
         share = gap[k] / (gap[k] - gap[other])
     x = np.where(corner, curves.x[k] + share * (curves.x[other] - curves.x[k]), x)
-    return _untagged(np.where(corner, Kind.ZONE_CORNER, Kind.ZONE), k, x)
+    return _untagged(np.where(corner, FeatureKind.ZONE_CORNER, FeatureKind.ZONE), k, x)
 
 
-def in_intervals(curves: Curves, places: Places) -> Places:
+def in_intervals(curves: Curves, places: MeshPlaces) -> MeshPlaces:
     """The same with `cell` the mesh interval that holds x: places begin as mesh points."""
     cell = np.where(places.x < curves.x[places.cell], places.cell - 1, places.cell)
     cell = np.minimum(cell, curves.start[curves.plant[places.cell] + 1] - 2)
@@ -359,18 +361,18 @@ def zone_value(log_gain: Array, beside: Array, cross: Cross) -> Array:
 def condition(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> tuple[Array, Array]:
     """What is zero at each feature, and its derivative by x."""
     residual, slope = at.first.real.copy(), at.second.real.copy()  # extreme of ln|L|
-    k = kind == Kind.GAIN_CROSSING
+    k = kind == FeatureKind.GAIN_CROSSING
     residual[k], slope[k] = wrapped(at.value[k]), at.first.imag[k]
-    k = kind == Kind.PHASE_CROSSING
+    k = kind == FeatureKind.PHASE_CROSSING
     residual[k], slope[k] = at.value.real[k], at.first.real[k]
-    k = kind == Kind.PHASE_TURN
+    k = kind == FeatureKind.PHASE_TURN
     residual[k], slope[k] = at.first.imag[k], at.second.imag[k]
-    k = kind == Kind.MODULUS
+    k = kind == FeatureKind.MODULUS
     if k.any():
         closed = 1.0 / (1.0 + np.exp(-at.value[k]))  # L / (1 + L)
         residual[k] = (closed * at.first[k]).real
         slope[k] = (closed * at.second[k] + closed * (1.0 - closed) * at.first[k] ** 2).real
-    k = (kind == Kind.ZONE) | (kind == Kind.ZONE_CORNER)
+    k = (kind == FeatureKind.ZONE) | (kind == FeatureKind.ZONE_CORNER)
     if k.any():
         residual[k], slope[k] = _zone_condition(kind[k], at, k, cross.of(k))
     return residual, slope
@@ -385,7 +387,7 @@ def _zone_condition(kind: NDArray[np.int8], at: LogLoop, k: Mask, cross: Cross) 
     sign_a, sign_p = np.sign(a), np.sign(p)
     if cross.zone == "diamond":
         return sign_a * a1 + sign_p * p1, sign_a * a2 + sign_p * p2
-    corner, beside = kind == Kind.ZONE_CORNER, np.abs(p) > np.abs(a)
+    corner, beside = kind == FeatureKind.ZONE_CORNER, np.abs(p) > np.abs(a)
     return (
         np.where(corner, np.abs(a) - np.abs(p), np.where(beside, p1, a1)),
         np.where(corner, sign_a * a1 - sign_p * p1, np.where(beside, p2, a2)),
@@ -399,17 +401,17 @@ def sensitivity(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> ComplexArr
     gain_side, phase_side = np.sign(value.real), np.sign(beside)
     out = np.full(len(kind), DB + 0j)  # a peak: ln|L| itself
     with np.errstate(divide="ignore", invalid="ignore"):
-        k = kind == Kind.GAIN_CROSSING  # Re(dL) - (Re L' / Im L') Im(dL)
+        k = kind == FeatureKind.GAIN_CROSSING  # Re(dL) - (Re L' / Im L') Im(dL)
         out[k] = (-gain_side * DB * (1.0 + 1j * first.real / first.imag))[k]
-        k = kind == Kind.PHASE_CROSSING
+        k = kind == FeatureKind.PHASE_CROSSING
         out[k] = (-phase_side * db_per_rad * (-1j - first.imag / first.real))[k]
-    k = (kind == Kind.GAIN_TURN) | (kind == Kind.END)
+    k = (kind == FeatureKind.GAIN_TURN) | (kind == FeatureKind.END)
     out[k] = (-gain_side * DB)[k]
-    k = kind == Kind.PHASE_TURN
+    k = kind == FeatureKind.PHASE_TURN
     out[k] = (1j * phase_side * db_per_rad)[k]
-    k = kind == Kind.MODULUS
+    k = kind == FeatureKind.MODULUS
     out[k] = -DB / (1.0 + np.exp(-value[k]))
-    k = (kind == Kind.ZONE) | (kind == Kind.ZONE_CORNER)
+    k = (kind == FeatureKind.ZONE) | (kind == FeatureKind.ZONE_CORNER)
     if k.any():
         out[k] = -cross.gain[k] * DB * _zone_sensitivity(kind[k], value[k], first[k], cross.of(k))
     # where a curve runs along the line that it crosses there is no gradient: none is better than infinity
@@ -428,5 +430,5 @@ def _zone_sensitivity(kind: NDArray[np.int8], value: ComplexArray, first: Comple
     slope_a, slope_p = by_a * first.real, by_p * first.imag
     with np.errstate(divide="ignore", invalid="ignore"):
         share = slope_p / (slope_p - slope_a)  # of the gain's face: the mix does not change along the curve
-    share = np.where(kind == Kind.ZONE_CORNER, share, np.where(np.abs(p) > np.abs(a), 0.0, 1.0))
+    share = np.where(kind == FeatureKind.ZONE_CORNER, share, np.where(np.abs(p) > np.abs(a), 0.0, 1.0))
     return np.asarray(share * by_a - 1j * (1.0 - share) * by_p)

@@ -8,8 +8,8 @@ from maxq.control.kernel.records import Array
 from maxq.design.laws.law import LawVariables
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.optimise import features
-from maxq.design.optimise.curves import Curves, Indices
-from maxq.design.optimise.features import Cross, LogLoop, Places
+from maxq.design.optimise.curves import CurveIndices, Curves
+from maxq.design.optimise.features import Cross, LogLoop, MeshPlaces
 
 NEWTON_STEPS = 6
 SMALL = 1e-8  # of ln f; the third derivatives that this leaves out are 1e7 at most beside a mode of zeta 0.005
@@ -21,7 +21,7 @@ class Loops:
     `unstable_open` (plants,) counts the poles of P in the right half plane (outside the unit circle).
     """
 
-    def __init__(self, curves: Curves, unstable_open: Indices, law: LawVariables) -> None:
+    def __init__(self, curves: Curves, unstable_open: CurveIndices, law: LawVariables) -> None:
         self.curves, self.law, self.unstable_open = curves, law, unstable_open
         self._axis = law.axis(curves.x)
         # poles of the loop at s = 0 (z = 1), less zeros there: an integrator behind a differentiator counts 0
@@ -29,7 +29,7 @@ class Loops:
         width = curves.x[after] - curves.x[at]
         rises = [curves.path * curves.ratio[name] if name in curves.ratio else curves.path for name in law.inputs]
         falls = [np.rint(np.log(np.abs(p[at] / p[after])) / width) for p in rises]
-        self.poles_at_zero: Indices = np.max(falls, axis=0).astype(np.int64) + law.poles_at_zero
+        self.poles_at_zero: CurveIndices = np.max(falls, axis=0).astype(np.int64) + law.poles_at_zero
 
     def response(self, variables: Array) -> ComplexArray:
         """L on the mesh of all plants."""
@@ -41,7 +41,7 @@ class Loops:
         )
         return np.asarray(curves.path * law * common)
 
-    def unstable_poles(self, loop: ComplexArray) -> Indices:
+    def unstable_poles(self, loop: ComplexArray) -> CurveIndices:
         """Closed-loop poles in the right half plane (outside the unit circle), by the argument principle, (plants,).
 
         1 + L turns by pi (P + n/2 - Z) from zero frequency to the highest, n being the poles of L at s = 0 (z = 1).
@@ -57,7 +57,7 @@ class Loops:
         poles = self.unstable_open + 0.5 * at_zero - turned / np.pi
         return np.maximum(np.rint(poles), 0.0).astype(np.int64)
 
-    def log_loop(self, own: Array, cell: Indices, x: Array) -> LogLoop:
+    def log_loop(self, own: Array, cell: CurveIndices, x: Array) -> LogLoop:
         """At points x of mesh intervals `cell`, with the own parameters (points, own) of each point's plant."""
         p = self.curves.in_cells(cell, x)
         axis = self.law.axis(x)
@@ -89,7 +89,7 @@ class Loops:
             axis,
         )
 
-    def refined(self, own: Array, places: Places, cross: Cross) -> tuple[Array, LogLoop]:
+    def refined(self, own: Array, places: MeshPlaces, cross: Cross) -> tuple[Array, LogLoop]:
         """Newton's method on all features at once; `own` and `cross` are each feature's.
 
         Steps stay near the mesh interval.

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.design.case.schema import Gains, LoadedCase
+from maxq.design.case.schema import CaseGains, LoadedCase
 from maxq.design.laws.law import DesignedLaw, LawVariables
 from maxq.design.optimise.at_nodes import make_problem, solve_at_nodes
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants, nodes_of
-from maxq.design.optimise.search import Progress
+from maxq.design.optimise.search import SearchProgress
 from maxq.design.optimise.solution import Solution
 
 INSTANTS_S, MOST_INSTANTS = 0.25, 400  # apart, all along; of a stage when a design is judged
@@ -56,7 +56,7 @@ class Instants:
 
 
 def solve_over_time(
-    loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: Progress | None = None
+    loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
 ) -> Solution:
     """Return the best design found that meets its limits at all instants tried between the first and the last node,
     and has an objective there that is worse by WORSE_DB at most.
@@ -115,11 +115,11 @@ def gains_at_nodes(loaded: LoadedCase, nominal: Plants) -> LoadedCase:
     """
     case, gains = loaded.case, loaded.case.gains
     if gains.schedule == "free" and gains.over == "time_s":
-        gains = Gains(schedule="nodes", nodes_s=case.times_s)
+        gains = CaseGains(schedule="nodes", nodes_s=case.times_s)
     elif gains.schedule in ("free", "linear") and gains.over != "time_s":
         at = np.unique([plant.node.scheduled(gains.over) for plant in nominal.each])
         at = at if gains.schedule == "free" or len(at) == 1 else at[[0, -1]]
-        gains = Gains(schedule="nodes", over=gains.over, nodes=tuple(at.tolist()))
+        gains = CaseGains(schedule="nodes", over=gains.over, nodes=tuple(at.tolist()))
     return replace(loaded, case=case.model_copy(update={"gains": gains}))
 
 

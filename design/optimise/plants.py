@@ -25,8 +25,8 @@ from maxq.design.model.node import Node, with_cuts
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import incidence_by_acceleration
 from maxq.design.optimise.criteria import OBJECTIVES
-from maxq.design.optimise.curves import HIGHEST_HZ, TOLERANCE, Curves, Indices, PathMesh, mesh_of
-from maxq.design.optimise.features import Bands, Mode
+from maxq.design.optimise.curves import HIGHEST_HZ, TOLERANCE, CurveIndices, Curves, PathMesh, mesh_of
+from maxq.design.optimise.features import Bands, FeatureMode
 from maxq.design.optimise.problem import bands_of
 
 
@@ -36,7 +36,7 @@ class Plant:
 
     node: Node
     path: FixedPath
-    modes: tuple[Mode, ...]
+    modes: tuple[FeatureMode, ...]
     m_delta: float
     m_alpha: float
     m_q: float
@@ -94,14 +94,14 @@ def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> list[Node]:
     return with_cuts(nodes, loaded.along) if case.bends else nodes
 
 
-def modes_of(path: FixedPath) -> tuple[Mode, ...]:
+def modes_of(path: FixedPath) -> tuple[FeatureMode, ...]:
     """Return the bending modes of a path below its end, with the bands of their peaks (`loop.own_part`)."""
     top_hz, out = min(NEAREST_NYQUIST * path.highest_hz, HIGHEST_HZ), []
     bending = [r for r in path.resonances() if r.kind == "bending" and r.centre_hz <= top_hz]
     for r in bending:
         gap_hz = min((abs(r.centre_hz - o.centre_hz) for o in bending if o is not r), default=math.inf)
         band_hz = peak_band(r.centre_hz, r.half_width_hz, r.part, gap_hz, top_hz)
-        out.append(Mode(r.number, r.centre_hz, r.half_width_hz, r.part, band_hz, attribution(r.part)))
+        out.append(FeatureMode(r.number, r.centre_hz, r.half_width_hz, r.part, band_hz, attribution(r.part)))
     return tuple(out)
 
 
@@ -129,7 +129,7 @@ class Plants:
         return Rigid(*(np.array([getattr(p, name) for p in self.each]) for name in ("m_delta", "m_alpha", "m_q")))
 
     @property
-    def unstable_open(self) -> Indices:
+    def unstable_open(self) -> CurveIndices:
         """Poles of each fixed path in the right half plane."""
         return np.array([int((p.without_drift(p.path.poles()).real > 1e-9).sum()) for p in self.each], np.int64)
 

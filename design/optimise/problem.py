@@ -18,9 +18,19 @@ from maxq.design.case.basis import Limits
 from maxq.design.laws.law import LawLimit, LimitValues
 from maxq.design.laws.task import DB, PlantLimits
 from maxq.design.optimise import features
-from maxq.design.optimise.criteria import LIMITS, Criterion, Objective, Part, Seen
-from maxq.design.optimise.curves import Curves, Indices
-from maxq.design.optimise.features import Bands, Cross, Kind, Mask, Mesh, Mode, Places, Search, joined
+from maxq.design.optimise.criteria import LIMITS, Criterion, JudgedFeatures, Objective, Seen
+from maxq.design.optimise.curves import CurveIndices, Curves
+from maxq.design.optimise.features import (
+    Bands,
+    Cross,
+    CurveMesh,
+    FeatureKind,
+    FeatureMode,
+    FeatureSearch,
+    Mask,
+    MeshPlaces,
+    joined,
+)
 from maxq.design.optimise.loops import Loops
 
 FARTHEST_DB = 20.0  # rows that are met by more are left out
@@ -28,7 +38,7 @@ MISSED_DB = 1e-4  # a limit that is missed by less is met, at a plant or an inst
 
 
 @dataclass(frozen=True)
-class Rows:
+class ProblemRows:
     """`excess_db` of a limit is 0 or less where it is met; that of an objective row is its value.
 
     `what` is the row's number in `Problem.kinds`; `own` its gradient by the own parameters of its plant. Features carry
@@ -36,22 +46,22 @@ class Rows:
     """
 
     what: NDArray[np.int8]
-    plant: Indices  # -1: of the law itself
+    plant: CurveIndices  # -1: of the law itself
     value: Array  # in the limit's own unit: dB, deg, Hz, ratio
     limit: Array  # nan: none of its own
     excess_db: Array
     objective: Mask
     own: Array
     feature: NDArray[np.int8]
-    cell: Indices
+    cell: CurveIndices
     x: Array  # ln f
     fixed: Mask
 
     def __len__(self) -> int:
         return len(self.what)
 
-    def taken(self, which: Indices | Mask) -> Rows:
-        return Rows(*(getattr(self, f.name)[which] for f in fields(self)))
+    def taken(self, which: CurveIndices | Mask) -> ProblemRows:
+        return ProblemRows(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @property
     def keys(self) -> list[tuple[bool, int, int]]:
@@ -64,10 +74,10 @@ class Rows:
         return np.where(self.feature >= 0, np.exp(self.x), np.nan)
 
 
-def law_rows(what: int, of: LimitValues, objective: bool = False) -> Rows:
+def law_rows(what: int, of: LimitValues, objective: bool = False) -> ProblemRows:
     """Limits of the law, which belong to no frequency, or the objective where it is one of them."""
     n = len(of.value)
-    return Rows(
+    return ProblemRows(
         what=np.full(n, what, np.int8), plant=of.plant, value=of.value, limit=of.limit, excess_db=of.excess_db,
         objective=np.full(n, objective), own=of.gradient, feature=np.full(n, -1, np.int8), cell=np.zeros(n, np.int64),
         x=np.zeros(n), fixed=np.ones(n, bool),
@@ -75,11 +85,11 @@ def law_rows(what: int, of: LimitValues, objective: bool = False) -> Rows:
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class ProblemAtPoint:
     """The problem at a point; `gradient` (rows, variables) of the rows' excess."""
 
     variables: Array
-    rows: Rows
+    rows: ProblemRows
     gradient: Array
     objective_db: float
     violation_db: float  # largest excess, 0 where every limit is met
@@ -97,7 +107,7 @@ class Problem:
         self.kinds: list[Criterion | LawLimit] = [*self.criteria, *self.law.limits]
         self._asked = [True, *(limit.asked(limits, common) for limit in LIMITS)]
         asked = [limit for limit, yes in zip(LIMITS, self._asked[1:], strict=True) if yes]
-        self._searches: list[Search] = list(
+        self._searches: list[FeatureSearch] = list(
             dict.fromkeys(search for criterion in (*asked, objective.criterion) for search in criterion.searches)
         )
         self.cross = Cross(limits["gain_margin_db"] / DB, np.radians(limits["phase_margin_deg"]), common.zone)
@@ -120,7 +130,7 @@ class Problem:
         """Number of a limit in `kinds`, by its text."""
         return next(k for k, kind in enumerate(self.kinds) if kind.text == text and k > 0)
 
-    def evaluate(self, variables: Array, complete: bool = False) -> Evaluation:
+    def evaluate(self, variables: Array, complete: bool = False) -> ProblemAtPoint:
         """Everything at a point; `complete`: with rows that are met by far. Raises ValueError for variables not
         finite.
         """
@@ -128,14 +138,14 @@ class Problem:
             raise ValueError("variables are not finite")
         self.evaluations += 1
         own, loop, curves = self.law.own(variables), self.loops.response(variables), self.loops.curves
-        mesh = Mesh(curves, self.bands, loop, self._mesh_cross, self.loops.poles_at_zero == 0)
+        mesh = CurveMesh(curves, self.bands, loop, self._mesh_cross, self.loops.poles_at_zero == 0)
         places = features.in_intervals(curves, joined([search(mesh) for search in self._searches]))
         plant = curves.plant[places.cell]
         x, at = self.loops.refined(own[plant], places, self.cross.of(plant))
         places = replace(places, x=x)
-        mode, weight_db, peak = np.zeros(len(x), np.int64), np.zeros(len(x)), places.kind == Kind.PEAK
+        mode, weight_db, peak = np.zeros(len(x), np.int64), np.zeros(len(x)), places.kind == FeatureKind.PEAK
         mode[peak], weight_db[peak] = self.bands.mode[places.tag[peak]], self.bands.weight_db[places.tag[peak]]
-        first = places.kind == Kind.PHASE_CROSSING
+        first = places.kind == FeatureKind.PHASE_CROSSING
         first[first] = self.bands.own_crossings(1, plant[first], x[first], np.exp(at.value[first]), loop)
         seen = Seen(places.kind, plant, mode, weight_db, at, self.cross.of(plant), self.limits, first)
         parts = [self._feature_rows(seen, places, math.inf if complete else FARTHEST_DB)]
@@ -146,7 +156,7 @@ class Problem:
         if not len(rows):
             raise ValueError("the problem has neither an objective nor limits")
         limits, objective = rows.excess_db[~rows.objective], rows.excess_db[rows.objective]
-        return Evaluation(
+        return ProblemAtPoint(
             variables,
             rows,
             np.matmul(rows.own[:, None, :], self.law.jacobian(variables)[rows.plant])[:, 0],
@@ -155,9 +165,9 @@ class Problem:
             int(self.loops.unstable_poles(loop).sum()),
         )
 
-    def _feature_rows(self, seen: Seen, places: Places, farthest_db: float) -> Rows:
+    def _feature_rows(self, seen: Seen, places: MeshPlaces, farthest_db: float) -> ProblemRows:
         """Features judged by all criteria; those that are no limit or are met by far are left out."""
-        kept: list[tuple[Indices, int, Part]] = []
+        kept: list[tuple[CurveIndices, int, JudgedFeatures]] = []
         for what, (criterion, asked) in enumerate(zip(self.criteria, self._asked, strict=True)):
             for part in criterion.parts(seen) if asked else ():
                 where, _, _, excess = part
@@ -168,13 +178,13 @@ class Problem:
         value, limit, excess = (np.concatenate([part[k][which] for which, _, part in kept]) for k in (1, 2, 3))
         plant, kind = seen.plant[i], seen.kind[i]
         c = features.sensitivity(kind, at := seen.at.taken(i), self.cross.of(plant))
-        return Rows(
+        return ProblemRows(
             kinds, plant, value, limit, excess, kinds == 0, np.asarray((c[:, None] * self.loops.own_gradient(at)).real),
             kind, places.cell[i], places.x[i], places.fixed[i],
         )  # fmt: skip  # nine more lines otherwise
 
     # --- curvature
-    def curvature(self, at: Evaluation, multipliers: Array, step: float = 1e-5) -> Array:
+    def curvature(self, at: ProblemAtPoint, multipliers: Array, step: float = 1e-5) -> Array:
         """Second derivatives (variables, variables) of the rows' sum weighted with `multipliers`.
 
         By differences of the analytic gradient. A row depends on the own parameters of its plant only: so those of all
@@ -194,7 +204,7 @@ class Problem:
         out += law.bend(at.variables, slopes)
         return np.asarray(0.5 * (out + out.T))
 
-    def _own_again(self, rows: Rows, own: Array, moves: Array) -> Array:
+    def _own_again(self, rows: ProblemRows, own: Array, moves: Array) -> Array:
         """Gradients of the same rows by the own parameters, (moves, rows, own), after `moves` of these."""
         count = len(moves)
         out = np.repeat(rows.own[None], count, axis=0)
@@ -202,7 +212,7 @@ class Problem:
         if len(i) > 0:
             again, move = np.tile(i, count), np.repeat(np.arange(count), len(i))
             plant, none = rows.plant[again], np.zeros(len(again), np.int64)
-            places = Places(rows.feature[again], rows.cell[again], rows.x[again], none, rows.fixed[again])
+            places = MeshPlaces(rows.feature[again], rows.cell[again], rows.x[again], none, rows.fixed[again])
             cross = self.cross.of(plant)
             at = self.loops.refined(own[plant] + moves[move], places, cross)[1]
             c = features.sensitivity(places.kind, at, cross)
@@ -215,7 +225,7 @@ class Problem:
         return out
 
 
-def bands_of(curves: Curves, modes: Sequence[Sequence[Mode]]) -> Bands:
+def bands_of(curves: Curves, modes: Sequence[Sequence[FeatureMode]]) -> Bands:
     """Return the bands of every plant's modes as mesh points; ends are points that `Curves` was told to keep."""
     found, each = [], []
     for p, mine in enumerate(modes):

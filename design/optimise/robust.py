@@ -35,7 +35,7 @@ from maxq.design.optimise.descent import Region, descend, to_corner
 from maxq.design.optimise.over_time import COARSE, UNSTABLE_DB, Instants, gains_at_nodes, instants_along, peaks
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
-from maxq.design.optimise.search import Found, Progress, search
+from maxq.design.optimise.search import BestPoint, SearchProgress, search
 from maxq.design.optimise.solution import Constraint, Solution
 from maxq.sim.campaign.read import LoadedCampaign
 
@@ -45,7 +45,7 @@ INSTANTS_S, FINE_S = 0.5, 0.05  # apart, all along and beside the worst of those
 ROUNDS = 12  # more, where instants between the nodes are added too
 AT_ONCE = 100  # plants that are judged together
 
-Point = tuple[float, ...]
+Deviation = tuple[float, ...]
 """The deviation of each place, from one end of its range (-1) over the middle (0) to the other (+1)."""
 _SIGNS = {-1.0: "-", 0.0: "0", 1.0: "+"}
 _OF_POINT = re.compile(r"[-0+]|\(([^()]*)\)")
@@ -92,7 +92,7 @@ def dispersed_nodes(ranges: Ranges | None, nodes: Sequence[Node], constraints: I
     return out
 
 
-def modes_off(node: Node, ranges: Ranges, end: int) -> Point:
+def modes_off(node: Node, ranges: Ranges, end: int) -> Deviation:
     """Return all modes at one end of their frequency and the large one of their slope, the rest nominal."""
     wanted = {"bending_frequency": float(end), "bending_slope": 1.0}
     return tuple(wanted.get(field, 0.0) for field in deviations_of(ranges.campaign, node).fields)
@@ -105,11 +105,11 @@ class _Worst:
     case: Case
     ranges: Ranges
     problem: Problem
-    found: Found
+    found: BestPoint
     rng: np.random.Generator
     tried: int = 0
 
-    def at(self, node: Node, taken: set[tuple[float, Point]]) -> tuple[float, Point]:
+    def at(self, node: Node, taken: set[tuple[float, Deviation]]) -> tuple[float, Deviation]:
         """Return by how many dB the worst plant of a node misses the design's objective or a limit, and the plant.
 
         The search begins at the plants `taken` there and at the nearest nodes too.
@@ -119,7 +119,7 @@ class _Worst:
         corners = [np.array(both[0]), np.array(both[1])]
         corners += [self.rng.choice([-1.0, 1.0], count) for _ in range(BEGINNINGS - 2)]
         corners += [np.array(point) for point in points_beside(node.time_s, taken)]
-        known: dict[Point, float] = {}
+        known: dict[Deviation, float] = {}
 
         def score(at: Array) -> float:
             point = tuple(at.tolist())
@@ -167,7 +167,7 @@ class _Worst:
             return []
         return [u, descend(distances, u, value, box)[0].round(2) + 0.0]
 
-    def _score(self, node: Node, point: Point) -> float:
+    def _score(self, node: Node, point: Deviation) -> float:
         return float(self.scores([make_plant(deviated(node, self.ranges, point), self.case, dispersed=True)])[0])
 
     def scores(self, each: Sequence[Plant]) -> Array:
@@ -184,7 +184,7 @@ class _Worst:
             out[problem.loops.unstable_poles(problem.loops.response(there.variables)) > 0] += UNSTABLE_DB
         return out
 
-    def between(self, instants: Instants, taken: set[tuple[float, Point]]) -> list[tuple[float, Node]]:
+    def between(self, instants: Instants, taken: set[tuple[float, Deviation]]) -> list[tuple[float, Node]]:
         """Return the instants at which the nominal plant, or one taken at a neighbouring node, is worst and matters."""
         times_s = sorted({t for t, _ in taken})
 
@@ -212,7 +212,7 @@ class _Worst:
         return found
 
 
-def points_beside(time_s: float, taken: set[tuple[float, Point]]) -> list[Point]:
+def points_beside(time_s: float, taken: set[tuple[float, Deviation]]) -> list[Deviation]:
     """Return the plants taken at a time, and at the nearest ones before and after it."""
     times_s = sorted({t for t, _ in taken})
     first, last = np.searchsorted(times_s, time_s), np.searchsorted(times_s, time_s, side="right")
@@ -221,7 +221,7 @@ def points_beside(time_s: float, taken: set[tuple[float, Point]]) -> list[Point]
 
 
 def solve_robust(
-    loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: Progress | None = None
+    loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
 ) -> Solution:
     """The best design for the nominal plants and all that the case's ranges allow, as far as searched.
 
@@ -239,7 +239,7 @@ def solve_robust(
     assert ranges is not None
     taken = {(node.time_s, modes_off(node, ranges, end)) for node in nodes for end in (-1, 1)}
 
-    def dispersed(few: Sequence[tuple[Node, Point]]) -> list[Plant]:
+    def dispersed(few: Sequence[tuple[Node, Deviation]]) -> list[Plant]:
         return [make_plant(deviated(node, ranges, point), case, dispersed=True) for node, point in few]
 
     plants = nominal.and_also(dispersed([(n, modes_off(n, ranges, end)) for n in nodes for end in (-1, 1)]))
@@ -287,7 +287,7 @@ def solve_robust(
     return dataclasses.replace(solution, certificate=certificate)
 
 
-def _again(problem: Problem, found: Found) -> Found:
+def _again(problem: Problem, found: BestPoint) -> BestPoint:
     """The design for more plants, from the design for fewer."""
     again = search(problem, [found.best.variables])
     return dataclasses.replace(

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.optimise.problem import Evaluation, Problem
+from maxq.design.optimise.problem import Problem, ProblemAtPoint
 from maxq.design.optimise.sqp import MET_DB, Optimality, descend, optimality, polished
 
 ROUGH_STEPS, ROUGH_DB = 40, 1e-3
@@ -30,19 +30,19 @@ PATIENCE = 10  # steps after which an unstable start is given up; twice as many 
 FAR_MISSED_DB, FAR_BEHIND_DB = 0.3, 4.0
 FURTHER_DB = 0.002  # a leap's rough end that is better by more is a better valley
 
-Progress = Callable[[int, int, float, str], None]
+SearchProgress = Callable[[int, int, float, str], None]
 """Called with how much is done, of how much, the best objective so far in dB (nan: none), and of what: "starts",
 "leaps", or of a robust case "worst plants, round 1" (what was best for fewer plants is not for more)."""
 
 
 @dataclass(frozen=True)
-class Found:
+class BestPoint:
     """The best point and what is known about it. `ends_db`: where each start ended, nan: no stable design there.
 
     An infeasible one is the point of the least violation, and `optimality` that of the violation.
     """
 
-    best: Evaluation
+    best: ProblemAtPoint
     optimality: Optimality
     feasible: bool
     ends_db: Array  # without leaps
@@ -66,10 +66,10 @@ def search(
     starts: Sequence[Array],
     rough: tuple[Problem, Callable[[Array], Array]] | None = None,
     starts_of_rough: Sequence[Array] = (),
-    progress: Progress | None = None,
+    progress: SearchProgress | None = None,
     leaps: int = 0,
     seed: int = 0,
-) -> Found:
+) -> BestPoint:
     """From `starts` of the problem itself, and `starts_of_rough` of a smaller problem whose ends are taken over.
 
     `leaps` from the best candidate may find a better one nearby.
@@ -81,7 +81,7 @@ def search(
     small, lift = rough if rough is not None else (problem, lambda x: x)
     total = len(starts) + len(starts_of_rough) + leaps
     before = problem.evaluations + (small.evaluations if small is not problem else 0)
-    ends: list[tuple[Evaluation, Array]] = []  # rough end, and the start it gives the problem
+    ends: list[tuple[ProblemAtPoint, Array]] = []  # rough end, and the start it gives the problem
     best_db = np.nan
     try:
         for where, given, to in ((problem, starts, None), (small, starts_of_rough, lift)):
@@ -96,9 +96,9 @@ def search(
         interrupted = True
         if not ends:
             raise
-    fine: dict[int, Evaluation] = {}
+    fine: dict[int, ProblemAtPoint] = {}
     leaps_db: list[float] = []
-    leapt: Evaluation | None = None
+    leapt: ProblemAtPoint | None = None
     # apart: what ends alike with all variables and with few lies in different valleys
     own = min(len(starts), len(ends))
     candidates = [*_candidates([end for end, _ in ends[:own]])]
@@ -121,7 +121,7 @@ def search(
     return replace(found, leaps_db=np.array(leaps_db), evaluations=made)
 
 
-def _leapt(problem: Problem, best: Evaluation, leaps: int, seed: int) -> Iterator[tuple[Evaluation, float]]:
+def _leapt(problem: Problem, best: ProblemAtPoint, leaps: int, seed: int) -> Iterator[tuple[ProblemAtPoint, float]]:
     """The best end so far after each leap from it, and where the leap ended, dB (nan: no stable design there)."""
     rng = np.random.default_rng(seed)
     for number in range(leaps):
@@ -137,9 +137,9 @@ def _leapt(problem: Problem, best: Evaluation, leaps: int, seed: int) -> Iterato
 
 
 def _answer(
-    problem: Problem, ends: list[tuple[Evaluation, Array]], own: int, fine: dict[int, Evaluation],
-    leapt: Evaluation | None, interrupted: bool,
-) -> Found:  # fmt: skip  # four more lines otherwise
+    problem: Problem, ends: list[tuple[ProblemAtPoint, Array]], own: int, fine: dict[int, ProblemAtPoint],
+    leapt: ProblemAtPoint | None, interrupted: bool,
+) -> BestPoint:  # fmt: skip  # four more lines otherwise
     best = min([*fine.values(), *([leapt] if leapt is not None else [])], key=_rank)
     feasible = _feasible(best, 10.0 * MET_DB)
     if feasible:
@@ -155,10 +155,10 @@ def _answer(
         if _feasible(end, 10.0 * MET_DB):
             same = (np.abs(rough_db - rough_db[k]) <= SAME_DB) & ((np.arange(len(ends)) < own) == (k < own))
             ends_db[same] = np.fmin(ends_db[same], end.objective_db)
-    return Found(best, quality, feasible, ends_db, 0, interrupted, np.zeros(0))
+    return BestPoint(best, quality, feasible, ends_db, 0, interrupted, np.zeros(0))
 
 
-def _hopeless(best_db: float, steps: int, at: Evaluation) -> bool:
+def _hopeless(best_db: float, steps: int, at: ProblemAtPoint) -> bool:
     """Whether a start is not worth more steps: still unstable, or far behind what is known."""
     if steps < PATIENCE:
         return False
@@ -166,17 +166,17 @@ def _hopeless(best_db: float, steps: int, at: Evaluation) -> bool:
     return at.unstable > 0 or (steps >= 2 * PATIENCE and behind)
 
 
-def _feasible(at: Evaluation, tolerance_db: float) -> bool:
+def _feasible(at: ProblemAtPoint, tolerance_db: float) -> bool:
     return at.unstable == 0 and at.violation_db <= tolerance_db
 
 
-def _rank(at: Evaluation) -> tuple[int, float, float]:
+def _rank(at: ProblemAtPoint) -> tuple[int, float, float]:
     """Stable before unstable, met before violated, then the objective."""
     violation = 0.0 if at.violation_db <= 10.0 * MET_DB else at.violation_db
     return at.unstable, violation, at.objective_db
 
 
-def _candidates(ends: Sequence[Evaluation]) -> list[int]:
+def _candidates(ends: Sequence[ProblemAtPoint]) -> list[int]:
     """Numbers of ends worth going on from, the best first, one of each valley."""
     order = sorted(
         range(len(ends)), key=lambda k: (ends[k].unstable, max(ends[k].violation_db - 1e-3, 0.0), ends[k].objective_db)

@@ -13,10 +13,10 @@ from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case
 from maxq.design.laws.law import DesignedLaw
 from maxq.design.model.node import Node
-from maxq.design.optimise.features import Kind
+from maxq.design.optimise.features import FeatureKind
 from maxq.design.optimise.plants import Plants
-from maxq.design.optimise.problem import Evaluation, Problem
-from maxq.design.optimise.search import Found
+from maxq.design.optimise.problem import Problem, ProblemAtPoint
+from maxq.design.optimise.search import BestPoint
 
 Status = Literal["optimal", "infeasible", "interrupted"]
 ACTIVE_DB = 1e-4
@@ -47,7 +47,7 @@ class Constraint:
 
 
 @dataclass(frozen=True)
-class Bound:
+class ActiveBound:
     """A variable at its bound `value` (Hz, ratio or gain).
 
     `multiplier`: dB that moving it by one unit (of ln Hz, of ln gain, of damping ratio or weight) would bring, of the
@@ -150,7 +150,7 @@ class Solution:
     violation_db: float
     law: DesignedLaw
     constraints: tuple[Constraint, ...]
-    bounds: tuple[Bound, ...]
+    bounds: tuple[ActiveBound, ...]
     certificate: Certificate
     variables: Array
     nominal_objective_db: float  # over the nominal plants alone
@@ -213,7 +213,9 @@ class Solution:
         return f"the limits cannot be met together: {said}"
 
 
-def make_solution(case: Case, plants: Plants, problem: Problem, found: Found, seconds: float, stable: bool) -> Solution:
+def make_solution(
+    case: Case, plants: Plants, problem: Problem, found: BestPoint, seconds: float, stable: bool
+) -> Solution:
     """From the best point of a search."""
     full, names = problem.evaluate(found.best.variables, complete=True), problem.law.names
     status: Status = "interrupted" if found.interrupted else "optimal" if found.feasible and stable else "infeasible"
@@ -227,7 +229,7 @@ def make_solution(case: Case, plants: Plants, problem: Problem, found: Found, se
         law=problem.law.designed(found.best.variables),
         constraints=_constraints(plants, problem, found, full),
         bounds=tuple(
-            Bound(names[k], side, _in_units(names[k], float(ends[k])), float(at[k]))  # type: ignore[arg-type]  # one of the two literals
+            ActiveBound(names[k], side, _in_units(names[k], float(ends[k])), float(at[k]))  # type: ignore[arg-type]  # one of the two literals
             for side, ends, at in (
                 ("lower", problem.lower, found.optimality.lower),
                 ("upper", problem.upper, found.optimality.upper),
@@ -258,7 +260,7 @@ def _in_units(variable: str, value: float) -> float:
     return math.exp(value) if is_logarithmic(variable) else value
 
 
-def _constraints(plants: Plants, problem: Problem, found: Found, full: Evaluation) -> tuple[Constraint, ...]:
+def _constraints(plants: Plants, problem: Problem, found: BestPoint, full: ProblemAtPoint) -> tuple[Constraint, ...]:
     rows, keys, weight = full.rows, full.rows.keys, defaultdict[tuple[bool, int, int], float](float)
     for key, multiplier in zip(found.best.rows.keys, found.optimality.multipliers.tolist(), strict=True):
         weight[key] += multiplier
@@ -270,7 +272,7 @@ def _constraints(plants: Plants, problem: Problem, found: Found, full: Evaluatio
         is_limit, what, p = key
         kind, plant = problem.kinds[what], plants.each[p] if p >= 0 else None
         # near the cross without crossing it: an approach, not a margin
-        approach = int(rows.feature[r]) in (Kind.GAIN_TURN, Kind.PHASE_TURN)
+        approach = int(rows.feature[r]) in (FeatureKind.GAIN_TURN, FeatureKind.PHASE_TURN)
         active = rows.excess_db[r] > (0.0 if is_limit else full.objective_db) - ACTIVE_DB
         frequency = float(rows.frequency_hz[r])
         out.append(

@@ -16,7 +16,7 @@ from maxq.design.optimise.at_nodes import make_problem, solve_at_nodes
 from maxq.design.optimise.over_time import solve_over_time
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.robust import solve_robust
-from maxq.design.optimise.search import Progress
+from maxq.design.optimise.search import SearchProgress
 from maxq.design.optimise.solution import Solution
 from maxq.sim.scenario.schema_design import Design
 
@@ -56,7 +56,7 @@ def solve(
     loaded: LoadedCase,
     plants: Plants | None = None,
     also_from: Sequence[DesignedLaw] = (),
-    progress: Progress | None = None,
+    progress: SearchProgress | None = None,
 ) -> Solution:
     """The best design found for a case.
 

@@ -27,8 +27,8 @@ import scipy.linalg
 from scipy.optimize import nnls
 
 from maxq.control.kernel.records import Array
-from maxq.design.optimise.curves import Indices
-from maxq.design.optimise.problem import Evaluation, Problem
+from maxq.design.optimise.curves import CurveIndices
+from maxq.design.optimise.problem import Problem, ProblemAtPoint
 from maxq.design.optimise.quadratic_programme import solve_quadratic
 
 FIRST_RADIUS = 0.3
@@ -60,14 +60,14 @@ class Merit:
     objective: float
     penalty: float
 
-    def of(self, at: Evaluation) -> float:
+    def of(self, at: ProblemAtPoint) -> float:
         """Unstable points are worse than any stable one, the fewer unstable poles the better."""
         value = self.objective * at.objective_db + self.penalty * at.violation_db
         return value + 1e7 * at.unstable
 
 
 def model_step(
-    problem: Problem, at: Evaluation, curvature: Array, radius: float, merit: Merit, excess_db: Array | None = None
+    problem: Problem, at: ProblemAtPoint, curvature: Array, radius: float, merit: Merit, excess_db: Array | None = None
 ) -> Step:
     """The best step within |d| <= radius for a positive semidefinite `curvature`.
 
@@ -103,8 +103,8 @@ def descend(
     most: int = 80,
     tolerance_db: float = 1e-7,
     limits_only: bool = False,
-    give_up: Callable[[int, Evaluation], bool] | None = None,
-) -> Evaluation:
+    give_up: Callable[[int, ProblemAtPoint], bool] | None = None,
+) -> ProblemAtPoint:
     """Where a start ends: no step promises `tolerance_db`, or `give_up` gives it up after a number of steps.
 
     `limits_only`: bring down the largest excess, whatever the objective.
@@ -138,8 +138,8 @@ def descend(
 
 
 def _step(
-    problem: Problem, at: Evaluation, curvature: Array, radius: float, merit: Merit, tolerance_db: float
-) -> tuple[Step, Evaluation, float] | None:
+    problem: Problem, at: ProblemAtPoint, curvature: Array, radius: float, merit: Merit, tolerance_db: float
+) -> tuple[Step, ProblemAtPoint, float] | None:
     """The model's step, the point it leads to and the next radius; None where the model promises nothing."""
     before = merit.of(at)
     while True:
@@ -161,11 +161,13 @@ def _step(
             return step, after, radius
 
 
-def _moved(problem: Problem, at: Evaluation, change: Array) -> Evaluation:
+def _moved(problem: Problem, at: ProblemAtPoint, change: Array) -> ProblemAtPoint:
     return problem.evaluate(np.clip(at.variables + change, problem.lower, problem.upper))
 
 
-def counterparts(before: Evaluation, after: Evaluation, which: Indices) -> tuple[Indices, Indices]:
+def counterparts(
+    before: ProblemAtPoint, after: ProblemAtPoint, which: CurveIndices
+) -> tuple[CurveIndices, CurveIndices]:
     """Rows number `which` of one point, and the rows of another that are the same feature, nearest in frequency."""
     a, b = before.rows, after.rows
     key_a, key_b = (((r.plant + 1) * 64 + r.what) * 16 + r.feature + 1 for r in (a, b))
@@ -182,7 +184,7 @@ def counterparts(before: Evaluation, after: Evaluation, which: Indices) -> tuple
     return np.array(found, np.int64), np.array(partner, np.int64)
 
 
-def _corrected_excess(at: Evaluation, trial: Evaluation, change: Array) -> Array:
+def _corrected_excess(at: ProblemAtPoint, trial: ProblemAtPoint, change: Array) -> Array:
     """Excess of the rows such that the linear model agrees with the trial point."""
     out = at.rows.excess_db.copy()
     mine, theirs = counterparts(at, trial, np.arange(len(at.rows), dtype=np.int64))
@@ -190,7 +192,7 @@ def _corrected_excess(at: Evaluation, trial: Evaluation, change: Array) -> Array
     return out
 
 
-def matched(multipliers: Array, before: Evaluation, after: Evaluation) -> Array:
+def matched(multipliers: Array, before: ProblemAtPoint, after: ProblemAtPoint) -> Array:
     """Multipliers for the rows at another point."""
     out = np.zeros(len(after.rows))
     mine, theirs = counterparts(before, after, np.flatnonzero(multipliers > 1e-7).astype(np.int64))
@@ -213,7 +215,7 @@ class Optimality:
     residual: float
 
 
-def optimality(problem: Problem, at: Evaluation, worst_violation: bool = False) -> Optimality:
+def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = False) -> Optimality:
     """Return the multipliers of a point by non-negative least squares; no row that leads leaves an infinite residual.
 
     `worst_violation`: of the problem whose objective is the largest excess.
@@ -247,7 +249,7 @@ def optimality(problem: Problem, at: Evaluation, worst_violation: bool = False) 
     return Optimality(multipliers, lower, upper, float(np.abs(columns.T @ found).max(initial=0.0)))
 
 
-def polished(problem: Problem, at: Evaluation, most: int = 6) -> tuple[Evaluation, Optimality]:
+def polished(problem: Problem, at: ProblemAtPoint, most: int = 6) -> tuple[ProblemAtPoint, Optimality]:
     """Newton steps as long as they bring the residual down and meet the limits."""
     best, quality = at, optimality(problem, at)
     for _ in range(most):
@@ -268,7 +270,7 @@ def polished(problem: Problem, at: Evaluation, most: int = 6) -> tuple[Evaluatio
     return best, quality
 
 
-def _newton(problem: Problem, at: Evaluation, quality: Optimality) -> Array | None:
+def _newton(problem: Problem, at: ProblemAtPoint, quality: Optimality) -> Array | None:
     """Step to where the active rows hold with equality and the Lagrangian is stationary."""
     active = np.flatnonzero(quality.multipliers > 1e-9)
     free = np.flatnonzero((quality.lower <= 0.0) & (quality.upper <= 0.0))

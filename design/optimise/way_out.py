@@ -22,9 +22,9 @@ from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.model.node import Node
 from maxq.design.optimise.at_nodes import MORE_STARTS, make_problem
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
-from maxq.design.optimise.problem import Evaluation, Problem
+from maxq.design.optimise.problem import Problem, ProblemAtPoint
 from maxq.design.optimise.robust import Ranges, dispersed_nodes, ranges_of
-from maxq.design.optimise.search import PATIENCE, Progress
+from maxq.design.optimise.search import PATIENCE, SearchProgress
 from maxq.design.optimise.solution import MET_DB, Constraint, Solution, Trial
 from maxq.design.optimise.sqp import descend
 
@@ -88,7 +88,7 @@ def _a_db(case: Case, at: Constraint) -> str:
 
 
 @dataclass(frozen=True)
-class Change:
+class TriedChange:
     """A change that is tried: in words, as settings, and the case and the operating points with it."""
 
     about: str
@@ -97,12 +97,12 @@ class Change:
     nodes: Sequence[Node]
 
 
-def changes_of(case: Case, nodes: Sequence[Node], settled: bool = True) -> list[Change]:
+def changes_of(case: Case, nodes: Sequence[Node], settled: bool = True) -> list[TriedChange]:
     """Return the changes that a case can be tried with.
 
     First none, where the best effort is not `settled`: a trial may then gain by searching on, whatever its change.
     """
-    found = [] if settled else [Change("no change", (), case, nodes)]
+    found = [] if settled else [TriedChange("no change", (), case, nodes)]
     bounds = case.filter.bounds
     wider = {
         key: (min(low, ends[0]), max(high, ends[1]))
@@ -118,13 +118,15 @@ def changes_of(case: Case, nodes: Sequence[Node], settled: bool = True) -> list[
             if key in wider and wider[key][0] < getattr(bounds, key)[0]
         ]
         about = f"wider filter bounds ({', '.join(said)})" if said else "wider filter bounds"
-        found.append(Change(about, settings, changed, nodes))
+        found.append(TriedChange(about, settings, changed, nodes))
     if (higher := _higher(case)) is not None:
-        found.append(Change(*higher, nodes))
+        found.append(TriedChange(*higher, nodes))
     faster = [_faster(node) for node in nodes]
     sample_s, before_s = (some[0].instruments.sample_s for some in (faster, nodes))
     setting = (f"vehicle.computer.sample_s={sample_s:g}",)
-    found.append(Change(f"a sample every {1e3 * sample_s:g} instead of {1e3 * before_s:g} ms", setting, case, faster))
+    found.append(
+        TriedChange(f"a sample every {1e3 * sample_s:g} instead of {1e3 * before_s:g} ms", setting, case, faster)
+    )
     return found
 
 
@@ -175,7 +177,9 @@ def plants_of(case: Case, nodes: Sequence[Node], solution: Solution, ranges: Ran
     return make_plants([*nominal, *(make_plant(node, case, dispersed=True) for node in dispersed)])
 
 
-def tried(loaded: LoadedCase, solution: Solution, progress: Progress | None = None) -> tuple[tuple[Trial, ...], bool]:
+def tried(
+    loaded: LoadedCase, solution: Solution, progress: SearchProgress | None = None
+) -> tuple[tuple[Trial, ...], bool]:
     """Return the trials from an infeasible solution, and whether they were interrupted.
 
     `loaded`: the case of the stage along the flight of its search. The trials together use about as many evaluations
@@ -203,15 +207,15 @@ def tried(loaded: LoadedCase, solution: Solution, progress: Progress | None = No
 
 
 def _tried(
-    change: Change, solution: Solution, ranges: Ranges | None, most: int,
+    change: TriedChange, solution: Solution, ranges: Ranges | None, most: int,
     progress: Callable[[float, str], None] | None,
 ) -> Trial:  # fmt: skip  # one line for each otherwise
     """Search with a change, with `most` evaluations."""
-    best: Evaluation | None = None
+    best: ProblemAtPoint | None = None
     problem: Problem | None = None
     interrupted, refused = False, ""
 
-    def watch(count: int, at: Evaluation) -> bool:
+    def watch(count: int, at: ProblemAtPoint) -> bool:
         nonlocal best
         assert problem is not None
         best = at if best is None else min(best, at, key=_rank)
@@ -244,9 +248,9 @@ def starts_of(problem: Problem, case: Case, solution: Solution) -> list[Array]:
     return [*([] if warm is None else [warm]), *problem.law.starts(MORE_STARTS * case.search.starts, case.search.seed)]
 
 
-def _rank(at: Evaluation) -> tuple[int, float]:
+def _rank(at: ProblemAtPoint) -> tuple[int, float]:
     return at.unstable, at.violation_db
 
 
-def _met(best: Evaluation | None) -> bool:
+def _met(best: ProblemAtPoint | None) -> bool:
     return best is not None and best.unstable == 0 and best.violation_db <= MET_DB

@@ -48,7 +48,8 @@ from maxq.design.model.instruments import Plane
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import Pendulums, pendulums_of
 from maxq.design.paper.errata import Errata
-from maxq.sim.vehicle import aero, schedule
+from maxq.sim.vehicle import schedule
+from maxq.sim.vehicle.air import kernel as aero
 
 XI = 1.84118378134066
 _SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero

@@ -22,7 +22,7 @@ from maxq.design.paper.model import Liquids, plane_vehicle, published_plant
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.vehicle.actuator import Actuator
+from maxq.sim.vehicle.actuator.kernel import Actuator
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.node import Node
-from maxq.sim.scenario.files import scenarios_folder
+from maxq.sim.input.files import scenarios_folder
 from maxq.sim.vehicle import schedule
 
 COLUMNS = ("z_alpha_1ps", "m_alpha_1ps2", "z_delta_1ps", "m_delta_1ps2")

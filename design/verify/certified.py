@@ -9,12 +9,12 @@ from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.certificate.in_flight import InFlightResponse
 from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.quantities import MEASURED, LoopLimits
-from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED, Requirement, room_left
+from maxq.design.verify.suite import ACCEPTED, REJECTED, UNDECIDED, JudgedRequirement, room_left
 
 _MEASURED = "measured only"
 
 
-def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> list[Requirement]:
+def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> list[JudgedRequirement]:
     """Judge flight code without a linear model: stability when held, and margins by the limits of a linear loop."""
     if not nodes:
         return []
@@ -22,9 +22,9 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> 
     def where(n: MeasuredNode) -> str:
         return f"{n.time_s:g} s, {n.plane}"
 
-    def judged(name: str, wanted: str, found: str, bad: Sequence[MeasuredNode]) -> Requirement:
+    def judged(name: str, wanted: str, found: str, bad: Sequence[MeasuredNode]) -> JudgedRequirement:
         judgement, at = (REJECTED, where(bad[0])) if bad else (ACCEPTED, "")
-        return Requirement(_MEASURED, name, wanted, found, judgement, math.nan, at)
+        return JudgedRequirement(_MEASURED, name, wanted, found, judgement, math.nan, at)
 
     shaky = [n for n in nodes if not n.stable]
     said = f"{len(nodes) - len(shaky)} of {len(nodes)} nodes"
@@ -45,7 +45,9 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> 
         text = f"{value:.2f} {about.unit}" if math.isfinite(value) else "no growth as far as was tried"
         room = room_left(value, limit, about.sense) if math.isfinite(value) else math.nan
         name = "phase margin between lines" if key == "rigid_phase_deg" else about.label
-        out.append(Requirement(_MEASURED, name, f"{about.sense} {limit:g} {about.unit}", text, met, room, where(worst)))
+        out.append(
+            JudgedRequirement(_MEASURED, name, f"{about.sense} {limit:g} {about.unit}", text, met, room, where(worst))
+        )
     ends = [(c, n) for n in nodes for c in n.cycles if c.kind not in ("decays", "limit cycle")]
     said = ends[0][0].text if ends else "decays or ends in a limit cycle at every node"
     return [*out, judged("burst at slosh", "does not grow", said, [n for _, n in ends])]
@@ -55,7 +57,7 @@ def certificate_requirements(
     certificates: list[NodeCertificate],
     through: list[InFlightResponse],
     again: Callable[[NodeCertificate | InFlightResponse], str] = lambda node: "",
-) -> list[Requirement]:
+) -> list[JudgedRequirement]:
     """Require that flight and linear loop agree at every node, and that each difference in flight is explained.
 
     With adaptation the gain margins measured must reach beyond the limits of the total gain.
@@ -65,7 +67,7 @@ def certificate_requirements(
     def add(name: str, found: str, bad: Sequence[NodeCertificate | InFlightResponse]) -> None:
         judgement, where = (REJECTED, f"{bad[0].time_s:g} s") if bad else (ACCEPTED, "")
         command, wanted = again(bad[0]) if bad else "", "every difference explained"
-        out.append(Requirement("certificate", name, wanted, found, judgement, math.nan, where, again=command))
+        out.append(JudgedRequirement("certificate", name, wanted, found, judgement, math.nan, where, again=command))
 
     for plane in dict.fromkeys(c.plane for c in certificates):
         mine = [c for c in certificates if c.plane == plane]
@@ -78,7 +80,7 @@ def certificate_requirements(
             room_db, worst = min(adapted, key=lambda each: each[0])
             limit_db, name = abs(worst.total_gain_db[end]), ("least", "most")[end]
             out.append(
-                Requirement(
+                JudgedRequirement(
                     "certificate", f"stable at the {name} total gain", f"{what} > {limit_db:.2f} dB",
                     f"{room_db + limit_db:.2f} dB", ACCEPTED if room_db > 0.0 else REJECTED, room_db / limit_db,
                     f"{worst.time_s:g} s, {worst.plane}", again="" if room_db > 0.0 else again(worst),

@@ -20,13 +20,13 @@ import numpy as np
 from maxq.design import operating_points
 from maxq.design.model.node import Node
 from maxq.design.model.powered import powered_spans
-from maxq.design.verify.memory import Memory
-from maxq.design.verify.suite import Flown, LoadedSuite
+from maxq.design.verify.memory import PartsOnDisk
+from maxq.design.verify.suite import LoadedSuite, SuiteFlight
+from maxq.sim.input.errors import ScenarioError, suggestion
+from maxq.sim.input.values import Section
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError, suggestion
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.schema_scenario import Log
-from maxq.sim.scenario.schema_values import Section
+from maxq.sim.scenario.schema_scenario import LogSection
 
 _TUNED = ("mode_1", "mode_2", "slosh")
 _PLACES = ("max_q", "before_max_q", "after_max_q")
@@ -63,7 +63,7 @@ class _Missing(Exception):
     """What the vehicle does not have."""
 
 
-def fit(loaded: LoadedSuite, base: LoadedScenario, memory: Memory) -> LoadedSuite:
+def fit(loaded: LoadedSuite, base: LoadedScenario, memory: PartsOnDisk) -> LoadedSuite:
     """The suite for the vehicle of `base`, which is flown where a mark is used. A fitted suite stays as it is.
 
     Raises ScenarioError for an unknown mark, or one where it has no value for any vehicle.
@@ -112,7 +112,7 @@ def _called(base: LoadedScenario, number: int) -> str:
     return base.vehicle.stage[number].name or f"stage {number + 1}"
 
 
-def _fitted(flown: Flown, base: LoadedScenario, marks: Marks, label: str, stages: int) -> Flown:
+def _fitted(flown: SuiteFlight, base: LoadedScenario, marks: Marks, label: str, stages: int) -> SuiteFlight:
     where, name = f"flight {flown.name}", flown.name
     if flown.each_stage and stages > 1:
         name += f", {_called(base, int(marks['stage']))}"
@@ -190,7 +190,7 @@ def _number(given: float | str, marks: Marks, label: str, where: str) -> float:
 
 def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
     """Of the whole flight, and of each stage that burns."""
-    log = Log(fast_hz=10.0, slow_hz=10.0, transform_hz=1.0)
+    log = LogSection(fast_hz=10.0, slow_hz=10.0, transform_hz=1.0)
     quiet = base.scenario.model_copy(update={"log": log, "fault": ()})
     flight, spans = fly(LoadedScenario(quiet, base.label, base.files)), powered_spans(base)
     t, q, altitude = flight.time_s("dynamic_pressure_Pa"), flight["dynamic_pressure_Pa"], flight["altitude_m"]

@@ -14,12 +14,12 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.verify import suite
-from maxq.design.verify.memory import Memory, code_hash, content_hash, counted
-from maxq.design.verify.suite import CampaignWanted, Flown, LoadedSuite, Requirement, judgement_of
+from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash, counted
+from maxq.design.verify.suite import CampaignWanted, JudgedRequirement, LoadedSuite, SuiteFlight, judgement_of
 from maxq.sim.campaign.analysis import DataSet, Judged, Lost, judged, lost
 from maxq.sim.campaign.availability import Month, availability
 from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
-from maxq.sim.campaign.runner import Progress, run_campaign
+from maxq.sim.campaign.runner import CampaignProgress, run_campaign
 from maxq.sim.campaign.statistics import Shown
 from maxq.sim.files import plain_name
 from maxq.sim.flight.metric_table import unit_of
@@ -27,7 +27,7 @@ from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import Verdict
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.sim.scenario.schema_scenario import Log
+from maxq.sim.scenario.schema_scenario import LogSection
 
 KEPT = ("gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "error_pitch_deg", "error_yaw_deg")
 KEPT_HZ = 20.0
@@ -84,7 +84,7 @@ def design_changes(design: str, vehicle: str | None) -> list[str]:
 
 
 def load_flight(
-    loaded_suite: LoadedSuite, flown: Flown, design: str, vehicle: str | None
+    loaded_suite: LoadedSuite, flown: SuiteFlight, design: str, vehicle: str | None
 ) -> tuple[LoadedScenario, list[str]]:
     """The scenario of one flight with the design in it, and what is changed in it. Raises ScenarioError."""
     name, changes = flown.scenario or loaded_suite.suite.scenario, [*design_changes(design, vehicle), *flown.set]
@@ -97,7 +97,7 @@ def fly_suite(
     loaded_suite: LoadedSuite,
     design: str,
     vehicle: str | None,
-    memory: Memory,
+    memory: PartsOnDisk,
     watch: Callable[[int, int], None],
     workers: int,
 ) -> list[FlownResult]:
@@ -105,7 +105,7 @@ def fly_suite(
     flights = loaded_suite.suite.flight
     loaded = [load_flight(loaded_suite, flown, design, vehicle) for flown in flights]
 
-    def one(flown: Flown, job: tuple[LoadedScenario, list[str]]) -> FlownResult:
+    def one(flown: SuiteFlight, job: tuple[LoadedScenario, list[str]]) -> FlownResult:
         scenario, changes = job
         text = (scenario.as_flown, flown.name, flown.why, flown.design_must_keep)
         sets = (x for change in changes for x in ("--set", change))
@@ -116,8 +116,8 @@ def fly_suite(
         return list(pool.map(counted(one, watch, len(loaded)), flights, loaded))
 
 
-def _fly(flown: Flown, loaded: LoadedScenario, again: str) -> FlownResult:
-    log = Log(fast_hz=KEPT_HZ, slow_hz=KEPT_HZ, transform_hz=1.0)
+def _fly(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownResult:
+    log = LogSection(fast_hz=KEPT_HZ, slow_hz=KEPT_HZ, transform_hz=1.0)
     scenario = loaded.scenario.model_copy(update={"log": log})
     flight = fly(LoadedScenario(scenario, loaded.label, loaded.files))
     times = flight.time_s(KEPT[0])
@@ -135,7 +135,7 @@ def _said(v: Verdict) -> str:
     return f"{v.name} {v.value:.4g}" + (f" {unit}" if unit != "1" else "")
 
 
-def flight_requirements(results: Sequence[FlownResult]) -> list[Requirement]:
+def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequirement]:
     """One for each flight that counts: it meets all requirements of its scenario."""
     out = []
     for r in results:
@@ -152,7 +152,7 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[Requirement]:
             where = f"at {worst.time_s:.2f} s" if math.isfinite(worst.time_s) else ""
         judgement = suite.ACCEPTED if r.passed else suite.REJECTED
         if r.counts:
-            out.append(Requirement("scenarios", r.name, wanted, found, judgement, left, where, again=r.again))
+            out.append(JudgedRequirement("scenarios", r.name, wanted, found, judgement, left, where, again=r.again))
     return out
 
 
@@ -203,7 +203,7 @@ def fly_campaign(
     design: str,
     vehicle: str | None,
     parts: Path,
-    watch: Callable[[Progress], None],
+    watch: Callable[[CampaignProgress], None],
     stop: Callable[[], bool],
     afresh: bool,
 ) -> CampaignResult:
@@ -224,18 +224,18 @@ def fly_campaign(
 
 def _of_campaign(
     result: CampaignResult, name: str, wanted: str, found: str, shown: Shown, room: float, run: int | None
-) -> Requirement:
+) -> JudgedRequirement:
     """`run`: the one that shows it; None where none does."""
     judgement, name = judgement_of(shown.judgement), f"{result.name}: {name}"
     if run is None:
-        return Requirement("campaign", name, wanted, found, judgement, room, more_runs=shown.more)
+        return JudgedRequirement("campaign", name, wanted, found, judgement, room, more_runs=shown.more)
     again = shlex.join(["simrun", "refly", str(result.folder), "--run", str(run)])
-    return Requirement("campaign", name, wanted, found, judgement, room, f"run {run}", shown.more, again)
+    return JudgedRequirement("campaign", name, wanted, found, judgement, room, f"run {run}", shown.more, again)
 
 
-def availability_requirements(result: CampaignResult, wanted: float) -> list[Requirement]:
+def availability_requirements(result: CampaignResult, wanted: float) -> list[JudgedRequirement]:
     """One for each month of a campaign's winds; undecided where it has none."""
-    asked, out = f">= {100.0 * wanted:g} % with {100.0 * result.confidence:g} %", list[Requirement]()
+    asked, out = f">= {100.0 * wanted:g} % with {100.0 * result.confidence:g} %", list[JudgedRequirement]()
     for month in result.months:
         shown, room = month.judged(wanted, result.confidence, result.fixed), suite.room_left(month.share, wanted, ">=")
         ends = f"{100.0 * month.least:.1f} .. {100.0 * month.most:.1f} %"
@@ -243,10 +243,10 @@ def availability_requirements(result: CampaignResult, wanted: float) -> list[Req
         name = f"availability in {month.name}"
         out.append(_of_campaign(result, name, asked, found, shown, room, month.first_missed))
     name, found = f"{result.name}: availability", "no run has a month"
-    return out or [Requirement("campaign", name, asked, found, suite.UNDECIDED, math.nan)]
+    return out or [JudgedRequirement("campaign", name, asked, found, suite.UNDECIDED, math.nan)]
 
 
-def campaign_requirements(result: CampaignResult) -> list[Requirement]:
+def campaign_requirements(result: CampaignResult) -> list[JudgedRequirement]:
     """One for each requirement of the campaign, or for each month where its availability is asked for."""
     if result.availability is not None:
         return availability_requirements(result, result.availability)

@@ -18,7 +18,7 @@ from maxq.design.case.basis import Basis, LoadLimits, limit_of, stated_basis
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.design_file import design_of
 from maxq.design.laws.wind import WIND_LIMITS, Key, quantity
-from maxq.design.loop.fixed_path import Kind
+from maxq.design.loop.fixed_path import LoopKind
 from maxq.design.loop.loop import loops
 from maxq.design.loop.multiloop import multiloops
 from maxq.design.margins.budget import Budget, crossing_budgets
@@ -33,12 +33,12 @@ from maxq.design.optimise.robust import dispersed_nodes, ranges_of
 from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import MEASURED, QUANTITIES, Convention, Quantity, ZoneName, violation
 from maxq.design.verify.memory import counted
+from maxq.sim.input.errors import ScenarioError
+from maxq.sim.input.tables_csv import CsvTable
+from maxq.sim.input.values import OverTime, at_time
 from maxq.sim.packing.computer import bending_filter
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.schema_design import Adaptive, Design, LoopFilters, StageLaw
-from maxq.sim.scenario.schema_values import OverTime, at_time
-from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.scenario.schema_design import AdaptiveSection, Design, LoopFiltersSection, StageLaw
 
 JUDGED = (*MEASURED, "filter_gain_at_infinity", "integral_hz", "most_integral_hz")
 """Keys of the limits that a design is judged by at its operating points, in the order in which they are shown."""
@@ -76,10 +76,10 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Judged(LoopAtPoint):
+class JudgedLoop(LoopAtPoint):
     """A loop at an operating point, and the adaptation of its design."""
 
-    adaptive: Adaptive | None = None
+    adaptive: AdaptiveSection | None = None
 
     @cached_property
     def budgets(self) -> dict[str, Budget]:
@@ -140,20 +140,20 @@ class Check:
 
 
 def judge(
-    nodes: Sequence[Node], design: Design, kind: Kind = "sampled", tell: Callable[[int], None] | None = None
-) -> list[Judged]:
+    nodes: Sequence[Node], design: Design, kind: LoopKind = "sampled", tell: Callable[[int], None] | None = None
+) -> list[JudgedLoop]:
     """Margins of the design at every node, by the axis of each node. `tell` is called with the number done."""
     out = []
     for n, loop in enumerate(loops(nodes, design, kind=kind)):
         found = measure_loop(loop)
         adaptive = design.of_stage(found.node.stage).adaptive
-        out.append(Judged(found.loop, found.margins, adaptive))
+        out.append(JudgedLoop(found.loop, found.margins, adaptive))
         if tell is not None:
             tell(n + 1)
     return out
 
 
-def checks(judged: Sequence[Judged], design: Design, wanted: Wanted) -> list[Check]:
+def checks(judged: Sequence[JudgedLoop], design: Design, wanted: Wanted) -> list[Check]:
     """All limits that are asked for, stability first."""
     time_s = np.array([j.time_s for j in judged])
     unstable = np.array([float(max(j.margins.unstable_poles, not j.margins.stable)) for j in judged])
@@ -224,7 +224,7 @@ def multiloop_checks(found: Sequence[MultiloopMargins], wanted: Wanted) -> list[
     return out
 
 
-def _clearance(j: Judged, zone: Zone) -> float:
+def _clearance(j: JudgedLoop, zone: Zone) -> float:
     known = j.margins.clearances
     if j.margins.stable and all(c.zone != zone for c in known):
         known = margins(j.loop, resonances=(), zones=(zone,)).clearances
@@ -249,12 +249,12 @@ class InWind:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DesignOutcome:
     """A design judged by its case: on the case's own loop, as it flies, and on dispersed plants if it is robust."""
 
     loaded: LoadedCase
     design: Design
-    judged: Sequence[Judged]
+    judged: Sequence[JudgedLoop]
     found: Sequence[Check]
     flown_found: Sequence[Check]  # on the sampled loop; the same as `found` where the case's loop is
     dispersed_found: Sequence[Check]  # at the worst plants of a robust case
@@ -309,7 +309,7 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
     names = StageLaw.model_fields
     flown = [designs.get(n) or (with_law(own.of_stage(n), first) if own else first) for n in range(len(stages))]
     # a stage without filters of its loops says so, where another has some
-    none = LoopFilters() if any(d.loop_filters is not None for d in flown) else None
+    none = LoopFiltersSection() if any(d.loop_filters is not None for d in flown) else None
     laws = []
     for n, d in enumerate(flown):
         said = {k: getattr(d, k) for k in names if k != "fade_s"} | {"loop_filters": d.loop_filters or none}
@@ -361,7 +361,7 @@ def wanted_of(case: Case) -> Wanted:
     return Wanted.of(case.basis("", case.times_s).limits)
 
 
-def stage_checks(judged: Sequence[Judged], design: Design, basis: Basis, kind: Kind) -> list[Check]:
+def stage_checks(judged: Sequence[JudgedLoop], design: Design, basis: Basis, kind: LoopKind) -> list[Check]:
     """Return all limits of a stage's basis, of wind too."""
     nodes, here = [j.node for j in judged], basis.model_copy(update={"loop": kind})
     found = checks(judged, design, Wanted.of(basis.limits))
@@ -375,7 +375,7 @@ def worst_times_s(found: Iterable[Check]) -> set[float]:
 
 def judge_solution(
     loaded: LoadedCase, solution: Solution, design: Design | None = None, between: Sequence[Node] = ()
-) -> Outcome:
+) -> DesignOutcome:
     """Judge the design as it is written, at the search's nodes and at the dispersed plants of a robust search.
 
     `design`: of all stages, where the solution is one of several. `between`: further nodes, which are judged too.
@@ -390,12 +390,12 @@ def judge_solution(
     found = [*(flown if case.loop == "sampled" else checks(judged, design, wanted))]
     found += wind_checks(winds, case.limits, nodes)
     if case.robust is None:
-        return Outcome(loaded, design, judged, found, flown, [], wanted, winds)
+        return DesignOutcome(loaded, design, judged, found, flown, [], wanted, winds)
     dispersed = dispersed_nodes(ranges_of(loaded, nodes), nodes, solution.constraints)
     off = checks(judge(dispersed, design, case.loop), design, Wanted.of(case.robust.limits)) if dispersed else []
     if dispersed:
         off += wind_checks(in_wind(case, dispersed, design, None), case.robust.limits, dispersed)
-    return Outcome(loaded, design, judged, found, flown, off, wanted, winds)
+    return DesignOutcome(loaded, design, judged, found, flown, off, wanted, winds)
 
 
 def in_wind(case: Basis, nodes: Sequence[Node], design: Design, before: Design | None) -> list[InWind]:

@@ -38,14 +38,14 @@ from maxq.design.model.node import Node, at_same_propellant_s, disperse, met_by,
 from maxq.design.model.powered import flown_run, flown_to
 from maxq.design.quantities import MEASURED, SWEPT, Convention, LoopLimits
 from maxq.design.verify import suite
-from maxq.design.verify.memory import Memory, counted
-from maxq.design.verify.suite import AS_DESIGNED, LinearMargins, Requirement
+from maxq.design.verify.memory import PartsOnDisk, counted
+from maxq.design.verify.suite import AS_DESIGNED, JudgedRequirement, LinearMargins
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.statistics import allowed_failures, judge_failures, tolerance_bound
-from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.input.errors import ScenarioError
+from maxq.sim.input.values import at_time
 from maxq.sim.scenario.loader import told
 from maxq.sim.scenario.schema_design import Design
-from maxq.sim.scenario.schema_values import at_time
 
 INSTANTS_S = (0.5, 0.05, 0.005)
 """Steps of the search for the worst instant between nodes, coarse to fine."""
@@ -211,7 +211,7 @@ def study(
     design: Design,
     wanted: LinearMargins,
     campaign: LoadedCampaign,
-    memory: Memory,
+    memory: PartsOnDisk,
     watch: Callable[[int, int], None] = lambda done, of: None,
     workers: int = 2,
     stage: str = "",
@@ -296,7 +296,7 @@ class SweptVehicles:
 
 def margin_requirements(
     found: MarginStudy, wanted: LinearMargins, again: Callable[[str], str] = lambda label: ""
-) -> list[Requirement]:
+) -> list[JudgedRequirement]:
     """Nominal limits, dispersed limits at the corners, and the share of random vehicles that keep them.
 
     `again`: the command that measures the vehicle of a label alone.
@@ -320,7 +320,7 @@ def margin_requirements(
         if worst is not None:
             said += f"; {worst.name}: {worst.found}, wanted {worst.wanted}"
         out.append(
-            Requirement(
+            JudgedRequirement(
                 "dispersed", f"random vehicles meet the dispersed limits{whose}",
                 f"{100.0 * wanted.success:g} % with {100.0 * wanted.confidence:g} % confidence",
                 said, suite.judgement_of(shown.judgement), share, worst.where if worst else "", shown.more,
@@ -338,7 +338,7 @@ def _limits(
     limits: LoopLimits,
     found: MarginStudy,
     again: Callable[[str], str],
-) -> list[Requirement]:
+) -> list[JudgedRequirement]:
     """Stability, and the limits on the stable loops."""
     stage = f", {found.stage}" if found.stage else ""
     places = [
@@ -350,7 +350,7 @@ def _limits(
     state = ("stable", suite.ACCEPTED, math.nan, "", 0, "")
     if bad:
         state = (f"{len(bad)} of {len(places)} loops unstable", suite.REJECTED, -1.0, bad[0][0], 0, bad[0][1])
-    out = [Requirement(part, f"stable {at}{stage}", "stable", *state)]
+    out = [JudgedRequirement(part, f"stable {at}{stage}", "stable", *state)]
     for name, about in MEASURED.items():
         asked = getattr(limits, name)
         known = [place for place in places if asked is not None and not math.isnan(place[1].get(name, math.nan))]
@@ -359,7 +359,7 @@ def _limits(
         rows = [(n[name], float(at_time(asked, t)), where, command) for where, n, command, t in known]
         value, limit, where, command = max(rows, key=lambda r: about.violation(r[0], r[1]))
         out.append(
-            Requirement(
+            JudgedRequirement(
                 part, ", ".join(filter(None, (about.label, whose, found.stage))),
                 f"{about.sense} {limit:g} {about.unit}".rstrip(),
                 f"{value:.2f} {about.unit}".rstrip() if math.isfinite(value) else "free",
@@ -419,11 +419,11 @@ def authority(nodes: Sequence[Node], command_limits_rad: Sequence[float]) -> lis
     return out
 
 
-def authority_requirement(found: Sequence[Authority], wind_mps: float, again: str = "") -> Requirement:
+def authority_requirement(found: Sequence[Authority], wind_mps: float, again: str = "") -> JudgedRequirement:
     """A steady cross-wind can be trimmed at every time."""
     worst = min(found, key=lambda a: a.wind_mps)
     judgement = suite.ACCEPTED if worst.wind_mps >= wind_mps else suite.REJECTED
-    return Requirement(
+    return JudgedRequirement(
         "authority", "gimbal trims a steady cross-wind", f">= {wind_mps:g} m/s", f"{worst.wind_mps:.1f} m/s",
         judgement, worst.wind_mps / wind_mps - 1.0, f"{worst.time_s:g} s",
         again=again,

@@ -25,7 +25,7 @@ import numpy as np
 
 from maxq.control.kernel.machine import own_cache
 from maxq.sim.files import FileError, write_whole
-from maxq.sim.scenario.schema_values import Section
+from maxq.sim.input.values import Section
 
 T = TypeVar("T")
 
@@ -139,7 +139,7 @@ def counted(work: Callable[..., T], watch: Callable[[int, int], None], of: int, 
     return one
 
 
-class Memory:
+class PartsOnDisk:
     """Parts in a folder, a file each; `folder` None remembers nothing. Threads may share one.
 
     A file is the SHA-256 of the rest, the hash of what the part depends on, and the part as JSON, a line each. One that

@@ -28,12 +28,12 @@ from maxq.design.model.powered import loss_text, powered_flight
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.over_time import gains_at_nodes, instants_beside, with_nodes
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
-from maxq.design.optimise.search import Progress
+from maxq.design.optimise.search import SearchProgress
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, nominal_plants, solve
 from maxq.design.quantities import QUANTITIES, TOLERANCE
 from maxq.design.verify.judging import (
-    Outcome,
+    DesignOutcome,
     judge,
     judge_solution,
     make_design,
@@ -97,7 +97,7 @@ class CaseDesign:
     """
 
     design: Design
-    results: tuple[tuple[Outcome, Solution], ...]
+    results: tuple[tuple[DesignOutcome, Solution], ...]
     stages: tuple[LoadedCase, ...]
     plants: tuple[Plants, ...]
     rounds: tuple[Round, ...]
@@ -136,7 +136,7 @@ class CaseDesign:
 
 def design_case(
     loaded: LoadedCase,
-    progress: Callable[[int, int], Progress] = lambda stage, number: lambda *_: None,
+    progress: Callable[[int, int], SearchProgress] = lambda stage, number: lambda *_: None,
     check: Callable[[], None] = lambda: None,
 ) -> CaseDesign:
     """Design all stages of a case along the flight of the design itself.
@@ -232,13 +232,13 @@ def _searched(stage: LoadedCase, loss: Event | None, again: set[int] | None) -> 
     return replace(stage, case=stage.case.model_copy(update=changes))
 
 
-def _can_do_better(outcome: Outcome) -> bool:
+def _can_do_better(outcome: DesignOutcome) -> bool:
     """Return True if a limit is missed on which the search has an influence: any but those of the roll loop."""
     alone = (*outcome.found, *outcome.dispersed_found)
     return bool(_short(outcome)) or any(not check.passed for check in alone)
 
 
-def _short(outcome: Outcome) -> dict[str, float]:
+def _short(outcome: DesignOutcome) -> dict[str, float]:
     """Return by how much (dB or deg) each limit is missed with the other axes closed, by key; missed ones only."""
     out: dict[str, float] = {}
     for key in COUPLED:
@@ -273,7 +273,7 @@ class _Judged:
     design: Design
     flight: LoadedScenario
     loss: Event | None
-    by_stage: dict[int, tuple[Outcome, Solution]]
+    by_stage: dict[int, tuple[DesignOutcome, Solution]]
 
 
 def _judged(

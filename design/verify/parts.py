@@ -24,7 +24,7 @@ from maxq.design.model.node import Node
 from maxq.design.model.powered import EDGES, node_times, powered_spans
 from maxq.design.verify import linear
 from maxq.design.verify.described import DescribedVehicles
-from maxq.design.verify.memory import Memory, counted
+from maxq.design.verify.memory import PartsOnDisk, counted
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
 from maxq.design.verify.suite import WORST, CertificateWanted, LinearMargins, Suite
@@ -49,7 +49,7 @@ class Parts:
     suite: Suite
     scenario: LoadedScenario
     along: LoadedScenario
-    memory: Memory
+    memory: PartsOnDisk
     watch: Watch
     workers: int
     campaign: LoadedCampaign | None = None  # whose runs are random vehicles and their trajectories

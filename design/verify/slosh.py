@@ -16,10 +16,10 @@ wave of the first mode (xi = 1.841) is a swing of the pendulum of
 
     theta = (xi^2 - 1) / 2  eta / R
 
-whatever the depth (sim/packing/pendulums.py). The worst tank is flown (`confirm`): with just the damping needed a burst
-neither grows nor decays, and with the baffle's law the swing ends at the predicted amplitude (`fly_cycle`). Nothing
-else limits slosh before the model does: without baffles, gimbal and servo stay far from their limits until the liquid
-has swung through a right angle (tests/test_oracle_slosh_cycle.py), where waves would long have broken.
+whatever the depth (sim/vehicle/slosh/packing.py). The worst tank is flown (`confirm`): with just the damping needed a
+burst neither grows nor decays, and with the baffle's law the swing ends at the predicted amplitude (`fly_cycle`).
+Nothing else limits slosh before the model does: without baffles, gimbal and servo stay far from their limits until the
+liquid has swung through a right angle (tests/test_oracle_slosh_cycle.py), where waves would long have broken.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from maxq.design.loop.loop import Loop, close_loop, loops
 from maxq.design.model.node import Node, slosh_columns
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import Packed
-from maxq.sim.packing.pendulums import WAVE_PER_SWING, ring_damping
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
+from maxq.sim.vehicle.slosh.packing import WAVE_PER_SWING, ring_damping
 
 SWING_PER_WAVE = 1.0 / WAVE_PER_SWING[0]  # rad of the pendulum for a wave at the wall as high as the radius
 WATCHED_S = 400.0  # several time constants of a limit cycle that settles within a minute

@@ -20,26 +20,26 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from maxq.design.model.powered import EDGES, NODES_PER_STAGE
-from maxq.design.model.spread import Share, Spread
+from maxq.design.model.spread import RelativeDeviation, Spread
 from maxq.design.quantities import MEASURED, SWEPT, LoopLimits, violation
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
-from maxq.sim.scenario.documents import Text
-from maxq.sim.scenario.errors import ScenarioError, refuse, suggestion
-from maxq.sim.scenario.files import find, shown
+from maxq.sim.input.documents import Text
+from maxq.sim.input.errors import ScenarioError, refuse, suggestion
+from maxq.sim.input.files import find, shown
+from maxq.sim.input.values import NotNegative, Positive, Section, optional
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, optional
 
-Judgement = Literal["accepted", "passed screening", "rejected", "undecided"]
-ACCEPTED: Judgement = "accepted"
-SCREENED: Judgement = "passed screening"  # every requirement of a suite that asks too little to accept anything
-REJECTED: Judgement = "rejected"
-UNDECIDED: Judgement = "undecided"
+SuiteVerdict = Literal["accepted", "passed screening", "rejected", "undecided"]
+ACCEPTED: SuiteVerdict = "accepted"
+SCREENED: SuiteVerdict = "passed screening"  # every requirement of a suite that asks too little to accept anything
+REJECTED: SuiteVerdict = "rejected"
+UNDECIDED: SuiteVerdict = "undecided"
 
 
 @dataclass(frozen=True)
-class Requirement:
+class JudgedRequirement:
     """One requirement with its verdict.
 
     `part`: the method, "scenarios", "margins", "dispersed", "authority", "certificate", "campaign". `wanted` and
@@ -51,7 +51,7 @@ class Requirement:
     name: str
     wanted: str
     found: str
-    judgement: Judgement
+    judgement: SuiteVerdict
     room: float
     where: str = ""
     more_runs: int = 0
@@ -66,14 +66,14 @@ class Requirement:
         return f"{said}; not settled" + (f": {self.more_runs} more runs" if self.more_runs else "")
 
 
-def overall(requirements: Iterable[Requirement], suite: Suite | None = None) -> Judgement:
+def overall(requirements: Iterable[JudgedRequirement], suite: Suite | None = None) -> SuiteVerdict:
     """Rejected if one is, else undecided if one is, or if there is none; accepted by a suite that lacks nothing."""
     found = {r.judgement for r in requirements} or {UNDECIDED}
     passed = SCREENED if suite is not None and suite.lacks else ACCEPTED
     return REJECTED if REJECTED in found else UNDECIDED if UNDECIDED in found else passed
 
 
-def judgement_of(shown: str) -> Judgement:
+def judgement_of(shown: str) -> SuiteVerdict:
     """Of a statistical test (`sim.campaign.statistics`)."""
     return ACCEPTED if shown == MET else REJECTED if shown == NOT_MET else UNDECIDED
 
@@ -91,7 +91,7 @@ def room_left(value: float, bound: float, sense: str, unit: str = "") -> float:
 
 AS_DESIGNED, CERTIFICATE, WORST = "as designed", "certificate", "worst"
 VEHICLE_LABEL = re.compile(r"corner [1-9][0-9]*|vehicle (0|[1-9][0-9]*)")
-Level = Annotated[float, Field(gt=0.0, lt=1.0)]
+SuiteProbability = Annotated[float, Field(gt=0.0, lt=1.0)]
 Plane = Literal["pitch", "yaw"]
 
 
@@ -110,7 +110,7 @@ class DispersedLimit(Section):
 Each = dict[str, Annotated[tuple[float | str, ...], Field(min_length=1)]]
 
 
-class Flown(Section):
+class SuiteFlight(Section):
     """A scenario of the suite: the base scenario with changes, judged by its requirements."""
 
     name: str = Field(description="shown to people")
@@ -137,7 +137,7 @@ class Flown(Section):
             if f"${key}" not in self.name:
                 raise refuse(f"does not tell the flights of ${key} apart", f"a name with ${key}", "name")
 
-    def flights(self) -> list[Flown]:
+    def flights(self) -> list[SuiteFlight]:
         """One for each combination of `each`, or this one."""
         out = []
         for values in product(*self.each.values()):
@@ -180,7 +180,7 @@ class LinearMargins(Section):
 
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where times_s is not given", NODES_PER_STAGE)
-    edges: tuple[Share, Share] = optional(
+    edges: tuple[RelativeDeviation, RelativeDeviation] = optional(
         "shares of a stage's burn that such nodes keep off its begin (off the pad) and its end", EDGES
     )
     between_nodes: Literal["ignore", "hold"] = optional(
@@ -197,8 +197,8 @@ class LinearMargins(Section):
     )
     only: str = optional("'as designed', 'corner N' or 'vehicle N': measure this one alone", "")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the random vehicles", 1)
-    success: Level = optional("share of random vehicles that must keep the dispersed limits", 0.975)
-    confidence: Level = optional("with which that is to be shown", 0.90)
+    success: SuiteProbability = optional("share of random vehicles that must keep the dispersed limits", 0.975)
+    confidence: SuiteProbability = optional("with which that is to be shown", 0.90)
     why: str = optional("the reason for this level and confidence, shown in the review pack", "")
     corner_sigmas: NotNegative = optional(
         "deviation of every factor at the corners of the screening design, in sigma; 0: no corners. Twelve "
@@ -238,11 +238,11 @@ class CampaignWanted(Section):
     limits: Literal["own", "dispersed"] = optional("as of a flight", "own")
     runs: Annotated[int, Field(gt=0)] | None = optional("default: the campaign's")
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = optional("default: the campaign's")
-    availability: Level | None = optional(
+    availability: SuiteProbability | None = optional(
         "judged in place of the requirements one by one: share of the flights in each month's winds that must meet all"
     )
-    success: Level | None = optional("default: the campaign's")
-    confidence: Level | None = optional("default: the campaign's")
+    success: SuiteProbability | None = optional("default: the campaign's")
+    confidence: SuiteProbability | None = optional("default: the campaign's")
 
 
 class Suite(Section):
@@ -254,7 +254,7 @@ class Suite(Section):
     scenario: str = optional("base of the scenarios, and flight along which nodes lie", "nominal")
     every: tuple[str, ...] = optional("changes of every flight, as its set", ())
     limit_wind: str | None = optional("wind profile (CSV) that $limit_wind stands for")
-    flight: tuple[Flown, ...] = optional("scenarios, each judged by its requirements", ())
+    flight: tuple[SuiteFlight, ...] = optional("scenarios, each judged by its requirements", ())
     margins: LinearMargins | None = optional("absent: not asked for")
     certificate: CertificateWanted | None = optional("absent: not asked for")
     campaign: tuple[CampaignWanted, ...] = optional("campaigns", ())

@@ -19,8 +19,8 @@ from maxq.design.model.instruments import Plane
 from maxq.design.model.node import node_of
 from maxq.design.model.powered import Span, flown_run, full_thrust, loss_of, powered_flight
 from maxq.sim.run.fly import FlightRun
-from maxq.sim.scenario.burn import stage_burns
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.vehicle.engine.burn import stage_burns
 
 BETWEEN = "between the operating points, where no limit was checked"
 BRIEF_S = 1e-6  # intervals that are shorter are not named

@@ -22,7 +22,7 @@ from maxq.design.quantities import LoopLimits
 from maxq.design.verify import flown, linear
 from maxq.design.verify.certified import certificate_requirements, measured_requirements
 from maxq.design.verify.fitted import fit
-from maxq.design.verify.memory import Memory, code_hash, content_hash
+from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash
 from maxq.design.verify.parts import Parts, Watch
 from maxq.design.verify.slosh import SloshAdvice
 from maxq.design.verify.suite import (
@@ -32,16 +32,16 @@ from maxq.design.verify.suite import (
     REJECTED,
     UNDECIDED,
     WORST,
-    Judgement,
+    JudgedRequirement,
     LoadedSuite,
-    Requirement,
     Suite,
+    SuiteVerdict,
     WorstWanted,
     overall,
 )
 from maxq.design.verify.uncovered import Uncovered
 from maxq.design.verify.worst import WorstVehicle, worst_requirements
-from maxq.sim.campaign.runner import Progress
+from maxq.sim.campaign.runner import CampaignProgress
 from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 
@@ -53,7 +53,7 @@ class Verification:
     design: str  # as the user named it
     suite: Suite
     scenario: LoadedScenario = field(repr=False)
-    requirements: tuple[Requirement, ...]
+    requirements: tuple[JudgedRequirement, ...]
     flights: tuple[flown.FlownResult, ...] = field(repr=False)
     margins: tuple[linear.MarginStudy, ...] = field(repr=False)
     certificates: tuple[NodeCertificate, ...] = field(repr=False)
@@ -81,7 +81,7 @@ class Verification:
         )
 
     @property
-    def judgement(self) -> Judgement:
+    def judgement(self) -> SuiteVerdict:
         return overall(self.requirements, self.suite)
 
     @property
@@ -89,7 +89,7 @@ class Verification:
         """Campaign runs that would settle what is undecided, if none of them fails."""
         return max((r.more_runs for r in self.requirements), default=0)
 
-    def of(self, judgement: Judgement) -> list[Requirement]:
+    def of(self, judgement: SuiteVerdict) -> list[JudgedRequirement]:
         return [r for r in self.requirements if r.judgement == judgement]
 
     @property
@@ -130,7 +130,7 @@ def verify(
         if stop():
             raise KeyboardInterrupt
 
-    suite, kept = loaded.suite, Memory(memory)
+    suite, kept = loaded.suite, PartsOnDisk(memory)
     scenario = load_scenario(suite.scenario, flown.design_changes(design, vehicle))
     along = flight_of(suite, design, vehicle)
     loaded = fit(loaded, along, kept)
@@ -155,7 +155,7 @@ def verify(
     with timed("campaigns"):
         for k, asked in enumerate(suite.campaign):
 
-            def show(progress: Progress, k: int = k) -> None:
+            def show(progress: CampaignProgress, k: int = k) -> None:
                 watch(f"campaign {k + 1}", progress.done, progress.total)
 
             parts, afresh = memory or Path("runs"), memory is None
@@ -207,11 +207,11 @@ def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:
     return load_scenario(suite.scenario, flown.design_changes(design, vehicle))
 
 
-def flight_requirement(along: LoadedScenario) -> list[Requirement]:
+def flight_requirement(along: LoadedScenario) -> list[JudgedRequirement]:
     """Reject a design where the flight that gives the nodes is lost: no margin after the loss is known."""
     loss = powered_flight(along)[1]
     if loss is None:
         return []
     found = f"{loss_text(loss)}; no operating point after that"
     wanted, at = "held up to the last burnout", f"{loss.time_s:.3f} s"
-    return [Requirement("scenarios", "flight of the nodes", wanted, found, REJECTED, math.nan, at)]
+    return [JudgedRequirement("scenarios", "flight of the nodes", wanted, found, REJECTED, math.nan, at)]

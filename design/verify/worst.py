@@ -41,7 +41,7 @@ from maxq.design.model.state_space import ComplexArray
 from maxq.design.optimise.descent import Region, descend, to_corner
 from maxq.design.verify.memory import counted
 from maxq.design.verify.named_mu import stable_together, stable_within
-from maxq.design.verify.suite import ACCEPTED, REJECTED, Requirement, WorstWanted, room_left
+from maxq.design.verify.suite import ACCEPTED, REJECTED, JudgedRequirement, WorstWanted, room_left
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario
@@ -341,7 +341,7 @@ def _refined_beside(
     return found, 3 * len(nodes) + sum(count for _, (_, _, count) in found)
 
 
-def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> list[Requirement]:
+def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> list[JudgedRequirement]:
     """Of its distance, where a limit is given, and that it keeps control in flight."""
     whose = ", ".join(filter(None, (found.plane, found.stage)))
     said = f"{found.modulus:.3f}" if found.modulus else "unstable"
@@ -357,6 +357,6 @@ def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> 
         name = f"least |1 + L| within {wanted.sigmas:g} sigma, {whose}"
         rows.insert(0, (name, f">= {wanted.modulus:g}", said, met, room))
     return [
-        Requirement("worst", name, asked, text, ACCEPTED if met else REJECTED, room, found.label, again=again)
+        JudgedRequirement("worst", name, asked, text, ACCEPTED if met else REJECTED, room, found.label, again=again)
         for name, asked, text, met, room in rows
     ]

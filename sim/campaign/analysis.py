@@ -33,7 +33,7 @@ from maxq.sim.campaign.runs import TIME_OF, VOID, input_types, schema_of
 from maxq.sim.campaign.statistics import Shown, judge_failures, tolerance_bound
 from maxq.sim.campaign.store import HISTORIES, parts_in, read_manifest, read_part
 from maxq.sim.flight.metric_table import unit_of
-from maxq.sim.scenario.schema_scenario import Requirement
+from maxq.sim.scenario.schema_scenario import RequirementSection
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -177,7 +177,7 @@ def _numbers(column: Any) -> Array:
     return np.asarray(column.to_numpy(), dtype=float)
 
 
-def requirements_of(campaign: LoadedCampaign) -> list[tuple[str, Requirement | None]]:
+def requirements_of(campaign: LoadedCampaign) -> list[tuple[str, RequirementSection | None]]:
     """Name and requirement: first that control is kept (None), then those of the scenario."""
     return [(CONTROL_KEPT, None), *((r.name or r.metric, r) for r in campaign.base.scenario.requirement)]
 
@@ -190,7 +190,7 @@ def judged(data: DataSet) -> list[Judged]:
     return [_judged(data, name, requirement) for name, requirement in requirements]
 
 
-def _judged(data: DataSet, name: str, requirement: Requirement | None) -> Judged:
+def _judged(data: DataSet, name: str, requirement: RequirementSection | None) -> Judged:
     campaign, n = data.campaign.campaign, data.in_order
     level = campaign.success, campaign.confidence
 

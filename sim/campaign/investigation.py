@@ -177,7 +177,7 @@ def _minimal(
 
 
 @dataclass(frozen=True)
-class Found:
+class WorstFlight:
     """The worst flight of a search; `draws` by input name, `flights` flown."""
 
     metric: str
@@ -198,7 +198,7 @@ def search_worst(
     workers: int = 1,
     watch: Callable[[float, int], None] = lambda best, flown: None,
     stop: Callable[[], bool] = lambda: False,
-) -> Found:
+) -> WorstFlight:
     """Search about `flights` flights within the 3-sigma box for the largest (or smallest) value of `metric`.
 
     SciPy's differential_evolution (Storn & Price, J. Global Optimization 11, 1997), generation by generation, so that
@@ -257,7 +257,7 @@ def search_worst(
     scenario = scenario_of(best[0][1])
     flight = fly_scenario(scenario)
     draws = dict(zip(names, best[0][1].tolist(), strict=True))
-    return Found(metric, flight.metrics[metric], draws, scenario, flight, flown[0] + 1)
+    return WorstFlight(metric, flight.metrics[metric], draws, scenario, flight, flown[0] + 1)
 
 
 def _first(bounds: Array, population: int) -> Array:

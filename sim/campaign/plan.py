@@ -21,7 +21,7 @@ from maxq.sim.campaign.draws import Sobol, chosen, correlated, latin, quantile, 
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.schema import Campaign, Disperse, WindModel
 from maxq.sim.campaign.targets import BOUNDS, Target
-from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.world.wind import wind_components
 
 SEED_KEY, WIND_KEY, MONTH_KEY, DATE_KEY = "run.seed", "wind.profile", "wind.month", "wind.date"

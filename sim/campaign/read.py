@@ -24,17 +24,17 @@ from maxq.sim.campaign.draws import box
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import MOST_ATTEMPTS, SEED_KEY, WIND_KEY, Draw, Drawn, Ensemble, Plan, VectorWind
 from maxq.sim.campaign.schema import Campaign, CampaignFile, Disperse
-from maxq.sim.campaign.targets import Change, Dispersed, Refused, Target, find_target
-from maxq.sim.scenario.documents import plain, source_of
-from maxq.sim.scenario.errors import Path as KeyPath
-from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.files import Reading
+from maxq.sim.campaign.targets import Dispersed, Refused, Target, TargetChange, find_target
+from maxq.sim.input.documents import plain, source_of
+from maxq.sim.input.errors import Path as KeyPath
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.files import Reading
+from maxq.sim.input.tables_csv import Columns, CsvTable
 from maxq.sim.scenario.loader import CAMPAIGN_SECTIONS, LoadedScenario, load_scenario_text, load_with_sections, told
 from maxq.sim.scenario.messages import explain, field_at
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
-Place = tuple[str, int]
+DrawPlace = tuple[str, int]
 """Name of a draw, and number of its target."""
 ACCURACY = 0.05
 """run.accuracy of campaigns that give neither it nor a step (docs/performance.md)."""
@@ -116,19 +116,19 @@ class LoadedCampaign:
         """
         return self._loaded(self.values_of(drawn, run, kept))
 
-    def changed(self, draws: Mapping[str, float], further: Mapping[Place, Any] | None = None) -> LoadedScenario:
+    def changed(self, draws: Mapping[str, float], further: Mapping[DrawPlace, Any] | None = None) -> LoadedScenario:
         """The scenario in which these draws, by name, act, and all else is nominal. Raises Refused.
 
         `further`: what `values_of` gave of a run.
         """
-        values: dict[Place, Any] = dict(further or {})
+        values: dict[DrawPlace, Any] = dict(further or {})
         for d in self.plan.draws:
             if d.name in draws:
                 results = d.results(np.array([float(draws[d.name])]))
                 values |= {(d.name, n): float(result[0]) for n, result in enumerate(results)}
         return self._loaded(values)
 
-    def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[Place, Any]:
+    def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[DrawPlace, Any]:
         """What a run flies of the named inputs (None: of all), e.g. its wind and its noise: for `changed`."""
         at = run - drawn.first
         values = {place: values[at] for place, values in drawn.flown.items()}
@@ -137,17 +137,17 @@ class LoadedCampaign:
         wanted = None if names is None else set(names)
         return {place: value for place, value in values.items() if wanted is None or place[0] in wanted}
 
-    def _loaded(self, values: Mapping[Place, Any]) -> LoadedScenario:
+    def _loaded(self, values: Mapping[DrawPlace, Any]) -> LoadedScenario:
         return LoadedScenario(self._dispersed(values), self.base.label, self.base.files)
 
     @cached_property
     def _dispersed(self) -> Dispersed:
         changes = [
-            Change(t, d.spec.apply if t.kind == "column" else "set", (d.name, n), d.where)
+            TargetChange(t, d.spec.apply if t.kind == "column" else "set", (d.name, n), d.where)
             for d in self.plan.draws
             for n, t in enumerate(d.targets)
         ]
-        changes += [Change(find_target(self.base.scenario, key), "set", (key, 0)) for key in self._extra]
+        changes += [TargetChange(find_target(self.base.scenario, key), "set", (key, 0)) for key in self._extra]
         return Dispersed(self.base.scenario, changes)
 
     @property

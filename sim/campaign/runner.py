@@ -34,7 +34,7 @@ from maxq.sim.campaign.statistics import OPEN, judge_failures
 from maxq.sim.campaign.store import Store, open_store, parts_in, read_part, simulator
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.metrics import judge
-from maxq.sim.scenario.schema_scenario import Requirement
+from maxq.sim.scenario.schema_scenario import RequirementSection
 
 CHUNK = 8  # runs that a thread prepares, flies and judges together; fewer towards the end, so that all end together
 AHEAD = 2  # tasks for each worker that are submitted before they are needed
@@ -51,7 +51,7 @@ class Tally:
     """A requirement so far (None: that control is kept). `worst` is nan while no run has a value."""
 
     name: str
-    requirement: Requirement | None
+    requirement: RequirementSection | None
     failures: int = 0
     failures_in_order: int = 0  # of the runs without a gap from the first one on
     worst: float = math.nan
@@ -111,7 +111,7 @@ class Interim:
 
 
 @dataclass
-class Progress:
+class CampaignProgress:
     """The state of a campaign; `watch` gets it a few times a second."""
 
     total: int
@@ -156,7 +156,7 @@ def run_campaign(
     *,
     workers: int | None = None,
     cluster: Any = None,
-    watch: Callable[[Progress], None] = lambda _: None,
+    watch: Callable[[CampaignProgress], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
     until_settled: bool = False,
     elsewhere: str = "give another --out",
@@ -171,12 +171,12 @@ def run_campaign(
     if until_settled and campaign.campaign.test == "fixed":
         raise CampaignError(f"{campaign.name}: --until-settled looks at any time; campaign.test = 'fixed' does not")
     with ExitStack() as stack:
-        flyers: Threads | Cluster
+        flyers: Threads | DaskCluster
         if cluster is None:
             flyers = Threads(campaign, workers or cores())
         else:
             client = stack.enter_context(_connected(cluster)) if isinstance(cluster, str) else cluster
-            flyers = Cluster(campaign, client)
+            flyers = DaskCluster(campaign, client)
         store, usual = open_store(folder, campaign, elsewhere)
         stack.callback(store.unlock)
         runs = campaign.campaign.runs
@@ -184,7 +184,7 @@ def run_campaign(
         tasks = flyers.begin(gaps)
         interim = Interim(campaign)
         interim.read(folder, runs)
-        progress = Progress(runs, runs - sum(size for _, size in gaps), interim)
+        progress = CampaignProgress(runs, runs - sum(size for _, size in gaps), interim)
         batches = _Batches(store, gaps, progress)
         stopped, settled = _fly(flyers, tasks, batches, progress, watch, stop, until_settled)
         batches.write_begun()
@@ -193,11 +193,11 @@ def run_campaign(
 
 
 def _fly(
-    workers: Threads | Cluster,
+    workers: Threads | DaskCluster,
     tasks: Iterator[Future[Any]],
     batches: _Batches,
-    progress: Progress,
-    watch: Callable[[Progress], None],
+    progress: CampaignProgress,
+    watch: Callable[[CampaignProgress], None],
     stop: Callable[[], bool],
     until_settled: bool,
 ) -> tuple[bool, bool]:
@@ -243,7 +243,7 @@ def _fly(
 class _Batches:
     """Rows that have landed, until their batch is whole and written."""
 
-    def __init__(self, store: Store, gaps: list[Gap], progress: Progress) -> None:
+    def __init__(self, store: Store, gaps: list[Gap], progress: CampaignProgress) -> None:
         self._store, self._gaps, self._progress = store, gaps, progress
         self._rows: dict[int, dict[int, Row]] = {}  # by the batch's first run and by run
 
@@ -318,7 +318,7 @@ def _connected(address: str) -> Any:
         raise CampaignError(f"no Dask scheduler answers at {address}: {error}") from None
 
 
-class Cluster:
+class DaskCluster:
     """The workers of a Dask client. A task gets the whole campaign and flies a batch: any worker can repeat it at any
     time, workers may come and go, and its rows are bit for bit those of threads on this machine."""
 

@@ -19,12 +19,12 @@ from maxq.sim.campaign.schema import Envelope
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.flight.metric_table import METRIC_NAMES
 from maxq.sim.flight.telemetry import SLOW
+from maxq.sim.input.values import NS_PER_S
 from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
-from maxq.sim.run.flight import Flight, Rows
+from maxq.sim.run.flight import Flight, LoggedRows
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME, FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import NS_PER_S
 
 REFUSED, ERROR = "refused", "error"
 """Outcomes beside those of a flight: the draws make no possible scenario; an error of this program."""
@@ -34,7 +34,7 @@ OWN_KERNELS_FROM = 500  # runs
 TIME_OF = "{}.time_s"
 """Column with the time of a metric."""
 
-Order = tuple[Drawn, int]
+RunOrder = tuple[Drawn, int]
 """A run, and the draws of its batch."""
 Packing = Callable[[Scenario], Packed]
 
@@ -60,7 +60,7 @@ class Row:
     history: tuple[Array, Array] | None = field(default=None, repr=False)  # times (n,), s, and values (channels, n)
 
 
-def fly_rows(loaded: LoadedCampaign, orders: Iterable[Order], stop: Callable[[], bool] = lambda: False) -> list[Row]:
+def fly_rows(loaded: LoadedCampaign, orders: Iterable[RunOrder], stop: Callable[[], bool] = lambda: False) -> list[Row]:
     """Fly these runs, one after the other; the rows of those that were flown before `stop` said so, in their order.
 
     An error in a run becomes its row. All are prepared before the first is flown, and judged after the last: a flight
@@ -144,7 +144,7 @@ class _Run:
         return self.row
 
 
-def _on_grid(rows: Rows, columns: Sequence[tuple[str, int]], rate_hz: float) -> tuple[Array, Array]:
+def _on_grid(rows: LoggedRows, columns: Sequence[tuple[str, int]], rate_hz: float) -> tuple[Array, Array]:
     """Times (n,) and values (channels, n) of the segment; the flight's last instant falls outside the grid."""
     times = rows[SLOW][0] / NS_PER_S
     on_grid = np.flatnonzero(np.abs(times * rate_hz - np.rint(times * rate_hz)) < 1e-6)

@@ -10,13 +10,13 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator
 
 from maxq.sim.flight.metric_table import METRIC_NAMES
-from maxq.sim.scenario.documents import Text
-from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.ranges import MOST_TOGETHER
+from maxq.sim.input.documents import Text
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.ranges import MOST_TOGETHER
+from maxq.sim.input.tables_csv import Columns, CsvTable
+from maxq.sim.input.values import NotNegative, Positive, Section, optional
 from maxq.sim.scenario.schema_environment import WIND_COLUMNS
-from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, optional
 from maxq.sim.scenario.soundings import each_sounding
-from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 WIND_MODEL_COLUMNS = Columns(
     "altitude_m",
@@ -28,7 +28,7 @@ MONTH_COLUMNS = Columns("month", sets=(("mean_factor", "sigma_factor"),), not_ne
 KEEP_ALLOWED = "worst:5, worst:5:max_alpha_deg, failed, failed:20, 0,17"
 Outside = Literal["resample", "refuse"]
 Order = Literal["random", "in-turn"]
-Level = Annotated[float, Field(gt=0.0, lt=1.0)]
+Probability = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
 def _as_read(value: Any, usual: ValidatorFunctionWrapHandler) -> Any:
@@ -97,8 +97,8 @@ class Campaign(Section):
         "that is left)",
         "any-time",
     )
-    success: Level = optional("share of flights that must meet a requirement", 0.9973)
-    confidence: Level = optional("confidence with which that is to be shown", 0.90)
+    success: Probability = optional("share of flights that must meet a requirement", 0.9973)
+    confidence: Probability = optional("confidence with which that is to be shown", 0.90)
     correlated: tuple[Correlated, ...] = optional("pairs of draws that go together", ())
     batch: Annotated[int, Field(gt=0)] | None = optional(
         "runs in a file of the data set (default: a 32nd of the runs, 64 to 1024)"

@@ -31,8 +31,8 @@ from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
 from maxq.sim.campaign.runs import Row, history_table, schema_of, table_of
 from maxq.sim.files import cannot_write, reason, whole_file, write_whole
+from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.record import versions
-from maxq.sim.scenario.errors import ScenarioError
 
 MOST_BYTES = 1 << 32
 """Of a file of the data set in memory: a thousand runs take a megabyte."""
@@ -44,7 +44,7 @@ _WORDS = ("name", "description", "source", "file")
 
 
 @dataclass(frozen=True)
-class Part:
+class StoredPart:
     """A file of the data set and the runs in it."""
 
     path: Path
@@ -65,7 +65,7 @@ class Store:
     def missing(self, runs: int, batch: int) -> Iterator[tuple[int, int]]:
         """Runs below `runs` that are in no part, as (first, count), cut at multiples of `batch`."""
         at = 0
-        for part in [*parts_in(self.folder), Part(self.folder, runs, runs)]:
+        for part in [*parts_in(self.folder), StoredPart(self.folder, runs, runs)]:
             while at < min(part.first, runs):
                 end = min((at // batch + 1) * batch, part.first, runs)
                 yield at, end - at
@@ -123,7 +123,7 @@ class Store:
             if path.name not in there:
                 path.unlink()
 
-    def _problem(self, part: Part) -> str:
+    def _problem(self, part: StoredPart) -> str:
         """What is wrong with a part; empty where it is whole."""
         try:
             runs = read_part(part.path, schema=self.schema)["run"].to_numpy()
@@ -267,13 +267,13 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else text[:56] + " ..."
 
 
-def parts_in(folder: Path) -> list[Part]:
+def parts_in(folder: Path) -> list[StoredPart]:
     """Parts of a folder by their names, in order of runs."""
     out = []
     for path in (folder / RUNS).glob("runs-*.parquet"):
         first, _, last = path.stem.removeprefix("runs-").partition("-")
         if first.isdecimal() and last.isdecimal() and int(first) <= int(last):
-            out.append(Part(path, int(first), int(last)))
+            out.append(StoredPart(path, int(first), int(last)))
     return sorted(out, key=lambda part: (part.first, part.last))
 
 

@@ -16,13 +16,13 @@ import numpy as np
 from pydantic import ValidationError
 
 from maxq.control.kernel.records import Array
-from maxq.sim.scenario.documents import index_in
-from maxq.sim.scenario.errors import refuse, suggestion
+from maxq.sim.input.documents import index_in
+from maxq.sim.input.errors import refuse, suggestion
+from maxq.sim.input.ranges import LONGEST_S, range_of
+from maxq.sim.input.tables_csv import Columns, CsvTable
+from maxq.sim.input.values import NS_PER_S, Section
 from maxq.sim.scenario.messages import describe, field_at
-from maxq.sim.scenario.ranges import LONGEST_S, range_of
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import NS_PER_S, Section
-from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 Apply = Literal["set", "scale", "add"]
 BOUNDS: dict[str, tuple[Callable[..., Any], str]] = {
@@ -151,7 +151,7 @@ def _column(scenario: Scenario, key: str, path: list[str | int], table: CsvTable
 
 
 @dataclass(frozen=True)
-class Change:
+class TargetChange:
     """One target, and how the draw named `draw` acts on it."""
 
     target: Target
@@ -163,7 +163,7 @@ class Change:
 class Dispersed:
     """Makes the scenario of a run: the same as loading a file with the changed values would give."""
 
-    def __init__(self, scenario: Scenario, changes: Iterable[Change]) -> None:
+    def __init__(self, scenario: Scenario, changes: Iterable[TargetChange]) -> None:
         self._scenario = scenario
         self._tree: dict[Any, Any] = {}  # by part of the path; its leaves are lists of changes
         for change in changes:
@@ -221,7 +221,7 @@ def _absent(node: Any, values: Mapping[Any, Any]) -> None:
             _absent(below, values)
 
 
-def _changed_table(table: CsvTable, node: dict[str, list[Change]], values: Mapping[Any, Any]) -> CsvTable:
+def _changed_table(table: CsvTable, node: dict[str, list[TargetChange]], values: Mapping[Any, Any]) -> CsvTable:
     columns = dict(table.columns)
     for name, changes in node.items():
         for change in changes:

@@ -30,12 +30,12 @@ from maxq.sim.flight.parameters import (
 )
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
-from maxq.sim.vehicle.engine import total_thrust
+from maxq.sim.vehicle.engine.kernel import total_thrust
 from maxq.sim.vehicle.environment import Environment, climb_rate, flight_direction, velocity_over_ground
 from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_LOST, GYRO_WALK
-from maxq.sim.vehicle.gyro import GYRO_STREAM
 from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
-from maxq.sim.vehicle.sensors import SENSOR_STREAM, sensor_slots
+from maxq.sim.vehicle.sensor.further import SENSOR_STREAM, sensor_slots
+from maxq.sim.vehicle.sensor.gyro import GYRO_STREAM
 from maxq.sim.vehicle.workspace import Aux
 from maxq.sim.world.atmosphere import air
 from maxq.sim.world.earth import local_frame

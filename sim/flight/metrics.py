@@ -14,9 +14,9 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import vector_at
 from maxq.sim.flight.metric_table import N_METRICS, MetricIndex
 from maxq.sim.flight.parameters import Extremes, Memory, Parameters
-from maxq.sim.vehicle.derivative import Vehicle
+from maxq.sim.vehicle.derivative import StageRecord
 from maxq.sim.vehicle.schedule import TOTAL_MASS
-from maxq.sim.vehicle.slosh import bob_mass, wave_share
+from maxq.sim.vehicle.slosh.kernel import bob_mass, wave_share
 from maxq.sim.vehicle.state import R_I, V_I, Sizes, counts, pendulum_index
 from maxq.sim.vehicle.workspace import Aux, Evaluation
 
@@ -109,7 +109,7 @@ def _gather_bending(extremes: Extremes, sizes: Sizes, now_ns: int, aux: Aux) -> 
 
 
 @kernel
-def _gather_slosh(vehicle: Vehicle, memory: Memory, now_ns: int, props: Array, y: Array) -> None:
+def _gather_slosh(vehicle: StageRecord, memory: Memory, now_ns: int, props: Array, y: Array) -> None:
     sizes, extremes, waves = counts(vehicle.sizes), memory.extremes, memory.waves
     for tank in range(sizes.pendulums):
         if bob_mass(props, tank) > 0.0:

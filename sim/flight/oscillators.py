@@ -16,9 +16,9 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import schedule as sch
-from maxq.sim.vehicle.actuator import Actuator, linear_sections
+from maxq.sim.vehicle.actuator.kernel import Actuator, linear_sections
 from maxq.sim.vehicle.block import Counts, counts
-from maxq.sim.vehicle.derivative import Vehicle
+from maxq.sim.vehicle.derivative import StageRecord
 from maxq.sim.vehicle.state import ACTUATOR, GYRO, N_ACTUATOR, actuator_index, eta_index, spatial_index, xi_index
 from maxq.sim.vehicle.workspace import Evaluation
 
@@ -52,7 +52,7 @@ _LEAST_TERM = 1e-18
 
 
 @routine
-def blocks_for(kept: Array, vehicle: Vehicle, stage: int, now_ns: int, step_ns: int, at: Evaluation) -> int:
+def blocks_for(kept: Array, vehicle: StageRecord, stage: int, now_ns: int, step_ns: int, at: Evaluation) -> int:
     """Where `kept` (KEPT_SIZE,) holds the blocks for this step; worked out from the evaluation at its start if need be.
 
     Times are whole numbers of ns, which a float64 holds for a hundred days.
@@ -88,7 +88,7 @@ def blocks_for(kept: Array, vehicle: Vehicle, stage: int, now_ns: int, step_ns: 
 
 
 @kernel
-def _further_blocks(vehicle: Vehicle) -> int:
+def _further_blocks(vehicle: StageRecord) -> int:
     """Blocks behind the modes."""
     blocks = (1 - vehicle.actuator_pitch.ideal) + (1 - vehicle.actuator_yaw.ideal)
     for channel in range(2 * vehicle.sizes.further_groups):
@@ -104,7 +104,7 @@ def _add_block(kept: Array, slot: int, first: int, stride: int, states: int, mat
 
 
 @routine
-def _add_modes(kept: Array, slot: int, vehicle: Vehicle, sizes: Counts, h: float, at: Evaluation) -> int:
+def _add_modes(kept: Array, slot: int, vehicle: StageRecord, sizes: Counts, h: float, at: Evaluation) -> int:
     """All modes, with the present stiffness under the axial load; returns where the matrices of what follows begin."""
     p, end = at.properties, slot + _NUMBERS
     soft = vehicle.bending.softening_factor * at.aux.axial_load_mps2

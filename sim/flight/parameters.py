@@ -11,9 +11,9 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.faults import FaultMemory, Faults
 from maxq.sim.flight.injection import Injections
 from maxq.sim.flight.metric_table import N_METRICS
-from maxq.sim.vehicle.derivative import Held, StageInputs, Vehicle
+from maxq.sim.vehicle.derivative import Held, StageInputs, StageRecord
 from maxq.sim.vehicle.environment import Environment
-from maxq.sim.vehicle.loads import Loads, SectionLoads
+from maxq.sim.vehicle.loads.kernel import Loads, SectionLoads
 from maxq.sim.world.gust_history import GustHistory
 from maxq.sim.world.turbulence import TurbulenceState
 
@@ -58,7 +58,7 @@ class StageTimeline:
 
 @dataclass(frozen=True)
 class Parameters:
-    vehicle: Vehicle
+    vehicle: StageRecord
     loads: Loads
     environment: Environment
     computer: Computer

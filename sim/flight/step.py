@@ -34,10 +34,10 @@ from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, Counts, counts
 from maxq.sim.vehicle.derivative import derivative, derive_properties
-from maxq.sim.vehicle.engine import EngineOutputs
+from maxq.sim.vehicle.engine.kernel import EngineOutputs
 from maxq.sim.vehicle.environment import CROSSFLOW_PART
-from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS
-from maxq.sim.vehicle.slosh import bob_mass
+from maxq.sim.vehicle.loads.kernel import MAX_LOAD_COLUMNS
+from maxq.sim.vehicle.slosh.kernel import bob_mass
 from maxq.sim.vehicle.workspace import PROPERTIES_SIZE, Aux, Evaluation, Work
 from maxq.sim.world.gust_history import gust_behind
 from maxq.sim.world.turbulence import turbulence_at

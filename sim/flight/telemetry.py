@@ -14,22 +14,28 @@ from maxq.control.computer import ControlRow, GuidanceRow, control_row, guidance
 from maxq.control.external import MonitorRow, monitor_row
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.rows import DEG, NorthEastDown, Quaternion, RollPitchYaw, Xyz, degrees, put, xyz
+from maxq.control.kernel.rows import DEG, NorthEastDown, QuaternionRow, RollPitchYaw, Xyz, degrees, put, xyz
 from maxq.control.kernel.vectors import rotate, rotation_from_quaternion, vector_at
 from maxq.control.laws.adaptive import AdaptiveRow, adaptive_row
 from maxq.control.laws.load_relief import LoadReliefRow, load_relief_row
 from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
-from maxq.sim.vehicle.actuator import ActuatorRow, actuator_row
-from maxq.sim.vehicle.bending import BendingRow, ModeRow, bending_row, put_modes
-from maxq.sim.vehicle.engine import EngineRow, GroupRow, engine_row, group_row
+from maxq.sim.vehicle.actuator.kernel import ActuatorRow, actuator_row
+from maxq.sim.vehicle.engine.kernel import EngineRow, GroupRow, engine_row, group_row
 from maxq.sim.vehicle.environment import AirData
-from maxq.sim.vehicle.gyro import GyroRow, gyro_row
-from maxq.sim.vehicle.loads import SectionRow, section_row
+from maxq.sim.vehicle.loads.kernel import SectionRow, section_row
+from maxq.sim.vehicle.modes.planar import BendingRow, ModeRow, bending_row, put_modes
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
-from maxq.sim.vehicle.sensors import ACCELEROMETER, AccelerometerRow, RateGyroRow, accelerometer_row, rate_gyro_row
-from maxq.sim.vehicle.slosh import SloshRow, WaveRow, slosh_row, wave_row
+from maxq.sim.vehicle.sensor.further import (
+    ACCELEROMETER,
+    AccelerometerRow,
+    RateGyroRow,
+    accelerometer_row,
+    rate_gyro_row,
+)
+from maxq.sim.vehicle.sensor.gyro import GyroRow, gyro_row
+from maxq.sim.vehicle.slosh.kernel import SloshRow, WaveRow, slosh_row, wave_row
 from maxq.sim.vehicle.state import (
     GYRO,
     Q_BI,
@@ -43,7 +49,7 @@ from maxq.sim.vehicle.state import (
     spatial_index,
     xi_index,
 )
-from maxq.sim.vehicle.tvc_load import SwingRow, TvcLoadRow, swing_row, tvc_load_row
+from maxq.sim.vehicle.tvc_load.kernel import SwingRow, TvcLoadRow, swing_row, tvc_load_row
 from maxq.sim.vehicle.workspace import Aux, Evaluation
 from maxq.sim.world.earth import FLAT, earth_rotation, geodetic, inertial_to_earth, ned_axes
 
@@ -129,7 +135,7 @@ def fill_fast(p: Parameters, out: Logged, memory: Memory, at: Evaluation, row: A
 class MotionRow(NamedTuple):
     r_I_axis_m: Annotated[Xyz, "m", "position of the core CG, inertial"]
     v_I_axis_mps: Annotated[Xyz, "m/s", "velocity of the core CG, inertial"]
-    q_BI_axis: Annotated[Quaternion, "1", "attitude quaternion, B to I, component"]
+    q_BI_axis: Annotated[QuaternionRow, "1", "attitude quaternion, B to I, component"]
     w_BI_B_axis_radps: Annotated[Xyz, "rad/s", "angular velocity relative to I"]
     r_E_axis_m: Annotated[Xyz, "m", "position of the core CG, Earth-fixed"]
     latitude_deg: Annotated[float, "deg", "geodetic latitude"]
@@ -165,7 +171,7 @@ def motion_row(p: Parameters, memory: Memory, y: Array) -> MotionRow:
     return MotionRow(
         r_I_axis_m=xyz(y, R_I),
         v_I_axis_mps=xyz(y, V_I),
-        q_BI_axis=Quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3]),
+        q_BI_axis=QuaternionRow(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3]),
         w_BI_B_axis_radps=xyz(y, W_BI_B),
         r_E_axis_m=Xyz(r_E[0], r_E[1], r_E[2]),
         latitude_deg=DEG * latitude,

@@ -153,7 +153,7 @@ Level = IntEnum("Level", "UNKNOWN DEBUG INFO WARNING ERROR FATAL", start=0)
 
 
 @dataclass(frozen=True)
-class Event:
+class EventMessage:
     """Something that happened at one instant; `source` is the component that reports it."""
 
     time_ns: int
@@ -236,7 +236,7 @@ _LogMessage: Any = message_class(LOG_SCHEMA, LOG_TYPE)  # its attributes are kno
 _FramesMessage: Any = message_class(FRAMES_SCHEMA, FRAMES_TYPE)
 
 
-def encode_event(event: Event) -> NDArray[np.void]:
+def encode_event(event: EventMessage) -> NDArray[np.void]:
     """One message, as an array of length 1."""
     message = _LogMessage(level=int(event.level), message=event.text, name=event.source)
     message.timestamp.seconds, message.timestamp.nanos = divmod(event.time_ns, NS_PER_S)
@@ -244,14 +244,14 @@ def encode_event(event: Event) -> NDArray[np.void]:
     return np.array([data], f"V{len(data)}")
 
 
-def decode_event(payload: bytes) -> Event:
+def decode_event(payload: bytes) -> EventMessage:
     """Raises ValueError if the bytes are no foxglove.Log with a known level."""
     try:
         message = _LogMessage.FromString(payload)
     except DecodeError as error:
         raise ValueError("not a foxglove.Log") from error
     time_ns = message.timestamp.seconds * NS_PER_S + message.timestamp.nanos
-    return Event(time_ns, Level(message.level), message.message, message.name)
+    return EventMessage(time_ns, Level(message.level), message.message, message.name)
 
 
 def frames_template(parent: str, child: str) -> NDArray[np.void]:

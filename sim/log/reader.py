@@ -80,7 +80,7 @@ class Log(LoggedRun, Tabular):
     """
 
     table: ChannelTable
-    events: tuple[m.Event, ...]
+    events: tuple[m.EventMessage, ...]
     complete: bool
     notes: tuple[str, ...]
     _times_ns: Mapping[str, IntArray]
@@ -261,12 +261,12 @@ class _LogFile:
         self.notes.append(f"the end of the log is missing or damaged: read up to byte {last} of {len(self._data)}")
         return chunks
 
-    def columns(self) -> tuple[list[m.Event], dict[str, IntArray], dict[str, dict[str, Array]]]:
+    def columns(self) -> tuple[list[m.EventMessage], dict[str, IntArray], dict[str, dict[str, Array]]]:
         """Events, times (n,) by topic, and values (n,) by topic and channel, each contiguous.
 
         Damaged chunks are left out and noted. The numbers of a chunk are copied at once, while they are in the cache.
         """
-        events: list[m.Event] = []
+        events: list[m.EventMessage] = []
         parts: dict[str, list[tuple[IntArray, Array]]] = {topic.name: [] for topic in self.table.topics}
         total = 0
         for number, place in enumerate(self._chunks, start=1):
@@ -293,9 +293,9 @@ class _LogFile:
             values[topic.name] = {channel.name: matrix[i] for i, channel in enumerate(topic.channels)}
         return events, times_ns, values
 
-    def _chunk_columns(self, content: bytes) -> tuple[list[m.Event], list[tuple[str, tuple[IntArray, Array]]]]:
+    def _chunk_columns(self, content: bytes) -> tuple[list[m.EventMessage], list[tuple[str, tuple[IntArray, Array]]]]:
         """Events of a chunk, and by topic times (n,) and values (channels, n). Raises ValueError."""
-        events: list[m.Event] = []
+        events: list[m.EventMessage] = []
         parts = []
         for channel_id, runs in _message_runs(content).items():
             topic = self._topics.get(channel_id)

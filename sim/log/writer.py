@@ -105,7 +105,7 @@ class LogWriter:
     def write_block(
         self,
         groups: Mapping[str, tuple[IntArray, Array]],
-        events: Sequence[m.Event] = (),
+        events: Sequence[m.EventMessage] = (),
         frames: Sequence[m.FramePath] = (),
     ) -> None:
         """Append samples, events and frames, in one chunk for each second of simulated time that occurs.

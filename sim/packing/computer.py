@@ -22,14 +22,13 @@ from maxq.control.sensors import Sensors, make_sensors
 from maxq.control.structures import Law
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
+from maxq.sim.input.remembered import cached_by_identity
+from maxq.sim.input.tables_csv import CsvTable
+from maxq.sim.input.values import to_ns
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.integration import LONGEST_S
-from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.scenario.schema_design import Adaptive as AdaptiveSection
-from maxq.sim.scenario.schema_design import Design, Filter, Gains
+from maxq.sim.scenario.schema_design import AdaptiveSection, Design, FilterSection, GainsSection
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import to_ns
-from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.world.earth import J2, STANDARD_GRAVITY_mps2
 
 SETTLING_s = 3.0  # from ignition until the thrust is taken as constant
@@ -129,11 +128,11 @@ def _sensors(scenario: Scenario, stage: int, design: Design | None) -> Sensors |
 
 
 @cached_by_identity
-def _gains(gains: Gains) -> Cubics:
+def _gains(gains: GainsSection) -> Cubics:
     return gains_table(*gain_schedules(gains))
 
 
-def gain_schedules(gains: Gains) -> tuple[GainSchedule, GainSchedule]:
+def gain_schedules(gains: GainsSection) -> tuple[GainSchedule, GainSchedule]:
     """Gains in pitch and in yaw; the same object where yaw is as pitch."""
     pitch, yaw = gains.axes
     names = [name for name in GainSchedule.__dataclass_fields__ if name in pitch]
@@ -146,7 +145,7 @@ def gain_schedules(gains: Gains) -> tuple[GainSchedule, GainSchedule]:
 
 
 @cached_by_identity
-def _filter(given: Filter, sample_s: float) -> DiscreteFilter:
+def _filter(given: FilterSection, sample_s: float) -> DiscreteFilter:
     return given.continuous().discretize(sample_s, given.discretization, given.prewarp_hz)
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from maxq.control.kernel.limits import MAX_GUSTS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
-from maxq.sim.packing.remembered import cached_by_identity
+from maxq.sim.input.remembered import cached_by_identity
+from maxq.sim.input.values import Section
 from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import Section
 from maxq.sim.vehicle.environment import Environment
 from maxq.sim.world import atmosphere as air
 from maxq.sim.world import earth as globe
@@ -38,7 +38,7 @@ def pack_environment(scenario: Scenario, pool: Pool) -> Environment:
     )
 
 
-def pack_earth(earth: schema.Earth) -> globe.Earth:
+def pack_earth(earth: schema.EarthSection) -> globe.Earth:
     """The figure's defaults with what the scenario gives in their place."""
     default = {"flat": globe.flat, "sphere": globe.sphere, "wgs84": globe.wgs84}[earth.shape]()
     names = ("flattening", "rate_radps", "mu_m3ps2", "j2", "gravity_radius_m", "uniform_mps2")
@@ -55,7 +55,7 @@ def _given(section: Section, *names: str) -> dict[str, Any]:
     return {name: value for name in names if (value := getattr(section, name)) is not None}
 
 
-def _atmosphere(atmosphere: schema.Atmosphere, pool: Pool) -> air.Atmosphere:
+def _atmosphere(atmosphere: schema.AtmosphereSection, pool: Pool) -> air.Atmosphere:
     if atmosphere.model == "vacuum":
         return air.Atmosphere(air.VACUUM)
     made = air.Atmosphere(_AIR[atmosphere.model], density_factor=atmosphere.density_factor)
@@ -67,7 +67,7 @@ def _atmosphere(atmosphere: schema.Atmosphere, pool: Pool) -> air.Atmosphere:
     return replace(made, **_given(atmosphere, "density_kgpm3", "pressure_Pa", "temperature_K"))
 
 
-def pack_wind(wind: schema.Wind, pool: Pool, ground_m: float) -> winds.Wind:
+def pack_wind(wind: schema.WindSection, pool: Pool, ground_m: float) -> winds.Wind:
     columns = np.zeros((6, MAX_GUSTS))
     for i, g in enumerate(wind.gust):
         north, east, _ = winds.wind_components(g.speed_mps, g.from_deg)[0]
@@ -76,7 +76,7 @@ def pack_wind(wind: schema.Wind, pool: Pool, ground_m: float) -> winds.Wind:
     return winds.Wind(_wind_profile(wind, pool, ground_m), wind.factor, len(wind.gust), kinds, *columns[1:])
 
 
-def _wind_profile(wind: schema.Wind, pool: Pool, ground_m: float) -> TableRef:
+def _wind_profile(wind: schema.WindSection, pool: Pool, ground_m: float) -> TableRef:
     if wind.speed_mps is not None and wind.from_deg is not None:
         return pool.add(fit([0.0], winds.wind_components(wind.speed_mps, wind.from_deg).reshape(1, 3)))
     if wind.profile is None:
@@ -136,7 +136,7 @@ def _turbulence(scenario: Scenario, pool: Pool) -> gusts.Turbulence:
 
 
 @cached_by_identity
-def _intensity(turbulence: schema.Turbulence, ground_m: float) -> Cubics:
+def _intensity(turbulence: schema.TurbulenceSection, ground_m: float) -> Cubics:
     if turbulence.table is not None:
         t = turbulence.table
         altitude_m, sigma = t["altitude_m"], np.stack([t[f"sigma_{axis}_mps"] for axis in "uvw"], axis=1)

@@ -11,9 +11,9 @@ import numpy as np
 from maxq.control.kernel.limits import MAX_FAULT_WRITES
 from maxq.sim.flight.faults import Faults
 from maxq.sim.flight.parameters import NEVER
+from maxq.sim.input.values import to_ns
 from maxq.sim.scenario.schema_fault import KINDS, Fault
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.vehicle.faults import (
     ACTUATOR_ANGLE,
     ACTUATOR_FAULT,

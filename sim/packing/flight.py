@@ -16,20 +16,20 @@ from maxq.control.kernel.records import Array, blank, pack, with_constants
 from maxq.control.kernel.tables import Pool
 from maxq.control.orbit_guidance import OrbitGuidance
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, NONE, Memory, Parameters, StageTimeline
-from maxq.sim.packing.allocation import pack_allocation
+from maxq.sim.input.values import NS_PER_S, period_ns, to_ns
 from maxq.sim.packing.computer import pack_computers, pack_injections, pack_orbit_guidance
 from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.faults import pack_faults
 from maxq.sim.packing.initial import initial_motion, thrust_exceeds_weight_s
 from maxq.sim.packing.integration import step_ns
-from maxq.sim.packing.loads import pack_loads
 from maxq.sim.packing.schedule import mass_table, stage_sizes, vehicle_schedule
 from maxq.sim.packing.separation import modal_transfer, part_at
 from maxq.sim.packing.vehicle import pack_vehicle
-from maxq.sim.scenario.burn import Burn, burn_rate, stage_burns
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import NS_PER_S, period_ns, to_ns
 from maxq.sim.scenario.schema_vehicle import Separation, Stage
+from maxq.sim.vehicle.engine.allocation import pack_allocation
+from maxq.sim.vehicle.engine.burn import Burn, burn_rate, stage_burns
+from maxq.sim.vehicle.loads.packing import pack_loads
 from maxq.sim.vehicle.state import MAX_STATE, W_BI_B, Sizes, start_states
 
 CONTROL_LOST_RAD = math.radians(45.0)

@@ -11,12 +11,12 @@ from maxq.control.kernel.jit import entry, from_python
 from maxq.control.kernel.records import Array, Records, blank, pack
 from maxq.control.kernel.tables import table_in
 from maxq.control.kernel.vectors import rotation_from_quaternion
+from maxq.sim.input.remembered import cached_by_identity
+from maxq.sim.input.values import NS_PER_S
 from maxq.sim.packing.environment import pack_earth
-from maxq.sim.packing.remembered import cached_by_identity
 from maxq.sim.scenario import schema_environment as schema
 from maxq.sim.scenario.schema_scenario import Initial, Scenario
-from maxq.sim.scenario.schema_values import NS_PER_S
-from maxq.sim.vehicle.engine import total_thrust
+from maxq.sim.vehicle.engine.kernel import total_thrust
 from maxq.sim.vehicle.environment import AirData, Anchor, Environment, air_data, pad_acceleration
 from maxq.sim.vehicle.schedule import TOTAL_MASS
 from maxq.sim.vehicle.state import Q_BI, R_I, V_I, W_BI_B
@@ -39,7 +39,7 @@ def initial_motion(scenario: Scenario, y: Array) -> None:
 
 @cached_by_identity
 def _motion(
-    initial: Initial | None, site: schema.Site, given_earth: schema.Earth, start_s: float
+    initial: Initial | None, site: schema.Site, given_earth: schema.EarthSection, start_s: float
 ) -> tuple[Array, Array, Array, Array]:
     given, earth = initial or Initial(), pack([pack_earth(given_earth)])[0]
     cos, sin = earth_rotation(earth, start_s)

@@ -13,10 +13,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
+from maxq.sim.input.values import NS_PER_S, to_ns
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import NS_PER_S, to_ns
-from maxq.sim.scenario.schema_vehicle import Bending, SpatialModes, Stage
+from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
+from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 
 SHARE = 0.1
 """Of an oscillation's own damping ratio: what the method may add before it is said."""
@@ -139,7 +140,7 @@ def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, fl
 
 
 def _modes(
-    name: str, given: Bending | SpatialModes, table: ModeTable | SpatialModeTable | None
+    name: str, given: BendingSection | SpatialModesSection, table: ModeTable | SpatialModeTable | None
 ) -> Iterator[tuple[str, float, float]]:
     """At each mode's highest frequency."""
     highest = [] if table is None else table.frequency_hz.max(axis=0).tolist()

@@ -13,17 +13,15 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics, Method, fit, merge, union
-from maxq.sim.packing.engines import Mount, cluster_of, engine_mounts, on_clock, swinging, thrust_curves
-from maxq.sim.packing.modes import Places, mode_values, spatial_values
-from maxq.sim.packing.pendulums import pendulums
-from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.scenario.burn import NOMINAL, Burn, burn_rate
-from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
 from maxq.sim.scenario.schema_scenario import Switches
-from maxq.sim.scenario.schema_stage import AeroSurface
 from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.vehicle import schedule as columns_of
+from maxq.sim.vehicle.air.packing import surface_stations
+from maxq.sim.vehicle.engine.burn import NOMINAL, Burn, burn_rate
+from maxq.sim.vehicle.engine.packing import Mount, cluster_of, engine_mounts, on_clock, swinging, thrust_curves
+from maxq.sim.vehicle.modes.packing import Places, mode_values, spatial_values
+from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
+from maxq.sim.vehicle.slosh.packing import pendulums
 from maxq.sim.vehicle.state import Sizes
 
 
@@ -43,34 +41,6 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
         max(len(cluster.alike), 1), max(len(cluster.gimbals_m), 1) + len(stage.sensors), max(len(cluster.curves), 1),
         len(swinging(stage, cluster, switches)), len(stage.sensors),
     )  # fmt: skip  # ten lines otherwise
-
-
-def surface_stations(stage: Stage) -> tuple[float, ...]:
-    """Station of each lifting surface at which it meets mode shapes and wind: the mean over its Mach table, m.
-
-    Behind the surfaces one for the normal force that the table of coefficients has beyond their sum, then those of the
-    tables over incidence.
-    """
-    aero = stage.aero
-    if aero is None:
-        return ()
-    reference_m = float(aero.moment_reference[1]["station_m"].mean())
-    tables = (reference_m if table.station_m is None else table.station_m for table in aero.coefficients)
-    return (*_stations(aero.table, aero.surface, reference_m), *tables)
-
-
-@cached_by_identity
-def _stations(table: CsvTable, surfaces: tuple[AeroSurface, ...], reference_m: float) -> tuple[float, ...]:
-    stations = [float(surface.table["station_m"].mean()) for surface in surfaces]
-    if has_remainder(table):
-        place = table["x_cp_m"] if "x_cp_m" in table else np.array([reference_m])
-        stations.append(float(place.mean()))
-    return tuple(stations)
-
-
-def has_remainder(table: CsvTable) -> bool:
-    """Whether a table of coefficients has a normal force beside that of the surfaces."""
-    return "CN_alpha_pr" in table or "Cm_alpha_pr" in table
 
 
 def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches, frozen: bool) -> list[Cubics]:

@@ -14,17 +14,17 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Method, fit
-from maxq.sim.packing.modes import ModeShapes, gauss, products, solved, spatial_shapes
-from maxq.sim.packing.remembered import cached_by_identity
-from maxq.sim.scenario.burn import Burn, table_time_s
-from maxq.sim.scenario.modes import ModeTable, SpatialModeTable
+from maxq.sim.input.remembered import cached_by_identity
 from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.vehicle.engine.burn import Burn, table_time_s
+from maxq.sim.vehicle.modes.packing import ModeShapes, gauss, products, solved, spatial_shapes
+from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 from maxq.sim.vehicle.state import Sizes
 
 RIGID = 6  # rows of the matrix before those of the modes: displacement along x, y, z of B at the nose, rotation
 
 
-class Part(NamedTuple):
+class StageModes(NamedTuple):
     """A stage's modes as they are flown, and the instant of the tables' clock."""
 
     pitch: ModeTable | None
@@ -39,7 +39,7 @@ class Part(NamedTuple):
         return self.pitch, self.yaw, self.spatial
 
 
-def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> Part:
+def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> StageModes:
     """At an instant of the stage's clock."""
     bending, spatial = stage.bending, stage.spatial_modes
     sets = (
@@ -48,11 +48,11 @@ def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> Part:
         spatial.modes if spatial is not None and sizes.spatial_modes > 0 else None,
     )
     last_s = max((float(modes.time_s[-1]) for modes in sets if modes is not None), default=0.0)
-    return Part(*sets, min(table_time_s(stage, burn, time_s), last_s), stage.interpolation)
+    return StageModes(*sets, min(table_time_s(stage, burn, time_s), last_s), stage.interpolation)
 
 
 @cached_by_identity
-def modal_transfer(before: Part, after: Part, mass_kg: float, gyration_m2: float) -> Array:
+def modal_transfer(before: StageModes, after: StageModes, mass_kg: float, gyration_m2: float) -> Array:
     """(RIGID + modes after, modes before): what each mode before gives of rigid motion, and to each mode after.
 
     The masses are those between the stations of the modes after, or without any, of the modes before up to where the
@@ -69,7 +69,7 @@ def modal_transfer(before: Part, after: Part, mass_kg: float, gyration_m2: float
     return solved(products(basis, basis, weight), products(basis, bent, weight))[0]
 
 
-def _masses(before: Part, after: Part, mass_kg: float) -> tuple[Array, Array]:
+def _masses(before: StageModes, after: StageModes, mass_kg: float) -> tuple[Array, Array]:
     """Points along the part that flies on, and the masses that they stand for."""
     own = next((modes for modes in after.sets if modes is not None), None)
     modes = own or next(modes for modes in before.sets if modes is not None)
@@ -84,7 +84,7 @@ def _masses(before: Part, after: Part, mass_kg: float) -> tuple[Array, Array]:
     return points, weights * np.tile(density, len(points) // len(lengths))
 
 
-def _shapes(part: Part, points: Array) -> Array:
+def _shapes(part: StageModes, points: Array) -> Array:
     """Of all modes (modes, 4, points): displacement along x, y, z of B, rotation about x."""
     out = []
     for modes, at in zip(part.sets, (2, 1, None), strict=True):
@@ -100,7 +100,7 @@ def _shapes(part: Part, points: Array) -> Array:
     return np.concatenate(out) if out else np.zeros((0, 4, len(points)))
 
 
-def _then(modes: ModeTable | SpatialModeTable, part: Part) -> ModeTable | SpatialModeTable:
+def _then(modes: ModeTable | SpatialModeTable, part: StageModes) -> ModeTable | SpatialModeTable:
     """A table's shapes at the part's instant."""
     names = ("phi", "slope_pm") if isinstance(modes, ModeTable) else ("displacement", "rotation_pm")
     shapes: dict[str, Any] = {}

@@ -4,33 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_TVC_LOADS
+from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, fit
-from maxq.sim.packing.aero import pack_aero
-from maxq.sim.packing.engines import on_clock, pack_engines
-from maxq.sim.packing.pendulums import pendulums
-from maxq.sim.scenario.burn import Burn
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.vehicle.actuator import Actuator, pack_actuators
-from maxq.sim.vehicle.bending import pack_bending, pack_spatial_modes
-from maxq.sim.vehicle.derivative import Vehicle
-from maxq.sim.vehicle.engine import Engine
-from maxq.sim.vehicle.gyro import pack_gyro
-from maxq.sim.vehicle.sensors import pack_sensors
-from maxq.sim.vehicle.slosh import pack_slosh
+from maxq.sim.vehicle.actuator.kernel import pack_actuators
+from maxq.sim.vehicle.air.packing import pack_aero
+from maxq.sim.vehicle.derivative import StageRecord
+from maxq.sim.vehicle.engine.burn import Burn
+from maxq.sim.vehicle.engine.packing import on_clock, pack_engines
+from maxq.sim.vehicle.modes.planar import pack_bending, pack_spatial_modes
+from maxq.sim.vehicle.sensor.further import pack_sensors
+from maxq.sim.vehicle.sensor.gyro import pack_gyro
+from maxq.sim.vehicle.slosh.kernel import pack_slosh
+from maxq.sim.vehicle.slosh.packing import pendulums
 from maxq.sim.vehicle.state import Sizes
-from maxq.sim.vehicle.tvc_load import STOP_FACTOR, TvcLoad
+from maxq.sim.vehicle.tvc_load.packing import _tvc_loads
 
 
 def pack_vehicle(
     scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, schedule: Sequence[Cubics], pool: Pool
-) -> Vehicle:
+) -> StageRecord:
     """Parameters of one stage under the scenario's switches; its tables go into `pool`."""
     switches = scenario.switches
     given = stage.actuators or (None,) * len(stage.engine_groups)
@@ -42,7 +40,7 @@ def pack_vehicle(
             for k in (2 * group, 2 * group + 1):
                 actuators[k] = replace(actuators[k], stop_rad=math.inf, backlash_rad=0.0)
     pitch, yaw, *further = actuators
-    return Vehicle(
+    return StageRecord(
         sizes=sizes,
         schedule=pool.add(*schedule),
         engine=engine,
@@ -62,37 +60,6 @@ def pack_vehicle(
         follower_thrust=int(switches.follower_thrust),
         gravity_gradient=int(scenario.earth.gravity_gradient),
     )
-
-
-def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, actuators: Sequence[Actuator]) -> TvcLoad:
-    """From the stage's section `tvc_load`; stops and play are those of the actuators, pitch and yaw of each group."""
-    out: dict[str, Any] = {f.name: np.zeros(MAX_TVC_LOADS) for f in fields(TvcLoad)}
-    out["engine"] = np.zeros(MAX_TVC_LOADS, np.int64)
-    for k in range(sizes.engines):
-        n = int(e.swings[k])
-        if n < 0:
-            continue
-        group = int(e.group[k])
-        given, count = stage.tvc_loads[stage.engine_groups[group]], float((e.taken_as[: len(stage.engines)] == k).sum())
-        inertia = float(e.inertia_kgm2[k] + e.gimballed_mass_kg[k] * e.cg_from_gimbal_m[k] ** 2)
-        stiffness = inertia * (2.0 * math.pi * (given.frequency_hz or 0.0)) ** 2
-        if given.stiffness_Nmprad is not None:
-            stiffness = count * given.stiffness_Nmprad
-        values = {
-            "engine": k,
-            "stiffness_Nmprad": stiffness,
-            "damping_Nmsprad": 2.0 * given.damping_ratio * math.sqrt(stiffness * inertia),
-            "friction_Nm": count * given.friction_Nm,
-            "friction_angle_rad": math.radians(given.friction_angle_deg),
-            "stop_stiffness_Nmprad": count * (given.stop_stiffness_Nmprad or STOP_FACTOR * stiffness / count),
-            "stop_pitch_rad": actuators[2 * group].stop_rad,
-            "stop_yaw_rad": actuators[2 * group + 1].stop_rad,
-            "play_pitch_rad": actuators[2 * group].backlash_rad,
-            "play_yaw_rad": actuators[2 * group + 1].backlash_rad,
-        }
-        for name, value in values.items():
-            out[name][n] = value
-    return TvcLoad(**out)
 
 
 def _rate_damping(stage: Stage, burn: Burn, pool: Pool) -> TableRef:

@@ -11,7 +11,7 @@ from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight.loop import begin
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
-from maxq.sim.vehicle.loads import MAX_LOAD_COLUMNS, SECTION_WIDTH, evaluate_sections
+from maxq.sim.vehicle.loads.kernel import MAX_LOAD_COLUMNS, SECTION_WIDTH, evaluate_sections
 from maxq.sim.vehicle.state import MAX_STATE
 from maxq.sim.vehicle.workspace import PROPERTIES_SIZE, Aux, Evaluation, Work
 
@@ -29,7 +29,7 @@ class Space:
 
 class Instant(NamedTuple):
     """An evaluation of the simulator: derivative (MAX_STATE,), auxiliary outputs and section loads (stations, 5):
-    axial force, shear along y and z (N), bending moment about y and z (N m), as sim/vehicle/loads.py signs them.
+    axial force, shear along y and z (N), bending moment about y and z (N m), as sim/vehicle/loads/kernel.py signs them.
     """
 
     rate: Array

@@ -17,7 +17,7 @@ from maxq.sim.scenario.loader import LoadedScenario
 WAVE_BREAKING_NAME = "wave_breaking"
 _FIRST_ROOM = 400_000  # rows
 
-Rows = dict[str, tuple[IntArray, Array]]
+LoggedRows = dict[str, tuple[IntArray, Array]]
 """By rate group: times (n,) in ns and values (n, columns of the group) in logged units."""
 
 
@@ -59,7 +59,7 @@ class Flight(Tabular):
 
     scenario: LoadedScenario
     table: ChannelTable
-    rows: Rows = field(repr=False)
+    rows: LoggedRows = field(repr=False)
     events: tuple[Event, ...]
     metrics: dict[str, float]
     metric_times_s: dict[str, float]
@@ -138,7 +138,7 @@ class Flight(Tabular):
         return self.outcome != "interrupted" and not self.failures and all(v.met for v in self.verdicts)
 
 
-def copied(rows: Rows) -> Rows:
+def copied(rows: LoggedRows) -> LoggedRows:
     """Rows that the next segment does not overwrite."""
     return {group: (times.copy(), values.copy()) for group, (times, values) in rows.items()}
 
@@ -150,10 +150,10 @@ class KeptRows:
     """
 
     def __init__(self) -> None:
-        self._room: Rows = {}
+        self._room: LoggedRows = {}
         self._used: dict[str, int] = {}
 
-    def add(self, rows: Rows) -> None:
+    def add(self, rows: LoggedRows) -> None:
         for group, (times, values) in rows.items():
             if group not in self._room:
                 self._room[group] = (np.empty(_FIRST_ROOM, np.int64), np.empty((_FIRST_ROOM, values.shape[1])))
@@ -165,7 +165,7 @@ class KeptRows:
             self._room[group][0][begin:end], self._room[group][1][begin:end] = times, values
             self._used[group] = end
 
-    def rows(self) -> Rows:
+    def rows(self) -> LoggedRows:
         return {
             group: (times[: self._used[group]], values[: self._used[group]])
             for group, (times, values) in self._room.items()

@@ -19,18 +19,18 @@ from pathlib import Path
 from typing import Any
 
 from maxq.control.external import ABI, BAD_THRUSTER, CRASHED, NOT_FINITE, STUCK
+from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.guard import MEMORY, STARTING, Arrays, Worker, advance_to, worker_for
 from maxq.sim.run.instances import Inputs, Instance, Outputs, Setup, Unusable, module_of, started
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.flight_code import CodeFile
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.schema_vehicle import Computer
+from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 KEY = "vehicle.computer"
 _COMMANDS = ("gimbal_rad[0], pitch", "gimbal_rad[1], yaw", "roll_gimbal_rad")
 
 
-def title(computer: Computer) -> str:
+def title(computer: ComputerSection) -> str:
     """The flight code, for people."""
     found = computer.library or computer.python
     return found.title if found is not None else computer.address or ""
@@ -49,7 +49,7 @@ def guards(loaded: LoadedScenario) -> bool:
     return computer is not None and computer.law == "external" and computer.guard and hasattr(os, "fork")
 
 
-def checked(loaded: LoadedScenario) -> Computer:
+def checked(loaded: LoadedScenario) -> ComputerSection:
     """The computer, once its code is there and is what the scenario says. Raises ScenarioError."""
     computer = loaded.vehicle.computer
     assert computer is not None
@@ -83,7 +83,7 @@ def _class_of(loaded: LoadedScenario, code: CodeFile, where: str) -> None:
         raise ScenarioError(loaded.label, problem, where, value=code.title)
 
 
-def setup_of(computer: Computer, packed_computer: Any, start_ns: int) -> Setup:
+def setup_of(computer: ComputerSection, packed_computer: Any, start_ns: int) -> Setup:
     return Setup(
         ctypes.sizeof(Setup), ABI, int(packed_computer.sample_ns), int(packed_computer.delay_ns), start_ns,
         int(packed_computer.allocation.groups), float(packed_computer.converter.count_rad),

@@ -32,12 +32,12 @@ from maxq.sim.flight.parameters import (
 )
 from maxq.sim.flight.step import Arena
 from maxq.sim.flight.telemetry import FAST, SLOW, Logged, channel_table
+from maxq.sim.input.values import to_ns
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
-from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, KeptRows, Rows, copied
+from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, KeptRows, LoggedRows, copied
 from maxq.sim.run.metrics import end_metrics, judge, orbit_metrics, section_extremes, section_metrics, step_failure
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import to_ns
 from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class FlightRun:
             self._own = self._arrays(self._logged, self._rows)
             self._hold(self._software.start(self._own))
 
-    def _arrays(self, logged: Any, room: Rows) -> tuple[Any, ...]:
+    def _arrays(self, logged: Any, room: LoggedRows) -> tuple[Any, ...]:
         """What `advance` takes, without `until_ns`."""
         p, (fast_ns, fast), (slow_ns, slow) = self.packed, room[FAST], room[SLOW]
         return (
@@ -224,7 +224,7 @@ class FlightRun:
             if end_ns <= flies_until_ns:
                 yield Event(FAULT_END_NAME, end_ns, number, fault.text)
 
-    def fly_segment(self, length_ns: int | None = None) -> Rows:
+    def fly_segment(self, length_ns: int | None = None) -> LoggedRows:
         """Fly on to the next multiple of `length_ns`, itself a multiple of the step (default: `segment_ns`).
 
         Returns the log rows on the way: views that the next segment overwrites, in logged units.
@@ -258,7 +258,7 @@ class FlightRun:
             for channel, value in zip(self.table.columns(group), values[0].tolist(), strict=True)
         }
 
-    def result(self, rows: Rows | None = None) -> Flight:
+    def result(self, rows: LoggedRows | None = None) -> Flight:
         """The flight so far; `rows` are the log rows that the caller has kept."""
         clock, memory, scenario = self.clock, self.packed.memory, self.loaded.scenario
         events, final, outcome = self.events, self.present(), self.outcome
@@ -335,7 +335,9 @@ class FlightRun:
     def _blank(self, group: str, room: int) -> tuple[IntArray, Array]:
         return np.zeros(room, np.int64), np.zeros((room, len(self.table.columns(group))))
 
-    def _advance(self, until_ns: int, logged: Any, room: Rows, software: FlightSoftware | None = None) -> Rows:
+    def _advance(
+        self, until_ns: int, logged: Any, room: LoggedRows, software: FlightSoftware | None = None
+    ) -> LoggedRows:
         """Fly until `until_ns`; the log rows as views of `room`."""
         self._counts[:] = 0
         if software is not None:
@@ -348,7 +350,9 @@ class FlightRun:
         return {FAST: (fast_ns[:n], fast[:n]), SLOW: (slow_ns[:m], slow[:m])}
 
 
-def fly(loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun, Rows], None] | None = None) -> Flight:
+def fly(
+    loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun, LoggedRows], None] | None = None
+) -> Flight:
     """Fly a scenario to its end. `log=False` keeps no channels and is fastest.
 
     `watch` is called after every segment (1 s of simulated time, or about a thousand steps) with the run and its rows.

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from maxq.control.external import CRASHED, STUCK
 from maxq.sim.flight.loop import advance
 from maxq.sim.run.instances import Instance, Setup, Unusable, started
-from maxq.sim.scenario.schema_vehicle import Computer
+from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 Arrays = tuple[NDArray[Any], ...]
 """What `loop.advance` takes, in its order without `until_ns`."""
@@ -48,7 +48,7 @@ _leaving: set[int] = set()  # processes that have been told to end
 class Worker:
     """A process that flies `computer`'s code on arrays of the types `kinds`."""
 
-    def __init__(self, computer: Computer, kinds: list[np.dtype[Any]], size: int) -> None:
+    def __init__(self, computer: ComputerSection, kinds: list[np.dtype[Any]], size: int) -> None:
         self.computer, self.kinds, self.size = computer, kinds, size
         self._room = mmap.mmap(-1, size)
         with _FORK:
@@ -129,7 +129,7 @@ class Worker:
         return False, ""
 
 
-def worker_for(computer: Computer, arrays: Arrays) -> Worker:
+def worker_for(computer: ComputerSection, arrays: Arrays) -> Worker:
     """A worker that waits, or a new one."""
     kinds, size = [array.dtype for array in arrays], _places([array.nbytes for array in arrays])[-1]
     _reap()
@@ -141,7 +141,7 @@ def worker_for(computer: Computer, arrays: Arrays) -> Worker:
     return Worker(computer, kinds, max(2 * size, _SMALLEST))
 
 
-def _code(computer: Computer) -> tuple[Any, ...]:
+def _code(computer: ComputerSection) -> tuple[Any, ...]:
     """What a worker is for; the rest of the computer comes with each flight's setup."""
     return computer.library, computer.python, computer.address, computer.timeout_s
 
@@ -194,7 +194,7 @@ def _placed(room: mmap.mmap, kinds: Sequence[np.dtype[Any]], shapes: Sequence[tu
 class _Flying:
     """The worker's own side."""
 
-    def __init__(self, line: Any, room: mmap.mmap, computer: Computer, kinds: list[np.dtype[Any]]) -> None:
+    def __init__(self, line: Any, room: mmap.mmap, computer: ComputerSection, kinds: list[np.dtype[Any]]) -> None:
         self._line, self._room, self._computer, self._kinds = line, room, computer, kinds
         self._arrays: Arrays = ()
         self._instance: Instance | None = None

@@ -28,7 +28,7 @@ from urllib.parse import urlsplit
 from maxq.control.external import ABI, FswInputs, FswOutputs
 from maxq.control.kernel.records import dtype_of
 from maxq.sim.scenario.flight_code import SETTINGS_BYTES, CodeFile
-from maxq.sim.scenario.schema_vehicle import Computer
+from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 _FUNCTIONS = ("maxq_fsw_abi", "maxq_fsw_bytes", "maxq_fsw_init", "maxq_fsw_step", "maxq_fsw_close")
 _ALIGNMENT = 64
@@ -295,7 +295,7 @@ def described(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split()) + at
 
 
-def started(computer: Computer, setup: Setup) -> Instance:
+def started(computer: ComputerSection, setup: Setup) -> Instance:
     """An instance of the flight code. Raises Unusable."""
     if computer.library is not None:
         return _Library(computer.library, setup)

@@ -10,8 +10,8 @@ from maxq.control.kernel.records import Records
 from maxq.control.kernel.vectors import Vector, add, cross, dot, norm, scaled
 from maxq.sim.flight.metric_table import EndMetrics, OrbitMetrics, SectionMetrics, title_of, unit_of
 from maxq.sim.scenario.schema_environment import Site
-from maxq.sim.scenario.schema_scenario import Requirement
-from maxq.sim.vehicle.loads import BENDING, COMPRESSION, KINDS, SHEAR, TENSILE, SectionLoads, extreme_index
+from maxq.sim.scenario.schema_scenario import RequirementSection
+from maxq.sim.vehicle.loads.kernel import BENDING, COMPRESSION, KINDS, SHEAR, TENSILE, SectionLoads, extreme_index
 from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, Earth
 
 _ITERATIONS = 200
@@ -26,7 +26,7 @@ _OF_ERRORS = {
 """What an estimated error is a share of."""
 
 
-def step_failure(accuracy: float, metrics: Mapping[str, float], requirements: Sequence[Requirement]) -> str:
+def step_failure(accuracy: float, metrics: Mapping[str, float], requirements: Sequence[RequirementSection]) -> str:
     """What is said where an estimated error exceeds `accuracy` of what is required, or of what was reached where
     nothing is; else empty.
     """
@@ -100,7 +100,7 @@ def orbit_metrics(earth: Earth, r_I_m: Vector, v_I_mps: Vector) -> OrbitMetrics:
 
 @dataclass(frozen=True)
 class SectionExtreme:
-    """The largest load of a kind (sim/vehicle/loads.py, KINDS) at a station, and the largest ratio to its limit.
+    """The largest load of a kind (sim/vehicle/loads/kernel.py, KINDS) at a station, and the largest ratio to its limit.
 
     Zero where the load never was positive, and a ratio of 0 where there is no limit; times are nan then.
     """
@@ -159,7 +159,7 @@ def _time_s(time_ns: int) -> float:
 class Verdict:
     """A requirement and the metric it bounds; `time_s`: when the flight had that value, nan if unknown."""
 
-    requirement: Requirement
+    requirement: RequirementSection
     value: float
     time_s: float
     met: bool
@@ -179,7 +179,7 @@ class Verdict:
         return f"{'<=' if kind == 'limit' else '>='} {bound:.6g} {'' if unit == '1' else unit}".rstrip()
 
 
-def judge(requirement: Requirement, values: Mapping[str, float], times_s: Mapping[str, float]) -> Verdict:
+def judge(requirement: RequirementSection, values: Mapping[str, float], times_s: Mapping[str, float]) -> Verdict:
     """A value that is not a number meets no requirement. Raises KeyError for an unknown metric."""
     value, (kind, bound) = values[requirement.metric], requirement.bound
     met = value <= bound if kind == "limit" else value >= bound

@@ -21,15 +21,15 @@ from pathlib import Path
 from maxq.sim.files import cannot_write, write_whole
 from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.flight.telemetry import SLOW
+from maxq.sim.input.values import period_ns
 from maxq.sim.log import messages
 from maxq.sim.log.head import Attachment, LogError, RunHead
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.packing.integration import MethodError, worst_error
-from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, Rows, copied
+from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, LoggedRows, copied
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, FAULT_NAME, SOFTWARE_NAME, FlightRun
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 from maxq.sim.scenario.loader import LoadedScenario, to_toml
-from maxq.sim.scenario.schema_values import period_ns
 
 LOG_NAME, SUMMARY_NAME = "flight.mcap", "summary.json"
 SCENARIO_ATTACHMENT, DESIGN_ATTACHMENT = "scenario.toml", "design.toml"
@@ -168,7 +168,7 @@ class _LogThread:
         self._pool = ThreadPoolExecutor(1, "log")
         self._waiting: deque[Future[None]] = deque()
 
-    def put(self, rows: Rows, events: Sequence[Event]) -> None:
+    def put(self, rows: LoggedRows, events: Sequence[Event]) -> None:
         if len(self._waiting) == _SEGMENTS_WAITING:
             self._waiting.popleft().result()
         new = [event for event in events if event not in self._written]
@@ -189,10 +189,10 @@ class _LogThread:
             self._pool.shutdown()
             self._writer.close(error, result_record(flight) if flight else None)
 
-    def _message(self, event: Event) -> messages.Event:
-        return messages.Event(event.time_ns, LEVELS.get(event.name, messages.Level.INFO), event.text, "flight")
+    def _message(self, event: Event) -> messages.EventMessage:
+        return messages.EventMessage(event.time_ns, LEVELS.get(event.name, messages.Level.INFO), event.text, "flight")
 
-    def _write(self, rows: Rows, events: list[messages.Event]) -> None:
+    def _write(self, rows: LoggedRows, events: list[messages.EventMessage]) -> None:
         self._writer.write_block(rows, events, [self._frames.path(*rows[SLOW])])
 
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from pydantic_core import PydanticCustomError
 
-from maxq.sim.scenario.burn import burn_rate, stage_end_s, thrust_end_s
-from maxq.sim.scenario.errors import Path, refuse
+from maxq.sim.input.errors import Path, refuse
+from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.vehicle.engine.burn import burn_rate, stage_end_s, thrust_end_s
 
 
 def check_stages(stages: Sequence[Stage], flight_end_s: float, thrust_must_end: bool) -> float:

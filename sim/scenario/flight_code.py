@@ -14,10 +14,10 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, ValidationInfo, WithJsonSchema, model_validator
 
-from maxq.sim.scenario.documents import Text
-from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.files import TABLE_VARIANTS, Reading, find, not_found, shown
-from maxq.sim.scenario.schema_values import Section, optional
+from maxq.sim.input.documents import Text
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.files import TABLE_VARIANTS, Reading, find, not_found, shown
+from maxq.sim.input.values import Section, optional
 
 SETTINGS_BYTES = 255
 _ADDRESS = re.compile(r"(tcp|udp)://(\[[0-9a-f:]+\]|[0-9a-z.]+):([0-9]{1,5})")

@@ -19,12 +19,12 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from maxq.sim.scenario.documents import (
+from maxq.sim.input.documents import (
     COMMAND_LINE,
     Override,
     Source,
-    Table,
     Text,
+    TomlTable,
     adopt,
     apply,
     leaves,
@@ -35,8 +35,8 @@ from maxq.sim.scenario.documents import (
     source_of,
     walk,
 )
-from maxq.sim.scenario.errors import ScenarioError, suggestion
-from maxq.sim.scenario.files import (
+from maxq.sim.input.errors import ScenarioError, suggestion
+from maxq.sim.input.files import (
     FOLDERS,
     PARTS,
     WANTED,
@@ -47,14 +47,14 @@ from maxq.sim.scenario.files import (
     locate,
     scenarios_folder,
 )
+from maxq.sim.input.ranges import LARGEST_NUMBER
+from maxq.sim.input.tables_csv import CsvTable
+from maxq.sim.input.values import Section
 from maxq.sim.scenario.messages import explain
 from maxq.sim.scenario.plausibility import warnings
-from maxq.sim.scenario.ranges import LARGEST_NUMBER
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.schema_vehicle import Vehicle
-from maxq.sim.scenario.tables_csv import CsvTable
 from maxq.sim.scenario.upgrade import upgraded
 
 AS_FLOWN = "scenario as flown"
@@ -127,7 +127,7 @@ def is_campaign(path: str | Path) -> bool:
 
 def load_with_sections(
     path: str | Path, sections: tuple[str, ...], overrides: Iterable[str] = ()
-) -> tuple[LoadedScenario, Table, Reading]:
+) -> tuple[LoadedScenario, TomlTable, Reading]:
     """As `load_scenario`, for a file with further top-level keys: those of `sections` that it has, unchecked.
 
     Also returns what has read the files, so that the sections can name some. Raises ScenarioError.
@@ -137,7 +137,7 @@ def load_with_sections(
     reading = Reading()
     tree = reading.document(file, label, "scenario")
     _assemble(reading, tree, parsed, (file.parent,))
-    extra = Table(tree.source)
+    extra = TomlTable(tree.source)
     for key in sections:
         if key in tree:
             extra.sources[key] = tree.sources.get(key, tree.source)
@@ -166,7 +166,7 @@ def load_scenario_text(text: str, overrides: Iterable[str] = (), label: str = AS
 
 def load_file(
     model: type[Model], role: str, name: str | Path, overrides: Iterable[str]
-) -> tuple[Model, Table, Path, str]:
+) -> tuple[Model, TomlTable, Path, str]:
     """A case or suite (`role`) in a file, or the built-in one of that name, with `key=value` overrides; its document,
     its file and how that is shown. Raises ScenarioError.
     """
@@ -179,7 +179,7 @@ def load_file(
     return _validated(model, tree, reading), tree, file, label
 
 
-def _validated(model: type[Model], tree: Table, reading: Reading) -> Model:
+def _validated(model: type[Model], tree: TomlTable, reading: Reading) -> Model:
     _refuse_huge_numbers(tree)
     try:
         return model.model_validate(plain(tree), context=reading)
@@ -187,15 +187,15 @@ def _validated(model: type[Model], tree: Table, reading: Reading) -> Model:
         raise explain(error, tree, model) from None
 
 
-def _scenario(reading: Reading, tree: Table, label: str, name: str) -> LoadedScenario:
+def _scenario(reading: Reading, tree: TomlTable, label: str, name: str) -> LoadedScenario:
     tree.setdefault("name", name)
     return LoadedScenario(_validated(Scenario, tree, reading), label, tuple(reading.files.values()))
 
 
-def _refuse_foreign_design(tree: Table) -> None:
+def _refuse_foreign_design(tree: TomlTable) -> None:
     """A design that names another vehicle than the one that flies, which nobody has asked for."""
     design, vehicle = tree.get("design"), tree.get("vehicle")
-    if not isinstance(design, Table) or not isinstance(vehicle, Table):
+    if not isinstance(design, TomlTable) or not isinstance(vehicle, TomlTable):
         return
     made_for, flies = design.get("vehicle"), vehicle.get("name")
     if not made_for or not flies or made_for == flies:
@@ -206,7 +206,7 @@ def _refuse_foreign_design(tree: Table) -> None:
         raise tree.sources.get("design", tree.source).error(("design",), problem, allowed=allowed)
 
 
-def _assemble(reading: Reading, tree: Table, overrides: list[Override], folders: tuple[Path, ...]) -> None:
+def _assemble(reading: Reading, tree: TomlTable, overrides: list[Override], folders: tuple[Path, ...]) -> None:
     """Apply overrides and bring in vehicle and design: an override may name them, or change a key inside them."""
     command_line = Source(COMMAND_LINE, (Path.cwd(), *folders, scenarios_folder()))
     inside = [(path, value) for path, value in overrides if path[0] in PARTS and len(path) > 1]
@@ -219,12 +219,12 @@ def _assemble(reading: Reading, tree: Table, overrides: list[Override], folders:
     apply(inside, tree, command_line)
 
 
-def _bring_in(reading: Reading, tree: Table, part: str) -> None:
+def _bring_in(reading: Reading, tree: TomlTable, part: str) -> None:
     """Replace the name of a vehicle or design file by its content, and apply `<part>_overrides` to it."""
     value = tree.get(part)
     if isinstance(value, Text):
         tree[part] = reading.named(value, tree.sources.get(part, tree.source), (part,), part)
-    elif isinstance(value, Table):
+    elif isinstance(value, TomlTable):
         tree[part] = reading.extended(value, part)
     elif value is not None:
         source = tree.sources.get(part, tree.source)
@@ -233,7 +233,7 @@ def _bring_in(reading: Reading, tree: Table, part: str) -> None:
     if key not in tree:
         return
     origin, changes = tree.sources.get(key, tree.source), tree.pop(key)
-    if not isinstance(changes, Table):
+    if not isinstance(changes, TomlTable):
         raise origin.error((key,), "has the wrong type", value=changes, allowed=f"a table of keys of the {part}")
     if part not in tree:
         raise origin.error((key,), f"the scenario has no {part}")
@@ -241,7 +241,7 @@ def _bring_in(reading: Reading, tree: Table, part: str) -> None:
         put(tree, (part, *path), leaf, Source(source.label, source.folders, (part,), (key,)))
 
 
-def _refuse_huge_numbers(tree: Table) -> None:
+def _refuse_huge_numbers(tree: TomlTable) -> None:
     """Refuse numbers with which the checks of the schema could overflow."""
     for path, value in walk(tree):
         if isinstance(value, int | float) and LARGEST_NUMBER < abs(value) < math.inf:

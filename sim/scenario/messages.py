@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from maxq.sim.scenario.documents import COMMAND_LINE, Table, source_of
-from maxq.sim.scenario.errors import NOTHING, Path, ScenarioError, suggestion
-from maxq.sim.scenario.files import PARTS, WANTED
-from maxq.sim.scenario.schema_values import LIST_FORM, TABLE_FORM, Section
-from maxq.sim.scenario.tables_csv import Columns
+from maxq.sim.input.documents import COMMAND_LINE, TomlTable, source_of
+from maxq.sim.input.errors import NOTHING, Path, ScenarioError, suggestion
+from maxq.sim.input.files import PARTS, WANTED
+from maxq.sim.input.tables_csv import Columns
+from maxq.sim.input.values import LIST_FORM, TABLE_FORM, Section
 
 _DOCUMENT_KEYS = ("extends", "unset")
 _SCENARIO_KEYS = (*_DOCUMENT_KEYS, *(f"{part}_overrides" for part in PARTS))
@@ -37,7 +37,7 @@ _IN_FILES_ONLY = {
 }
 
 
-def explain(error: ValidationError, tree: Table, model: type[Section]) -> ScenarioError:
+def explain(error: ValidationError, tree: TomlTable, model: type[Section]) -> ScenarioError:
     """The first mistake (unknown keys first: they explain missing ones), and how many more there are."""
     order = {"extra_forbidden": 0, "missing": 2}
     found = [{**detail, "loc": _without_forms(detail["loc"])} for detail in error.errors(include_url=False)]
@@ -88,7 +88,7 @@ def _causes(found: list[Any]) -> list[Any]:
     ]
 
 
-def _refused(path: Path, context: dict[str, Any], tree: Table, more: int) -> ScenarioError:
+def _refused(path: Path, context: dict[str, Any], tree: TomlTable, more: int) -> ScenarioError:
     details = {"allowed": context["allowed"], "more": more}
     if context["file"]:
         return ScenarioError(context["file"], context["problem"], context["place"], value=context["value"], **details)

@@ -11,12 +11,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.sim.scenario.modes import mode_warnings
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.scenario.schema_tank import Tank
-from maxq.sim.scenario.schema_vehicle import Reference, Stage
+from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.vehicle.body.section import Reference
+from maxq.sim.vehicle.modes.tables import mode_warnings
+from maxq.sim.vehicle.slosh.section import Tank
 
-Floats = NDArray[np.float64]
+Array = NDArray[np.float64]
 Implausible = tuple[str, float, str]
 """Key, value, and what it should be like."""
 
@@ -167,7 +168,7 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Imp
         yield "actuator.angle_limit_deg", limit_deg, f"{usual}{lowest / 1e3:.3g} kPa on"
 
 
-def _lift(stage: Stage) -> tuple[Floats, Floats] | None:
+def _lift(stage: Stage) -> tuple[Array, Array] | None:
     """Slope of the normal force, 1/rad, and its station, m aft of the nose, over Mach; None where tables hold it."""
     aero = stage.aero
     if aero is None or aero.coefficients:
@@ -210,7 +211,7 @@ def _liquids(stage: Stage) -> Iterator[Implausible]:
             yield f"tank.{n}.damping_ratio", tank.damping_ratio, usual
 
 
-def _bob(tank: Tank) -> tuple[Floats, Floats, Floats]:
+def _bob(tank: Tank) -> tuple[Array, Array, Array]:
     """Times, station and mass of the first slosh mode; of a shape as of a cylinder with its depth (NASA SP-106)."""
     table = tank.table
     if "slosh_mass_kg" in table:

@@ -9,9 +9,9 @@ from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_SENSORS, MAX_STAGES
 from maxq.control.structures import GAIN_NAMES, GAINS, MAX_SECTIONS, OVER, RELIEF, STRUCTURES, Law, Over, Structure
-from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import NotNegative, Positive, Section, optional
-from maxq.sim.scenario.tables_csv import Columns, CsvTable
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.tables_csv import Columns, CsvTable
+from maxq.sim.input.values import NotNegative, Positive, Section, optional
 
 if TYPE_CHECKING:
     from maxq.control.filters import BendingFilter
@@ -21,7 +21,7 @@ GAIN_COLUMNS = Columns(
 )
 
 
-class Gains(Section):
+class GainsSection(Section):
     """Gains of the law (PD: paper, eq. 33), linear, held outside the table."""
 
     table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
@@ -81,7 +81,7 @@ class FirstOrder(Section):
             raise refuse("the section would divide by zero", "any number but 0", "zero_hz")
 
 
-class Filter(Section):
+class FilterSection(Section):
     """Bending filter."""
 
     structure: Structure = optional(f"of the paper, or sections: 1 to {MAX_SECTIONS} of any kind, or none", "none")
@@ -128,7 +128,7 @@ class Filter(Section):
         return ""
 
 
-class Roll(Section):
+class RollSection(Section):
     """Roll control by on/off thrusters: acts on roll angle + k_rate_s * roll rate."""
 
     k_rate_s: NotNegative = Field(description="weight of the rate, s")
@@ -149,14 +149,14 @@ class RollGimbal(Section):
     limit_deg: Positive = Field(description="limit of the command, deg; pitch and yaw come before it")
 
 
-Weights = Annotated[tuple[float, ...], Field(min_length=1, max_length=MAX_SENSORS)]
+BlendWeights = Annotated[tuple[float, ...], Field(min_length=1, max_length=MAX_SENSORS)]
 
 
 class Blend(Section):
     """Rate of the law: weights of the first gyro and of the vehicle's further rate gyros, which sum to 1."""
 
-    pitch: Weights = Field(description="weights in pitch")
-    yaw: Weights | None = optional("weights in yaw (default: as in pitch)")
+    pitch: BlendWeights = Field(description="weights in pitch")
+    yaw: BlendWeights | None = optional("weights in yaw (default: as in pitch)")
 
     def _check(self) -> None:
         for key, given in (("pitch", self.pitch), ("yaw", self.yaw)):
@@ -169,26 +169,26 @@ class Blend(Section):
         return self.pitch, self.yaw or self.pitch
 
 
-class LoopFilters(Section):
+class LoopFiltersSection(Section):
     """Filters of what the law works on, each loop by itself; the bending filter behind the law comes besides."""
 
-    attitude: Filter | None = optional("of the attitude error")
-    rate: Filter | None = optional("of the (blended) rate")
-    acceleration: Filter | None = optional("of the lateral acceleration, before its lag; with load relief")
+    attitude: FilterSection | None = optional("of the attitude error")
+    rate: FilterSection | None = optional("of the (blended) rate")
+    acceleration: FilterSection | None = optional("of the lateral acceleration, before its lag; with load relief")
 
     @property
-    def each(self) -> tuple[Filter | None, ...]:
+    def each(self) -> tuple[FilterSection | None, ...]:
         """In the order of control/loop_filters.py."""
         return self.attitude, self.rate, self.acceleration
 
 
-class LoadRelief(Section):
+class LoadReliefSection(Section):
     """Feedback of the lateral acceleration, or of the incidence it tells; its gain is a column of the gains."""
 
     corner_hz: Positive = Field(description="corner of the accelerometer's first-order lag in the computer, Hz")
 
 
-class Adaptive(Section):
+class AdaptiveSection(Section):
     """Adaptive augmenting control: a total gain on the command of pitch and of yaw, 1 where all goes as it should."""
 
     least_gain: Annotated[float, Field(gt=0.0, lt=1.0)] = optional("lower limit of the total gain", 0.5)
@@ -211,7 +211,7 @@ class Adaptive(Section):
 
 
 RENAMED = {"limits": "basis.limits"}
-Basis = dict[str, Any]
+DesignBasis = dict[str, Any]
 """The basis of a design: nothing in a flight depends on it (design/case/basis.py reads it)."""
 
 
@@ -220,16 +220,18 @@ class StageLaw(Section):
 
     renamed: ClassVar[dict[str, str]] = RENAMED
 
-    gains: Gains | None = optional("own gains")
-    filter: Filter | None = optional("own bending filter, which starts settled at the separation")
-    loop_filters: LoopFilters | None = optional("own filters of each loop, which start settled at the separation")
+    gains: GainsSection | None = optional("own gains")
+    filter: FilterSection | None = optional("own bending filter, which starts settled at the separation")
+    loop_filters: LoopFiltersSection | None = optional(
+        "own filters of each loop, which start settled at the separation"
+    )
     fade_s: NotNegative | None = optional("time over which all filters of the stage before fade out, s (default: 0)")
-    roll: Roll | None = optional("own roll control by thrusters")
+    roll: RollSection | None = optional("own roll control by thrusters")
     roll_gimbal: RollGimbal | None = optional("own roll control by gimbals")
     blend: Blend | None = optional("own weights of rate gyros")
-    load_relief: LoadRelief | None = optional("own lag of the accelerometer")
-    adaptive: Adaptive | None = optional("own adaptation, which starts anew at the separation")
-    basis: Basis | None = optional("own basis")
+    load_relief: LoadReliefSection | None = optional("own lag of the accelerometer")
+    adaptive: AdaptiveSection | None = optional("own adaptation, which starts anew at the separation")
+    basis: DesignBasis | None = optional("own basis")
 
 
 class Design(Section):
@@ -246,15 +248,15 @@ class Design(Section):
         "pd with the lateral acceleration fed back; incidence-relief: pd with an estimated angle of attack fed back",
         "pd",
     )
-    gains: Gains
-    filter: Filter = Filter()
-    loop_filters: LoopFilters | None = optional("absent: the bending filter alone")
-    roll: Roll | None = optional("absent: no roll control by thrusters")
+    gains: GainsSection
+    filter: FilterSection = FilterSection()
+    loop_filters: LoopFiltersSection | None = optional("absent: the bending filter alone")
+    roll: RollSection | None = optional("absent: no roll control by thrusters")
     roll_gimbal: RollGimbal | None = optional("absent: no roll control by gimbals")
     blend: Blend | None = optional("absent: the first gyro alone")
-    load_relief: LoadRelief | None = optional("of the laws load-relief and incidence-relief")
-    adaptive: Adaptive | None = optional("absent: no adaptation; with any law")
-    basis: Basis | None = optional(
+    load_relief: LoadReliefSection | None = optional("of the laws load-relief and incidence-relief")
+    adaptive: AdaptiveSection | None = optional("absent: no adaptation; with any law")
+    basis: DesignBasis | None = optional(
         "what the law was designed under: loop, operating points, limits; simdesign and simverify judge by it"
     )
     stage: tuple[StageLaw, ...] = optional(

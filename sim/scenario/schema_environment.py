@@ -7,19 +7,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_GUSTS
-from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import (
-    Angle,
-    Fraction,
-    Latitude,
-    Longitude,
-    NotNegative,
-    Positive,
-    Section,
-    optional,
-)
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.tables_csv import Columns, CsvTable
+from maxq.sim.input.values import Angle, Fraction, Latitude, Longitude, NotNegative, Positive, Section, optional
 from maxq.sim.scenario.soundings import SOUNDING
-from maxq.sim.scenario.tables_csv import Columns, CsvTable
 
 ATMOSPHERE_COLUMNS = Columns(
     "altitude_m",
@@ -51,7 +42,7 @@ class Site(Section):
     utc: str = optional("date and time of T0, for people only", "")
 
 
-class Earth(Section):
+class EarthSection(Section):
     """Shape, rotation and gravity."""
 
     shape: Literal["wgs84", "sphere", "flat"] = optional("figure; flat: uniform and not rotating", "wgs84")
@@ -80,7 +71,7 @@ class Earth(Section):
         self.only_with(("uniform_mps2",), self.gravity == "uniform", "gravity = 'uniform'")
 
 
-class Atmosphere(Section):
+class AtmosphereSection(Section):
     """Air at rest relative to the Earth."""
 
     model: Literal["us1976", "table", "constant", "vacuum"] = optional(
@@ -124,7 +115,7 @@ class Gust(Section):
             raise refuse("two edges are thicker than the gust", f"at most {self.thickness_m / 2:g}", "edge_m")
 
 
-class Turbulence(Section):
+class TurbulenceSection(Section):
     """Random wind."""
 
     model: Literal["dryden", "von-karman", "spectrum"] = optional(
@@ -186,7 +177,7 @@ class GroundShear(Section):
                 self.needs(other, f"{key} is given", "a number")
 
 
-class Wind(Section):
+class WindSection(Section):
     """Motion of the air relative to the Earth."""
 
     profile: Annotated[CsvTable, WIND_COLUMNS] | None = optional("wind over altitude")
@@ -200,7 +191,7 @@ class Wind(Section):
     factor: float = optional("multiplies profile or constant wind", 1.0)
     turn_deg: Angle = optional("turns the profile (with its ground shear): added to where it blows from, deg", 0.0)
     gust: tuple[Gust, ...] = optional("gusts and shear layers", (), max_length=MAX_GUSTS)
-    turbulence: Turbulence | None = optional("absent: none")
+    turbulence: TurbulenceSection | None = optional("absent: none")
 
     def _check(self) -> None:
         self.at_most_one("profile", "speed_mps")

@@ -11,9 +11,9 @@ from typing import Annotated, Literal, NamedTuple
 from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS, MAX_STAGES
-from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.schema_values import Fraction, Positive, Seconds, Section, optional
-from maxq.sim.scenario.tables_csv import Columns, CsvTable
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.tables_csv import Columns, CsvTable
+from maxq.sim.input.values import Fraction, Positive, Seconds, Section, optional
 
 FaultKind = Literal[
     "engine-off", "thrust-loss", "gyro-stuck", "gyro-dead", "gyro-bias", "gyro-noisy", "accelerometer-stuck",
@@ -22,7 +22,7 @@ FaultKind = Literal[
 ]  # fmt: skip  # eleven more lines otherwise
 
 
-class Kind(NamedTuple):
+class FaultAbout(NamedTuple):
     """What a kind of fault is about: `part` is the key of the stage's section that must be there."""
 
     part: str
@@ -38,20 +38,20 @@ class Kind(NamedTuple):
 
 _TURNS, _GIMBALS, _ALONG = ("roll", "pitch", "yaw"), ("pitch", "yaw"), ("x", "y", "z")
 TAIL_OFF_COLUMNS = Columns("time_s", sets=(("share",),), not_negative=("time_s", "share"), begins_by=0.0)
-KINDS: dict[FaultKind, Kind] = {
-    "engine-off": Kind("engine", (), ("engine",), (), ("tail_off", "reallocate_after_s")),
-    "thrust-loss": Kind("engine", (), ("engine",), ("loss",), ("reallocate_after_s",)),
-    "gyro-stuck": Kind("gyro", _TURNS, ("gyro", "axis")),
-    "gyro-dead": Kind("gyro", _TURNS, ("gyro", "axis")),
-    "gyro-bias": Kind("gyro", _TURNS, ("gyro", "axis"), ("bias_degps",)),
-    "gyro-noisy": Kind("gyro", _TURNS, ("gyro", "axis"), ("noise_deg_rt_h",)),
-    "accelerometer-stuck": Kind("accelerometer", _ALONG, ("axis",)),
-    "accelerometer-dead": Kind("accelerometer", _ALONG, ("axis",)),
-    "accelerometer-bias": Kind("accelerometer", _ALONG, ("axis",), ("bias_mps2",)),
-    "accelerometer-noisy": Kind("accelerometer", _ALONG, ("axis",), ("noise_mps_rt_h",)),
-    "actuator-stuck": Kind("actuator", _GIMBALS, ("axis", "group")),
-    "actuator-hard-over": Kind("actuator", _GIMBALS, ("axis", "group"), ("angle_deg",)),
-    "actuator-floating": Kind("actuator", _GIMBALS, ("axis", "group")),
+KINDS: dict[FaultKind, FaultAbout] = {
+    "engine-off": FaultAbout("engine", (), ("engine",), (), ("tail_off", "reallocate_after_s")),
+    "thrust-loss": FaultAbout("engine", (), ("engine",), ("loss",), ("reallocate_after_s",)),
+    "gyro-stuck": FaultAbout("gyro", _TURNS, ("gyro", "axis")),
+    "gyro-dead": FaultAbout("gyro", _TURNS, ("gyro", "axis")),
+    "gyro-bias": FaultAbout("gyro", _TURNS, ("gyro", "axis"), ("bias_degps",)),
+    "gyro-noisy": FaultAbout("gyro", _TURNS, ("gyro", "axis"), ("noise_deg_rt_h",)),
+    "accelerometer-stuck": FaultAbout("accelerometer", _ALONG, ("axis",)),
+    "accelerometer-dead": FaultAbout("accelerometer", _ALONG, ("axis",)),
+    "accelerometer-bias": FaultAbout("accelerometer", _ALONG, ("axis",), ("bias_mps2",)),
+    "accelerometer-noisy": FaultAbout("accelerometer", _ALONG, ("axis",), ("noise_mps_rt_h",)),
+    "actuator-stuck": FaultAbout("actuator", _GIMBALS, ("axis", "group")),
+    "actuator-hard-over": FaultAbout("actuator", _GIMBALS, ("axis", "group"), ("angle_deg",)),
+    "actuator-floating": FaultAbout("actuator", _GIMBALS, ("axis", "group")),
 }
 _OF_KINDS = tuple(dict.fromkeys(key for kind in KINDS.values() for key in kind.keys))
 

@@ -10,27 +10,27 @@ from pydantic import Field, model_validator
 from maxq.control.kernel.limits import MAX_FAULTS, MAX_INJECTIONS, MAX_TONES
 from maxq.control.structures import RELIEF
 from maxq.sim.flight.metric_table import METRIC_NAMES
-from maxq.sim.scenario.coverage import check_gains, check_programme, check_stages
-from maxq.sim.scenario.errors import refuse, suggestion
-from maxq.sim.scenario.schema_design import Design
-from maxq.sim.scenario.schema_environment import Atmosphere, Earth, Site, Wind
-from maxq.sim.scenario.schema_fault import KINDS, Fault
-from maxq.sim.scenario.schema_loads import SECTION_PREFIX, check_line_mass
-from maxq.sim.scenario.schema_values import (
+from maxq.sim.input.errors import refuse, suggestion
+from maxq.sim.input.tables_csv import Columns, CsvTable
+from maxq.sim.input.values import (
+    FourNumbers,
     Latitude,
     Longitude,
-    Matrix,
     Period,
     Positive,
-    Quaternion,
     Rate,
     Seconds,
     Section,
+    ThreeRows,
     Triple,
     optional,
 )
+from maxq.sim.scenario.coverage import check_gains, check_programme, check_stages
+from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_environment import AtmosphereSection, EarthSection, Site, WindSection
+from maxq.sim.scenario.schema_fault import KINDS, Fault
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
-from maxq.sim.scenario.tables_csv import Columns, CsvTable
+from maxq.sim.vehicle.loads.section import SECTION_PREFIX, check_line_mass
 
 _ORTHONORMAL = 1e-6
 POSITIONS = ("geodetic", "inertial_m", "earth_m")
@@ -60,8 +60,8 @@ class Initial(Section):
     euler_deg: Triple | None = optional(
         "yaw, pitch, roll (3-2-1) of B from north, east, down, deg (default: nose up, body z at azimuth)"
     )
-    q_BI: Quaternion | None = optional("unit quaternion, scalar first, turns B components into I")
-    dcm_BI: Matrix | None = optional("direction cosines, turns I components into B")
+    q_BI: FourNumbers | None = optional("unit quaternion, scalar first, turns B components into I")
+    dcm_BI: ThreeRows | None = optional("direction cosines, turns I components into B")
     rate_BI_degps: Triple | None = optional("inertial rates p, q, r in B, deg/s")
     rate_BI_radps: Triple | None = optional("inertial rates p, q, r in B, rad/s")
     rate_BE_degps: Triple | None = optional("rates relative to the Earth in B, deg/s (default 0)")
@@ -278,7 +278,7 @@ class Switches(Section):
     )
 
 
-class Log(Section):
+class LogSection(Section):
     """How often is logged."""
 
     fast_hz: Rate = optional("actuator, bending, slosh, control, gyro, Hz; must divide 1e9", 1000.0)
@@ -286,7 +286,7 @@ class Log(Section):
     transform_hz: Rate = optional("transforms for 3-D viewers, Hz; must divide 1e9", 50.0)
 
 
-class Requirement(Section):
+class RequirementSection(Section):
     """A number that the flight must keep to."""
 
     metric: str = Field(description="name of the metric")
@@ -300,7 +300,7 @@ class Requirement(Section):
         return ("limit", self.limit) if self.limit is not None else ("minimum", self.minimum or 0.0)
 
     @model_validator(mode="after")
-    def _judges(self) -> Requirement:
+    def _judges(self) -> RequirementSection:
         self.at_most_one("limit", "minimum")
         if self.limit is None and self.minimum is None:
             raise refuse("required key is missing: a requirement needs a bound", "limit or minimum", "limit")
@@ -321,9 +321,9 @@ class Scenario(Section):
     design: Design | None = optional("a design file, or the design itself (default: command zero)")
     run: Run = Run()
     site: Site = Site()
-    earth: Earth = Earth()
-    atmosphere: Atmosphere = Atmosphere()
-    wind: Wind = Wind()
+    earth: EarthSection = EarthSection()
+    atmosphere: AtmosphereSection = AtmosphereSection()
+    wind: WindSection = WindSection()
     initial: Initial | None = optional("absent: on the pad, nose up, at rest on the Earth, held down")
     guidance: Guidance = Guidance()
     holddown: HoldDown = HoldDown()
@@ -332,8 +332,8 @@ class Scenario(Section):
         "what fails; of two faults of one thing the later one here holds", (), max_length=MAX_FAULTS
     )
     switches: Switches = Switches()
-    log: Log = Log()
-    requirement: tuple[Requirement, ...] = optional("what the flight is judged by", ())
+    log: LogSection = LogSection()
+    requirement: tuple[RequirementSection, ...] = optional("what the flight is judged by", ())
 
     @property
     def held(self) -> bool:

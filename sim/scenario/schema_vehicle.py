@@ -7,27 +7,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_LATENCY, MAX_MODES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES
 from maxq.control.structures import Attitude
-from maxq.sim.scenario.errors import Path, refuse
-from maxq.sim.scenario.flight_code import Address, LibraryFile, PythonClass, Settings
-from maxq.sim.scenario.modes import (
-    MODE_COLUMNS,
-    OVER_MASS,
-    SPATIAL_COLUMNS,
-    ModeTable,
-    SpatialModeTable,
-    mode_table,
-    over_time,
-    spatial_mode_table,
-)
-from maxq.sim.scenario.schema_loads import Loads, check_loads
-from maxq.sim.scenario.schema_stage import Actuator, Aero, Engine, Mass, RollThrusters, TvcLoad
-from maxq.sim.scenario.schema_tank import SECOND_MODE, Tank
-from maxq.sim.scenario.schema_values import (
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.values import (
     LIST_FORM,
     TABLE_FORM,
-    Fraction,
     NotNegative,
     Period,
     Positive,
@@ -36,160 +21,29 @@ from maxq.sim.scenario.schema_values import (
     Triple,
     optional,
 )
-from maxq.sim.scenario.tables_csv import CsvTable
-
-
-def _first(*keys: str) -> Any:
-    """Default of a field: the value of the first of `keys`, fields that stand before it."""
-
-    def default(data: dict[str, Any]) -> float:
-        return float(next((data[key] for key in keys if key in data), 1.0))
-
-    return default
-
-
-class Reference(Section):
-    """Reference lengths of the aerodynamic coefficients."""
-
-    length_m: Positive = Field(description="length of the vehicle, m")
-    diameter_m: Positive = Field(description="diameter of the vehicle, m")
-    area_m2: Positive = Field(description="reference area, m2")
-    chord_m: Positive = Field(
-        default_factory=_first("diameter_m"), description="pitch moment and damping length, m (default diameter_m)"
-    )
-    span_m: Positive = Field(
-        default_factory=_first("chord_m"), description="roll moment and damping length, m (default chord_m)"
-    )
-    yaw_chord_m: Positive = Field(
-        default_factory=_first("chord_m"), description="yaw moment and damping length, m (default chord_m)"
-    )
-
-
-def _ones(data: dict[str, Any]) -> tuple[float, ...]:
-    """Default of a factor for each mode."""
-    return (1.0,) * len(data.get("damping_ratio", ()))
-
-
-class Bending(Section):
-    """Free-free bending modes, engine locked and sloshing masses removed."""
-
-    pitch: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
-        "modes of the pitch plane, one row per time (or total mass), mode and station (default: none)"
-    )
-    yaw: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
-        "modes of the yaw plane; may be the same file (default: none)"
-    )
-    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode, both planes alike")
-    frequency_factor: tuple[Positive, ...] = Field(
-        default_factory=_ones, description="multiplies the frequency of each mode (default ones)"
-    )
-    gyro_slope_factor: tuple[float, ...] = Field(
-        default_factory=_ones, description="multiplies the slope of each mode at the gyro (default ones)"
-    )
-    gimbal_shape_factor: tuple[float, ...] = Field(
-        default_factory=_ones, description="multiplies displacement and slope of each mode at the gimbal (default ones)"
-    )
-
-    def _check(self) -> None:
-        if not any(OVER_MASS in table for table in (self.pitch, self.yaw) if table is not None):
-            self.check_counts()
-
-    def check_counts(self, at: Path = ()) -> None:
-        """Refuse lists of other lengths than there are modes."""
-        _refuse_other_counts(self, max((t.modes for t in (self.pitch_modes, self.yaw_modes) if t), default=0), at)
-
-    @property
-    def pitch_modes(self) -> ModeTable | None:
-        """Modes of the pitch plane as arrays."""
-        return None if self.pitch is None else mode_table(self.pitch, ("pitch",))
-
-    @property
-    def yaw_modes(self) -> ModeTable | None:
-        """Modes of the yaw plane as arrays."""
-        return None if self.yaw is None else mode_table(self.yaw, ("yaw",))
-
-
-class SpatialModes(Section):
-    """Coupled three-dimensional free-free modes, engine locked and sloshing masses removed; beside the planar ones."""
-
-    table: Annotated[CsvTable, SPATIAL_COLUMNS] = Field(
-        description="one row per time (or total mass), mode and station: displacement phi along, rotation theta about "
-        "x, y, z; mass_kg and roll_inertia_kgm2 are lumped at the stations; or a NASTRAN file (op2, f06)"
-    )
-    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode")
-    frequency_factor: tuple[Positive, ...] = Field(
-        default_factory=_ones, description="multiplies the frequency of each mode (default ones)"
-    )
-    gyro_slope_factor: tuple[float, ...] = Field(
-        default_factory=_ones, description="multiplies the rotation of each mode at the gyro (default ones)"
-    )
-    gimbal_shape_factor: tuple[float, ...] = Field(
-        default_factory=_ones,
-        description="multiplies displacement and rotation of each mode at the gimbal (default ones)",
-    )
-
-    def _check(self) -> None:
-        if OVER_MASS not in self.table:
-            self.check_counts()
-
-    def check_counts(self, at: Path = ()) -> None:
-        """Refuse lists of other lengths than there are modes."""
-        _refuse_other_counts(self, self.modes.modes, at)
-
-    @property
-    def modes(self) -> SpatialModeTable:
-        """The modes as arrays."""
-        return spatial_mode_table(self.table, ("table",))
-
-
-def _refuse_other_counts(modes: Bending | SpatialModes, count: int, at: Path) -> None:
-    for key in ("damping_ratio", "frequency_factor", "gyro_slope_factor", "gimbal_shape_factor"):
-        given = len(getattr(modes, key))
-        if given != count:
-            raise refuse(f"has {given} numbers for {count} modes", f"a list of {count} numbers", (*at, key))
-
-
-class Gyro(Section):
-    """Rate gyros, one per axis (paper, eq. 29)."""
-
-    station_m: float = Field(description="station, m aft of the nose")
-    omega_hz: Positive = Field(description="natural frequency, Hz")
-    zeta: Positive = Field(description="damping ratio")
-    bias_degph: Triple = optional("constant error about x, y, z, deg/h", (0.0, 0.0, 0.0))
-    scale_factor: Triple = optional("relative error of the scale about x, y, z", (0.0, 0.0, 0.0))
-    misalignment_deg: Triple = optional("small rotation about x, y, z, deg", (0.0, 0.0, 0.0))
-    noise_deg_rt_h: NotNegative = optional("angle random walk, deg per root hour", 0.0)
-
-
-Latency = Annotated[int, Field(ge=0, le=MAX_LATENCY)]
-
-
-class RateGyro(Gyro):
-    """A rate gyro beyond the first, three axes; the design says what part it has in the rate of the law (blend)."""
-
-    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
-    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
-
-
-class Accelerometer(Section):
-    """Accelerometer of three axes: specific force at its station, with what bending, engine and liquid do to it."""
-
-    station_m: float = Field(description="station, m aft of the nose, on the body axis")
-    omega_hz: Positive = Field(description="natural frequency, Hz")
-    zeta: Positive = Field(description="damping ratio")
-    count_mps: NotNegative = optional("velocity per pulse, m/s; 0: no quantisation", 0.0)
-    bias_mps2: Triple = optional("constant error along x, y, z, m/s2", (0.0, 0.0, 0.0))
-    scale_factor: Triple = optional("relative error of the scale along x, y, z", (0.0, 0.0, 0.0))
-    misalignment_deg: Triple = optional("small rotation about x, y, z, deg", (0.0, 0.0, 0.0))
-    noise_mps_rt_h: NotNegative = optional("velocity random walk, m/s per root hour", 0.0)
-    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
-    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
-
+from maxq.sim.scenario.flight_code import Address, LibraryFile, PythonClass, Settings
+from maxq.sim.vehicle.actuator.section import ActuatorSection
+from maxq.sim.vehicle.air.section import AeroSection
+from maxq.sim.vehicle.body.section import Mass, Reference
+from maxq.sim.vehicle.engine.section import EngineSection, RollThrusters
+from maxq.sim.vehicle.loads.section import LoadsSection, check_loads
+from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
+from maxq.sim.vehicle.modes.tables import (
+    OVER_MASS,
+    ModeTable,
+    SpatialModeTable,
+    mode_table,
+    over_time,
+    spatial_mode_table,
+)
+from maxq.sim.vehicle.sensor.section import Accelerometer, GyroSection, RateGyro
+from maxq.sim.vehicle.slosh.section import SECOND_MODE, Tank
+from maxq.sim.vehicle.tvc_load.section import TvcLoadSection
 
 _CODE = ("library", "python", "address")
 
 
-class Computer(Section):
+class ComputerSection(Section):
     """Flight computer: converter, sampling, delay and output."""
 
     sample_s: Period = Field(description="sample period, s, whole ns")
@@ -250,9 +104,19 @@ def _form(value: Any) -> str:
 
 
 _LISTED, _FORM = (Field(min_length=1, max_length=MAX_ENGINES), Tag(LIST_FORM)), Discriminator(_form)
-Engines = Annotated[Annotated[Engine, Tag(TABLE_FORM)] | Annotated[tuple[Engine, ...], *_LISTED], _FORM]
-Actuators = Annotated[Annotated[Actuator, Tag(TABLE_FORM)] | Annotated[tuple[Actuator, ...], *_LISTED], _FORM]
-TvcLoads = Annotated[Annotated[TvcLoad, Tag(TABLE_FORM)] | Annotated[tuple[TvcLoad, ...], *_LISTED], _FORM]
+
+
+Engines = Annotated[Annotated[EngineSection, Tag(TABLE_FORM)] | Annotated[tuple[EngineSection, ...], *_LISTED], _FORM]
+
+
+Actuators = Annotated[
+    Annotated[ActuatorSection, Tag(TABLE_FORM)] | Annotated[tuple[ActuatorSection, ...], *_LISTED], _FORM
+]
+
+
+TvcLoads = Annotated[
+    Annotated[TvcLoadSection, Tag(TABLE_FORM)] | Annotated[tuple[TvcLoadSection, ...], *_LISTED], _FORM
+]
 
 
 class Stage(Section):
@@ -279,16 +143,16 @@ class Stage(Section):
         "one table, or a list [[...]] by group; absent, and in groups without: engines follow their actuators exactly"
     )
     tank: tuple[Tank, ...] = optional("tanks with sloshing liquid", (), max_length=MAX_PENDULUMS)
-    bending: Bending | None = optional("absent: rigid, but for spatial modes")
-    spatial_modes: SpatialModes | None = optional("absent: none")
-    aero: Aero | None = optional("absent: no aerodynamic forces")
-    gyro: Gyro | None = optional("absent: ideal gyros")
+    bending: BendingSection | None = optional("absent: rigid, but for spatial modes")
+    spatial_modes: SpatialModesSection | None = optional("absent: none")
+    aero: AeroSection | None = optional("absent: no aerodynamic forces")
+    gyro: GyroSection | None = optional("absent: ideal gyros")
     rate_gyro: tuple[RateGyro, ...] = optional(
         "rate gyros beyond the first; all stages have as many", (), max_length=MAX_SENSORS - 1
     )
     accelerometer: Accelerometer | None = optional("absent: none; all stages have one, or none")
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
-    loads: Loads | None = optional("absent: no section loads")
+    loads: LoadsSection | None = optional("absent: no section loads")
 
     @property
     def sensors(self) -> tuple[RateGyro | Accelerometer, ...]:
@@ -305,9 +169,9 @@ class Stage(Section):
         return len(self.engine_groups), len(self.pendulum_names), *modes, spatial_modes, int(self.tvc_load is not None)
 
     @property
-    def engines(self) -> tuple[Engine, ...]:
+    def engines(self) -> tuple[EngineSection, ...]:
         """All engines, none where there is no thrust."""
-        return (self.engine,) if isinstance(self.engine, Engine) else self.engine or ()
+        return (self.engine,) if isinstance(self.engine, EngineSection) else self.engine or ()
 
     @property
     def engine_groups(self) -> tuple[str, ...]:
@@ -315,7 +179,7 @@ class Stage(Section):
         return tuple(dict.fromkeys(e.group for e in self.engines if e.gimbal != "fixed")) or ("",)
 
     @property
-    def actuators(self) -> tuple[Actuator, ...]:
+    def actuators(self) -> tuple[ActuatorSection, ...]:
         """Of each group of engines, in their order; none where angles are as commanded."""
         if not isinstance(self.actuator, tuple):
             return () if self.actuator is None else (self.actuator,) * len(self.engine_groups)
@@ -323,7 +187,7 @@ class Stage(Section):
         return tuple(by_group[group] for group in self.engine_groups)
 
     @property
-    def tvc_loads(self) -> dict[str, TvcLoad]:
+    def tvc_loads(self) -> dict[str, TvcLoadSection]:
         """By group of engines."""
         if isinstance(self.tvc_load, tuple):
             return {load.group or "": load for load in self.tvc_load}
@@ -505,7 +369,7 @@ class Vehicle(Section):
     description: str = optional("what it is, in a sentence", "")
     reference: Reference
     stage: tuple[Stage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="stages in the order of flight")
-    computer: Computer | None = optional("absent: no flight computer, the gimbal stays at zero")
+    computer: ComputerSection | None = optional("absent: no flight computer, the gimbal stays at zero")
 
     def _check(self) -> None:
         last = len(self.stage) - 1
@@ -547,7 +411,7 @@ class Vehicle(Section):
             problem, allowed = "is longer than the sample period", f"0 .. sample_s = {own.sample_s:g}"
             raise refuse(problem, allowed, ("stage", n, "computer", "delay_s"), value=own.delay_s)
 
-    def computer_of(self, number: int) -> Computer | None:
+    def computer_of(self, number: int) -> ComputerSection | None:
         """The computer while a stage flies, from 0."""
         own = self.stage[number].computer
         if self.computer is None or own is None:

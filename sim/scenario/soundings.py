@@ -23,16 +23,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maxq.sim.scenario.documents import Text
-from maxq.sim.scenario.errors import refuse
-from maxq.sim.scenario.files import Reading
-from maxq.sim.scenario.tables_csv import DATE, Columns, CsvTable, Foreign, read_csv
+from maxq.sim.input.documents import Text
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.files import Reading
+from maxq.sim.input.tables_csv import DATE, Columns, CsvTable, Foreign, read_csv
 
 _RADIUS_m = 6356766.0  # of geopotential heights, as in the standard atmosphere
 NUMBER_MARK = "#"  # "station.txt#12": the twelfth sounding of a file
 
 
-class Level(NamedTuple):
+class SoundingLevel(NamedTuple):
     """A row of a sounding; nan: missing. `speed` and `direction`, or `north` and `east`, m/s and deg."""
 
     line: int
@@ -90,7 +90,7 @@ def quantity(name: str, shown: str = "") -> tuple[str, float] | None:
 
 
 class Sounding(NamedTuple):
-    levels: list[Level]
+    levels: list[SoundingLevel]
     date: str  # as `CsvTable.date`
 
 
@@ -113,7 +113,7 @@ def date_of(text: str) -> str:
 
 def _igra(lines: Sequence[str]) -> Iterator[Sounding]:
     """Fixed columns of IGRA's version 2: pressure Pa, geopotential height m, direction deg, speed 0.1 m/s."""
-    levels, date = list[Level](), ""
+    levels, date = list[SoundingLevel](), ""
     for number, line in enumerate(lines, start=1):
         if line.startswith("#"):
             if levels:
@@ -122,14 +122,14 @@ def _igra(lines: Sequence[str]) -> Iterator[Sounding]:
             levels, date = [], f"{head[1]}-{head[2]}-{head[3]}" + f"T{head[4]}" * (head[4] != "99") if head else ""
         elif line.strip():
             pressure, height, direction, speed = (_value(line[a:b]) for a, b in ((9, 15), (16, 21), (40, 45), (46, 51)))
-            levels.append(Level(number, height, math.nan, 0.01 * pressure, direction, 0.1 * speed))
+            levels.append(SoundingLevel(number, height, math.nan, 0.01 * pressure, direction, 0.1 * speed))
     if levels:
         yield Sounding(levels, date)
 
 
 def _wyoming(lines: Sequence[str]) -> Iterator[Sounding]:
     """Cells end where the words of the head end: an empty one is missing."""
-    levels, date, coming = list[Level](), "", ""
+    levels, date, coming = list[SoundingLevel](), "", ""
     cells: list[tuple[str, float, int, int]] = []
     for number, line in enumerate(re.sub(r"<[^>]*>", "", line).rstrip() for line in lines):
         observed = _OBSERVED.search(line)
@@ -149,7 +149,7 @@ def _wyoming(lines: Sequence[str]) -> Iterator[Sounding]:
         elif cells and line.strip():
             found = {what: factor * _value(line[start:end]) for what, factor, start, end in cells}
             if re.fullmatch(r"[-\d. ]+", line) and not all(map(math.isnan, found.values())):
-                levels.append(Level(number + 1, **found))
+                levels.append(SoundingLevel(number + 1, **found))
             elif levels:  # the table has ended: indices of the station follow
                 cells = []
     if levels:
@@ -180,7 +180,7 @@ def _csv(lines: Sequence[str], native: frozenset[str], shown: str) -> list[Sound
             problem = f"has {len(cells)} columns, the first line has {len(found)}"
             raise refuse(problem, f"{len(found)} cells", file=shown, place=f"line {number}")
         values = {known[0]: known[1] * _value(cell) for known, cell in zip(found, cells, strict=True) if known}
-        levels.append(Level(number, **values))
+        levels.append(SoundingLevel(number, **values))
     first = re.search(DATE, ",".join(rows[1][1])) if len(rows) > 1 else None
     return [Sounding(levels, date_of("\n".join(lines)) or (first[0].replace(" ", "T") if first else ""))]
 
@@ -194,9 +194,9 @@ def _value(cell: str) -> float:
     return math.nan if value <= -999.0 or value == 99999.0 else value
 
 
-def wind_table(levels: Iterable[Level], name: str, shown: str, date: str = "") -> CsvTable:
+def wind_table(levels: Iterable[SoundingLevel], name: str, shown: str, date: str = "") -> CsvTable:
     """The wind profile of a sounding. Raises PydanticCustomError where no level has height and wind."""
-    rows = np.array(list(levels), dtype=float).reshape(-1, len(Level._fields))
+    rows = np.array(list(levels), dtype=float).reshape(-1, len(SoundingLevel._fields))
     line, geopotential, altitude, pressure, direction, speed, north, east = rows.T
     altitude = np.where(np.isnan(altitude), _geometric(geopotential), altitude)
     altitude = np.where(np.isnan(altitude), _from_pressure(altitude, pressure), altitude)

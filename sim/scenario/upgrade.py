@@ -12,9 +12,9 @@ from typing import Any, get_args
 
 import tomli_w
 
-from maxq.sim.scenario.documents import Source, parse
+from maxq.sim.input.documents import Source, parse
+from maxq.sim.input.values import Section
 from maxq.sim.scenario.messages import OBSOLETE, section_of
-from maxq.sim.scenario.schema_values import Section
 
 VERSION = "schema_version"
 

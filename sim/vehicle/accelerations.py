@@ -12,12 +12,11 @@ from maxq.control.kernel import vectors as vec
 from maxq.control.kernel.jit import bare_pointer, formula, kernel, record_at
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import schedule as sch
-from maxq.sim.vehicle import slosh
-from maxq.sim.vehicle.bending import Modes, PlanarMotion, add_to_modes, modal_accelerations, modal_sum, of_plane
 from maxq.sim.vehicle.block import Counts
-from maxq.sim.vehicle.engine_modes import add_roll_to_modes, roll_moment_of_modes
-from maxq.sim.vehicle.rigid import Balance
-from maxq.sim.vehicle.spatial_modes import (
+from maxq.sim.vehicle.body.kernel import Balance
+from maxq.sim.vehicle.engine.modes import add_roll_to_modes, roll_moment_of_modes
+from maxq.sim.vehicle.modes.planar import Modes, PlanarMotion, add_to_modes, modal_accelerations, modal_sum, of_plane
+from maxq.sim.vehicle.modes.spatial import (
     add_tension_to_spatial,
     apply_spatial_load,
     free_spatial_accelerations,
@@ -25,7 +24,8 @@ from maxq.sim.vehicle.spatial_modes import (
     spatial_compliance,
     spatial_motion,
 )
-from maxq.sim.vehicle.tvc_load import MAX_UNKNOWNS, System, add_load_to_modes, load_responses, moment_about_hinge
+from maxq.sim.vehicle.slosh import kernel as slosh
+from maxq.sim.vehicle.tvc_load.kernel import MAX_UNKNOWNS, System, add_load_to_modes, load_responses, moment_about_hinge
 from maxq.sim.vehicle.workspace import Work
 
 

@@ -24,13 +24,35 @@ from maxq.control.kernel.vectors import (
     set_vector,
     vector_at,
 )
-from maxq.sim.vehicle import rigid
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.accelerations import accelerate
-from maxq.sim.vehicle.actuator import Actuator, actuator_motion, actuator_rates
-from maxq.sim.vehicle.aero import Aero, air_acts, body_loads, coefficients, moment_reference, surface_loads, table_loads
-from maxq.sim.vehicle.bending import (
+from maxq.sim.vehicle.actuator.kernel import Actuator, actuator_motion, actuator_rates
+from maxq.sim.vehicle.air.kernel import (
+    Aero,
+    air_acts,
+    body_loads,
+    coefficients,
+    moment_reference,
+    surface_loads,
+    table_loads,
+)
+from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, are_usual, counts, rigid_counts, usual_counts
+from maxq.sim.vehicle.body import kernel as rigid
+from maxq.sim.vehicle.engine.kernel import (
+    Deflected,
+    Engine,
+    deflected_at,
+    deflected_engine,
+    engine_axis_motion,
+    put_deflected,
+    set_motion,
+    thrust,
+)
+from maxq.sim.vehicle.engine.modes import Rates, engine_velocity, gimbal_rates, modal_roll_response
+from maxq.sim.vehicle.environment import AirData, Environment, air_data, pad_acceleration, winds_along_body
+from maxq.sim.vehicle.faults import N_FAULT_SLOTS
+from maxq.sim.vehicle.modes.planar import (
     Bending,
     Modes,
     apply_gimbal_load,
@@ -41,24 +63,7 @@ from maxq.sim.vehicle.bending import (
     modal_derivative,
     modal_state,
 )
-from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, are_usual, counts, rigid_counts, usual_counts
-from maxq.sim.vehicle.engine import (
-    Deflected,
-    Engine,
-    deflected_at,
-    deflected_engine,
-    engine_axis_motion,
-    put_deflected,
-    set_motion,
-    thrust,
-)
-from maxq.sim.vehicle.engine_modes import Rates, engine_velocity, gimbal_rates, modal_roll_response
-from maxq.sim.vehicle.environment import AirData, Environment, air_data, pad_acceleration, winds_along_body
-from maxq.sim.vehicle.faults import N_FAULT_SLOTS
-from maxq.sim.vehicle.gyro import Gyro, gyro_derivative, sensed_rate
-from maxq.sim.vehicle.sensors import Sensor, sense
-from maxq.sim.vehicle.slosh import Slosh, exchange_loads, pendulum_derivative, pendulum_loads
-from maxq.sim.vehicle.spatial_modes import (
+from maxq.sim.vehicle.modes.spatial import (
     Load,
     SpatialModes,
     apply_spatial_load,
@@ -71,13 +76,16 @@ from maxq.sim.vehicle.spatial_modes import (
     spatial_state,
     sum_of_loads,
 )
-from maxq.sim.vehicle.tvc_load import TvcLoad, load_derivative, prepare_loads, swing_engines
+from maxq.sim.vehicle.sensor.further import Sensor, sense
+from maxq.sim.vehicle.sensor.gyro import Gyro, gyro_derivative, sensed_rate
+from maxq.sim.vehicle.slosh.kernel import Slosh, exchange_loads, pendulum_derivative, pendulum_loads
+from maxq.sim.vehicle.tvc_load.kernel import TvcLoad, load_derivative, prepare_loads, swing_engines
 from maxq.sim.vehicle.workspace import Aux, Evaluation, Work
 from maxq.sim.world.earth import gravity_gradient_torque
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class StageRecord:
     """One stage as the kernel sees it."""
 
     sizes: Sizes
@@ -128,7 +136,7 @@ class StageInputs:
 
 
 @kernel
-def derive_properties(vehicle: Vehicle, pool: Array, clock_s: float, properties: Array) -> None:
+def derive_properties(vehicle: StageRecord, pool: Array, clock_s: float, properties: Array) -> None:
     """Compute the derived properties, behind the columns of the schedule, once for all derivatives at an instant."""
     sizes = counts(vehicle.sizes)
     if not are_usual(sizes):
@@ -140,12 +148,12 @@ def derive_properties(vehicle: Vehicle, pool: Array, clock_s: float, properties:
 
 
 @rare_routine
-def _derive_unusual_properties(vehicle: Vehicle, pool: Array, clock_s: float, properties: Array) -> None:
+def _derive_unusual_properties(vehicle: StageRecord, pool: Array, clock_s: float, properties: Array) -> None:
     _derive_properties(vehicle, counts(vehicle.sizes), pool, clock_s, properties)
 
 
 @kernel
-def _derive_properties(vehicle: Vehicle, sizes: Counts, pool: Array, clock_s: float, properties: Array) -> None:
+def _derive_properties(vehicle: StageRecord, sizes: Counts, pool: Array, clock_s: float, properties: Array) -> None:
     bending = vehicle.bending
     sch.complete_modes(sizes, sch.PITCH, sizes.pitch_modes, bending.zeta_pitch, bending.frequency_factor, properties)
     sch.complete_modes(sizes, sch.YAW, sizes.yaw_modes, bending.zeta_yaw, bending.frequency_factor, properties)
@@ -164,7 +172,7 @@ def _derive_properties(vehicle: Vehicle, sizes: Counts, pool: Array, clock_s: fl
 
 @routine_beside
 def derivative(
-    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
+    vehicle: StageRecord, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
     work: Work,
 ) -> None:  # fmt: skip  # nine lines otherwise
     """Derivative of `at.y` into `at.dy`, auxiliary outputs into `at.aux`, with the properties of this instant."""
@@ -179,7 +187,7 @@ def derivative(
 
 @rare_routine
 def _unusual_derivative(
-    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
+    vehicle: StageRecord, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
     work: Work,
 ) -> None:  # fmt: skip  # nine lines otherwise
     _derivative(vehicle, counts(vehicle.sizes), environment, pool, held, inputs, at, work)
@@ -187,7 +195,7 @@ def _unusual_derivative(
 
 @rare_routine
 def _rigid_derivative(
-    vehicle: Vehicle, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
+    vehicle: StageRecord, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
     work: Work,
 ) -> None:  # fmt: skip  # nine lines otherwise
     _derivative(vehicle, rigid_counts(counts(vehicle.sizes)), environment, pool, held, inputs, at, work)
@@ -195,7 +203,7 @@ def _rigid_derivative(
 
 @kernel
 def _derivative(
-    vehicle: Vehicle, sizes: Counts, environment: Environment, pool: Array, held: Held, inputs: StageInputs,
+    vehicle: StageRecord, sizes: Counts, environment: Environment, pool: Array, held: Held, inputs: StageInputs,
     at: Evaluation, work: Work,
 ) -> None:  # fmt: skip  # ten lines otherwise
     (properties, y, dy, aux), modes = at, work.modes
@@ -333,7 +341,7 @@ def _derivative(
 
 @kernel
 def engine_motion(
-    vehicle: Vehicle, sizes: Counts, held: Held, properties: Array, y: Array, work: Work, aux: Aux
+    vehicle: StageRecord, sizes: Counts, held: Held, properties: Array, y: Array, work: Work, aux: Aux
 ) -> tuple[Deflected, rigid.Balance]:
     """The first engine, deflected by its actuators, further ones into `work`; CG and inertia with all of them.
 
@@ -374,7 +382,7 @@ def further_motion(e: Engine, of: Sizes, properties: Array, work: Work, aux: Aux
 
 @kernel
 def aerodynamics(
-    vehicle: Vehicle, sizes: Counts, environment: Environment, pool: Array, held: Held,
+    vehicle: StageRecord, sizes: Counts, environment: Environment, pool: Array, held: Held,
     rotation: Matrix, rate: Vector, properties: Array, y: Array, work: Work, air: AirData,
 ) -> tuple[Vector, Vector]:  # fmt: skip  # nine more lines otherwise
     """Force and moment about the core CG in B; adds to the generalised forces of the modes in `work`."""
@@ -407,7 +415,7 @@ def aerodynamics(
 
 @kernel
 def thrust_loads(
-    vehicle: Vehicle, sizes: Counts, engine: Deflected, properties: Array, work: Work, aux: Aux
+    vehicle: StageRecord, sizes: Counts, engine: Deflected, properties: Array, work: Work, aux: Aux
 ) -> tuple[Vector, Vector, Load]:
     """Thrust along the deflected engines on the bent body: force, moment about the core CG, load on the modes.
 

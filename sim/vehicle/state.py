@@ -19,8 +19,7 @@ import math
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Vector
-from maxq.sim.vehicle.actuator import ACTUATORS, FURTHER_ACTUATORS
-from maxq.sim.vehicle.bending import ETA_STATES, NU_PITCH_STATES, NU_YAW_STATES, XI_STATES
+from maxq.sim.vehicle.actuator.kernel import ACTUATORS, FURTHER_ACTUATORS
 from maxq.sim.vehicle.block import (
     ANGULAR_VELOCITY,
     ATTITUDE,
@@ -36,11 +35,12 @@ from maxq.sim.vehicle.block import (
     StateBlock,
     counts,
 )
-from maxq.sim.vehicle.gyro import GYRO_ANGLES, GYROS, gyro_start
-from maxq.sim.vehicle.sensors import SENSORS
-from maxq.sim.vehicle.slosh import N_PENDULUM, PENDULUMS, pendulum_start, restore_pendulum
-from maxq.sim.vehicle.spatial_modes import NU_SPATIAL_STATES, SPATIAL_STATES
-from maxq.sim.vehicle.tvc_load import TVC_LOADS
+from maxq.sim.vehicle.modes.planar import ETA_STATES, NU_PITCH_STATES, NU_YAW_STATES, XI_STATES
+from maxq.sim.vehicle.modes.spatial import NU_SPATIAL_STATES, SPATIAL_STATES
+from maxq.sim.vehicle.sensor.further import SENSORS
+from maxq.sim.vehicle.sensor.gyro import GYRO_ANGLES, GYROS, gyro_start
+from maxq.sim.vehicle.slosh.kernel import N_PENDULUM, PENDULUMS, pendulum_start, restore_pendulum
+from maxq.sim.vehicle.tvc_load.kernel import TVC_LOADS
 
 BLOCKS = (
     POSITION, VELOCITY, ATTITUDE, ANGULAR_VELOCITY, ACTUATORS, GYROS, GYRO_ANGLES,

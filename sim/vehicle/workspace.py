@@ -10,12 +10,12 @@ from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS
 from maxq.control.kernel.records import Array
-from maxq.sim.vehicle.aero import AeroWork
-from maxq.sim.vehicle.bending import GimbalBending, Modes
-from maxq.sim.vehicle.engine import EngineOutputs, KeptEngine
+from maxq.sim.vehicle.air.kernel import AeroWork
+from maxq.sim.vehicle.engine.kernel import EngineOutputs, KeptEngine
 from maxq.sim.vehicle.environment import AirData, Anchor
-from maxq.sim.vehicle.slosh import TankWork
-from maxq.sim.vehicle.tvc_load import System, TvcLoadOutputs
+from maxq.sim.vehicle.modes.planar import GimbalBending, Modes
+from maxq.sim.vehicle.slosh.kernel import TankWork
+from maxq.sim.vehicle.tvc_load.kernel import System, TvcLoadOutputs
 
 # columns of the widest schedule (12 modes a plane, 12 spatial modes, 8 tanks, 9 surfaces, 9 engines and 5 sensors at as
 # many stations: 4324) and derived properties (439)

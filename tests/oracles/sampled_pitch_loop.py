@@ -21,7 +21,7 @@ from scipy.linalg import expm
 from scipy.signal import bilinear, tf2ss
 
 from maxq.control.kernel.records import Array
-from maxq.sim.scenario.files import scenarios_folder
+from maxq.sim.input.files import scenarios_folder
 
 VEHICLE_FOLDER = scenarios_folder() / "vehicles" / "ksr3"
 NODES_S = tuple(float(t) for t in range(5, 56, 5))

@@ -78,7 +78,7 @@ def run(command: str, body: Callable[[], int], interrupted: str = "interrupted",
 
 def show_list(kinds: dict[str, str]) -> int:
     """Print name and description of the built-in files of each kind (of builtin.FOLDERS), below its title: --list."""
-    from maxq.sim.scenario.files import builtin_files  # noqa: PLC0415  # lazy: --help is quick
+    from maxq.sim.input.files import builtin_files  # noqa: PLC0415  # lazy: --help is quick
 
     for kind, title in kinds.items():
         files = sorted(builtin_files(kind).items(), key=lambda item: (item[0] not in FIRST, "/" in item[0], item[0]))
@@ -206,8 +206,8 @@ def _explanation(error: Exception, memory: str) -> str:
         return f"a package is missing or broken: {error}; install maxq again (pip install maxq)"
     from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy, as the next: needed by an error only
     from maxq.sim.files import FileError  # noqa: PLC0415  # lazy
+    from maxq.sim.input.errors import ScenarioError  # noqa: PLC0415  # lazy
     from maxq.sim.log.head import LogError  # noqa: PLC0415  # lazy
-    from maxq.sim.scenario.errors import ScenarioError  # noqa: PLC0415  # lazy
 
     if isinstance(error, CommandError | ScenarioError | CampaignError | LogError | FileError):
         return str(error)

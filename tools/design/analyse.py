@@ -31,7 +31,7 @@ from maxq.design.paper.nodes import PaperNode
 from maxq.design.verify.dispersed_limits import WorstOfBasis, worst_of_basis
 from maxq.design.verify.judging import (
     Check,
-    Judged,
+    JudgedLoop,
     Wanted,
     flies_as_measured,
     judge,
@@ -43,9 +43,9 @@ from maxq.design.verify.judging import (
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.uncovered import Uncovered, uncovered
 from maxq.sim.files import check_writable, write_whole
-from maxq.sim.scenario.documents import Source, Text
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.files import Reading, builtin_files, find, scenarios_folder
+from maxq.sim.input.documents import Source, Text
+from maxq.sim.input.errors import ScenarioError
+from maxq.sim.input.files import Reading, builtin_files, find, scenarios_folder
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit
@@ -151,7 +151,7 @@ def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenari
 
 def dispersed_checks(
     scenario: LoadedScenario,
-    judged: Sequence[Judged],
+    judged: Sequence[JudgedLoop],
     points_s: Sequence[float],
     design: Design,
     basis: Basis,

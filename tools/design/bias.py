@@ -25,12 +25,12 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design import operating_points
 from maxq.sim.files import check_writable, write_whole
+from maxq.sim.input.errors import ScenarioError
+from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.sim.scenario.schema_environment import Wind
-from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.scenario.schema_environment import WindSection
 from maxq.tools.cli.frame import Exit
 from maxq.tools.cli.terminal import aligned, tell
 
@@ -109,7 +109,7 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
     """
     scenario, programme = loaded.scenario, loaded.scenario.guidance.programme
     wind = scenario.wind.model_copy(update={"gust": (), "turbulence": None})
-    if wind == Wind() or (wind.profile is None and not wind.speed_mps):
+    if wind == WindSection() or (wind.profile is None and not wind.speed_mps):
         raise ScenarioError(loaded.label, "there is no wind to bias for", "wind", allowed="a profile, or --wind FILE")
     if programme is None:
         raise ScenarioError(loaded.label, "there is no programme to bias", "guidance.programme", allowed="a table")
@@ -124,7 +124,7 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
             allowed="a programme that commands no roll",
         )  # fmt: skip  # two more lines otherwise
 
-    def flown(air: Wind, table: CsvTable, end_s: float) -> Flight:
+    def flown(air: WindSection, table: CsvTable, end_s: float) -> Flight:
         guidance = scenario.guidance.model_copy(update={"programme": table})
         run = scenario.run.model_copy(update={"duration_s": min(scenario.run.duration_s, end_s)})
         changed = scenario.model_copy(
@@ -132,7 +132,7 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
         )
         return fly(LoadedScenario(changed, loaded.label, ()))
 
-    calm = flown(Wind(), programme, math.inf)
+    calm = flown(WindSection(), programme, math.inf)
     pressure, at = calm["dynamic_pressure_Pa"], calm.time_s("dynamic_pressure_Pa")
     powered = at <= max((e.time_s for e in calm.events if e.name == "burnout"), default=calm.end_s)
     pressure, at = pressure[powered], at[powered]
@@ -161,7 +161,7 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
 
 def _path(loaded: LoadedScenario, calm: Flight, time_s: Array) -> Array:
     """Over time: speed (m/s), and of the linear model axial load (m/s2) and lateral force per mass and speed (1/s)."""
-    air = loaded.scenario.model_copy(update={"wind": Wind(), "fault": (), "requirement": ()})
+    air = loaded.scenario.model_copy(update={"wind": WindSection(), "fault": (), "requirement": ()})
     nodes = operating_points.nodes(LoadedScenario(air, loaded.label, ()))
     at = [node.time_s for node in nodes]
     w = [node.plant.states.index("w_mps") for node in nodes]

@@ -12,7 +12,7 @@ from maxq.design.case.schema import read_case
 from maxq.design.laws.design_file import design_path, design_text, load_design
 from maxq.design.model.instruments import Plane
 from maxq.design.optimise.solution import Solution
-from maxq.design.verify.judging import Judged, Outcome, Wanted, judge, objective_text
+from maxq.design.verify.judging import DesignOutcome, JudgedLoop, Wanted, judge, objective_text
 from maxq.design.verify.own_flight import design_case
 from maxq.sim.files import write_whole
 from maxq.sim.log.tabular import html_table
@@ -28,7 +28,7 @@ class Designed:
     own flight; of several stages these are of the first.
     """
 
-    outcome: Outcome
+    outcome: DesignOutcome
     solution: Solution
     meets_limits: bool  # all of the case, of all stages, and the flight of the design is not lost
 
@@ -69,12 +69,12 @@ def loop_figure(design: str, time_s: float, scenario: str | Path, plane: Plane) 
     """Draw the Bode, Nichols and Nyquist plots of a design's sampled loop at a vehicle time of a scenario's flight."""
     flown = load_scenario(scenario)
     found = load_design(design_path(design), flown)
-    judged: Sequence[Judged] = judge(operating_points.nodes(flown, [time_s], plane=plane), found)
+    judged: Sequence[JudgedLoop] = judge(operating_points.nodes(flown, [time_s], plane=plane), found)
     title = f"{flown.vehicle.name}: {found.name or design}"
     return _drawn(judged[0], title, Wanted.stated_by(found))
 
 
-def _drawn(judged: Judged, name: str, wanted: Wanted) -> Figure:
+def _drawn(judged: JudgedLoop, name: str, wanted: Wanted) -> Figure:
     from maxq.tools.design.pictures import loop_picture  # noqa: PLC0415  # lazy: Matplotlib
     from maxq.tools.plots.style import drawing  # noqa: PLC0415  # lazy
 

@@ -28,10 +28,10 @@ from maxq.design.model.state_space import StateSpace
 from maxq.design.verify.memory import content_hash
 from maxq.sim.files import FileError, cannot_write, check_writable, whole_file, write_whole
 from maxq.sim.flight.channels import unit_suffix
+from maxq.sim.input.errors import ScenarioError
 from maxq.sim.log.head import maxq_version
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.fly import FlightRun
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import Injection
 from maxq.tools.cli.frame import Exit

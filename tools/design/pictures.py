@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from maxq.control.filters import BendingFilter, DiscreteFilter
 from maxq.control.kernel.records import Array
 from maxq.design.model.node import Node
-from maxq.design.verify.judging import Judged, Wanted
+from maxq.design.verify.judging import JudgedLoop, Wanted
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.design.pictures_loop import draw_loop, picture_of
@@ -185,7 +185,7 @@ def peaks_over_order(series: Mapping[str, Mapping[str, float]]) -> Figure:
     return figure
 
 
-def margins_over_time(judged: Sequence[Judged], wanted: Wanted, title: str = "") -> Figure:
+def margins_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "") -> Figure:
     """Gain margins up and down, phase and delay margin and the least |1 + L|; limits dotted.
 
     An unstable loop has no margin: a cross at the bottom.
@@ -220,7 +220,7 @@ def margins_over_time(judged: Sequence[Judged], wanted: Wanted, title: str = "")
     return figure
 
 
-def lobes_over_time(judged: Sequence[Judged], wanted: Wanted, title: str = "") -> Figure:
+def lobes_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "") -> Figure:
     """Peak of every lobe; filled marks are phase-stabilised, hollow ones gain-stabilised."""
     labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
     figure, (place,) = sheet(1, 1, height_in=3.2, title=title)
@@ -264,7 +264,7 @@ def draw_all(
     return files
 
 
-def judged_sheets(judged: Sequence[Judged], title: str, wanted: Wanted) -> list[Sheet]:
+def judged_sheets(judged: Sequence[JudgedLoop], title: str, wanted: Wanted) -> list[Sheet]:
     """Margins and lobes over time; Bode, Nichols and Nyquist plots at every node."""
     over_time: list[Sheet] = [
         ("margins", lambda: margins_over_time(judged, wanted, f"Margins: {title}, {judged[0].node.plane}")),
@@ -276,7 +276,7 @@ def judged_sheets(judged: Sequence[Judged], title: str, wanted: Wanted) -> list[
     ]
 
 
-def loop_picture(judged: Judged, title: str, wanted: Wanted) -> Figure:
+def loop_picture(judged: JudgedLoop, title: str, wanted: Wanted) -> Figure:
     """Bode, Nichols and Nyquist plot of one node, its zones those that are wanted, else those measured."""
     zones = (wanted.zone,) if wanted.zone is not None else tuple(c.zone for c in judged.margins.clearances)
     return draw_loop(picture_of(judged, f"{title}, {judged.node.plane}, {judged.time_s:g} s", zones))

@@ -16,7 +16,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.certificate.response import decibels
 from maxq.design.margins.distances import Zone
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.verify.judging import Judged
+from maxq.design.verify.judging import JudgedLoop
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, ON_LIGHT, PALE, RED
 from maxq.tools.plots.style import label, name_point, plain_numbers, sheet
 
@@ -45,7 +45,7 @@ class LoopPicture:
     zones: Sequence[Zone] = ()
 
 
-def picture_of(judged: Judged, title: str, zones: Sequence[Zone] = ()) -> LoopPicture:
+def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> LoopPicture:
     """The loop at a node: its lobes, and where it crosses 0 dB and the negative real axis."""
     margins, curve = judged.margins, judged.margins.curve
     f, loop = smooth(judged.loop.response, curve.frequency_hz, curve.loop)

@@ -13,17 +13,17 @@ from typing import Any, Literal
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.loop.fixed_path import Kind
+from maxq.design.loop.fixed_path import LoopKind
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.model.instruments import Plane
 from maxq.design.model.powered import loss_text
-from maxq.design.operating_points import Plant
+from maxq.design.operating_points import PlantKind
 from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import RigidBody
 from maxq.design.verify.dispersed_limits import WorstOfBasis
-from maxq.design.verify.judging import Check, Judged, Outcome
+from maxq.design.verify.judging import Check, DesignOutcome, JudgedLoop
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.own_flight import CaseDesign
 from maxq.design.verify.uncovered import Uncovered
@@ -54,10 +54,10 @@ class AnalysisOrder:
     vehicle: str | None = None
     times_s: tuple[float, ...] = ()
     every_s: float = 5.0
-    kind: Kind = "sampled"
+    kind: LoopKind = "sampled"
     axis: Plane = "pitch"
     errata: str = "corrected"
-    plant: Plant = "flown"
+    plant: PlantKind = "flown"
     faults: bool = False
     given: tuple[str, ...] = ()  # options that differ from the design's basis by the user's wish
     out: str | None = None
@@ -72,7 +72,7 @@ class Group:
     """
 
     stage: str
-    judged: Sequence[Judged]
+    judged: Sequence[JudgedLoop]
     found: Sequence[Check]
     together: Sequence[MultiloopMargins]
     coupled: Sequence[Check]
@@ -131,7 +131,7 @@ def analysis_verdict(groups: Sequence[Group], loss: Event | None = None) -> str:
     return f"PASSED: stable{f', all {asked} limits met' if asked else '; the design states no limits'}"
 
 
-def case_report(outcome: Outcome, solution: Solution) -> str:
+def case_report(outcome: DesignOutcome, solution: Solution) -> str:
     """Of `simdesign CASE`."""
     loaded, case = outcome.loaded, outcome.loaded.case
     design = outcome.design.of_stage(outcome.judged[0].node.stage)
@@ -207,7 +207,7 @@ def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
     return [title, *aligned(rows, "  ", right=(3, 4))]
 
 
-def nodes_table(checks: Sequence[Check], judged: Sequence[Judged]) -> list[str]:
+def nodes_table(checks: Sequence[Check], judged: Sequence[JudgedLoop]) -> list[str]:
     """A row a node, a column a limit; what misses its limit is marked with !, and the row says so."""
     shown = [check for check in checks if math.isfinite(check.time_s[0]) and check.key != "unstable_poles"]
     stable = next((check for check in checks if check.key == "unstable_poles"), None)
@@ -230,7 +230,7 @@ def _bound(check: Check) -> str:
     return f"{check.sense} {'..'.join(ends)} "
 
 
-def margins_table(judged: Sequence[Judged]) -> list[str]:
+def margins_table(judged: Sequence[JudgedLoop]) -> list[str]:
     """A row a node: margins up and down, by class, and the distances to -1; with adaptation also at the limits of the
     total gain."""
     out = _margins_rows("margins over all crossings", [(j.time_s, j.margins) for j in judged])
@@ -279,7 +279,7 @@ def multiloop_table(together: Sequence[MultiloopMargins]) -> list[str]:
     return [*head, *aligned(rows, "  ", right=(0, *range(2, len(rows[0]))))]
 
 
-def lobes_table(judged: Sequence[Judged]) -> list[str]:
+def lobes_table(judged: Sequence[JudgedLoop]) -> list[str]:
     """A row a node, a column a lobe: its peak, and G for gain-stabilised, or P and the phase to instability."""
     labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
     if not labels:
@@ -292,7 +292,7 @@ def lobes_table(judged: Sequence[Judged]) -> list[str]:
     return [head, *aligned(rows, "  ", right=tuple(range(1 + len(labels))))]
 
 
-def budget_table(judged: Sequence[Judged], crossing: str, column: Literal["gain_db", "phase_deg"]) -> list[str]:
+def budget_table(judged: Sequence[JudgedLoop], crossing: str, column: Literal["gain_db", "phase_deg"]) -> list[str]:
     """A row a node: what each part adds to gain or phase at the crossing that sets a margin, and the margin left."""
     have = [j for j in judged if crossing in j.budgets]
     if not have:
@@ -346,7 +346,7 @@ def search_table(solution: Solution) -> list[str]:
     return ["search", *aligned(rows, "  ")]
 
 
-def wind_table(outcome: Outcome) -> list[str]:
+def wind_table(outcome: DesignOutcome) -> list[str]:
     """Worst root mean squares in the case's wind, beside those of the design that the scenario has by itself."""
     if not outcome.in_wind:
         return []
@@ -399,7 +399,7 @@ def margins_record(m: Margins) -> dict[str, Any]:
 _RIGID_BODIES: dict[str, RigidBody] = {"without_m_alpha": "paper", "with_m_alpha": "aerodynamic"}
 
 
-def node_record(judged: Judged) -> dict[str, Any]:
+def node_record(judged: JudgedLoop) -> dict[str, Any]:
     """One node."""
     m = judged.margins
     record = {"time_s": judged.time_s, **judged.loop.law.gains, **margins_record(m)}
@@ -453,7 +453,7 @@ def analysis_record(
     }
 
 
-def case_record(outcome: Outcome, solution: Solution) -> dict[str, Any]:
+def case_record(outcome: DesignOutcome, solution: Solution) -> dict[str, Any]:
     """Of `simdesign CASE`."""
     case, c = outcome.loaded.case, solution.certificate
     return {

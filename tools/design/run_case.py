@@ -29,16 +29,16 @@ from maxq.design.laws.schedule import UnsolvableError
 from maxq.design.model.node import Node
 from maxq.design.model.powered import loss_text
 from maxq.design.optimise.plants import Plants
-from maxq.design.optimise.search import Progress as Watch
+from maxq.design.optimise.search import SearchProgress as Watch
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, solve
 from maxq.design.optimise.way_out import tried
-from maxq.design.verify.judging import Outcome, make_design, objective_text
+from maxq.design.verify.judging import DesignOutcome, make_design, objective_text
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.own_flight import CaseDesign, design_case
 from maxq.sim.files import check_writable, plain_name, write_whole
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.files import builtin_files
+from maxq.sim.input.errors import ScenarioError
+from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit, Interruption
 from maxq.tools.cli.terminal import Progress, aligned, tell
@@ -57,7 +57,7 @@ class Made:
     code: Exit
     folder: Path
     found: CaseDesign
-    orders: Sequence[Found]
+    orders: Sequence[FoundDesigns]
 
 
 def make(
@@ -107,7 +107,7 @@ def make(
             raise ScenarioError(loaded.label, said, "stage") from None
         except (UnsolvableError, ValueError) as error:
             raise ScenarioError(loaded.label, str(error)) from None
-        solved, interrupted = list[Found](), made.interrupted
+        solved, interrupted = list[FoundDesigns](), made.interrupted
         if trials and not interrupted:
             made, interrupted = _with_trials(made, progress, stop)
         try:
@@ -159,7 +159,7 @@ def _with_trials(made: CaseDesign, progress: Progress, stop: Interruption) -> tu
     return replace(made, results=tuple(results)), cut
 
 
-def _number(outcome: Outcome) -> int:
+def _number(outcome: DesignOutcome) -> int:
     """Of the stage, from 0."""
     return outcome.judged[0].node.stage
 
@@ -188,7 +188,7 @@ def _verdict(made: CaseDesign, folder: Path) -> str:
     return f"INFEASIBLE: {'; '.join(said)}"
 
 
-def _write(folder: Path, made: CaseDesign, orders: Sequence[Found]) -> list[Path]:
+def _write(folder: Path, made: CaseDesign, orders: Sequence[FoundDesigns]) -> list[Path]:
     results = made.results
     records = [case_record(outcome, solution) for outcome, solution in results]
     for record, found in zip(records, orders, strict=False):
@@ -213,7 +213,7 @@ def _write(folder: Path, made: CaseDesign, orders: Sequence[Found]) -> list[Path
 
 
 def _draw(
-    folder: Path, outcome: Outcome, orders: Found | None, progress: Progress, stop: Callable[[], bool]
+    folder: Path, outcome: DesignOutcome, orders: FoundDesigns | None, progress: Progress, stop: Callable[[], bool]
 ) -> list[Path]:
     from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
 
@@ -252,7 +252,7 @@ def _along(loaded: LoadedCase, nodes: Sequence[Node]) -> list[Node]:
 
 STRUCTURES = tuple(name for name, sections in KNOWN.items() if sum(sections))
 SCHEDULES = {"two-phase": "two-phase", "linear": "Subcase 1", "free": "Subcase 2"}
-Found = Mapping[tuple[str, str], tuple[LoadedCase, Solution]]
+FoundDesigns = Mapping[tuple[str, str], tuple[LoadedCase, Solution]]
 """By structure and schedule."""
 
 
@@ -270,7 +270,7 @@ def order_cases(stage: LoadedCase) -> dict[tuple[str, str], LoadedCase]:
 
 def solve_orders(
     cases: Mapping[tuple[str, str], LoadedCase], plants: Plants, watch: Callable[[int, int], None]
-) -> Found:
+) -> FoundDesigns:
     """Fifteen problems, on all cores; each starts from the solutions it contains, too, so that more freedom is never
     worse.
     """
@@ -316,7 +316,7 @@ def _before(names: Sequence[str], name: str) -> str:
     return ("", *names)[names.index(name)]
 
 
-def order_designs(orders: Sequence[Found]) -> Iterator[tuple[str, str, Design, list[Solution]]]:
+def order_designs(orders: Sequence[FoundDesigns]) -> Iterator[tuple[str, str, Design, list[Solution]]]:
     """Structure, schedule, design and the solution of each stage, where every stage meets its limits with them."""
     for structure, schedule in orders[0] if orders else ():
         solutions = [found[structure, schedule][1] for found in orders]
@@ -324,7 +324,7 @@ def order_designs(orders: Sequence[Found]) -> Iterator[tuple[str, str, Design, l
             yield structure, schedule, make_design(orders[0][structure, schedule][0], *solutions), solutions
 
 
-def orders_table(found: Found) -> list[str]:
+def orders_table(found: FoundDesigns) -> list[str]:
     """The objective of each, in dB."""
     rows = [("filter", *SCHEDULES.values(), "gained", "further")]
     for structure in STRUCTURES:
@@ -334,7 +334,7 @@ def orders_table(found: Found) -> list[str]:
     return ["over the filter's order, dB", *aligned(rows, "  ", right=(1, 2, 3, 4, 5))]
 
 
-def orders_record(found: Found) -> list[dict[str, object]]:
+def orders_record(found: FoundDesigns) -> list[dict[str, object]]:
     """For design.json."""
     return [
         {"structure": structure, "schedule": schedule, "status": s.status, "objective_db": s.objective_db,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from maxq.design.optimise.solution import Bound, Constraint, Solution
+from maxq.design.optimise.solution import ActiveBound, Constraint, Solution
 from maxq.design.optimise.way_out import UNSETTLED, conflict
 from maxq.tools.cli.terminal import aligned
 
@@ -67,7 +67,7 @@ def _trials(solution: Solution, settings: bool = False) -> list[str]:
     return [t.text + (f"; {' '.join(t.settings)}" if settings else "") for t in solution.trials]
 
 
-def _dearest(solution: Solution) -> list[Bound]:
+def _dearest(solution: Solution) -> list[ActiveBound]:
     """Return the bounds at which variables are, the most expensive first."""
     return sorted(solution.bounds, key=lambda bound: -bound.price_db)
 

@@ -36,7 +36,7 @@ from maxq.design.paper.errata_effects import EXPLAINED
 from maxq.design.quantities import MEASURED, SWEPT
 from maxq.design.verify.judging import judge
 from maxq.design.verify.linear import meet_limits, percentiles, study
-from maxq.design.verify.memory import Memory
+from maxq.design.verify.memory import PartsOnDisk
 from maxq.design.verify.suite import LinearMargins, WorstWanted, read_suite
 from maxq.design.verify.worst import distance, search_node
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
@@ -67,7 +67,7 @@ ON_COMPLIANCE: dict[str, tuple[str, ...]] = {
     ),
 }  # fmt: skip  # four more lines otherwise
 ON_LOAD = 1000  # random vehicles
-Rows = Sequence[Sequence[str]]
+TextRows = Sequence[Sequence[str]]
 
 
 def kept(file: str, command: str, *arguments: str, folder: str = "") -> Any:
@@ -86,7 +86,7 @@ def set_(changes: Iterable[str]) -> list[str]:
     return list(itertools.chain.from_iterable(("--set", change) for change in changes))
 
 
-def table(head: Sequence[str], rows: Rows) -> list[str]:
+def table(head: Sequence[str], rows: TextRows) -> list[str]:
     """Markdown; columns of numbers are aligned to the right."""
     numeric = [all(re.match(r"[-+]?\d|$", row[k]) for row in rows) for k in range(len(head))]
     rule = "|" + "".join("---:|" if n else "---|" for n in numeric)
@@ -271,7 +271,7 @@ def vehicles() -> list[str]:
     rows, share, flown = [], 1.0 - wanted.success, load_campaign("campaigns/ksr3")
     for name in ROBUST:
         design = load_design(f"designs/{name}")
-        random = study(nodes, design, wanted, flown, Memory(None)).random
+        random = study(nodes, design, wanted, flown, PartsOnDisk(None)).random
         searched = [search_node(node, design, flown, wanted.worst or WorstWanted())[0] for node in nodes]
         k = int(np.argmin(searched))
         shown = []
@@ -336,7 +336,7 @@ def tvc_load() -> list[str]:
             if design.law == "load-relief":  # two sensors: a hundred times slower
                 row.append("-")
                 continue
-            random = study(pitch, design, wanted, deviating, Memory(None)).random
+            random = study(pitch, design, wanted, deviating, PartsOnDisk(None)).random
             row.append(str(int((~meet_limits(random, wanted.dispersed)).sum())))
         rows.append(row)
     what = ("dB", "deg", "\\|1+L\\|", f"miss, of {ON_LOAD:,}")

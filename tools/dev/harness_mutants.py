@@ -10,7 +10,7 @@ PLAN, ROBUST, JUDGING = "sim/campaign/plan.py", "design/optimise/robust.py", "de
 SPREAD, RARE = "design/model/spread.py", "sim/campaign/rare.py"
 DEVIATIONS = "design/model/deviations.py"
 MU, MONTHS, SOUNDINGS = "design/verify/named_mu.py", "sim/campaign/availability.py", "sim/scenario/soundings.py"
-FLOWN, ALLOCATION = "design/verify/flown.py", "sim/packing/allocation.py"
+FLOWN, ALLOCATION = "design/verify/flown.py", "sim/vehicle/engine/allocation.py"
 
 NAMED = (
     (STATISTICS, "betaincinv(failures + 1, runs - failures, «confidence»)", "1.0 - confidence", "upper bound swapped"),

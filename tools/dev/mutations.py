@@ -258,11 +258,11 @@ def _changed(source: str, mutant: Mutant) -> str:
     return "\n".join(lines)
 
 
-Place = tuple[str | int, ...]
+SourcePlace = tuple[str | int, ...]
 SIMPLE = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Return, ast.Expr, ast.Break, ast.Continue)
 
 
-def _place(node: Any, at: tuple[int, int], inside: bool = False) -> Place:
+def _place(node: Any, at: tuple[int, int], inside: bool = False) -> SourcePlace:
     """Way from a node to what is doubled around a token: a simple statement of a function, else an expression.
 
     Empty where the token is not below the node.
@@ -270,7 +270,7 @@ def _place(node: Any, at: tuple[int, int], inside: bool = False) -> Place:
     for name, value in ast.iter_fields(node):
         within = inside or (isinstance(node, ast.FunctionDef) and name == "body")
         for index, child in enumerate(value) if isinstance(value, list) else [(None, value)]:
-            here: Place = (name,) if index is None else (name, index)
+            here: SourcePlace = (name,) if index is None else (name, index)
             begin = (child.lineno, child.col_offset) if hasattr(child, "lineno") else at  # arguments have no place
             if not isinstance(child, ast.AST) or not (begin <= at and (begin is at or at < _end(child))):
                 continue
@@ -282,7 +282,7 @@ def _place(node: Any, at: tuple[int, int], inside: bool = False) -> Place:
     return ()
 
 
-def _at(tree: Any, way: Place) -> Any:
+def _at(tree: Any, way: SourcePlace) -> Any:
     for step in way:
         tree = tree[step] if isinstance(step, int) else getattr(tree, step)
     return tree
@@ -290,7 +290,7 @@ def _at(tree: Any, way: Place) -> Any:
 
 def planted(source: str, mutants: list[Mutant]) -> str:
     """The module with all its mutants."""
-    original, groups = ast.parse(source), dict[Place, list[tuple[int, Any]]]()
+    original, groups = ast.parse(source), dict[SourcePlace, list[tuple[int, Any]]]()
     for mutant in mutants:
         way = _place(original, (mutant.line, mutant.column))
         groups.setdefault(way, []).append((mutant.number, _at(ast.parse(_changed(source, mutant)), way)))

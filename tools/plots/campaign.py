@@ -17,7 +17,7 @@ from maxq.sim.campaign.tails import Tail
 from maxq.sim.flight.metric_table import title_of
 from maxq.tools.plots.figures import Panel, Plot, Series, at, band, limit, line, points
 
-Found = Sequence[tuple[Judged, Sequence[Driver]]]
+JudgedDrivers = Sequence[tuple[Judged, Sequence[Driver]]]
 
 _MOST_POINTS = 4000
 _LIMITED = {  # channel: the metric whose limits hold for it
@@ -42,7 +42,7 @@ def plots(
     tails: Sequence[tuple[Judged, Tail]],
     over_time: Sequence[Band],
     units: dict[str, str],
-    found: Found,
+    found: JudgedDrivers,
     inputs: dict[str, Array],
     sample: DataSet,
     labels: dict[str, str],

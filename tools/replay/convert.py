@@ -19,8 +19,8 @@ from maxq.control.kernel.records import Array
 from maxq.sim.log.messages import FramePath
 from maxq.tools.plots.palette import BLUE, GREY, ON_DARK, ORANGE, PURPLE, VERDICT
 from maxq.tools.replay import stream
-from maxq.tools.replay.flight import FEW, LaunchSite, ReplayFlight, closest, has_motion, path_of, place_of
-from maxq.tools.replay.plots import Axis, Plot, Tab, axis_of, own_tabs, range_of, tabs_of
+from maxq.tools.replay.flight import FEW, ReplayFlight, ShownLaunchSite, closest, has_motion, path_of, place_of
+from maxq.tools.replay.plots import PlotAxis, ReplayPlot, Tab, axis_of, own_tabs, range_of, tabs_of
 from maxq.tools.replay.scene import FAR_NS, Scene, send_ground, tail_below_cg
 from maxq.tools.replay.text import about, drawn_text
 from maxq.tools.replay.vehicle_shape import Exaggeration, VehicleShape, exaggeration_of, shape_of
@@ -52,12 +52,12 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Span:
+class TimeSpan:
     """A part of the time, and the axes of the plots that suit it; `name`: of its tab, where there are several."""
 
     name: str
     span_s: tuple[float, float]
-    axes: Mapping[str, Axis]
+    axes: Mapping[str, PlotAxis]
     corners: Mapping[str, rrb.Corner2D] = field(default_factory=dict)
     """Where the legend of a plot hides least, if not at the upper right."""
 
@@ -69,7 +69,7 @@ class _Drawn:
     root: str
     flight: ReplayFlight
     path: FramePath
-    place: LaunchSite
+    place: ShownLaunchSite
     shape: VehicleShape | None
 
 
@@ -130,7 +130,7 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
         axes = {p.key: axis_of(p, range_of([np.array(r) for r in ranges.get((name, p.key), [])])) for p in every}
         seen_s = start_s, min(end_s + _BEHIND * (end_s - start_s), span_s[1])
         corners = {p.key: free_corner(p, axes[p.key], seen_s, flights) for p in every} if len(flights) <= FEW else {}
-        spans.append(Span(name, seen_s, axes, corners))
+        spans.append(TimeSpan(name, seen_s, axes, corners))
     for plot in every:
         axis = spans[-1].axes[plot.key]
         stream.send_limits(recording, plot, axis.drawn, (round(span_s[0] * 1e9), round(span_s[1] * 1e9)), axis)
@@ -252,7 +252,7 @@ def eyes_for(length_m: float, azimuth_deg: float, positions_m: Array) -> Eyes:
     return Eyes(*((float(x), float(y), float(z)) for x, y, z in (close, far, middle)))
 
 
-def plot_view(plot: Plot, span: Span, roots: Sequence[str], legend: bool, rows: int) -> rrb.TimeSeriesView:
+def plot_view(plot: ReplayPlot, span: TimeSpan, roots: Sequence[str], legend: bool, rows: int) -> rrb.TimeSeriesView:
     """A plot over a span, whose axis is left to the viewer where the span has none. `rows` of plots in the window."""
     axis = span.axes.get(plot.key)
     beyond = axis.beyond_text("") if axis is not None else ""
@@ -279,7 +279,9 @@ def with_scale(low: float, high: float, most: int) -> tuple[float, float]:
     return low, high
 
 
-def free_corner(plot: Plot, axis: Axis, span_s: tuple[float, float], flights: Sequence[ReplayFlight]) -> rrb.Corner2D:
+def free_corner(
+    plot: ReplayPlot, axis: PlotAxis, span_s: tuple[float, float], flights: Sequence[ReplayFlight]
+) -> rrb.Corner2D:
     """The corner with the least of the curves in it, for the legend."""
     inside = dict.fromkeys(_CORNERS, 0.0)
     for flight in flights:
@@ -349,7 +351,7 @@ def layout(
     roots: Sequence[str],
     pictures: Sequence[rrb.View | rrb.Container],
     tabs: Sequence[Tab],
-    spans: Sequence[Span],
+    spans: Sequence[TimeSpan],
     *,
     plotted: Sequence[str] | None = None,
     live: bool = False,
@@ -362,7 +364,7 @@ def layout(
     """
     plotted = roots if plotted is None else plotted
 
-    def tabs_over(span: Span) -> rrb.Tabs:
+    def tabs_over(span: TimeSpan) -> rrb.Tabs:
         pages = []
         for page in tabs:  # side by side they are high enough for the viewer to write numbers at their axes
             columns = 2 if len(page.plots) > 2 else 1

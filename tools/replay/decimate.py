@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
 
-Rows = NDArray[np.intp]
+KeptRows = NDArray[np.intp]
 
 
-def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> Rows:
+def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> KeptRows:
     """Indices, rising, of the samples to keep of `values` (n,): smallest and largest in each interval.
 
     Gaps (nan) stay gaps: an interval without numbers keeps one nan. Samples inside a stretch that does not change are
@@ -39,7 +39,7 @@ def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> Rows:
     return kept[bends]
 
 
-def _first_of_each(values: Array, starts: Rows, extreme: np.ufunc) -> Rows:
+def _first_of_each(values: Array, starts: KeptRows, extreme: np.ufunc) -> KeptRows:
     """Where the extreme of each interval occurs first; `starts` are the intervals' first indices."""
     gaps = np.isnan(values)
     filled = np.where(gaps, np.inf if extreme is np.minimum else -np.inf, values) if gaps.any() else values
@@ -68,7 +68,7 @@ def extremes_on_grid(times_ns: IntArray, values: Array, start_ns: int, interval_
     return out.ravel()
 
 
-def changed(values: Array, tolerance: float) -> Rows:
+def changed(values: Array, tolerance: float) -> KeptRows:
     """Indices of the rows of `values` (n, ...) that differ from the row before by more than rounding to `tolerance`."""
     steps = np.round(np.nan_to_num(values.reshape(len(values), -1)) / tolerance)
     if not len(steps):
@@ -79,11 +79,11 @@ def changed(values: Array, tolerance: float) -> Rows:
     return np.flatnonzero(keep)
 
 
-def every(times_ns: IntArray, period_ns: int, last_period: int = -1) -> Rows:
+def every(times_ns: IntArray, period_ns: int, last_period: int = -1) -> KeptRows:
     """Indices of the first row in each period."""
     return np.flatnonzero(np.diff(times_ns // period_ns, prepend=last_period) > 0)
 
 
-def last_before(times_ns: IntArray, at_ns: IntArray) -> Rows:
+def last_before(times_ns: IntArray, at_ns: IntArray) -> KeptRows:
     """Indices of the last rows at or before times of another rate."""
     return np.clip(np.searchsorted(times_ns, at_ns, side="right") - 1, 0, None)

@@ -25,6 +25,7 @@ import numpy as np
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.metric_table import unit_of
+from maxq.sim.input.errors import ScenarioError
 from maxq.sim.log.head import LogError
 from maxq.sim.log.messages import FramePath, Level
 from maxq.sim.log.reader import Log, read_log
@@ -32,9 +33,8 @@ from maxq.sim.packing.environment import pack_earth
 from maxq.sim.run import launch_frames
 from maxq.sim.run.launch_frames import ENU_NED, LaunchFrames, plain
 from maxq.sim.run.record import LOG_NAME, SCENARIO_ATTACHMENT, SUMMARY_NAME
-from maxq.sim.scenario.errors import ScenarioError
 from maxq.sim.scenario.loader import load_scenario_text
-from maxq.sim.scenario.schema_environment import Earth, Site
+from maxq.sim.scenario.schema_environment import EarthSection, Site
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.world.earth import FLAT, ned_to_earth
 from maxq.tools.replay.viewer import ReplayError
@@ -46,7 +46,7 @@ FEW = 4
 """Flights of which every vehicle is drawn."""
 FAR_KM = 20.0
 """A flight that begins farther from its site than this is shown in the axes of the place where it begins."""
-Watch = Callable[[str, int, int], None]
+ConversionWatch = Callable[[str, int, int], None]
 """What is under way, steps done, steps in all."""
 _FAULTS = ("control_lost", "diverged")
 _NEEDED = tuple(f"r_E_{a}_m" for a in "xyz") + tuple(f"q_BI_{c}" for c in "wxyz")
@@ -87,7 +87,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Requirement:
+class ShownRequirement:
     """What a scenario demands: `kind` "limit" or "minimum"; value and verdict are None where no summary holds them."""
 
     name: str
@@ -164,14 +164,14 @@ class ReplayFlight:
         return next((m for m in reversed(self.moments) if m.name == name), None)
 
     @cached_property
-    def requirements(self) -> tuple[Requirement, ...]:
+    def requirements(self) -> tuple[ShownRequirement, ...]:
         """Those of the scenario; values from the summary beside the log."""
         judged = {(r.get("name"), r.get("metric")): r for r in self.summary.get("requirements", [])}
         out = []
         for r in self.scenario.requirement if self.scenario is not None else ():
             name = r.name or r.metric
             about = judged.get((name, r.metric), {})
-            out.append(Requirement(name, *r.bound, unit_of(r.metric), about.get("value"), about.get("met")))
+            out.append(ShownRequirement(name, *r.bound, unit_of(r.metric), about.get("value"), about.get("met")))
         return tuple(out)
 
 
@@ -229,7 +229,7 @@ def _scenario_text(log: Log) -> str | None:
     return attachment.data.decode(errors="replace") if attachment is not None else None
 
 
-def launch_of(log: Log) -> tuple[Earth, Site]:
+def launch_of(log: Log) -> tuple[EarthSection, Site]:
     """Earth and launch site, by the two tables of the scenario alone: all of it takes a third of a second to read.
 
     Where they cannot be read: WGS-84, and the site that the log's metadata name.
@@ -238,7 +238,7 @@ def launch_of(log: Log) -> tuple[Earth, Site]:
     try:
         found = tomllib.loads("".join(tables))
         if "site" in found:
-            return Earth.model_validate(found.get("earth", {})), Site.model_validate(found["site"])
+            return EarthSection.model_validate(found.get("earth", {})), Site.model_validate(found["site"])
     except ValueError:  # of TOML or of the schema
         pass
     data = log.metadata
@@ -248,7 +248,7 @@ def launch_of(log: Log) -> tuple[Earth, Site]:
         altitude_m=float(data.get("site_altitude_m", "0")),
         azimuth_deg=float(data.get("azimuth_deg", "90")),
     )
-    return Earth(), site
+    return EarthSection(), site
 
 
 def _summary(log: Log) -> Mapping[str, Any]:
@@ -301,7 +301,7 @@ def _in_folder(folder: Path) -> list[tuple[Path, str]]:
 
 
 def open_flights(
-    places: Sequence[str], *, in_turn: bool = False, watch: Watch = lambda *_: None
+    places: Sequence[str], *, in_turn: bool = False, watch: ConversionWatch = lambda *_: None
 ) -> tuple[list[ReplayFlight], list[str]]:
     """All flights that can be read, and a complaint for each that cannot, or not whole.
 
@@ -356,7 +356,7 @@ def _unlike_labels(flights: Sequence[ReplayFlight]) -> list[ReplayFlight]:
 
 
 # -- the frame of the launch site: x east, y north, z up (the log's `launch_site`) -----------------------------------
-class LaunchSite(launch_frames.LaunchSite):
+class ShownLaunchSite(launch_frames.LaunchSite):
     """The launch site's frame; `moved`: it lies where the flight begins instead."""
 
     moved = False
@@ -388,14 +388,14 @@ class LaunchSite(launch_frames.LaunchSite):
         return np.stack([east_m, north_m, -drop], axis=1)
 
 
-def place_of(flight: ReplayFlight) -> LaunchSite:
+def place_of(flight: ReplayFlight) -> ShownLaunchSite:
     """The launch site's frame of a logged flight."""
     return launch_site(*launch_of(flight.log), flight.log)
 
 
-def launch_site(earth: Earth, site: Site, channels: Channels) -> LaunchSite:
+def launch_site(earth: EarthSection, site: Site, channels: Channels) -> ShownLaunchSite:
     """The frame to draw in; `channels` say where the flight begins."""
-    place = LaunchSite(pack_earth(earth), site)
+    place = ShownLaunchSite(pack_earth(earth), site)
     if place.earth.figure == FLAT or "latitude_deg" not in channels or not len(channels["latitude_deg"]):
         return place
     start = float(channels["latitude_deg"][0]), float(channels["longitude_deg"][0])
@@ -403,7 +403,7 @@ def launch_site(earth: Earth, site: Site, channels: Channels) -> LaunchSite:
     east = ((start[1] - site.longitude_deg + 180.0) % 360.0 - 180.0) * math.cos(math.radians(site.latitude_deg))
     if 111.0 * math.hypot(north, east) >= FAR_KM:
         moved = site.model_copy(update={"latitude_deg": start[0], "longitude_deg": start[1], "altitude_m": 0.0})
-        place = LaunchSite(place.earth, moved)
+        place = ShownLaunchSite(place.earth, moved)
         place.moved = True
     return place
 

@@ -20,12 +20,12 @@ from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.telemetry import FAST, SLOW
 from maxq.sim.log.messages import Level
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.flight import Event, Flight, Rows, copied
+from maxq.sim.run.flight import Event, Flight, LoggedRows, copied
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.record import LEVELS
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.tools.replay import convert, stream, viewer
-from maxq.tools.replay.flight import LaunchSite, Moment, has_motion, launch_site, open_flight
+from maxq.tools.replay.flight import Moment, ShownLaunchSite, has_motion, launch_site, open_flight
 from maxq.tools.replay.plots import tabs_of
 from maxq.tools.replay.run import temporary_recording
 from maxq.tools.replay.scene import Scene, send_ground, tail_below_cg
@@ -79,7 +79,7 @@ class FlownView:
 class Block:
     """Rows of a flight under way, by channel name; `start_place_deg`: latitude and longitude where it began."""
 
-    def __init__(self, table: ChannelTable, rows: Rows, start_place_deg: tuple[float, float] | None) -> None:
+    def __init__(self, table: ChannelTable, rows: LoggedRows, start_place_deg: tuple[float, float] | None) -> None:
         self.table = table
         self._rows = rows
         self.start_place_deg = start_place_deg or (float(self["latitude_deg"][0]), float(self["longitude_deg"][0]))
@@ -109,7 +109,7 @@ class LiveView:
         self._scenario = scenario = loaded.scenario
         self._recording = _connected(scenario.name, port)
         self._shape = shape_of(scenario.vehicle)
-        self._place: LaunchSite | None = None
+        self._place: ShownLaunchSite | None = None
         self._exaggeration = Exaggeration(BENDING, SLOSH, 1.5 * self._shape.diameter_m)
         self._start_s = scenario.run.start_s
         self._scene: Scene | None = None
@@ -118,8 +118,8 @@ class LiveView:
         self._phases: list[stream.Phase] = []
         self._start_place: tuple[float, float] | None = None
         self._table: ChannelTable | None = None
-        self._for_scene: list[Rows] = []
-        self._for_plots: list[Rows] = []
+        self._for_scene: list[LoggedRows] = []
+        self._for_plots: list[LoggedRows] = []
         self._scene_sent_s = self._plots_sent_s = -_PLOTS_EVERY_S
         self.stop: Callable[[], bool] = lambda: False
 
@@ -127,7 +127,7 @@ class LiveView:
         """The flight, to be flown like any other."""
         return LiveRun(self._loaded, packed, self, factor)
 
-    def add(self, run: FlightRun, rows: Rows) -> None:
+    def add(self, run: FlightRun, rows: LoggedRows) -> None:
         """Show the rows of a block and the events since the last.
 
         A viewer takes some hundred messages a second, and each entity of a block is one. So rows are kept until the
@@ -181,7 +181,7 @@ class LiveView:
         self._send_limits(int(block.time_ns("latitude_deg")[-1]))
         self._for_plots, self._plots_sent_s = [], time.monotonic()
 
-    def _block(self, run: FlightRun, parts: list[Rows]) -> Block:
+    def _block(self, run: FlightRun, parts: list[LoggedRows]) -> Block:
         block = Block(run.table, joined(parts), self._start_place)
         self._start_place = block.start_place_deg
         if self._table is None:
@@ -222,7 +222,9 @@ class LiveView:
             factor = self._exaggeration.text(self._table)
             name = f"Vehicle ({factor})" if factor else "Vehicle"
             pictures = [convert.close_view(_ROOT, eyes, name), convert.overview([_ROOT], eyes, self._grid)]
-        made = convert.layout([_ROOT], pictures, self._tabs, [convert.Span("", (self._start_s, end_s), {})], live=live)
+        made = convert.layout(
+            [_ROOT], pictures, self._tabs, [convert.TimeSpan("", (self._start_s, end_s), {})], live=live
+        )
         self._recording.send_blueprint(made, make_active=True, make_default=True)
 
     def _send_events(self, run: FlightRun) -> None:
@@ -273,7 +275,7 @@ class LiveRun(FlightRun):
         self._begun_ns = int(self.memory.clock.now_ns)
         self._block_ns = self._block_length_ns()
 
-    def fly_segment(self, length_ns: int | None = None) -> Rows:
+    def fly_segment(self, length_ns: int | None = None) -> LoggedRows:
         """As `FlightRun.fly_segment`, shown block by block on the way."""
         if length_ns is not None:
             return super().fly_segment(length_ns)
@@ -288,7 +290,7 @@ class LiveRun(FlightRun):
                 break
         return joined(parts)
 
-    def result(self, rows: Rows | None = None) -> Flight:
+    def result(self, rows: LoggedRows | None = None) -> Flight:
         flight = super().result(rows)
         self._view.end(self, flight)
         return flight
@@ -309,7 +311,7 @@ class LiveRun(FlightRun):
             time.sleep(min(left_s, 0.1))
 
 
-def joined(parts: list[Rows]) -> Rows:
+def joined(parts: list[LoggedRows]) -> LoggedRows:
     """Blocks that follow one another as one."""
     return {
         group: (np.concatenate([part[group][0] for part in parts]), np.concatenate([part[group][1] for part in parts]))

@@ -19,8 +19,8 @@ from maxq.tools.replay.vehicle_shape import PLANES, VehicleShape, shape_of, shap
 
 NEAR = 3.0
 """A limit farther away than so many times the largest value is named, not drawn."""
-Values = tuple[IntArray, Array]
-Computed = Callable[[Channels, str, VehicleShape | None], Values]
+TimesAndValues = tuple[IntArray, Array]
+Computed = Callable[[Channels, str, VehicleShape | None], TimesAndValues]
 
 
 @dataclass(frozen=True)
@@ -38,14 +38,14 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Curve:
+class PlotLine:
     """A line of a plot: a channel, and how its values follow from it where they are not those of the log."""
 
     label: str
     channel: str
-    compute: Callable[[Channels], Values] | None = None
+    compute: Callable[[Channels], TimesAndValues] | None = None
 
-    def values(self, channels: Channels) -> Values:
+    def values(self, channels: Channels) -> TimesAndValues:
         """Times (n,) in ns and values (n,) in the plot's unit."""
         if self.compute is not None:
             return self.compute(channels)
@@ -56,7 +56,7 @@ _NEVER = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True)
-class Plot:
+class ReplayPlot:
     """`key` is its place below `plots/`, made of lower-case words; `unit` is "" for a bare number.
 
     `glance`: so many of its curves are shown in the terminal, under a name in which {} is the curve's label.
@@ -65,7 +65,7 @@ class Plot:
     key: str
     title: str
     unit: str
-    curves: tuple[Curve, ...]
+    curves: tuple[PlotLine, ...]
     limits: tuple[Limit, ...] = ()
     glance: tuple[int, str] = (0, "")
 
@@ -82,7 +82,7 @@ class Plot:
 @dataclass(frozen=True)
 class Tab:
     name: str
-    plots: tuple[Plot, ...]
+    plots: tuple[ReplayPlot, ...]
 
 
 @dataclass(frozen=True)
@@ -108,12 +108,12 @@ class _Row:
     glance: tuple[int, str] = (0, "")
 
 
-def _lateral(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
+def _lateral(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
     other = name.replace("_y_", "_z_")
     return channels.time_ns(name), np.hypot(channels[name], channels[other]) / STANDARD_GRAVITY_MPS2
 
 
-def _distance_km(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
+def _distance_km(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
     """Great circle from the first point, good to half a percent; blocks of a flight under way bring the point along."""
     lat, lon = np.radians(channels[name]), np.radians(channels["longitude_deg"])
     start = getattr(channels, "start_place_deg", None)
@@ -122,12 +122,12 @@ def _distance_km(channels: Channels, name: str, shape: VehicleShape | None) -> V
     return channels.time_ns(name), 2.0 * 6371.0 * np.arcsin(np.sqrt(np.clip(haversine, 0.0, 1.0)))
 
 
-def _in_motion(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
+def _in_motion(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
     """A direction of flight, a gap where there is none."""
     return channels.time_ns(name), np.where(channels["speed_mps"] > 1.0, channels[name], np.nan)
 
 
-def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
+def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
     """Turning rate at the gyro by one mode: its slope there times the modal rate; `name` as eta_pitch_1_mps."""
     _, axis, mode, _ = name.split("_")
     ns, rate = channels.time_ns(name), channels[name]
@@ -141,7 +141,7 @@ def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None
     return ns, np.degrees(sign * slopes[:, int(mode) - 1, 0] * rate)
 
 
-def _largest_section(channels: Channels, name: str, shape: VehicleShape | None) -> Values:
+def _largest_section(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
     """Largest of all stations, kN or kN m: axial compression, or magnitude of both planes; `name` is station 1's."""
     of_all = [n for n in channels.table.names if re.fullmatch(name.replace("_1_", r"_\d+_"), n)]
     if "_axial_" in name:
@@ -252,7 +252,7 @@ def tabs_of(table: ChannelTable, scenario: Scenario | None, shape: VehicleShape 
     tabs = []
     for name, rows in _TABLE.items():
         plots = tuple(
-            Plot(f"{name.lower()}/{row.key}", row.title, row.unit, curves, _limits(row, scenario), row.glance)
+            ReplayPlot(f"{name.lower()}/{row.key}", row.title, row.unit, curves, _limits(row, scenario), row.glance)
             for row in rows
             if (curves := _curves(row, table, shape))
         )
@@ -267,7 +267,7 @@ def own_tabs(tabs: Sequence[Tab], table: ChannelTable, scenario: Scenario | None
     return [replace(tab, plots=tuple(own[plot.key] for plot in tab.plots if plot.key in own)) for tab in tabs]
 
 
-def _curves(row: _Row, table: ChannelTable, shape: VehicleShape | None) -> tuple[Curve, ...]:
+def _curves(row: _Row, table: ChannelTable, shape: VehicleShape | None) -> tuple[PlotLine, ...]:
     wild = {label: channel for label, channel in row.curves.items() if "{}" in channel}
     found = [(label, label, channel) for label, channel in row.curves.items() if label not in wild]
     if wild:
@@ -280,11 +280,13 @@ def _curves(row: _Row, table: ChannelTable, shape: VehicleShape | None) -> tuple
         if channel not in table or (compute is _gyro_rate_of_mode and shape is None):
             continue
         changed = compute is not None or row.factor != 1.0 or row.only is not None
-        curves.append(Curve(label, channel, partial(_values, row, channel, compute, shape) if changed else None))
+        curves.append(PlotLine(label, channel, partial(_values, row, channel, compute, shape) if changed else None))
     return tuple(curves)
 
 
-def _values(row: _Row, channel: str, compute: Computed | None, shape: VehicleShape | None, of: Channels) -> Values:
+def _values(
+    row: _Row, channel: str, compute: Computed | None, shape: VehicleShape | None, of: Channels
+) -> TimesAndValues:
     ns, values = (of.time_ns(channel), row.factor * of[channel]) if compute is None else compute(of, channel, shape)
     name, least = row.only or ("", 0.0)
     if name in of and len(of[name]) == len(values):
@@ -321,7 +323,7 @@ def range_of(values: Sequence[Array]) -> tuple[float, float] | None:
 
 
 @dataclass(frozen=True)
-class Axis:
+class PlotAxis:
     """The range of a plot's y axis, the limits within it and those beyond."""
 
     low: float
@@ -338,7 +340,7 @@ class Axis:
         return f"limit{'s' * (len(sizes) > 1)} {text}"
 
 
-def axis_of(plot: Plot, found: tuple[float, float] | None) -> Axis:
+def axis_of(plot: ReplayPlot, found: tuple[float, float] | None) -> PlotAxis:
     """A range that shows the data, and each limit that is near enough not to squash them."""
     low, high = found or (0.0, 1.0)
     reach = max(abs(low), abs(high), 1e-12)
@@ -349,4 +351,4 @@ def axis_of(plot: Plot, found: tuple[float, float] | None) -> Axis:
         room = max(0.5 * abs(high), 1.0 if high == 0.0 else 0.0)
         low, high = low - room, high + room
     margin = 0.06 * (high - low)
-    return Axis(low - margin, high + margin, drawn, beyond)
+    return PlotAxis(low - margin, high + margin, drawn, beyond)

@@ -20,8 +20,8 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.log.messages import FramePath
 from maxq.sim.run.launch_frames import LaunchFrames
 from maxq.tools.plots.palette import BLUE, ORANGE, RED, SKY, WHITE, rgba
-from maxq.tools.replay.decimate import Rows, changed, every, last_before
-from maxq.tools.replay.flight import Channels, LaunchSite, Moment, path_of
+from maxq.tools.replay.decimate import KeptRows, changed, every, last_before
+from maxq.tools.replay.flight import Channels, Moment, ShownLaunchSite, path_of
 from maxq.tools.replay.meshes import liquid_vertices, load_colours, mesh3d, plate, vehicle_meshes
 from maxq.tools.replay.stream import matrices, set_time, times
 from maxq.tools.replay.vehicle_shape import (
@@ -29,7 +29,7 @@ from maxq.tools.replay.vehicle_shape import (
     SECTION,
     EngineShape,
     Exaggeration,
-    Sections,
+    LoadStations,
     TankShape,
     VehicleShape,
     bent_line,
@@ -55,7 +55,7 @@ class Scene:
         self,
         recording: rr.RecordingStream,
         root: str,
-        place: LaunchSite,
+        place: ShownLaunchSite,
         shape: VehicleShape | None,
         exaggeration: Exaggeration,
         *,
@@ -86,7 +86,7 @@ class Scene:
     def _send(self, entity: str, times_ns: IntArray, columns: Any) -> None:
         self._rec.send_columns(f"{self._root}/{entity}", times(times_ns), columns)
 
-    def _due(self, what: str, times_ns: IntArray, period_ns: int) -> Rows:
+    def _due(self, what: str, times_ns: IntArray, period_ns: int) -> KeptRows:
         """Rows of a block to be sent: the first in each period since the last block."""
         k = every(times_ns, period_ns, self._last.get(what, -1))
         if len(k):
@@ -104,7 +104,7 @@ class Scene:
             style = rr.Arrows3D.from_fields(colors=rgba(colour), radii=0.006 * self._size, show_labels=True)
             self._log(f"vehicle/{name}", style)
 
-    def _legend(self, sections: Sections) -> None:
+    def _legend(self, sections: LoadStations) -> None:
         """A scale of the skin's colours, upright beside the vehicle, against the direction of flight."""
         azimuth = math.radians(self._place.site.azimuth_deg)
         forward = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
@@ -194,7 +194,7 @@ class Scene:
             vectors = wind * (self._size / np.maximum(speed, 60.0))[:, None]
             self._send_arrow("wind", ns[k][keep], vectors, speed, "wind {:.0f} m/s")
 
-    def _vectors(self, channels: Channels, pattern: str, k: Rows) -> Array:
+    def _vectors(self, channels: Channels, pattern: str, k: KeptRows) -> Array:
         v_N = np.stack([channels[pattern.format(a)][k] for a in _NED], axis=1)
         return self._place.from_ned(channels["latitude_deg"][k], channels["longitude_deg"][k], v_N)
 
@@ -223,7 +223,7 @@ class Scene:
                 self._send_loads(self._shape, sections, channels, begin_ns, end_ns)
 
     def _send_loads(
-        self, shape: VehicleShape, sections: Sections, channels: Channels, begin_ns: int, end_ns: int
+        self, shape: VehicleShape, sections: LoadStations, channels: Channels, begin_ns: int, end_ns: int
     ) -> None:
         """Colour of each piece by the bending moment in its middle."""
         ns = channels.time_ns(SECTION)
@@ -296,7 +296,14 @@ class Scene:
             self._send(f"{hull}/piece_{i:02}", at[k], columns)
 
     def _send_nozzle(
-        self, entity: str, engine: EngineShape, channels: Channels, k: Rows, at: IntArray, shift: Array, slope: Array
+        self,
+        entity: str,
+        engine: EngineShape,
+        channels: Channels,
+        k: KeptRows,
+        at: IntArray,
+        shift: Array,
+        slope: Array,
     ) -> None:
         pitch, yaw = np.zeros((2, len(at))) + np.radians(engine.cant_deg)[:, None]
         if f"{engine.channels}_pitch_angle_deg" in channels:
@@ -335,7 +342,7 @@ class Scene:
         self._send(entity, at[some], arrows)
 
     def _send_liquid(
-        self, entity: str, channels: Channels, tank: TankShape, at: IntArray, clock_s: Array, shift: Array, k: Rows
+        self, entity: str, channels: Channels, tank: TankShape, at: IntArray, clock_s: Array, shift: Array, k: KeptRows
     ) -> None:
         height = np.interp(clock_s, *tank.level)
         angles = np.zeros((len(at), 2))
@@ -366,7 +373,7 @@ def _at(channels: Channels, name: str, at_ns: IntArray) -> Array:
 
 
 # -- the ground ----------------------------------------------------------------------------------------------------
-def send_ground(recording: rr.RecordingStream, place: LaunchSite, reach_m: float, drop_m: float) -> str:
+def send_ground(recording: rr.RecordingStream, place: ShownLaunchSite, reach_m: float, drop_m: float) -> str:
     """A grid on the Earth's surface as far as the flight reaches, and the pad. Static. Returns the grid's spacing.
 
     The simulation begins with the CG at the site's altitude; the ground is drawn `drop_m` lower, under the vehicle.

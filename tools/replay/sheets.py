@@ -21,13 +21,13 @@ from scipy.signal import detrend, spectrogram
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.metric_table import figures
-from maxq.sim.scenario.schema_loads import Loads
+from maxq.sim.vehicle.loads.section import LoadsSection
 from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, LIMIT, ON_LIGHT, RED, VERDICT, WHITE
 from maxq.tools.plots.style import curve as look_of
 from maxq.tools.plots.style import drawing, name_point, save, sheet
 from maxq.tools.replay.decimate import extremes, extremes_on_grid
-from maxq.tools.replay.flight import ReplayFlight, Requirement, Watch, has_motion, path_of, place_of
-from maxq.tools.replay.plots import AXES, Axis, Curve, Plot, Tab, axis_of, range_of, tabs_of
+from maxq.tools.replay.flight import ConversionWatch, ReplayFlight, ShownRequirement, has_motion, path_of, place_of
+from maxq.tools.replay.plots import AXES, PlotAxis, PlotLine, ReplayPlot, Tab, axis_of, range_of, tabs_of
 from maxq.tools.replay.vehicle_shape import PLANES, borne, shape_of
 from maxq.tools.replay.viewer import ReplayError
 
@@ -94,7 +94,7 @@ class Flights:
 
 
 def write_sheets(
-    flights: Sequence[ReplayFlight], folder: Path, only: str = "", watch: Watch = lambda *_: None
+    flights: Sequence[ReplayFlight], folder: Path, only: str = "", watch: ConversionWatch = lambda *_: None
 ) -> list[Path]:
     """Draw all sheets into a folder, which is made; returns the files. Raises ReplayError where that fails.
 
@@ -176,7 +176,7 @@ def _span(tab: Tab, shown: Flights) -> tuple[float, float]:
     return start, min(end, max(burnouts) * 1.12)
 
 
-def _draw(place: Axes, plot: Plot, shown: Flights, span_s: tuple[float, float]) -> None:
+def _draw(place: Axes, plot: ReplayPlot, shown: Flights, span_s: tuple[float, float]) -> None:
     values: list[Array] = []
     for number, curve in enumerate(plot.curves):
         values += _draw_curve(place, curve, number, shown, span_s)
@@ -190,7 +190,7 @@ def _draw(place: Axes, plot: Plot, shown: Flights, span_s: tuple[float, float]) 
         place.legend(**_LEGEND).set_in_layout(False)  # a long one does not squeeze the plot
 
 
-def _draw_curve(place: Axes, curve: Curve, number: int, shown: Flights, span_s: tuple[float, float]) -> list[Array]:
+def _draw_curve(place: Axes, curve: PlotLine, number: int, shown: Flights, span_s: tuple[float, float]) -> list[Array]:
     """Lines of a few flights, or the envelope of many with the failed ones and the reference as lines; the values."""
     span_ns = round(span_s[0] * 1e9), round(span_s[1] * 1e9) + 1
     look = look_of(number)
@@ -237,7 +237,7 @@ def envelope(times_ns: IntArray, values: Array, span_ns: tuple[int, int], bins: 
     return low, high
 
 
-def _draw_limits(place: Axes, axis: Axis) -> None:
+def _draw_limits(place: Axes, axis: PlotAxis) -> None:
     """What is not allowed is shaded and hatched, so that it is seen without colour too."""
     first = {limit.text: limit for limit in reversed(axis.drawn)}
     for limit in axis.drawn:
@@ -441,7 +441,7 @@ def _requirements(shown: Flights) -> Figure:
     return figure
 
 
-def _sections(shown: Flights, stage: int, loads: Loads) -> Figure:
+def _sections(shown: Flights, stage: int, loads: LoadsSection) -> Figure:
     """Envelopes of the section loads over the stations, on the pad and under thrust, with what the sections bear."""
     radius, stations = borne(loads, "radius_m"), np.array(loads.stations_m)
     rows = _SECTION_LOADS if radius is not None else _SECTION_LOADS[:3]
@@ -480,7 +480,7 @@ def _sections(shown: Flights, stage: int, loads: Loads) -> Figure:
     return figure
 
 
-def _used(value: float, r: Requirement) -> float:
+def _used(value: float, r: ShownRequirement) -> float:
     if r.kind == "minimum":
         return abs(r.bound / value) if r.bound and value else _MOST_USED
     if r.bound == 0.0:

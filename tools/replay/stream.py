@@ -19,7 +19,7 @@ from maxq.sim.log.messages import Level
 from maxq.tools.plots.palette import BLUE, GREEN, GREY, LIMIT, ON_DARK, ORANGE, PURPLE, RED, SKY, rgba
 from maxq.tools.replay.decimate import extremes, extremes_on_grid, last_before
 from maxq.tools.replay.flight import Channels, Moment
-from maxq.tools.replay.plots import Axis, Curve, Limit, Plot, Tab
+from maxq.tools.replay.plots import Limit, PlotAxis, PlotLine, ReplayPlot, Tab
 
 TIMELINE = "sim_time"
 APPLICATION = "maxq"
@@ -74,7 +74,7 @@ def send_scalars(recording: rr.RecordingStream, entity: str, times_ns: IntArray,
 
 
 # -- curves --------------------------------------------------------------------------------------------------------
-def _curves(root: str, tabs: Sequence[Tab]) -> Iterator[tuple[str, int, Plot, Curve]]:
+def _curves(root: str, tabs: Sequence[Tab]) -> Iterator[tuple[str, int, ReplayPlot, PlotLine]]:
     """Entity and number of every curve of these tabs."""
     for tab in tabs:
         for plot in tab.plots:
@@ -151,16 +151,16 @@ class Family:
 
 
 # -- limits --------------------------------------------------------------------------------------------------------
-def limits_root(plot: Plot) -> str:
+def limits_root(plot: ReplayPlot) -> str:
     return f"limits/{plot.key}"
 
 
 def send_limits(
     recording: rr.RecordingStream,
-    plot: Plot,
+    plot: ReplayPlot,
     limits: Sequence[Limit],
     span_ns: tuple[int, int],
-    axis: Axis | None = None,
+    axis: PlotAxis | None = None,
     *,
     styled: bool = True,
 ) -> None:

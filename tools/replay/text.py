@@ -13,8 +13,8 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.metric_table import figures
 from maxq.sim.log.messages import Level
 from maxq.tools.plots.palette import ON_DARK
-from maxq.tools.replay.flight import LaunchSite, ReplayFlight, Requirement
-from maxq.tools.replay.plots import Curve, Plot, range_of, tabs_of
+from maxq.tools.replay.flight import ReplayFlight, ShownLaunchSite, ShownRequirement
+from maxq.tools.replay.plots import PlotLine, ReplayPlot, range_of, tabs_of
 from maxq.tools.replay.vehicle_shape import Exaggeration
 
 _VERDICTS = {"passed": "passed", "failed": "FAILED", "unknown": "no verdict: there is no summary.json beside the log"}
@@ -66,7 +66,7 @@ def _notes(notes: Sequence[str]) -> list[str]:
     return ["## What is missing", "", *(f"- {note}" for note in notes), ""] if notes else []
 
 
-def _requirement(r: Requirement) -> str:
+def _requirement(r: ShownRequirement) -> str:
     bound = f"{r.bound:g} at {'most' if r.kind == 'limit' else 'least'}"
     unit = "" if r.unit == "1" else f" {r.unit}"
     value = f"{figures(r.value)}{unit}, " if isinstance(r.value, float | int) else ""
@@ -74,7 +74,7 @@ def _requirement(r: Requirement) -> str:
     return f"- {r.name}{met} ({value}{bound})"
 
 
-def drawn_text(ex: Exaggeration, place: LaunchSite | None = None) -> list[str]:
+def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[str]:
     """How true the picture is."""
     moved = ["- Axes: east, north, up where the flight began, which is far from the site."]
     return [
@@ -96,7 +96,7 @@ def drawn_text(ex: Exaggeration, place: LaunchSite | None = None) -> list[str]:
 
 # -- in a terminal -------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class _Row:
+class _TextRow:
     """A curve of the summary; `broken`: it goes beyond what the scenario allows, under thrust."""
 
     name: str
@@ -150,7 +150,7 @@ def _can_print_blocks() -> bool:
     return True
 
 
-def _row(plot: Plot, curve: Curve, flight: ReplayFlight) -> _Row | None:
+def _row(plot: ReplayPlot, curve: PlotLine, flight: ReplayFlight) -> _TextRow | None:
     ns, values = curve.values(flight.log)
     found = range_of([values])
     if found is None:
@@ -162,7 +162,7 @@ def _row(plot: Plot, curve: Curve, flight: ReplayFlight) -> _Row | None:
         np.isfinite(values) & (ns <= round(flight.burn_end_s * 1e9))
     ]  # requirements are judged under thrust
     broken = any((burning > x.value).any() if x.upper else (burning < x.value).any() for x in plot.limits if x.required)
-    return _Row(plot.glance[1].format(curve.label), ns, values, f"{ends} {plot.unit}".rstrip(), broken)
+    return _TextRow(plot.glance[1].format(curve.label), ns, values, f"{ends} {plot.unit}".rstrip(), broken)
 
 
 def sparkline(ns: IntArray, values: Array, span_ns: tuple[int, int], cells: int, blocks: str = _BLOCKS) -> str:

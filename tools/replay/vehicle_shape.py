@@ -18,12 +18,12 @@ from scipy.interpolate import make_interp_spline
 
 from maxq.control.kernel.records import Array
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.scenario.burn import burn_rate
-from maxq.sim.scenario.modes import ModeTable
-from maxq.sim.scenario.schema_loads import Loads
-from maxq.sim.scenario.schema_stage import AeroSurface
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
-from maxq.tools.replay.decimate import Rows, every
+from maxq.sim.vehicle.air.section import AeroSurface
+from maxq.sim.vehicle.engine.burn import burn_rate
+from maxq.sim.vehicle.loads.section import LoadsSection
+from maxq.sim.vehicle.modes.tables import ModeTable
+from maxq.tools.replay.decimate import KeptRows, every
 from maxq.tools.replay.flight import Channels
 
 PIECES = 16  # of the body, each straight: enough for the third bending mode
@@ -72,7 +72,7 @@ class EngineShape:
 
 
 @dataclass(frozen=True)
-class Sections:
+class LoadStations:
     """Stations at which section loads are known, and the bending moment that they bear, where that is known."""
 
     station_m: Array
@@ -100,7 +100,7 @@ class StageShape:
     spatial: tuple[ModeTable, ModeTable] | None  # what spatial modes do along y and along z
     gyro_station_m: float | None
     clock_factor: float
-    sections: Sections | None = None
+    sections: LoadStations | None = None
     further_engines: tuple[EngineShape, ...] = ()
 
     @property
@@ -159,11 +159,11 @@ def shape_of(vehicle: Vehicle) -> VehicleShape:
     return VehicleShape(length, 2.0 * radius, tuple(stages))
 
 
-def _sections(loads: Loads | None) -> Sections | None:
-    return None if loads is None else Sections(np.array(loads.stations_m), borne(loads, "bending_moment_Nm"))
+def _sections(loads: LoadsSection | None) -> LoadStations | None:
+    return None if loads is None else LoadStations(np.array(loads.stations_m), borne(loads, "bending_moment_Nm"))
 
 
-def borne(loads: Loads, column: str) -> Array | None:
+def borne(loads: LoadsSection, column: str) -> Array | None:
     """A column of the limits at the stations: the least over time; None where there is none."""
     table = loads.limits
     if table is None or column not in table:
@@ -252,7 +252,7 @@ def _engine(stage: Stage, number: int) -> EngineShape:
 
 
 # -- bending and slosh ---------------------------------------------------------------------------------------------
-def modal_coordinates(channels: Channels, plane: str, at: Rows | slice = slice(None)) -> Array:
+def modal_coordinates(channels: Channels, plane: str, at: KeptRows | slice = slice(None)) -> Array:
     """Displacement coordinates (n, modes) of a plane, nan (a stage with fewer modes) as zero."""
     names = [name for name in channels.table.names if name.startswith(f"eta_{plane}_") and name.endswith("_m")]
     if not names:

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
-from maxq.sim.scenario.grids import GridTable
-from maxq.sim.scenario.schema_stage import Aero
-from maxq.sim.scenario.tables_csv import CsvTable
-from maxq.tools.vehicle.layout import Fins
+from maxq.sim.input.tables_csv import CsvTable
+from maxq.sim.vehicle.air.section import AeroSection
+from maxq.sim.vehicle.air.tables import GridTable
+from maxq.tools.vehicle.layout import LayoutFins
 from maxq.tools.vehicle.masses import Stack
 
 MACH = np.array([0.0, 0.5, 0.8, 0.95, 1.1, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 5.0, 8.0])
@@ -107,7 +107,7 @@ def aerodynamics(stack: Stack) -> Aerodynamics:
     return found if stack.stage.aero is None else _with_given(found, stack.stage.aero)
 
 
-def _with_given(estimate: Aerodynamics, given: Aero) -> Aerodynamics:
+def _with_given(estimate: Aerodynamics, given: AeroSection) -> Aerodynamics:
     """What a section of a vehicle file gives, at small incidence and under thrust, instead of the estimate."""
     tables = [given.table, *(s.table for s in given.surface)]
     grids = [c.grid for c in given.coefficients]
@@ -186,7 +186,7 @@ def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]
     return over_mach(force), over_mach(slope.get("Cm", none)), over_mach(along)
 
 
-def _fins(fins: Fins, name: str, radius_m: float, reference_m: float) -> tuple[Surface, Array, float]:
+def _fins(fins: LayoutFins, name: str, radius_m: float, reference_m: float) -> tuple[Surface, Array, float]:
     """Surface, Clp and the area of one fin, by Barrowman (equations 3-57, 3-31 and strip theory in roll)."""
     s, root, tip = fins.semispan_m, fins.root_chord_m, fins.tip_chord_m
     middle = math.hypot(s, fins.sweep_m + 0.5 * (tip - root))  # length of the mid-chord line

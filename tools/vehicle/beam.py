@@ -22,7 +22,7 @@ _LEAST_SHARE = 1e-4  # of the mean mass per length: an element without mass has 
 
 
 @dataclass(frozen=True)
-class Mode:
+class BeamMode:
     """A mode shape at stations."""
 
     station_m: Array
@@ -50,7 +50,7 @@ class Beam:
                     stiffness[k] = s.stiffness_Nm2(float(middles[k]), 0.5 * stage.diameter_m)
         return Beam(nodes, stiffness)
 
-    def modes(self, rods: Sequence[Rod], count: int, *, clamped: bool = False) -> list[Mode]:
+    def modes(self, rods: Sequence[Rod], count: int, *, clamped: bool = False) -> list[BeamMode]:
         """The first `count` bending modes with these masses on the beam; `clamped` at its end, where it is held down.
 
         Free shapes are 1 at the gimbal, clamped ones at the nose.
@@ -65,7 +65,7 @@ class Beam:
             whole = np.append(vector, [0.0, 0.0]) if clamped else vector
             shape = whole / whole[0 if clamped else -2]
             hz = math.sqrt(square) / (2.0 * math.pi)
-            out.append(Mode(self.nodes_m, hz, float(shape @ m @ shape), shape[::2], shape[1::2]))
+            out.append(BeamMode(self.nodes_m, hz, float(shape @ m @ shape), shape[::2], shape[1::2]))
         return out
 
     def _matrices(self, density_kgpm: Array) -> tuple[Array, Array]:

@@ -12,21 +12,21 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.sim.packing.slosh_modes import modes_over
-from maxq.sim.scenario.modes import ModeTable
 from maxq.sim.scenario.schema_design import Design
+from maxq.sim.vehicle.modes.tables import ModeTable
+from maxq.sim.vehicle.slosh.shapes import modes_over
 from maxq.tools.vehicle.aerodynamics import Aerodynamics, aerodynamics
-from maxq.tools.vehicle.beam import Beam, Mode
-from maxq.tools.vehicle.layout import Layout, Tank
+from maxq.tools.vehicle.beam import Beam, BeamMode
+from maxq.tools.vehicle.layout import Layout, LayoutTank
 from maxq.tools.vehicle.masses import Rod, Stack, engine_inertia, stacks
-from maxq.tools.vehicle.trajectory import Ascent, Point, ascent
+from maxq.tools.vehicle.trajectory import Ascent, TrajectoryPoint, ascent
 
 MODE_ROWS = 13
 MOST_RIGID_HZ = 0.4
 SHARE = 0.8  # of the first gains' frequency that a design must keep
 BELOW = 8.0  # the rigid body's frequency is at most this part of mode 1's and of the actuator's
 _NEAR_NODE = 0.1  # of the largest displacement
-Modes = tuple[Array, list[list[Mode]]]  # times of the stage's clock, modes at each
+Modes = tuple[Array, list[list[BeamMode]]]  # times of the stage's clock, modes at each
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Built:
         found = [modes[0].frequency_hz for modes in self.modes[0][1] if modes]
         return float(np.mean(found)) if found else math.inf
 
-    def rigid_hz(self, p: Point) -> float:
+    def rigid_hz(self, p: TrajectoryPoint) -> float:
         """Of the first gains: the layout's, or an eighth of mode 1 and of the actuator then, at most 0.4 Hz."""
         times, modes = self.modes[p.number]
         own = [of[0].frequency_hz for of in modes if of]
@@ -70,7 +70,7 @@ def build(layout: Layout) -> Built:
     return found
 
 
-def slosh_kg(tank: Tank, liquid_kg: float) -> float:
+def slosh_kg(tank: LayoutTank, liquid_kg: float) -> float:
     """Mass of the first slosh mode of a tank's liquid."""
     scale = tank.density_kgpm3 * tank.radius_m**3
     depth = tank.profile.depth(np.array([liquid_kg / scale]))
@@ -93,7 +93,7 @@ def _modes(stack: Stack) -> Modes:
     return times, found
 
 
-def _renormalise(found: list[list[Mode]], k: int) -> None:
+def _renormalise(found: list[list[BeamMode]], k: int) -> None:
     """Mode k with 1 as its largest displacement, the same way round at all times: the gimbal lies near a node."""
     before = found[0][k].phi
     for modes in found:
@@ -132,7 +132,7 @@ def beam_load(stack: Stack, t: float) -> list[Rod]:
     return rods
 
 
-def on_the_pad(built: Built) -> list[Mode]:
+def on_the_pad(built: Built) -> list[BeamMode]:
     """Bending modes of the full vehicle held at its tail; none where the beam is not used."""
     stack = built.stacks[0]
     if not stack.stage.modes or stack.stage.bending is not None or stack.stage.spatial_modes is not None:
@@ -140,42 +140,42 @@ def on_the_pad(built: Built) -> list[Mode]:
     return Beam.of(stack).modes(beam_load(stack, 0.0), min(stack.stage.modes, 3), clamped=True)
 
 
-def _mode_of(table: ModeTable, t: float) -> list[Mode]:
+def _mode_of(table: ModeTable, t: float) -> list[BeamMode]:
     """Modes that are given, at the row nearest to a time."""
     k = int(np.argmin(np.abs(table.time_s - t)))
     return [
-        Mode(table.station_m, float(hz), float(kg), table.phi[k, m], table.slope_pm[k, m])
+        BeamMode(table.station_m, float(hz), float(kg), table.phi[k, m], table.slope_pm[k, m])
         for m, (hz, kg) in enumerate(zip(table.frequency_hz[k], table.generalized_mass_kg[k], strict=True))
     ]
 
 
-def m_alpha_1ps2(built: Built, p: Point) -> float:
+def m_alpha_1ps2(built: Built, p: TrajectoryPoint) -> float:
     """Angular acceleration per incidence, positive for an unstable vehicle."""
     aero, props = built.aero[p.number], built.stacks[p.number].mass_properties(p.clock_s)
     slope, centre = aero.normal(p.mach)
     return slope * p.dynamic_pressure_Pa * aero.area_m2 * (props.x_cg_m - centre) / props.pitch_kgm2
 
 
-def m_delta_1ps2(built: Built, p: Point) -> float:
+def m_delta_1ps2(built: Built, p: TrajectoryPoint) -> float:
     """Angular acceleration per gimbal angle."""
     stack = built.stacks[p.number]
     props = stack.mass_properties(p.clock_s)
     return p.thrust_N * (stack.stage.engine.gimbal_station_m - props.x_cg_m) / props.pitch_kgm2
 
 
-def burning(built: Built, number: int | None = None) -> list[Point]:
+def burning(built: Built, number: int | None = None) -> list[TrajectoryPoint]:
     """Points at full thrust, of all stacks or of one."""
     full_s = [stack.burn.full_s for stack in built.stacks]
     points = [p for p in built.flight.points if number in (None, p.number)]
     return [p for p in points if full_s[p.number][0] <= p.clock_s <= full_s[p.number][1]]
 
 
-def spread(points: Sequence[Point], count: int) -> list[Point]:
+def spread(points: Sequence[TrajectoryPoint], count: int) -> list[TrajectoryPoint]:
     """So many of them, evenly from the first to the last."""
     return [points[k] for k in np.unique(np.linspace(0, len(points) - 1, count).astype(int))]
 
 
-def _dozen(built: Built) -> list[Point]:
+def _dozen(built: Built) -> list[TrajectoryPoint]:
     """Points at full thrust, a dozen a stage."""
     return [p for n in range(len(built.stacks)) for p in spread(burning(built, n), 12)]
 

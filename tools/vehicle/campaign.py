@@ -7,7 +7,7 @@ from typing import Any
 
 from maxq.design.model.spread import Spread
 from maxq.tools.vehicle.build import Built
-from maxq.tools.vehicle.layout import Stage
+from maxq.tools.vehicle.layout import LayoutStage
 
 LIMIT_WIND = "vehicle/limit_wind.csv"
 SPREAD = Spread()  # its numbers, and further ones
@@ -43,7 +43,9 @@ def campaign_of(built: Built) -> dict[str, Any]:
     }  # fmt: skip  # four more lines otherwise
 
 
-def _deviations(built: Built, stage: Stage, parts: Sequence[int]) -> Iterator[tuple[str, list[str], dict[str, Any]]]:
+def _deviations(
+    built: Built, stage: LayoutStage, parts: Sequence[int]
+) -> Iterator[tuple[str, list[str], dict[str, Any]]]:
     """Yield the name, keys and distribution of the deviations of a stage of the layout, alike in its `parts`.
 
     Their sizes are those of a suite without a campaign.

@@ -13,10 +13,11 @@ from maxq.control.kernel.tables import table_in
 from maxq.design.model.held import HeldStage, hold_stage, table_clock_s
 from maxq.design.model.vehicle_at import vehicle_at
 from maxq.sim.flight.metric_table import figures
+from maxq.sim.input.files import scenarios_folder
 from maxq.sim.packing.flight import pack_flight
-from maxq.sim.scenario.files import scenarios_folder
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.sim.vehicle import aero, schedule
+from maxq.sim.vehicle import schedule
+from maxq.sim.vehicle.air import kernel as aero
 from maxq.tools.cli.terminal import aligned
 from maxq.tools.vehicle.build import Built, burning, spread
 

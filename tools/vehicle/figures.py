@@ -12,9 +12,9 @@ from maxq.tools.pages.render import render
 from maxq.tools.plots import side_view
 from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, at, limit, line, look
 from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad
-from maxq.tools.vehicle.layout import Stage
+from maxq.tools.vehicle.layout import LayoutStage
 from maxq.tools.vehicle.report import notes, numbers, tables
-from maxq.tools.vehicle.trajectory import Point
+from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
 _AIR_Pa = 100.0  # below this dynamic pressure a centre of pressure is of no consequence
 _TIME, _STATION = "flight time, s", "station, m aft of the nose"
@@ -47,7 +47,7 @@ def _vehicle(built: Built) -> Plot:
     return side_view.figure(layout.name, bodies, marks, max(s.diameter_m for s in layout.stage), caption)
 
 
-def _stage(stage: Stage, nose_m: float, nose: str) -> list[Series]:
+def _stage(stage: LayoutStage, nose_m: float, nose: str) -> list[Series]:
     r, e, out = 0.5 * stage.diameter_m, stage.engine, list[Series]()
     if (f := stage.fins) is not None:
         chord = np.array([0.0, f.sweep_m, f.sweep_m + f.tip_chord_m, f.root_chord_m]) + f.leading_edge_station_m
@@ -131,7 +131,7 @@ def _modes(built: Built) -> Plot:
     return Plot("modes", "Bending modes", panels, caption, 1)
 
 
-def _split(points: list[Point], values: list[float]) -> tuple[Array, Array]:
+def _split(points: list[TrajectoryPoint], values: list[float]) -> tuple[Array, Array]:
     """Over flight time, apart where the stage changes."""
     t, y = np.array([p.time_s for p in points]), np.array(values, dtype=float)
     changes = np.flatnonzero(np.diff([p.number for p in points])) + 1

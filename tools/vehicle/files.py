@@ -17,16 +17,16 @@ from maxq.control.kernel.records import Array
 from maxq.design.laws.design_file import design_text
 from maxq.design.verify.suite import read_suite
 from maxq.sim.files import write_whole
-from maxq.sim.scenario.errors import ScenarioError
-from maxq.sim.scenario.schema_stage import SECTIONS
-from maxq.sim.scenario.schema_values import Section
-from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.input.errors import ScenarioError
+from maxq.sim.input.tables_csv import CsvTable
+from maxq.sim.input.values import Section
+from maxq.sim.vehicle.actuator.section import SECTIONS
 from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.beam import Beam
 from maxq.tools.vehicle.build import Built, burning, least_rigid_hz
 from maxq.tools.vehicle.campaign import LIMIT_WIND, campaign_of
 from maxq.tools.vehicle.masses import Stack, engine_inertia
-from maxq.tools.vehicle.trajectory import Point
+from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
 SUITE = "launcher"
 MASS_ROWS, SHAPE_STATIONS = 41, 41
@@ -35,8 +35,8 @@ ROOM_DB, ROOM_DEG = 0.5, 2.0  # by which a case asks for more than its suite: no
 ROLL_SHARE = 0.25  # of the gimbals' angle that roll may take
 FASTER = 0.1  # share of its burn by which a part's tables go on where the next part burns on
 SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
-Table = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
-Tables = dict[str, Table]  # by the file's name
+CsvFile = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
+Tables = dict[str, CsvFile]  # by the file's name
 
 
 def write(built: Built, folder: Path) -> list[Path]:
@@ -69,7 +69,7 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:{DIGITS}}") if isinstance(value, float) else value
 
 
-def _limit_wind(jet_mps: float) -> Table:
+def _limit_wind(jet_mps: float) -> CsvFile:
     """A jet stream to begin with: a light wind on the ground, a light one above."""
     rows = [(0.0, min(8.0, jet_mps)), (11e3, jet_mps), (20e3, min(10.0, jet_mps)), (30e3, min(10.0, jet_mps))]
     return "altitude_m,speed_mps,from_deg", [(*row, 270.0) for row in rows]
@@ -95,7 +95,7 @@ def _continued(stack: Stack, rows: list[tuple[float, ...]]) -> list[tuple[float,
     return [*rows, tuple(float(x) for x in further)]
 
 
-def _over_time(stack: Stack, columns: str, values: Iterable[tuple[float, ...]]) -> Table:
+def _over_time(stack: Stack, columns: str, values: Iterable[tuple[float, ...]]) -> CsvFile:
     """What the burn changes, at `_times_s`."""
     return f"time_s,{columns}", _continued(stack, [(t, *row) for t, row in zip(_times_s(stack), values, strict=True)])
 
@@ -167,7 +167,7 @@ def _loads(stack: Stack, prefix: str, tables: Tables) -> dict[str, Any]:
     return dict(out)
 
 
-def _mode_table(built: Built, n: int) -> Table:
+def _mode_table(built: Built, n: int) -> CsvFile:
     stack, beam, rows = built.stacks[n], Beam.of(built.stacks[n]), []
     nodes = np.unique(np.linspace(0, len(beam.nodes_m) - 1, SHAPE_STATIONS).astype(int))
     times, every = built.modes[n]
@@ -189,7 +189,7 @@ def _cg_over_mach(built: Built, n: int) -> Array:
     return np.asarray(np.interp(built.aero[n].mach, np.array([p.mach for p in points])[order], np.array(cg)[order]))
 
 
-def _lead_rad(built: Built, p: Point, k_p: float, k_d: float, rate_radps: float) -> tuple[float, float]:
+def _lead_rad(built: Built, p: TrajectoryPoint, k_p: float, k_d: float, rate_radps: float) -> tuple[float, float]:
     """Incidence along the path at an instant, and by how much the command leads so that the law holds it.
 
     Static trim: the incidence that turns the path, the gimbal angle that holds it against M_alpha and pitch damping;
@@ -209,7 +209,7 @@ def _lead_rad(built: Built, p: Point, k_p: float, k_d: float, rate_radps: float)
     return incidence, (gimbal + k_d * rate_radps) / k_p
 
 
-def _programme(built: Built) -> Table:
+def _programme(built: Built) -> CsvFile:
     """Pitch rate that makes the law fly the point-mass path."""
     every, gains = built.flight.points, np.array(built.gains)
     points = [p for p, q in pairwise(every) if p.time_s < q.time_s] + every[-1:]  # a separation may take no time

@@ -13,15 +13,17 @@ import numpy as np
 from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_STAGES
-from maxq.sim.scenario import schema_values as values
-from maxq.sim.scenario.errors import refuse
+from maxq.sim.input import values
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.tables_csv import CsvTable
+from maxq.sim.input.values import Fraction, NotNegative, Pair, Positive, Section, optional
 from maxq.sim.scenario.loader import load_file
-from maxq.sim.scenario.schema_loads import SHARE_COLUMNS
-from maxq.sim.scenario.schema_stage import SECTIONS, THRUST_COLUMNS, Aero
-from maxq.sim.scenario.schema_tank import Profile, check_domes
-from maxq.sim.scenario.schema_values import Fraction, NotNegative, Pair, Positive, Section, optional
-from maxq.sim.scenario.schema_vehicle import Bending, SpatialModes
-from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.vehicle.actuator.section import SECTIONS
+from maxq.sim.vehicle.air.section import AeroSection
+from maxq.sim.vehicle.engine.section import THRUST_COLUMNS
+from maxq.sim.vehicle.loads.section import SHARE_COLUMNS
+from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
+from maxq.sim.vehicle.slosh.section import Profile, check_domes
 
 
 class Between(Section):
@@ -35,7 +37,7 @@ class Between(Section):
             raise refuse("ends where it begins, or before", f"above {self.front_station_m:g}", ("rear_station_m",))
 
 
-class Part(Between):
+class DryMass(Between):
     """A dry mass, uniform between two stations, on a thin ring."""
 
     name: str = Field(description="name of the part")
@@ -68,7 +70,7 @@ class Shell(Between):
         return self.EI_Nm2 + share * ((self.rear_EI_Nm2 or self.EI_Nm2) - self.EI_Nm2)
 
 
-class Tank(Section):
+class LayoutTank(Section):
     """An upright tank on the axis with the propellant in it."""
 
     name: values.ChannelPart = Field(description="name of the tank in logs")
@@ -109,7 +111,7 @@ class LoadSections(Section):
 _STACKED = ("upper", "middle", "lower")  # z is down
 
 
-class Engines(Section):
+class LayoutEngines(Section):
     """The engines of a stage, all alike; several turn together left of the axis, right of it and between."""
 
     positions_m: tuple[Pair, ...] = optional("of each engine's gimbal, y and z, m", ((0.0, 0.0),), min_length=1)
@@ -152,7 +154,7 @@ class Engines(Section):
         return tuple(names[int(np.sign(at[across])) + 1] for at in self.positions_m)
 
 
-class Fins(Section):
+class LayoutFins(Section):
     """Fins of trapezoidal planform."""
 
     count: Annotated[int, Field(ge=3, le=8)] = optional("number of fins", 4)
@@ -163,20 +165,20 @@ class Fins(Section):
     sweep_m: NotNegative = optional("tip's leading edge aft of the root's, m", 0.0)
 
 
-class Stage(Between):
+class LayoutStage(Between):
     """A stage with its extent in the vehicle."""
 
     name: values.ChannelPart = Field(description="name of the stage")
     diameter_m: Positive = Field(description="m")
-    part: tuple[Part, ...] = optional("dry parts, engines apart", ())
+    part: tuple[DryMass, ...] = optional("dry parts, engines apart", ())
     shell: tuple[Shell, ...] = Field(min_length=1, description="structure from the front to the rear of the stage")
-    tank: tuple[Tank, ...] = optional("with liquid propellant", (), max_length=MAX_PENDULUMS)
+    tank: tuple[LayoutTank, ...] = optional("with liquid propellant", (), max_length=MAX_PENDULUMS)
     grain: tuple[Grain, ...] = optional("solid propellant", ())
-    engine: Engines
-    fins: Fins | None = optional("absent: none")
-    aero: Aero | None = optional("as in a vehicle file: what it gives is not worked out (CSV, DATCOM's for006)")
-    bending: Bending | None = optional("as in a vehicle file, instead of the beam's modes")
-    spatial_modes: SpatialModes | None = optional("likewise (CSV, NASTRAN's op2 or f06)")
+    engine: LayoutEngines
+    fins: LayoutFins | None = optional("absent: none")
+    aero: AeroSection | None = optional("as in a vehicle file: what it gives is not worked out (CSV, DATCOM's for006)")
+    bending: BendingSection | None = optional("as in a vehicle file, instead of the beam's modes")
+    spatial_modes: SpatialModesSection | None = optional("likewise (CSV, NASTRAN's op2 or f06)")
     loads: LoadSections | None = optional("absent: no section loads")
     modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes of the beam", 3)
     bending_damping: Fraction = optional("damping ratio of all modes", 0.005)
@@ -204,7 +206,7 @@ class Stage(Between):
             )  # fmt: skip  # two more lines otherwise
 
 
-class Site(Section):
+class LayoutSite(Section):
     """Where it is launched."""
 
     latitude_deg: values.Latitude = Field(description="geodetic, deg")
@@ -271,11 +273,11 @@ class Layout(Section):
     nose: Literal["ogive", "cone"] = optional("shape of the nose", "ogive")
     nose_length_m: Positive = Field(description="m")
     axial_factor: Positive = optional("on the assumed axial force coefficient", 1.0)
-    site: Site
+    site: LayoutSite
     trajectory: Trajectory = Trajectory()
     control: Control
     fairing: Fairing | None = optional("absent: none, or never dropped")
-    stage: tuple[Stage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="in the order of flight")
+    stage: tuple[LayoutStage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="in the order of flight")
 
     def _check(self) -> None:
         for n, (lower, upper) in enumerate(pairwise(self.stage)):

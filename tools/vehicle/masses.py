@@ -11,9 +11,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
-from maxq.sim.scenario.tables_csv import CsvTable
+from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
-from maxq.tools.vehicle.layout import Engines, Grain, Layout, Part, Stage, Tank
+from maxq.tools.vehicle.layout import DryMass, Grain, Layout, LayoutEngines, LayoutStage, LayoutTank
 
 _RAMP_ROWS, _STEADY_ROWS = 9, 20
 
@@ -55,7 +55,7 @@ class MassProperties:
 
 
 @dataclass(frozen=True)
-class Burn:
+class ThrustCurve:
     """Thrust in vacuum and flow of all engines of a stage over its clock; the rows, joined by PCHIP, are the thrust.
 
     The flow is proportional to the thrust. `used_shares`: of the usable propellant, burned before and at the end.
@@ -93,19 +93,19 @@ class Burn:
         before, after = self.used_shares
         return before * (1.0 - share) + after * share
 
-    def split(self, t: float) -> tuple[Burn, Burn]:
+    def split(self, t: float) -> tuple[ThrustCurve, ThrustCurve]:
         """What burns up to t, and the rest on a clock that begins then."""
         at, early, late = float(self._thrust(t)), self.times_s < t - 1e-6, self.times_s > t + 1e-6
         first = np.append(self.times_s[early], t), np.append(self.thrust_N[early], at)
         rest = np.insert(self.times_s[late] - t, 0, 0.0).round(6), np.insert(self.thrust_N[late], 0, at)
         (begin, end), (before, after), used = self.full_s, self.used_shares, self.used(t)
         return (
-            Burn(*first, self.usable_kg, self.start_s, (begin, t), (before, used)),
-            Burn(*rest, self.usable_kg, 0.0, (0.0, end - t), (used, after)),
+            ThrustCurve(*first, self.usable_kg, self.start_s, (begin, t), (before, used)),
+            ThrustCurve(*rest, self.usable_kg, 0.0, (0.0, end - t), (used, after)),
         )
 
 
-def burn_of(stage: Stage, ignition_s: float) -> Burn:
+def burn_of(stage: LayoutStage, ignition_s: float) -> ThrustCurve:
     """Smooth steps up and down; full thrust lasts so long that the impulse is that of the usable propellant.
 
     Between them the thrust falls linearly to `thrust_end_share` of what it was.
@@ -129,17 +129,17 @@ def burn_of(stage: Stage, ignition_s: float) -> Burn:
     rest = [np.zeros(1)] * (ignition_s != 0.0)  # a row for the time before ignition
     clock_s = np.round(np.concatenate([*rest, *(ignition_s + t for t in times)]), 6)
     full_s = ignition_s + e.ramp_s, ignition_s + fall_s
-    return Burn(clock_s, np.concatenate([*rest, *thrust]), usable, ignition_s, full_s)
+    return ThrustCurve(clock_s, np.concatenate([*rest, *thrust]), usable, ignition_s, full_s)
 
 
-def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: float) -> Burn:
+def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: float) -> ThrustCurve:
     """A curve of thrust as it is given, from ignition; full thrust is what is above half its mean."""
     times, thrust = ignition_s + table["time_s"] - table["time_s"][0], engines * table["thrust_vacuum_N"]
     high = np.flatnonzero(thrust > 0.5 * np.trapezoid(thrust, times) / (times[-1] - times[0]))
     full = (float(times[high[0]]), float(times[high[-1]]))
     if times[0] > 0.0:
         times, thrust = np.insert(times, 0, 0.0), np.insert(thrust, 0, 0.0)
-    return Burn(times, thrust, usable_kg, ignition_s, full)
+    return ThrustCurve(times, thrust, usable_kg, ignition_s, full)
 
 
 @dataclass(frozen=True)
@@ -151,13 +151,13 @@ class Stack:
 
     layout: Layout
     number: int  # of the stage
-    burn: Burn
+    burn: ThrustCurve
     fairing: bool
     name: str
     drops_fairing: bool = False  # at the end of this part of the burn
 
     @property
-    def stage(self) -> Stage:
+    def stage(self) -> LayoutStage:
         return self.layout.stage[self.number]
 
     @property
@@ -187,7 +187,7 @@ class Stack:
             rods += [_grain(grain, grain.mass_kg, 0.5 * stage.diameter_m) for grain in stage.grain]
         return rods
 
-    def liquid_kg(self, tank: Tank, t: float) -> float:
+    def liquid_kg(self, tank: LayoutTank, t: float) -> float:
         """In a tank of the burning stage; all drain in proportion."""
         return tank.liquid_mass_kg - (tank.liquid_mass_kg - tank.residual_kg) * self.burn.used(t)
 
@@ -211,7 +211,7 @@ class Stack:
         return MassProperties(mass, cg, sum(r.mass_kg * r.roll_m2 for r in rods), pitch)
 
 
-def _part(part: Part, radius_m: float) -> Rod:
+def _part(part: DryMass, radius_m: float) -> Rod:
     if part.gyration_m is None:
         return ring(part.mass_kg, part.front_station_m, part.rear_station_m, radius_m)
     roll, across = part.gyration_m
@@ -223,7 +223,7 @@ def _grain(grain: Grain, mass_kg: float, radius_m: float) -> Rod:
     return Rod(mass_kg, grain.front_station_m, grain.rear_station_m, square, 0.5 * square)
 
 
-def _column(tank: Tank, mass_kg: float) -> Rod:
+def _column(tank: LayoutTank, mass_kg: float) -> Rod:
     """A liquid as a rod with its centroid and depth; in a dome the depth is that of the same centroid."""
     profile, r = tank.profile, tank.radius_m
     depth = float(profile.depth(np.array(mass_kg / (tank.density_kgpm3 * r**3))))
@@ -253,7 +253,7 @@ def without_fairing(every: Sequence[Stack], number: int, clock_s: float) -> list
     return out + [replace(stack, fairing=False) for stack in every[number + 1 :]]
 
 
-def engine_inertia(e: Engines) -> tuple[float, float, float]:
+def engine_inertia(e: LayoutEngines) -> tuple[float, float, float]:
     """Gimballed mass, its CG aft of the gimbal, transverse inertia about the gimbal, of one engine."""
     length = e.exit_station_m - e.gimbal_station_m
     mass = 0.8 * e.mass_kg if e.gimballed_mass_kg is None else e.gimballed_mass_kg

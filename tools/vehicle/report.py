@@ -10,7 +10,7 @@ from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad, spread, warnings
 
-Rows = list[tuple[str, ...]]  # the first is the head
+LayoutRows = list[tuple[str, ...]]  # the first is the head
 
 
 def report(built: Built) -> str:
@@ -28,7 +28,7 @@ def numbers(head: tuple[str, ...]) -> list[int]:
     return [n for n, name in enumerate(head) if name != "stage"]
 
 
-def tables(built: Built) -> list[tuple[str, Rows]]:
+def tables(built: Built) -> list[tuple[str, LayoutRows]]:
     """Titles and rows."""
     return [found for found in (_stages(built), _modes(built), _control(built)) if len(found[1]) > 1]
 
@@ -39,8 +39,8 @@ def notes(built: Built) -> list[tuple[str, list[str]]]:
     return [(title, lines) for title, lines in both if lines]
 
 
-def _stages(built: Built) -> tuple[str, Rows]:
-    rows: Rows = [("stage", "from", "to", "burn, s", "T/W", "dv", "v", "h, km", "path, deg")]
+def _stages(built: Built) -> tuple[str, LayoutRows]:
+    rows: LayoutRows = [("stage", "from", "to", "burn, s", "T/W", "dv", "v", "h, km", "path, deg")]
     for n, stack in enumerate(built.stacks):
         first, last = (stack.mass_properties(t).mass_kg for t in (0.0, stack.burn.end_s))
         point = [p for p in built.flight.points if p.number == n][-1]
@@ -60,8 +60,8 @@ def _stages(built: Built) -> tuple[str, Rows]:
     return f"stages ({about})", rows
 
 
-def _modes(built: Built) -> tuple[str, Rows]:
-    rows: Rows = [("stage", "mode", "first, Hz", "last, Hz", "mass, kg", "slope at gyro, 1/m")]
+def _modes(built: Built) -> tuple[str, LayoutRows]:
+    rows: LayoutRows = [("stage", "mode", "first, Hz", "last, Hz", "mass, kg", "slope at gyro, 1/m")]
     gyro = built.layout.control.gyro_station_m
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):
@@ -73,8 +73,8 @@ def _modes(built: Built) -> tuple[str, Rows]:
     return f"bending, free-free, 1 at the gimbal; first at ignition, last at burn-out{on_pad}", rows
 
 
-def _control(built: Built) -> tuple[str, Rows]:
-    rows: Rows = [("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha", "M_delta", "k_p", "k_d, s")]
+def _control(built: Built) -> tuple[str, LayoutRows]:
+    rows: LayoutRows = [("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha", "M_delta", "k_p", "k_d, s")]
     gains = np.array(built.gains)
     for n, stack in enumerate(built.stacks):
         for p in spread(burning(built, n), 6):

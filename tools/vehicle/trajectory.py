@@ -24,17 +24,17 @@ from maxq.sim.world import earth
 from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K, TOP_m, us1976
 from maxq.sim.world.thermosphere import upper_air
 from maxq.tools.vehicle.aerodynamics import Aerodynamics
-from maxq.tools.vehicle.layout import Layout, Site
+from maxq.tools.vehicle.layout import Layout, LayoutSite
 from maxq.tools.vehicle.masses import Stack, without_fairing
 
 STEERING_BLEND_s = 15.0  # from the gravity turn's attitude to that of the tangent law
 _LEAST_SPEED_mps = 1.0
 _STEP_s = 10.0
-State = tuple[float, float, float, float]  # range m, altitude m, speed m/s, path angle rad
+TrajectoryState = tuple[float, float, float, float]  # range m, altitude m, speed m/s, path angle rad
 
 
 @dataclass(frozen=True)
-class Point:
+class TrajectoryPoint:
     """An instant of the ascent: stack and its clock, flight time, and what acts."""
 
     number: int
@@ -79,7 +79,7 @@ class Orbit(NamedTuple):
 class Ascent:
     """Points along the powered flight, the stacks that fly it, and when each begins, s of flight time."""
 
-    points: list[Point]
+    points: list[TrajectoryPoint]
     stacks: list[Stack]
     begins_s: list[float]
     kick_rad: float
@@ -87,7 +87,7 @@ class Ascent:
     orbit: Orbit
 
 
-class _Place(NamedTuple):
+class _StackPlace(NamedTuple):
     """What the launch site gives: local radius, turning about the plane's normal and along it, and the latitude."""
 
     radius_m: float
@@ -97,11 +97,11 @@ class _Place(NamedTuple):
     cos_north: float  # of latitude, times that of azimuth
 
     @staticmethod
-    def of(site: Site) -> _Place:
+    def of(site: LayoutSite) -> _StackPlace:
         latitude, azimuth = math.radians(site.latitude_deg), math.radians(site.azimuth_deg)
         radius = earth.WGS84_RADIUS_m * (1.0 - earth.WGS84_FLATTENING * math.sin(latitude) ** 2)
         turning = earth.WGS84_RATE_radps * math.cos(latitude)
-        return _Place(
+        return _StackPlace(
             radius, turning * math.sin(azimuth), turning * math.cos(azimuth) * radius, math.sin(latitude),
             math.cos(latitude) * math.cos(azimuth),
         )  # fmt: skip  # three more lines otherwise
@@ -122,8 +122,8 @@ class _Model:
     tangents: tuple[float, float] | None = None
 
     @cached_property
-    def place(self) -> _Place:
-        return _Place.of(self.layout.site)
+    def place(self) -> _StackPlace:
+        return _StackPlace.of(self.layout.site)
 
     @cached_property
     def masses(self) -> list[tuple[Array, Array]]:
@@ -164,7 +164,7 @@ class _Model:
         x = min(max((time_s - begin) / STEERING_BLEND_s, 0.0), 1.0)
         return x * x * (3.0 - 2.0 * x) * (wanted - path)
 
-    def rate(self, n: int, begin_s: float, dropped_kg: float, t: float, y: Sequence[float]) -> State:
+    def rate(self, n: int, begin_s: float, dropped_kg: float, t: float, y: Sequence[float]) -> TrajectoryState:
         reach, altitude, speed, path = y
         thrust, drag, _, _ = self.acts(n, t, altitude, speed)
         mass = float(np.interp(t, *self.masses[n])) - dropped_kg
@@ -191,7 +191,7 @@ class _Model:
         late = min(max(2.0 * x - 1.0, 0.0), 1.0)
         return push, late * late * (3.0 - 2.0 * late)
 
-    def point(self, n: int, begin_s: float, t: float, y: State) -> Point:
+    def point(self, n: int, begin_s: float, t: float, y: TrajectoryState) -> TrajectoryPoint:
         reach, altitude, speed, path = y
         thrust, _, q, mach = self.acts(n, t, altitude, speed)
         time_s, radius = begin_s + t, self.place.radius_m + altitude
@@ -202,14 +202,14 @@ class _Model:
             excess = 0.0  # the pad, and straight up
         horizon = reach / self.place.radius_m + self.place.spin_radps * time_s
         incidence = self.incidence(n, time_s, path)
-        return Point(n, t, time_s, reach, altitude, speed, path, thrust, q, mach, incidence, excess, horizon)
+        return TrajectoryPoint(n, t, time_s, reach, altitude, speed, path, thrust, q, mach, incidence, excess, horizon)
 
-    def fly(self, points: int) -> tuple[list[Point], list[float], tuple[int, float] | None]:
+    def fly(self, points: int) -> tuple[list[TrajectoryPoint], list[float], tuple[int, float] | None]:
         """All stages: `points` of each burn, when each begins, and stack and clock at which the fairing is dropped."""
         fairing, wanted = self.layout.fairing, self.layout.trajectory
         jettison_m = math.inf if fairing is None else fairing.jettison_altitude_m
-        y: State = (0.0, self.layout.site.altitude_m, 0.0, 0.5 * math.pi)
-        time_s, kept, begins, dropped = 0.0, list[Point](), list[float](), None
+        y: TrajectoryState = (0.0, self.layout.site.altitude_m, 0.0, 0.5 * math.pi)
+        time_s, kept, begins, dropped = 0.0, list[TrajectoryPoint](), list[float](), None
 
         def above(_: float, y: Array) -> float:
             return float(y[1]) - jettison_m
@@ -250,14 +250,14 @@ class _Model:
             time_s += end
         return kept, begins, dropped
 
-    def orbit(self, last: Point) -> Orbit:
+    def orbit(self, last: TrajectoryPoint) -> Orbit:
         radius = self.place.radius_m + last.altitude_m
         along = last.speed_mps * math.cos(last.path_rad) + self.place.spin_radps * radius
         across = self.place.across_mps * radius / self.place.radius_m
         return Orbit.of(radius, math.hypot(along, across), last.speed_mps * math.sin(last.path_rad))
 
 
-def _state(row: Array) -> State:
+def _state(row: Array) -> TrajectoryState:
     reach, altitude, speed, path = (float(v) for v in row)
     return reach, altitude, speed, path
 

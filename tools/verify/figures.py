@@ -12,7 +12,7 @@ from maxq.design import operating_points
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.quantities import MEASURED, SWEPT
 from maxq.design.verify.flown import FlownResult
-from maxq.design.verify.judging import Judged, judge
+from maxq.design.verify.judging import JudgedLoop, judge
 from maxq.design.verify.linear import MarginCase, MarginStudy, percentiles
 from maxq.design.verify.names import tank_name
 from maxq.design.verify.suite import LinearMargins
@@ -217,7 +217,7 @@ def _level_and_turn(picture: LoopPicture) -> tuple[Array, Array, Array]:
     return picture.frequency_hz, level, np.degrees(np.angle(-picture.loop)) - 180.0
 
 
-def _lobe_colours(judged: Sequence[Judged]) -> dict[str, str]:
+def _lobe_colours(judged: Sequence[JudgedLoop]) -> dict[str, str]:
     """One for each pole over all nodes."""
     every = {mark.text for j in judged for mark in picture_of(j, "").marks if mark.is_lobe}
     poles = sorted({part for text in every for part in text.split(", ")})
@@ -225,7 +225,7 @@ def _lobe_colours(judged: Sequence[Judged]) -> dict[str, str]:
     return {text: of[text.split(", ")[0]] for text in every}
 
 
-def _bode(judged: Sequence[Judged], plane: str) -> Plot:
+def _bode(judged: Sequence[JudgedLoop], plane: str) -> Plot:
     """At the node with the least |1 + L|, with the margins drawn."""
     least = min(judged, key=lambda j: j.margins.modulus if j.margins.stable else -1.0)
     picture = picture_of(least, "")
@@ -266,7 +266,7 @@ def _bode(judged: Sequence[Judged], plane: str) -> Plot:
     return Plot(f"bode-{plane}", f"Open loop where it is nearest to -1, {plane}", panels, caption, 1, 210)
 
 
-def _nichols(judged: Sequence[Judged], wanted: LinearMargins, plane: str) -> Plot:
+def _nichols(judged: Sequence[JudgedLoop], wanted: LinearMargins, plane: str) -> Plot:
     colours, panels = _lobe_colours(judged), []
     asked = wanted.nominal
     up, down, phase = asked.gain_up_db, asked.gain_down_db, asked.rigid_phase_deg

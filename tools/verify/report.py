@@ -19,7 +19,7 @@ from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.verify.compared import against_basis
 from maxq.design.verify.flown import FlownResult
 from maxq.design.verify.names import tank_name
-from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, Requirement
+from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, JudgedRequirement
 from maxq.design.verify.verify import Verification
 from maxq.design.verify.worst import WorstVehicle
 from maxq.sim.campaign.statistics import MET
@@ -104,9 +104,9 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
     return [{"name": p, "asked": asked.get(p, ""), "counts": [n[j] for j in order]} for p, n in parts.items()]
 
 
-def _limiting(found: Verification) -> list[Requirement]:
+def _limiting(found: Verification) -> list[JudgedRequirement]:
     """The requirement with the least room of each part."""
-    nearest: dict[str, Requirement] = {}
+    nearest: dict[str, JudgedRequirement] = {}
     for r in sorted((r for r in found.requirements if math.isfinite(r.room)), key=lambda r: r.room):
         nearest.setdefault(r.part, r)
     return list(nearest.values())
@@ -185,7 +185,7 @@ def print_page(page: Path, pdf: Path) -> Path | None:
     return pdf
 
 
-def _headings(part: Sequence[Requirement]) -> list[str]:
+def _headings(part: Sequence[JudgedRequirement]) -> list[str]:
     """The plane of each requirement of a part, as the end of its heading: that of the next one with a plane, where all
     but a few that come first in it have one; else none.
     """

@@ -22,7 +22,7 @@ from maxq.design.verify.parts import Watch
 from maxq.design.verify.verify import Verification, flight_of, verify
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.files import check_writable, plain_name
-from maxq.sim.scenario.errors import ScenarioError
+from maxq.sim.input.errors import ScenarioError
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
@@ -30,7 +30,7 @@ from maxq.tools.cli.terminal import Progress, aligned, printable, tell
 from maxq.tools.design import run_case
 from maxq.tools.verify import report
 
-_EXIT: dict[suites.Judgement, Exit] = {
+_EXIT: dict[suites.SuiteVerdict, Exit] = {
     suites.ACCEPTED: Exit.OK,
     suites.SCREENED: Exit.OK,
     suites.REJECTED: Exit.FAILED,
@@ -64,7 +64,7 @@ def execute(
         tell(f"{len(paths)} designs share the risk of a wrong acceptance: {', '.join(changes)}\n")
     words = ("--only", only) if only else ()
     if only:
-        along, kept = flight_of(loaded.suite, paths[0], vehicle), memory.Memory(memory.default_folder())
+        along, kept = flight_of(loaded.suite, paths[0], vehicle), memory.PartsOnDisk(memory.default_folder())
         named(loaded, along).only(only)  # a wrong name is refused before the flight that the marks need
         loaded = fit(loaded, along, kept).only(only)
     for folder in folders:

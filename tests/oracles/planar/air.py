@@ -11,7 +11,8 @@ from oracles.planar.incidence import reference_station_m, table_slopes
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
-from maxq.sim.vehicle import aero, schedule
+from maxq.sim.vehicle import schedule
+from maxq.sim.vehicle.air import kernel as aero
 
 
 @dataclass(frozen=True)

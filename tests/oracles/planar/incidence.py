@@ -17,7 +17,9 @@ import numpy as np
 from maxq.control.kernel.grids import grid_in
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
-from maxq.sim.vehicle import aero, incidence, schedule
+from maxq.sim.vehicle import schedule
+from maxq.sim.vehicle.air import incidence
+from maxq.sim.vehicle.air import kernel as aero
 
 _ALONG = 1e-10  # sine of the total incidence below which there is no plane of incidence
 

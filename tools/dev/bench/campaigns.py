@@ -23,7 +23,7 @@ from maxq.control.kernel.machine import cores
 from maxq.sim.campaign import runs as campaign_runs
 from maxq.sim.campaign.plan import Plan
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
-from maxq.sim.campaign.runner import Progress, load_kernels, run_campaign
+from maxq.sim.campaign.runner import CampaignProgress, load_kernels, run_campaign
 from maxq.sim.campaign.store import Store
 from maxq.sim.flight import loop
 from maxq.sim.run import fly
@@ -116,7 +116,7 @@ def memory(runs: int = _FLOWN, rows: int = _ROWS) -> dict[str, float]:
         folder = Path(scratch) / "out"
         half: list[float] = []
 
-        def watch(progress: Progress) -> None:
+        def watch(progress: CampaignProgress) -> None:
             if progress.done >= runs // 2 and not half:
                 half.append(_peak_MB())
 

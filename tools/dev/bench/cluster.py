@@ -94,7 +94,7 @@ def _measured(workers: int, processes: int, runs: int, flight_s: float | None, k
         runner.run_campaign(warm, scratch / "warm", cluster=client)
         lost = threading.Event()
 
-        def watch(progress: runner.Progress) -> None:
+        def watch(progress: runner.CampaignProgress) -> None:
             if kill and not lost.is_set() and progress.flown > runs // 3:
                 lost.set()
                 hosts[0].kill()

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.scenario.schema_stage import Engine
+from maxq.sim.vehicle.engine.section import EngineSection
 from maxq.sim.vehicle.state import Q_BI, R_I
 from maxq.tools.dev.bench.serve import State, serve
 
@@ -22,7 +22,7 @@ POWERED_S = 59.0
 WHOLE_FLIGHT_NS = 10**12  # one segment holds it
 
 
-def nine_engines(one: Engine) -> str:
+def nine_engines(one: EngineSection) -> str:
     """The stage's engine as nine, each a group."""
     whole = {
         "table": "'vehicles/ksr3/thrust.csv'", "gimbal_station_m": one.gimbal_station_m,

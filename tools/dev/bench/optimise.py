@@ -34,7 +34,7 @@ from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import descend
-from maxq.sim.scenario.schema_values import at_time
+from maxq.sim.input.values import at_time
 from maxq.tools.design.run_case import order_cases, solve_orders
 
 CASE = "ksr3-identical"

@@ -17,7 +17,7 @@ from maxq.tools.dev.bench.steps import IDEAL
 
 
 @dataclass(frozen=True)
-class Flown:
+class ProgramFlight:
     """A program's flight: what it is, in words, and which worker flies it."""
 
     key: str
@@ -30,15 +30,15 @@ class Flown:
 
 
 CASES = (
-    Flown("maxq", "nominal, 59 s at 1 kHz, everything on", "fly_maxq", ours=True),
-    Flown("maxq_own", "the same, by a campaign's kernels", "fly_maxq", ours=True, arguments=("--own-kernels",)),
-    Flown(
+    ProgramFlight("maxq", "nominal, 59 s at 1 kHz, everything on", "fly_maxq", ours=True),
+    ProgramFlight("maxq_own", "the same, by a campaign's kernels", "fly_maxq", ours=True, arguments=("--own-kernels",)),
+    ProgramFlight(
         "maxq_nine", "its engine as nine, each moved by itself", "fly_maxq", ours=True, arguments=("--nine-engines",)
     ),
-    Flown("jsbsim", "rigid, J2461.xml, 60 s at 1 kHz", "fly_jsbsim", needed=3.5),
-    Flown("basilisk", "hub, 3 slosh, 2 panels, RK4, 60 s at 1 kHz", "fly_basilisk", needed=20.0),
-    Flown("rocketpy", "rigid, 60 s, LSODA, 100 Hz controller on interpolated points", "fly_rocketpy"),
-    Flown(
+    ProgramFlight("jsbsim", "rigid, J2461.xml, 60 s at 1 kHz", "fly_jsbsim", needed=3.5),
+    ProgramFlight("basilisk", "hub, 3 slosh, 2 panels, RK4, 60 s at 1 kHz", "fly_basilisk", needed=20.0),
+    ProgramFlight("rocketpy", "rigid, 60 s, LSODA, 100 Hz controller on interpolated points", "fly_rocketpy"),
+    ProgramFlight(
         "rocketpy_causal",
         "rigid, 60 s, RK23, steps end at the 100 Hz controller",
         "fly_rocketpy",
@@ -50,7 +50,7 @@ CASES = (
 
 @dataclass
 class _Worker:
-    case: Flown
+    case: ProgramFlight
     process: subprocess.Popen[str]
     about: dict[str, Any]
     flights: list[dict[str, Any]] = field(default_factory=list)
@@ -118,7 +118,7 @@ def _refined(of: Refined, python: Path, flights: int) -> list[dict[str, Any]]:
     rows, exact = [], None
     for name, arguments in reversed(of.methods):
         try:
-            worker = _start(Flown(of.program, name, of.module, of.ours, arguments), python)
+            worker = _start(ProgramFlight(of.program, name, of.module, of.ours, arguments), python)
             try:
                 worker.fly()  # compiles, fills caches
                 flown = [worker.fly() for _ in range(flights)]
@@ -137,7 +137,7 @@ def _refined(of: Refined, python: Path, flights: int) -> list[dict[str, Any]]:
     return rows[:0:-1]
 
 
-def _start(case: Flown, python: Path) -> _Worker:
+def _start(case: ProgramFlight, python: Path) -> _Worker:
     process = subprocess.Popen(
         [str(python), "-m", f"maxq.tools.dev.bench.{case.module}", *case.arguments],
         stdin=subprocess.PIPE,

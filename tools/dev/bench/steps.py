@@ -51,7 +51,7 @@ GUST = (
 
 
 @dataclass
-class Flown:
+class StepStudyFlight:
     """States every `EVERY_NS` with the sizes of their stage, and what the flight cost."""
 
     states: dict[int, tuple[Array, Any]]
@@ -60,7 +60,7 @@ class Flown:
     longest_ms: tuple[float, ...]  # of each stage
 
 
-def _fly(scenario: str, overrides: tuple[str, ...], method: str) -> Flown:
+def _fly(scenario: str, overrides: tuple[str, ...], method: str) -> StepStudyFlight:
     run = FlightRun(load_scenario(scenario, [*IDEAL, GUST, *overrides, f"run.{method}"]), log=False)
     states, cpu_s = {}, 0.0
     while not run.finished:
@@ -70,10 +70,10 @@ def _fly(scenario: str, overrides: tuple[str, ...], method: str) -> Flown:
         sizes = run.packed.parameters[int(run.memory.clock.stage)].vehicle.sizes
         states[int(run.memory.clock.now_ns)] = run.packed.state.copy(), sizes
     of = run.loaded.scenario
-    return Flown(states, run.result(), cpu_s, tuple(step_ns(of, stage) / 1e6 for stage in of.vehicle.stage))
+    return StepStudyFlight(states, run.result(), cpu_s, tuple(step_ns(of, stage) / 1e6 for stage in of.vehicle.stage))
 
 
-def _row(flown: Flown, exact: Flown) -> dict[str, Any]:
+def _row(flown: StepStudyFlight, exact: StepStudyFlight) -> dict[str, Any]:
     both = sorted(set(flown.states) & set(exact.states))
     errors = [differences(flown.states[t][0], exact.states[t][0], exact.states[t][1]) for t in both]
     metric, share = max(_shares(flown.flight, exact.flight), key=lambda item: item[1])

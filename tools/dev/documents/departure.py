@@ -16,8 +16,8 @@ from maxq.design.loop.resonance import Resonance
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray
 
-Part = Literal["total", "pade", "aliasing", "integrator", "filter"]
-PARTS: tuple[Part, ...] = ("total", "pade", "aliasing", "integrator", "filter")
+DeparturePart = Literal["total", "pade", "aliasing", "integrator", "filter"]
+PARTS: tuple[DeparturePart, ...] = ("total", "pade", "aliasing", "integrator", "filter")
 
 
 @dataclass(frozen=True)
@@ -34,17 +34,17 @@ class Departure:
 
     node: Node
     frequency_hz: Array
-    db: dict[Part, Array]
-    deg: dict[Part, Array]
+    db: dict[DeparturePart, Array]
+    deg: dict[DeparturePart, Array]
     sampled_db: Array  # |L| of the sampled loop
     resonances: tuple[Resonance, ...]  # of the sampled loop
 
-    def first_hz(self, db: float, deg: float, part: Part = "total") -> float:
+    def first_hz(self, db: float, deg: float, part: DeparturePart = "total") -> float:
         """Lowest frequency from which the departure exceeds `db` or `deg`; infinity if it never does."""
         beyond = (np.abs(self.db[part]) > db) | (np.abs(self.deg[part]) > deg)
         return float(self.frequency_hz[np.argmax(beyond)]) if beyond.any() else float("inf")
 
-    def at(self, frequency_hz: float) -> dict[Part, tuple[float, float]]:
+    def at(self, frequency_hz: float) -> dict[DeparturePart, tuple[float, float]]:
         """(dB, deg) of each part at the tabulated frequency nearest to `frequency_hz`."""
         k = int(np.argmin(np.abs(self.frequency_hz - frequency_hz)))
         return {part: (float(self.db[part][k]), float(self.deg[part][k])) for part in PARTS}
@@ -65,7 +65,7 @@ def departure(
     pade, exact, images = (path.response(f) for path in paths)
     filters = continuous.filter_response(f), discrete.filter_response(f)
     law = Loop(paths[0], continuous).controller(f) / filters[0], sampled.controller(f) / filters[1]
-    ratios: dict[Part, ComplexArray] = {
+    ratios: dict[DeparturePart, ComplexArray] = {
         "pade": pade / exact,
         "aliasing": exact / images,
         "integrator": law[0] / law[1],

@@ -18,13 +18,13 @@ from maxq.design import operating_points
 from maxq.design.loop.loop import Loop, loops
 from maxq.design.margins.measure import Margins, margins
 from maxq.sim.scenario.loader import load_scenario
-from maxq.tools.dev.documents.departure import PARTS, Departure, Part, departure
+from maxq.tools.dev.documents.departure import PARTS, Departure, DeparturePart, departure
 
 SCENARIO, DESIGN = "nominal", "designs/ksr3-default.toml"
 DEFAULT_FILE = Path(__file__).resolve().parents[3] / "docs" / "flights" / "nominal-departure.md"
 LIMITS = ((0.1, 1.0), (0.5, 5.0), (3.0, 30.0))  # dB, deg
 MODES = ("bending 1", "bending 2", "bending 3")
-NAMES: dict[Part, str] = {
+NAMES: dict[DeparturePart, str] = {
     "total": "all",
     "pade": "Padé approximants (30 to 32)",
     "aliasing": "no images",

@@ -20,15 +20,15 @@ from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.metric_table import METRICS
 from maxq.sim.flight.parameters import EVENT_NAMES
 from maxq.sim.flight.telemetry import channel_table
+from maxq.sim.input.errors import show_value
+from maxq.sim.input.ranges import LARGEST_NUMBER, RANGES
+from maxq.sim.input.values import Section
 from maxq.sim.packing.schedule import stage_sizes
 from maxq.sim.run.flight import WAVE_BREAKING_NAME
 from maxq.sim.run.fly import CONTROL_LOST_CAUSE, FAULT_END_NAME, FAULT_NAME, IGNITION_NAME, SOFTWARE_NAME
-from maxq.sim.scenario.errors import show_value
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.messages import describe, section_of, unwrap
-from maxq.sim.scenario.ranges import LARGEST_NUMBER, RANGES
 from maxq.sim.scenario.schema_design import Design
-from maxq.sim.scenario.schema_values import Section
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.sim.vehicle.state import CAUSES
 from maxq.tools.schemas import MODELS

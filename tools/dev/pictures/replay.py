@@ -17,7 +17,7 @@ from unittest.mock import patch
 
 from PIL import Image
 
-from maxq.sim.scenario.files import builtin_files
+from maxq.sim.input.files import builtin_files
 from maxq.tools import simrun, simvehicle
 from maxq.tools.replay import convert, viewer
 from maxq.tools.replay.convert import Options, save

@@ -29,8 +29,8 @@ from maxq.design.verify.suite import (
     ACCEPTED,
     REJECTED,
     UNDECIDED,
+    JudgedRequirement,
     LinearMargins,
-    Requirement,
     overall,
     read_suite,
     shared_risk,
@@ -100,7 +100,7 @@ def thrust_sigmas(loaded: LoadedCampaign, count: int) -> np.ndarray:
     return drawn(loaded.campaign.seed, MOST_RUNS)[:count]
 
 
-def linear_part(wanted: LinearMargins, loaded: LoadedCampaign, p: float) -> list[Requirement]:
+def linear_part(wanted: LinearMargins, loaded: LoadedCampaign, p: float) -> list[JudgedRequirement]:
     """Judge random vehicles whose phase margin falls short where the thrust drawn for them is too large."""
     cases = np.full((wanted.cases, 1, len(SWEPT)), np.inf)
     cases[:, 0, SWEPT.index("rigid_phase_deg")] = LIMIT_DEG + threshold(p) - thrust_sigmas(loaded, wanted.cases)
@@ -108,7 +108,7 @@ def linear_part(wanted: LinearMargins, loaded: LoadedCampaign, p: float) -> list
     return margin_requirements(MarginStudy("", "pitch", (40.0,), nominal, (), cases), wanted)
 
 
-def flown_part(loaded: LoadedCampaign, p: float) -> list[Requirement]:
+def flown_part(loaded: LoadedCampaign, p: float) -> list[JudgedRequirement]:
     """Flights that miss their limit where the thrust drawn for them is too large."""
     runs = loaded.campaign.runs
     data = Formula(loaded, LIMIT_ALPHA_DEG + thrust_sigmas(loaded, runs) - threshold(p))

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 from maxq.sim.run.flight import Flight
-from maxq.tools.dev.verification.nesc_cases import ALL_CASES, Difference, fly_case
+from maxq.tools.dev.verification.nesc_cases import ALL_CASES, LargestDifference, fly_case
 from maxq.tools.dev.verification.nesc_pictures import draw
 from maxq.tools.dev.verification.section import VERIFICATION, markers, rewrite
 from maxq.tools.plots.style import drawing
@@ -27,7 +27,7 @@ HEADER = """\
 """
 
 
-def row(case: str, scenario: str, flight: Flight, differences: list[Difference]) -> str:
+def row(case: str, scenario: str, flight: Flight, differences: list[LargestDifference]) -> str:
     """One line of the table: the variable that comes nearest to its tolerance."""
     worst = max(differences, key=lambda d: d.ratio)
     missed = sum(not d.ratio <= 1.0 for d in differences)

@@ -31,7 +31,7 @@ AS_RECORDED = 1e-9  # s
 
 
 @dataclass(frozen=True)
-class Difference:
+class LargestDifference:
     """Largest difference of one variable from one reference simulation."""
 
     case: str
@@ -75,9 +75,9 @@ class ErrorOverTime:
     error: Array
     tolerance: float
 
-    def largest(self, case: str) -> Difference:
+    def largest(self, case: str) -> LargestDifference:
         k = int(np.argmax(self.error))
-        return Difference(case, self.variable, self.reference, self.error[k], self.tolerance, self.time_s[k])
+        return LargestDifference(case, self.variable, self.reference, self.error[k], self.tolerance, self.time_s[k])
 
 
 def atmospheric_errors(case: str, flight: Flight) -> list[ErrorOverTime]:
@@ -99,7 +99,7 @@ def atmospheric_errors(case: str, flight: Flight) -> list[ErrorOverTime]:
     return out
 
 
-def compare_atmospheric(case: str, flight: Flight) -> list[Difference]:
+def compare_atmospheric(case: str, flight: Flight) -> list[LargestDifference]:
     """The largest of `atmospheric_errors`."""
     return [e.largest(case) for e in atmospheric_errors(case, flight)]
 
@@ -114,12 +114,12 @@ def orbit_errors(simulation: str, flight: Flight) -> ErrorOverTime:
     return ErrorOverTime("position_m", f"SIM {simulation}", time, error, ORBITS_WITH_DRAG[simulation][1])
 
 
-def compare_orbit_with_drag(simulation: str, flight: Flight) -> list[Difference]:
+def compare_orbit_with_drag(simulation: str, flight: Flight) -> list[LargestDifference]:
     """The largest of `orbit_errors`."""
     return [orbit_errors(simulation, flight).largest("exo 6A")]
 
 
-def compare_jeod(run: str, flight: Flight) -> list[Difference]:
+def compare_jeod(run: str, flight: Flight) -> list[LargestDifference]:
     """Position, velocity, body rate and attitude at the instants that NASA's JEOD has recorded."""
     columns = read_columns(DATA / "exo-jeod.csv")
     mine = [i for i, name in enumerate(columns["run"]) if name == run]
@@ -143,11 +143,11 @@ def compare_jeod(run: str, flight: Flight) -> list[Difference]:
         theirs = np.array([np.array(columns[name], float)[mine] for name in names[kind]])
         error = np.abs(ours[kind] - theirs).max(axis=0)
         k = int(np.argmax(error))
-        out.append(Difference(f"exo {run}", kind, "JEOD", error[k], tolerance, time[k]))
+        out.append(LargestDifference(f"exo {run}", kind, "JEOD", error[k], tolerance, time[k]))
     return out
 
 
-ALL_CASES: dict[str, tuple[str, Callable[[Flight], list[Difference]]]] = {
+ALL_CASES: dict[str, tuple[str, Callable[[Flight], list[LargestDifference]]]] = {
     **{case: (f"nesc-{case}", partial(compare_atmospheric, case)) for case in ATMOSPHERIC},
     **{
         f"exo 6A {simulation}": (scenario, partial(compare_orbit_with_drag, simulation))

@@ -18,7 +18,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.control.structures import MAX_SECTIONS
-from maxq.design.certificate.held_flight import Change
+from maxq.design.certificate.held_flight import PackedChange
 from maxq.sim.packing.flight import Packed
 from maxq.sim.vehicle import schedule
 
@@ -29,7 +29,7 @@ PITCH = schedule.PITCH
 class Fault:
     name: str
     where: str  # the coupling or part it touches
-    plant: Change
+    plant: PackedChange
 
 
 def _columns(packed: Packed, columns: slice | list[int], factor: float = 1.0, shift: float = 0.0) -> None:
@@ -39,7 +39,7 @@ def _columns(packed: Packed, columns: slice | list[int], factor: float = 1.0, sh
     table[:, 0, columns] += shift
 
 
-def _mode(row: int, modes: slice, factor: float) -> Change:
+def _mode(row: int, modes: slice, factor: float) -> PackedChange:
     """A row of the pitch plane's modes times a factor."""
 
     def plant(packed: Packed) -> None:
@@ -49,7 +49,7 @@ def _mode(row: int, modes: slice, factor: float) -> Change:
     return plant
 
 
-def _mode_at(kind: str, index: int, factor: float) -> Change:
+def _mode_at(kind: str, index: int, factor: float) -> PackedChange:
     """Shapes of all modes at a tank or a surface times a factor."""
 
     def plant(packed: Packed) -> None:
@@ -62,11 +62,11 @@ def _mode_at(kind: str, index: int, factor: float) -> Change:
     return plant
 
 
-def _column(column: int, factor: float = 1.0, shift: float = 0.0) -> Change:
+def _column(column: int, factor: float = 1.0, shift: float = 0.0) -> PackedChange:
     return lambda packed: _columns(packed, [column], factor, shift)
 
 
-def _tank(column: int, factor: float = 1.0, shift: float = 0.0) -> Change:
+def _tank(column: int, factor: float = 1.0, shift: float = 0.0) -> PackedChange:
     """A column of every tank."""
 
     def plant(packed: Packed) -> None:
@@ -76,7 +76,7 @@ def _tank(column: int, factor: float = 1.0, shift: float = 0.0) -> Change:
     return plant
 
 
-def _set(path: str, change: Callable[[Any], Any]) -> Change:
+def _set(path: str, change: Callable[[Any], Any]) -> PackedChange:
     """A number of the record `parameters[0]`, by its path, replaced by what `change` makes of it."""
 
     def plant(packed: Packed) -> None:
@@ -89,11 +89,11 @@ def _set(path: str, change: Callable[[Any], Any]) -> Change:
     return plant
 
 
-def _times(path: str, factor: float) -> Change:
+def _times(path: str, factor: float) -> PackedChange:
     return _set(path, lambda value: value * factor)
 
 
-def _both(*faults: Change) -> Change:
+def _both(*faults: PackedChange) -> PackedChange:
     def plant(packed: Packed) -> None:
         for fault in faults:
             fault(packed)
@@ -113,7 +113,7 @@ def _sections(packed: Packed) -> Array:
     return out
 
 
-def _coefficient(section: int, place: int, factor: float) -> Change:
+def _coefficient(section: int, place: int, factor: float) -> PackedChange:
     def plant(packed: Packed) -> None:
         _sections(packed)[section, place] *= factor
 
@@ -151,7 +151,7 @@ def _to_discrete(s: Array, c: float) -> Array:
     return np.array([s2 * k * k + s1 * k + s0, 2.0 * (s0 - s2 * k * k), s2 * k * k - s1 * k + s0])
 
 
-def _gains(rows: Callable[[Array], Array]) -> Change:
+def _gains(rows: Callable[[Array], Array]) -> PackedChange:
     """The gain table's columns (k_p pitch, k_d pitch, k_p yaw, k_d yaw) made anew from themselves."""
 
     def plant(packed: Packed) -> None:

@@ -1,0 +1,243 @@
+"""TOML documents that remember which file each value came from, and `--set KEY=VALUE`.
+
+A scenario is put together from several files and overrides. Errors must name the right one, and a file that a
+value names is looked for beside the file that says so; therefore tables, lists and texts carry their source.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from maxq.sim.input.errors import Path as KeyPath
+from maxq.sim.input.errors import ScenarioError, show_value, suggestion
+
+COMMAND_LINE = "--set"
+_USAGE = "--set KEY=VALUE, e.g. --set run.step_s=0.0005 or --set vehicle.stage.0.tank.0.damping_ratio=0.01"
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where values come from: `label` for people, `folders` in which files that they name are looked for.
+
+    `within` is where the document is put into the scenario (a vehicle file: under `vehicle`), `shown_as` how
+    that beginning of a key is written in the document itself.
+    """
+
+    label: str
+    folders: tuple[Path, ...] = ()
+    within: KeyPath = ()
+    shown_as: KeyPath = ()
+
+    def error(self, path: KeyPath, problem: str, **details: Any) -> ScenarioError:
+        """The error about the value at `path` of the scenario, with the key as it is written in this document."""
+        if path[: len(self.within)] == self.within:
+            path = self.shown_as + path[len(self.within) :]
+        return ScenarioError(self.label, problem, ".".join(map(str, path)), **details)
+
+
+class Text(str):
+    """A text value that knows its source."""
+
+    source: Source
+
+    @classmethod
+    def of(cls, text: str, source: Source) -> Text:
+        out = cls(text)
+        out.source = source
+        return out
+
+    def like(self, text: str) -> Text:
+        """Another of the same source."""
+        return Text.of(text, self.source)
+
+
+class _Sourced:
+    """`sources` holds the source of each key, or element, that is not the table's or array's own."""
+
+    def __init__(self, source: Source) -> None:
+        super().__init__()
+        self.source = source
+        self.sources: dict[str | int, Source] = {}
+
+
+class TomlTable(_Sourced, dict[str, Any]):
+    """A TOML table."""
+
+
+class TomlArray(_Sourced, list[Any]):
+    """A TOML array."""
+
+
+def adopt(value: Any, source: Source) -> Any:
+    """`value` as tomllib gives it, with its source noted throughout."""
+    if isinstance(value, dict):
+        table = TomlTable(source)
+        table.update((key, adopt(item, source)) for key, item in value.items())
+        return table
+    if isinstance(value, list):
+        array = TomlArray(source)
+        array.extend(adopt(item, source) for item in value)
+        return array
+    if isinstance(value, str):
+        return Text.of(value, source)
+    return value
+
+
+def plain(value: Any) -> Any:
+    """A tree of TOML or JSON as dicts, tuples and values (texts keep their source): what schemas validate strictly."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return tuple(plain(item) for item in value)
+    return value
+
+
+def parse(text: str, source: Source) -> TomlTable:
+    """The document that `text` holds; ScenarioError with line and column where it is not TOML."""
+    try:
+        table: TomlTable = adopt(tomllib.loads(text), source)
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, or a number with thousands of digits
+        reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
+        raise ScenarioError(source.label, f"is not valid TOML: {reason}{_quoted(text, reason)}") from None
+    return table
+
+
+def _quoted(text: str, reason: str) -> str:
+    """The line of `text` that tomllib's `reason` names, to be put behind it."""
+    at = re.search(r"\(at line (\d+), column \d+\)$", reason)
+    lines = text.split("\n")
+    line = lines[int(at[1]) - 1].strip() if at and int(at[1]) <= len(lines) else ""
+    return f": {show_value(line)[1:-1]}" if line else ""
+
+
+def merge(base: TomlTable, over: TomlTable) -> None:
+    """Put `over` on top of `base`: tables key by key, everything else (arrays of tables too) as a whole."""
+    for key, value in over.items():
+        below = base.get(key)
+        if isinstance(below, TomlTable) and isinstance(value, TomlTable):
+            merge(below, value)
+        else:
+            base[key] = value
+            base.sources[key] = over.sources.get(key, over.source)
+
+
+def _step(tree: TomlTable | TomlArray, part: str | int, path: KeyPath, source: Source) -> Any:
+    """The key or index that `part` of a path means in `tree`."""
+    if isinstance(tree, TomlTable):
+        return str(part)
+    allowed = f"an index 0 .. {len(tree) - 1}" if tree else "nothing: the list is empty"
+    if index_in(str(part), len(tree)) is None:
+        raise source.error(path, f"{part!s:.40} is not an element of this list", allowed=allowed)
+    return int(part)
+
+
+def index_in(text: str, length: int) -> int | None:
+    """The index that `text` means in a list of `length`; None where it means none."""
+    return int(text) if text.isdecimal() and len(text) < 10 and int(text) < length else None
+
+
+def put(tree: TomlTable, path: KeyPath, value: Any, source: Source) -> None:
+    """Set the value at `path`, e.g. ("run", "step_s"); tables on the way are made.
+
+    ScenarioError when the path leads through a value that is neither table nor list, or beyond a list's end.
+    """
+    at: Any = tree
+    for n, part in enumerate(path[:-1]):
+        key = _step(at, part, path, source)
+        if isinstance(at, TomlTable) and key not in at:
+            at[key] = TomlTable(source)
+            at.sources[key] = source
+        at = at[key]
+        if not isinstance(at, TomlTable | TomlArray):
+            name = ".".join(map(str, path[: n + 1]))
+            raise source.error(path, f"{name} is a value and has no keys below it")
+    key = _step(at, path[-1], path, source)
+    at[key] = value
+    at.sources[key] = source
+
+
+def drop(tree: TomlTable, path: KeyPath, source: Source, shift: KeyPath = ()) -> None:
+    """Remove the key at `path` of `tree`; ScenarioError where there is none, about the key `shift` + `path`."""
+    at: Any = tree
+    for n, part in enumerate(path):
+        place = (*shift, *path[: n + 1])
+        here = _step(at, part, place, source) if isinstance(at, TomlTable | TomlArray) else None
+        if here is None or (isinstance(at, TomlTable) and here not in at):
+            hint = suggestion(str(part), at) if isinstance(at, TomlTable) else ""
+            raise source.error(place, "there is no such key to remove" + (f"; {hint}" if hint else ""))
+        if n == len(path) - 1:
+            del at[here]
+        else:
+            at = at[here]
+
+
+def leaves(table: TomlTable) -> Iterator[tuple[KeyPath, Any, Source]]:
+    """Every value below `table` that is not a table, with path and source; keys such as "stage.0.name" are split."""
+    for key, value in table.items():
+        head: KeyPath = tuple(key.split("."))
+        if isinstance(value, TomlTable) and value:
+            for path, leaf, source in leaves(value):
+                yield head + path, leaf, source
+        else:
+            yield head, value, table.sources.get(key, table.source)
+
+
+def walk(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
+    """Every value below that is neither table nor list, with its path."""
+    if isinstance(value, TomlTable | TomlArray):
+        for key, item in value.items() if isinstance(value, TomlTable) else enumerate(value):
+            yield from walk(item, (*path, key))
+    else:
+        yield path, value
+
+
+def source_of(tree: TomlTable, path: KeyPath) -> Source:
+    """The source of the value at `path`, or of what comes closest to it."""
+    at: Any = tree
+    source = tree.source
+    for part in path:
+        if not isinstance(at, TomlTable | TomlArray):
+            break
+        source = at.sources.get(part, at.source)
+        try:
+            at = at[part]  # type: ignore[index]  # a path found by the validator: str in tables, int in lists
+        except (KeyError, IndexError, TypeError):
+            break
+    return source
+
+
+Override = tuple[KeyPath, Any]
+"""Path and value of one override, as TOML would give it; None takes the key away."""
+
+
+def parse_override(text: str) -> Override:
+    """`a.b.0.c=value`. The right side is a TOML value; what is none (a bare word) is a text; empty: remove the key.
+
+    Raises ScenarioError when there is no `=` or the path has an empty part.
+    """
+    left, equals, right = text.partition("=")
+    path = tuple(part.strip() for part in left.split("."))
+    if not equals:
+        raise ScenarioError(COMMAND_LINE, "has no '='", text, allowed=_USAGE)
+    if not all(path):
+        raise ScenarioError(COMMAND_LINE, "is not the path of a key", left or '""', allowed=_USAGE)
+    right = right.strip()
+    try:
+        document = tomllib.loads(f"value = {right}")
+    except (ValueError, RecursionError):
+        return path, right or None
+    return path, document["value"] if list(document) == ["value"] else right
+
+
+def apply(overrides: Iterable[Override], tree: TomlTable, source: Source) -> None:
+    """Write `overrides` into `tree`."""
+    for path, value in overrides:
+        if value is None:
+            drop(tree, path, source)
+        else:
+            put(tree, path, adopt(value, source), source)

@@ -1,0 +1,116 @@
+"""Tables in other programs' text formats, where a vehicle file or a layout names a table: read as if they were CSV.
+
+RASP's engine files (.eng): comments with a semicolon, a header (name, diameter mm, length mm, delays, propellant kg,
+total kg, manufacturer), then times in s and thrusts in N, the first point (0, 0) implied, the last thrust 0. The thrust
+is as it was measured, mostly on the ground; the first motor of a file counts.
+
+Missile DATCOM's output (for006.dat; W. B. Blake, AFRL-VA-WP-TR-1998-3009): pages "STATIC AERODYNAMICS FOR ..." with
+MACH NO and columns ALPHA, CN, CM, CA, CY, CLN, CLL; of one Mach number the last page counts, that of the whole
+configuration. Area, lengths and moment centre of that run must be those of the vehicle file.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from maxq.sim.input.documents import Text
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.files import Reading
+from maxq.sim.input.tables_csv import Columns, CsvTable, Foreign
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][-+]?\d+)?"
+_HEAD = ["ALPHA", "CN", "CM", "CA", "CY", "CLN", "CLL"]
+_NAMES = ("CN", "Cm", "CA", "CY", "Cn", "Cl")  # as grids.py calls them
+
+
+def read_rasp(text: str, name: str, shown: str) -> CsvTable:
+    """Thrust and, in proportion, the flow of the header's propellant. Raises the schema's refusal."""
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip() and line.strip()[0] != ";"]
+    if not lines:
+        raise refuse("the file is empty", "a RASP engine file", file=shown)
+    number, head = lines[0]
+    cells = head.split()
+    try:
+        propellant_kg = float(cells[4])
+    except (IndexError, ValueError):
+        allowed = "name, diameter, length, delays, propellant kg, total kg, manufacturer"
+        raise refuse("is not the header of a RASP file", allowed, file=shown, place=f"line {number}") from None
+    points, places = [(0.0, 0.0)], [number]
+    for place, line in lines[1:]:
+        try:
+            t, thrust = (float(cell) for cell in line.split())
+        except ValueError:
+            raise refuse("is not a time and a thrust", "two numbers", file=shown, place=f"line {place}") from None
+        if t > 0.0:  # some files write the implied point
+            points.append((t, thrust))
+            places.append(place)
+        if thrust == 0.0 and t > 0.0:
+            break
+    else:
+        raise refuse("the thrust does not end at 0", "a last line with thrust 0", file=shown)
+    times, thrust_N = np.array(points).T
+    impulse = float(np.trapezoid(thrust_N, times))
+    if not impulse > 0.0:
+        raise refuse("has no impulse", "thrust above 0", file=shown)
+    return _table(name, shown, tuple(places), time_s=times, thrust_vacuum_N=thrust_N,
+                  mass_flow_kgps=thrust_N * propellant_kg / impulse)  # fmt: skip  # five more lines otherwise
+
+
+def read_datcom(text: str, name: str, shown: str) -> CsvTable:
+    """Coefficients over Mach number and total incidence, or over alpha where the vehicle is not symmetric.
+
+    Raises the schema's refusal for a file without such a page, and for one with sideslip.
+    """
+    pages: dict[float, dict[float, tuple[list[float], int]]] = {}
+    mach, page, reads = None, dict[float, tuple[list[float], int]](), False
+    for number, line in enumerate(text.splitlines(), start=1):
+        if "STATIC AERODYNAMICS FOR" in line:
+            mach, page, reads = None, {}, False
+        elif found := re.search(rf"MACH NO\s*=\s*({_NUMBER})", line):
+            mach = _real(found[1])
+            pages[mach] = page
+        elif (found := re.search(rf"SIDESLIP\s*=\s*({_NUMBER})", line)) and _real(found[1]) != 0.0:
+            raise refuse("has sideslip", "a run without", value=_real(found[1]), file=shown, place=f"line {number}")
+        cells = line.split()
+        if cells == _HEAD:
+            reads = mach is not None and not page
+        elif reads and len(cells) == len(_HEAD) and all(re.fullmatch(_NUMBER, cell) for cell in cells):
+            alpha, *values = (_real(cell) for cell in cells)
+            page[alpha] = values, number
+        elif cells and page:
+            reads = False
+    rows = [(m, alpha, *values, n) for m, page in sorted(pages.items()) for alpha, (values, n) in sorted(page.items())]
+    if not rows:
+        allowed = f"pages STATIC AERODYNAMICS with MACH NO and columns {' '.join(_HEAD)}"
+        raise refuse("holds no coefficients", allowed, file=shown)
+    data = np.array(rows)
+    at_rest = data[data[:, 1] == 0.0]
+    symmetric = len(at_rest) == len(pages) and not at_rest[:, [2, 3]].any() and not data[:, [5, 6, 7]].any()
+    if symmetric:
+        data = data[data[:, 1] >= 0.0]
+    columns = dict(zip(_NAMES[: 3 if symmetric else 6], data.T[2:-1], strict=False))
+    axes = {"mach": data[:, 0], "total_deg" if symmetric else "alpha_deg": data[:, 1]}
+    return _table(name, shown, tuple(int(n) for n in data[:, -1]), **axes, **columns)
+
+
+def _real(cell: str) -> float:
+    return float(cell.upper().replace("D", "E"))
+
+
+def _table(name: str, shown: str, lines: tuple[int, ...], **columns: np.ndarray) -> CsvTable:
+    return CsvTable(name, {key: column.copy() for key, column in columns.items()}, shown, lines)
+
+
+def _rasp(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
+    shown, text = reading.read_table(name)
+    return read_rasp(text, str(name), shown) if name.lower().endswith(".eng") else None
+
+
+def _datcom(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
+    shown, text = reading.read_table(name)
+    return read_datcom(text, str(name), shown) if "STATIC AERODYNAMICS FOR" in text else None
+
+
+RASP, DATCOM = Foreign("a RASP file (.eng)", _rasp), Foreign("Missile DATCOM's for006.dat", _datcom)

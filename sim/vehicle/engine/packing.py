@@ -1,0 +1,233 @@
+"""The engines of a stage as the kernels see them: alike ones of a group together, and their curves of thrust."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.limits import MAX_ENGINES
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import Cubics, Method, fit
+from maxq.sim.input.remembered import cached_by_identity
+from maxq.sim.input.tables_csv import CsvTable
+from maxq.sim.vehicle.engine.burn import Burn, EngineFault
+from maxq.sim.vehicle.engine.kernel import Engine, thrust_axis_motion
+from maxq.sim.vehicle.engine.section import EngineSection as Given
+
+if TYPE_CHECKING:
+    from maxq.sim.scenario.schema_scenario import Switches
+    from maxq.sim.scenario.schema_vehicle import Stage
+
+_thrust_axis_motion = from_python(thrust_axis_motion)
+
+
+@dataclass(frozen=True)
+class Alike:
+    """Engines that differ in their lateral position only and move together: numbers in the stage, and one of them."""
+
+    numbers: tuple[int, ...]
+    one: Given
+    faults: tuple[EngineFault, ...]
+
+    @property
+    def curve(self) -> tuple[CsvTable, CsvTable | None, tuple[EngineFault, ...]]:
+        """What makes their thrust over time."""
+        return self.one.table, self.one.throttle, self.faults
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """What the kernels are told of a stage's engines."""
+
+    alike: tuple[Alike, ...]
+    groups: tuple[str, ...]
+    gimbals_m: tuple[float, ...]  # stations
+    curves: tuple[Alike, ...]  # those whose curves of thrust differ
+
+
+@cached_by_identity
+def cluster_of(stage: Stage, faults: tuple[EngineFault, ...]) -> Cluster:
+    """Of a stage with an engine or without."""
+    alike: list[Alike] = []
+    for n, engine in enumerate(stage.engines):
+        same = engine.model_copy(update={"offset_m": (0.0, 0.0), "name": ""})
+        own = tuple(fault for fault in faults if fault.affects(n))
+        k = next((k for k, known in enumerate(alike) if (known.one, known.faults) == (same, own)), None)
+        if k is None:
+            alike.append(Alike((n,), same, own))
+        else:
+            alike[k] = Alike((*alike[k].numbers, n), same, own)
+    curves: list[Alike] = []
+    for each in alike:
+        if all(each.curve != known.curve for known in curves):
+            curves.append(each)
+    stations = tuple(dict.fromkeys(each.one.gimbal_station_m for each in alike))
+    return Cluster(tuple(alike), stage.engine_groups, stations, tuple(curves))
+
+
+def thrust_curves(stage: Stage, burn: Burn, method: Method) -> list[Cubics]:
+    """Vacuum thrust over the clock of the schedule, N; zero without an engine."""
+    curves = []
+    for each in cluster_of(stage, burn.faults).curves:
+        nominal = fit(each.one.table["time_s"], each.one.table["thrust_vacuum_N"], method)
+        curves.append(on_clock(nominal, burn, each.numbers[0]))
+    return curves or [fit([0.0], [[0.0]])]
+
+
+def on_clock(table: Cubics, burn: Burn, engine: int | None = None) -> Cubics:
+    """A table over the tables' clock as one over the schedule's, times what an engine gives, if one is named.
+
+    The two differ where engines are throttled or fail. On each interval the cubic with the values and slopes at both
+    ends: exact where the rate of the clock and the share are constant, else good to the fourth order of the interval's
+    length (`burn.table_clock`).
+    """
+    clock = burn.clock
+    if clock is None:
+        return table
+    reached = clock.when(table.breaks)
+    breaks = np.unique(np.concatenate([clock.time_s, reached[np.isfinite(reached)]]))
+    breaks = breaks[np.append(True, np.diff(breaks) > 1e-9)]
+    if len(breaks) == 1:
+        breaks = np.append(breaks, breaks[0] + 1.0)
+    begin, length = breaks[:-1], np.diff(breaks)
+    k, middle_s, _ = clock.at(begin + 0.5 * length)
+    slope = clock.slopes()[k]
+    piece = np.clip(np.searchsorted(table.breaks, middle_s, side="right") - 1, 0, len(table.breaks) - 2)
+    inside = (middle_s > table.breaks[0]) & (middle_s < table.breaks[-1])
+    c, ends = table.coefficients[piece], []
+    for dt in (begin - clock.time_s[k], begin - clock.time_s[k] + length):
+        s = clock.table_s[k] + dt * (clock.rate[k, 0] + 0.5 * slope * dt)
+        x = (np.clip(s, table.breaks[0], table.breaks[-1]) - table.breaks[piece])[:, None]
+        value = c[:, 0] + x * (c[:, 1] + x * (c[:, 2] + x * c[:, 3]))
+        change = c[:, 1] + x * (2.0 * c[:, 2] + x * 3.0 * c[:, 3])
+        change = change * ((clock.rate[k, 0] + slope * dt) * inside)[:, None]
+        if engine is not None:
+            share = clock.share[engine, k]
+            grows = ((share[:, 1] - share[:, 0]) / np.append(np.diff(clock.time_s), np.inf)[k])[:, None]
+            left = share[:, :1] + grows * dt[:, None]
+            value, change = value * left, change * left + value * grows
+        ends.append((value, change))
+    (v_0, d_0), (v_1, d_1), h = *ends, length[:, None]
+    secant = (v_1 - v_0) / h
+    bend = (d_0 + d_1 - 2.0 * secant) / h
+    return Cubics(breaks, np.stack([v_0, d_0, (secant - d_0) / h - bend, bend / h], axis=1))
+
+
+class Mount(NamedTuple):
+    """A station of gimbals: the share of the thrust that it carries, and the moment of the mass that hangs on it."""
+
+    station_m: float
+    thrust_share: float
+    hanging_kgm: float
+
+
+def engine_mounts(stage: Stage, burn: Burn) -> tuple[Mount, ...]:
+    """By station, in the order of `Cluster.gimbals_m`; shares are those of the largest thrusts."""
+    alike, out = cluster_of(stage, burn.faults).alike, []
+    strengths = [len(a.numbers) * a.one.thrust_factor * float(a.one.table["thrust_vacuum_N"].max()) for a in alike]
+    for station_m in cluster_of(stage, burn.faults).gimbals_m:
+        there = [k for k, a in enumerate(alike) if a.one.gimbal_station_m == station_m]
+        share = 1.0
+        if sum(strengths) > 0.0 and len(there) < len(alike):
+            share = sum(strengths[k] for k in there) / sum(strengths)
+        hanging = sum(len(alike[k].numbers) * _hanging_kgm(alike[k].one) for k in there)
+        out.append(Mount(station_m, share, hanging))
+    return tuple(out)
+
+
+def _hanging_kgm(e: Given) -> float:
+    cos_pitch, cos_yaw = (math.cos(math.radians(angle)) for angle in e.cant_deg)
+    return e.gimballed_mass_kg * e.cg_from_gimbal_m * (cos_pitch * cos_yaw)
+
+
+def swinging(stage: Stage, cluster: Cluster, switches: Switches) -> tuple[int, ...]:
+    """Which of `Cluster.alike` swing on a TVC load."""
+    if not (switches.tvc_load and switches.engine_inertia):
+        return ()
+    loads = stage.tvc_loads
+    return tuple(k for k, a in enumerate(cluster.alike) if a.one.gimbal != "fixed" and a.one.group in loads)
+
+
+def pack_engines(stage: Stage, burn: Burn, switches: Switches) -> Engine:
+    """The record of all engines; without one it is zero, but for an axis."""
+    columns: dict[str, Any] = {f.name: np.zeros(MAX_ENGINES) for f in fields(Engine)}
+    for name in ("curve", "group", "gimbal", "taken_as", "swings"):
+        columns[name] = np.zeros(MAX_ENGINES, np.int64)
+    columns["rest_x"][:], columns["swings"][:] = 1.0, -1
+    cluster = cluster_of(stage, burn.faults)
+    for n, k in enumerate(swinging(stage, cluster, switches)):
+        columns["swings"][k] = n
+    for k, alike in enumerate(cluster.alike):
+        for name, value in _columns(stage, cluster, alike, switches).items():
+            columns[name][k] = value
+        for number in alike.numbers:
+            columns["taken_as"][number], columns["parts"][number] = k, len(alike.numbers)
+    return Engine(**columns)
+
+
+def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -> dict[str, float]:
+    e, n = alike.one, len(alike.numbers)
+    places = np.array([stage.engines[number].offset_m for number in alike.numbers])
+    offset_y, offset_z = (float(x) for x in places.mean(axis=0))
+    cant = np.radians(e.cant_deg)
+    rest = _thrust_axis_motion(float(cant[0]), 0.0, 0.0, float(cant[1]), 0.0, 0.0)[0]
+    moves = 1.0 if switches.engine_inertia else 0.0
+    on = 1.0 if switches.thrust else 0.0
+    mass, arm = e.gimballed_mass_kg, e.cg_from_gimbal_m
+    exits = np.zeros((n, 2))
+    if isinstance(stage.engine, tuple):  # a single engine's gas leaves on the body axis
+        behind = e.exit_station_m - e.gimbal_station_m
+        exits = places - behind / rest[0] * np.array(rest[1:])
+    centre = exits.mean(axis=0)
+    spread = (exits - centre).T @ (exits - centre) / n
+    canted = any(e.cant_deg)
+    return {
+        "exit_area_m2": n * e.exit_area_m2,
+        "thrust_factor": n * (on * e.thrust_factor * e.mass_flow_factor),
+        "curve": [known.curve for known in cluster.curves].index(alike.curve),
+        "group": cluster.groups.index(e.group) if e.gimbal != "fixed" else 0,
+        "follows_pitch": float(e.gimbal in ("both", "pitch")),
+        "follows_yaw": float(e.gimbal in ("both", "yaw")),
+        "gimbal": cluster.gimbals_m.index(e.gimbal_station_m),
+        "gimbal_station_m": e.gimbal_station_m,
+        "gimbal_offset_y_m": offset_y,
+        "gimbal_offset_z_m": offset_z,
+        "turned_pitch_rad": math.radians(e.misalignment_deg[0]) + float(cant[0]),
+        "turned_yaw_rad": math.radians(e.misalignment_deg[1]) + float(cant[1]),
+        "rest_x": rest[0],
+        "rest_y": rest[1],
+        "rest_z": rest[2],
+        "gimballed_mass_kg": n * mass * moves,
+        "cg_from_gimbal_m": arm,
+        "inertia_kgm2": n * (e.inertia_about_gimbal_kgm2 - mass * arm * arm) * moves,
+        "lever_x_m": arm * rest[0],
+        "lever_y_m": offset_y - arm * rest[1] if canted else 0.0,
+        "lever_z_m": offset_z - arm * rest[2] if canted else 0.0,
+        "exit_station_m": e.exit_station_m,
+        "exit_y_m": centre[0],
+        "exit_z_m": centre[1],
+        "exit_yy_m2": spread[0, 0],
+        "exit_zz_m2": spread[1, 1],
+        "exit_yz_m2": spread[0, 1],
+        "flow_weight": n * e.mass_flow_factor * _flow_per_newton(e),
+    }
+
+
+def thrust_slopes(e: Given) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Change of the thrust's direction (B) per radian of the pitch and the yaw angle, about the engine at rest."""
+    pitch, yaw = (math.radians(angle) for angle in e.cant_deg)
+    return _thrust_axis_motion(pitch, 1.0, 0.0, yaw, 0.0, 0.0)[1], _thrust_axis_motion(pitch, 0.0, 0.0, yaw, 1.0, 0.0)[
+        1
+    ]
+
+
+def _flow_per_newton(e: Given) -> float:
+    """Of the mean thrust; 1 where the engine's table does not say: then flow goes with thrust."""
+    thrust: Array = e.table["thrust_vacuum_N"]
+    if "mass_flow_kgps" not in e.table or not thrust.any():
+        return 1.0
+    return float(e.table["mass_flow_kgps"].mean() / thrust.mean())

@@ -1,0 +1,73 @@
+"""Engines and roll thrusters of a stage, as the vehicle's file gives them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from maxq.sim.input.errors import refuse
+from maxq.sim.input.foreign import RASP
+from maxq.sim.input.tables_csv import Columns, CsvTable
+from maxq.sim.input.values import ChannelPart, NotNegative, Pair, Positive, Section, optional
+
+THRUST_COLUMNS = Columns(
+    "time_s",
+    sets=(("thrust_vacuum_N",),),
+    optional=("mass_flow_kgps",),
+    not_negative=("thrust_vacuum_N", "mass_flow_kgps"),
+    begins_by=0.0,
+    foreign=RASP,
+)
+
+
+THROTTLE_COLUMNS = Columns("time_s", sets=(("throttle",),), not_negative=("throttle",), begins_by=0.0)
+
+
+GimbalPlanes = Literal["both", "pitch", "yaw", "fixed"]
+
+
+class EngineSection(Section):
+    """Gimballed engine: one table for a single engine, or a list, one table for each engine."""
+
+    name: ChannelPart = optional("name of the engine in logs and faults (default: its number)", "")
+    table: Annotated[CsvTable, THRUST_COLUMNS] = Field(
+        description="thrust in vacuum over the stage clock; mass_flow_kgps counts in relation to the other engines' "
+        "(default: in proportion to thrust), the vehicle's mass is that of its own table"
+    )
+    throttle: Annotated[CsvTable, THROTTLE_COLUMNS] | None = optional(
+        "share of the table's thrust and mass flow over the stage clock, linear between; tables over time then run on "
+        "the propellant spent (default: 1)"
+    )
+    gimbal: GimbalPlanes = optional("planes in which the engine is gimballed", "both")
+    group: ChannelPart = optional("engines of a group have the same gimbal angles", "")
+    cant_deg: Pair = optional(
+        "angle of the axis at rest, pitch and yaw, deg; the table of mass holds the engine so", (0.0, 0.0)
+    )
+    exit_area_m2: NotNegative = optional("nozzle exit area, m2: ambient pressure on it lessens thrust", 0.0)
+    gimbal_station_m: float = Field(description="station of the gimbal, m aft of the nose")
+    exit_station_m: float = Field(description="station of the nozzle exit, m aft of the nose (jet damping)")
+    gimballed_mass_kg: NotNegative = optional("mass that moves with the engine, kg; 0: no reaction", 0.0)
+    cg_from_gimbal_m: float = optional("CG of the gimballed mass aft of the gimbal, m", 0.0)
+    inertia_about_gimbal_kgm2: NotNegative = optional("transverse inertia about the gimbal, kg m2", 0.0)
+    misalignment_deg: Pair = optional("fixed angle of the thrust axis, pitch and yaw, deg", (0.0, 0.0))
+    offset_m: Pair = optional("of the gimbal from the body axis, y and z, m", (0.0, 0.0))
+    thrust_factor: NotNegative = optional("multiplies thrust", 1.0)
+    mass_flow_factor: Positive = optional("burn rate: speeds up the stage's tables over time", 1.0)
+
+    def _check(self) -> None:
+        least = self.gimballed_mass_kg * self.cg_from_gimbal_m**2
+        if self.inertia_about_gimbal_kgm2 < least:
+            raise refuse(
+                "no rigid body has this inertia about the gimbal",
+                f"at least gimballed_mass_kg * cg_from_gimbal_m^2 = {least:.6g}",
+                "inertia_about_gimbal_kgm2",
+            )
+        if self.gimbal == "fixed" and self.group:
+            raise refuse("a fixed engine moves with no group", "this key with a gimballed engine only", "group")
+
+
+class RollThrusters(Section):
+    """Cold-gas thrusters about the roll axis, on or off."""
+
+    torque_Nm: Positive = Field(description="torque of one direction while on, N m")

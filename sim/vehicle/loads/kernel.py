@@ -1,0 +1,398 @@
+"""Section loads: axial force, shear and bending moment at stations of the body axis, by summation of forces.
+
+At a station is added up what acts forward of it: aerodynamic forces, the pendulums' forces, injected ones, and the
+inertial forces of the line mass under the accelerations that the simulator has found, those of the modes included
+(docs/model.md, section 13). Nothing here acts back on the flight: it is evaluated between steps, at a rate of its own,
+from what the derivative has left in `aux` and `work`. Without stations it costs one comparison a step.
+
+Signs, loads of the part forward of the cut: axial force positive in tension; shear along +y, +z; bending moment about
++y positive where it turns the nose up, so that it compresses the -z side (a beam with x forward and z down sags);
+about +z where it turns the nose to the right: it compresses the +y side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+from maxq.control.kernel.jit import formula, kernel, record_at, routine
+from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_MODES, MAX_PENDULUMS, MAX_STAGES, MAX_SURFACES
+from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.rows import PitchYaw
+from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
+from maxq.control.kernel.vectors import Vector, add, cross, inertia_times, scaled, symmetric_at, vector_at
+from maxq.sim.vehicle.air.kernel import SurfaceLoad, air_acts
+from maxq.sim.vehicle.block import W_BI_B, Counts, counts
+from maxq.sim.vehicle.body.kernel import coriolis_of_outflow
+from maxq.sim.vehicle.derivative import StageInputs, StageRecord
+from maxq.sim.vehicle.modes.planar import of_plane
+from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, PITCH, TANK_HINGE, YAW, tank_column
+from maxq.sim.vehicle.slosh.kernel import bob_mass, pendulum_length
+from maxq.sim.vehicle.state import N_PENDULUM, pendulum_index
+from maxq.sim.vehicle.workspace import Aux, Evaluation, Work
+
+# What is compared with limits, in the order of the extremes and of a station's limits; forces and moments are
+# magnitudes of both planes together.
+KINDS = ("compression", "tension", "shear", "bending_moment", "equivalent_compression", "equivalent_tension")
+COMPRESSION, TENSILE, SHEAR, BENDING, EQUIVALENT_COMPRESSION, EQUIVALENT_TENSION = range(6)
+N_KINDS = len(KINDS)
+
+# Columns of the table over time: those of the whole line mass, then for every station
+TOTAL_MASS, TOTAL_FIRST, TOTAL_SECOND = 0, 1, 2  # of the line mass: kg, kg m, kg m2 about the nose
+STATIONS = 3
+MASS, FIRST, SECOND = 0, 1, 2  # of what lies forward of the station
+AXIAL_MASS = 3  # of what hangs on the body forward of the station: liquid hangs on its tank's bottom
+AXIAL_FIRST = 4
+RADIUS = 5  # of the equivalent axial load, m; 0: none
+LIMITS = 6  # of each kind; 0: none
+STATION_MODES = LIMITS + N_KINDS
+# then for each plane (once for both where they are alike) rows of so many modes:
+INERTIA, INERTIA_MOMENT, AXIAL_MOMENT, DISPLACEMENT = 0, 1, 2, 3
+MODE_ROWS = 4
+# then of the spatial modes these rows for what they move along z, for what along y, and the inertia along x
+SPATIAL_ROWS = 2 * MODE_ROWS + 1
+MAX_LOAD_COLUMNS = STATIONS + MAX_LOAD_STATIONS * (STATION_MODES + (2 * MODE_ROWS + SPATIAL_ROWS) * MAX_MODES)
+
+# A section's loads, side by side
+AXIAL, SHEAR_Y, SHEAR_Z, MOMENT_Y, MOMENT_Z = range(5)
+SECTION_WIDTH = 5
+_EXTREMES = N_KINDS * MAX_LOAD_STATIONS  # of a stage
+
+
+@dataclass(frozen=True)
+class Loads:
+    """The stations of a stage, and what its forces are distributed by."""
+
+    stations: int  # 0: nothing is evaluated
+    period_ns: int
+    coast: int  # 1: extremes are gathered without thrust as well
+    alike: int  # 1: both planes have the same modes
+    table: TableRef  # over the stage's clock, columns as above
+    nose_m: float  # the body's ends, over which the rest of the aerodynamic force is spread
+    tail_m: float
+    station_m: Annotated[Array, (MAX_LOAD_STATIONS,)]
+    bottom_m: Annotated[Array, (MAX_PENDULUMS,)]  # station at which a tank's liquid hangs on the body
+    axial_points: int  # of the axial aerodynamic force
+    axial_m: Annotated[Array, (MAX_SURFACES,)]
+    axial_share: Annotated[Array, (MAX_SURFACES,)]
+
+
+@dataclass
+class SectionLoads:
+    """Loads at the stations at the last evaluation, and their extremes so far."""
+
+    at_ns: int  # of `section`
+    due_ns: int  # next evaluation for the extremes
+    mismatch: float  # largest relative difference between line mass and core so far
+    mismatch_ns: int
+    section: Annotated[Array, (SECTION_WIDTH * MAX_LOAD_STATIONS,)]
+    value: Annotated[Array, (MAX_STAGES * _EXTREMES,)]  # stage by stage, kind by kind, station by station
+    value_ns: Annotated[IntArray, (MAX_STAGES * _EXTREMES,)]
+    ratio: Annotated[Array, (MAX_STAGES * _EXTREMES,)]  # to the limit
+    ratio_ns: Annotated[IntArray, (MAX_STAGES * _EXTREMES,)]
+
+
+class Drivers(NamedTuple):
+    """What the line mass of an instant feels: inertial forces a kilogram, as they act (minus the acceleration), in B.
+
+    Along a station x they are (x, y, z) + (x_per_m, y_per_m, z_per_m) (x_cg - x), the moments y, z a kilogram.
+    """
+
+    scale: float  # of the line mass: the core's mass over its sum
+    cg: Vector  # station, y, z of the core's CG
+    force: Vector
+    per_m: Vector
+    moment: tuple[float, float]
+    surfaces: int  # lifting parts that the air acts on
+    spread: tuple[float, float, float, float]  # lateral force a metre: constant and slope along the body, y and z
+
+
+@formula
+def extreme_index(stage: int, kind: int, station: int) -> int:
+    return (stage * N_KINDS + kind) * MAX_LOAD_STATIONS + station
+
+
+@kernel
+def modes_of_planes(sizes: Counts) -> int:
+    """Modes in each row of a station's columns."""
+    return max(sizes.pitch_modes, sizes.yaw_modes)
+
+
+@kernel
+def station_width(sizes: Counts, alike: int) -> int:
+    """Columns of a station."""
+    return STATION_MODES + (2 - alike) * MODE_ROWS * modes_of_planes(sizes) + SPATIAL_ROWS * sizes.spatial_modes
+
+
+@routine
+def evaluate_sections(
+    loads: Loads, vehicle: StageRecord, inputs: StageInputs, pool: Array, clock_s: float, at: Evaluation, work: Work,
+    columns: Array, out: SectionLoads,
+) -> None:  # fmt: skip  # eleven lines otherwise
+    """Loads at all stations into `out.section`, right after the derivative at `at`; `columns` is scratch memory."""
+    sizes = counts(vehicle.sizes)
+    interpolate_into(pool, loads.table, find_interval(pool, loads.table, clock_s), clock_s, columns, 0)
+    drivers = _drivers(loads, vehicle, sizes, at, work, columns)
+    width = station_width(sizes, loads.alike)
+    roll = at.y[W_BI_B]
+    for n in range(loads.stations):
+        station, c = loads.station_m[n], STATIONS + width * n
+        total, shift_y, shift_z = _inertia(sizes, loads.alike, drivers, station, roll, work, columns, c)
+        if sizes.spatial_modes > 0:
+            more, moved_y, moved_z = _spatial_inertia(
+                sizes, loads.alike, drivers, roll, at.aux.alpha_BI_B_radps2[0], work, columns, c
+            )
+            total, shift_y, shift_z = _add(total, more), shift_y + moved_y, shift_z + moved_z
+        total = _add(total, _aerodynamic(loads, drivers, station, shift_y, shift_z, at.aux, work))
+        for tank in range(sizes.pendulums):
+            total = _add(total, _of_pendulum(loads, vehicle, sizes, tank, station, shift_y, shift_z, at, work))
+        if drivers.cg[0] <= station:
+            force = (inputs.force_x_N, inputs.force_y_N, inputs.force_z_N)
+            injected = _of_point(station, drivers.cg[0], force, drivers.cg[1] - shift_y, drivers.cg[2] - shift_z)
+            total = _add(total, injected)
+            total = (total[0], total[1], total[2], total[3] + inputs.torque_y_Nm, total[4] + inputs.torque_z_Nm)
+        first = SECTION_WIDTH * n
+        for j in range(SECTION_WIDTH):
+            out.section[first + j] = total[j]
+
+
+SectionLoad = tuple[float, float, float, float, float]
+
+
+@kernel
+def _add(a: SectionLoad, b: SectionLoad) -> SectionLoad:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4]
+
+
+@kernel
+def _of_point(station: float, x: float, force: Vector, y: float, z: float) -> SectionLoad:
+    """A force forward of the cut, at the station x; (y, z) leads from the cut's centre to it."""
+    ahead = station - x
+    return force[0], force[1], force[2], z * force[0] - ahead * force[2], ahead * force[1] - y * force[0]
+
+
+@kernel
+def _drivers(
+    loads: Loads, vehicle: StageRecord, sizes: Counts, at: Evaluation, work: Work, columns: Array
+) -> Drivers:  # fmt: skip
+    """The line mass carries the momentum of the core: scaled to its mass, and what of the rate of the angular momentum
+    its transverse motion does not hold (sections turn as well) is a moment a kilogram, the same everywhere.
+    """
+    properties, y, _, aux = at
+    mass, cg, rate = properties[CORE_MASS], vector_at(properties, CORE_CG), vector_at(y, W_BI_B)
+    alpha, accel = vector_at(aux.alpha_BI_B_radps2, 0), vector_at(aux.specific_force_B_mps2, 0)
+    inertia = symmetric_at(properties, CORE_INERTIA)
+    momentum_rate = add(inertia_times(inertia, alpha), cross(rate, inertia_times(inertia, rate)))
+    if vehicle.jet_damping == 1:  # the propellant's Coriolis force acts where it flows: spread over the mass
+        jet_force, jet_moment = coriolis_of_outflow(sizes, rate, properties)
+        accel = add(accel, scaled(-1.0 / mass, jet_force))
+        momentum_rate = add(momentum_rate, scaled(-1.0, jet_moment))
+    p, q, r = rate
+    per_m = (q * q + r * r, -alpha[2] - p * q, alpha[1] - p * r)
+    total, first, second = columns[TOTAL_MASS], columns[TOTAL_FIRST], columns[TOTAL_SECOND]
+    scale = mass / total
+    lever = scale * (total * cg[0] - first)
+    spin = scale * (total * cg[0] * cg[0] - 2.0 * cg[0] * first + second)
+    force = (-accel[0], -accel[1], -accel[2])
+    moment_y = -momentum_rate[1] + lever * force[2] + spin * per_m[2]
+    moment_z = -momentum_rate[2] - lever * force[1] - spin * per_m[1]
+    surfaces = sizes.surfaces if air_acts(vehicle.aero, aux.air) else 0
+    spread = _spread(loads, surfaces, cg, aux, work)
+    return Drivers(scale, cg, force, per_m, (moment_y / mass, moment_z / mass), surfaces, spread)
+
+
+@kernel
+def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Aux, work: Work) -> tuple[float, float, float, float]:
+    """Lateral force a metre, linear along the body, with the force and moment that the lifting parts leave over:
+    cross-flow, damping, coefficients of the whole vehicle.
+    """
+    force_y, force_z = aux.aero_force_B_N[1], aux.aero_force_B_N[2]
+    # first moments about the body's nose; the axial force acts on the body axis, beside the CG
+    arm = cg[0] - loads.nose_m
+    first_y = arm * force_y - (aux.aero_moment_B_Nm[2] - cg[1] * aux.aero_force_B_N[0])
+    first_z = arm * force_z + (aux.aero_moment_B_Nm[1] + cg[2] * aux.aero_force_B_N[0])
+    for s in range(surfaces):
+        surface = work.aero.surface[s]
+        place = _surface_station(loads, surface) - loads.nose_m
+        force_y -= surface.force_y_N
+        force_z -= surface.force_z_N
+        first_y -= place * surface.force_y_N
+        first_z -= place * surface.force_z_N
+    length = loads.tail_m - loads.nose_m
+    per, square = 1.0 / length, 1.0 / (length * length)
+    slope_y = (12.0 * first_y * per - 6.0 * force_y) * square
+    slope_z = (12.0 * first_z * per - 6.0 * force_z) * square
+    return force_y * per - 0.5 * slope_y * length, slope_y, force_z * per - 0.5 * slope_z * length, slope_z
+
+
+@kernel
+def _surface_station(loads: Loads, surface: SurfaceLoad) -> float:
+    """Where a lifting part's force acts; within the body (a slope near zero has its centre anywhere)."""
+    if surface.slope == 0.0:
+        return loads.tail_m
+    place: float = surface.slope_station_m / surface.slope
+    return min(max(place, loads.nose_m), loads.tail_m)
+
+
+@kernel
+def _inertia(
+    sizes: Counts, alike: int, d: Drivers, station: float, roll: float, work: Work, columns: Array, c: int
+) -> tuple[SectionLoad, float, float]:
+    """Inertial loads of the line mass forward of a station, and the station's displacement by bending (y, z, m)."""
+    mass, first, second = d.scale * columns[c + MASS], d.scale * columns[c + FIRST], d.scale * columns[c + SECOND]
+    hung, hung_first = d.scale * columns[c + AXIAL_MASS], d.scale * columns[c + AXIAL_FIRST]
+    lever = mass * d.cg[0] - first  # integral of m (x_cg - x)
+    # integrals of m (x_s - x) and m (x_s - x) (x_cg - x)
+    arm, spin = station * mass - first, station * d.cg[0] * mass - (station + d.cg[0]) * first + second
+    axial = d.force[0] * hung + d.per_m[0] * (hung * d.cg[0] - hung_first)
+    shear_y, shear_z = d.force[1] * mass + d.per_m[1] * lever, d.force[2] * mass + d.per_m[2] * lever
+    moment_y = -(d.force[2] * arm + d.per_m[2] * spin) + d.moment[0] * mass
+    moment_z = d.force[1] * arm + d.per_m[1] * spin + d.moment[1] * mass
+    m, planar = modes_of_planes(sizes), work.modes.planar
+    in_pitch = c + STATION_MODES
+    in_yaw = in_pitch + (1 - alike) * MODE_ROWS * m
+    shift_y, shift_z = 0.0, 0.0
+    aside_y, aside_z = 0.0, 0.0  # of the hanging mass relative to the cut by bending: mass times displacement
+    for i in range(m):
+        eta, xi = planar.eta_m[of_plane(PITCH) + i], planar.eta_m[of_plane(YAW) + i]
+        along_z = d.scale * (planar.accel_mps2[of_plane(PITCH) + i] + roll * planar.nu_mps[of_plane(YAW) + i])
+        along_y = d.scale * (planar.accel_mps2[of_plane(YAW) + i] - roll * planar.nu_mps[of_plane(PITCH) + i])
+        shear_z -= along_z * columns[in_pitch + INERTIA * m + i]
+        shear_y -= along_y * columns[in_yaw + INERTIA * m + i]
+        moment_y += along_z * columns[in_pitch + INERTIA_MOMENT * m + i]
+        moment_z -= along_y * columns[in_yaw + INERTIA_MOMENT * m + i]
+        aside_z += d.scale * eta * columns[in_pitch + AXIAL_MOMENT * m + i]
+        aside_y += d.scale * xi * columns[in_yaw + AXIAL_MOMENT * m + i]
+        shift_z += eta * columns[in_pitch + DISPLACEMENT * m + i]
+        shift_y += xi * columns[in_yaw + DISPLACEMENT * m + i]
+    moment_y += d.cg[2] * axial + aside_z * d.force[0]
+    moment_z -= d.cg[1] * axial + aside_y * d.force[0]
+    return (axial, shear_y, shear_z, moment_y, moment_z), shift_y, shift_z
+
+
+@kernel
+def _spatial_inertia(
+    sizes: Counts, alike: int, d: Drivers, roll: float, roll_accel: float, work: Work, columns: Array, c: int
+) -> tuple[SectionLoad, float, float]:
+    """As `_inertia`, what spatial modes add (docs/model.md, 13.3)."""
+    n, first = sizes.spatial_modes, c + STATION_MODES + (2 - alike) * MODE_ROWS * modes_of_planes(sizes)
+    axial, shear_y, shear_z, moment_y, moment_z = 0.0, 0.0, 0.0, 0.0, 0.0
+    shift_y, shift_z, aside_y, aside_z, modes = 0.0, 0.0, 0.0, 0.0, work.modes.spatial
+    for i in range(n):
+        eta, rate = modes.eta_m[i], modes.rate_mps[i]
+        # of the modal coordinate itself: the quasi-velocities hold what the roll rate does
+        accel = modes.accel_mps2[i] - roll_accel * modes.turned_m[i] - roll * modes.turned_rate_mps[i]
+        along, across = d.scale * (accel - roll * roll * eta), d.scale * (2.0 * roll * rate + roll_accel * eta)
+        in_z, in_y = first + i, first + MODE_ROWS * n + i
+        axial -= d.scale * accel * columns[first + 2 * MODE_ROWS * n + i]
+        inertia_z, inertia_y = columns[in_z + INERTIA * n], columns[in_y + INERTIA * n]
+        shear_z -= along * inertia_z + across * inertia_y
+        shear_y -= along * inertia_y - across * inertia_z
+        about_y, about_z = columns[in_z + INERTIA_MOMENT * n], columns[in_y + INERTIA_MOMENT * n]
+        moment_y += along * about_y + across * about_z
+        moment_z -= along * about_z - across * about_y
+        aside_z += d.scale * eta * columns[in_z + AXIAL_MOMENT * n]
+        aside_y += d.scale * eta * columns[in_y + AXIAL_MOMENT * n]
+        shift_z += eta * columns[in_z + DISPLACEMENT * n]
+        shift_y += eta * columns[in_y + DISPLACEMENT * n]
+    moment_y += d.cg[2] * axial + aside_z * d.force[0]
+    moment_z -= d.cg[1] * axial + aside_y * d.force[0]
+    return (axial, shear_y, shear_z, moment_y, moment_z), shift_y, shift_z
+
+
+@kernel
+def _aerodynamic(
+    loads: Loads, d: Drivers, station: float, shift_y: float, shift_z: float, aux: Aux, work: Work
+) -> SectionLoad:
+    """Lifting parts at their stations, the axial force by its shares, the rest spread over the body."""
+    x = min(max(station - loads.nose_m, 0.0), loads.tail_m - loads.nose_m)
+    beyond = station - loads.nose_m - x
+    constant_y, slope_y, constant_z, slope_z = d.spread
+    shear_y, shear_z = (constant_y + 0.5 * slope_y * x) * x, (constant_z + 0.5 * slope_z * x) * x
+    moment_z = (constant_y / 2.0 + slope_y * x / 6.0) * x * x + beyond * shear_y
+    moment_y = -(constant_z / 2.0 + slope_z * x / 6.0) * x * x - beyond * shear_z
+    total = (0.0, shear_y, shear_z, moment_y, moment_z)
+    for s in range(d.surfaces):
+        surface = work.aero.surface[s]
+        place = _surface_station(loads, surface)
+        if place <= station:
+            total = _add(total, _of_point(station, place, (0.0, surface.force_y_N, surface.force_z_N), 0.0, 0.0))
+    for k in range(loads.axial_points):
+        if loads.axial_m[k] <= station:
+            force = (loads.axial_share[k] * aux.aero_force_B_N[0], 0.0, 0.0)
+            total = _add(total, _of_point(station, loads.axial_m[k], force, -shift_y, -shift_z))
+    return total
+
+
+@kernel
+def _of_pendulum(
+    loads: Loads, vehicle: StageRecord, sizes: Counts, tank: int, station: float, shift_y: float, shift_z: float,
+    at: Evaluation, work: Work,
+) -> SectionLoad:  # fmt: skip  # eleven lines otherwise
+    """The rod's pull at its hinge, along the body at the tank's bottom; the damper's force at the bob."""
+    own, y = record_at(work.tank, tank), at.y
+    first = pendulum_index(sizes, 0) + N_PENDULUM * tank
+    u, pull = vector_at(y, first), work.system.unknown[tank]
+    hinge = at.properties[tank_column(tank) + TANK_HINGE]
+    length = pendulum_length(at.properties, tank)
+    aside_y, aside_z = own.shift_m[1] - shift_y, own.shift_m[2] - shift_z
+    total = (0.0, 0.0, 0.0, 0.0, 0.0)
+    if hinge <= station:
+        total = _of_point(station, hinge, (0.0, pull * u[1], pull * u[2]), 0.0, 0.0)
+    if max(hinge, loads.bottom_m[tank]) <= station:
+        total = _add(total, _of_point(station, hinge, (pull * u[0], 0.0, 0.0), aside_y, aside_z))
+    bob = hinge - length * u[0]
+    if bob <= station:
+        along = -bob_mass(at.properties, tank) * own.damping_mps2[0]
+        force = (along, own.damper_force_N[1], own.damper_force_N[2])
+        total = _add(total, _of_point(station, bob, force, aside_y + length * u[1], aside_z + length * u[2]))
+    return total
+
+
+@routine
+def gather_sections(loads: Loads, sizes: Counts, stage: int, now_ns: int, mass: float, cg_m: float, columns: Array,
+                    out: SectionLoads) -> None:  # fmt: skip  # nine lines otherwise
+    """Update the extremes with `out.section`, evaluated with `columns`."""
+    total = columns[TOTAL_MASS]
+    apart = abs(columns[TOTAL_FIRST] / total - cg_m) / (loads.tail_m - loads.nose_m)
+    mismatch = max(abs(total / mass - 1.0), apart)
+    if mismatch > out.mismatch:
+        out.mismatch, out.mismatch_ns = mismatch, now_ns
+    width = station_width(sizes, loads.alike)
+    for n in range(loads.stations):
+        first, c = SECTION_WIDTH * n, STATIONS + width * n
+        axial = out.section[first + AXIAL]
+        shear = math.hypot(out.section[first + SHEAR_Y], out.section[first + SHEAR_Z])
+        bending = math.hypot(out.section[first + MOMENT_Y], out.section[first + MOMENT_Z])
+        radius = columns[c + RADIUS]
+        edge = 2.0 * bending / radius if radius > 0.0 else math.nan
+        values = (-axial, axial, shear, bending, edge - axial, edge + axial)
+        for kind in range(N_KINDS):
+            e, limit = extreme_index(stage, kind, n), columns[c + LIMITS + kind]
+            if values[kind] > out.value[e]:
+                out.value[e], out.value_ns[e] = values[kind], now_ns
+            if limit > 0.0 and values[kind] > limit * out.ratio[e]:
+                out.ratio[e], out.ratio_ns[e] = values[kind] / limit, now_ns
+
+
+class SectionRow(NamedTuple):
+    """Loads at one station."""
+
+    section_place_axial_N: Annotated[float, "N", "axial force, tension positive"]
+    section_place_shear_axis_N: Annotated[PitchYaw, "N", "shear of the forces forward of it, along +z, +y"]
+    section_place_bending_axis_Nm: Annotated[PitchYaw, "N m", "bending moment of the forces forward of it about +y, +z"]
+
+
+@kernel
+def section_row(out: SectionLoads, stations: int, station: int) -> SectionRow:
+    """Nan where the stage has fewer stations."""
+    if station >= stations:
+        nothing = PitchYaw(math.nan, math.nan)
+        return SectionRow(math.nan, nothing, nothing)
+    c = SECTION_WIDTH * station
+    return SectionRow(
+        section_place_axial_N=out.section[c + AXIAL],
+        section_place_shear_axis_N=PitchYaw(out.section[c + SHEAR_Z], out.section[c + SHEAR_Y]),
+        section_place_bending_axis_Nm=PitchYaw(out.section[c + MOMENT_Y], out.section[c + MOMENT_Z]),
+    )

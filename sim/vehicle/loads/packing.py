@@ -1,0 +1,276 @@
+"""Mass and modes along the body as the columns that the section loads read (sim/vehicle/loads/kernel.py)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_SURFACES
+from maxq.control.kernel.records import Array
+from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit
+from maxq.sim.input.remembered import cached_by_identity
+from maxq.sim.input.values import to_ns
+from maxq.sim.vehicle.engine.burn import Burn
+from maxq.sim.vehicle.engine.packing import on_clock
+from maxq.sim.vehicle.loads import kernel as columns_of
+from maxq.sim.vehicle.loads import section as schema
+from maxq.sim.vehicle.loads.kernel import Loads
+from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
+from maxq.sim.vehicle.slosh.packing import pendulum_curves
+from maxq.sim.vehicle.slosh.section import Tank
+from maxq.sim.vehicle.state import Sizes
+
+if TYPE_CHECKING:
+    from maxq.sim.scenario.schema_scenario import Scenario
+    from maxq.sim.scenario.schema_vehicle import Stage
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact to the seventh power; mass times shape has the fifth
+
+
+def pack_loads(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, pool: Pool) -> Loads:
+    """Section loads of a stage; none unless they are switched on."""
+    given = stage.loads
+    stations, bottoms = np.zeros(MAX_LOAD_STATIONS), np.full(MAX_PENDULUMS, -np.inf)
+    places, shares = np.zeros(MAX_SURFACES), np.zeros(MAX_SURFACES)
+    if given is None or not scenario.switches.section_loads:
+        return Loads(0, 1, 0, 1, NO_TABLE, 0.0, 1.0, stations, bottoms, 0, places, shares)
+    stations[: len(given.stations_m)] = given.stations_m
+    tanks = stage.tank if sizes.pendulums > 0 else ()
+    below = [
+        q.bottom_station_m for q, t in zip(_liquids_of(given, tanks), tanks, strict=True) for _ in range(t.pendulums)
+    ]
+    bottoms[: len(below)] = below
+    points = 1
+    places[0], shares[0] = given.nose_station_m, 1.0
+    if given.axial_force is not None:
+        points = len(given.axial_force)
+        places[:points], shares[:points] = given.axial_force["station_m"], given.axial_force["share"]
+    bending = stage.bending
+    pitch = bending.pitch_modes if bending is not None and sizes.pitch_modes else None
+    alike = bending is None or bending.pitch == bending.yaw
+    yaw = pitch if alike else bending.yaw_modes if bending is not None and sizes.yaw_modes else None
+    spatial = stage.spatial_modes.modes if stage.spatial_modes is not None and sizes.spatial_modes else None
+    ends = [engine.gimbal_station_m for engine in stage.engines] or given.line_mass["rear_station_m"].tolist()
+    return Loads(
+        stations=len(given.stations_m),
+        period_ns=to_ns(given.period_s),
+        coast=int(given.coast),
+        alike=int(alike),
+        table=pool.add(on_clock(_table(given, tanks, pitch, yaw, spatial, stage.interpolation), burn)),
+        nose_m=given.nose_station_m,
+        tail_m=min(ends) if stage.engines else max(ends),
+        station_m=stations,
+        bottom_m=bottoms,
+        axial_points=points,
+        axial_m=places,
+        axial_share=shares,
+    )
+
+
+def _liquids_of(loads: schema.LoadsSection, tanks: Sequence[Tank]) -> list[schema.Liquid]:
+    """The liquid of each tank."""
+    by_name = {liquid.tank: liquid for liquid in loads.liquid}
+    return [by_name[tank.name or str(n + 1)] for n, tank in enumerate(tanks)]
+
+
+@cached_by_identity
+def _table(
+    loads: schema.LoadsSection, tanks: tuple[Tank, ...], pitch: ModeTable | None, yaw: ModeTable | None,
+    spatial: SpatialModeTable | None, method: Method,
+) -> Cubics:  # fmt: skip  # seven lines otherwise
+    """All columns over the stage's clock."""
+    planes = [pitch] if pitch is yaw else [pitch, yaw]
+    modes = max((table.modes for table in planes if table is not None), default=0)
+    sources = [liquid.table["time_s"] for liquid in loads.liquid]
+    sources += [table.time_s for table in (*planes, spatial) if table is not None]
+    if loads.limits is not None:
+        sources.append(schema.limit_times_s(loads.limits))
+    times = np.unique(np.concatenate([np.zeros(1), *sources]))
+    body = _Body(loads, tanks, (*planes, spatial), times, method)
+    stations = np.array(loads.stations_m)
+    rigid, limits = body.rigid(stations), _limits(loads, stations, times)
+    per_station = [np.stack([*rigid, *limits], axis=2)]  # (times, stations, columns)
+    for table in planes:
+        if modes == 0:
+            continue
+        rows = np.zeros((len(times), len(stations), columns_of.MODE_ROWS, modes))
+        if table is not None:
+            rows[:, :, :, : table.modes] = body.modal(table, stations)
+        per_station.append(rows.reshape(len(times), len(stations), -1))
+    if spatial is not None:
+        along_y, along_z = (body.modal(table, stations) for table in spatial.lateral())
+        rows = np.concatenate([along_z, along_y, body.axial(spatial, stations)[:, :, None]], axis=2)
+        per_station.append(rows.reshape(len(times), len(stations), -1))
+    columns = np.concatenate(per_station, axis=2).reshape(len(times), -1)
+    return fit(times, np.concatenate([np.stack(body.totals, axis=1), columns], axis=1), method)
+
+
+class _Part(NamedTuple):
+    """Masses at the nodes of a quadrature, at T times in n intervals (or points)."""
+
+    x: Array  # stations (T, n, nodes), m
+    mass: Array  # alike, kg
+    rear: Array  # rear ends of the intervals (n,), rising, m
+    hangs: Array  # stations at which their weight hangs on the body (n,), rising, m
+    held: Array  # stations that carry them along x (T, n, nodes), m
+
+
+class _Body:
+    """The line mass of the core at T times: dry parts between their ends, points, liquids between surface and bottom.
+
+    What sloshes is not part of the core: the rest of a tank's liquid is spread over its column with a density that is
+    linear in the station, so that mass and CG are those of the column less its bob.
+    """
+
+    def __init__(
+        self, loads: schema.LoadsSection, tanks: tuple[Tank, ...], modes: Sequence[ModeTable | SpatialModeTable | None],
+        times: Array, method: Method,
+    ) -> None:  # fmt: skip  # nine lines otherwise
+        line = loads.line_mass
+        front, rear, mass = line["front_station_m"], line["rear_station_m"], line["mass_kg"]
+        of_modes = [table.station_m for table in modes if table is not None]
+        columns = [[float(q.table["front_station_m"].min()), q.bottom_station_m] for q in loads.liquid]
+        ends = np.unique(np.concatenate([front, rear, loads.stations_m, *columns, *of_modes]))
+        spread = rear > front
+        density = (
+            (mass[spread] / (rear - front)[spread])[:, None]
+            * (front[spread, None] <= ends[:-1]) * (rear[spread, None] >= ends[1:])
+        ).sum(axis=0)  # fmt: skip  # of each interval
+        x, weights = _gauss(np.broadcast_to(ends[:-1], (len(times), len(ends) - 1)), ends[1:])
+        self.parts = [_Part(x, weights * density[None, :, None], ends[1:], ends[1:], x)]
+        at = front[~spread]
+        points = [np.broadcast_to(column[~spread][:, None], (len(times), len(at), 1)) for column in (front, mass)]
+        self.parts.append(_Part(points[0], points[1], at, at, points[0]))
+        self.times, self.method = times, method
+        bobs = dict(zip((tank.name or str(n + 1) for n, tank in enumerate(tanks)), tanks, strict=True))
+        for liquid in loads.liquid:
+            tank = bobs.get(liquid.tank)
+            bobs_of_tank = [] if tank is None else [joined.at(times) for joined, _ in pendulum_curves(tank, method)]
+            self._add_liquid(liquid, bobs_of_tank, ends)
+        self.totals = [np.asarray(sum((p.mass * p.x**k).sum(axis=(1, 2)) for p in self.parts)) for k in range(3)]
+
+    def _add_liquid(self, liquid: schema.Liquid, bobs: Sequence[Array], ends: Array) -> None:
+        columns = np.stack([liquid.table["mass_kg"], liquid.table["front_station_m"]], axis=1)
+        mass, surface = fit(liquid.table["time_s"], columns, self.method).at(self.times).T
+        bottom = liquid.bottom_station_m
+        middle, length = 0.5 * (surface + bottom), bottom - surface
+        first = np.zeros_like(mass)  # moment of the rest about the middle of the column
+        for bob in bobs:
+            first = first - bob[:, 0] * (bob[:, 1] + bob[:, 2] - middle)
+            mass = mass - bob[:, 0]
+        inside = ends[ends <= bottom]
+        x, weights = _gauss(*(np.maximum(edge, surface[:, None]) for edge in (inside[:-1], inside[1:])))
+        safe = np.where(length > 0.0, length, 1.0)
+        density = (mass / safe)[:, None, None] + (12.0 * first / safe**3)[:, None, None] * (x - middle[:, None, None])
+        hangs = np.full(len(inside) - 1, bottom)
+        self.parts.append(_Part(x, weights * density, inside[1:], hangs, np.full_like(x, bottom)))
+
+    def _forward(self, values: Sequence[Array], stations: Array, hanging: bool = False) -> Array:
+        """Sums (T, stations, ...) of values at the masses of each part that are, or hang, forward of the stations."""
+        total: Array | float = 0.0
+        for part, value in zip(self.parts, values, strict=True):
+            sums = np.cumsum(value.sum(axis=2), axis=1)
+            sums = np.concatenate([np.zeros((len(sums), 1, *sums.shape[2:])), sums], axis=1)
+            total = total + sums[:, np.searchsorted(part.hangs if hanging else part.rear, stations, side="right")]
+        return np.asarray(total)
+
+    def rigid(self, stations: Array) -> list[Array]:
+        """Columns MASS to AXIAL_FIRST, each (T, stations)."""
+        powers = [[p.mass * p.x**k for p in self.parts] for k in range(3)]
+        forward = [self._forward(power, stations) for power in powers]
+        return [*forward, *(self._forward(power, stations, hanging=True) for power in powers[:2])]
+
+    def modal(self, table: ModeTable, stations: Array) -> Array:
+        """Rows INERTIA to DISPLACEMENT (T, stations, rows, modes) of one plane.
+
+        In the inertial forces the shapes are taken without the rigid motion that this line mass finds in them, so that
+        the modes leave momentum and angular momentum alone here, as in the equations of motion.
+        """
+        shapes = _Shapes(table, self.times, self.method)
+        phi = [shapes.at(part.x) for part in self.parts]  # (T, n, nodes, M)
+        total, first, second = self.totals
+        cg = first / total
+        about_cg = [part.x - cg[:, None, None] for part in self.parts]
+        shift = self._sum(phi) / total[:, None]
+        turn = self._sum([p * r[..., None] for p, r in zip(phi, about_cg, strict=True)])
+        turn /= (second - first * cg)[:, None]
+        force = [
+            part.mass[..., None] * (p - shift[:, None, None] - turn[:, None, None] * r[..., None])
+            for part, p, r in zip(self.parts, phi, about_cg, strict=True)
+        ]
+        inertia = self._forward(force, stations)
+        moment = self._forward([f * part.x[..., None] for part, f in zip(self.parts, force, strict=True)], stations)
+        here = shapes.at(np.broadcast_to(stations, (len(self.times), 1, len(stations))))[:, 0]  # (T, stations, M)
+        hung = [part.mass[..., None] * p for part, p in zip(self.parts, phi, strict=True)]
+        mass = self._forward([part.mass for part in self.parts], stations, hanging=True)
+        aside = self._forward(hung, stations, hanging=True) - mass[..., None] * here
+        return np.stack([inertia, stations[:, None] * inertia - moment, aside, here], axis=2)
+
+    def axial(self, table: SpatialModeTable, stations: Array) -> Array:
+        """Mass times axial shape of what is, or hangs, forward of the stations (T, stations, modes).
+
+        Without the mean motion that this line mass finds in the shapes, as in `modal`.
+        """
+        phi = table.displacement[..., 0]
+        over_time = fit(table.time_s, phi.reshape(len(phi), -1), self.method).at(self.times)
+        shapes = [fit(table.station_m, row.reshape(phi.shape[1:]).T) for row in over_time]
+        at = [
+            np.stack([f.at(x.ravel()).reshape(*x.shape, table.modes) for f, x in zip(shapes, part.held, strict=True)])
+            for part in self.parts
+        ]
+        mean = (self._sum(at) / self.totals[0][:, None])[:, None, None]
+        moved = [part.mass[..., None] * (values - mean) for part, values in zip(self.parts, at, strict=True)]
+        return self._forward(moved, stations, hanging=True)
+
+    def _sum(self, values: Sequence[Array]) -> Array:
+        """Sums (T, M) of mass times value over all parts."""
+        weighted = [(p.mass[..., None] * v).sum(axis=(1, 2)) for p, v in zip(self.parts, values, strict=True)]
+        return np.asarray(sum(weighted))
+
+
+class _Shapes:
+    """Shapes of a mode table at other times; the body is rigid beyond the first and last station."""
+
+    def __init__(self, table: ModeTable, times: Array, method: Method) -> None:
+        stacked = np.stack([table.phi, table.slope_pm], axis=1)
+        over_time = fit(table.time_s, stacked.reshape(len(table.time_s), -1), method).at(times)
+        self._phi, self._slope = over_time.reshape(len(times), *stacked.shape[1:]).swapaxes(0, 1)  # (T, M, S) each
+        self._x = table.station_m
+
+    def at(self, x: Array) -> Array:
+        """phi (T, n, nodes, M) at stations (T, n, nodes)."""
+        breaks = self._x
+        k = np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2)
+        inside = np.clip(x, breaks[0], breaks[-1])
+        h = (breaks[k + 1] - breaks[k])[..., None]
+        s = ((inside - breaks[k])[..., None]) / h
+        t = np.arange(len(x))[:, None, None]
+        phi, slope = self._phi.transpose(0, 2, 1), self._slope.transpose(0, 2, 1)  # (T, S, M)
+        value = phi[t, k] * (1.0 + 2.0 * s) * (1.0 - s) ** 2 + phi[t, k + 1] * s * s * (3.0 - 2.0 * s)
+        value += h * (slope[t, k] * s * (1.0 - s) ** 2 + slope[t, k + 1] * s * s * (s - 1.0))
+        beyond = (x - inside)[..., None]
+        return np.asarray(value + beyond * np.where(beyond < 0.0, slope[t, 0 * k], slope[t, 0 * k + len(breaks) - 1]))
+
+
+def _gauss(low: Array, high: Array) -> tuple[Array, Array]:
+    """Nodes and weights (T, n, 4) between `low` and `high`, (T, n) or alike."""
+    half = 0.5 * (np.asarray(high) - low)
+    x = (0.5 * (np.asarray(high) + low))[..., None] + half[..., None] * _NODES
+    return x, np.maximum(half, 0.0)[..., None] * _WEIGHTS
+
+
+def _limits(loads: schema.LoadsSection, stations: Array, times: Array) -> list[Array]:
+    """Radius and limit of each kind, each (T, stations); 0 where there is none."""
+    table, shape = loads.limits, (len(times), len(stations))
+    if table is None:
+        return [np.zeros(shape)] * (1 + len(schema.BORNE))
+    places, known = np.unique(table["station_m"]), schema.limit_times_s(table)
+    order = np.lexsort((table["station_m"], table.get("time_s")))
+    out = []
+    for name in ("radius_m", *schema.BORNE):
+        grid = table.get(name)[order].reshape(len(known), len(places))
+        at_stations = np.stack([np.interp(stations, places, row) for row in grid])
+        out.append(np.stack([np.interp(times, known, column) for column in at_stations.T], axis=1))
+    return out

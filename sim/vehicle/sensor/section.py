@@ -1,0 +1,47 @@
+"""Rate gyros and accelerometer of a stage, as the vehicle's file gives them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from maxq.control.kernel.limits import MAX_LATENCY
+from maxq.sim.input.values import Fraction, NotNegative, Positive, Section, Triple, optional
+
+
+class GyroSection(Section):
+    """Rate gyros, one per axis (paper, eq. 29)."""
+
+    station_m: float = Field(description="station, m aft of the nose")
+    omega_hz: Positive = Field(description="natural frequency, Hz")
+    zeta: Positive = Field(description="damping ratio")
+    bias_degph: Triple = optional("constant error about x, y, z, deg/h", (0.0, 0.0, 0.0))
+    scale_factor: Triple = optional("relative error of the scale about x, y, z", (0.0, 0.0, 0.0))
+    misalignment_deg: Triple = optional("small rotation about x, y, z, deg", (0.0, 0.0, 0.0))
+    noise_deg_rt_h: NotNegative = optional("angle random walk, deg per root hour", 0.0)
+
+
+Latency = Annotated[int, Field(ge=0, le=MAX_LATENCY)]
+
+
+class RateGyro(GyroSection):
+    """A rate gyro beyond the first, three axes; the design says what part it has in the rate of the law (blend)."""
+
+    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
+    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
+
+
+class Accelerometer(Section):
+    """Accelerometer of three axes: specific force at its station, with what bending, engine and liquid do to it."""
+
+    station_m: float = Field(description="station, m aft of the nose, on the body axis")
+    omega_hz: Positive = Field(description="natural frequency, Hz")
+    zeta: Positive = Field(description="damping ratio")
+    count_mps: NotNegative = optional("velocity per pulse, m/s; 0: no quantisation", 0.0)
+    bias_mps2: Triple = optional("constant error along x, y, z, m/s2", (0.0, 0.0, 0.0))
+    scale_factor: Triple = optional("relative error of the scale along x, y, z", (0.0, 0.0, 0.0))
+    misalignment_deg: Triple = optional("small rotation about x, y, z, deg", (0.0, 0.0, 0.0))
+    noise_mps_rt_h: NotNegative = optional("velocity random walk, m/s per root hour", 0.0)
+    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
+    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
