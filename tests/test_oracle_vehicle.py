@@ -31,6 +31,7 @@ from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import Layout, LayoutEngines, read_layout
 from maxq.tools.vehicle.masses import Rod, stacks
 from maxq.tools.vehicle.trajectory import Orbit, ascent
+from maxq.tools.vehicle.trajectory import _level as level_ascent
 
 WGS84_RADIUS_m = 6378137.0
 WGS84_MU_m3ps2 = 3.986004418e14
@@ -352,3 +353,14 @@ def test_the_vehicle_flies_the_point_mass_s_path_to_orbit(tmp_path: Path, built)
     e = np.linalg.norm(np.cross(v, momentum) / mu - r / np.linalg.norm(r))
     perigee_km = (momentum @ momentum / mu / (1.0 + e) - 6378137.0) / 1e3
     assert perigee_km == pytest.approx(250.0, abs=15.0)
+
+
+def test_the_pitch_over_of_an_ascent_is_rounded_and_the_tangents_follow():
+    """Here with a level end where the tangents are twice the pitch-over and minus its square."""
+
+    def ends(x):
+        return np.array([x[1] - 2.0 * x[0], x[2] + x[0] ** 2, 7.8])
+
+    for kick in (0.58266, 0.58233):  # as far apart as processors leave it
+        found = level_ascent(ends, np.array([kick, 1.0, -0.3]))
+        np.testing.assert_allclose(found, [0.5825, 1.165, -(0.5825**2)], rtol=1e-12)

@@ -50,7 +50,7 @@ def _stages(built: Built) -> tuple[str, LayoutRows]:
             (
                 stack.name, f"{first:.0f}", f"{last:.0f}", f"{stack.burn.end_s - stack.burn.start_s:.1f}",
                 f"{thrust / first / STANDARD_GRAVITY_mps2:.2f}", f"{gained:.0f}", f"{point.speed_mps:.0f}",
-                f"{point.altitude_m / 1e3:.1f}", f"{math.degrees(point.path_rad):.1f}",
+                f"{point.altitude_m / 1e3:.1f}", f"{math.degrees(point.path_rad):z.1f}",
             )
         )  # fmt: skip  # six more lines otherwise
     orbit = built.flight.orbit

@@ -30,6 +30,7 @@ from maxq.tools.vehicle.masses import Stack, without_fairing
 STEERING_BLEND_s = 15.0  # from the gravity turn's attitude to that of the tangent law
 _LEAST_SPEED_mps = 1.0
 _STEP_s = 10.0
+_KICK_STEP = 0.0025  # of the scaled pitch-over: 0.25 mrad
 TrajectoryState = tuple[float, float, float, float]  # range m, altitude m, speed m/s, path angle rad
 
 
@@ -320,12 +321,12 @@ def _turn_to(model: _Model, path_rad: float) -> None:
 
 
 def _level(ends: Callable[[Array], Array], x: Array) -> Array:
-    """Return the level ascent next to `x` (pitch-over and tangents, scaled) that is the same on every processor.
+    """Return the level ascent next to `x` (pitch-over and tangents, scaled), the same on every processor.
 
-    The search that ends at `x` leaves the pitch-over where the speed hardly changes, and by rounding ends elsewhere on
-    another processor. So the pitch-over is rounded to 1 mrad, and the tangents follow from it.
+    The search that ends at `x` leaves the pitch-over where the speed hardly changes. Processors round differently, and
+    the search ends up to 0.03 mrad apart on them. So the pitch-over is rounded, and the tangents follow from it.
     """
-    kick = round(float(x[0]), 2)
+    kick = _KICK_STEP * round(float(x[0]) / _KICK_STEP)
 
     def missed(tangents: Array) -> Array:
         return ends(np.array([kick, *tangents]))[:2]
