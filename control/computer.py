@@ -64,12 +64,13 @@ from maxq.control.orbit_guidance import (
 )
 from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_roll
 from maxq.control.sensors import Sensors, SensorState, blended_rate, make_sensors, read_sensors, start_sensors
-from maxq.control.structures import OVER, Attitude, Over
+from maxq.control.structures import GAINS, LAWS, OVER, Attitude, Law, Over
 
 # No gyro measures, and no scenario means, a turn of more than this in one sample: beyond it lies a fault.
 INCREMENT_LIMIT_RAD = 1.0e3
 
 _UNUSED_ROLL = Roll(0.0, 1.0, 0.0, 0)
+_PID, _LOAD_RELIEF, _INCIDENCE_RELIEF = map(LAWS.index, ("pid", "load-relief", "incidence-relief"))
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,7 @@ class Computer:
     converter: Converter
     attitude: int
     angle_error_limit_rad: float
+    flown_law: int  # index into `LAWS` of structures.py
     law: PdRecord
     pid: Pid
     command_limit_rad: float
@@ -159,6 +161,7 @@ def build_computer(
     attitude: Attitude = "quaternion",
     angle_error_limit_rad: float = np.inf,
     command_limit_rad: float = np.inf,
+    law: Law = "pd",
     gains: Cubics | None = None,
     over: Over = "time_s",
     integral_limit_rad: float = np.inf,
@@ -178,15 +181,14 @@ def build_computer(
 ) -> Computer:
     """Parameters of a computer; its tables go into `pool`.
 
-    `gains` comes from `pd.gains_table`, over what `over` says; without it the law gives 0, and with a column k_i_ps it
-    is PID, its integral within `integral_limit_rad`. `programme` comes from `guidance.rate_programme`; without it the
+    `gains` comes from `pd.gains_table`, with the columns of `law` over what `over` says; without it the law gives 0.
+    `integral_limit_rad` bounds the integral of PID. `programme` comes from `guidance.rate_programme`; without it the
     commanded rates are 0. Filters come from
     `BendingFilter.discretize`; without `yaw_filter` yaw is as pitch, without either the law's output passes
     as it is (a filter of no sections gives one axis none). `roll` comes from `roll.make_roll`; without it no
     thruster fires. `count_rad` = 0 is an ideal converter, `dac_step_rad` = 0 an ideal DAC, an infinite limit
-    none. With `relief_hz`, the corner of the accelerometer's lag, the law is load relief, and `gains` has a column
-    k_a_s2pm, or with k_alpha it is load relief by incidence. `sensors` comes from `sensors.make_sensors`, `adaptive`
-    from `adaptive.make_adaptive`, `loops` from `loop_filters.make_loop_filters`.
+    none. `relief_hz` is the corner of the accelerometer's lag of a load-relief law. `sensors` comes from
+    `sensors.make_sensors`, `adaptive` from `adaptive.make_adaptive`, `loops` from `loop_filters.make_loop_filters`.
 
     Raises ValueError, naming key, value and what is allowed.
     """
@@ -199,8 +201,6 @@ def build_computer(
     ):
         if not holds:
             raise ValueError(f"{key} = {value}: allowed is {allowed}")
-    columns = gains.n_columns if gains is not None and gains.n_columns in (6, 10) else 4
-    integral = columns == 6 and relief_hz is None
     return Computer(
         sample_ns=sample_ns,
         delay_ns=delay_ns,
@@ -215,17 +215,17 @@ def build_computer(
         converter=make_converter(count_rad),
         attitude=METHODS.index(attitude),
         angle_error_limit_rad=angle_error_limit_rad,
-        law=make_pd(_placed(pool, "gains", gains, columns), sample_ns, pitch_filter, yaw_filter or pitch_filter),
-        pid=Pid(int(integral), integral_limit_rad),
+        flown_law=LAWS.index(law),
+        law=make_pd(
+            _placed(pool, "gains", gains, 2 * len(GAINS[law])), sample_ns, pitch_filter, yaw_filter or pitch_filter
+        ),
+        pid=Pid(integral_limit_rad),
         command_limit_rad=command_limit_rad,
         dac_step_rad=dac_step_rad,
         roll=roll or _UNUSED_ROLL,
         allocation=ONE_GROUP,
         sensors=sensors or make_sensors(),
-        relief=load_relief.LoadRelief(
-            0 if relief_hz is None else 1 + int(columns == 10),
-            load_relief.lag_share(relief_hz or 0.0, sample_ns / 1.0e9),
-        ),
+        relief=load_relief.LoadRelief(load_relief.lag_share(relief_hz or 0.0, sample_ns / 1.0e9)),
         over=OVER.index(over),
         adaptive=adaptive or Adaptive(),
         loops=loops or loop_filters.LoopFilters(),
@@ -457,7 +457,7 @@ def update_command(
     """Command of gimbal axis `gimbal` (0 pitch, 1 yaw): law with the gains at `at`, injection, limit, DAC."""
     error_rad, rate_radps = state.attitude.theta_e_rad[gimbal + 1], state.attitude.rate_radps[gimbal + 1]
     lateral_mps2, sample_s = 0.0, computer.sample_ns / 1.0e9
-    if computer.relief.on != 0:
+    if computer.external == 0 and computer.flown_law >= _LOAD_RELIEF:
         lateral_mps2 = state.sensors.value[computer.sensors.accelerometer, 2 - gimbal]
     if computer.loops.on != 0 or state.loops.fading > 0:
         error_rad = loop_filters.filtered_input(computer.loops, state.loops, loop_filters.ATTITUDE, gimbal, error_rad)
@@ -473,14 +473,14 @@ def update_command(
         wanted_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
         # no sections of a design: those with which a certificate alters the loop
         law_rad = filtered(computer.law, state.law, gimbal, wanted_rad)
-    elif computer.relief.on == 1:
+    elif computer.flown_law == _LOAD_RELIEF:
         law_rad = load_relief.tick_load_relief(computer.law, computer.relief, pool, state.law, state.relief, given)
-    elif computer.relief.on == 2:
+    elif computer.flown_law == _INCIDENCE_RELIEF:
         law_rad = load_relief.tick_incidence_relief(computer.law, computer.relief, pool, state.law, state.relief, given)
-    elif computer.pid.on == 0:
-        law_rad = tick_pd(computer.law, pool, state.law, given)
-    else:
+    elif computer.flown_law == _PID:
         law_rad = tick_pid(computer.law, computer.pid, pool, state.law, state.pid, given)
+    else:
+        law_rad = tick_pd(computer.law, pool, state.law, given)
     if state.loops.fading > 0:
         law_rad = loop_filters.faded(
             computer.loops, state.loops, loop_filters.OUTPUT, gimbal, state.law.pd_rad[gimbal], law_rad

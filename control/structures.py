@@ -6,6 +6,7 @@ from typing import Literal, get_args
 
 Law = Literal["pd", "pid", "load-relief", "incidence-relief"]
 """Modules of control/laws and design/laws."""
+LAWS: tuple[Law, ...] = get_args(Law)
 
 GAINS: dict[Law, tuple[str, ...]] = {
     "pd": ("k_p", "k_d_s"),

@@ -47,8 +47,8 @@ def flown(turns: Array, commanded: Array, **changes: Any) -> tuple[Array, Array]
     integral = changes.get("with_integral", False)
     gains = dataclasses.replace(GAINS, k_i_ps=[0.3, 0.1]) if integral else GAINS
     built = build_computer(
-        pool, sample_ns=10_000_000, gains=gains_table(gains), attitude="rate-integral",
-        adaptive=make_adaptive(T, **{**GIVEN, **changes}),
+        pool, sample_ns=10_000_000, law="pid" if integral else "pd", gains=gains_table(gains),
+        attitude="rate-integral", adaptive=make_adaptive(T, **{**GIVEN, **changes}),
     )  # fmt: skip  # as ruff would, but for a line of one bracket
     computer, state, tables = pack([built])[0], blank(ComputerState)[0], pool.array()
     start_computer(computer, tables, state, 0.0)

@@ -56,8 +56,8 @@ def test_command_is_pd_and_the_filtered_acceleration_behind_the_filter() -> None
     corner_hz, discrete = 1.5, F3.discretize(T, "prewarped", 9.0)
     pool = Pool()
     built = build_computer(
-        pool, sample_ns=10_000_000, gains=gains_table(GAINS), attitude="rate-integral", pitch_filter=discrete,
-        sensors=make_sensors((0.0,), (0,), accelerometer=True), relief_hz=corner_hz,
+        pool, sample_ns=10_000_000, law="load-relief", gains=gains_table(GAINS), attitude="rate-integral",
+        pitch_filter=discrete, sensors=make_sensors((0.0,), (0,), accelerometer=True), relief_hz=corner_hz,
     )  # fmt: skip  # four more lines otherwise
     computer, state, tables = pack([built])[0], blank(ComputerState)[0], pool.array()
     start_computer(computer, tables, state, 0.0)

@@ -32,6 +32,7 @@ from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.loop_filters import make_loop_filters
 from maxq.control.sensors import make_sensors
+from maxq.control.structures import GAINS
 from maxq.design.laws.pd import Pd
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.model.vehicle_at import incidence_by_acceleration
@@ -52,6 +53,8 @@ INCIDENCE = GainSchedule(
     accel_per_incidence_mps2=[-30.0, -50.0],
 )  # fmt: skip  # eight lines otherwise
 
+LAW_OF = {columns: law for law, columns in GAINS.items()}
+
 
 def run_through(discrete: DiscreteFilter, given: Array) -> Array:
     for b0, b1, b2, a1, a2 in discrete.sections:
@@ -70,8 +73,8 @@ class Ticked:
 
     def built(self, gains: GainSchedule, **more: Any) -> Any:
         built = build_computer(
-            self.pool, sample_ns=10_000_000, gains=gains_table(gains), attitude="rate-integral",
-            sensors=make_sensors((0.0,), (0,), accelerometer=True), **more,
+            self.pool, sample_ns=10_000_000, law=LAW_OF[gains.columns], gains=gains_table(gains),
+            attitude="rate-integral", sensors=make_sensors((0.0,), (0,), accelerometer=True), **more,
         )  # fmt: skip  # four more lines otherwise
         return pack([built])[0]
 

@@ -45,7 +45,12 @@ class Ticked:
     def __init__(self, gains: GainSchedule, **more: Any) -> None:
         pool = Pool()
         computer = build_computer(
-            pool, sample_ns=10_000_000, gains=gains_table(gains), attitude="rate-integral", **more
+            pool,
+            sample_ns=10_000_000,
+            law="pid" if gains.k_i_ps else "pd",
+            gains=gains_table(gains),
+            attitude="rate-integral",
+            **more,
         )
         self.computer, self.pool, self.state = pack([computer])[0], pool.array(), blank(ComputerState)[0]
         start_computer(self.computer, self.pool, self.state, 0.0)

@@ -31,12 +31,9 @@ from maxq.control.laws.pd import LawInputs, PdRecord, PdState, filtered, proport
 
 @dataclass(frozen=True)
 class LoadRelief:
-    """`on`: 1 for this law, 2 by incidence. `share`: 1 - exp(-2 pi f T), by which a sample takes the filtered
-    acceleration along.
-    """
+    """Parameters beside the gains, of both laws of load relief."""
 
-    on: int
-    share: float
+    share: float  # 1 - exp(-2 pi f T), by which a sample takes the filtered acceleration along
 
 
 @dataclass

@@ -21,10 +21,9 @@ from maxq.control.laws.pd import LawInputs, PdRecord, PdState, filtered, proport
 
 @dataclass(frozen=True)
 class Pid:
-    """`on`: 1 for this law, 0 for PD. `limit_rad`: of the integral's share of the command."""
+    """Parameters beside the gains."""
 
-    on: int
-    limit_rad: float
+    limit_rad: float  # of the integral's share of the command
 
 
 @dataclass

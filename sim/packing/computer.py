@@ -78,6 +78,7 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
         attitude=computer.attitude,
         angle_error_limit_rad=math.radians(computer.angle_error_limit_deg),
         command_limit_rad=math.radians(computer.command_limit_deg),
+        law=design.law if design else "pd",
         gains=_gains(design.gains) if design else None,
         over=design.gains.over if design else "time_s",
         integral_limit_rad=math.radians(design.gains.integral_limit_deg or math.inf) if design else math.inf,

@@ -17,7 +17,7 @@ from maxq.control.attitude import QUATERNION
 from maxq.control.external import HEADER
 from maxq.control.kernel.limits import MAX_SENSORS
 from maxq.control.kernel.tables import table_in
-from maxq.control.structures import MAX_SECTIONS, Law
+from maxq.control.structures import LAWS, MAX_SECTIONS, RELIEF, Law
 from maxq.design import operating_points
 from maxq.design.laws.design_file import design_path
 from maxq.design.loop.fixed_path import fixed_path
@@ -119,13 +119,15 @@ def further_gyros(computer: Any) -> int:
 def _declared(packed: Packed, said: str) -> Iterator[str]:
     """flight_law_tables.h."""
     each = [row.computer for row in packed.parameters]
+    law = LAWS[int(each[0].flown_law)]
+    relief = RELIEF.index(law) + 1 if law in RELIEF else 0
     first, filters = each[0], int(any(int(one.loops.on) or int(one.loops.fade_ticks) for one in each))
     numbers = (
         ("STAGES", len(packed.parameters), ""),
         ("COUNT_RAD", float(first.converter.count_rad), "angle per gyro pulse; 0: angles are given"),
         ("RATE_INTEGRAL", int(int(first.attitude) != QUATERNION), "1: the error is the angle less the commanded angle"),
         ("GAINS", table_in(packed.pool, first.law.gains).n_columns // 2, "of an axis"),
-        ("LOAD_RELIEF", int(first.relief.on), "1: the third gain is of the acceleration; 2: of the incidence"),
+        ("LOAD_RELIEF", relief, "1: the third gain is of the acceleration; 2: of the incidence"),
         ("LOOP_FILTERS", filters, "1: loops have filters of their own, or filters fade out behind a separation"),
         ("ADAPTIVE", int(any(int(one.adaptive.on) for one in each)), "1: a total gain adapts"),
         ("FURTHER_GYROS", max(map(further_gyros, each)), "rate gyros beyond the first in the rate"),
