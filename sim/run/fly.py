@@ -70,7 +70,7 @@ def _logged(on: int, sizes: Sizes, *counts: int) -> Records:
 class FlightRun:
     """A flight in progress: `fly_segment` until `finished`, then `result`.
 
-    The constructor loads the compiled kernels, or compiles them (about twenty seconds, once). `segment_ns`: length of a
+    The constructor loads the compiled kernels, or compiles them (about half a minute, once). `segment_ns`: length of a
     segment, a multiple of the step (default: 1 s, less where that is many steps or log rows, more where it is few;
     4 s of a flight that another process flies, which has to be woken for each).
     """
