@@ -1,4 +1,4 @@
-"""The simulator, linearised numerically, against the linear model derived on paper (design/model/plant.py).
+"""The simulator, linearised numerically, against the linear model derived on paper (tests/oracles/planar).
 
 The two share the vehicle's tables and nothing else: the simulator is a nonlinear system with tensions as
 unknowns in three dimensions, the model a d'Alembert derivation in one plane. Made comparable by flying over a

@@ -1,7 +1,7 @@
 """Errata of the printed model of Lee, Ahn & Roh, each a switch.
 
 `PAPER` is eqs 1 to 29 as they are printed, `CORRECTED` the physics that the simulator flies
-(design/paper/plant.py). Numbers are those of the project's list of errata. What does not change a linear loop has
+(sim/vehicle/derivative.py). Numbers are those of the project's list of errata. What does not change a linear loop has
 no switch (3: weight bends no free-free mode; 9: signs that are right; 11, 12, 17 to 21: matters of the design
 problem). 14 (coefficients that the paper leaves out) and 15 (continuous approximations) are the kinds of loop in
 design/loop/fixed_path.py, 16 (what eq. 42 opens) its cuts.

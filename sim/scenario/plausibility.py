@@ -1,6 +1,7 @@
 """What a scenario may hold and is implausible: said as warnings, and flown as it is.
 
-The bounds are those of launch vehicles that exist, with room. What no vehicle can have is refused (`ranges.py`).
+The bounds are those of launch vehicles that exist, with a margin. Values that no
+vehicle can have are refused (`sim/input/ranges.py`).
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class Sizes:
     tables: int = 0  # of these, tables of coefficients over incidence
     spatial_modes: int = 0
     further_groups: int = 0  # of engines that move together, beyond the first
-    engines: int = 1  # alike engines of a group count once (engine.py); 1 without an engine
+    engines: int = 1  # alike engines of a group count once (engine/kernel.py); 1 without one
     gimbals: int = 1  # stations of gimbals, at which the engines meet the mode shapes, and behind them of sensors
     thrust_curves: int = 1  # columns of the schedule
     tvc_loads: int = 0  # engines on the compliance of their mount

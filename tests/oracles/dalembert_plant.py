@@ -1,4 +1,4 @@
-"""The vehicle as a linear system, derived by d'Alembert's principle: independent of design/model/plant.py.
+"""The vehicle as a linear system, derived by d'Alembert's principle: independent of design/model/jacobian.py.
 
 Body axes at the core's CG, x forward, z down (pitch plane). The vehicle flies along x at speed U with
 specific axial force  a = (T - D) / m  and does not turn. Small: lateral speed w, rate q, pitch theta, modes

@@ -2,7 +2,7 @@
 
 Mode i displaces the point of the body axis at station x by the vector Phi_i(x) eta_i and rotates the section there by
 Theta_i(x) eta_i: along and about all three axes of B, so that bending in both planes, torsion and axial motion may be
-coupled. A planar mode of bending.py is the special case Phi = (0, 0, phi), Theta = (0, slope, 0) in pitch and
+coupled. A planar mode of planar.py is the special case Phi = (0, 0, phi), Theta = (0, slope, 0) in pitch and
 Phi = (0, phi, 0), Theta = (0, 0, -slope) in yaw. The quasi-velocities nu = d(eta)/dt + p A eta hold the rotation with
 the roll rate; A is the share of each mode in the shape of another turned by a right angle about x (docs/model.md,
 section 4).

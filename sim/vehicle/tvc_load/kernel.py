@@ -85,7 +85,7 @@ LoadNumbers = Annotated[Array, _PER_LOAD]
 class TvcLoad:
     """All TVC loads of a stage; `Sizes.tvc_loads` of them count."""
 
-    engine: Annotated[IntArray, _PER_LOAD]  # which of the stage's engines, as engine.py counts them
+    engine: Annotated[IntArray, _PER_LOAD]  # which of the stage's engines, as engine/kernel.py counts them
     stiffness_Nmprad: LoadNumbers
     damping_Nmsprad: LoadNumbers
     friction_Nm: LoadNumbers
