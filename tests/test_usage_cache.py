@@ -169,7 +169,6 @@ def test_a_routine_compiled_by_another_process(tmp_path: Path, how: str, here: i
         assert (done.stdout, done.stderr) == (f"7.0 7.0 7.0 {compiled}\n", "")
 
 
-@pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners of files on this system")
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other processes compile on Linux only")
 def test_a_killed_compilation_keeps_what_was_finished(tmp_path: Path) -> None:
@@ -187,6 +186,7 @@ def test_a_killed_compilation_keeps_what_was_finished(tmp_path: Path) -> None:
     assert (done.stdout, done.stderr) == ("7.0 7.0 7.0 0\n", "")
 
 
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners of files on this system")
 @pytest.mark.parametrize("part", ["", "verified"])
 def test_cache_to_which_others_may_write_is_refused(tmp_path: Path, part: str) -> None:
     cache = tmp_path / "cache"
