@@ -187,5 +187,5 @@ def _stations(table: CsvTable, surfaces: tuple[AeroSurface, ...], reference_m: f
 
 
 def has_remainder(table: CsvTable) -> bool:
-    """Whether a table of coefficients has a normal force beside that of the surfaces."""
+    """Return True for a table of coefficients with a normal force in addition to that of the surfaces."""
     return "CN_alpha_pr" in table or "Cm_alpha_pr" in table
