@@ -114,9 +114,15 @@ def roll_command(a: Allocation, phi_e_rad: float, p_radps: float) -> float:
 
 @kernel
 def allocate(
-    a: Allocation, pool: Array, state: AllocationState, time_s: float, pitch_rad: float, yaw_rad: float,
-    roll_rad: float, limit_rad: float,
-) -> int:  # fmt: skip  # ten lines otherwise
+    a: Allocation,
+    pool: Array,
+    state: AllocationState,
+    time_s: float,
+    pitch_rad: float,
+    yaw_rad: float,
+    roll_rad: float,
+    limit_rad: float,
+) -> int:
     """Angles of all channels into `state.angle_rad`; 1 where pitch and yaw alone exceed a limit, which cuts them.
 
     A channel's limit is the lower one of `limit_rad` and its actuator's.

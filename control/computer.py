@@ -351,9 +351,13 @@ def computer_tick(
     turn(state.guidance.attitude, state.guidance.increment_rad)
     turn(state.attitude.measured, state.converter.increment_rad)
     update_attitude_error(
-        state.attitude, computer.attitude, state.guidance.attitude, state.converter.angle_rad,
-        state.guidance.angle_rad, computer.angle_error_limit_rad,
-    )  # fmt: skip  # two lines more otherwise
+        state.attitude,
+        computer.attitude,
+        state.guidance.attitude,
+        state.converter.angle_rad,
+        state.guidance.angle_rad,
+        computer.angle_error_limit_rad,
+    )
     if computer.external != 0:
         call_external(computer, state, time_s)
     at = time_s if computer.over == 0 else state.navigation[computer.over - 1]
@@ -406,8 +410,10 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
     for k in range(4):
         inputs.q_BR[k], inputs.commanded_q_BR[k] = attitude.measured.q[k], guidance.attitude.q[k]
     inputs.speed_mps, inputs.mass_kg, inputs.dynamic_pressure_Pa = (
-        state.navigation[0], state.navigation[1], state.navigation[2],
-    )  # fmt: skip  # three more lines otherwise
+        state.navigation[0],
+        state.navigation[1],
+        state.navigation[2],
+    )
     if computer.sensors.count > 0:
         hand_sensors(computer, state)
     step_external(state.external)
@@ -488,9 +494,8 @@ def update_command(
         state.law.filtered_rad[gimbal] = law_rad
     if computer.adaptive.on != 0 and computer.control_on != 0:
         law_rad = augmented(
-            computer.adaptive, state.adaptive, state.attitude, state.guidance.rate_radps, gimbal,
-            sample_s, law_rad,
-        )  # fmt: skip  # seven lines more otherwise
+            computer.adaptive, state.adaptive, state.attitude, state.guidance.rate_radps, gimbal, sample_s, law_rad
+        )
         state.law.filtered_rad[gimbal] = law_rad
     requested_rad = injected_rad if replaces != 0 else law_rad + injected_rad
     state.requested_rad[gimbal] = requested_rad

@@ -52,9 +52,11 @@ class SensorState:
 
 
 def make_sensors(
-    counts: Sequence[float] = (), latency: Sequence[int] = (), accelerometer: bool = False,
+    counts: Sequence[float] = (),
+    latency: Sequence[int] = (),
+    accelerometer: bool = False,
     blend: Sequence[Sequence[float]] = (),
-) -> Sensors:  # fmt: skip  # six lines otherwise
+) -> Sensors:
     """`counts`: angle or velocity per pulse of each sensor. `blend`: weights in pitch and in yaw, default (1, 0, ...).
 
     Raises ValueError for weights that do not sum to 1, for more of them than rate gyros, and as `make_converter`.

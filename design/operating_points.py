@@ -45,9 +45,14 @@ def nodes(
 
 
 def published_nodes(
-    scenario: LoadedScenario, times_s: Iterable[float], *, plane: Plane = "pitch", errata: Errata | str = "corrected",
-    plant: PlantKind = "flown", faults: bool = False,
-) -> list[PaperNode]:  # fmt: skip  # nine lines otherwise
+    scenario: LoadedScenario,
+    times_s: Iterable[float],
+    *,
+    plane: Plane = "pitch",
+    errata: Errata | str = "corrected",
+    plant: PlantKind = "flown",
+    faults: bool = False,
+) -> list[PaperNode]:
     """Return nodes as `nodes`, on the published planar equations even where no erratum is left in."""
     found = paper_nodes(scenario, times_s, plane, preset(errata), faults)
     return imposed(found, read_derivatives()) if plant == "table2" else found

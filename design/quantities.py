@@ -184,9 +184,14 @@ def _integral_hz(loop: MeasuredLoop, _: Convention) -> float:
 MEASURED = _declared(LoopLimits)
 """Quantities that the margins of a loop give, by key, in the order of reports."""
 SWEPT = (
-    "gain_up_db", "gain_down_db", "rigid_phase_deg", "delay_ms", "slosh_phase_deg", "first_mode_phase_deg",
+    "gain_up_db",
+    "gain_down_db",
+    "rigid_phase_deg",
+    "delay_ms",
+    "slosh_phase_deg",
+    "first_mode_phase_deg",
     "modes_from_2_db",
-)  # fmt: skip  # one line for each otherwise
+)
 """Quantities of dispersed vehicles: fields of `margins.many.MEASURES`, the delay there in s."""
 QUANTITIES: dict[str, Quantity] = MEASURED | {
     "unstable_poles": Quantity("unstable poles", "unstable", "", "<="),

@@ -34,12 +34,24 @@ def table(axes: dict[str, list[float]], seed: int, *names: str) -> Tree:
 MACHS = [0.0, 0.3, 0.9, 1.6]
 OVER_TOTAL = table(
     {"mach": MACHS, "total_deg": [0.0, 5.0, 20.0, 60.0, 180.0], "roll_deg": [-180.0, -70.0, 10.0, 90.0]},
-    1, "CA", "CY", "CN", "Cl", "Cm", "Cn",
-)  # fmt: skip  # three more lines otherwise
+    1,
+    "CA",
+    "CY",
+    "CN",
+    "Cl",
+    "Cm",
+    "Cn",
+)
 OVER_ALPHA_BETA = table(
     {"mach": MACHS, "alpha_deg": [-180.0, -40.0, 0.0, 15.0, 180.0], "beta_deg": [-90.0, -10.0, 25.0, 90.0]},
-    2, "CX", "CY", "CZ", "Cl", "Cm", "Cn",
-)  # fmt: skip  # three more lines otherwise
+    2,
+    "CX",
+    "CY",
+    "CZ",
+    "Cl",
+    "Cm",
+    "Cn",
+)
 STABILITY = table({"alpha_deg": [-180.0, -10.0, 0.0, 12.0, 180.0]}, 3, "CD", "CL", "CY", "Cm")
 WIND_PLANE = table({"mach": MACHS, "total_deg": [0.0, 8.0, 30.0, 180.0]}, 4, "CD", "CL", "Cm")
 RATES = table(

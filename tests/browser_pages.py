@@ -63,10 +63,20 @@ def plots() -> list[Plot]:
         Panel("bars", [campaign.bars(values, np.arange(200), v), at(6.5, "limit")], "gimbal, deg", "runs"),
         Panel("rows", [rows], "rank", x_range=(-1.0, 1.0), y_range=(0.0, 1.0), rows=True),
         Panel("loop", [line(hz, level)], "frequency, Hz", "dB", log_x=True),
-        Panel("Nichols", [line(turn, level, "L"), points([-120.0, -121.0], [5.0, 5.1], labels=["slosh 1", "slosh 2"]),
-              shape([(-210.0, 0.0), (-180.0, -6.0), (-150.0, 0.0), (-180.0, 6.0)], "zone")],
-              "phase, deg", "|L|, dB", (-360.0, 0.0), (-40.0, 30.0), nichols=True),
-    ]  # fmt: skip  # a line for each argument otherwise
+        Panel(
+            "Nichols",
+            [
+                line(turn, level, "L"),
+                points([-120.0, -121.0], [5.0, 5.1], labels=["slosh 1", "slosh 2"]),
+                shape([(-210.0, 0.0), (-180.0, -6.0), (-150.0, 0.0), (-180.0, 6.0)], "zone"),
+            ],
+            "phase, deg",
+            "|L|, dB",
+            (-360.0, 0.0),
+            (-40.0, 30.0),
+            nichols=True,
+        ),
+    ]
     return [Plot(f"columns-{n}", "All", panels, "A caption.", n, 170, command="simrun --run {}") for n in (2, 3)]
 
 

@@ -81,10 +81,19 @@ class Page:
 def page(tmp_path: Path) -> Iterator[Page]:
     port = free_port()
     command = [
-        browser(), "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--window-size=1280,800", "--no-first-run",
-        f"--user-data-dir={tmp_path}", f"--remote-debugging-port={port}", "about:blank",
-    ]  # fmt: skip  # nine more lines otherwise
+        browser(),
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-dev-shm-usage",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--ignore-gpu-blocklist",
+        "--window-size=1280,800",
+        "--no-first-run",
+        f"--user-data-dir={tmp_path}",
+        f"--remote-debugging-port={port}",
+        "about:blank",
+    ]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
         try:
             with connect(_tab(port), max_size=None) as socket:

@@ -19,9 +19,19 @@ class Machines:
     def worker(self) -> subprocess.Popen[bytes]:
         """One more worker process of one thread."""
         command = [
-            sys.executable, "-m", "distributed.cli.dask_worker", self.address, "--nthreads", "1", "--no-nanny",
-            "--no-dashboard", "--host", "127.0.0.1", "--local-directory", str(self.folder / "dask"),
-        ]  # fmt: skip  # ten more lines otherwise
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_worker",
+            self.address,
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--no-dashboard",
+            "--host",
+            "127.0.0.1",
+            "--local-directory",
+            str(self.folder / "dask"),
+        ]
         with open(self.folder / f"worker-{len(self.processes)}.log", "wb") as log:
             self.processes.append(subprocess.Popen(command, stdout=log, stderr=log))
         return self.processes[-1]
@@ -31,9 +41,18 @@ class Machines:
 def machines(folder: Path, workers: int) -> Iterator[Machines]:
     file = folder / "scheduler.json"
     command = [
-        sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
-        "--no-dashboard", "--no-show", "--scheduler-file", str(file),
-    ]  # fmt: skip  # nine more lines otherwise
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+        "--no-show",
+        "--scheduler-file",
+        str(file),
+    ]
     with open(folder / "scheduler.log", "wb") as log:
         scheduler = subprocess.Popen(command, stdout=log, stderr=log)
     made = Machines("", folder, [scheduler])

@@ -101,15 +101,29 @@ def frozen(time_s: float, *overrides: str, plane: str = "pitch") -> tuple[Loaded
     path, speed = node.condition.pitch_rad, node.condition.airspeed_mps
     altitude = {5.0: 172.0, 40.0: 7200.0, 55.0: 16000.0}[time_s]
     velocity = [float(speed * np.cos(path)), 0.0, float(-speed * np.sin(path))]
-    loaded = load_scenario("nominal", [
-        'design="designs/ksr3-default.toml"',
-        "earth.shape='flat'", "earth.rotating=false", "earth.gravity='uniform'", f"run.start_s={time_s}",
-        f"run.freeze_vehicle_at_s={time_s}", "run.duration_s=1.0", "switches.converter='ideal'",
-        "switches.actuator='linear'", "switches.guidance=false", "vehicle.computer.dac_step_deg=0", "log.fast_hz=1000",
-        "initial.geodetic.latitude_deg=0", "initial.geodetic.longitude_deg=0",
-        f"initial.geodetic.altitude_m={altitude}", f"initial.euler_deg=[0, {float(np.degrees(path))!r}, 0]",
-        f"initial.ned_mps={velocity!r}", *overrides,
-    ])  # fmt: skip  # fourteen more lines otherwise
+    loaded = load_scenario(
+        "nominal",
+        [
+            'design="designs/ksr3-default.toml"',
+            "earth.shape='flat'",
+            "earth.rotating=false",
+            "earth.gravity='uniform'",
+            f"run.start_s={time_s}",
+            f"run.freeze_vehicle_at_s={time_s}",
+            "run.duration_s=1.0",
+            "switches.converter='ideal'",
+            "switches.actuator='linear'",
+            "switches.guidance=false",
+            "vehicle.computer.dac_step_deg=0",
+            "log.fast_hz=1000",
+            "initial.geodetic.latitude_deg=0",
+            "initial.geodetic.longitude_deg=0",
+            f"initial.geodetic.altitude_m={altitude}",
+            f"initial.euler_deg=[0, {float(np.degrees(path))!r}, 0]",
+            f"initial.ned_mps={velocity!r}",
+            *overrides,
+        ],
+    )
     packed = pack_flight(loaded.scenario)
     air = evaluate_at(packed, packed.state, time_s).aux.air
     condition = FlightCondition(

@@ -220,12 +220,19 @@ def oracle_vehicle(parts: Parts, damping_1ps: tuple[float, ...] = ()) -> system.
     at = {station: k for k, station in enumerate(parts.stations_m)}
     pairs = tuple(
         system.ModePair(
-            a.mass_kg, b.mass_kg, 2 * np.pi * a.frequency_hz, 2 * np.pi * b.frequency_hz, a.zeta, b.zeta,
-            a.phi[at[parts.gimbal_station_m]], b.phi[at[parts.gimbal_station_m]],
-            a.slope_pm[at[parts.gimbal_station_m]], b.slope_pm[at[parts.gimbal_station_m]],
+            a.mass_kg,
+            b.mass_kg,
+            2 * np.pi * a.frequency_hz,
+            2 * np.pi * b.frequency_hz,
+            a.zeta,
+            b.zeta,
+            a.phi[at[parts.gimbal_station_m]],
+            b.phi[at[parts.gimbal_station_m]],
+            a.slope_pm[at[parts.gimbal_station_m]],
+            b.slope_pm[at[parts.gimbal_station_m]],
         )
         for a, b in zip(parts.pitch, parts.yaw, strict=True)
-    )  # fmt: skip  # seven more lines otherwise
+    )
     pendulums = tuple(
         system.Pendulum(
             tank.mass_kg,
@@ -320,10 +327,7 @@ class Rig:
         """As `derivative`, `elapsed_s` into a step that starts at `now_ns`."""
         full = np.zeros(MAX_STATE)
         full[: self.n] = y
-        evaluate_into(
-            self.packed.parameters, self.packed.pool, self.packed.memory, full, now_ns, elapsed_s,
-            self.space,
-        )  # fmt: skip  # eight more lines otherwise
+        evaluate_into(self.packed.parameters, self.packed.pool, self.packed.memory, full, now_ns, elapsed_s, self.space)
         return self.dy[: self.n].copy()
 
     def run(self) -> FlightRun:

@@ -61,9 +61,13 @@ def some_point(p, seed: int = 0, **_: Any) -> Array:
     y = []
     for name in pd(p).filter.names:
         at = {
-            "quadratic[0].zero_hz": np.log(9.5), "quadratic[0].zero_zeta": 0.3, "quadratic[0].pole_hz": np.log(6.0),
-            "quadratic[1].zero_hz": np.log(25.0), "quadratic[1].zero_zeta": 0.3, "quadratic[1].pole_hz": np.log(20.0),
-        }  # fmt: skip  # four more lines otherwise
+            "quadratic[0].zero_hz": np.log(9.5),
+            "quadratic[0].zero_zeta": 0.3,
+            "quadratic[0].pole_hz": np.log(6.0),
+            "quadratic[1].zero_hz": np.log(25.0),
+            "quadratic[1].zero_zeta": 0.3,
+            "quadratic[1].pole_hz": np.log(20.0),
+        }
         y.append(at.get(name, np.log(25.0) if name.endswith("hz") else 0.6))
     n = pd(p).gains.size // 2
     u = np.concatenate([np.full(n, np.log(1.05)), np.full(n, np.log(0.45))])

@@ -33,10 +33,14 @@ def settled_faults(figure: Figure) -> list[str]:
         if not (min(axis.get_view_interval()) - 1e-9 <= tick.get_loc() <= max(axis.get_view_interval()) + 1e-9)
     }
     texts = [
-        t for t in figure.findobj(Text)
-        if isinstance(t, Text) and t.get_visible() and t.get_text().strip() and t not in off
+        t
+        for t in figure.findobj(Text)
+        if isinstance(t, Text)
+        and t.get_visible()
+        and t.get_text().strip()
+        and t not in off
         and (t.axes is None or t.axes.axison)
-    ]  # fmt: skip  # three more lines otherwise
+    ]
     boxes = [(t.get_text(), Text.get_window_extent(t, renderer)) for t in texts]
     whole, found = figure.bbox, []
     for text, box in boxes:

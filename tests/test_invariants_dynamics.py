@@ -448,10 +448,15 @@ def test_symmetric_vehicle_flies_symmetric(image: Callable[[Rig, Array], Array],
 def doublet(axis: str, sign: float) -> list[dict[str, object]]:
     return [
         {
-            "at": "gimbal_command", "axis": axis, "kind": "doublet", "amplitude_deg": sign * 2.0,
-            "start_s": 0.0, "stop_s": 0.6, "replaces": True,
+            "at": "gimbal_command",
+            "axis": axis,
+            "kind": "doublet",
+            "amplitude_deg": sign * 2.0,
+            "start_s": 0.0,
+            "stop_s": 0.6,
+            "replaces": True,
         }
-    ]  # fmt: skip  # five more lines otherwise
+    ]
 
 
 def test_doublets_in_pitch_and_yaw_give_the_same_response() -> None:

@@ -234,9 +234,13 @@ def burning_parts(rows: list[dict[str, float]], thrust: list[dict[str, float]], 
 
 def mass_row(time_s: float, mass_kg: float, lateral_kgm2: float) -> dict[str, float]:
     return {
-        "time_s": time_s, "mass_kg": mass_kg, "x_cg_m": 7.0, "Ixx_kgm2": 900.0,
-        "Iyy_kgm2": lateral_kgm2, "Izz_kgm2": lateral_kgm2,
-    }  # fmt: skip  # four more lines otherwise
+        "time_s": time_s,
+        "mass_kg": mass_kg,
+        "x_cg_m": 7.0,
+        "Ixx_kgm2": 900.0,
+        "Iyy_kgm2": lateral_kgm2,
+        "Izz_kgm2": lateral_kgm2,
+    }
 
 
 @pytest.mark.parametrize("step_s", [0.1, 0.001])

@@ -44,9 +44,11 @@ def test_where_a_flight_is_cut_into_segments_does_not_matter() -> None:
 
 
 FALLS = (
-    "run.stop_at=['impact']", "initial.ned_mps=[0.0, 0.0, 55.5]", "initial.euler_deg=[0.0, 80.0, 0.0]",
+    "run.stop_at=['impact']",
+    "initial.ned_mps=[0.0, 0.0, 55.5]",
+    "initial.euler_deg=[0.0, 80.0, 0.0]",
     "initial.geodetic={latitude_deg=33.0, longitude_deg=126.0, altitude_m=2.0}",
-)  # fmt: skip  # two more lines otherwise
+)
 
 
 @pytest.mark.parametrize("end", [("run.duration_s=0.02",), ("run.duration_s=0.0235",), FALLS])

@@ -43,9 +43,13 @@ def second_law(monkeypatch: pytest.MonkeyPatch) -> None:
 @cache
 def case_of(kind: str):
     loaded = kit.case(
-        "objective.kind=least-margin", "limits.modulus_db=-6", f"loop={kind}", "search.starts=3", "search.leaps=2",
+        "objective.kind=least-margin",
+        "limits.modulus_db=-6",
+        f"loop={kind}",
+        "search.starts=3",
+        "search.leaps=2",
         "nodes_s=[20.0, 40.0]",
-    )  # fmt: skip  # four more lines otherwise
+    )
     return replace(loaded, case=loaded.case.model_copy(update={"law": "tried"}))
 
 

@@ -225,8 +225,20 @@ def test_a_dispersed_vehicle_is_made_again_from_its_label() -> None:
 @pytest.mark.slow
 def test_no_corner_is_nearer_to_minus_one_than_the_plant_that_the_search_finds() -> None:
     """Compare with all corners of six deviations and with 200 plants inside, each measured as a single loop."""
-    none = dict.fromkeys(("slosh_mass", "slosh_damping", "slosh_frequency", "actuator_frequency", "thrust", "delay_s",
-                          "normal_force", "centre_of_pressure_m", "inertia"), 0.0)  # fmt: skip  # names
+    none = dict.fromkeys(
+        (
+            "slosh_mass",
+            "slosh_damping",
+            "slosh_frequency",
+            "actuator_frequency",
+            "thrust",
+            "delay_s",
+            "normal_force",
+            "centre_of_pressure_m",
+            "inertia",
+        ),
+        0.0,
+    )
     loaded = kit.case("loop=sampled", "nodes_s=[50.0]", name="ksr3-robust")
     assert loaded.case.robust is not None
     case = loaded.case.model_copy(update={"robust": loaded.case.robust.model_copy(update=none)})

@@ -62,8 +62,12 @@ def _killed(folder: Path, parts: int, number: str) -> dict[str, Any]:
     script = Path(__file__).with_name("killing_verify.py")
     run = subprocess.run(
         [sys.executable, str(script), str(suite), str(folder), str(parts), number],
-        capture_output=True, text=True, timeout=600, check=True, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip  # four more lines otherwise
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )
     told: dict[str, Any] = json.loads(run.stdout)
     return told
 

@@ -35,9 +35,16 @@ from maxq.tools import simvehicle
 
 T = 0.01
 GIVEN: dict[str, Any] = {
-    "least_gain": 0.5, "most_gain": 2.5, "reference_hz": 0.5, "reference_zeta": 0.6, "error_gain": 300.0,
-    "damper_gain": 2e4, "leakage_ps": 0.2, "high_pass_hz": 3.0, "low_pass_hz": 0.3,
-}  # fmt: skip  # a key a line otherwise
+    "least_gain": 0.5,
+    "most_gain": 2.5,
+    "reference_hz": 0.5,
+    "reference_zeta": 0.6,
+    "error_gain": 300.0,
+    "damper_gain": 2e4,
+    "leakage_ps": 0.2,
+    "high_pass_hz": 3.0,
+    "low_pass_hz": 0.3,
+}
 GAINS = GainSchedule([0.0, 10.0], [1.2, 0.8], [0.5, 0.4])
 
 
@@ -47,9 +54,13 @@ def flown(turns: Array, commanded: Array, **changes: Any) -> tuple[Array, Array]
     integral = changes.get("with_integral", False)
     gains = dataclasses.replace(GAINS, k_i_ps=[0.3, 0.1]) if integral else GAINS
     built = build_computer(
-        pool, sample_ns=10_000_000, law="pid" if integral else "pd", gains=gains_table(gains),
-        attitude="rate-integral", adaptive=make_adaptive(T, **{**GIVEN, **changes}),
-    )  # fmt: skip  # as ruff would, but for a line of one bracket
+        pool,
+        sample_ns=10_000_000,
+        law="pid" if integral else "pd",
+        gains=gains_table(gains),
+        attitude="rate-integral",
+        adaptive=make_adaptive(T, **{**GIVEN, **changes}),
+    )
     computer, state, tables = pack([built])[0], blank(ComputerState)[0], pool.array()
     start_computer(computer, tables, state, 0.0)
     out, replaced, none2 = [], np.ones(3, np.int64), np.zeros(2, np.int64)

@@ -151,9 +151,12 @@ def expected(columns: Tree, flow: Array, mach: float, factors: tuple[float, floa
     speed = float(np.linalg.norm(flow))
     total, roll = math.acos(u / speed), math.atan2(v, w)
     angles = {
-        "mach": mach, "total_deg": math.degrees(total), "roll_deg": math.degrees(roll),
-        "alpha_deg": math.degrees(math.atan2(w, u)), "beta_deg": math.degrees(math.asin(v / speed)),
-    }  # fmt: skip  # three more lines otherwise
+        "mach": mach,
+        "total_deg": math.degrees(total),
+        "roll_deg": math.degrees(roll),
+        "alpha_deg": math.degrees(math.atan2(w, u)),
+        "beta_deg": math.degrees(math.asin(v / speed)),
+    }
     axes = [name for name in angles if name in columns]
     c = {name: 0.0 for name in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")} | looked_up(
         columns, axes, [angles[a] for a in axes]
@@ -193,9 +196,12 @@ FLOWS = ([300.0, 20.0, -35.0], [250.0, -90.0, 120.0], [-180.0, 60.0, 30.0], [5.0
 @pytest.mark.parametrize("flow", FLOWS)
 def test_forces_and_moments(columns: Tree, flow: list[float]) -> None:
     aero = {
-        "interpolation": "linear", "moment_reference_m": 6.2, "axial_factor": 1.2, "force_factor": 0.9,
+        "interpolation": "linear",
+        "moment_reference_m": 6.2,
+        "axial_factor": 1.2,
+        "force_factor": 0.9,
         "coefficients": [{"table": columns}],
-    }  # fmt: skip  # three more lines otherwise
+    }
     made = flying(aero, flow)
     force, moment = loads(made)
     ours = expected(columns, np.array(flow), float(made.aux.air.mach), (1.2, 0.9))
@@ -299,9 +305,10 @@ def test_bent_body_feels_and_is_bent_by_the_local_flow() -> None:
     flow = np.array([300.0, 20.0, -35.0])
     switches = {"bending_softening": False}
     aero = {
-        "interpolation": "linear", "moment_reference_m": 6.2,
+        "interpolation": "linear",
+        "moment_reference_m": 6.2,
         "coefficients": [{"table": OVER_ALPHA_BETA, "station_m": 5.0}],
-    }  # fmt: skip  # three more lines otherwise
+    }
     made, still = (
         flying(aero, [*flow], switches=switches),
         flying({"table": {"mach": [0.0]}}, [*flow], switches=switches),

@@ -21,9 +21,15 @@ from maxq.sim.run.evaluate import evaluate_at
 TOLERANCE = 1e-8
 RIGID = dataclasses.replace(PARTS, pitch=(), yaw=(), core_cg=(7.0, 0.0, 0.0), engine=False)
 FLEXIBLE = Parts(
-    core_cg=(7.0, 0.0, 0.0), pitch=MODES, yaw=MODES, engine_mass_kg=120.0, engine_cg_m=0.6, engine_inertia_kgm2=30.0,
-    thrust_N=2.5e5, tanks=(Tank(300.0, 0.8, 5.0, 0.01),),
-)  # fmt: skip  # nine lines otherwise
+    core_cg=(7.0, 0.0, 0.0),
+    pitch=MODES,
+    yaw=MODES,
+    engine_mass_kg=120.0,
+    engine_cg_m=0.6,
+    engine_inertia_kgm2=30.0,
+    thrust_N=2.5e5,
+    tanks=(Tank(300.0, 0.8, 5.0, 0.01),),
+)
 ALL = [OVER_TOTAL, OVER_ALPHA_BETA, STABILITY, WIND_PLANE, RATES]
 
 
@@ -52,9 +58,14 @@ def test_all_slopes_at_a_trim(method: str, trim_deg: tuple[float, float]) -> Non
     speed = 290.0
     flow = speed * np.array([math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)])
     aero = {
-        "interpolation": method, "moment_reference_m": 6.2, "axial_factor": 1.2, "force_factor": 0.9,
-        "damping_factor": 1.3, "centre_shift_m": 0.2, "coefficients": [{"table": t} for t in ALL],
-    }  # fmt: skip  # five more lines otherwise
+        "interpolation": method,
+        "moment_reference_m": 6.2,
+        "axial_factor": 1.2,
+        "force_factor": 0.9,
+        "damping_factor": 1.3,
+        "centre_shift_m": 0.2,
+        "coefficients": [{"table": t} for t in ALL],
+    }
     made = made_of(RIGID, aero, [*flow])
     model = linearise(made.packed, made.packed.state, 0.0)
     mach = float(evaluate_at(made.packed, made.packed.state, 0.0).aux.air.mach)
@@ -77,9 +88,11 @@ def test_all_slopes_at_a_trim(method: str, trim_deg: tuple[float, float]) -> Non
     gyration = np.array([[0.0, -w, v], [w, 0.0, -u], [-v, u, 0.0]])
     ours["by rate"] = scale * by_rate / RIGID.core_mass_kg + gyration
     theirs = {
-        "by flow": columns(model, SPEEDS, SPEEDS), "turn by flow": columns(model, RATE, SPEEDS),
-        "turn by rate": columns(model, RATE, RATE), "by rate": columns(model, SPEEDS, RATE),
-    }  # fmt: skip  # three more lines otherwise
+        "by flow": columns(model, SPEEDS, SPEEDS),
+        "turn by flow": columns(model, RATE, SPEEDS),
+        "turn by rate": columns(model, RATE, RATE),
+        "by rate": columns(model, SPEEDS, RATE),
+    }
     for name, matrix in ours.items():
         np.testing.assert_allclose(theirs[name], matrix, rtol=TOLERANCE, atol=TOLERANCE * np.abs(matrix).max())
     assert np.abs(by_flow[1, 2]) > 1e-2 * np.abs(by_flow[2, 2])  # there is a cross term, which a planar model drops
@@ -108,11 +121,13 @@ def symmetric() -> Tree:
     rates = table({"mach": [0.0, 1.0, 2.0]}, 12, "Cmq", "CNq", "Clp")
     rates = rates | {"Cnr": 2.0 * rates["Cmq"], "CYr": -1.5 * rates["CNq"]}
     return {
-        "interpolation": "pchip", "moment_reference_m": 6.0, "rate_reference": "inertial",
+        "interpolation": "pchip",
+        "moment_reference_m": 6.0,
+        "rate_reference": "inertial",
         "table": {"mach": [0.0, 2.0], "CA": [0.3, 0.4], "CD": [0.1, 0.05], "Cmq": [-30.0, -50.0]},
         "surface": [{"table": {"mach": [0.0], "CN_alpha_pr": [2.0], "station_m": [11.0]}}],
         "coefficients": [{"table": made, "station_m": 3.4}, {"table": rates, "station_m": 10.0}, {"table": WIND_PLANE}],
-    }  # fmt: skip  # five more lines otherwise
+    }
 
 
 def in_plane(model, plane: str) -> Array:
@@ -157,15 +172,19 @@ def test_rigid_vehicle_at_its_trim(plane: str) -> None:
 
 
 ROUND = {
-    "table": {"mach": [0.0, 0.7, 2.0], "CA": [0.3, 0.35, 0.4], "CD": [0.1, 0.07, 0.05], "Cmq": [-30.0, -40.0, -50.0],
-              "C_crossflow": [4.0, 5.0, 9.0], "Cm0": [0.02, 0.05, 0.01]},
+    "table": {
+        "mach": [0.0, 0.7, 2.0],
+        "CA": [0.3, 0.35, 0.4],
+        "CD": [0.1, 0.07, 0.05],
+        "Cmq": [-30.0, -40.0, -50.0],
+        "C_crossflow": [4.0, 5.0, 9.0],
+        "Cm0": [0.02, 0.05, 0.01],
+    },
     "surface": [{"table": {"mach": [0.0, 0.8, 2.0], "CN_alpha_pr": [2.0, 3.0, 2.2], "station_m": [11.0, 10.0, 10.5]}}],
-}  # fmt: skip  # a key a line otherwise
+}
 
 
-def inclined(
-    trim_deg: tuple[float, float], coefficients: list[Tree], loads: Tree | None = None, **changes: Any
-) -> Rig:  # fmt: skip  # two lines otherwise
+def inclined(trim_deg: tuple[float, float], coefficients: list[Tree], loads: Tree | None = None, **changes: Any) -> Rig:
     """Flexible, with liquid and an engine, in incidence; slopes over Mach and cross-flow beside the tables."""
     alpha, beta = np.radians(trim_deg)
     flow = 290.0 * np.array([math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)])

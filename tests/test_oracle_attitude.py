@@ -84,9 +84,16 @@ def test_error_is_roll_and_tilt_from_commanded_to_measured() -> None:
     for k in range(400):
         m, c = rng.normal(scale=0.05, size=(2, 3))
         computer_tick(
-            computer, pool.array(), state, SAMPLE_S * k, m, c / SAMPLE_S, np.zeros(3, np.int64), np.zeros(2),
+            computer,
+            pool.array(),
+            state,
+            SAMPLE_S * k,
+            m,
+            c / SAMPLE_S,
+            np.zeros(3, np.int64),
+            np.zeros(2),
             np.zeros(2, np.int64),
-        )  # fmt: skip  # ten lines otherwise
+        )
         measured *= Rotation.from_rotvec(m + np.cross(last_m, m) / 12.0)
         commanded *= Rotation.from_rotvec(c + np.cross(last_c, c) / 12.0)
         last_m, last_c = m, c
@@ -99,9 +106,10 @@ def test_error_is_roll_and_tilt_from_commanded_to_measured() -> None:
 
 
 ROLL = (
-    "run.duration_s=50", "vehicle.computer.attitude='quaternion'",
+    "run.duration_s=50",
+    "vehicle.computer.attitude='quaternion'",
     'injection=[{kind = "step", at = "rate_command", axis = "roll", amplitude_degps = 9.0, start_s = 3, stop_s = 13}]',
-)  # fmt: skip  # a line more otherwise
+)
 
 
 @pytest.mark.slow

@@ -56,9 +56,14 @@ PLAIN = "# a windy day\n# date: 2002-01-15\naltitude_m,speed_mps,from_deg\n0,4,2
 
 def test_soundings_keep_their_dates(tmp_path: Path) -> None:
     wanted = {
-        "igra.txt#1": "2002-11-28T12", "igra.txt#2": "2003-07-01", "wyoming.txt#1": "2002-11-28T00",
-        "wyoming.txt#2": "2003-03-03T12", "timed.csv": "2004-02-29T00", "plain.csv": "2002-01-15", "none.csv": "",
-    }  # fmt: skip  # a line each otherwise
+        "igra.txt#1": "2002-11-28T12",
+        "igra.txt#2": "2003-07-01",
+        "wyoming.txt#1": "2002-11-28T00",
+        "wyoming.txt#2": "2003-03-03T12",
+        "timed.csv": "2004-02-29T00",
+        "plain.csv": "2002-01-15",
+        "none.csv": "",
+    }
     texts = {
         "igra.txt": IGRA,
         "wyoming.txt": WYOMING,

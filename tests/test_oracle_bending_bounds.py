@@ -40,9 +40,12 @@ def roll_moments(angle_deg: float, bent_m: float, seed: int) -> tuple[float, flo
     beam, vehicle = particle_vehicle(np.random.default_rng(seed))
     angle = np.radians(angle_deg)
     state = State(
-        eta_m=np.array([bent_m, -0.6 * bent_m]), etadot_mps=np.zeros(2),
-        xi_m=np.array([-0.5 * bent_m, bent_m]), xidot_mps=np.zeros(2), deflection_rad=np.array([angle, -0.7 * angle]),
-    )  # fmt: skip  # five more lines otherwise
+        eta_m=np.array([bent_m, -0.6 * bent_m]),
+        etadot_mps=np.zeros(2),
+        xi_m=np.array([-0.5 * bent_m, bent_m]),
+        xidot_mps=np.zeros(2),
+        deflection_rad=np.array([angle, -0.7 * angle]),
+    )
     load = Load(np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(2), np.zeros(3))
     exact = multibody_particles.accelerations(beam, vehicle, state, load)
     model = multibody_sympy.accelerations(vehicle, state, load)

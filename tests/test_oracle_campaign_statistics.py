@@ -360,9 +360,14 @@ def test_runs_are_judged_up_to_the_first_gap_and_one_without_a_value_has_failed(
     runs = np.array([0, 1, 2, 3, 4, 7])
     level = SimpleNamespace(success=0.9, confidence=0.9)
     data: Any = SimpleNamespace(
-        campaign=SimpleNamespace(campaign=level), in_order=5, planned=None, runs=runs, void=runs == 4, kept=runs != 4,
+        campaign=SimpleNamespace(campaign=level),
+        in_order=5,
+        planned=None,
+        runs=runs,
+        void=runs == 4,
+        kept=runs != 4,
         numbers=lambda name: np.array([1.0, 5.0, 6.0, 7.0, 2.0, 8.0 if bound == "limit" else 0.0]),
-    )  # fmt: skip  # five more lines otherwise
+    )
     requirement = RequirementSection.model_validate({"metric": "max_alpha_deg", bound: 5.0})
     found = _judged(data, "incidence", requirement)
     assert (found.kind, found.shown.failures, found.shown.runs) == (bound, 3 if bound == "limit" else 2, 5)

@@ -278,8 +278,10 @@ def test_four_engines_make_a_roll_couple() -> None:
     radius, angle = 0.8, 0.05
     ring = [(radius, 0.0), (0.0, radius), (-radius, 0.0), (0.0, -radius)]
     core = replace(PARTS, core_cg=(7.0, 0.0, 0.0), core_inertia=((900.0, 0.0, 0.0), (0.0, 5e4, 0.0), (0.0, 0.0, 5e4)))
-    engines = [engine(offset_m=list(r), group=str(k), gimballed_mass_kg=0.0, inertia_about_gimbal_kgm2=0.0) for k, r in
-               enumerate(ring)]  # fmt: skip  # three lines otherwise
+    engines = [
+        engine(offset_m=list(r), group=str(k), gimballed_mass_kg=0.0, inertia_about_gimbal_kgm2=0.0)
+        for k, r in enumerate(ring)
+    ]
     tree = scenario_of(core, switches={"actuator": "ideal"})
     tree["vehicle"]["stage"][0]["engine"] = engines
     made = rig(tree)

@@ -43,13 +43,21 @@ def cluster(cant_deg: float, *more: str) -> Packed:
     path = np.radians(PATH_DEG)
     velocity = [float(SPEED_MPS * np.cos(path)), 0.0, float(-SPEED_MPS * np.sin(path))]
     changes = [
-        "earth.shape='flat'", "earth.rotating=false", "earth.gravity='uniform'", f"run.start_s={TIME_S}",
-        "initial.geodetic.latitude_deg=0", "initial.geodetic.longitude_deg=0", "initial.geodetic.altitude_m=3000.0",
-        f"initial.euler_deg=[0, {PATH_DEG!r}, 0]", f"initial.ned_mps={velocity!r}",
-        "vehicle.stage.0.engine.8.group='middle'", "vehicle.stage.0.engine.8.gimbal_station_m=38.0",
-        "vehicle.stage.0.engine.8.gimballed_mass_kg=450.0", "vehicle.stage.0.engine.8.inertia_about_gimbal_kgm2=400.0",
+        "earth.shape='flat'",
+        "earth.rotating=false",
+        "earth.gravity='uniform'",
+        f"run.start_s={TIME_S}",
+        "initial.geodetic.latitude_deg=0",
+        "initial.geodetic.longitude_deg=0",
+        "initial.geodetic.altitude_m=3000.0",
+        f"initial.euler_deg=[0, {PATH_DEG!r}, 0]",
+        f"initial.ned_mps={velocity!r}",
+        "vehicle.stage.0.engine.8.group='middle'",
+        "vehicle.stage.0.engine.8.gimbal_station_m=38.0",
+        "vehicle.stage.0.engine.8.gimballed_mass_kg=450.0",
+        "vehicle.stage.0.engine.8.inertia_about_gimbal_kgm2=400.0",
         "vehicle.stage.0.engine.8.exit_station_m=40.0",
-    ]  # fmt: skip  # nine more lines otherwise
+    ]
     for k in range(8):
         angle = 2.0 * np.pi * k / 8
         cant = [float(cant_deg * np.sin(angle)), float(-cant_deg * np.cos(angle))]
@@ -250,9 +258,18 @@ def test_sag_of_a_mount_of_any_stiffness_is_where_the_moments_balance(stiffness_
     """Found by SciPy from the potential k |angle|^2 / 2 - S a cos p cos y; the softest hangs nearly straight."""
     axis = (np.cos(0.1) * np.cos(0.06), -np.sin(0.06), np.sin(0.1) * np.cos(0.06))
     engine = GimballedEngine(
-        1e5, 0.0, 30.0, 31.0, gimballed_mass_kg=300.0, cg_from_gimbal_m=0.9, inertia_about_gimbal_kgm2=400.0,
-        follower=True, tvc_load=TvcLoad(stiffness_Nmprad, 1.0), axis=axis, across=1.0,
-    )  # fmt: skip  # one more line each otherwise
+        1e5,
+        0.0,
+        30.0,
+        31.0,
+        gimballed_mass_kg=300.0,
+        cg_from_gimbal_m=0.9,
+        inertia_about_gimbal_kgm2=400.0,
+        follower=True,
+        tvc_load=TvcLoad(stiffness_Nmprad, 1.0),
+        axis=axis,
+        across=1.0,
+    )
     pull = 300.0 * 0.9 * 25.0
 
     def potential(angles: Array) -> float:

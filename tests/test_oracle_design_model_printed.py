@@ -125,9 +125,15 @@ def printed_rates(node, x: dict[str, Array], delta: float, delta_accel: float) -
     gamma_accel = -2.0 * zeta_s * omega_s * x["gamma_rate"] - omega_s**2 * x["gamma"] - drive / length
     q_m = q + modes.slope_gyro_pm @ x["eta"]  # (12)
     return {
-        "alpha": np.array(alpha_rate), "q": np.array(q_rate), "theta": np.array(q), "eta": x["eta_rate"],
-        "eta_rate": eta_accel, "gamma": x["gamma_rate"], "gamma_rate": gamma_accel, "q_m": np.array(q_m),
-    }  # fmt: skip  # six more lines otherwise
+        "alpha": np.array(alpha_rate),
+        "q": np.array(q_rate),
+        "theta": np.array(q),
+        "eta": x["eta_rate"],
+        "eta_rate": eta_accel,
+        "gamma": x["gamma_rate"],
+        "gamma_rate": gamma_accel,
+        "q_m": np.array(q_m),
+    }
 
 
 @EVERY_NODE

@@ -350,16 +350,25 @@ FLIES_FIRST = '[{file="campaigns/first"}]'
     ("given", "campaigns", "said"),
     [
         ("", FLIES_FIRST, "draws of campaign first, vehicle N is its run N"),
-        ("three_sigma={thrust=0.05}", FLIES_FIRST,
-         "normal deviations of [margins.three_sigma], not draws of campaign first"),
+        (
+            "three_sigma={thrust=0.05}",
+            FLIES_FIRST,
+            "normal deviations of [margins.three_sigma], not draws of campaign first",
+        ),
         ("three_sigma={thrust=0.05}", "[]", "normal deviations of [margins.three_sigma], the suite has no campaign"),
-        ("", "[{file='{wind}'}]",
-         "normal deviations of [margins.three_sigma]; campaign wind changes nothing that a loop depends on"),
-        ("three_sigma={campaign='{own}'}", FLIES_FIRST,
-         "draws of campaign own, vehicle N is its run N; not of campaign first, which the suite flies; "
-         "without vehicle.stage.0.engine.gimballed_mass_kg"),
+        (
+            "",
+            "[{file='{wind}'}]",
+            "normal deviations of [margins.three_sigma]; campaign wind changes nothing that a loop depends on",
+        ),
+        (
+            "three_sigma={campaign='{own}'}",
+            FLIES_FIRST,
+            "draws of campaign own, vehicle N is its run N; not of campaign first, which the suite flies; "
+            "without vehicle.stage.0.engine.gimballed_mass_kg",
+        ),
     ],
-)  # fmt: skip  # texts as they are printed
+)
 def test_a_verification_says_which_description_its_vehicles_have(
     given: str, campaigns: str, said: str, own: Path
 ) -> None:

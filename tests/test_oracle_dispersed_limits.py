@@ -28,8 +28,19 @@ from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign
 
-NONE = dict.fromkeys(("bending_slope", "slosh_mass", "slosh_damping", "actuator_frequency", "normal_force", "inertia",
-                      "thrust", "centre_of_pressure_m"), 0.0)  # fmt: skip  # names
+NONE = dict.fromkeys(
+    (
+        "bending_slope",
+        "slosh_mass",
+        "slosh_damping",
+        "actuator_frequency",
+        "normal_force",
+        "inertia",
+        "thrust",
+        "centre_of_pressure_m",
+    ),
+    0.0,
+)
 FEW = Robust(bending_frequency=(0.08,), slosh_frequency=0.1, delay_s=0.004, corner_sigmas=3.0, **NONE)
 """Of modes and tanks, and the delay."""
 

@@ -225,7 +225,7 @@ def test_the_shipped_spectrum_is_its_formula():
     """Its closed form, 98.8 % of whose variance lies between its ends."""
     loaded = load_scenario(
         "nominal", ("wind.turbulence={model='spectrum',spectrum='winds/small-scale-spectrum.csv',seed=4}",)
-    )  # fmt: skip
+    )
     lines = pack_flight(loaded.scenario).parameters[0].environment.turbulence.line_mps
     share = 2.62 / 4.05  # integral of x^m / (1 + a x^n): pi a^(-(m + 1) / n) / (n sin(pi (m + 1) / n))
     variance = 683.4 / 4000.0 * np.pi * 0.0067**-share / (4.05 * np.sin(np.pi * share))

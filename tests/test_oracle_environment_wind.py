@@ -35,9 +35,13 @@ def shear(altitude_m, thickness_m, speed_mps, from_deg):
 
 def one_minus_cosine(altitude_m, thickness_m, speed_mps, from_deg, edge_m):
     return schema.Gust(
-        kind="one-minus-cosine", altitude_m=altitude_m, thickness_m=thickness_m, speed_mps=speed_mps,
-        from_deg=from_deg, edge_m=edge_m,
-    )  # fmt: skip  # four more lines otherwise
+        kind="one-minus-cosine",
+        altitude_m=altitude_m,
+        thickness_m=thickness_m,
+        speed_mps=speed_mps,
+        from_deg=from_deg,
+        edge_m=edge_m,
+    )
 
 
 def gusty(*gusts):

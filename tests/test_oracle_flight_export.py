@@ -126,8 +126,10 @@ def built(folder: Path, design: str, *more: str, single: bool = False) -> Path:
         own = [str(folder / "law" / also[0]), *also[1:]]
         made = subprocess.run(
             [str(COMPILER), *flags, "-o", str(folder / what), *map(str, sources), *own],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip  # three more lines otherwise
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         assert made.returncode == 0, made.stderr
     said = subprocess.run([folder / "test"], capture_output=True, text=True, check=False)
     assert (said.returncode, said.stdout) == (0, "600 samples, 0 differences\n")

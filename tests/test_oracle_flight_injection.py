@@ -35,11 +35,22 @@ def injected(form: int, *, replaces: int = 0, table=NO_TABLE) -> Any:
     axis, amplitude = whole.copy(), real.copy()
     axis[:2], amplitude[:2] = (1, 2), (3.0, -1.0)
     signals = Injections(
-        count=2, where=whole + injection.RATE_COMMAND, axis=axis, form=whole + form, replaces=whole + replaces,
-        start_ns=whole + START_NS, stop_ns=whole + STOP_NS, amplitude=amplitude, frequency_hz=real + 0.75,
-        stop_frequency_hz=real + 2.5, tones=whole + 3, tone_hz=tones[0], tone_phase=tones[1], column=whole + 1,
+        count=2,
+        where=whole + injection.RATE_COMMAND,
+        axis=axis,
+        form=whole + form,
+        replaces=whole + replaces,
+        start_ns=whole + START_NS,
+        stop_ns=whole + STOP_NS,
+        amplitude=amplitude,
+        frequency_hz=real + 0.75,
+        stop_frequency_hz=real + 2.5,
+        tones=whole + 3,
+        tone_hz=tones[0],
+        tone_phase=tones[1],
+        column=whole + 1,
         table=table,
-    )  # fmt: skip  # eleven more lines otherwise
+    )
     return pack([signals])[0]
 
 

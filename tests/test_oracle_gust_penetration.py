@@ -44,9 +44,10 @@ def in_wind(aero: Tree, parts: Parts = PARTS, wind: Tree | None = None, **change
     """The vehicle along its own axis through gust and profile, over a flat Earth."""
     ahead = SPEED * attitude()[:, 0]
     start = {
-        "euler_deg": list(EULER_DEG), "ned_mps": list(ahead),
+        "euler_deg": list(EULER_DEG),
+        "ned_mps": list(ahead),
         "geodetic": {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": ALTITUDE},
-    }  # fmt: skip  # three more lines otherwise
+    }
     wind = {"gust": [GUST], "profile": PROFILE} if wind is None else wind
     tree = scenario_of(parts, initial=start, atmosphere=AIR, vehicle={"reference": REFERENCE}, wind=wind)
     return rig(merged(with_stage(tree, aero=aero), changes))
@@ -186,9 +187,7 @@ def test_slender_body_on_the_edge_of_a_gust() -> None:
     # B's z axis points north when the vehicle stands upright: the air overtakes it along +z, the force is along +z
     np.testing.assert_allclose(made.aux.aero_force_B_N[2], line * whole, rtol=1e-9)
     np.testing.assert_allclose(made.aux.aero_moment_B_Nm[1], -line * first, rtol=1e-8)
-    together = in_wind(
-        {"surface": tables, "table": {"mach": [0.0]}}, parts, {"gust": [gust]}, initial=up
-    )  # fmt: skip  # three more lines otherwise
+    together = in_wind({"surface": tables, "table": {"mach": [0.0]}}, parts, {"gust": [gust]}, initial=up)
     together.derivative(together.y)
     at_cg = 0.5 * strength * (1.0 - math.cos(10.0 * k))
     np.testing.assert_allclose(together.aux.aero_force_B_N[2], line * length * at_cg, rtol=1e-9)
@@ -232,10 +231,11 @@ def test_flight_through_turbulence_meets_one_field() -> None:
     flown = {}
     for on in (False, True):
         made = in_wind(
-            {"table": {"mach": [0.0]}, "surface": [none, touch]}, wind={"turbulence": {"exceedance": "moderate"}},
+            {"table": {"mach": [0.0]}, "surface": [none, touch]},
+            wind={"turbulence": {"exceedance": "moderate"}},
             switches={"gust_penetration": on, "bending": False},
             run={"duration_s": 0.4, "step_s": 0.0025},
-        )  # fmt: skip  # six more lines otherwise
+        )
         times, flows, across = [], [], []
         run = made.run()
         while not run.finished:

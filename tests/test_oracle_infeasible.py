@@ -85,18 +85,26 @@ def test_no_design_of_a_global_search_misses_less(gain_db: float, phase_deg: flo
     (section,) = law.filter.quadratic
     gains = [np.interp([10.0, 50.0], law.pitch.at, values) for values in (law.pitch.k_p, law.pitch.k_d_s)]
     ours = np.array(
-        [math.log(section.zero_hz), section.zero_zeta, math.log(section.pole_hz), section.pole_zeta,
-         *np.log(gains[0]), *np.log(gains[1])]
-    )  # fmt: skip  # six more lines otherwise
+        [
+            math.log(section.zero_hz),
+            section.zero_zeta,
+            math.log(section.pole_hz),
+            section.pole_zeta,
+            *np.log(gains[0]),
+            *np.log(gains[1]),
+        ]
+    )
     assert missed(ours) == pytest.approx(s.violation_db, abs=0.02)  # both judge a design alike
     problem = kit.problem(NODES, *changes, on=plants)
     bounds = [*zip(problem.lower[:4], problem.upper[:4], strict=True), *[(math.log(0.05), math.log(20.0))] * 4]
     found = differential_evolution(missed, bounds, maxiter=120, popsize=10, seed=1, tol=1e-8, polish=False)
     low, high = np.array(bounds).T
     best = minimize(
-        lambda x: missed(np.clip(x, low, high)), found.x, method="Nelder-Mead",
+        lambda x: missed(np.clip(x, low, high)),
+        found.x,
+        method="Nelder-Mead",
         options={"maxiter": 3000, "xatol": 1e-7, "fatol": 1e-7},
-    )  # fmt: skip  # one more line otherwise
+    )
     assert best.fun > s.violation_db - 0.02
     assert best.fun < s.violation_db + 0.05  # it is a search that finds something
     # what is named is in the way: with these limits moved by as much as is said to be missing, the design meets them

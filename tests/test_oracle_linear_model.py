@@ -88,9 +88,14 @@ class Node:
         gyro[0, -2] = 1.0
         c = np.concatenate([gyro, s.c[np.ix_([j], i)]])
         return StateSpace(
-            s.a[np.ix_(i, i)], s.b[np.ix_(i, [j])], c, np.zeros((2, 1)), tuple(names),
-            ("command_rad",), ("gyro_radps", "delta_rad"),
-        )  # fmt: skip  # five more lines otherwise
+            s.a[np.ix_(i, i)],
+            s.b[np.ix_(i, [j])],
+            c,
+            np.zeros((2, 1)),
+            tuple(names),
+            ("command_rad",),
+            ("gyro_radps", "delta_rad"),
+        )
 
 
 def linear_plant(packed: Packed, condition: FlightCondition, plane: str = "pitch") -> StateSpace:
@@ -127,11 +132,16 @@ def flat_earth(flight: Flight, time_s: float, *overrides: str) -> tuple[Packed, 
     path = np.radians(path_deg)
     velocity = [float(speed * np.cos(path)), 0.0, float(-speed * np.sin(path))]
     start = [
-        "earth.shape='flat'", "earth.rotating=false", "earth.gravity='uniform'", f"run.start_s={time_s}",
-        "initial.geodetic.latitude_deg=0", "initial.geodetic.longitude_deg=0",
-        f"initial.geodetic.altitude_m={altitude!r}", f"initial.euler_deg=[0, {path_deg!r}, 0]",
+        "earth.shape='flat'",
+        "earth.rotating=false",
+        "earth.gravity='uniform'",
+        f"run.start_s={time_s}",
+        "initial.geodetic.latitude_deg=0",
+        "initial.geodetic.longitude_deg=0",
+        f"initial.geodetic.altitude_m={altitude!r}",
+        f"initial.euler_deg=[0, {path_deg!r}, 0]",
         f"initial.ned_mps={velocity!r}",
-    ]  # fmt: skip  # five more lines otherwise
+    ]
     packed = pack_flight(load_scenario("nominal", [*start, *overrides]).scenario)
     air = evaluate_at(packed, packed.state, time_s).aux.air
     condition = FlightCondition(
@@ -211,9 +221,13 @@ def test_plant_of_an_operating_point_is_the_published_model(
 def test_matrices_of_a_dispersed_liquid_are_equal(flight: Flight, exchange: bool) -> None:
     """More liquid swings in one tank and less in the other, by other lengths; mass and its rate by one factor."""
     packed, condition = flat_earth(
-        flight, 55, "vehicle.stage.0.tank.0.mass_factor=1.3", "vehicle.stage.0.tank.1.mass_factor=0.7",
-        "vehicle.stage.0.tank.1.length_factor=0.9", f"switches.slosh_exchange={str(exchange).lower()}",
-    )  # fmt: skip  # one more line otherwise
+        flight,
+        55,
+        "vehicle.stage.0.tank.0.mass_factor=1.3",
+        "vehicle.stage.0.tank.1.mass_factor=0.7",
+        "vehicle.stage.0.tank.1.length_factor=0.9",
+        f"switches.slosh_exchange={str(exchange).lower()}",
+    )
     node, n = (
         Node(packed, condition, linearise(packed, packed.state, 55.0), linear_plant(packed, condition)),
         VEHICLE_STATES,
@@ -263,9 +277,13 @@ def test_frequency_responses_are_equal(nodes: dict[int, Node], time_s: int) -> N
 def test_actuators_of_lower_order(flight: Flight, model: str, sections: int, limits_act_on: str) -> None:
     actuator = "vehicle.stage.0.actuator."
     packed, condition = flat_earth(
-        flight, 30, f"{actuator}model='{model}'", f"{actuator}omega_hz={[5.8, 7.2][:sections]}",
-        f"{actuator}zeta={[0.87, 0.49][:sections]}", f"{actuator}limits_act_on='{limits_act_on}'",
-    )  # fmt: skip  # six more lines otherwise
+        flight,
+        30,
+        f"{actuator}model='{model}'",
+        f"{actuator}omega_hz={[5.8, 7.2][:sections]}",
+        f"{actuator}zeta={[0.87, 0.49][:sections]}",
+        f"{actuator}limits_act_on='{limits_act_on}'",
+    )
     node = Node(packed, condition, linearise(packed, packed.state, 30), linear_plant(packed, condition))
     theirs = node.block("pitch").response(FREQUENCIES_HZ)[:, :, 0]
     for k, output in enumerate(("gyro_radps", "delta_rad")):
@@ -397,9 +415,14 @@ def flown_nodes() -> dict[tuple[int, str], Node]:
             gravity = float(np.linalg.norm(gravitation))
             forward = rotation(y[Q_BI : Q_BI + 4])[:, 0]
             condition = FlightCondition(
-                time_s, float(air.airspeed_mps), float(air.density_kgpm3), float(air.pressure_Pa), float(air.mach),
-                float(np.arcsin(-forward @ gravitation / gravity)), gravity,
-            )  # fmt: skip  # five more lines otherwise
+                time_s,
+                float(air.airspeed_mps),
+                float(air.density_kgpm3),
+                float(air.pressure_Pa),
+                float(air.mach),
+                float(np.arcsin(-forward @ gravitation / gravity)),
+                gravity,
+            )
             out[time_s, name] = Node(packed, condition, linearise(packed, y, time_s), linear_plant(packed, condition))
     return out
 

@@ -56,9 +56,15 @@ def test_command_is_pd_and_the_filtered_acceleration_behind_the_filter() -> None
     corner_hz, discrete = 1.5, F3.discretize(T, "prewarped", 9.0)
     pool = Pool()
     built = build_computer(
-        pool, sample_ns=10_000_000, law="load-relief", gains=gains_table(GAINS), attitude="rate-integral",
-        pitch_filter=discrete, sensors=make_sensors((0.0,), (0,), accelerometer=True), relief_hz=corner_hz,
-    )  # fmt: skip  # four more lines otherwise
+        pool,
+        sample_ns=10_000_000,
+        law="load-relief",
+        gains=gains_table(GAINS),
+        attitude="rate-integral",
+        pitch_filter=discrete,
+        sensors=make_sensors((0.0,), (0,), accelerometer=True),
+        relief_hz=corner_hz,
+    )
     computer, state, tables = pack([built])[0], blank(ComputerState)[0], pool.array()
     start_computer(computer, tables, state, 0.0)
     rng = np.random.default_rng(1)
@@ -83,9 +89,11 @@ def test_command_is_pd_and_the_filtered_acceleration_behind_the_filter() -> None
 CASE = ("filter.structure=F3", "nodes_s=[25.0, 45.0]", "gains.nodes_s=[25.0, 45.0]")
 STATION_M = 8.1
 MORE = (
-    "limits.q_alpha_Padeg=3000", "limits.drift_mps=5", "wind.band_hz=[0.02,30.0]",
+    "limits.q_alpha_Padeg=3000",
+    "limits.drift_mps=5",
+    "wind.band_hz=[0.02,30.0]",
     f"limits.bending_moment=[{{station_m={STATION_M},rms_Nm=900}}]",
-)  # fmt: skip  # a key a line otherwise
+)
 
 
 @cache
@@ -178,9 +186,13 @@ def rms_of(wind, output: int, law: Any, measurements: tuple[str, ...]) -> float:
 
 
 SLOW = (
-    "loop=sampled", "filter.structure=F2", "nodes_s=[15.0, 45.0]", "search.starts=3", "search.leaps=1",
+    "loop=sampled",
+    "filter.structure=F2",
+    "nodes_s=[15.0, 45.0]",
+    "search.starts=3",
+    "search.leaps=1",
     "wind={sigma_mps=10.0, length_v_m=3000.0, band_hz=[0.02, 0.3]}",
-)  # fmt: skip  # a key a line otherwise
+)
 
 
 @pytest.mark.slow  # three optimisations
@@ -227,8 +239,9 @@ def test_load_as_an_objective_needs_a_wind_and_no_limit() -> None:
     given = (wind, bending, "objective.stations_m=[6.0]", at, "nodes_s=[40.0]")
     made = make_problem(kit.case(*given).case, kit.plants(*given))
     assert [(limit.text[:22], limit.objective) for limit in made.law.limits[3:]] == [
-        ("bending moment at 6 m ", True), ("bending moment at 8.1 ", False)
-    ]  # fmt: skip  # two more lines otherwise
+        ("bending moment at 6 m ", True),
+        ("bending moment at 8.1 ", False),
+    ]
     with pytest.raises(ValueError, match=r"node at 40 s: bending moment at 6.1 m: allowed are .* 1, 2, 3, 3.6, 4.5, "):
         kit.plants(wind, bending, "objective.stations_m=[6.1]", "nodes_s=[40.0]")
 

@@ -49,9 +49,13 @@ OF_LOOPS = tuple(
 )
 RELIEF = GainSchedule([0.0, 10.0], [1.2, 0.8], [0.5, 0.4], k_a_s2pm=[0.01, 0.03])
 INCIDENCE = GainSchedule(
-    [0.0, 10.0], [1.2, 0.8], [0.5, 0.4], k_alpha=[0.3, 0.9], percussion_m=[4.0, 6.0],
+    [0.0, 10.0],
+    [1.2, 0.8],
+    [0.5, 0.4],
+    k_alpha=[0.3, 0.9],
+    percussion_m=[4.0, 6.0],
     accel_per_incidence_mps2=[-30.0, -50.0],
-)  # fmt: skip  # eight lines otherwise
+)
 
 LAW_OF = {columns: law for law, columns in GAINS.items()}
 
@@ -73,9 +77,14 @@ class Ticked:
 
     def built(self, gains: GainSchedule, **more: Any) -> Any:
         built = build_computer(
-            self.pool, sample_ns=10_000_000, law=LAW_OF[gains.columns], gains=gains_table(gains),
-            attitude="rate-integral", sensors=make_sensors((0.0,), (0,), accelerometer=True), **more,
-        )  # fmt: skip  # four more lines otherwise
+            self.pool,
+            sample_ns=10_000_000,
+            law=LAW_OF[gains.columns],
+            gains=gains_table(gains),
+            attitude="rate-integral",
+            sensors=make_sensors((0.0,), (0,), accelerometer=True),
+            **more,
+        )
         return pack([built])[0]
 
     def __call__(self, turns: Array, pushes: Array) -> Array:
@@ -160,22 +169,50 @@ def test_filters_of_the_stage_before_fade_out_on_the_same_input() -> None:
 @cache
 def problem(loop: str) -> Any:
     given = (
-        "filter.structure=F3", "nodes_s=[25.0, 45.0]", "gains.nodes_s=[25.0, 45.0]", "law=incidence-relief",
-        "loop_filters.attitude.structure=F2", "loop_filters.rate.structure=F3",
+        "filter.structure=F3",
+        "nodes_s=[25.0, 45.0]",
+        "gains.nodes_s=[25.0, 45.0]",
+        "law=incidence-relief",
+        "loop_filters.attitude.structure=F2",
+        "loop_filters.rate.structure=F3",
         "loop_filters.acceleration={structure='sections', quadratic=0, first_order=1}",
-        "limits.q_alpha_Padeg=3000", "limits.drift_mps=5", f"loop={loop}",
-    )  # fmt: skip  # ten lines otherwise
+        "limits.q_alpha_Padeg=3000",
+        "limits.drift_mps=5",
+        f"loop={loop}",
+    )
     plants = kit.plants(*given, name="ksr3-load-relief")
     return make_problem(kit.case(*given, name="ksr3-load-relief").case, plants), plants
 
 
-VARIABLES = np.array([
-    np.log(9.0), 0.3, np.log(6.5), 0.5, np.log(20.0), np.log(9.0),  # bending filter
-    0.1, 0.2, -0.8, -0.9, -1.5, -1.2, 0.35,  # ln k_p, ln k_d, ln k_alpha at two nodes; weight of the second gyro
-    np.log(12.0), 0.4, np.log(11.0), 0.6,  # attitude
-    np.log(15.0), 0.5, np.log(13.0), 0.7, np.log(21.0), np.log(25.0),  # rate
-    np.log(6.0), np.log(5.0),  # acceleration
-])  # fmt: skip  # 22 lines otherwise
+VARIABLES = np.array(
+    [
+        np.log(9.0),
+        0.3,
+        np.log(6.5),
+        0.5,
+        np.log(20.0),
+        np.log(9.0),  # bending filter
+        0.1,
+        0.2,
+        -0.8,
+        -0.9,
+        -1.5,
+        -1.2,
+        0.35,  # ln k_p, ln k_d, ln k_alpha at two nodes; weight of the second gyro
+        np.log(12.0),
+        0.4,
+        np.log(11.0),
+        0.6,  # attitude
+        np.log(15.0),
+        0.5,
+        np.log(13.0),
+        0.7,
+        np.log(21.0),
+        np.log(25.0),  # rate
+        np.log(6.0),
+        np.log(5.0),  # acceleration
+    ]
+)
 
 
 def quadratic(own: Any, s: complex) -> Pair:

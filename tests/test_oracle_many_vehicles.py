@@ -32,9 +32,15 @@ from maxq.design.verify.linear import measured, vehicles
 from maxq.design.verify.suite import LinearMargins
 
 WIDE = Spread(
-    bending_frequency=(0.2, 0.3, 0.4), bending_slope=0.8, slosh_frequency=0.3, slosh_mass=0.5,
-    thrust=0.3, inertia=0.3, normal_force=0.8, centre_of_pressure_m=2.0,
-)  # fmt: skip  # a line for each otherwise
+    bending_frequency=(0.2, 0.3, 0.4),
+    bending_slope=0.8,
+    slosh_frequency=0.3,
+    slosh_mass=0.5,
+    thrust=0.3,
+    inertia=0.3,
+    normal_force=0.8,
+    centre_of_pressure_m=2.0,
+)
 """Far more than any suite asks for: some vehicles are unstable, some have delays of more than a sample."""
 
 

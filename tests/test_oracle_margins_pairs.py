@@ -64,8 +64,10 @@ def random_loop(seed: int) -> Loop:
 def found(loop: Loop) -> tuple[np.ndarray, np.ndarray, float]:
     """|L| = 1, the negative real axis above -80 dB, and the least |1 + L|, between the frequencies above."""
     m = margins(loop)
-    inside = [(f > LOWEST_HZ) & (f < min(HIGHEST_HZ, loop.highest_hz * (1.0 - 1e-9)))
-              for f in (m.gain_crossings.frequency_hz, m.phase_crossings.frequency_hz)]  # fmt: skip
+    inside = [
+        (f > LOWEST_HZ) & (f < min(HIGHEST_HZ, loop.highest_hz * (1.0 - 1e-9)))
+        for f in (m.gain_crossings.frequency_hz, m.phase_crossings.frequency_hz)
+    ]
     high = (np.abs(m.phase_crossings.loop) > FLOOR) & (m.phase_crossings.turn != 0)
     return m.gain_crossings.frequency_hz[inside[0]], m.phase_crossings.frequency_hz[inside[1] & high], m.modulus
 

@@ -136,9 +136,12 @@ def test_stage_whose_mode_passes_the_sample_rate_is_designed() -> None:
 
 JUDGED = {"peak of mode 1": (1, 1), "peak of mode 2": (2, 2), "peak of modes 3 and above": (3, 999)}
 ASKED = (
-    "between_nodes='ignore'", "limits.first_mode_db=9", "limits.second_mode_db=-9", "limits.modes_from_3_db=-9",
+    "between_nodes='ignore'",
+    "limits.first_mode_db=9",
+    "limits.second_mode_db=-9",
+    "limits.modes_from_3_db=-9",
     "limits.first_mode_phase_deg=47",
-)  # fmt: skip  # one line for each otherwise
+)
 
 
 def shipped() -> list[tuple]:

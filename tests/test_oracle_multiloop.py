@@ -33,18 +33,24 @@ def spinning() -> Multiloop:
     """A rigid vehicle in empty space that spins, three engines, roll by their gimbals."""
     engines = [
         {
-            "table": [{"time_s": 0.0, "thrust_vacuum_N": THRUST_N}], "gimbal_station_m": x, "exit_station_m": x,
-            "offset_m": [y, z], "group": group,
+            "table": [{"time_s": 0.0, "thrust_vacuum_N": THRUST_N}],
+            "gimbal_station_m": x,
+            "exit_station_m": x,
+            "offset_m": [y, z],
+            "group": group,
         }
         for (x, y, z), group in zip(PLACES, "abc", strict=True)
-    ]  # fmt: skip  # four more lines otherwise
+    ]
     tree = scenario_of(Parts(core_inertia=tuple(map(tuple, INERTIA)), core_cg=CG))
     stage = tree["vehicle"]["stage"][0]
     stage["engine"] = engines
     stage["actuator"] = {
-        "model": "second-order", "omega_hz": [ACTUATOR[0]], "zeta": [ACTUATOR[1]], "angle_limit_deg": 45.0,
+        "model": "second-order",
+        "omega_hz": [ACTUATOR[0]],
+        "zeta": [ACTUATOR[1]],
+        "angle_limit_deg": 45.0,
         "rate_limit_degps": 1000.0,
-    }  # fmt: skip  # a line more otherwise
+    }
     tree["initial"]["rate_BI_degps"] = [float(np.degrees(SPIN_RADPS)), 0.0, 0.0]
     (p, d), (roll_p, roll_d) = GAINS["pitch"], GAINS["roll"]
     tree["design"] = {

@@ -229,13 +229,26 @@ def test_a_step_weighs_the_objective_against_the_largest_excess(reachable: bool)
     objective, curvature, radius = np.array([True, True, False, False]), np.array([[2.0, 0.3], [0.3, 1.0]]), 0.5
     none, no_index = np.zeros(4), np.zeros(4, np.int64)
     rows = ProblemRows(
-        no_index.astype(np.int8), no_index, none, none, excess_db, objective, np.zeros((4, 0)),
-        no_index.astype(np.int8), no_index, none, np.zeros(4, bool),
-    )  # fmt: skip  # seven more lines otherwise
+        no_index.astype(np.int8),
+        no_index,
+        none,
+        none,
+        excess_db,
+        objective,
+        np.zeros((4, 0)),
+        no_index.astype(np.int8),
+        no_index,
+        none,
+        np.zeros(4, bool),
+    )
     at = SimpleNamespace(
-        rows=rows, gradient=gradient, variables=np.zeros(2), objective_db=4.0, violation_db=float(excess_db[2]),
+        rows=rows,
+        gradient=gradient,
+        variables=np.zeros(2),
+        objective_db=4.0,
+        violation_db=float(excess_db[2]),
         unstable=0,
-    )  # fmt: skip  # three more lines otherwise
+    )
     problem = SimpleNamespace(size=2, lower=np.full(2, -9.0), upper=np.array([0.2, 9.0]))
     step = model_step(problem, at, curvature, radius, Merit(1.0, 20.0))
 

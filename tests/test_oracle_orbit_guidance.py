@@ -56,11 +56,17 @@ class Burn:
         perigee, apogee = RADIUS_m + self.perigee_m, RADIUS_m + self.apogee_m
         inclined = self.inclination_deg
         return OrbitGuidance(
-            on=1, rate_limit_radps=0.1, radius_m=perigee, semimajor_m=0.5 * (perigee + apogee),
-            speed_mps=math.sqrt(2.0 * MU * apogee / perigee / (perigee + apogee)), exhaust_mps=EXHAUST_mps,
+            on=1,
+            rate_limit_radps=0.1,
+            radius_m=perigee,
+            semimajor_m=0.5 * (perigee + apogee),
+            speed_mps=math.sqrt(2.0 * MU * apogee / perigee / (perigee + apogee)),
+            exhaust_mps=EXHAUST_mps,
             cos_inclination=2.0 if inclined is None else math.cos(math.radians(inclined)),
-            mu_m3ps2=MU, j2=self.j2, j2_radius_m=RADIUS_m,
-        )  # fmt: skip  # six lines more otherwise
+            mu_m3ps2=MU,
+            j2=self.j2,
+            j2_radius_m=RADIUS_m,
+        )
 
     def gravitation(self, r: Array) -> Array:
         """Minus the gradient of the potential, by differences of it: complex step."""
@@ -106,9 +112,13 @@ def heights(burn: Burn, y: Array) -> tuple[float, float]:
     """Least and largest height over the equatorial radius, of one revolution without J2."""
     kepler = replace(burn, j2=0.0)
     flight = solve_ivp(
-        lambda _, x: np.concatenate([x[3:], kepler.gravitation(x[:3])]), (0.0, 5800.0), y, method="DOP853",
-        rtol=1e-10, max_step=20.0,
-    )  # fmt: skip  # two lines more otherwise
+        lambda _, x: np.concatenate([x[3:], kepler.gravitation(x[:3])]),
+        (0.0, 5800.0),
+        y,
+        method="DOP853",
+        rtol=1e-10,
+        max_step=20.0,
+    )
     radius = np.linalg.norm(flight.y[:3], axis=0)
     return float(radius.min()) - RADIUS_m, float(radius.max()) - RADIUS_m
 
@@ -254,9 +264,12 @@ def test_petrel_reaches_its_orbit_however_the_first_stage_flies(changes: tuple[s
     names = [f"{of}_{axis}_{unit}" for of, unit in (("r_I", "m"), ("v_I", "mps")) for axis in "xyz"]
     end = np.array([flight.final[name] for name in names])
     y = solve_ivp(  # back to the cut-off
-        lambda _, x: np.concatenate([x[3:], Burn().gravitation(x[:3])]), (flight.end_s, flight.event_s("burnout")), end,
-        method="DOP853", rtol=1e-10,
-    ).y[:, -1]  # fmt: skip  # three lines more otherwise
+        lambda _, x: np.concatenate([x[3:], Burn().gravitation(x[:3])]),
+        (flight.end_s, flight.event_s("burnout")),
+        end,
+        method="DOP853",
+        rtol=1e-10,
+    ).y[:, -1]
     perigee_m, apogee_m = heights(Burn(), y)
     assert perigee_m == pytest.approx(250e3, abs=300.0)
     assert apogee_m == pytest.approx(500e3, abs=1000.0)

@@ -159,8 +159,9 @@ def test_a_delay_of_all_commands_is_that_of_each() -> None:
 
 FEW = Spread(
     **{name: 0.0 for name in DEVIATIONS if name not in ("bending_slope", "actuator_frequency")},
-    bending_slope=(0.7, 0.0), actuator_frequency=0.3,
-)  # fmt: skip  # a line more otherwise
+    bending_slope=(0.7, 0.0),
+    actuator_frequency=0.3,
+)
 
 
 @pytest.mark.long

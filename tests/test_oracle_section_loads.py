@@ -60,10 +60,14 @@ def test_a_rod_pushed_sideways_and_forward_at_its_tail() -> None:
     # specific force at s: (F / m) (6 s - 2); integrated once and twice
     expected = np.stack(
         [
-            -along * s, -force_y * (3 * s**2 - 2 * s), -force_z * (3 * s**2 - 2 * s),
-            force_z * LENGTH_M * (s**3 - s**2), -force_y * LENGTH_M * (s**3 - s**2),
-        ], axis=1,
-    )  # fmt: skip  # seven lines otherwise
+            -along * s,
+            -force_y * (3 * s**2 - 2 * s),
+            -force_z * (3 * s**2 - 2 * s),
+            force_z * LENGTH_M * (s**3 - s**2),
+            -force_y * LENGTH_M * (s**3 - s**2),
+        ],
+        axis=1,
+    )
     assert now.sections == pytest.approx(expected, abs=1e-6)
     # nose up by an engine deflected downwards: the tail is pushed to +z, the middle lags: the nose bends down
     assert now.sections[12, MOMENT_Y] < 0.0 < force_z
@@ -275,18 +279,21 @@ def all_at_once() -> Tree:
     )
     liquid = [
         {
-            "tank": str(k + 1), "bottom_station_m": t.hinge_station_m + t.length_m,
+            "tank": str(k + 1),
+            "bottom_station_m": t.hinge_station_m + t.length_m,
             "table": {"time_s": [0.0], "mass_kg": [t.mass_kg], "front_station_m": [t.hinge_station_m + t.length_m]},
         }
         for k, t in enumerate(BOTH.tanks)
-    ]  # fmt: skip  # nine lines otherwise
+    ]
     stage = {
         "aero": wind_on([(3.0, 1.5), (5.0, 11.0)], CA=0.6, C_crossflow=8.0, Cmq=-300.0, Clp=-20.0, CD=0.1, Cm0=0.05),
         "loads": {
-            "stations_m": [2.0, 8.0, gimbal], "line_mass": line, "liquid": liquid,
+            "stations_m": [2.0, 8.0, gimbal],
+            "line_mass": line,
+            "liquid": liquid,
             "axial_force": {"station_m": [0.5, 12.0], "share": [0.8, 0.2]},
         },
-    }  # fmt: skip  # three more lines otherwise
+    }
     start = {"ned_mps": [120.0, 15.0, -10.0], "euler_deg": [0.0, 0.0, 0.0]}
     switches = {"section_loads": True, "actuator": "full"}
     injected = [

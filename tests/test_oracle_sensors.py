@@ -55,9 +55,15 @@ STATIONS = (0.0, 3.0, 5.0, 10.0, 12.0, 14.0)
 PITCH = (Mode(4.0, 900.0, (1.0, 0.3, -0.2, -0.1, 0.6, 1.0), (-0.3, -0.2, -0.1, 0.2, 0.3, 0.3), 0.01),)
 YAW = (Mode(4.4, 800.0, (0.9, 0.4, -0.1, -0.2, 0.5, 1.0), (-0.25, -0.22, -0.1, 0.2, 0.3, 0.3), 0.01),)
 PARTS = Parts(
-    core_cg=(7.0, 0.05, -0.03), tanks=(Tank(300.0, 0.8, 5.0, 0.02), Tank(500.0, 0.9, 10.0, 0.03)), pitch=PITCH, yaw=YAW,
-    engine_mass_kg=200.0, engine_cg_m=0.4, engine_inertia_kgm2=20.0, thrust_N=9.0e4,
-)  # fmt: skip  # four more lines otherwise
+    core_cg=(7.0, 0.05, -0.03),
+    tanks=(Tank(300.0, 0.8, 5.0, 0.02), Tank(500.0, 0.9, 10.0, 0.03)),
+    pitch=PITCH,
+    yaw=YAW,
+    engine_mass_kg=200.0,
+    engine_cg_m=0.4,
+    engine_inertia_kgm2=20.0,
+    thrust_N=9.0e4,
+)
 AT = 1  # index of the sensors' station
 
 
@@ -223,9 +229,7 @@ def test_counts_latency_lost_samples_and_blend() -> None:
     got, rates, none3, none2 = [], [], np.zeros(3, np.int64), np.zeros(2, np.int64)
     for k in range(n):
         state.sensors.increment[:3], state.sensors.lost[:3] = given[k], lost[k]
-        computer_tick(
-            computer, tables, state, 0.01 * (k + 1), first[k], np.zeros(3), none3, np.zeros(2), none2
-        )  # fmt: skip  # as ruff would, but for a line of one bracket
+        computer_tick(computer, tables, state, 0.01 * (k + 1), first[k], np.zeros(3), none3, np.zeros(2), none2)
         got.append(state.sensors.value[:3].copy())
         rates.append(state.attitude.rate_radps.copy())
     counted = given.copy()
@@ -270,10 +274,11 @@ def test_wrong_weights_are_refused(latency: tuple[int], blend: Any, why: str) ->
 
 # --- in flight
 RELIEF = (
-    'design.law="load-relief"', "design.load_relief.corner_hz=1.5",
+    'design.law="load-relief"',
+    "design.load_relief.corner_hz=1.5",
     "design.gains={table=[{time_s=0.0, k_p=0.9, k_d_s=0.5, k_a_s2pm=0.012}], yaw='pitch'}",
     "design.blend.pitch=[0.5, 0.3, 0.2]",
-)  # fmt: skip  # three more lines otherwise
+)
 
 
 @pytest.mark.slow  # four flights of a second

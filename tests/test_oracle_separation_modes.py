@@ -93,9 +93,13 @@ WHOLE, FRONT = piece(LENGTH_M), piece(FRONT_M)
 def flown() -> FlightRun:
     def stage(beam: Piece) -> dict[str, Any]:
         constant = {
-            "time_s": 0.0, "mass_kg": beam.mass_kg, "x_cg_m": beam.cg_m, "Ixx_kgm2": 0.2 * beam.mass_kg,
-            "Iyy_kgm2": beam.inertia_kgm2, "Izz_kgm2": beam.inertia_kgm2,
-        }  # fmt: skip  # five more lines otherwise
+            "time_s": 0.0,
+            "mass_kg": beam.mass_kg,
+            "x_cg_m": beam.cg_m,
+            "Ixx_kgm2": 0.2 * beam.mass_kg,
+            "Iyy_kgm2": beam.inertia_kgm2,
+            "Izz_kgm2": beam.inertia_kgm2,
+        }
         modes = beam.columns()
         return {
             "mass": {"table": {key: [value] for key, value in constant.items()}},
@@ -105,13 +109,14 @@ def flown() -> FlightRun:
     document = {
         "schema": 1,
         "vehicle": {
-            "name": "beam", "reference": {"length_m": LENGTH_M, "diameter_m": 1.0, "area_m2": 0.8},
+            "name": "beam",
+            "reference": {"length_m": LENGTH_M, "diameter_m": 1.0, "area_m2": 0.8},
             "stage": [stage(WHOLE) | {"separation_s": CUT_S}, stage(FRONT)],
         },
         "run": {"duration_s": 1.0, "stop_at": [], "step_s": 1e-4},
         "initial": {"ned_mps": [0.0, 0.0, -1000.0]},
         "log": {"fast_hz": 10.0, "slow_hz": 10.0, "transform_hz": 1.0},
-    }  # fmt: skip  # nine more lines otherwise
+    }
     return FlightRun(load_scenario_text(tomli_w.dumps(document)), log=False)
 
 

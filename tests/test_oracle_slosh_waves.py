@@ -47,9 +47,12 @@ def swinging(start: tuple[float, float], **tank: Any) -> Rig:
         holddown={"release": "time", "release_s": 1000.0},
     )
     table = {
-        "time_s": 0.0, "slosh_mass_kg": 400.0, "pendulum_length_m": LENGTH_M, "hinge_station_m": 5.0,
+        "time_s": 0.0,
+        "slosh_mass_kg": 400.0,
+        "pendulum_length_m": LENGTH_M,
+        "hinge_station_m": 5.0,
         "liquid_height_m": 1.0,
-    }  # fmt: skip  # one line each otherwise
+    }
     made = rig(with_stage(tree, tank=[{"table": [table], "radius_m": RADIUS_M, "bottom_station_m": 6.0} | tank]))
     i = int(layout.pendulum_index(made.sizes, 0))
     pitch, yaw = start
@@ -170,9 +173,10 @@ def test_linear_model_of_two_modes_and_smooth_walls(flight: Flight, plane: str) 
 
 def test_rings_do_nothing_in_small_waves() -> None:
     """Their part of the derivative falls with the 3/2-th power of the swing's rate."""
-    plain, ringed = swinging((0.0, 0.0), damping_ratio=0.0), swinging(
-        (0.0, 0.0), baffles={"width_m": 0.06, "station_m": [5.1]}
-    )  # fmt: skip  # one line each otherwise
+    plain, ringed = (
+        swinging((0.0, 0.0), damping_ratio=0.0),
+        swinging((0.0, 0.0), baffles={"width_m": 0.06, "station_m": [5.1]}),
+    )
     i = int(layout.pendulum_index(plain.sizes, 0))
 
     def part(rate: float) -> float:

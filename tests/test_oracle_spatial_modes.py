@@ -257,10 +257,17 @@ def sections(made: Rig, y: Array) -> Array:
 def test_pairs_written_as_spatial_modes_have_the_same_section_loads(angle_deg: float) -> None:
     """Bent, rolling, with liquid and air; those of planar modes are held to finite elements elsewhere."""
     liquid = [
-        {"tank": str(k + 1), "bottom_station_m": tank.hinge_station_m + tank.length_m,
-         "table": {"time_s": [0.0], "mass_kg": [1.5 * tank.mass_kg], "front_station_m": [tank.hinge_station_m - 0.3]}}
+        {
+            "tank": str(k + 1),
+            "bottom_station_m": tank.hinge_station_m + tank.length_m,
+            "table": {
+                "time_s": [0.0],
+                "mass_kg": [1.5 * tank.mass_kg],
+                "front_station_m": [tank.hinge_station_m - 0.3],
+            },
+        }
         for k, tank in enumerate(PARTS.tanks)
-    ]  # fmt: skip  # five lines otherwise
+    ]
     line = [{"front_station_m": 0.0, "rear_station_m": 14.0, "mass_kg": PARTS.core_mass_kg - 550.0}]
     loads = {"stations_m": [2.0, 5.0, 9.0, 12.0], "line_mass": line, "liquid": liquid, "tolerance": 1.0}
     angle = np.radians(angle_deg)
@@ -314,9 +321,14 @@ def test_section_loads_of_coupled_modes_are_those_of_particles() -> None:
     ]
     inertia = np.diag([900.0, mass @ x**2, mass @ x**2])
     parts = Parts(
-        core_mass_kg=float(mass.sum()), core_cg=(7.0, 0.0, 0.0), core_inertia=inertia, gyro_station_m=5.0,
-        gimbal_station_m=float(stations[-1]), gimbal_offset_m=(0.3, -0.2), thrust_N=9.0e4,
-    )  # fmt: skip  # one more line each otherwise
+        core_mass_kg=float(mass.sum()),
+        core_cg=(7.0, 0.0, 0.0),
+        core_inertia=inertia,
+        gyro_station_m=5.0,
+        gimbal_station_m=float(stations[-1]),
+        gimbal_offset_m=(0.3, -0.2),
+        thrust_N=9.0e4,
+    )
     cuts = 0.5 * (stations[1:] + stations[:-1])
     line = [{"front_station_m": at, "rear_station_m": at, "mass_kg": kg} for at, kg in zip(stations, mass, strict=True)]
     stage = {
@@ -494,9 +506,14 @@ def ascending(section: Tree, rest: Parts, **stage: Any) -> tuple[Packed, FlightC
     packed = rig(with_stage(tree, aero=AERO, spatial_modes=section, **stage)).packed
     air = evaluate_at(packed, packed.state, 0.0).aux.air
     condition = FlightCondition(
-        0.0, float(air.airspeed_mps), float(air.density_kgpm3), float(air.pressure_Pa),
-        float(air.mach), float(path), float(np.linalg.norm(air.gravitation_I_mps2)),
-    )  # fmt: skip  # five more lines otherwise
+        0.0,
+        float(air.airspeed_mps),
+        float(air.density_kgpm3),
+        float(air.pressure_Pa),
+        float(air.mach),
+        float(path),
+        float(np.linalg.norm(air.gravitation_I_mps2)),
+    )
     return packed, condition
 
 

@@ -56,8 +56,13 @@ def test_spans_and_nodes_lie_under_full_thrust_of_every_stage(spans: tuple[Span,
 
 
 def test_spans_begin_off_the_pad_and_need_thrust() -> None:
-    events = [Event("ignition", 0, 1), Event("liftoff", 2 * 10**9), Event("burnout", 9 * 10**9, 1),
-              Event("separation", 10 * 10**9, 1), Event("ignition", 12 * 10**9, 2)]  # fmt: skip  # one a line otherwise
+    events = [
+        Event("ignition", 0, 1),
+        Event("liftoff", 2 * 10**9),
+        Event("burnout", 9 * 10**9, 1),
+        Event("separation", 10 * 10**9, 1),
+        Event("ignition", 12 * 10**9, 2),
+    ]
     assert spans_of(events, 2, 20.0) == (Span(0, 2.0, 9.0), Span(1, 12.0, 20.0))
     assert spans_of(events[:1], 2, 20.0) == (Span(0, 0.0, 20.0),)
     assert spans_of([], 1, 5.0) == ()

@@ -85,8 +85,9 @@ def test_burn_out_and_separation_at_one_instant_are_both_events() -> None:
         load_scenario(TWO, ["vehicle.stage.0.separation_after_burnout_s=0.0", "run.duration_s=41.0"]), log=False
     )
     assert [(e.name, e.time_s, e.stage) for e in flight.events if e.name in ("burnout", "separation")] == [
-        ("burnout", 40.0, 1), ("separation", 40.0, 1),
-    ]  # fmt: skip  # four more lines otherwise
+        ("burnout", 40.0, 1),
+        ("separation", 40.0, 1),
+    ]
     stopped = fly(load_scenario(TWO, ["vehicle.stage.0.separation_after_burnout_s=0.0", "run.stop_at=['burnout']"]))
     t = stopped.time_s("altitude_m")
     np.testing.assert_allclose(t, 0.1 * np.arange(631), atol=1e-9)  # the row of 63 s, which is the end, is there once
@@ -101,23 +102,53 @@ def split(pieces: tuple[float, ...], continues: bool = True) -> Flight:
     def stage(begin: float, end: float, last: bool) -> dict[str, Any]:
         times = [0.0, end - begin]
         modes = [
-            {"time_s": t, "mode": 1, "frequency_hz": 8.0, "generalized_mass_kg": 250.0, "station_m": x,
-             "phi": (x / 5.0 - 1.0) ** 2 - 0.4, "slope_pm": 0.4 * (x / 5.0 - 1.0), "mass_forward_kg": 100.0 * x}
-            for t in times for x in (0.0, 5.0, 10.0)
-        ]  # fmt: skip  # nine more lines otherwise
+            {
+                "time_s": t,
+                "mode": 1,
+                "frequency_hz": 8.0,
+                "generalized_mass_kg": 250.0,
+                "station_m": x,
+                "phi": (x / 5.0 - 1.0) ** 2 - 0.4,
+                "slope_pm": 0.4 * (x / 5.0 - 1.0),
+                "mass_forward_kg": 100.0 * x,
+            }
+            for t in times
+            for x in (0.0, 5.0, 10.0)
+        ]
         constant = {"mass_kg": 1000.0, "x_cg_m": 6.0, "Ixx_kgm2": 90.0, "Iyy_kgm2": 8000.0, "Izz_kgm2": 8000.0}
         rows = {"time_s": times} | {key: [value, value] for key, value in constant.items()}
         out: dict[str, Any] = {
-            "interpolation": "linear", "mass": {"table": rows},
-            "engine": {"table": {"time_s": times, "thrust_vacuum_N": [2e4, 2e4]}, "exit_area_m2": 0.0,
-                       "gimbal_station_m": 9.5, "exit_station_m": 10.0, "gimballed_mass_kg": 20.0,
-                       "cg_from_gimbal_m": 0.2, "inertia_about_gimbal_kgm2": 2.0},
-            "actuator": {"model": "second-order", "omega_hz": [5.0], "zeta": [0.7], "angle_limit_deg": 6.0,
-                         "rate_limit_degps": 60.0},
-            "tank": [{"table": {"time_s": times, "slosh_mass_kg": [100.0, 100.0], "pendulum_length_m": [0.5, 0.5],
-                                "hinge_station_m": [4.0, 4.0]}, "damping_ratio": 0.01}],
+            "interpolation": "linear",
+            "mass": {"table": rows},
+            "engine": {
+                "table": {"time_s": times, "thrust_vacuum_N": [2e4, 2e4]},
+                "exit_area_m2": 0.0,
+                "gimbal_station_m": 9.5,
+                "exit_station_m": 10.0,
+                "gimballed_mass_kg": 20.0,
+                "cg_from_gimbal_m": 0.2,
+                "inertia_about_gimbal_kgm2": 2.0,
+            },
+            "actuator": {
+                "model": "second-order",
+                "omega_hz": [5.0],
+                "zeta": [0.7],
+                "angle_limit_deg": 6.0,
+                "rate_limit_degps": 60.0,
+            },
+            "tank": [
+                {
+                    "table": {
+                        "time_s": times,
+                        "slosh_mass_kg": [100.0, 100.0],
+                        "pendulum_length_m": [0.5, 0.5],
+                        "hinge_station_m": [4.0, 4.0],
+                    },
+                    "damping_ratio": 0.01,
+                }
+            ],
             "bending": {"pitch": modes, "yaw": modes, "damping_ratio": [0.01]},
-        }  # fmt: skip  # twenty more lines otherwise
+        }
         if not last:
             out["separation_s"] = end - begin
         if begin > 0.0:
@@ -248,8 +279,12 @@ def test_orbital_elements_are_those_that_an_orbit_was_made_of(
     assert tuple(found) == pytest.approx(given, rel=1e-7)
     path = solve_ivp(
         lambda t, y: np.concatenate([y[3:], -MU * y[:3] / np.linalg.norm(y[:3]) ** 3]),
-        (0.0, 2.0 * math.pi * math.sqrt(a**3 / MU)), np.concatenate([r, v]), rtol=1e-9, atol=1e-3, max_step=4.0,
-    )  # fmt: skip  # five more lines otherwise
+        (0.0, 2.0 * math.pi * math.sqrt(a**3 / MU)),
+        np.concatenate([r, v]),
+        rtol=1e-9,
+        atol=1e-3,
+        max_step=4.0,
+    )
     distance = np.linalg.norm(path.y[:3], axis=0)
     assert distance.min() - RADIUS == pytest.approx(found.perigee_altitude_m, abs=100.0)
     assert distance.max() - RADIUS == pytest.approx(found.apogee_altitude_m, abs=100.0)

@@ -22,11 +22,15 @@ from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.workspace import Aux
 
 START = [
-    "run.duration_s=0.04", "log.fast_hz=1000", "log.slow_hz=1000", "run.stop_at=[]",
+    "run.duration_s=0.04",
+    "log.fast_hz=1000",
+    "log.slow_hz=1000",
+    "run.stop_at=[]",
     "initial.geodetic={latitude_deg=33.0, longitude_deg=126.0, altitude_m=5000.0}",
-    "initial.ned_mps=[210.0, -260.0, -240.0]", "initial.euler_deg=[-47.0, 39.0, 12.0]",
+    "initial.ned_mps=[210.0, -260.0, -240.0]",
+    "initial.euler_deg=[-47.0, 39.0, 12.0]",
     "initial.rate_BE_degps=[4.0, 3.0, -2.0]",
-]  # fmt: skip  # four more lines otherwise
+]
 ROUNDING = 1e-9
 
 
@@ -89,11 +93,14 @@ def test_incidence_is_that_of_the_velocity_in_body_axes(flight: Flight) -> None:
     total = np.degrees(np.arccos(u / speed))
     q = 0.5 * flight["density_kgpm3"] * speed**2
     for name, found in (
-        ("airspeed_mps", speed), ("mach", speed / flight["sound_speed_mps"]),
+        ("airspeed_mps", speed),
+        ("mach", speed / flight["sound_speed_mps"]),
         ("alpha_deg", np.degrees(np.arctan2(w, u))),
-        ("beta_deg", np.degrees(np.arcsin(v / speed))), ("alpha_total_deg", total), ("dynamic_pressure_Pa", q),
+        ("beta_deg", np.degrees(np.arcsin(v / speed))),
+        ("alpha_total_deg", total),
+        ("dynamic_pressure_Pa", q),
         ("q_alpha_Padeg", q * total),
-    ):  # fmt: skip  # three more lines otherwise
+    ):
         np.testing.assert_allclose(flight[name], found, rtol=1e-7)
     assert min(abs(flight["alpha_deg"]).min(), abs(flight["beta_deg"]).min()) > 0.1
 

@@ -152,9 +152,11 @@ def test_engine_and_body_are_two_inertias_on_a_spring(axis: int) -> None:
     assert np.isclose(swing, -(4.0e5 * 1e-4 + damping * 1e-3) / free_inertia(parts), rtol=1e-6)
     # on the hold-down the body does not give way; what it carries pulls the engine straight
     held = loaded(
-        parts, {"frequency_hz": FREQUENCY_HZ, "damping_ratio": 0.0}, earth={"gravity": "uniform", "uniform_mps2": 9.8},
+        parts,
+        {"frequency_hz": FREQUENCY_HZ, "damping_ratio": 0.0},
+        earth={"gravity": "uniform", "uniform_mps2": 9.8},
         initial={"euler_deg": [0.0, 90.0, 0.0]},
-    )  # fmt: skip  # three more lines otherwise
+    )
     held.held.on_pad = 1
     swing = held.derivative(with_engine(held, held.y, angle, 0.0 * rate))[first + 1]
     weight = parts.engine_mass_kg * parts.engine_cg_m * 9.8
@@ -165,9 +167,11 @@ def test_floating_engine_hangs_on_its_gimbal() -> None:
     """On the hold-down, without the actuators' force: a pendulum under the body's specific force."""
     parts = stiff()
     made = loaded(
-        parts, earth={"gravity": "uniform", "uniform_mps2": 9.8}, initial={"euler_deg": [0.0, 90.0, 0.0]},
+        parts,
+        earth={"gravity": "uniform", "uniform_mps2": 9.8},
+        initial={"euler_deg": [0.0, 90.0, 0.0]},
         fault=[{"kind": "actuator-floating", "at_s": 0.0, "axis": "yaw"}],
-    )  # fmt: skip  # four more lines otherwise
+    )
     flown(made, 0.001)
     made.held.on_pad = 1
     angles, first = np.array([1e-4, 1e-4]), int(layout.tvc_load_index(made.sizes))
@@ -189,9 +193,11 @@ def test_energy_and_momentum_are_conserved() -> None:
     vehicle, drifts = oracle_vehicle(parts), []
     for step_s in (0.001, 0.0005):
         made = loaded(
-            parts, {"stiffness_Nmprad": stiffness, "damping_ratio": 0.0}, run={"step_s": step_s},
+            parts,
+            {"stiffness_Nmprad": stiffness, "damping_ratio": 0.0},
+            run={"step_s": step_s},
             switches={"actuator": "ideal", "control": False},
-        )  # fmt: skip  # four more lines otherwise
+        )
         made.y[:] = with_engine(made, locked_state(made, state), np.array([0.05, -0.03]), np.array([0.4, 0.3]))
         kept = []
         for now in flown(made, 1.0):
@@ -209,9 +215,10 @@ def test_friction_takes_what_dahl_says() -> None:
     """First integral, rising through the friction: I v^2 / 2 + T (d - theta (1 - exp(-d / theta))) is constant."""
     parts, torque, theta, rate = stiff(), 60.0, math.radians(0.2), 0.4
     made = loaded(
-        parts, {"stiffness_Nmprad": 1e-6, "damping_ratio": 0.0, "friction_Nm": torque, "friction_angle_deg": 0.2},
+        parts,
+        {"stiffness_Nmprad": 1e-6, "damping_ratio": 0.0, "friction_Nm": torque, "friction_angle_deg": 0.2},
         switches={"control": False},
-    )  # fmt: skip  # four more lines otherwise
+    )
     made.y[:] = with_engine(made, made.y, np.zeros(2), np.array([rate, 0.0]))
     first, inertia = int(layout.tvc_load_index(made.sizes)), free_inertia(parts)
     for now in flown(made, 0.05, 0.01)[1:]:
@@ -293,9 +300,7 @@ def stiff_air(vehicle: PlanarVehicle) -> PlanarVehicle:
     """Without liquid and mass flow; modes undamped, and without the softening of the core's own load."""
     modes, body = vehicle.modes, vehicle.body
     n = len(modes.omega_radps)
-    bare = replace(
-        modes, damping_ratio=np.zeros(n), phi_hinge=np.zeros((n, 0)), softening_kgpm=np.zeros((n, n)),
-    )  # fmt: skip  # five more lines otherwise
+    bare = replace(modes, damping_ratio=np.zeros(n), phi_hinge=np.zeros((n, 0)), softening_kgpm=np.zeros((n, n)))
     return replace(
         vehicle,
         modes=bare,
@@ -317,11 +322,19 @@ def test_axial_load_and_bent_gimbal_agree_with_lagrange() -> None:
     axial = engine.thrust_N(condition.pressure_Pa) / vehicle.body.core_mass_kg
     inertia, stiffness, symbols = planar_equations(len(modes.omega_radps))
     values = [
-        vehicle.body.core_mass_kg, vehicle.body.core_inertia_kgm2, mass, arm,
-        engine.inertia_about_gimbal_kgm2 - mass * arm**2, engine.gimbal_station_m - vehicle.body.core_cg_station_m,
-        load.stiffness_Nmprad, axial, *modes.phi_gimbal, *modes.slope_gimbal_pm, *modes.generalized_mass_kg,
+        vehicle.body.core_mass_kg,
+        vehicle.body.core_inertia_kgm2,
+        mass,
+        arm,
+        engine.inertia_about_gimbal_kgm2 - mass * arm**2,
+        engine.gimbal_station_m - vehicle.body.core_cg_station_m,
+        load.stiffness_Nmprad,
+        axial,
+        *modes.phi_gimbal,
+        *modes.slope_gimbal_pm,
+        *modes.generalized_mass_kg,
         *(modes.generalized_mass_kg * modes.omega_radps**2),
-    ]  # fmt: skip  # twenty more lines otherwise
+    ]
     numbers = dict(zip(symbols, values, strict=True))
     m, k = (np.array(matrix.subs(numbers).evalf(), float) for matrix in (inertia, stiffness))
     theirs = np.linalg.solve(m, -k)

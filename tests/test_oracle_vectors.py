@@ -24,10 +24,16 @@ def _everything(out, a, b, q, p, j):  # type: ignore[no-untyped-def]  # Numba in
     m = v.rotation_from_quaternion(q[0], q[1], q[2], q[3])
     sine, cosine = v.sine_cosine(a[0])
     rows = (
-        v.cross(a, b), v.add(a, b), v.scaled(a[0], b), (v.norm(a), sine, cosine), v.rotate(m, a), v.rotate_back(m, a),
-        v.inertia_times(j, a), v.symmetric_times(j, a),
+        v.cross(a, b),
+        v.add(a, b),
+        v.scaled(a[0], b),
+        (v.norm(a), sine, cosine),
+        v.rotate(m, a),
+        v.rotate_back(m, a),
+        v.inertia_times(j, a),
+        v.symmetric_times(j, a),
         v.symmetric_times(v.inverse_inertia(j), v.inertia_times(j, a)),
-    )  # fmt: skip  # twelve more lines otherwise
+    )
     for k in range(len(rows)):
         out[k, 0], out[k, 1], out[k, 2] = rows[k]
     fours = (v.quaternion_product(q, p), v.conjugate(q), v.quaternion_of(a))
@@ -52,9 +58,16 @@ def test_kernels_equal_the_library(size: float) -> None:
     out = rng.normal(size=(12, 4))
     _everything(out, a, b, np.append(9.0, q), p, j)
     threes = [
-        np.cross(a, b), a + b, a[0] * b, [np.linalg.norm(a), math.sin(a[0]), math.cos(a[0])], turn.apply(a),
-        turn.inv().apply(a), tensor @ a, symmetric @ a, a,
-    ]  # fmt: skip  # nine more lines otherwise
+        np.cross(a, b),
+        a + b,
+        a[0] * b,
+        [np.linalg.norm(a), math.sin(a[0]), math.cos(a[0])],
+        turn.apply(a),
+        turn.inv().apply(a),
+        tensor @ a,
+        symmetric @ a,
+        a,
+    ]
     assert out[:9, :3] == pytest.approx(np.array(threes), abs=ROUNDING)
     assert np.abs(out[9] - _scalar_first(turn * other)).max() < ROUNDING or np.abs(
         out[9] + _scalar_first(turn * other)
@@ -67,7 +80,13 @@ def test_no_series_is_seen_where_it_ends() -> None:
     """Sine and cosine to rounding on both sides of 0.25 rad, where the series gives way to the library."""
     out = np.zeros((12, 4))
     for x in (*np.linspace(-0.26, 0.26, 27), 0.25, math.nextafter(0.25, 1.0)):
-        _everything(out, np.array([x, 0.0, 0.0]), np.ones(3), np.array([9.0, 1.0, 0.0, 0.0, 0.0]), np.eye(4)[0],
-                    np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))  # fmt: skip
+        _everything(
+            out,
+            np.array([x, 0.0, 0.0]),
+            np.ones(3),
+            np.array([9.0, 1.0, 0.0, 0.0, 0.0]),
+            np.eye(4)[0],
+            np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]),
+        )
         assert out[3, 1:3] == pytest.approx([math.sin(x), math.cos(x)], rel=2.3e-16, abs=0.0)
         assert out[3, 0] == abs(x)

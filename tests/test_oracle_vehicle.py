@@ -145,9 +145,10 @@ def test_cg_and_inertia_are_the_integrals_over_slices(layout: Layout) -> None:
     stack = stacks(changed(layout, 0, tank=(tank,)))[0]
     found, rods = stack.mass_properties(0.0), [*stack.dry, *stack.liquids(0.0)]
     slices = [
-        (r.mass_kg / 1000, x, r.across_m2) for r in rods
+        (r.mass_kg / 1000, x, r.across_m2)
+        for r in rods
         for x in r.front_station_m + (r.rear_station_m - r.front_station_m) * (np.arange(1000) + 0.5) / 1000
-    ]  # fmt: skip  # two more lines otherwise
+    ]
     m, x, across = np.array(slices).T
     cg = (m @ x) / m.sum()
     assert found.x_cg_m == pytest.approx(cg, rel=1e-12)
@@ -260,8 +261,14 @@ def test_the_gimbals_of_a_cluster_hold_its_roll() -> None:
     assert omega / (2.0 * math.pi) == pytest.approx(0.4, rel=1e-3)
     assert gains.k_d_s * roll_Nm / inertia / (2.0 * omega) == pytest.approx(0.7, rel=1e-3)
     assert scenario.design.roll_gimbal == scenario.design.of_stage(0).roll_gimbal
-    one = LayoutEngines(positions_m=((0.0, 0.3), (0.0, -0.3)), thrust_vacuum_N=1e4, isp_vacuum_s=300.0,
-                        gimbal_station_m=9.0, exit_station_m=9.5, mass_kg=20.0)  # fmt: skip  # one line more otherwise
+    one = LayoutEngines(
+        positions_m=((0.0, 0.3), (0.0, -0.3)),
+        thrust_vacuum_N=1e4,
+        isp_vacuum_s=300.0,
+        gimbal_station_m=9.0,
+        exit_station_m=9.5,
+        mass_kg=20.0,
+    )
     assert one.groups == ("lower", "upper")
 
 

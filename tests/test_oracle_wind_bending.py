@@ -84,12 +84,16 @@ def test_every_coefficient_is_the_simulators(flight: Flight, time_s: float, more
 def loaded() -> dict[str, Any]:
     """A line mass that is not the vehicle's, and shares of drag; the tank's liquid is all bob."""
     line = [{"front_station_m": 0.0, "rear_station_m": 11.5, "mass_kg": 3000.0}]
-    liquid = [{"tank": "1", "bottom_station_m": 6.0,
-               "table": {"time_s": [0.0], "mass_kg": [700.0], "front_station_m": [4.5]}}]  # fmt: skip  # a key a line
+    liquid = [
+        {"tank": "1", "bottom_station_m": 6.0, "table": {"time_s": [0.0], "mass_kg": [700.0], "front_station_m": [4.5]}}
+    ]
     return {
-        "stations_m": [2.0, 4.2, 5.5, 7.0, 9.0, 10.9], "line_mass": line, "liquid": liquid, "tolerance": 1.0,
+        "stations_m": [2.0, 4.2, 5.5, 7.0, 9.0, 10.9],
+        "line_mass": line,
+        "liquid": liquid,
+        "tolerance": 1.0,
         "axial_force": {"station_m": [0.5, 8.0], "share": [0.7, 0.3]},
-    }  # fmt: skip  # three more lines otherwise
+    }
 
 
 @pytest.mark.parametrize("trim_deg", [(0.0, 0.0), (4.0, -3.0)])

@@ -186,11 +186,26 @@ def test_the_scenario_written_is_the_vehicle_measured() -> None:
     node, base = design_nodes.node_at(40.0), design_nodes.nominal()
     deviations = deviations_of(usual(), node)
     u = alone(
-        deviations, bending_frequency_1=-1.8, bending_frequency_2=1.5, bending_frequency_3=-2.0, bending_slope_1=2.25,
-        bending_slope_2=-1.5, bending_slope_3=1.5, bending_damping_1=-1.8, bending_damping_2=1.2, slosh_frequency_1=2.4,
-        slosh_frequency_2=-1.8, slosh_mass_1=2.4, slosh_mass_2=-2.1, slosh_damping_1=-2.4, slosh_damping_2=1.8,
-        actuator_frequency=-1.6, normal_force=2.0, centre_of_pressure=1.8, delay=3.0,
-    )  # fmt: skip  # a line for each otherwise
+        deviations,
+        bending_frequency_1=-1.8,
+        bending_frequency_2=1.5,
+        bending_frequency_3=-2.0,
+        bending_slope_1=2.25,
+        bending_slope_2=-1.5,
+        bending_slope_3=1.5,
+        bending_damping_1=-1.8,
+        bending_damping_2=1.2,
+        slosh_frequency_1=2.4,
+        slosh_frequency_2=-1.8,
+        slosh_mass_1=2.4,
+        slosh_mass_2=-2.1,
+        slosh_damping_1=-2.4,
+        slosh_damping_2=1.8,
+        actuator_frequency=-1.6,
+        normal_force=2.0,
+        centre_of_pressure=1.8,
+        delay=3.0,
+    )
     by = deviations.at(u)
     assert by.bending_frequency == pytest.approx([0.97, 1.05, 0.9])
     assert by.slosh_damping == pytest.approx([0.6, 1.3])
@@ -310,9 +325,7 @@ def test_a_descent_ends_where_scipys_does(shape: Any) -> None:
     np.testing.assert_allclose(region.nearest(u), u, atol=1e-12)
 
 
-def refined_by_scipy(
-    node: Node, campaign: LoadedCampaign, wanted: WorstWanted, design: Any, count: int
-) -> list[float]:  # fmt: skip  # one line for each otherwise
+def refined_by_scipy(node: Node, campaign: LoadedCampaign, wanted: WorstWanted, design: Any, count: int) -> list[float]:
     """Least distances of L-BFGS-B searches, by differences, from random points of the surface of the region."""
     at, rng = worst.distances(node, design, campaign), np.random.default_rng(9)
     reach, n, step = wanted.sigmas / 3.0, len(deviations_of(campaign, node).places), 1e-4
@@ -395,8 +408,10 @@ def test_words_claim_no_more_than_was_searched() -> None:
     rows = worst_requirements(found, WorstWanted(modulus=0.25), "simverify x --only worst")
     assert rows[0].found == "0.200; no worse vehicle found in 84 searches (9000 loops)"
     assert (rows[0].wanted, rows[0].judgement, rows[0].where) == (
-        ">= 0.25", "rejected", "45 s, yaw; sigmas: slosh mass 2 +2.0, thrust -1.0, ...",
-    )  # fmt: skip  # four more lines otherwise
+        ">= 0.25",
+        "rejected",
+        "45 s, yaw; sigmas: slosh mass 2 +2.0, thrust -1.0, ...",
+    )
     assert rows[1].judgement == "accepted"
     assert rows[0].again == "simverify x --only worst"
     bounded = replace(found, within_sigmas=2.0, within_hz=31.75, within_tried=146, together_sigmas=1.9)

@@ -158,8 +158,15 @@ def test_reference_integrator_agrees(actuator: str) -> None:
     theirs = fly(nominal(0.001, *changes), 1.0)
     ours = flown(nominal(0.000125, *changes), 1.0)[-1]
     limits = {
-        "position": 1e-6, "velocity": 1e-8, "attitude": 1e-11, "roll rate": 1e-10,
-        "pitch and yaw rate": 1e-10, "actuators": 1e-8, "gyros": 1e-6, "bending": 1e-8, "slosh": 1e-7,
-    }  # fmt: skip  # six more lines otherwise
+        "position": 1e-6,
+        "velocity": 1e-8,
+        "attitude": 1e-11,
+        "roll rate": 1e-10,
+        "pitch and yaw rate": 1e-10,
+        "actuators": 1e-8,
+        "gyros": 1e-6,
+        "bending": 1e-8,
+        "slosh": 1e-7,
+    }
     for group, where in GROUPS.items():
         assert np.linalg.norm((ours - theirs)[where]) < limits[group], group

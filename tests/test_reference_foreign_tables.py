@@ -65,7 +65,7 @@ def page(what: str, mach: float, slope_pd: float, centre: float, sideslip: float
 FOR006 = "".join(
     page("BODY ALONE", mach, 0.05, 5.0) + page("BODY-FIN SET 1", mach, slope, -4.0)
     for mach, slope in ((0.5, 0.2), (2.0, 0.25), (5.0, 0.15))
-)  # fmt: skip  # one more line otherwise
+)
 
 
 def test_a_rasp_motor_is_a_table_of_thrust() -> None:
@@ -127,18 +127,25 @@ def layout(tmp_path: Path) -> Path:
         (tmp_path / file.name).write_bytes(file.read_bytes())
     engine = {"thrust": "motor.eng", "gimbal_station_m": 13.5, "exit_station_m": 14.0, "mass_kg": 40.0}
     stage = {
-        "name": "only", "front_station_m": 0.0, "rear_station_m": 13.5, "diameter_m": 0.6, "engine": engine,
+        "name": "only",
+        "front_station_m": 0.0,
+        "rear_station_m": 13.5,
+        "diameter_m": 0.6,
+        "engine": engine,
         "part": [{"name": "all", "mass_kg": 700.0, "front_station_m": 0.2, "rear_station_m": 13.5}],
         "shell": [{"front_station_m": 0.0, "rear_station_m": 13.5, "wall_m": 0.002, "modulus_Pa": 7e10}],
         "grain": [{"mass_kg": 400.0, "front_station_m": 8.0, "rear_station_m": 13.0}],
         "aero": {"moment_reference_m": 7.0, "coefficients": [{"table": "for006.dat"}]},
         "spatial_modes": {"table": "beam.op2", "damping_ratio": [0.005] * 6},
-    }  # fmt: skip  # eight more lines otherwise
+    }
     tree = {
-        "schema": 1, "nose_length_m": 1.5, "stage": [stage], "control": {"gyro_station_m": 2.0},
+        "schema": 1,
+        "nose_length_m": 1.5,
+        "stage": [stage],
+        "control": {"gyro_station_m": 2.0},
         "site": {"latitude_deg": 60.0, "longitude_deg": 20.0, "azimuth_deg": 0.0},
         "trajectory": {"final_path_angle_deg": 75.0, "pitch_over_start_s": 2.0, "pitch_over_s": 6.0},
-    }  # fmt: skip  # four more lines otherwise
+    }
     (tmp_path / "rocket.toml").write_text(tomli_w.dumps(tree))
     return tmp_path / "rocket.toml"
 

@@ -89,8 +89,14 @@ def test_what_came_in_since_changes_no_bit_where_it_is_told_to_do_nothing() -> N
     stage = load_scenario("nominal").scenario.vehicle.stage[0]
     one, servo = stage.engines[0], stage.actuators[0]
     assert servo is not None
-    numbers = ("exit_area_m2", "gimbal_station_m", "exit_station_m", "gimballed_mass_kg", "cg_from_gimbal_m",
-               "inertia_about_gimbal_kgm2")  # fmt: skip  # seven lines otherwise
+    numbers = (
+        "exit_area_m2",
+        "gimbal_station_m",
+        "exit_station_m",
+        "gimballed_mass_kg",
+        "cg_from_gimbal_m",
+        "inertia_about_gimbal_kgm2",
+    )
     engine = ", ".join(f"{key} = {getattr(one, key)!r}" for key in numbers)
     later = (
         f"vehicle.stage.0.engine = [{{table = 'vehicles/ksr3/thrust.csv', {engine}, group = 'all', gimbal = 'both', "
@@ -98,9 +104,11 @@ def test_what_came_in_since_changes_no_bit_where_it_is_told_to_do_nothing() -> N
         f"vehicle.stage.0.actuator = [{{group = 'all', model = 'sixth-order', omega_hz = {list(servo.omega_hz)}, "
         f"zeta = {list(servo.zeta)}, angle_limit_deg = {servo.angle_limit_deg}, limits_act_on = 'servo', "
         f"rate_limit_degps = {servo.rate_limit_degps}, backlash_deg = 0.0}}]",
-        "switches.gust_penetration = false", "switches.slosh_exchange = false", "switches.tvc_load = false",
+        "switches.gust_penetration = false",
+        "switches.slosh_exchange = false",
+        "switches.tvc_load = false",
         "switches.section_loads = false",
-    )  # fmt: skip  # three more lines otherwise
+    )
     gust = BEFORE["through a gust to burn-out"]["set"][2]
     usual, told = (flown("nominal", ["run.duration_s=40", gust, *more]) for more in ((), later))
     np.testing.assert_array_equal(told.packed.state, usual.packed.state)

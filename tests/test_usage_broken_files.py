@@ -56,8 +56,13 @@ _BREAKS = [
     ("design", "zero_hz = 30.0", "zero_hz = -1e-6", ""),
     ("design", "prewarp_hz = 9.2", 'discretization = "matched"', ""),
     ("design", "pole_zeta = 0.7}]", 'pole_zeta = 0.7}]\ndiscretization = "matched"', ""),
-    ("design", "pole_hz = 7.0, pole_zeta = 0.7}]", 'pole_hz = 90.0, pole_zeta = 0.7}]\ndiscretization = "matched"',
-     'filter.structure = "F3": cannot be run every 0.01 s: a pole at 64.2729 Hz: allowed with discretization matched'),
+    (
+        "design",
+        "pole_hz = 7.0, pole_zeta = 0.7}]",
+        'pole_hz = 90.0, pole_zeta = 0.7}]\ndiscretization = "matched"',
+        'filter.structure = "F3": cannot be run every 0.01 s: a pole at 64.2729 Hz: '
+        "allowed with discretization matched",
+    ),
     ("design", "dead_band_deg = 1.0", "dead_band_deg = 1e-322", "is out of range"),
     ("vehicle", 'name = "lox"', 'name = ".."', f'stage.0.tank.0.name = "..": {_NO_PART}'),
     ("vehicle", 'name = "lox"', 'name = "../../etc/passwd"', _NO_PART),
@@ -65,15 +70,27 @@ _BREAKS = [
     ("vehicle", 'name = "lox"', 'name = "<script>alert(1)</script>"', _NO_PART),
     ("vehicle", 'name = "lox"', 'name = "é"', _NO_PART),
     ("vehicle", 'name = "lox"', f'name = "{"x" * 41}"', _NO_PART),
-    ("vehicle", "[stage.bending]", _TANK.format('name = "lox"\n') + "[stage.bending]",
-     'stage.0.tank.1.name = "lox": is the name of another tank already; allowed: each name once'),
-    ("vehicle", "[stage.bending]", _TANK.format('name = "3"\n') + _TANK.format("") + "[stage.bending]",
-     'stage.0.tank.2.name = "3": is the name of another tank already'),
+    (
+        "vehicle",
+        "[stage.bending]",
+        _TANK.format('name = "lox"\n') + "[stage.bending]",
+        'stage.0.tank.1.name = "lox": is the name of another tank already; allowed: each name once',
+    ),
+    (
+        "vehicle",
+        "[stage.bending]",
+        _TANK.format('name = "3"\n') + _TANK.format("") + "[stage.bending]",
+        'stage.0.tank.2.name = "3": is the name of another tank already',
+    ),
     ("vehicle", "count_rad = 1.0e-5", "count_rad = 1e-300", "count_rad = 1e-300: is out of range; allowed: magn"),
     ("vehicle", "delay_s = 0.003", "delay_s = 1e10", "is longer than a flight can be"),
     ("vehicle", "angle_error_limit_deg = 20.0", "angle_error_limit_deg = 1e-320", "is out of range"),
-    ("campaign", "where = {mode = 1}", "where = {mod = 1}",
-     "disperse.1.where.mod = 1.0: the table has no such column; allowed: time_s, mode,"),
+    (
+        "campaign",
+        "where = {mode = 1}",
+        "where = {mod = 1}",
+        "disperse.1.where.mod = 1.0: the table has no such column; allowed: time_s, mode,",
+    ),
     ("campaign", "runs = 20", f"seed = {2**63}\nruns = 20", f"seed = {2**63}: is out of range; allowed: a whole"),
     ("campaign", "runs = 20", f"runs = {2**52}", f"runs = {2**52}: is out of range; allowed: magnitudes up to 1e+09"),
     ("campaign", "runs = 20", f"stratum = {2**62}\nruns = 20", f"stratum = {2**62}: is out of range"),
@@ -92,10 +109,14 @@ _BREAKS = [
     ("suite", "times_s = [30.0]", "times_s = [1e300]", "certificate.times_s.0 = 1e+300: is too large"),
     ("suite", "cases = 10", f"seed = {2**64}", f"margins.seed = {2**64}: is out of range"),
     ("suite", "bending_frequency = [0.05, 0.1]", "bending_frequency = [0.05, 1.0]", "frequency.1 = 1.0: is out"),
-    ("layout", "dome_m = [0.1, 0.1]", "dome_m = [0.1, 360.0]",
-     "stage.1.tank.0.height_m = 0.6: the domes are higher than the tank; allowed: height_m from 360.1"),
+    (
+        "layout",
+        "dome_m = [0.1, 0.1]",
+        "dome_m = [0.1, 360.0]",
+        "stage.1.tank.0.height_m = 0.6: the domes are higher than the tank; allowed: height_m from 360.1",
+    ),
     ("suite", "run.step_s=0.002", f"vehicle.stage.{_LONG}.name=x", "is not an element of this list"),
-]  # fmt: skip  # twice as many lines otherwise
+]
 
 
 @pytest.mark.parametrize(("kind", "old", "new", "says"), _BREAKS)
@@ -116,7 +137,7 @@ def test_what_once_was_a_traceback(here: Path, kind: str, old: str, new: str, sa
         ("winds/west.csv", "8,", "1e29,", "speed_mps = 1e+29: is out of range"),
         ("winds/west.csv", "speed_mps", "9" * 5000, "unknown column"),
     ],
-)  # fmt: skip  # twice as many lines otherwise
+)
 def test_tables_that_once_were_a_traceback(here: Path, name: str, old: str, new: str, says: str) -> None:
     text = (here / name).read_text()
     assert old in text

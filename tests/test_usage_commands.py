@@ -18,8 +18,12 @@ from maxq.tools.cli.terminal import Progress
 
 Printed = pytest.CaptureFixture[str]
 COMMANDS = {
-    "simrun": simrun, "simdesign": simdesign, "simverify": simverify, "simreplay": simreplay, "simvehicle": simvehicle,
-}  # fmt: skip  # five more lines otherwise
+    "simrun": simrun,
+    "simdesign": simdesign,
+    "simverify": simverify,
+    "simreplay": simreplay,
+    "simvehicle": simvehicle,
+}
 
 
 @pytest.mark.parametrize("name", COMMANDS)

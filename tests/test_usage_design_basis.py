@@ -40,9 +40,15 @@ from maxq.tools.design.analyse import bases_of, designed_along
 
 NODES_S = (10.0, 50.0)
 LIMITS = {
-    "gain_margin_db": 5.0, "phase_margin_deg": 25.0, "modulus_db": -12.0, "second_mode_db": -5.0,
-    "modes_from_3_db": -4.5, "first_mode_phase_deg": 20.0, "rigid_zeta": 0.6, "filter_gain_at_infinity": 2.0,
-}  # fmt: skip  # a line each otherwise
+    "gain_margin_db": 5.0,
+    "phase_margin_deg": 25.0,
+    "modulus_db": -12.0,
+    "second_mode_db": -5.0,
+    "modes_from_3_db": -4.5,
+    "first_mode_phase_deg": 20.0,
+    "rigid_zeta": 0.6,
+    "filter_gain_at_infinity": 2.0,
+}
 QUICK = ("ksr3-linear", "ksr3-sampled")  # designs that take seconds
 Printed = pytest.CaptureFixture[str]
 
@@ -150,10 +156,16 @@ def test_a_shipped_robust_design_is_judged_by_all_of_its_limits() -> None:
     bases = bases_of(petrel.scenario(), design, "petrel-robust.toml")
     assert [len(basis.nodes_s or ()) for basis in bases.values()] == [17, 6, 10]
     expected = {
-        "unstable_poles": 0.0, "gain_margin_db": 6.5, "phase_margin_deg": 32.0, "second_mode_db": -11.1,
-        "modes_from_3_db": -11.1, "first_mode_phase_deg": 47.0, "rigid_hz": 0.32, "rigid_zeta": 0.5,
+        "unstable_poles": 0.0,
+        "gain_margin_db": 6.5,
+        "phase_margin_deg": 32.0,
+        "second_mode_db": -11.1,
+        "modes_from_3_db": -11.1,
+        "first_mode_phase_deg": 47.0,
+        "rigid_hz": 0.32,
+        "rigid_zeta": 0.5,
         "filter_gain_at_infinity": 1.0,
-    }  # fmt: skip  # a line each otherwise
+    }
     for stage, time_s in enumerate((54.0, 138.0, 315.0)):
         basis = bases[stage]
         assert (basis.loop, basis.limits.rigid_body, basis.scenario) == ("sampled", "aerodynamic", "petrel")
@@ -356,6 +368,10 @@ def test_stages_that_differ_are_named() -> None:
 def test_defaults_of_a_basis_set_no_limit() -> None:
     assert Basis().limits.asked == ()
     assert Basis().as_table() == {
-        "plant": "flown", "errata": "corrected", "loop": "sampled", "plane": "pitch", "between_nodes": "ignore",
+        "plant": "flown",
+        "errata": "corrected",
+        "loop": "sampled",
+        "plane": "pitch",
+        "between_nodes": "ignore",
         "limits": {"rigid_body": "paper"},
-    }  # fmt: skip  # a line each otherwise
+    }

@@ -62,11 +62,19 @@ def layouts(draw: st.DrawFn) -> dict[str, Any]:
             dome = draw(st.sampled_from([0.0, 0.25, 0.5])) * radius
             height += 2.0 * dome
             at += float(height) + 0.3
-            tanks.append({
-                "name": name, "liquid_mass_kg": kg, "residual_kg": draw(st.sampled_from([0.0, 0.01])) * kg,
-                "density_kgpm3": density, "radius_m": radius, "height_m": float(height), "dome_m": [dome, dome],
-                "bottom_station_m": at, "damping_ratio": draw(st.sampled_from([0.005, 0.02])),
-            })  # fmt: skip  # a row
+            tanks.append(
+                {
+                    "name": name,
+                    "liquid_mass_kg": kg,
+                    "residual_kg": draw(st.sampled_from([0.0, 0.01])) * kg,
+                    "density_kgpm3": density,
+                    "radius_m": radius,
+                    "height_m": float(height),
+                    "dome_m": [dome, dome],
+                    "bottom_station_m": at,
+                    "damping_ratio": draw(st.sampled_from([0.005, 0.02])),
+                }
+            )
         grain = {"mass_kg": propellant_kg, "front_station_m": begin, "rear_station_m": at}
         rear = at + 0.6
         if top:
@@ -96,9 +104,12 @@ def layouts(draw: st.DrawFn) -> dict[str, Any]:
     bottom = stages[-1]
     if draw(st.booleans()):
         bottom["fins"] = {
-            "root_chord_m": 0.8, "tip_chord_m": 0.4, "semispan_m": draw(about(0.5 * bottom["diameter_m"])),
-            "leading_edge_station_m": bottom["rear_station_m"] - 1.0, "sweep_m": 0.3,
-        }  # fmt: skip  # three more lines otherwise
+            "root_chord_m": 0.8,
+            "tip_chord_m": 0.4,
+            "semispan_m": draw(about(0.5 * bottom["diameter_m"])),
+            "leading_edge_station_m": bottom["rear_station_m"] - 1.0,
+            "sweep_m": 0.3,
+        }
     top = stages[0]
     out: dict[str, Any] = {
         "schema": 1, "name": "drawn", "nose_length_m": draw(about(2.0 * top["diameter_m"], 1.3)),

@@ -105,12 +105,25 @@ def test_stages_that_were_not_designed_are_named(
 
 FEW = [
     f"robust.{name}=0.0"
-    for name in ("slosh_frequency", "slosh_mass", "slosh_damping", "actuator_frequency", "thrust", "normal_force",
-                 "centre_of_pressure_m", "inertia")
-]  # fmt: skip  # ten more lines otherwise
+    for name in (
+        "slosh_frequency",
+        "slosh_mass",
+        "slosh_damping",
+        "actuator_frequency",
+        "thrust",
+        "normal_force",
+        "centre_of_pressure_m",
+        "inertia",
+    )
+]
 ROBUST = (
-    "nodes_s=[45.0, 47.0]", "filter.structure=F2", "search.starts=1", "search.leaps=0", "between_nodes='hold'", *FEW,
-)  # fmt: skip  # six more lines otherwise
+    "nodes_s=[45.0, 47.0]",
+    "filter.structure=F2",
+    "search.starts=1",
+    "search.leaps=0",
+    "between_nodes='hold'",
+    *FEW,
+)
 
 
 @pytest.mark.slow

@@ -37,10 +37,15 @@ def rows(
             phi, slope = beam(n)
             for x, value, turn in zip(STATIONS, phi, slope, strict=True):
                 row = {
-                    "time_s": time_s, "mode": n + 1, "frequency_hz": 9.0 * (ROOTS[n] / ROOTS[0]) ** 2,
-                    "generalized_mass_kg": 4200.0 / 4.0, "station_m": x, "phi": value, "slope_pm": turn,
+                    "time_s": time_s,
+                    "mode": n + 1,
+                    "frequency_hz": 9.0 * (ROOTS[n] / ROOTS[0]) ** 2,
+                    "generalized_mass_kg": 4200.0 / 4.0,
+                    "station_m": x,
+                    "phi": value,
+                    "slope_pm": turn,
                     "mass_forward_kg": 4200.0 * x / LENGTH_M,
-                }  # fmt: skip  # eight lines otherwise
+                }
                 change(row)
                 out.append(row)
     return out

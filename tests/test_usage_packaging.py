@@ -139,19 +139,31 @@ ONE_VEHICLE = re.compile(r"ksr|anheung|korea|reconstruct|\bkari\b", re.IGNORECAS
 THE_PAPER = re.compile(r"\bpaper\b|\bRoh\b")
 NAMES_ONE = {
     "design/paper/table2.py": "the paper's Table 2",
-    "tools/cli/frame.py": "built-in examples in help", "tools/design/report.py": "the command's default design",
-    "tools/simdesign.py": "examples in help", "tools/simrun.py": "examples in help",
-    "tools/simvehicle.py": "examples in help", "tools/simverify.py": "examples in help",
-}  # fmt: skip  # a line each otherwise
+    "tools/cli/frame.py": "built-in examples in help",
+    "tools/design/report.py": "the command's default design",
+    "tools/simdesign.py": "examples in help",
+    "tools/simrun.py": "examples in help",
+    "tools/simvehicle.py": "examples in help",
+    "tools/simverify.py": "examples in help",
+}
 PAPER_MODE = {
-    "control/structures.py", "design/case/basis.py",
-    "design/case/schema.py", "design/paper/errata_effects.py", "design/paper/errata.py",
-    "design/paper/model.py", "design/paper/nodes.py", "design/quantities.py",
-    "design/verify/judging.py", "sim/scenario/schema_design.py",
+    "control/structures.py",
+    "design/case/basis.py",
+    "design/case/schema.py",
+    "design/paper/errata_effects.py",
+    "design/paper/errata.py",
+    "design/paper/model.py",
+    "design/paper/nodes.py",
+    "design/quantities.py",
+    "design/verify/judging.py",
+    "sim/scenario/schema_design.py",
     "sim/vehicle/actuator/section.py",
-    "sim/vehicle/air/section.py", "sim/scenario/schema_vehicle.py", "tools/design/analyse.py",
-    "tools/design/report.py", "tools/simdesign.py",
-}  # fmt: skip  # a line each otherwise
+    "sim/vehicle/air/section.py",
+    "sim/scenario/schema_vehicle.py",
+    "tools/design/analyse.py",
+    "tools/design/report.py",
+    "tools/simdesign.py",
+}
 
 
 def _said(file: Path) -> list[str]:

@@ -23,9 +23,8 @@ def run(command, folder):
     """Run a command away from the checkout, with no help from this process's settings."""
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "NUMBA", "VIRTUAL_ENV"))}
     return subprocess.run(
-        [str(part) for part in command],
-        cwd=folder, env=clean, capture_output=True, text=True, check=False,
-    )  # fmt: skip  # four more lines otherwise
+        [str(part) for part in command], cwd=folder, env=clean, capture_output=True, text=True, check=False
+    )
 
 
 def succeed(command, folder):

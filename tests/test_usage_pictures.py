@@ -188,9 +188,14 @@ def test_data_of_a_figure_hold_all_that_is_drawn_and_end_no_script() -> None:
     name = '</script><b>"gain", up'
     panel = Panel(
         "a",
-        [line([0.0, 1.0], [2.0, math.nan], name), band([0.0], [1.0], [3.0], "b"), points([5], [6], runs=[17]),
-         limit(4.0), at(7.0, "then")],
-    )  # fmt: skip  # a line for each series otherwise
+        [
+            line([0.0, 1.0], [2.0, math.nan], name),
+            band([0.0], [1.0], [3.0], "b"),
+            points([5], [6], runs=[17]),
+            limit(4.0),
+            at(7.0, "then"),
+        ],
+    )
     plot = Plot("p", "title", [panel], command="simrun --run {}")
     text = as_json([plot])
     assert "<" not in text
@@ -199,9 +204,13 @@ def test_data_of_a_figure_hold_all_that_is_drawn_and_end_no_script() -> None:
     assert back["panels"][0]["series"][0]["y"] == [2.0, None]
     rows = list(csv.reader(io.StringIO(as_csv(plot))))
     assert rows[1:] == [
-        ["a", name, "0.0", "2.0", "", ""], ["a", name, "1.0", "", "", ""], ["a", "b", "0.0", "1.0", "3.0", ""],
-        ["a", "", "5", "6", "", "17"], ["a", "limit", "", "4.0", "", ""], ["a", "then", "7.0", "", "", ""],
-    ]  # fmt: skip  # a line for each cell otherwise
+        ["a", name, "0.0", "2.0", "", ""],
+        ["a", name, "1.0", "", "", ""],
+        ["a", "b", "0.0", "1.0", "3.0", ""],
+        ["a", "", "5", "6", "", "17"],
+        ["a", "limit", "", "4.0", "", ""],
+        ["a", "then", "7.0", "", "", ""],
+    ]
 
 
 def test_a_thinned_curve_stays_within_a_share_of_its_range() -> None:

@@ -56,12 +56,14 @@ def test_the_sphere_of_the_check_cases_is_none() -> None:
         (["reference.chord_m=140.0"], "vehicle.reference.chord_m = 140 is"),
         (["stage.0.mass.table.mass_kg=[6e7,5e7,4e7]"], "vehicle.stage.0.mass.table.mass_kg = 6e+07 is implausible"),
         (["stage.0.mass.table.x_cg_m=[76.0,7.5,7.2]"], "mass.table.x_cg_m = 76 is implausible; usual: inside"),
-        ([f"stage.0.mass.table.I{axis}_kgm2=[65893e3,60000e3,50000e3]" for axis in ("yy", "zz")],
-         "vehicle.stage.0.mass.table.Iyy_kgm2 = 6.5893e+07 is implausible; usual: at most 3e+05"),
+        (
+            [f"stage.0.mass.table.I{axis}_kgm2=[65893e3,60000e3,50000e3]" for axis in ("yy", "zz")],
+            "vehicle.stage.0.mass.table.Iyy_kgm2 = 6.5893e+07 is implausible; usual: at most 3e+05",
+        ),
         (["stage.0.engine.thrust_factor=100.0"], "engine.table.thrust_vacuum_N = 1.5e+07 is implausible"),
         (["stage.0.engine.thrust_factor=0.1"], "usual: more than the weight of 2.627e+04 N, or it is never"),
     ],
-)  # fmt: skip  # twice as many lines otherwise
+)
 def test_vehicles_that_are_implausible(here: Path, overrides: list[str], says: str) -> None:
     text = load_scenario("ascent.toml").as_flown
     (here / "whole.toml").write_text(text)
@@ -84,11 +86,15 @@ FAST = (
 
 
 SPATIAL_END = {
-    "time_s": [0.0] * 2 + [10.0] * 2, "mode": [1.0] * 4, "frequency_hz": [9.0] * 4, "generalized_mass_kg": [1e3] * 4,
-    "station_m": [0.0, 14.0] * 2, "mass_forward_kg": [0.0, 2600.0] * 2,
+    "time_s": [0.0] * 2 + [10.0] * 2,
+    "mode": [1.0] * 4,
+    "frequency_hz": [9.0] * 4,
+    "generalized_mass_kg": [1e3] * 4,
+    "station_m": [0.0, 14.0] * 2,
+    "mass_forward_kg": [0.0, 2600.0] * 2,
     **{name: [0.0] * 4 for name in ("phi_y", "phi_z", "theta_x_pm", "theta_y_pm", "theta_z_pm")},
     "phi_x": [1.0, -1.0] * 2,
-}  # fmt: skip  # a key a line otherwise
+}
 
 
 @pytest.mark.parametrize(
@@ -121,10 +127,12 @@ def test_tables_that_end_before_the_thrust_are_refused(key: str, change: dict[st
     ("override", "says"),
     [
         ("vehicle.stage.0.engine.throttle=[{time_s=0.0,throttle=5.0}]", r"throttle\[?\.?0.* = 5.*is out of range"),
-        ("fault=[{kind='engine-off',at_s=5.0,tail_off=[{time_s=0.0,share=2.0},{time_s=1.0,share=0.0}]}]",
-         "share.* = 2.*is more than there was"),
+        (
+            "fault=[{kind='engine-off',at_s=5.0,tail_off=[{time_s=0.0,share=2.0},{time_s=1.0,share=0.0}]}]",
+            "share.* = 2.*is more than there was",
+        ),
     ],
-)  # fmt: skip  # twice as many lines otherwise
+)
 def test_more_than_an_engine_has_is_refused(override: str, says: str) -> None:
     with pytest.raises(ScenarioError, match=says):
         load_scenario("nominal", [override])
@@ -152,11 +160,13 @@ def test_a_vehicle_from_a_layout_is_warned_of_only_for_its_sample_rate(from_layo
         (lambda stage: engines(stage, gimbal_station_m=2.0), "gimbal_station_m = 2 .* turns the wrong way"),
         (lambda stage: stage["aero"].update(centre_shift_m=-30.0), "aero.surface = .* a centre of pressure near"),
         (lambda stage: engines(stage, thrust_factor=0.15), r"angle_limit_deg = 6 .* \|M_alpha\| / M_delta takes"),
-        (lambda stage: [tank.update(damping_ratio=0.002) for tank in stage["tank"]],
-         "damping_ratio = 0.002 .* between centre of percussion and CG"),
+        (
+            lambda stage: [tank.update(damping_ratio=0.002) for tank in stage["tank"]],
+            "damping_ratio = 0.002 .* between centre of percussion and CG",
+        ),
         (lambda stage: scaled(stage["bending"]["pitch"], 10.0, "frequency_hz"), "sample_s = 0.01 .* Hz and aliases"),
     ],
-)  # fmt: skip  # three times as many lines otherwise
+)
 def test_broken_copies_of_both_vehicles(
     vehicle: str, break_it: Callable[[Any], Any], says: str, from_layout: Path, tmp_path: Path
 ) -> None:
@@ -219,7 +229,7 @@ key = "{key}"
         ("vehicle.stage.0.engine.gimbal_station_m", 'apply = "add"\ndistribution = "normal"\nsigma = 9.0', True),
         ("site.azimuth_deg", 'apply = "add"\ndistribution = "normal"\nsigma = 50.0', False),  # an angle
     ],
-)  # fmt: skip  # more lines otherwise
+)
 def test_dispersions_that_turn_a_sign(here: Path, key: str, rest: str, warned_of: bool) -> None:
     (here / "campaign.toml").write_text(DISPERSED.format(key=key, rest=rest))
     found = implausible(maxq.load("campaign.toml").warnings)

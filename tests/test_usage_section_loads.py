@@ -52,11 +52,23 @@ def test_names_agree_across_layers() -> None:
 SPATIAL = {
     "damping_ratio": [0.01],
     "table": [
-        {"time_s": 0.0, "mode": 1, "frequency_hz": 9.0, "generalized_mass_kg": 1000.0, "station_m": x, "phi_x": 0.0,
-         "phi_y": 0.0, "phi_z": 1.0 - x, "theta_x_pm": 0.0, "theta_y_pm": -1.0, "theta_z_pm": 0.0, "mass_forward_kg": x}
+        {
+            "time_s": 0.0,
+            "mode": 1,
+            "frequency_hz": 9.0,
+            "generalized_mass_kg": 1000.0,
+            "station_m": x,
+            "phi_x": 0.0,
+            "phi_y": 0.0,
+            "phi_z": 1.0 - x,
+            "theta_x_pm": 0.0,
+            "theta_y_pm": -1.0,
+            "theta_z_pm": 0.0,
+            "mass_forward_kg": x,
+        }
         for x in (0.0, 14.0)
     ],
-}  # fmt: skip  # a key a line otherwise
+}
 
 
 def test_section_loads_of_spatial_modes_are_evaluated() -> None:
@@ -147,9 +159,11 @@ def flights() -> tuple[Flight, Flight, Flight]:
     """KSR-III for 15 s: without section loads, with them, and with them and a log."""
     changes = ["run.duration_s=15.0", "log.slow_hz=500"]
     on = [*changes, "switches.section_loads=true"]
-    return fly(load_scenario("nominal", changes), log=False), fly(load_scenario("nominal", on), log=False), fly(
-        load_scenario("nominal", on)
-    )  # fmt: skip  # three flights
+    return (
+        fly(load_scenario("nominal", changes), log=False),
+        fly(load_scenario("nominal", on), log=False),
+        fly(load_scenario("nominal", on)),
+    )
 
 
 @pytest.mark.slow

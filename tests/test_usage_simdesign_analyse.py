@@ -239,9 +239,13 @@ def test_the_list_names_designs(capsys: Printed) -> None:
 def test_a_design_that_is_written_reads_back_the_same_and_flies_the_same() -> None:
     design = default_design()
     again = design_file.design_of(
-        name=design.name, description=design.description, vehicle=design.vehicle,
-        law=designed_law(design), roll=design.roll, basis=design.basis,
-    )  # fmt: skip  # four more lines otherwise
+        name=design.name,
+        description=design.description,
+        vehicle=design.vehicle,
+        law=designed_law(design),
+        roll=design.roll,
+        basis=design.basis,
+    )
     assert again == design
     write_whole(Path("again.toml"), design_file.design_text(again, ["a comment", "and one more"]))
     assert Path("again.toml").read_text().startswith("# a comment\n# and one more\nschema = 2\n")

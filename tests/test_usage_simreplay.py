@@ -91,9 +91,21 @@ def test_the_standard_set_has_every_subject_as_svg_and_png(capsys: Printed) -> N
     printed = capsys.readouterr().out.split()
     names = sorted({Path(name).stem for name in printed})
     assert [name.split("-", 1)[1] for name in names] == [
-        "trajectory", "air", "attitude", "gimbal", "bending", "slosh", "computer", "loads", "vehicle",
-        "path", "altitude", "phase-plane", "spectra", "requirements",
-    ]  # fmt: skip  # twelve more lines otherwise
+        "trajectory",
+        "air",
+        "attitude",
+        "gimbal",
+        "bending",
+        "slosh",
+        "computer",
+        "loads",
+        "vehicle",
+        "path",
+        "altitude",
+        "phase-plane",
+        "spectra",
+        "requirements",
+    ]
     for name in names:
         picture = np.asarray(Image.open(f"sheets/{name}.png").convert("L"), float)
         assert picture.std() > 5.0, f"{name} is blank"

@@ -13,8 +13,13 @@ from maxq.tools import simdesign, simreplay, simrun, simvehicle, simverify
 
 Printed = pytest.CaptureFixture[str]
 ROOT = Path(__file__).parents[1]
-COMMANDS = {"simrun": simrun, "simdesign": simdesign, "simreplay": simreplay, "simverify": simverify,
-            "simvehicle": simvehicle}  # fmt: skip  # more lines otherwise
+COMMANDS = {
+    "simrun": simrun,
+    "simdesign": simdesign,
+    "simreplay": simreplay,
+    "simverify": simverify,
+    "simvehicle": simvehicle,
+}
 
 
 def test_a_scenario_is_flown_by_fly_and_a_campaign_by_campaign(capsys: Printed) -> None:

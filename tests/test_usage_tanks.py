@@ -13,9 +13,14 @@ from maxq.sim.run.fly import logged_channels
 from maxq.tools.replay.vehicle_shape import shape_of
 
 SPHERE: Tree = {
-    "name": "lox", "shape": "sphere", "radius_m": 0.6, "bottom_station_m": 8.0, "density_kgpm3": 1141.0,
-    "damping_ratio": 0.01, "table": {"time_s": [0.0, 60.0], "liquid_mass_kg": [900.0, 50.0]},
-}  # fmt: skip  # one line each otherwise
+    "name": "lox",
+    "shape": "sphere",
+    "radius_m": 0.6,
+    "bottom_station_m": 8.0,
+    "density_kgpm3": 1141.0,
+    "damping_ratio": 0.01,
+    "table": {"time_s": [0.0, 60.0], "liquid_mass_kg": [900.0, 50.0]},
+}
 
 
 def scenario(*tanks: Tree) -> Tree:

@@ -145,11 +145,19 @@ def test_a_pipe_gets_whole_lines_unless_columns_are_given(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (49820.6, "49820"), (1341719.0, "1342000"), (852.139, "852.1"), (0.00630254, "0.006303"),
-        (-1.31316e-07, "0"), (0.0, "0"),
-        (-4.25, "-4.25"), (float("nan"), "-"), (float("inf"), "inf"), (3.6e9, "3.6e+09"), (2.5e-5, "2.5e-05"),
+        (49820.6, "49820"),
+        (1341719.0, "1342000"),
+        (852.139, "852.1"),
+        (0.00630254, "0.006303"),
+        (-1.31316e-07, "0"),
+        (0.0, "0"),
+        (-4.25, "-4.25"),
+        (float("nan"), "-"),
+        (float("inf"), "inf"),
+        (3.6e9, "3.6e+09"),
+        (2.5e-5, "2.5e-05"),
     ],
-)  # fmt: skip  # ten more lines otherwise
+)
 def test_four_significant_digits(value: float, text: str) -> None:
     assert figures(value) == text
 

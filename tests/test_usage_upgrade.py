@@ -240,7 +240,7 @@ MISTAKES = {
     ),
     "of another kind": ("[reference]\nlength_m = 2.0\n", "none.toml: is of no kind with an earlier version; allowed: "),
     "base that is not there": ('extends = "nowhere"\n[limits]\n', 'none.toml: extends = "nowhere": no such file'),
-}  # fmt: skip  # as short as it goes
+}
 
 
 @pytest.mark.parametrize(("text", "said"), MISTAKES.values(), ids=MISTAKES)

@@ -265,14 +265,26 @@ class Known:
 
 
 NOMINAL_MARKS = {
-    "sample_s": 0.01, "longer_s": 0.005, "gimbal_limit_deg": 6.0, "gimbal_rate_limit_degps": 30.0, "burnout_s": 59.0,
-    **{f"{name}_{unit}": value for name in ("before_max_q", "max_q", "after_max_q") for unit, value in
-       (("s", 40.0), ("altitude_m", 9500.0), ("mode_1_gust_m", 46.0), ("slosh_gust_m", 322.0))},
-}  # fmt: skip  # several more lines otherwise
+    "sample_s": 0.01,
+    "longer_s": 0.005,
+    "gimbal_limit_deg": 6.0,
+    "gimbal_rate_limit_degps": 30.0,
+    "burnout_s": 59.0,
+    **{
+        f"{name}_{unit}": value
+        for name in ("before_max_q", "max_q", "after_max_q")
+        for unit, value in (("s", 40.0), ("altitude_m", 9500.0), ("mode_1_gust_m", 46.0), ("slosh_gust_m", 322.0))
+    },
+}
 STAGE_MARKS = {
-    "stage": 0, "ignition_s": 0.1, "stage_burnout_s": 59.0, "early_s": 12.0, "late_s": 45.0, "strongest_s": 40.0,
+    "stage": 0,
+    "ignition_s": 0.1,
+    "stage_burnout_s": 59.0,
+    "early_s": 12.0,
+    "late_s": 45.0,
+    "strongest_s": 40.0,
     "gimbal_moment_Nm": 1e4,
-}  # fmt: skip  # three more lines otherwise
+}
 
 
 def _fitted(name: str | Path, scenario: str | Path, *stages: dict[str, Any]):
@@ -399,10 +411,21 @@ def test_a_wrong_mark_is_named(flight: str, said: str, tmp_path: Path) -> None:
 def test_vehicles_deviate_by_the_starter_set_unless_a_suite_says_otherwise() -> None:
     """Three sigma: of modes 1, 2 and all beyond, of every tank, of actuator, thrust, air and inertia."""
     assert Spread().model_dump() == {
-        "bending_frequency": (0.05, 0.10, 0.15), "bending_slope": 0.2, "bending_damping": 0.5, "slosh_frequency": 0.05,
-        "slosh_mass": 0.10, "slosh_damping": 0.5, "actuator_frequency": 0.15, "delay_s": 0.002, "thrust": 0.03,
-        "normal_force": 0.15, "centre_of_pressure_m": 0.25, "inertia": 0.05, "correlated": (), "campaign": None,
-    }  # fmt: skip  # eight more lines otherwise
+        "bending_frequency": (0.05, 0.10, 0.15),
+        "bending_slope": 0.2,
+        "bending_damping": 0.5,
+        "slosh_frequency": 0.05,
+        "slosh_mass": 0.10,
+        "slosh_damping": 0.5,
+        "actuator_frequency": 0.15,
+        "delay_s": 0.002,
+        "thrust": 0.03,
+        "normal_force": 0.15,
+        "centre_of_pressure_m": 0.25,
+        "inertia": 0.05,
+        "correlated": (),
+        "campaign": None,
+    }
 
 
 def test_a_suite_that_asks_for_little_is_a_screening(suite: Path) -> None:
@@ -436,8 +459,11 @@ def test_designs_that_are_picked_from_share_the_risk_and_have_their_own_draws() 
     found = [shared_risk(loaded, campaigns, 4, number) for number in range(4)]
     assert found[0] == ["margins.confidence=0.975", "campaign.0.confidence=0.975"]
     assert found[2] == [
-        "margins.confidence=0.975", "margins.seed=3", "campaign.0.confidence=0.975", "campaign.0.seed=20021130",
-    ]  # fmt: skip  # five more lines otherwise
+        "margins.confidence=0.975",
+        "margins.seed=3",
+        "campaign.0.confidence=0.975",
+        "campaign.0.seed=20021130",
+    ]
     changed = read_suite("standard", found[2])
     wanted = campaigns_of(changed, "designs/ksr3-robust.toml")[0]
     assert (wanted.confidence, wanted.seed, wanted.runs) == (0.975, 20021130, 1200)
@@ -546,9 +572,14 @@ def test_a_campaign_s_requirement_names_its_worst_run() -> None:
     shown = SimpleNamespace(failures=4, runs=60, judgement="", more=0)
     verdict = SimpleNamespace(kind="limit", bound=8.0, metric="m_deg", name="m", worst=worst, shown=shown)
     result = SimpleNamespace(
-        success=0.99, confidence=0.9, name="c", folder=Path("c"), first_lost=None, availability=None,
+        success=0.99,
+        confidence=0.9,
+        name="c",
+        folder=Path("c"),
+        first_lost=None,
+        availability=None,
         verdicts=(verdict, SimpleNamespace(**{**vars(verdict), "worst": worst[:1]})),
-    )  # fmt: skip  # three more lines otherwise
+    )
     for row in campaign_requirements(result):
         assert row.found == "4 of 60 failed, worst 9"
         assert (row.where, row.again) == ("run 41", "simrun refly c --run 41")
@@ -613,9 +644,15 @@ def test_an_entry_with_any_bit_flipped_or_of_another_making_is_made_anew(tmp_pat
         flipped[k // 8] ^= 1 << k % 8
         bad.append(bytes(flipped))
     for content in (
-        "{}", "[", '{"maxq.nosuch:X": {}}', '{"maxq.design.model.dispersion:Dispersion": {}}', '{"path": []}',
-        '{"array": ["<f8", [2], "AAAA"]}', '{"mapping": 3}', "[" * 100_000,
-    ):  # fmt: skip  # six more lines otherwise
+        "{}",
+        "[",
+        '{"maxq.nosuch:X": {}}',
+        '{"maxq.design.model.dispersion:Dispersion": {}}',
+        '{"path": []}',
+        '{"array": ["<f8", [2], "AAAA"]}',
+        '{"mapping": 3}',
+        "[" * 100_000,
+    ):
         rest = key + b"\n" + content.encode()
         bad.append(hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest)
     for damaged in bad:

@@ -66,9 +66,12 @@ def without_viewer(code: str, folder: Path, *words: str) -> subprocess.Completed
     """Run Python code in `folder` as if rerun-sdk, and what comes with it alone, were not installed."""
     return subprocess.run(
         [sys.executable, "-c", HIDE + code, *words],
-        cwd=folder, env=os.environ,  # without COLUMNS, which readline sets below Python
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip  # four more lines otherwise
+        cwd=folder,
+        env=os.environ,  # without COLUMNS, which readline sets below Python
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def test_only_the_replay_imports_the_viewer(tmp_path: Path) -> None:

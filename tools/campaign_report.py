@@ -229,13 +229,19 @@ def write_report(
     inputs = analysis.inputs_of(sample) if len(data.runs) else {}
     found = [(v, analysis.drivers(sample, v.metric, inputs)) for v in nearest_limits(verdicts)]
     over_time = analysis.bands(data.folder, data.campaign)
-    summary = analysis.summary_of(data, verdicts, losses, total, {
-        "sequential": settled,
-        "drivers": {v.name: ds[:_NAMED] for v, ds in found},
-        "tails": {v.name: {k: x for k, x in vars(tail).items() if not isinstance(x, tuple)} for v, tail in tails},
-        "availability": [{**vars(m), "share": m.share} for m in availability(data)],
-        "envelopes": [_numbers(band) for band in over_time],
-    })  # fmt: skip  # six more lines otherwise
+    summary = analysis.summary_of(
+        data,
+        verdicts,
+        losses,
+        total,
+        {
+            "sequential": settled,
+            "drivers": {v.name: ds[:_NAMED] for v, ds in found},
+            "tails": {v.name: {k: x for k, x in vars(tail).items() if not isinstance(x, tuple)} for v, tail in tails},
+            "availability": [{**vars(m), "share": m.share} for m in availability(data)],
+            "envelopes": [_numbers(band) for band in over_time],
+        },
+    )
     files = [data.folder / "summary.json"]
     write_json(files[0], summary)
     if not pictures:
@@ -248,14 +254,28 @@ def write_report(
         files.append(write_whole(data.folder / "figures" / f"{plot.name}.csv", as_csv(plot), CampaignError))
     judgements = {v.shown.judgement for v in verdicts}
     page = render(
-        "campaign.html.j2", drawn, data=data, verdicts=verdicts, losses=losses, found=found, settled=settled,
-        labels=labels, distribution=distribution, requirements=requirement_rows(data, verdicts),
-        tails=tail_rows(tails), tail_note=TAIL_NOTE, months=month_rows(availability(data)), replay=replay,
+        "campaign.html.j2",
+        drawn,
+        data=data,
+        verdicts=verdicts,
+        losses=losses,
+        found=found,
+        settled=settled,
+        labels=labels,
+        distribution=distribution,
+        requirements=requirement_rows(data, verdicts),
+        tails=tail_rows(tails),
+        tail_note=TAIL_NOTE,
+        months=month_rows(availability(data)),
+        replay=replay,
         simulator=read_manifest(data.folder)["simulator"],
-        headline=headline(data, verdicts), vehicle=base.vehicle.name, design=base.design.name if base.design else "",
-        tested=how_judged(data, verdicts), redraws=analysis.redraws(data),
+        headline=headline(data, verdicts),
+        vehicle=base.vehicle.name,
+        design=base.design.name if base.design else "",
+        tested=how_judged(data, verdicts),
+        redraws=analysis.redraws(data),
         tone="bad" if NOT_MET in judgements else "good" if judgements == {MET} and len(data.runs) else "open",
-    )  # fmt: skip  # ten more lines otherwise
+    )
     files.append(write_whole(data.folder / "report.html", page, CampaignError))
     return files
 

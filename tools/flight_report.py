@@ -13,10 +13,21 @@ from maxq.sim.run.metrics import Verdict
 from maxq.tools.cli.terminal import aligned, printable
 
 _FINAL = (
-    "altitude_m", "speed_mps", "yaw_deg", "pitch_deg", "roll_deg", "alpha_total_deg", "dynamic_pressure_Pa",
-    "body_roll_rate_degps", "body_pitch_rate_degps", "body_yaw_rate_degps", "gimbal_pitch_angle_deg",
-    "gimbal_yaw_angle_deg", "bend_pitch_gimbal_m", "bend_yaw_gimbal_m",
-)  # fmt: skip  # eleven more lines otherwise
+    "altitude_m",
+    "speed_mps",
+    "yaw_deg",
+    "pitch_deg",
+    "roll_deg",
+    "alpha_total_deg",
+    "dynamic_pressure_Pa",
+    "body_roll_rate_degps",
+    "body_pitch_rate_degps",
+    "body_yaw_rate_degps",
+    "gimbal_pitch_angle_deg",
+    "gimbal_yaw_angle_deg",
+    "bend_pitch_gimbal_m",
+    "bend_yaw_gimbal_m",
+)
 """State shown of a flight that failed; summary.json has all of it."""
 
 

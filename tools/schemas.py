@@ -23,9 +23,14 @@ class DesignFile(Design):
 
 
 MODELS: dict[str, type[Section]] = {
-    "scenario": Scenario, "vehicle": Vehicle, "design": DesignFile, "campaign": CampaignFile, "case": Case,
-    "suite": Suite, "layout": Layout,
-}  # fmt: skip  # five more lines otherwise
+    "scenario": Scenario,
+    "vehicle": Vehicle,
+    "design": DesignFile,
+    "campaign": CampaignFile,
+    "case": Case,
+    "suite": Suite,
+    "layout": Layout,
+}
 KINDS = tuple(MODELS)
 _EXTENDS = {"type": "string", "description": "file on top of which this one lies"}
 _UNSET = {"type": "array", "items": {"type": "string"}, "description": "keys of the extended file to remove"}

@@ -63,9 +63,14 @@ def fly_campaign(
         try:
             with Progress(_LINE_S) as progress:
                 outcome = run_campaign(
-                    loaded, folder, workers=workers, cluster=dask, watch=text.watcher(progress), stop=stop,
+                    loaded,
+                    folder,
+                    workers=workers,
+                    cluster=dask,
+                    watch=text.watcher(progress),
+                    stop=stop,
                     until_settled=until_settled,
-                )  # fmt: skip  # five more lines otherwise
+                )
         except KeyboardInterrupt:
             say("simrun", "interrupted twice; whole batches are safe, the same command resumes the campaign")
             return Exit.INTERRUPTED
@@ -176,10 +181,13 @@ def shrink(folder: str, run: int, *, workers: int | None = None) -> int:
     with Interruption(), Progress() as progress:
         try:
             found = shrink_run(
-                campaign, run, workers=workers or cores(), watch=lambda left, flights: progress.show(
+                campaign,
+                run,
+                workers=workers or cores(),
+                watch=lambda left, flights: progress.show(
                     "reducing", count - left, count, f"{left} dispersions left, {flights} flights"
                 ),
-            )  # fmt: skip  # two more lines otherwise
+            )
         except Refused as refused:
             raise CampaignError(f"run {run} of {place} has no scenario: {refused}") from None
     if found is None:
@@ -219,9 +227,15 @@ def search(folder: str, metric: str, *, runs: int = _SEARCH_FLIGHTS, workers: in
     start = None if at is None else int(data.runs[at])
     with Interruption() as stop, Progress() as progress:
         found = search_worst(
-            campaign, metric, largest=largest, flights=most, start=start, workers=workers or cores(), stop=stop,
+            campaign,
+            metric,
+            largest=largest,
+            flights=most,
+            start=start,
+            workers=workers or cores(),
+            stop=stop,
             watch=lambda best, flown: progress.show("searching", flown, most, f"worst {figures(best)}"),
-        )  # fmt: skip  # six more lines otherwise
+        )
     path = place / "worst" / f"{metric}.toml"
     write_whole(path, found.scenario.as_flown, CampaignError)
     unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
@@ -255,11 +269,17 @@ def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | 
     largest, most = kind == "limit", runs or _RARE_FLIGHTS
     with Interruption() as stop, Progress() as progress:
         found = rare_failure(
-            campaign, metric, limit, largest=largest, flights=most, workers=workers or cores(), stop=stop,
+            campaign,
+            metric,
+            limit,
+            largest=largest,
+            flights=most,
+            workers=workers or cores(),
+            stop=stop,
             watch=lambda number, level, flights: progress.show(
                 "sampling", min(flights, most), most, f"population {number + 1}, level {level}"
             ),
-        )  # fmt: skip  # five more lines otherwise
+        )
     unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
     level, allowed = 100.0 * campaign.campaign.confidence, 1.0 - campaign.campaign.success
     tell(f"P({metric} {'>' if largest else '<'} {limit:g}{unit}) = {found.probability:.2g}")

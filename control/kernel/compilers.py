@@ -182,10 +182,17 @@ class _AdaptedNumba:
 adapted_numba = _AdaptedNumba()
 
 _PASSES = (
-    TranslateByteCode, FixupArgs, IRProcessing, GenericRewrites, ReconstructSSA,
-    NopythonTypeInference, PreLowerStripPhis,
-    IRLegalization, NativeLowering, NoPythonBackend,
-)  # fmt: skip  # untyped, typed, lowering
+    TranslateByteCode,
+    FixupArgs,
+    IRProcessing,
+    GenericRewrites,
+    ReconstructSSA,
+    NopythonTypeInference,
+    PreLowerStripPhis,
+    IRLegalization,
+    NativeLowering,
+    NoPythonBackend,
+)
 """Numba's, without those for what kernels have not: closures, `with`, exceptions, array expressions, parallel loops,
 inlining on this level."""
 
@@ -285,10 +292,21 @@ class BesideCompiler(DisjointCompiler):
         known = (*map(str, state.args), *state.targetctx.codegen().magic_tuple(), numba.__version__)
         number = hashlib.sha256(repr(known).encode()).hexdigest()[:16] if self.is_kept else secrets.token_hex(8)
         described = FunctionDescriptor(
-            True, function.modname, function.func_qualname, function.func_qualname, "", {}, types.none, {},
-            function.arg_names, (), mangler=state.targetctx.mangler, argtypes=tuple(state.args),
-            noalias=True, abi_tags=[state.flags.get_mangle_string(), number],
-        )  # fmt: skip  # a line each otherwise
+            True,
+            function.modname,
+            function.func_qualname,
+            function.func_qualname,
+            "",
+            {},
+            types.none,
+            {},
+            function.arg_names,
+            (),
+            mangler=state.targetctx.mangler,
+            argtypes=tuple(state.args),
+            noalias=True,
+            abi_tags=[state.flags.get_mangle_string(), number],
+        )
         try:
             library = _LateCode(self, state.targetctx.codegen(), described.llvm_func_name)
         except OSError:  # no further process, or no pipe, to be had
@@ -296,9 +314,14 @@ class BesideCompiler(DisjointCompiler):
         compiled = object()
         state.targetctx.insert_user_function(compiled, described, [library])
         return compile_result(
-            typing_context=state.typingctx, target_context=state.targetctx, entry_point=compiled, library=library,
-            signature=signature(types.none, *state.args), objectmode=False, fndesc=described,
-        )  # fmt: skip  # a line each otherwise
+            typing_context=state.typingctx,
+            target_context=state.targetctx,
+            entry_point=compiled,
+            library=library,
+            signature=signature(types.none, *state.args),
+            objectmode=False,
+            fndesc=described,
+        )
 
     @property
     def is_kept(self) -> bool:

@@ -90,11 +90,16 @@ def make_adaptive(
     b = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
     high_pass = [b, -2.0 * b, b, 2.0 * (k * k - 1.0) * b, (1.0 - math.sqrt(2.0) * k + k * k) * b]
     return Adaptive(
-        on=1, least=least_gain, span=most_gain - least_gain, error_gain=error_gain, damper_gain=damper_gain,
-        leakage_ps=leakage_ps, low_pass_share=lag_share(low_pass_hz, sample_s),
+        on=1,
+        least=least_gain,
+        span=most_gain - least_gain,
+        error_gain=error_gain,
+        damper_gain=damper_gain,
+        leakage_ps=leakage_ps,
+        low_pass_share=lag_share(low_pass_hz, sample_s),
         reference=_reference(2.0 * math.pi * reference_hz, reference_zeta, sample_s, with_integral),
         high_pass=np.array([high_pass]),
-    )  # fmt: skip  # six lines more otherwise
+    )
 
 
 def _reference(omega: float, zeta: float, sample_s: float, with_integral: bool) -> Array:
@@ -121,9 +126,14 @@ def start_adaptive(adaptive: Adaptive, state: AdaptiveState) -> None:
 
 @kernel
 def augmented(
-    adaptive: Adaptive, state: AdaptiveState, error: AttitudeError, commanded_radps: Array, gimbal: int,
-    sample_s: float, law_rad: float,
-) -> float:  # fmt: skip  # nine lines otherwise
+    adaptive: Adaptive,
+    state: AdaptiveState,
+    error: AttitudeError,
+    commanded_radps: Array,
+    gimbal: int,
+    sample_s: float,
+    law_rad: float,
+) -> float:
     """The law's command times the total gain of this sample; `commanded_radps` (3,): rate over the sample."""
     axis = gimbal + 1
     at, step = state.reference[gimbal], adaptive.reference

@@ -64,7 +64,7 @@ def start_load_relief(state: LoadReliefState) -> None:
 @kernel
 def tick_load_relief(
     law: PdRecord, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
-) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> float:
     """As `tick_pd`, the gains' table with three columns an axis. The lag always runs."""
     law_rad, gimbal, sign = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal
     filters.accel_mps2[gimbal] += relief.share * (given.lateral_mps2 - filters.accel_mps2[gimbal])
@@ -79,7 +79,7 @@ def tick_load_relief(
 @kernel
 def tick_incidence_relief(
     law: PdRecord, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
-) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> float:
     """As `tick_load_relief`, the gains' table with five columns an axis."""
     law_rad, gimbal, sign, at = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal, given.at
     if law.gains.n_breaks != 0:

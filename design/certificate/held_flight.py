@@ -120,9 +120,13 @@ def with_ideal_converters(loaded: LoadedScenario) -> LoadedScenario:
 
 
 def hold(
-    loaded: LoadedScenario, node: Node, fault: PackedChange | None = None, *, along_body: bool = False,
+    loaded: LoadedScenario,
+    node: Node,
+    fault: PackedChange | None = None,
+    *,
+    along_body: bool = False,
     rings_by_law: bool = False,
-) -> HeldFlight:  # fmt: skip  # seven lines otherwise
+) -> HeldFlight:
     """Hold the scenario at a node of its flight, in the node's plane; with `along_body` without gravity turn.
 
     Valid under thrust: of several stages the one that burns at the node is held, by itself. Raises ValueError where

@@ -167,14 +167,18 @@ class PdDesign:
         """From a design file."""
         form, filter_ = design.filter, bending_filter(design)
         return PdDesign(
-            *gain_schedules(design.gains), filter_, form.discretization, form.prewarp_hz, design.law,
+            *gain_schedules(design.gains),
+            filter_,
+            form.discretization,
+            form.prewarp_hz,
+            design.law,
             design.blend.axes if design.blend is not None else ((1.0,), (1.0,)),
             design.load_relief.corner_hz if design.load_relief is not None else None,
             tuple(
                 None if f is None else (f.continuous(), f.discretization, f.prewarp_hz)
                 for f in (design.loop_filters.each if design.loop_filters is not None else (None,) * len(BANKS))
             ),
-        )  # fmt: skip  # six more lines otherwise
+        )
 
     @property
     def over(self) -> Over:

@@ -266,9 +266,9 @@ class PdVariables:
         n, axis = self.filter.size, self.axis(self.task.winds[0].x)
         value, by = np.zeros((len(self._of_wind), len(own))), np.zeros((len(self._of_wind), *own.shape))
         first = self._first_of_wind
-        held = np.array([
-            ~np.isnan(self.task.limits[key]) | self.limits[first + k].objective for k, key in enumerate(self._of_wind)
-        ])  # fmt: skip  # as ruff would, but for a line
+        held = np.array(
+            [~np.isnan(self.task.limits[key]) | self.limits[first + k].objective for k, key in enumerate(self._of_wind)]
+        )
         for plant in np.flatnonzero(held.any(axis=0)):
             wind = self.task.winds[int(plant)]
             mine = np.broadcast_to(own[plant], (len(axis[0]), self.own_size))

@@ -40,10 +40,13 @@ class PlantLimits:
     def __getitem__(self, name: str | float) -> Array:
         if name not in self._columns:
             values = [limit_of(limits, name) for limits in self._each]
-            self._columns[name] = np.array([
-                math.nan if value is None else at_time(value, time_s)
-                for value, time_s in zip(values, self._times_s, strict=True)
-            ], float)  # fmt: skip  # two more lines otherwise
+            self._columns[name] = np.array(
+                [
+                    math.nan if value is None else at_time(value, time_s)
+                    for value, time_s in zip(values, self._times_s, strict=True)
+                ],
+                float,
+            )
         return self._columns[name]
 
     def asked(self, name: str | float) -> bool:

@@ -388,9 +388,7 @@ def delayed(path: StateSpace, output: int, samples: int) -> StateSpace:
     return StateSpace(a, b, c, path.d, states, path.inputs, path.outputs)
 
 
-def fixed_path(
-    node: Node, kind: LoopKind = "sampled", cut: Cut = "gimbal_command", senses: bool = False
-) -> FixedPath:  # fmt: skip  # as ruff would, but for a line of one bracket
+def fixed_path(node: Node, kind: LoopKind = "sampled", cut: Cut = "gimbal_command", senses: bool = False) -> FixedPath:
     """The fixed path of a node; `senses`: with further sensors. Raises ValueError for an unknown kind or cut."""
     kinds = {one.kind: one for one in (SampledFixedPath, PadeFixedPath, ExactFixedPath)}
     if kind not in kinds:

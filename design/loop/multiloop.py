@@ -212,9 +212,13 @@ def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
             sensed.append((name, late))
     counted = [model.states.index(name) for name in integrals]
     plant = StateSpace(
-        model.a[np.ix_(kept, kept)], model.b[kept] @ matrix[:, : len(axes)],
+        model.a[np.ix_(kept, kept)],
+        model.b[kept] @ matrix[:, : len(axes)],
         np.array(signs)[:, None] * model.a[np.ix_(counted, kept)],
-        np.zeros((len(counted), len(axes))), tuple(model.states[k] for k in kept), axes, tuple(integrals),
-    )  # fmt: skip  # four more lines otherwise
+        np.zeros((len(counted), len(axes))),
+        tuple(model.states[k] for k in kept),
+        axes,
+        tuple(integrals),
+    )
     path = sample(channels(plant, tuple(integrals)), t, 1e-9 * int(row.computer.delay_ns))
     return Multiloop(time_s, axes, path, laws, tuple(sensed), plant)

@@ -63,7 +63,7 @@ def attribution(part: complex) -> float:
 @formula
 def peak_band(
     centre_hz: float, half_width_hz: float, part: complex, gap_hz: float, top_hz: float
-) -> tuple[float, float]:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> tuple[float, float]:
     """Return the frequencies (Hz) between which the peak of a mode lies; the same one twice for a single point.
 
     The rest is taken as constant over the band. `gap_hz`: distance to the nearest other mode; `top_hz`: the loop's end.

@@ -38,9 +38,14 @@ class Rational:
         states = tuple(f"{self.name}_{k + 1}" for k in range(n))
         b = np.eye(n)[:, -1:]
         return StateSpace(
-            a / self.tau_s, b / self.tau_s, c[None], np.array([[through]]), states, (f"{self.name}_in",),
+            a / self.tau_s,
+            b / self.tau_s,
+            c[None],
+            np.array([[through]]),
+            states,
+            (f"{self.name}_in",),
             (f"{self.name}_out",),
-        )  # fmt: skip  # five more lines otherwise
+        )
 
 
 def converter_pade(tau_s: float) -> Rational:

@@ -51,7 +51,8 @@ def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, 
     load = math.degrees(node.condition.dynamic_pressure_Pa / speed)
     cuts = range(theta + 1, theta + 1 + len(stations_m))
     return WindResponse(
-        x=x, stations_m=stations_m,
+        x=x,
+        stations_m=stations_m,
         weights=spectrum.weights(speed),
         paths=np.stack([path.response(f) * path.ratio(name, f) for name in path.measurements], axis=1),
         measured=np.stack(measured, axis=1),
@@ -59,4 +60,4 @@ def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, 
         by_wind=np.stack(
             [load * (way[:, w, -1] - 1.0), way[:, w, -1] - speed * way[:, theta, -1], *(way[:, k, -1] for k in cuts)]
         ),
-    )  # fmt: skip  # two more lines otherwise
+    )

@@ -123,7 +123,7 @@ def _point(hz: float, period_s: float) -> complex:
 @kernel
 def _range_of(
     first: float, last: float, low: float, high: float, places: Array, values: Array, j: int
-) -> tuple[float, float]:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> tuple[float, float]:
     """Return the least and greatest value of a factor's derivative from its values at both ends and at its extremes."""
     least, most = min(first, last), max(first, last)
     for k in range(len(places)):

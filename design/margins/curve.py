@@ -318,9 +318,7 @@ def course(kind: int, loop: ComplexArray) -> Array:
 
 
 @routine
-def with_extremes(
-    f: Array, loop: ComplexArray, distances: int, source: LoopResponse
-) -> tuple[Array, ComplexArray]:  # fmt: skip  # as ruff would, but for a line of one bracket
+def with_extremes(f: Array, loop: ComplexArray, distances: int, source: LoopResponse) -> tuple[Array, ComplexArray]:
     """Return the curve with its turning points solved for and added.
 
     They are the minima of the first `distances` of |1 + L|, |1 + 1/L| and |1 + L|/|1 - L| that may be the least of all,

@@ -94,7 +94,7 @@ class ManyLoops:
 
     def _measure(
         self, by: Dispersion, peak_db: float, node: Node, distances: bool, values: NDArray[np.void], status: IntArray
-    ) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+    ) -> None:
         period = self.node.instruments.sample_s
         delay = np.broadcast_to(np.maximum(node.instruments.delay_s + by.delay_s, 0.0), status.shape)
         poles, residues, owner, own_part, good = self._modes(node, by, delay)
@@ -108,11 +108,24 @@ class ManyLoops:
             which = (whole == periods) & ((rest > 0.0) == bool(rests))
             found, stated = values[which], status[which]
             many.measure_many(
-                poles[which], residues[which], owner[which], own_part[which], period, whole[which], rest[which],
-                zeros, law_poles, gain, np.asarray(self.law.poles()).astype(np.complex128),
+                poles[which],
+                residues[which],
+                owner[which],
+                own_part[which],
+                period,
+                whole[which],
+                rest[which],
+                zeros,
+                law_poles,
+                gain,
+                np.asarray(self.law.poles()).astype(np.complex128),
                 not self._nominal.fixed.rests_at_dc,
-                self._start(periods, bool(rests)), peak_db, distances, found, stated,
-            )  # fmt: skip  # fifteen lines otherwise
+                self._start(periods, bool(rests)),
+                peak_db,
+                distances,
+                found,
+                stated,
+            )
             values[which], status[which] = found, stated
 
     def _start(self, periods: int, rests: bool) -> ComplexArray:
@@ -252,9 +265,7 @@ def _pair_of(omega: Array | float, zeta: Array | float, n: int) -> tuple[Complex
     return at, np.stack([square[..., 0] if np.ndim(square) else square] * 2, -1) / (at - at[:, ::-1])
 
 
-def _owners(
-    code: IntArray, member: Array, poles: ComplexArray, vectors: ComplexArray, left: ComplexArray
-) -> IntArray:  # fmt: skip  # as ruff would, but for a line of one bracket
+def _owners(code: IntArray, member: Array, poles: ComplexArray, vectors: ComplexArray, left: ComplexArray) -> IntArray:
     """Return the mode (+) or tank (-) that each pole belongs to, as `resonance.vehicle_poles`, (vehicles, poles).
 
     `code` of each owner, and its `member` states, (owners, states).

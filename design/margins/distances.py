@@ -146,9 +146,7 @@ def as_rows(zones: tuple[Zone, ...]) -> Array:
 
 
 @routine
-def find_clearances(
-    t: Trace, every: Crossings, zones: Array, source: LoopResponse
-) -> tuple[Array, ComplexArray]:  # fmt: skip  # as ruff would, but for a line of one bracket
+def find_clearances(t: Trace, every: Crossings, zones: Array, source: LoopResponse) -> tuple[Array, ComplexArray]:
     """Return the least clearance of every zone and its frequency, (zones, 2), and L there, (zones,).
 
     `t` must hold its crossings. Kinks of the clearance lie on crossings and diagonals.

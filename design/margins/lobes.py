@@ -74,9 +74,20 @@ class Lobe:
 
 
 COLUMNS = (
-    "low_hz", "high_hz", "peak_db", "peak_hz", "peak_phase_deg", "gain_stabilised", "gain_up_db", "gain_down_db",
-    "lag_deg", "lead_deg", "modulus", "contribution", "number",
-)  # fmt: skip  # one line for each otherwise
+    "low_hz",
+    "high_hz",
+    "peak_db",
+    "peak_hz",
+    "peak_phase_deg",
+    "gain_stabilised",
+    "gain_up_db",
+    "gain_down_db",
+    "lag_deg",
+    "lead_deg",
+    "modulus",
+    "contribution",
+    "number",
+)
 """The columns of a table of lobes; `number`: of the pole."""
 (LOW, HIGH, PEAK_DB, PEAK_HZ, PEAK_PHASE, GAIN_STABILISED, UP, DOWN, LAG, LEAD, MODULUS, CONTRIBUTION, NUMBER) = range(
     len(COLUMNS)
@@ -104,9 +115,16 @@ def lightly_damped(open_poles: ComplexArray, lowest_radps: float) -> list[Resona
 
 @routine
 def find_lobes(
-    t: Trace, every: Crossings, centre: Array, width: Array, part: ComplexArray, least_share: float, limit_db: float,
-    on_axis: Array, source: LoopResponse,
-) -> Array:  # fmt: skip  # one line for each otherwise
+    t: Trace,
+    every: Crossings,
+    centre: Array,
+    width: Array,
+    part: ComplexArray,
+    least_share: float,
+    limit_db: float,
+    on_axis: Array,
+    source: LoopResponse,
+) -> Array:
     """Return the lobes of resonances at `centre` Hz with these half widths and own parts, (lobes, COLUMNS).
 
     Poles whose share of L is below `least_share` make none. `part`: NaN for what is no bending mode. `on_axis`:
@@ -155,7 +173,7 @@ def find_lobes(
 @routine
 def _strengths(
     t: Trace, centre: Array, width: Array, part: ComplexArray, on_axis: Array, source: LoopResponse
-) -> tuple[ComplexArray, Array]:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> tuple[ComplexArray, Array]:
     """Return u, or the own part, and its size over that of L at the pole's frequency. A fold at Nyquist mirrors L into
     its conjugate.
     """
@@ -242,9 +260,16 @@ def _ends(t: Trace, terms: Array, source: LoopResponse) -> Array:
 
 @routine
 def _judge(
-    f: Array, loop: ComplexArray, every: Crossings, centre: float, low: float, high: float, limit_db: float, out: Array,
+    f: Array,
+    loop: ComplexArray,
+    every: Crossings,
+    centre: float,
+    low: float,
+    high: float,
+    limit_db: float,
+    out: Array,
     source: LoopResponse,
-) -> None:  # fmt: skip  # one line for each otherwise
+) -> None:
     begin, stop = np.searchsorted(f, low), np.searchsorted(f, high, side="right")
     size, distance = np.abs(loop[begin:stop]), np.abs(1.0 + loop[begin:stop])
     top = int(np.argmax(size))
@@ -271,9 +296,16 @@ def _judge(
 
 @routine
 def _judge_mode(
-    f: Array, loop: ComplexArray, every: Crossings, modes: Array, part: complex, j: int, band: Array, limit_db: float,
+    f: Array,
+    loop: ComplexArray,
+    every: Crossings,
+    modes: Array,
+    part: complex,
+    j: int,
+    band: Array,
+    limit_db: float,
     out: Array,
-) -> None:  # fmt: skip  # one line for each otherwise
+) -> None:
     """Enter peak, lag and lead of a bending mode: the peak in its band, the turns of the crossings at which its term is
     large against the rest and the largest of all `modes`, of which it is number j.
     """
@@ -295,7 +327,7 @@ def _judge_mode(
 @routine
 def _turns(
     f: Array, loop: ComplexArray, every: Crossings, low: float, high: float, source: LoopResponse
-) -> tuple[float, float]:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> tuple[float, float]:
     """Return the least lag and lead that turn a crossing, or without one a point above 0 dB or the peak, to the phase
     of -1.
     """

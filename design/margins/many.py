@@ -20,11 +20,19 @@ from maxq.design.model.state_space import ComplexArray
 
 DONE, UNSTABLE, HANDED_BACK = 0, 1, 2
 MINIMA = 8
-MEASURES = np.dtype([
-    ("gain_up_db", float), ("gain_down_db", float), ("rigid_phase_deg", float), ("delay_s", float),
-    ("slosh_phase_deg", float), ("first_mode_phase_deg", float), ("modes_from_2_db", float),
-    ("distance", float, MINIMA), ("distance_hz", float, MINIMA),
-])  # fmt: skip  # a line for each otherwise
+MEASURES = np.dtype(
+    [
+        ("gain_up_db", float),
+        ("gain_down_db", float),
+        ("rigid_phase_deg", float),
+        ("delay_s", float),
+        ("slosh_phase_deg", float),
+        ("first_mode_phase_deg", float),
+        ("modes_from_2_db", float),
+        ("distance", float, MINIMA),
+        ("distance_hz", float, MINIMA),
+    ]
+)
 """The measures of one loop. Margins are infinite where nothing bounds them and NaN for an unstable loop.
 
 `distance` holds the lowest minima of |1 + L|, of an unstable loop too, and `distance_hz` their frequencies; NaN behind
@@ -63,10 +71,23 @@ def _nearest(f: Array, loop: ComplexArray, source: LoopResponse, distance: Array
 
 @routine
 def margins_of_vehicle(
-    poles: ComplexArray, residues: ComplexArray, owner: IntArray, own_part: ComplexArray, sample_s: float, whole: int,
-    rest_s: float, zeros: ComplexArray, law_poles: ComplexArray, gain: float, law_radps: ComplexArray, integrates: bool,
-    start: ComplexArray, out: Any, peak_db: float, distances: bool,
-) -> int:  # fmt: skip  # one line for each otherwise
+    poles: ComplexArray,
+    residues: ComplexArray,
+    owner: IntArray,
+    own_part: ComplexArray,
+    sample_s: float,
+    whole: int,
+    rest_s: float,
+    zeros: ComplexArray,
+    law_poles: ComplexArray,
+    gain: float,
+    law_radps: ComplexArray,
+    integrates: bool,
+    start: ComplexArray,
+    out: Any,
+    peak_db: float,
+    distances: bool,
+) -> int:
     """Find the measures of one vehicle; return DONE, UNSTABLE or HANDED_BACK."""
     n = len(poles)
     mu, alpha, beta = np.empty(n, np.complex128), np.empty(n, np.complex128), np.empty(n, np.complex128)
@@ -169,10 +190,24 @@ def _resonances(
 
 @entry
 def measure_many(
-    poles: ComplexArray, residues: ComplexArray, owner: IntArray, own_part: ComplexArray, sample_s: float, whole:
-    IntArray, rest_s: Array, zeros: ComplexArray, law_poles: ComplexArray, gain: float, law_radps: ComplexArray,
-    integrates: bool, start: ComplexArray, peak_db: float, distances: bool, values: Any, status: IntArray,
-) -> None:  # fmt: skip  # one line for each otherwise
+    poles: ComplexArray,
+    residues: ComplexArray,
+    owner: IntArray,
+    own_part: ComplexArray,
+    sample_s: float,
+    whole: IntArray,
+    rest_s: Array,
+    zeros: ComplexArray,
+    law_poles: ComplexArray,
+    gain: float,
+    law_radps: ComplexArray,
+    integrates: bool,
+    start: ComplexArray,
+    peak_db: float,
+    distances: bool,
+    values: Any,
+    status: IntArray,
+) -> None:
     """Margins of vehicles, or with `distances` these alone, into `values` (vehicles,) of MEASURES, `status`
     (vehicles,): DONE, UNSTABLE or HANDED_BACK.
 
@@ -186,6 +221,20 @@ def measure_many(
     for v in range(len(poles)):
         if status[v] != HANDED_BACK:
             status[v] = margins_of_vehicle(
-                poles[v], residues[v], owner[v], own_part[v], sample_s, whole[v], rest_s[v], zeros, law_poles, gain,
-                law_radps, integrates, start, values[v], peak_db, distances,
-            )  # fmt: skip  # sixteen lines otherwise
+                poles[v],
+                residues[v],
+                owner[v],
+                own_part[v],
+                sample_s,
+                whole[v],
+                rest_s[v],
+                zeros,
+                law_poles,
+                gain,
+                law_radps,
+                integrates,
+                start,
+                values[v],
+                peak_db,
+                distances,
+            )

@@ -153,19 +153,30 @@ def margins(
     every, after, bounds, table = found.crossings, found.trace, found.bounds, found.lobes
     clearances, at = found.nearest
     curve = LoopCurve(
-        loop, after.frequency_hz, after.loop, open_poles, closed_poles, t.slope_at_zero, t.at_zero, t.slope_at_end,
+        loop,
+        after.frequency_hz,
+        after.loop,
+        open_poles,
+        closed_poles,
+        t.slope_at_zero,
+        t.at_zero,
+        t.slope_at_end,
         t.finite_end,
-    )  # fmt: skip  # one line for each otherwise
+    )
     slow = closed_poles[np.abs(closed_poles) > curve.lowest_radps]
     slowest = slow[np.argmax(slow.real)] if len(slow) else complex(-np.inf, 0.0)
     stable = found.growing == 0 and found.encircled == 0
     facts: dict[str, Any] = {
-        "stable": stable, "unstable_poles": found.growing, "encircled_poles": found.encircled,
-        "growth_1ps": float(slowest.real), "growth_hz": float(abs(slowest.imag) / (2.0 * np.pi)),
+        "stable": stable,
+        "unstable_poles": found.growing,
+        "encircled_poles": found.encircled,
+        "growth_1ps": float(slowest.real),
+        "growth_hz": float(abs(slowest.imag) / (2.0 * np.pi)),
         "gain_crossings": GainCrossings(every.gain_hz, every.gain_loop, every.gain_way > 0),
         "phase_crossings": PhaseCrossings(every.phase_hz, every.phase_loop, every.phase_way),
-        "curve": curve, "lobes": lobes_of(table, known),
-    }  # fmt: skip  # one line for each otherwise
+        "curve": curve,
+        "lobes": lobes_of(table, known),
+    }
     if not stable:
         nothing = complex(np.nan, np.nan)
         return Margins(**facts, clearances=tuple(Clearance(zone, np.nan, np.nan, nothing) for zone in zones))
@@ -174,15 +185,14 @@ def margins(
     }
     clear = zip(zones, clearances.tolist(), at.tolist(), strict=True)
     return Margins(
-        **facts, crossover_hz=float(bounds[CROSSOVER, 1]),
+        **facts,
+        crossover_hz=float(bounds[CROSSOVER, 1]),
         disks=disks_of(found.distances),
         clearances=tuple(Clearance(zone, value, hz, complex(there)) for zone, (value, hz), there in clear),
-    )  # fmt: skip  # one line for each otherwise
+    )
 
 
-BOUNDS = (
-    "gain_up_db", "gain_down_db", "phase_deg", "delay_s", "aero_gain_db", "rigid_gain_db", "rigid_phase_deg",
-)  # fmt: skip  # one line for each otherwise
+BOUNDS = ("gain_up_db", "gain_down_db", "phase_deg", "delay_s", "aero_gain_db", "rigid_gain_db", "rigid_phase_deg")
 """The rows of `bounds_of`, by the fields of `Margins`; then the crossover frequency."""
 GAIN_UP, GAIN_DOWN, PHASE, DELAY, AERO_GAIN, RIGID_GAIN, RIGID_PHASE, CROSSOVER = range(len(BOUNDS) + 1)
 
@@ -203,7 +213,7 @@ class LoopResults(NamedTuple):
 @entry
 def _trace(
     open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, factors: ZerosAndPoles, source: LoopResponse
-) -> Trace:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> Trace:
     t = curves.traced(open_, closed, lowest, end, source)
     f, loop = curves.with_extremes(t.frequency_hz, t.loop, 3, source)
     if t.problem == 0:
@@ -213,9 +223,18 @@ def _trace(
 
 @entry
 def _measure(
-    t: Trace, open_: ComplexArray, closed: ComplexArray, centre: Array, width: Array, part: ComplexArray,
-    slosh: NDArray[np.bool_], least_share: float, limit_db: float, zones: Array, source: LoopResponse,
-) -> LoopResults:  # fmt: skip  # one line for each otherwise
+    t: Trace,
+    open_: ComplexArray,
+    closed: ComplexArray,
+    centre: Array,
+    width: Array,
+    part: ComplexArray,
+    slosh: NDArray[np.bool_],
+    least_share: float,
+    limit_db: float,
+    zones: Array,
+    source: LoopResponse,
+) -> LoopResults:
     every, after, growing, encircled = counted(t, open_, closed, source)
     on_axis = open_.imag[open_.real == 0.0] / (2.0 * np.pi)
     table = find_lobes(after, every, centre, width, part, least_share, limit_db, on_axis, source)
@@ -226,7 +245,7 @@ def _measure(
 @routine
 def counted(
     t: Trace, open_: ComplexArray, closed: ComplexArray, source: LoopResponse
-) -> tuple[Crossings, Trace, int, int]:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> tuple[Crossings, Trace, int, int]:
     """Return the crossings of a curve with its turning points, the curve with them added, and the poles to the right
     of the axis, from their list and from the encirclements.
     """

@@ -75,8 +75,10 @@ def _least_disk(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float]:
     low, high = frequencies_hz[max(at - 1, 0)], frequencies_hz[min(at + 1, len(frequencies_hz) - 1)]
     near = scipy.optimize.minimize_scalar(
         lambda f: -structured_singular_value(_half(loop, np.array([f]))[0]),
-        bounds=(low, high), method="bounded", options={"xatol": 1e-9 * high},
-    )  # fmt: skip  # three more lines otherwise
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 1e-9 * high},
+    )
     return (0.5 / -near.fun, float(near.x)) if -near.fun > best else (0.5 / best, float(frequencies_hz[at]))
 
 

@@ -78,9 +78,7 @@ def packed(loop: OpenLoop) -> LoopResponse | None:
 
 
 @entry
-def _terms(
-    poles: ComplexArray, residues: ComplexArray, sample_s: float, rest_s: float
-) -> tuple[Array, Array, Array]:  # fmt: skip  # as ruff would, but for a line of one bracket
+def _terms(poles: ComplexArray, residues: ComplexArray, sample_s: float, rest_s: float) -> tuple[Array, Array, Array]:
     n = len(poles)
     mu, alpha, beta = np.empty(n, np.complex128), np.empty(n, np.complex128), np.empty(n, np.complex128)
     direct = np.zeros(2)

@@ -108,8 +108,12 @@ def _descended(m: ComplexArray, inside: Array, start: Scaling, value: float, sha
     """T and G after a descent that is short, since slopes by T are those at its begin."""
     count = int(inside.sum())
     found = scipy.optimize.minimize(
-        descent(m, inside, start, value, sharpness), np.zeros(2 * count), jac=True, method="L-BFGS-B",
-        bounds=[(-_TURN, _TURN)] * count + [(None, None)] * count, options={"maxiter": _STEPS},
-    )  # fmt: skip  # three more lines otherwise
+        descent(m, inside, start, value, sharpness),
+        np.zeros(2 * count),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(-_TURN, _TURN)] * count + [(None, None)] * count,
+        options={"maxiter": _STEPS},
+    )
     turn, _ = _exp(_hermitian(found.x[:count], inside))
     return turn @ start[0], start[1] + value * _hermitian(found.x[count:], inside)

@@ -177,9 +177,15 @@ def _e2(x: complex, a: float) -> complex:
 
 @routine
 def terms(
-    poles: ComplexArray, residues: ComplexArray, sample_s: float, rest_s: float, mu: ComplexArray, alpha:
-    ComplexArray, beta: ComplexArray, direct: Array,
-) -> None:  # fmt: skip  # one line for each otherwise
+    poles: ComplexArray,
+    residues: ComplexArray,
+    sample_s: float,
+    rest_s: float,
+    mu: ComplexArray,
+    alpha: ComplexArray,
+    beta: ComplexArray,
+    direct: Array,
+) -> None:
     """Find w of each pole, its two residues in z, and the direct part."""
     direct[0] = direct[1] = 0.0
     for i in range(len(poles)):
@@ -197,9 +203,7 @@ def terms(
 
 
 @routine
-def by_pairs(
-    poles: ComplexArray, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray
-) -> tuple[Array, Array]:  # fmt: skip  # as ruff would, but for a line of one bracket
+def by_pairs(poles: ComplexArray, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray) -> tuple[Array, Array]:
     """Return the terms of conjugate pairs and of real poles (`LoopResponse`)."""
     n, swings = len(poles), 0
     for i in range(n):
@@ -299,9 +303,13 @@ def _newton(
 
 @routine
 def zeros_of_one_plus(
-    roots: ComplexArray, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray, every: ComplexArray,
+    roots: ComplexArray,
+    mu: ComplexArray,
+    alpha: ComplexArray,
+    beta: ComplexArray,
+    every: ComplexArray,
     loop: LoopResponse,
-) -> bool:  # fmt: skip  # one line for each otherwise
+) -> bool:
     """Refine all of them by Aberth's method; False where it does not converge."""
     n = len(roots)
     done = np.zeros(n, np.bool_)

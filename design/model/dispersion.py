@@ -70,15 +70,27 @@ class Dispersion:
 
 
 ADDED = (
-    "delay_s", "centre_of_pressure_m", "mass_kg", "centre_of_gravity_m", "centre_of_gravity_y_m",
+    "delay_s",
+    "centre_of_pressure_m",
+    "mass_kg",
+    "centre_of_gravity_m",
+    "centre_of_gravity_y_m",
     "centre_of_gravity_z_m",
-)  # fmt: skip  # a line for each otherwise
+)
 """The fields that are added; all others multiply."""
 SIGNED = (*ADDED, "bending_slope", "bending_shape", "normal_force")
 POSITIVE = (
-    "bending_frequency", "slosh_frequency", "actuator_frequency", "actuator_sections", "gyro_frequency", "thrust",
-    "mass_flow", "inertia", "roll_inertia", "mass",
-)  # fmt: skip  # a line for each otherwise
+    "bending_frequency",
+    "slosh_frequency",
+    "actuator_frequency",
+    "actuator_sections",
+    "gyro_frequency",
+    "thrust",
+    "mass_flow",
+    "inertia",
+    "roll_inertia",
+    "mass",
+)
 _RATE_STEP_S = 1e-3
 SECTIONS = 8
 """Numbers of an actuator in `Dispersion.actuator_sections`."""
@@ -132,9 +144,14 @@ def deviated(held: HeldStage, plane: Plane, by: Dispersion, count: int = 1) -> H
     moved = [one(f"centre_of_gravity{axis}_m") for axis in ("", "_y", "_z")]
     inertia = np.concatenate([one("roll_inertia")[:, None], each("inertia", 2)], axis=1)
     _deviate_masses(
-        held, one("mass"), one("mass_kg"), np.stack(moved, axis=1), inertia, each("slosh_mass", m),
+        held,
+        one("mass"),
+        one("mass_kg"),
+        np.stack(moved, axis=1),
+        inertia,
+        each("slosh_mass", m),
         each("slosh_frequency", m),
-    )  # fmt: skip  # eight lines otherwise
+    )
     engines = int(np.sum(vehicle["engine"]["parts"][0] > 0.0))
     _deviate_engines(held, each("thrust", engines), each("mass_flow", engines))
     return held

@@ -178,10 +178,18 @@ class HeldStage:
         memory = blank(Memory)
         memory["clock"]["started"], memory["held"]["burning"] = 1, 1
         return differentiate(
-            self.parameters, self.pool, memory, y, 0, which, steps, wanted=wanted, levels=levels,
+            self.parameters,
+            self.pool,
+            memory,
+            y,
+            0,
+            which,
+            steps,
+            wanted=wanted,
+            levels=levels,
             stations=int(self.parameters[0].loads.stations),
             properties=self.properties,
-        )  # fmt: skip  # ten lines otherwise
+        )
 
     def groups_that_follow(self, plane: Plane) -> set[int]:
         """Return the groups of engines of which one is gimballed in a plane."""
@@ -189,9 +197,17 @@ class HeldStage:
         return {int(g) for g, f in zip(engine["group"][0, :n], engine[f"follows_{plane}"][0, :n], strict=True) if f}
 
     def plants(
-        self, condition: FlightCondition, trim: Trim, plane: Plane, drives: Drives, *, wind: bool = False,
-        moments: bool = False, levels: int = jacobian.LEVELS, in_place: bool = False,
-    ) -> tuple[Array, Array, Array, Array, Names]:  # fmt: skip  # six lines otherwise
+        self,
+        condition: FlightCondition,
+        trim: Trim,
+        plane: Plane,
+        drives: Drives,
+        *,
+        wind: bool = False,
+        moments: bool = False,
+        levels: int = jacobian.LEVELS,
+        in_place: bool = False,
+    ) -> tuple[Array, Array, Array, Array, Names]:
         """Return A, B, C, D of all vehicles, (vehicles, ...), and the names; see `Node.plant`.
 
         `in_place`: the stages are not used any more and need not be copied.

@@ -169,9 +169,14 @@ def gyro(record: Any) -> StateSpace:
     w, zeta = float(record.omega_radps), float(record.zeta)
     a: Array = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
     return StateSpace(
-        a, np.array([[0.0], [w * w]]), np.array([[1.0, 0.0]]), np.zeros((1, 1)),
-        ("gyro_radps", "gyro_rate_radps2"), ("local_rate_radps",), ("gyro_radps",),
-    )  # fmt: skip  # five more lines otherwise
+        a,
+        np.array([[0.0], [w * w]]),
+        np.array([[1.0, 0.0]]),
+        np.zeros((1, 1)),
+        ("gyro_radps", "gyro_rate_radps2"),
+        ("local_rate_radps",),
+        ("gyro_radps",),
+    )
 
 
 def per_actuator_angle(s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...]) -> list[ComplexArray]:

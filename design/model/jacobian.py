@@ -218,9 +218,18 @@ def _bob(pitch: float, pitch_rate: float, yaw: float, yaw_rate: float) -> tuple[
 
 @routine
 def motion(
-    p: Parameters, pool: Array, memory: Memory, now_ns: int, reference: Array, command: Array, x: Array,
-    at: Evaluation, work: Work, columns: Array, out: Array,
-) -> None:  # fmt: skip  # twelve lines otherwise
+    p: Parameters,
+    pool: Array,
+    memory: Memory,
+    now_ns: int,
+    reference: Array,
+    command: Array,
+    x: Array,
+    at: Evaluation,
+    work: Work,
+    columns: Array,
+    out: Array,
+) -> None:
     """Rates of the coordinates at `x`, then the outputs. `reference`: attitude, angular velocity; `command`: the point
     of the inputs, to which those behind the coordinates add."""
     sizes = counts(p.vehicle.sizes)
@@ -250,10 +259,23 @@ def motion(
 
 @entry
 def differentiate(
-    P: Records, pool: Array, state: Records, y: Array, now_ns: int, read: int, which: IntArray, steps: Array,
-    wanted: IntArray, levels: int, properties: Array, space: Records, x: Array, tableau: Array, rate: Array,
+    P: Records,
+    pool: Array,
+    state: Records,
+    y: Array,
+    now_ns: int,
+    read: int,
+    which: IntArray,
+    steps: Array,
+    wanted: IntArray,
+    levels: int,
+    properties: Array,
+    space: Records,
+    x: Array,
+    tableau: Array,
+    rate: Array,
     slopes: Array,
-) -> None:  # fmt: skip  # sixteen lines otherwise
+) -> None:
     """Rates and outputs at states `y` (vehicles, MAX_STATE) into `rate` (vehicles, rows), and the derivatives of those
     that are `wanted` into `slopes` (vehicles, wanted, columns).
 
@@ -276,16 +298,42 @@ def differentiate(
         else:
             derive_properties(p.vehicle, pool, clock_s, mine)
         differentiate_vehicle(
-            p, pool, memory, now_ns, bare_pointer(y[vehicle]), which, steps, wanted, levels, mine, space[0], x, tableau,
-            rate[vehicle], slopes[vehicle],
-        )  # fmt: skip  # twelve lines otherwise
+            p,
+            pool,
+            memory,
+            now_ns,
+            bare_pointer(y[vehicle]),
+            which,
+            steps,
+            wanted,
+            levels,
+            mine,
+            space[0],
+            x,
+            tableau,
+            rate[vehicle],
+            slopes[vehicle],
+        )
 
 
 @routine
 def differentiate_vehicle(
-    p: Parameters, pool: Array, memory: Memory, now_ns: int, y: Array, which: IntArray, steps: Array, wanted: IntArray,
-    levels: int, properties: Array, space: Space, x: Array, tableau: Array, rate: Array, slopes: Array,
-) -> None:  # fmt: skip  # fourteen lines otherwise
+    p: Parameters,
+    pool: Array,
+    memory: Memory,
+    now_ns: int,
+    y: Array,
+    which: IntArray,
+    steps: Array,
+    wanted: IntArray,
+    levels: int,
+    properties: Array,
+    space: Space,
+    x: Array,
+    tableau: Array,
+    rate: Array,
+    slopes: Array,
+) -> None:
     """`differentiate` for one vehicle."""
     dy, work, columns, x = bare_pointer(space.rate), space.work, bare_pointer(space.columns), bare_pointer(x)
     sizes = counts(p.vehicle.sizes)

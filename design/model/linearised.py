@@ -89,10 +89,19 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
 
 
 def differentiate(
-    parameters: Any, pool: Array, memory: Any, y: Array, now_ns: int, which: IntArray, steps: Array, *,
-    stations: int = 0, wanted: IntArray | None = None,
-    levels: int = jacobian.LEVELS, properties: Array | None = None,
-) -> tuple[Array, Array]:  # fmt: skip  # seven lines otherwise
+    parameters: Any,
+    pool: Array,
+    memory: Any,
+    y: Array,
+    now_ns: int,
+    which: IntArray,
+    steps: Array,
+    *,
+    stations: int = 0,
+    wanted: IntArray | None = None,
+    levels: int = jacobian.LEVELS,
+    properties: Array | None = None,
+) -> tuple[Array, Array]:
     """Rates and outputs (rows,) at a state, and the derivatives (wanted, columns), see `jacobian.differentiate`.
 
     `properties`: of the vehicle at the instant, instead of those of its schedule. With states (vehicles, MAX_STATE)
@@ -108,10 +117,23 @@ def differentiate(
     rate, slopes = np.zeros((len(states), rows)), np.zeros((len(states), len(wanted), len(which)))
     space, x = blank(Space), np.zeros(rows + len(inputs_of(sizes)) + 3)
     jacobian.differentiate(
-        parameters, pool, memory.copy(), states, now_ns, int(properties is None), np.asarray(which, np.int64), steps,
-        np.asarray(wanted, np.int64), levels, given, space, x, np.zeros((3 * jacobian.LEVELS + 4, rows)), rate,
+        parameters,
+        pool,
+        memory.copy(),
+        states,
+        now_ns,
+        int(properties is None),
+        np.asarray(which, np.int64),
+        steps,
+        np.asarray(wanted, np.int64),
+        levels,
+        given,
+        space,
+        x,
+        np.zeros((3 * jacobian.LEVELS + 4, rows)),
+        rate,
         slopes,
-    )  # fmt: skip  # fourteen lines otherwise
+    )
     return (rate[0], slopes[0]) if np.ndim(y) == 1 else (rate, slopes)
 
 

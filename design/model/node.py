@@ -179,9 +179,12 @@ class Node:
 
 
 def nodes_along(
-    scenario: LoadedScenario, times_s: Iterable[float], plane: Plane = "pitch", faults: bool = False,
+    scenario: LoadedScenario,
+    times_s: Iterable[float],
+    plane: Plane = "pitch",
+    faults: bool = False,
     refine: Callable[[FlightRun, Node], Node] = lambda run, node: node,
-) -> list[Node]:  # fmt: skip  # seven lines otherwise
+) -> list[Node]:
     """Return nodes at vehicle times (s) of a flight of the scenario, flown once and without a log.
 
     Speed, air and attitude are those flown, at the integrator's step nearest to each time; incidence and rotation

@@ -105,9 +105,8 @@ EDGES = 0.05, 0.02  # shares of a span that nodes keep off its ends
 
 
 def node_times(
-    scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None,
-    edges: tuple[float, float] = EDGES,
-) -> tuple[float, ...]:  # fmt: skip  # three lines more otherwise
+    scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None, edges: tuple[float, float] = EDGES
+) -> tuple[float, ...]:
     """Return times of nodes that suit a flight: `count` in each stage (or one of them), evenly under full thrust; a
     single one in the middle.
 

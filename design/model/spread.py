@@ -141,10 +141,13 @@ def _deviations(vehicle: Vehicle, number: int) -> Iterator[tuple[str, int, list[
     modes += [f"{s}bending.{{}}.{k}" for k in range(len(stage.bending.damping_ratio) if stage.bending else 0)]
     tanks = [f"{s}tank.{k}.{{}}" for k in range(len(stage.tank))]
     for parts, key, name in (
-        (modes, "bending_frequency", "frequency_factor"), (modes, "bending_slope", "gyro_slope_factor"),
-        (modes, "bending_damping", "damping_ratio"), (tanks, "slosh_frequency", "length_factor"),
-        (tanks, "slosh_mass", "mass_factor"), (tanks, "slosh_damping", "damping_factor"),
-    ):  # fmt: skip  # a line for each otherwise
+        (modes, "bending_frequency", "frequency_factor"),
+        (modes, "bending_slope", "gyro_slope_factor"),
+        (modes, "bending_damping", "damping_ratio"),
+        (tanks, "slosh_frequency", "length_factor"),
+        (tanks, "slosh_mass", "mass_factor"),
+        (tanks, "slosh_damping", "damping_factor"),
+    ):
         yield from ((key, k, [part.format(name)]) for k, part in enumerate(parts))
     yield from _of_actuators(stage, s)
     engines = [f"{s}{'.'.join(map(str, stage.engine_key(k)))}.thrust_factor" for k in range(len(stage.engines))]

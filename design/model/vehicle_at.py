@@ -203,9 +203,12 @@ def stability_derivatives(
     (z_w, _), (m_w, m_q) = a[0, :2, :2]
     z_delta, m_delta = np.asarray(by_angle, float)
     return StabilityDerivatives(
-        z_alpha_1ps=float(z_w * scale), m_alpha_1ps2=float(m_w * speed), z_delta_1ps=float(z_delta * scale / speed),
-        m_delta_1ps2=float(m_delta), m_q_1ps=float(m_q),
-    )  # fmt: skip  # four lines more otherwise
+        z_alpha_1ps=float(z_w * scale),
+        m_alpha_1ps2=float(m_w * speed),
+        z_delta_1ps=float(z_delta * scale / speed),
+        m_delta_1ps2=float(m_delta),
+        m_q_1ps=float(m_q),
+    )
 
 
 def incidence_by_acceleration(

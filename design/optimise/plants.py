@@ -160,9 +160,18 @@ class Plants:
                 ]
             )
         return Task(
-            case, self.times_s, dispersed, self.rigid, limits, self.sample_s, self.first_mode_hz, further, at, told,
+            case,
+            self.times_s,
+            dispersed,
+            self.rigid,
+            limits,
+            self.sample_s,
+            self.first_mode_hz,
+            further,
+            at,
+            told,
             winds,
-        )  # fmt: skip  # as ruff would, but for a line of one bracket
+        )
 
     def and_also(self, more: Sequence[Plant]) -> Plants:
         """These plants and some more."""

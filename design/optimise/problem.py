@@ -78,10 +78,18 @@ def law_rows(what: int, of: LimitValues, objective: bool = False) -> ProblemRows
     """Limits of the law, which belong to no frequency, or the objective where it is one of them."""
     n = len(of.value)
     return ProblemRows(
-        what=np.full(n, what, np.int8), plant=of.plant, value=of.value, limit=of.limit, excess_db=of.excess_db,
-        objective=np.full(n, objective), own=of.gradient, feature=np.full(n, -1, np.int8), cell=np.zeros(n, np.int64),
-        x=np.zeros(n), fixed=np.ones(n, bool),
-    )  # fmt: skip  # eight more lines otherwise
+        what=np.full(n, what, np.int8),
+        plant=of.plant,
+        value=of.value,
+        limit=of.limit,
+        excess_db=of.excess_db,
+        objective=np.full(n, objective),
+        own=of.gradient,
+        feature=np.full(n, -1, np.int8),
+        cell=np.zeros(n, np.int64),
+        x=np.zeros(n),
+        fixed=np.ones(n, bool),
+    )
 
 
 @dataclass(frozen=True)
@@ -179,9 +187,18 @@ class Problem:
         plant, kind = seen.plant[i], seen.kind[i]
         c = features.sensitivity(kind, at := seen.at.taken(i), self.cross.of(plant))
         return ProblemRows(
-            kinds, plant, value, limit, excess, kinds == 0, np.asarray((c[:, None] * self.loops.own_gradient(at)).real),
-            kind, places.cell[i], places.x[i], places.fixed[i],
-        )  # fmt: skip  # nine more lines otherwise
+            kinds,
+            plant,
+            value,
+            limit,
+            excess,
+            kinds == 0,
+            np.asarray((c[:, None] * self.loops.own_gradient(at)).real),
+            kind,
+            places.cell[i],
+            places.x[i],
+            places.fixed[i],
+        )
 
     # --- curvature
     def curvature(self, at: ProblemAtPoint, multipliers: Array, step: float = 1e-5) -> Array:

@@ -280,10 +280,12 @@ def solve_robust(
     found = dataclasses.replace(found, interrupted=interrupted)
     solution = finished(case, plants, problem, found, begun)
     certificate = dataclasses.replace(
-        solution.certificate, searched=tried, worst_found_db=float(worst_db),
+        solution.certificate,
+        searched=tried,
+        worst_found_db=float(worst_db),
         worst_instant_db=float(np.nan_to_num(instant_db)),
         instants=0 if instants is None or np.isnan(instant_db) else len(instants.known),
-    )  # fmt: skip  # two more lines otherwise
+    )
     return dataclasses.replace(solution, certificate=certificate)
 
 

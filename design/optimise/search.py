@@ -137,9 +137,13 @@ def _leapt(problem: Problem, best: ProblemAtPoint, leaps: int, seed: int) -> Ite
 
 
 def _answer(
-    problem: Problem, ends: list[tuple[ProblemAtPoint, Array]], own: int, fine: dict[int, ProblemAtPoint],
-    leapt: ProblemAtPoint | None, interrupted: bool,
-) -> BestPoint:  # fmt: skip  # four more lines otherwise
+    problem: Problem,
+    ends: list[tuple[ProblemAtPoint, Array]],
+    own: int,
+    fine: dict[int, ProblemAtPoint],
+    leapt: ProblemAtPoint | None,
+    interrupted: bool,
+) -> BestPoint:
     best = min([*fine.values(), *([leapt] if leapt is not None else [])], key=_rank)
     feasible = _feasible(best, 10.0 * MET_DB)
     if feasible:

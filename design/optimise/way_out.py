@@ -207,9 +207,12 @@ def tried(
 
 
 def _tried(
-    change: TriedChange, solution: Solution, ranges: Ranges | None, most: int,
+    change: TriedChange,
+    solution: Solution,
+    ranges: Ranges | None,
+    most: int,
     progress: Callable[[float, str], None] | None,
-) -> Trial:  # fmt: skip  # one line for each otherwise
+) -> Trial:
     """Search with a change, with `most` evaluations."""
     best: ProblemAtPoint | None = None
     problem: Problem | None = None

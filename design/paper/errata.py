@@ -55,7 +55,9 @@ ABOUT: dict[str, Erratum] = {
     "gyro_senses_rate": Erratum("1", "12", "q_b = sum sigma eta, an angle", "q_b = sum sigma eta'"),
     "mode_force_sign": Erratum("2", "13", "-F_G / M_G", "+F_G / M_G with phi positive in +z as in (21)"),
     "bent_body_loads": Erratum(
-        "4", "1, 2, 16, 17", "thrust, lift and tank loads of the bent body in the modal force only",
+        "4",
+        "1, 2, 16, 17",
+        "thrust, lift and tank loads of the bent body in the modal force only",
         "they also push and turn the whole body, thrust with its moment about the CG at the displaced gimbal",
     ),
     "axial_softening": Erratum("4", "13", "none", "axial compression softens the modes: it belongs to the follower"),
@@ -71,14 +73,18 @@ ABOUT: dict[str, Erratum] = {
     ),
     "jet_damping": Erratum("10", "1, 2", "none", "mass flow damps the turning"),
     "damper_at_bob": Erratum(
-        "22", "27", "liquid friction pulls at the hinge, as the rod does",
+        "22",
+        "27",
+        "liquid friction pulls at the hinge, as the rod does",
         "it pulls at the bob: else angular momentum is not conserved",
     ),
     "actuator_labels": Erratum(
-        "13", "28", "zero 15.6 Hz, pole 52.6 Hz (a piston's response)",
+        "13",
+        "28",
+        "zero 15.6 Hz, pole 52.6 Hz (a piston's response)",
         "a3 and a4 exchanged: pole 15.6 Hz, zero 52.6 Hz (an engine's response)",
     ),
-}  # fmt: skip  # six more lines otherwise
+}
 
 CORRECTED = Errata()
 PAPER = Errata(**dict.fromkeys(ABOUT, False))

@@ -137,10 +137,12 @@ def plane_vehicle(held: HeldStage, condition: FlightCondition, plane: Plane) -> 
     vehicle, e, a, about = row.vehicle, row.vehicle.engine, row.vehicle.aero, 1 if pitch else 2
     beside = max(abs(float(x)) for x in (e.rest_y[0], e.rest_z[0], e.gimbal_offset_y_m[0], e.gimbal_offset_z_m[0]))
     for more, what in (
-        (int(sizes.engines) > 1 or beside > 0.0, "one engine on the body axis"), (sizes.spatial_modes, "planar modes"),
-        (sizes.tvc_loads, "an engine without TVC load"), (sizes.tables, "surfaces without tables over incidence"),
+        (int(sizes.engines) > 1 or beside > 0.0, "one engine on the body axis"),
+        (sizes.spatial_modes, "planar modes"),
+        (sizes.tvc_loads, "an engine without TVC load"),
+        (sizes.tables, "surfaces without tables over incidence"),
         (sizes.sensors, "one gyro"),
-    ):  # fmt: skip  # five more lines otherwise
+    ):
         if int(more):
             raise ValueError(f"the published equations describe {what} only; allowed is errata = 'corrected'")
     mach_row, clock_s = np.zeros(aero.FIRST_SURFACE), float(row.timeline.frozen_s)
@@ -235,9 +237,13 @@ def with_printed_tanks(vehicle: PlaneVehicle, errata: Errata, liquids: Liquids |
     there = old.mass_kg > 0.0
     grown = np.divide(new.mass_kg, old.mass_kg, out=np.ones_like(old.mass_kg), where=there)
     return dataclasses.replace(
-        vehicle, pendulums=new, bob_mass_rate_kgps=vehicle.bob_mass_rate_kgps * grown, core_mass_kg=float(core),
-        core_cg_station_m=float(station), core_inertia_kgm2=float(inertia - apart),
-    )  # fmt: skip  # three more lines otherwise
+        vehicle,
+        pendulums=new,
+        bob_mass_rate_kgps=vehicle.bob_mass_rate_kgps * grown,
+        core_mass_kg=float(core),
+        core_cg_station_m=float(station),
+        core_inertia_kgm2=float(inertia - apart),
+    )
 
 
 def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: bool) -> Pendulums:
@@ -255,9 +261,11 @@ def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: boo
     centre = pendulums.hinge_station_m + _hinge_above(r, h, pendulums.length_m)
     length = pendulums.length_m if radius else used / (XI * np.tanh(XI * h / used))
     return dataclasses.replace(
-        pendulums, mass_kg=counted * _mass_ratio(used, h), length_m=length,
+        pendulums,
+        mass_kg=counted * _mass_ratio(used, h),
+        length_m=length,
         hinge_station_m=centre - _hinge_above(used, h, length),
-    )  # fmt: skip  # two more lines otherwise
+    )
 
 
 def _mass_ratio(radius: Array, height: Array) -> Array:

@@ -63,9 +63,12 @@ class PaperNode(Node):
 
 
 def paper_nodes(
-    scenario: LoadedScenario, times_s: Iterable[float], plane: Plane = "pitch", errata: Errata = CORRECTED,
+    scenario: LoadedScenario,
+    times_s: Iterable[float],
+    plane: Plane = "pitch",
+    errata: Errata = CORRECTED,
     faults: bool = False,
-) -> list[PaperNode]:  # fmt: skip  # seven lines otherwise
+) -> list[PaperNode]:
     """Return nodes as `nodes_along`, with the published model of the same vehicle."""
 
     def refine(run: FlightRun, node: Node) -> Node:

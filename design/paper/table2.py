@@ -89,9 +89,12 @@ def impose(node: N, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: float,
     vacuum_N, net_N = _axial_thrust(node)
     drag_N = net_N - node.axial_load_mps2 * float(node.held.properties[0, schedule.TOTAL_MASS])
     held = node.with_(
-        thrust=1.0 + (push - 1.0) * net_N / vacuum_N, normal_force=lift, centre_of_pressure_m=aft_m,
-        inertia=inertia / old, rate_damping=inertia / old,
-    ).held  # fmt: skip  # seven lines otherwise
+        thrust=1.0 + (push - 1.0) * net_N / vacuum_N,
+        normal_force=lift,
+        centre_of_pressure_m=aft_m,
+        inertia=inertia / old,
+        rate_damping=inertia / old,
+    ).held
     held.vehicle["aero"]["axial_factor"] *= 1.0 + (push - 1.0) * net_N / drag_N  # below zero where thrust is added
     return dataclasses.replace(node, held=held)
 

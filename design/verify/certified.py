@@ -81,11 +81,16 @@ def certificate_requirements(
             limit_db, name = abs(worst.total_gain_db[end]), ("least", "most")[end]
             out.append(
                 JudgedRequirement(
-                    "certificate", f"stable at the {name} total gain", f"{what} > {limit_db:.2f} dB",
-                    f"{room_db + limit_db:.2f} dB", ACCEPTED if room_db > 0.0 else REJECTED, room_db / limit_db,
-                    f"{worst.time_s:g} s, {worst.plane}", again="" if room_db > 0.0 else again(worst),
+                    "certificate",
+                    f"stable at the {name} total gain",
+                    f"{what} > {limit_db:.2f} dB",
+                    f"{room_db + limit_db:.2f} dB",
+                    ACCEPTED if room_db > 0.0 else REJECTED,
+                    room_db / limit_db,
+                    f"{worst.time_s:g} s, {worst.plane}",
+                    again="" if room_db > 0.0 else again(worst),
                 )
-            )  # fmt: skip  # four more lines otherwise
+            )
     for plane in dict.fromkeys(f.plane for f in through):
         flights = [f for f in through if f.plane == plane]
         count, open_ = sum(len(f.lines_hz) for f in flights), sum(f.reason.count("unexplained") for f in flights)

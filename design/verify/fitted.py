@@ -219,10 +219,13 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
     for span, at_s, node in zip(spans, strongest, operating_points.nodes(base, strongest), strict=True):
         burn = span.end_s - span.begin_s
         mine: Marks = {
-            "stage": span.stage, "ignition_s": round(span.begin_s, 3), "stage_burnout_s": round(span.end_s, 3),
-            "early_s": round(span.begin_s + _EARLY * burn, 1), "late_s": round(span.begin_s + _LATE * burn, 1),
+            "stage": span.stage,
+            "ignition_s": round(span.begin_s, 3),
+            "stage_burnout_s": round(span.end_s, 3),
+            "early_s": round(span.begin_s + _EARLY * burn, 1),
+            "late_s": round(span.begin_s + _LATE * burn, 1),
             "strongest_s": round(at_s, 1),
-        }  # fmt: skip  # three more lines otherwise
+        }
         moment = abs(node.derivatives.m_delta_1ps2) * node.vehicle.total_inertia_kgm2
         mine["gimbal_moment_Nm"] = float(f"{math.radians(1.0) * moment:.3g}")
         engines = base.vehicle.stage[span.stage].engines

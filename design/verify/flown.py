@@ -124,9 +124,18 @@ def _fly(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownResult:
     under_thrust = times[times <= np.nanmin([flight.event_s("burnout"), flight.end_s])]
     histories = {name: np.round(np.interp(under_thrust, flight.time_s(name), flight[name]), 6) for name in KEPT}
     return FlownResult(
-        flown.name, flown.why, flight.outcome, flight.failures, flight.verdicts, flight.metrics, flight.state_hash,
-        flown.design_must_keep, again, under_thrust, histories,
-    )  # fmt: skip  # nine more lines otherwise
+        flown.name,
+        flown.why,
+        flight.outcome,
+        flight.failures,
+        flight.verdicts,
+        flight.metrics,
+        flight.state_hash,
+        flown.design_must_keep,
+        again,
+        under_thrust,
+        histories,
+    )
 
 
 def _said(v: Verdict) -> str:
@@ -216,10 +225,20 @@ def fly_campaign(
     outcome = run_campaign(loaded, folder, watch=watch, stop=stop, elsewhere="fly it anew with simverify --afresh")
     data = DataSet(folder, loaded, loaded.campaign.runs)
     return CampaignResult(
-        wanted.name or loaded.name, wanted.file, folder, len(data.runs), outcome.stopped, loaded.campaign.success,
-        loaded.campaign.confidence, tuple(judged(data)), wanted.why, next(iter(lost(data, 1)), None),
-        tuple(availability(data)), wanted.availability, data.planned is not None and data.planned == data.in_order,
-    )  # fmt: skip  # nine more lines otherwise
+        wanted.name or loaded.name,
+        wanted.file,
+        folder,
+        len(data.runs),
+        outcome.stopped,
+        loaded.campaign.success,
+        loaded.campaign.confidence,
+        tuple(judged(data)),
+        wanted.why,
+        next(iter(lost(data, 1)), None),
+        tuple(availability(data)),
+        wanted.availability,
+        data.planned is not None and data.planned == data.in_order,
+    )
 
 
 def _of_campaign(

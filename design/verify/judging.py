@@ -181,9 +181,7 @@ def checks(judged: Sequence[JudgedLoop], design: Design, wanted: Wanted) -> list
             gain = math.prod((q.pole_hz / q.zero_hz) ** 2 for q in flt.quadratic)
             gains.append(gain * math.prod(f.pole_hz / abs(f.zero_hz) for f in flt.first_order))
         never = np.full(len(gains), np.nan)
-        out.append(
-            Check("filter_gain_at_infinity", about.label, "", about.sense, most, np.array(gains, float), never)
-        )  # fmt: skip  # three more lines otherwise
+        out.append(Check("filter_gain_at_infinity", about.label, "", about.sense, most, np.array(gains, float), never))
     return out
 
 
@@ -193,9 +191,12 @@ def flies_as_measured(kind: str, errata: str, plant: str) -> bool:
 
 
 def margins_of_all_axes(
-    flight: LoadedScenario, design: Design, times_s: Sequence[float], basis: Basis,
+    flight: LoadedScenario,
+    design: Design,
+    times_s: Sequence[float],
+    basis: Basis,
     watch: Callable[[int, int], None] = lambda done, of: None,
-) -> list[MultiloopMargins]:  # fmt: skip  # seven lines otherwise
+) -> list[MultiloopMargins]:
     """Return the margins of each axis with the loops of the others closed, at vehicle times (s) of a flight.
 
     Empty where `basis` is about another loop or vehicle than the one that flies.
@@ -297,9 +298,13 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
         stage, at_s = solution.nodes[0].stage, tuple(node.time_s for node in solution.nodes)
         rolls = own.of_stage(stage) if own else None
         designed = design_of(
-            name=loaded.name, description=text, vehicle=loaded.scenario.vehicle.name, law=solution.law,
-            roll=rolls.roll if rolls else None, basis=solution.case.basis(loaded.scenario.name, at_s).as_table(),
-        )  # fmt: skip  # four more lines otherwise
+            name=loaded.name,
+            description=text,
+            vehicle=loaded.scenario.vehicle.name,
+            law=solution.law,
+            roll=rolls.roll if rolls else None,
+            basis=solution.case.basis(loaded.scenario.name, at_s).as_table(),
+        )
         return designed.model_copy(update={"roll_gimbal": rolls.roll_gimbal if rolls else None})
 
     designs = {solution.nodes[0].stage: alone(solution) for solution in solutions}
@@ -326,9 +331,12 @@ def with_law(own: Design, other: Design) -> Design:
         return own
     if not set(own.gain_names) <= set(other.gain_names):
         raise ScenarioError(
-            own.name or "design", "flies in stages that the case does not design", "law", value=own.law,
+            own.name or "design",
+            "flies in stages that the case does not design",
+            "law",
+            value=own.law,
             allowed=f"a scenario whose design is of the law {other.law}, or of pd",
-        )  # fmt: skip  # two more lines otherwise
+        )
     tables = {
         key: CsvTable(
             "",
@@ -429,5 +437,5 @@ def wind_checks(found: Sequence[InWind], limits: LoadLimits, nodes: Sequence[Nod
         if limit is not None:
             out.append(
                 Check(f"wind_{one.name}", about.label, about.unit, about.sense, limit, one.rms, time_s, about.heading)
-            )  # fmt: skip  # three more lines otherwise
+            )
     return out

@@ -55,14 +55,31 @@ WORSE = {"dB": 0.02, "deg": 0.1, "ms": 0.05, "Hz": 0.002, "": 0.005}
 """The amount by which an instant must be worse to become a node, by unit."""
 _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett-Burman design of twelve runs
 _FACTORS = (
-    "bending_frequency", "bending_slope", "bending_damping", "slosh_frequency", "slosh_mass", "slosh_damping",
-    "actuator_frequency", "delay_s", "normal_force", "centre_of_pressure_m", "inertia",
-)  # fmt: skip  # nine more lines otherwise
+    "bending_frequency",
+    "bending_slope",
+    "bending_damping",
+    "slosh_frequency",
+    "slosh_mass",
+    "slosh_damping",
+    "actuator_frequency",
+    "delay_s",
+    "normal_force",
+    "centre_of_pressure_m",
+    "inertia",
+)
 _WITH = {
-    "bending_shape": "bending_slope", "slosh_damping_ratio": "slosh_damping", "actuator_sections": "actuator_frequency",
-    "rate_damping": "normal_force", "centre_of_gravity_m": "centre_of_pressure_m", "axial_force": "inertia",
-    "thrust": "inertia", "mass_flow": "inertia", "mass": "inertia", "mass_kg": "inertia", "roll_inertia": "inertia",
-}  # fmt: skip  # a line for each otherwise
+    "bending_shape": "bending_slope",
+    "slosh_damping_ratio": "slosh_damping",
+    "actuator_sections": "actuator_frequency",
+    "rate_damping": "normal_force",
+    "centre_of_gravity_m": "centre_of_pressure_m",
+    "axial_force": "inertia",
+    "thrust": "inertia",
+    "mass_flow": "inertia",
+    "mass": "inertia",
+    "mass_kg": "inertia",
+    "roll_inertia": "inertia",
+}
 """The factor with which a deviation goes that has none of its own; any other one stays in the middle."""
 
 
@@ -249,9 +266,15 @@ def study(
         table = list(pool.map(counted(at_node, watch, loops * len(nodes), loops), range(len(nodes))))
     values = np.stack([row for _, row, _ in table], axis=1)
     every = MarginStudy(
-        stage, nodes[0].plane, tuple(n.time_s for n in nodes), MarginCase("", tuple(row for row, _, _ in table)), (),
-        values, first, sum(exact for _, _, exact in table),
-    )  # fmt: skip  # three more lines otherwise
+        stage,
+        nodes[0].plane,
+        tuple(n.time_s for n in nodes),
+        MarginCase("", tuple(row for row, _, _ in table)),
+        (),
+        values,
+        first,
+        sum(exact for _, _, exact in table),
+    )
     known = tuple(replace(every.case(k), label=c.label) for k, c in enumerate(corners))
     return replace(every, corners=known, random=values[len(corners) :])
 
@@ -321,12 +344,17 @@ def margin_requirements(
             said += f"; {worst.name}: {worst.found}, wanted {worst.wanted}"
         out.append(
             JudgedRequirement(
-                "dispersed", f"random vehicles meet the dispersed limits{whose}",
+                "dispersed",
+                f"random vehicles meet the dispersed limits{whose}",
                 f"{100.0 * wanted.success:g} % with {100.0 * wanted.confidence:g} % confidence",
-                said, suite.judgement_of(shown.judgement), share, worst.where if worst else "", shown.more,
+                said,
+                suite.judgement_of(shown.judgement),
+                share,
+                worst.where if worst else "",
+                shown.more,
                 worst.again if worst else "",
             )
-        )  # fmt: skip  # four more lines otherwise
+        )
     return out
 
 
@@ -360,13 +388,16 @@ def _limits(
         value, limit, where, command = max(rows, key=lambda r: about.violation(r[0], r[1]))
         out.append(
             JudgedRequirement(
-                part, ", ".join(filter(None, (about.label, whose, found.stage))),
+                part,
+                ", ".join(filter(None, (about.label, whose, found.stage))),
                 f"{about.sense} {limit:g} {about.unit}".rstrip(),
                 f"{value:.2f} {about.unit}".rstrip() if math.isfinite(value) else "free",
                 suite.REJECTED if about.violation(value, limit) > 0.0 else suite.ACCEPTED,
-                suite.room_left(value, limit, about.sense, about.unit), where, again=command,
+                suite.room_left(value, limit, about.sense, about.unit),
+                where,
+                again=command,
             )
-        )  # fmt: skip  # four more lines otherwise
+        )
     return out
 
 
@@ -424,7 +455,12 @@ def authority_requirement(found: Sequence[Authority], wind_mps: float, again: st
     worst = min(found, key=lambda a: a.wind_mps)
     judgement = suite.ACCEPTED if worst.wind_mps >= wind_mps else suite.REJECTED
     return JudgedRequirement(
-        "authority", "gimbal trims a steady cross-wind", f">= {wind_mps:g} m/s", f"{worst.wind_mps:.1f} m/s",
-        judgement, worst.wind_mps / wind_mps - 1.0, f"{worst.time_s:g} s",
+        "authority",
+        "gimbal trims a steady cross-wind",
+        f">= {wind_mps:g} m/s",
+        f"{worst.wind_mps:.1f} m/s",
+        judgement,
+        worst.wind_mps / wind_mps - 1.0,
+        f"{worst.time_s:g} s",
         again=again,
-    )  # fmt: skip  # five more lines otherwise
+    )

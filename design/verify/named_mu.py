@@ -124,7 +124,7 @@ def uncertain(node: Node, campaign: LoadedCampaign) -> Uncertain:
 
 def uncertain_together(
     flown: Packed, base: LoadedScenario, design: Design, node: Node, campaign: LoadedCampaign
-) -> Uncertain:  # fmt: skip  # one more line otherwise
+) -> Uncertain:
     """Return the same of pitch, yaw and roll together: each deviation in the scenario that flies it, at `flown`.
 
     Raises ValueError where a deviated vehicle has other states: unlike engines of a group, each on a TVC load.

@@ -196,9 +196,15 @@ def design_case(
         flight, loss = judged.flight, judged.loss
         stages, plants = _problems(loaded, flight, loss, also_s)
     return CaseDesign(
-        judged.design, tuple(judged.by_stage.values()), tuple(stages), tuple(plants), tuple(rounds), judged.loss,
-        interrupted, _uncovered(judged, loaded),
-    )  # fmt: skip  # two more lines otherwise
+        judged.design,
+        tuple(judged.by_stage.values()),
+        tuple(stages),
+        tuple(plants),
+        tuple(rounds),
+        judged.loss,
+        interrupted,
+        _uncovered(judged, loaded),
+    )
 
 
 def _problems(

@@ -163,13 +163,27 @@ class Parts:
             between = partial(operating_points.nodes, self.along, plane=at[0].plane) if held else None
             described = self.described.at(at[0])
             depends = (
-                loaded.as_flown, repr(design), at, description_of(described), told(wanted.worst), wanted.between_nodes,
+                loaded.as_flown,
+                repr(design),
+                at,
+                description_of(described),
+                told(wanted.worst),
+                wanted.between_nodes,
                 flown_along,
-            )  # fmt: skip  # four more lines otherwise
+            )
             search = partial(
-                search_plane, at, design, described, wanted.worst, loaded, name, watch, self.workers, between,
+                search_plane,
+                at,
+                design,
+                described,
+                wanted.worst,
+                loaded,
+                name,
+                watch,
+                self.workers,
+                between,
                 flown_along,
-            )  # fmt: skip  # five more lines otherwise
+            )
             out.append(self.memory.recall("worst", depends, search))
         return out
 

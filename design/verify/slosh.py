@@ -164,11 +164,19 @@ def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
             radius = node.surface_radius_m[k] if k < len(node.surface_radius_m) else math.nan
             out.append(
                 SloshAdvice(
-                    node.time_s, node.stage, k, float(bobs.bob_station_m[k]), node.vehicle.total_cg_station_m,
-                    percussion_station_m(node), float(_has(node)[k]), needed, NEAR.wave_m(needed, radius),
-                    MIDWAY.wave_m(needed, radius), MIDWAY.swing_deg(needed),
+                    node.time_s,
+                    node.stage,
+                    k,
+                    float(bobs.bob_station_m[k]),
+                    node.vehicle.total_cg_station_m,
+                    percussion_station_m(node),
+                    float(_has(node)[k]),
+                    needed,
+                    NEAR.wave_m(needed, radius),
+                    MIDWAY.wave_m(needed, radius),
+                    MIDWAY.swing_deg(needed),
                 )
-            )  # fmt: skip  # seven more lines otherwise
+            )
     return out
 
 

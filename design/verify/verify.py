@@ -139,9 +139,15 @@ def verify(
         flown.load_wanted(loaded, wanted, design, vehicle) for wanted in suite.campaign or filter(None, [loaded.along])
     ]
     job = Parts(
-        suite, scenario, along, kept, interruptible, workers, next(iter(campaigns_loaded), None),
+        suite,
+        scenario,
+        along,
+        kept,
+        interruptible,
+        workers,
+        next(iter(campaigns_loaded), None),
         flown.design_changes(design, vehicle),
-    )  # fmt: skip  # eight more lines otherwise
+    )
     with timed("scenarios"):
         flights = flown.fly_suite(loaded, design, vehicle, kept, partial(interruptible, "scenarios"), workers)
     with timed("linear margins"):  # nothing but what was asked for, where a part alone is repeated
@@ -188,13 +194,30 @@ def verify(
     hashed = content_hash(repr(scenario.design)), content_hash(scenario.as_flown), code_hash()
     hashes = {name: text[:16] for name, text in zip(("design", "scenario", "code"), hashed, strict=True)}
     return Verification(
-        design, suite, scenario, tuple(requirements), tuple(flights), tuple(margin), tuple(certificates),
-        tuple(through), tuple(campaigns), tuple(limits), tuple(slosh), tuple(worst),
-        tuple(measured), gaps, loaded.left_out,
-        hashes=hashes, versions=versions(), recalled=kept.recalled,
-        worked_out=kept.worked_out, wall_s=time.perf_counter() - begun, walls_s=walls, cpus_s=cpus,
+        design,
+        suite,
+        scenario,
+        tuple(requirements),
+        tuple(flights),
+        tuple(margin),
+        tuple(certificates),
+        tuple(through),
+        tuple(campaigns),
+        tuple(limits),
+        tuple(slosh),
+        tuple(worst),
+        tuple(measured),
+        gaps,
+        loaded.left_out,
+        hashes=hashes,
+        versions=versions(),
+        recalled=kept.recalled,
+        worked_out=kept.worked_out,
+        wall_s=time.perf_counter() - begun,
+        walls_s=walls,
+        cpus_s=cpus,
         deviations=job.deviations,
-    )  # fmt: skip  # fourteen more lines otherwise
+    )
 
 
 def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:

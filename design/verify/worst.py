@@ -304,21 +304,34 @@ def search_plane(
     within = stable_within(node, design, campaign) if wanted.bound else None
     together = stable_together(base, design, node, campaign) if wanted.together else None
     return WorstVehicle(
-        stage, node.plane, node.time_s, dict(zip(deviations.places, (3.0 * u).tolist(), strict=True)),
-        exact.modulus if exact.stable else 0.0, searches, loops,
-        "; ".join(lost) or "control kept", not lost, scenario.as_flown,
+        stage,
+        node.plane,
+        node.time_s,
+        dict(zip(deviations.places, (3.0 * u).tolist(), strict=True)),
+        exact.modulus if exact.stable else 0.0,
+        searches,
+        loops,
+        "; ".join(lost) or "control kept",
+        not lost,
+        scenario.as_flown,
         *((within.sigmas, within.at_hz, within.tried) if within is not None else (math.nan, math.nan, 0)),
-        together.sigmas if together is not None else math.nan, flight_of.get(id(node), 0),
-    )  # fmt: skip  # nine more lines otherwise
+        together.sigmas if together is not None else math.nan,
+        flight_of.get(id(node), 0),
+    )
 
 
 Searched = tuple[Node, tuple[float, Array, int]]
 
 
 def _refined_beside(
-    nodes: Sequence[Node], searched: Sequence[Searched], design: Design, campaign: LoadedCampaign, wanted: WorstWanted,
-    workers: int, most: int = FURTHER,
-) -> tuple[list[Searched], int]:  # fmt: skip  # one line for each otherwise
+    nodes: Sequence[Node],
+    searched: Sequence[Searched],
+    design: Design,
+    campaign: LoadedCampaign,
+    wanted: WorstWanted,
+    workers: int,
+    most: int = FURTHER,
+) -> tuple[list[Searched], int]:
     """Return descents at the `most` nodes where the worst vehicles known are worst, and the loops of all.
 
     Each node takes the worst vehicles of the two nodes searched that are nearest in time, and the worst of all.

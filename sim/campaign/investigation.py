@@ -251,9 +251,17 @@ def search_worst(
 
         box: Any = bounds.tolist()
         differential_evolution(
-            cost, box, init=first, workers=together, updating="deferred", polish=False, tol=1e-6,
-            maxiter=max(flights // population - 1, 0), rng=np.random.default_rng(_SEED), callback=enough,
-        )  # fmt: skip  # eight more lines otherwise
+            cost,
+            box,
+            init=first,
+            workers=together,
+            updating="deferred",
+            polish=False,
+            tol=1e-6,
+            maxiter=max(flights // population - 1, 0),
+            rng=np.random.default_rng(_SEED),
+            callback=enough,
+        )
     scenario = scenario_of(best[0][1])
     flight = fly_scenario(scenario)
     draws = dict(zip(names, best[0][1].tolist(), strict=True))

@@ -95,9 +95,18 @@ def tail_of(values: Array, limit: float, success: float, confidence: float, larg
     expected = _excess_at(shape, scale, 1.0 - (np.arange(k) + 0.5) / k)
     shown = (tuple((sign * (u + part)).tolist()) for part in (y, expected))
     return Tail(
-        "", sign * u, share, shape, scale, sign * (u + quantile), sign * (u + highest), beyond, most,
-        _share_farther(y, shape, scale), *shown,
-    )  # fmt: skip  # eleven more lines otherwise
+        "",
+        sign * u,
+        share,
+        shape,
+        scale,
+        sign * (u + quantile),
+        sign * (u + highest),
+        beyond,
+        most,
+        _share_farther(y, shape, scale),
+        *shown,
+    )
 
 
 def fit_pareto(y: Array) -> tuple[Array, Array]:

@@ -65,9 +65,7 @@ def burn_out(p: Parameters, memory: Memory) -> None:
 
 
 @routine
-def process_due_events(
-    p: Parameters, pool: Array, memory: Memory, y: Array, aux: Aux, properties: Array
-) -> int:  # fmt: skip  # as ruff would, but for a line of one bracket
+def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Aux, properties: Array) -> int:
     """Process all events that are due now. Returns 1 if the engine has been ignited or cut off."""
     clock, held = memory.clock, memory.held
     now = clock.now_ns
@@ -164,9 +162,16 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
     clock.samples += 1
     memory.computer.external.inputs.stage = clock.stage + p.computer.first_stage
     computer_tick(
-        p.computer, pool, memory.computer, 1e-9 * now, memory.increment_rad, memory.rate_injection_radps,
-        memory.rate_replaces, memory.gimbal_injection_rad, memory.gimbal_replaces,
-    )  # fmt: skip  # seven more lines otherwise
+        p.computer,
+        pool,
+        memory.computer,
+        1e-9 * now,
+        memory.increment_rad,
+        memory.rate_injection_radps,
+        memory.rate_replaces,
+        memory.gimbal_injection_rad,
+        memory.gimbal_replaces,
+    )
     if memory.computer.external.fault != 0:
         clock.finished = 1
     if memory.computer.orbit.phase == CUT_OFF and clock.cut_off_ns == 0 and memory.held.burning == 1:
@@ -292,7 +297,7 @@ def detect_loss_of_control(p: Parameters, memory: Memory, aux: Aux) -> None:
 @routine
 def transfer_state(
     before: Parameters, after: Parameters, pool: Array, memory: Memory, old: Array, new: Array, whole: Array, y: Array
-) -> None:  # fmt: skip  # one more line otherwise
+) -> None:
     """Separation: the upper stage flies on from its own core CG with the motion that the whole had there.
 
     Its modes take over what they hold of the bent axis' motion, and the rigid motion the rest (docs/model.md, 4.10).
@@ -354,11 +359,15 @@ def bent_motion(
 ) -> tuple[vec.Vector, vec.Vector]:
     """Of the part that flies on, by the modes: displacement of a place from the nose, rotation; or their rates."""
     moved = (
-        handed(sizes, pool, at, 0, rates, y), handed(sizes, pool, at, 1, rates, y), handed(sizes, pool, at, 2, rates, y)
-    )  # fmt: skip  # three more lines otherwise
+        handed(sizes, pool, at, 0, rates, y),
+        handed(sizes, pool, at, 1, rates, y),
+        handed(sizes, pool, at, 2, rates, y),
+    )
     turned = (
-        handed(sizes, pool, at, 3, rates, y), handed(sizes, pool, at, 4, rates, y), handed(sizes, pool, at, 5, rates, y)
-    )  # fmt: skip  # three more lines otherwise
+        handed(sizes, pool, at, 3, rates, y),
+        handed(sizes, pool, at, 4, rates, y),
+        handed(sizes, pool, at, 5, rates, y),
+    )
     return vec.add(moved, vec.cross(turned, place)), turned
 
 

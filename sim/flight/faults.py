@@ -49,9 +49,16 @@ def fault_instant(instant_ns: int, since_liftoff: int, liftoff_ns: int, never_ns
 
 @routine
 def switch_faults(
-    faults: Faults, memory: FaultMemory, now_ns: int, liftoff_ns: int, never_ns: int, stage: int, sensors: int,
-    y: Array, slots: Array,
-) -> None:  # fmt: skip  # ten lines otherwise
+    faults: Faults,
+    memory: FaultMemory,
+    now_ns: int,
+    liftoff_ns: int,
+    never_ns: int,
+    stage: int,
+    sensors: int,
+    y: Array,
+    slots: Array,
+) -> None:
     """Write into `slots` what holds from now on, and into the memory when that changes next.
 
     `sensors`: where the states of the sensors beyond the gyro begin.

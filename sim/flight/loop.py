@@ -78,9 +78,19 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
 
 @entry
 def advance(
-    P: Records, pool: Array, state: Records, y: Array, arena: Records, until_ns: int, log_of: Records,
-    fast_ns: IntArray, fast: Array, slow_ns: IntArray, slow: Array, rows: IntArray,
-) -> None:  # fmt: skip  # fourteen lines otherwise
+    P: Records,
+    pool: Array,
+    state: Records,
+    y: Array,
+    arena: Records,
+    until_ns: int,
+    log_of: Records,
+    fast_ns: IntArray,
+    fast: Array,
+    slow_ns: IntArray,
+    slow: Array,
+    rows: IntArray,
+) -> None:
     """Fly until `until_ns` or the end of the flight, whichever comes first.
 
     `P` (stages,) of Parameters, `state` (1,) of Memory, `arena` (1,) of Arena, `log_of` (1,) of Logged. Log rows go to
@@ -128,7 +138,7 @@ def advance(
 @kernel
 def fly_step(
     p: Parameters, pool: Array, memory: Memory, logged: Logged, until_ns: int, space: step.Workspace, log_rows: LogRows
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> None:
     """What is due now, a log row, and a step to the next instant or event, whichever comes first."""
     clock, now_at, now = memory.clock, space.start, memory.clock.now_ns
     if events.process_due_events(p, pool, memory, now_at.y, now_at.aux, now_at.properties) == 1 or clock.fresh == 1:
@@ -308,7 +318,7 @@ def log(p: Parameters, memory: Memory, logged: Logged, at: Evaluation, out: LogR
 @routine
 def log_between(
     p: Parameters, pool: Array, memory: Memory, logged: Logged, space: step.Workspace, out: LogRows, step_ns: int
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> None:
     """Write the rows that are due within the step that has just been taken."""
     clock, fast_ns, slow_ns = memory.clock, p.timeline.fast_ns, p.timeline.slow_ns
     began = clock.now_ns

@@ -135,7 +135,7 @@ def _add_modes(kept: Array, slot: int, vehicle: StageRecord, sizes: Counts, h: f
 @routine
 def _add_actuator(
     kept: Array, slot: int, end: int, a: Actuator, before: Actuator, channel: int, first: int, h: float
-) -> int:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> int:
     """All sections of an actuator together, or those of the actuator `before` it where it has the same."""
     if a.ideal == 1:
         return end

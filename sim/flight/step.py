@@ -120,7 +120,7 @@ def stop_flow(sizes: Counts, properties: Array) -> None:
 @routine
 def evaluate(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, at: Evaluation, work: Work
-) -> None:  # fmt: skip  # nine lines otherwise
+) -> None:
     """Derivative `elapsed_s` into the step that starts at `now_ns`."""
     inputs = memory.inputs
     if p.injections.count > 0:
@@ -185,7 +185,7 @@ def runge_kutta(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns
 @routine
 def exponential_runge_kutta(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, space: Workspace
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> None:
     """As `runge_kutta`, with the motion of the fast linear parts under a constant force worked out exactly.
 
     Exponential method of order four, B4 of S. Krogstad, Generalized integrating factor methods for stiff PDEs, J.
@@ -229,7 +229,7 @@ def exponential_runge_kutta(
 @kernel
 def _block_stage(
     kept: Array, block: int, moved: Array, at: int, stage: int, y: Array, k_1: Array, k: Array, out: Array
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> None:
     """States of one block at stage 2, 3, 4, or at the end (5), into `out`, given the derivative `k` one stage before.
 
     `moved[at:]` holds the block's derivative at the start, its motion since then at the stage before and, under the
@@ -246,9 +246,19 @@ def _block_stage(
 
 @kernel
 def _block_of(
-    n: int, first: int, stride: int, matrices: int, kept: Array, moved: Array, at: int, stage: int, y: Array,
-    k_1: Array, k: Array, out: Array,
-) -> None:  # fmt: skip  # thirteen lines otherwise
+    n: int,
+    first: int,
+    stride: int,
+    matrices: int,
+    kept: Array,
+    moved: Array,
+    at: int,
+    stage: int,
+    y: Array,
+    k_1: Array,
+    k: Array,
+    out: Array,
+) -> None:
     start, last, end, now, total = at, at + LARGEST, at + 2 * LARGEST, at + 3 * LARGEST, at + 4 * LARGEST
     size = n * n
     for j in range(n):
@@ -353,7 +363,7 @@ def starts_or_stops(further_groups: int, before: EngineOutputs, after: EngineOut
 @routine
 def evaluate_between(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, elapsed_ns: int, space: Workspace
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> None:
     """State and derivative `elapsed_ns` into a step that has been taken, into `space.between`.
 
     The state by the cubic that goes with the method (Hairer, Norsett & Wanner I, section II.6): through both ends, with

@@ -302,10 +302,16 @@ def fill_slow(p: Parameters, stations: int, memory: Memory, at: Evaluation, row:
 
 
 def channel_table(
-    sizes: Sizes, tanks: tuple[str, ...], stations: tuple[str, ...] = (), waves: bool = False,
-    groups: tuple[str, ...] = (), engines: tuple[str, ...] = (), external: bool = False, accelerometer: bool = False,
+    sizes: Sizes,
+    tanks: tuple[str, ...],
+    stations: tuple[str, ...] = (),
+    waves: bool = False,
+    groups: tuple[str, ...] = (),
+    engines: tuple[str, ...] = (),
+    external: bool = False,
+    accelerometer: bool = False,
     adaptive: bool = False,
-) -> ChannelTable:  # fmt: skip  # eight lines otherwise
+) -> ChannelTable:
     """Channels of a vehicle with so many modes, these pendulums and sections, in the order of the kernels' columns.
 
     `stations`: what is said of each station of the section loads; in names they go by their numbers, from 1. `waves`:

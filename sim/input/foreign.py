@@ -54,8 +54,14 @@ def read_rasp(text: str, name: str, shown: str) -> CsvTable:
     impulse = float(np.trapezoid(thrust_N, times))
     if not impulse > 0.0:
         raise refuse("has no impulse", "thrust above 0", file=shown)
-    return _table(name, shown, tuple(places), time_s=times, thrust_vacuum_N=thrust_N,
-                  mass_flow_kgps=thrust_N * propellant_kg / impulse)  # fmt: skip  # five more lines otherwise
+    return _table(
+        name,
+        shown,
+        tuple(places),
+        time_s=times,
+        thrust_vacuum_N=thrust_N,
+        mass_flow_kgps=thrust_N * propellant_kg / impulse,
+    )
 
 
 def read_datcom(text: str, name: str, shown: str) -> CsvTable:

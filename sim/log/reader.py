@@ -44,9 +44,15 @@ _FIRST_BLOCK = 64  # records compared at once at first
 _FOOTER_SIZE = RECORD_PREFIX.size + 20
 _LAST_OPCODE = max(Opcode)
 _UNREADABLE = (
-    McapError, CRCValidationError, ZstdError, struct.error, UnicodeDecodeError, OverflowError, MemoryError,
+    McapError,
+    CRCValidationError,
+    ZstdError,
+    struct.error,
+    UnicodeDecodeError,
+    OverflowError,
+    MemoryError,
     RuntimeError,  # of lz4
-)  # fmt: skip  # six more lines otherwise
+)
 MOST_CHUNK_BYTES = 1 << 28
 """Of a chunk's content: ours hold a second of flight, a megabyte or so."""
 MOST_LOG_BYTES = 1 << 34
@@ -134,9 +140,17 @@ def read_log(path: str | Path) -> Log:
     if file.end and file.end.get(keys.STATUS_KEY) != keys.COMPLETE:
         file.notes.append(f"the run was aborted: {file.end.get(keys.REASON_KEY, 'no reason given')}")
     return Log(
-        file.path, file.metadata, file.attachments, file.end, file.table,
-        tuple(events), not file.notes, tuple(file.notes), times_ns, values,
-    )  # fmt: skip  # eight more lines otherwise
+        file.path,
+        file.metadata,
+        file.attachments,
+        file.end,
+        file.table,
+        tuple(events),
+        not file.notes,
+        tuple(file.notes),
+        times_ns,
+        values,
+    )
 
 
 def read_run(path: str | Path) -> LoggedRun:

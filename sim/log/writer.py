@@ -33,8 +33,13 @@ from maxq.sim.log.head import LogError, RunHead, maxq_version
 
 _LEVEL = 1  # of zstd: noisy numbers hardly compress: higher levels cost more time than they save space
 _SUMMARY_ORDER = (
-    Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX
-)  # fmt: skip  # five more lines otherwise
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.STATISTICS,
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+)
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 
 Put = Callable[..., None]

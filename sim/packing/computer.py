@@ -39,9 +39,13 @@ _WHERE = {
     "body_torque": signals.BODY_TORQUE,
 }
 _FORM = {
-    "step": signals.STEP, "doublet": signals.DOUBLET, "sine": signals.SINE, "chirp": signals.CHIRP,
-    "multisine": signals.MULTISINE, "table": signals.TABLE,
-}  # fmt: skip  # four more lines otherwise
+    "step": signals.STEP,
+    "doublet": signals.DOUBLET,
+    "sine": signals.SINE,
+    "chirp": signals.CHIRP,
+    "multisine": signals.MULTISINE,
+    "table": signals.TABLE,
+}
 _AXIS = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
 _IN_RADIANS = ("gimbal_command", "rate_command")
 

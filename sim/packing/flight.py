@@ -111,9 +111,7 @@ def _liftoff_s(scenario: Scenario) -> float:
     return thrust_exceeds_weight_s(before.parameters[0], before.pool, before.state)
 
 
-def _handed_on(
-    stages: Sequence[Stage], burns: Sequence[Burn], sizes: Sequence[Sizes], n: int, pool: Pool
-) -> int:  # fmt: skip  # one more line otherwise
+def _handed_on(stages: Sequence[Stage], burns: Sequence[Burn], sizes: Sequence[Sizes], n: int, pool: Pool) -> int:
     """Where the pool has what the modes before stage n hand on to it."""
     if stages[n].continues:
         return NONE
@@ -128,7 +126,7 @@ def _handed_on(
 
 def _timeline(
     scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int, burns_later: bool, handed_on: int
-) -> StageTimeline:  # fmt: skip  # one more line otherwise
+) -> StageTimeline:
     run, rate = scenario.run, burn_rate(stage) if burn.clock is None else 1.0
     start_ns = to_ns(run.start_s)
     ignition_ns, burnout_ns = _burn(stage, burn, stage_start_ns)

@@ -37,10 +37,19 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
     spatial = stage.spatial_modes.modes.modes if stage.spatial_modes is not None and switches.bending else 0
     cluster = cluster_of(stage, burn.faults)
     return Sizes(
-        pitch, yaw, bobs, len(surface_stations(stage)), tables, spatial, len(cluster.groups) - 1,
-        max(len(cluster.alike), 1), max(len(cluster.gimbals_m), 1) + len(stage.sensors), max(len(cluster.curves), 1),
-        len(swinging(stage, cluster, switches)), len(stage.sensors),
-    )  # fmt: skip  # ten lines otherwise
+        pitch,
+        yaw,
+        bobs,
+        len(surface_stations(stage)),
+        tables,
+        spatial,
+        len(cluster.groups) - 1,
+        max(len(cluster.alike), 1),
+        max(len(cluster.gimbals_m), 1) + len(stage.sensors),
+        max(len(cluster.curves), 1),
+        len(swinging(stage, cluster, switches)),
+        len(stage.sensors),
+    )
 
 
 def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches, frozen: bool) -> list[Cubics]:

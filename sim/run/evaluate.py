@@ -55,7 +55,7 @@ def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
 @entry
 def evaluate_into(
     P: Records, pool: Array, state: Records, y: Array, now_ns: int, elapsed_s: float, space: Records
-) -> None:  # fmt: skip  # nine lines otherwise
+) -> None:
     """Derivative of `y` and its by-products `elapsed_s` into a step that starts at the instant `now_ns`, with section
     loads where there are stations; `P` of Parameters, `state` of Memory, `space` of Space.
     """

@@ -85,11 +85,18 @@ def _class_of(loaded: LoadedScenario, code: CodeFile, where: str) -> None:
 
 def setup_of(computer: ComputerSection, packed_computer: Any, start_ns: int) -> Setup:
     return Setup(
-        ctypes.sizeof(Setup), ABI, int(packed_computer.sample_ns), int(packed_computer.delay_ns), start_ns,
-        int(packed_computer.allocation.groups), float(packed_computer.converter.count_rad),
-        float(packed_computer.dac_step_rad), float(packed_computer.command_limit_rad),
-        float(packed_computer.angle_error_limit_rad), computer.settings.encode(),
-    )  # fmt: skip  # ten lines otherwise
+        ctypes.sizeof(Setup),
+        ABI,
+        int(packed_computer.sample_ns),
+        int(packed_computer.delay_ns),
+        start_ns,
+        int(packed_computer.allocation.groups),
+        float(packed_computer.converter.count_rad),
+        float(packed_computer.dac_step_rad),
+        float(packed_computer.command_limit_rad),
+        float(packed_computer.angle_error_limit_rad),
+        computer.settings.encode(),
+    )
 
 
 class FlightSoftware:

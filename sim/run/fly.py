@@ -53,8 +53,11 @@ _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage h
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
 SOFTWARE_NAME = "flight_software"  # the flight code from outside has ended the flight
 ATTITUDE_METRICS = (  # of vehicles that something steers
-    "max_attitude_error_deg", "max_roll_error_deg", "max_computer_attitude_error_deg", "max_computer_roll_error_deg",
-)  # fmt: skip  # three more lines otherwise
+    "max_attitude_error_deg",
+    "max_roll_error_deg",
+    "max_computer_attitude_error_deg",
+    "max_computer_roll_error_deg",
+)
 BROKEN_WAVE = "the wave is as high as it can be; from here on the pendulum is no picture of the liquid"
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
 
@@ -116,8 +119,18 @@ class FlightRun:
         """What `advance` takes, without `until_ns`."""
         p, (fast_ns, fast), (slow_ns, slow) = self.packed, room[FAST], room[SLOW]
         return (
-            p.parameters, p.pool, p.memory, p.state, self._arena, logged, fast_ns, fast, slow_ns, slow, self._counts,
-        )  # fmt: skip  # nine lines more otherwise
+            p.parameters,
+            p.pool,
+            p.memory,
+            p.state,
+            self._arena,
+            logged,
+            fast_ns,
+            fast,
+            slow_ns,
+            slow,
+            self._counts,
+        )
 
     def _hold(self, arrays: tuple[Any, ...]) -> None:
         """Fly on in these arrays."""
@@ -384,9 +397,16 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
     external = computer is not None and computer.law == "external"
     senses = scenario.vehicle.stage[0].accelerometer is not None
     return _channel_table(
-        sizes, tanks, load_stations(scenario), waves, groups, engine_names(scenario), external, senses,
+        sizes,
+        tanks,
+        load_stations(scenario),
+        waves,
+        groups,
+        engine_names(scenario),
+        external,
+        senses,
         _adapts(scenario),
-    )  # fmt: skip  # a line a value otherwise
+    )
 
 
 def _adapts(scenario: Scenario) -> bool:

@@ -16,10 +16,20 @@ from maxq.sim.input.tables_csv import Columns, CsvTable
 from maxq.sim.input.values import Fraction, Positive, Seconds, Section, optional
 
 FaultKind = Literal[
-    "engine-off", "thrust-loss", "gyro-stuck", "gyro-dead", "gyro-bias", "gyro-noisy", "accelerometer-stuck",
-    "accelerometer-dead", "accelerometer-bias", "accelerometer-noisy", "actuator-stuck", "actuator-hard-over",
+    "engine-off",
+    "thrust-loss",
+    "gyro-stuck",
+    "gyro-dead",
+    "gyro-bias",
+    "gyro-noisy",
+    "accelerometer-stuck",
+    "accelerometer-dead",
+    "accelerometer-bias",
+    "accelerometer-noisy",
+    "actuator-stuck",
+    "actuator-hard-over",
     "actuator-floating",
-]  # fmt: skip  # eleven more lines otherwise
+]
 
 
 class FaultAbout(NamedTuple):
@@ -71,9 +81,11 @@ class Fault(Section):
     until_s: Seconds | None = optional("when the part works again, s, whole ns (default: never)")
     stage: int | None = optional("of which stage, from 0 (default: of whichever flies)", None, ge=0, lt=MAX_STAGES)
     gyro: int | None = optional(
-        "which gyro, as the log counts them: 1 that of [stage.gyro], from 2 on [[stage.rate_gyro]] (default: 1)", None,
-        ge=1, le=MAX_SENSORS,
-    )  # fmt: skip  # three more lines otherwise
+        "which gyro, as the log counts them: 1 that of [stage.gyro], from 2 on [[stage.rate_gyro]] (default: 1)",
+        None,
+        ge=1,
+        le=MAX_SENSORS,
+    )
     axis: Literal["roll", "pitch", "yaw", "x", "y", "z"] | None = optional(
         "which axis: roll, pitch, yaw of gyros and actuators, x, y, z of the accelerometer (default: all)"
     )

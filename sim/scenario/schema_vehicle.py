@@ -260,9 +260,10 @@ class Stage(Section):
                 raise refuse("another engine has this name", "a name for each engine", (*self.engine_key(n), "name"))
             if ("mass_flow_kgps" in engine.table) != ("mass_flow_kgps" in self.engines[0].table):
                 raise engine.table.refusal(
-                    "some engines have a column mass_flow_kgps and some have none", "all or none",
+                    "some engines have a column mass_flow_kgps and some have none",
+                    "all or none",
                     at=(*self.engine_key(n), "table"),
-                )  # fmt: skip  # six lines otherwise
+                )
 
     def _check_groups(self, key: str, given: Any, *, all_of_them: bool) -> None:
         """A list has an entry for each group of engines, a table serves all."""
@@ -401,8 +402,10 @@ class Vehicle(Section):
         if stage.continues and (n == 0 or stage.counts != self.stage[n - 1].counts or stage.ignition_s > 0.0):
             raise refuse(
                 "there is no stage before with as many engine groups, slosh modes and bending modes that burns on",
-                "false", ("stage", n, "continues"), value=True,
-            )  # fmt: skip  # two more lines otherwise
+                "false",
+                ("stage", n, "continues"),
+                value=True,
+            )
         if stage.computer is None:
             return
         if self.computer is None:

@@ -31,9 +31,17 @@ from maxq.sim.vehicle.workspace import Work
 
 @kernel
 def accelerate(
-    sizes: Counts, on_pad: int, balanced: Balance, force: vec.Vector, moment: vec.Vector,
-    pad_accel: vec.Vector, properties: Array, y: Array, first: int, work: Work,
-) -> tuple[vec.Vector, vec.Vector]:  # fmt: skip  # twelve lines otherwise
+    sizes: Counts,
+    on_pad: int,
+    balanced: Balance,
+    force: vec.Vector,
+    moment: vec.Vector,
+    pad_accel: vec.Vector,
+    properties: Array,
+    y: Array,
+    first: int,
+    work: Work,
+) -> tuple[vec.Vector, vec.Vector]:
     """Specific force at the core CG and angular acceleration, in B; modal accelerations and tensions (N) in `work`.
 
     `force` and `moment` (about the core CG) are those without the rods' tensions, `balanced` CG and inertia with the
@@ -106,9 +114,7 @@ def _arm_through_modes(
 
 
 @kernel
-def _add_damper_to_modes(
-    sizes: Counts, k: int, tank: slosh.TankWork, properties: Array, modes: Modes
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+def _add_damper_to_modes(sizes: Counts, k: int, tank: slosh.TankWork, properties: Array, modes: Modes) -> None:
     """Add the force of the damper of tank k to the generalised forces."""
     force_y, force_z = tank.damper_force_N[1], tank.damper_force_N[2]
     in_pitch, in_yaw = (
@@ -125,7 +131,7 @@ def _add_damper_to_modes(
 @kernel
 def _add_tension_to_modes(
     sizes: Counts, k: int, force_y: float, force_z: float, properties: Array, modes: PlanarMotion
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> None:
     """Add the lateral force of the rod of tank k to the modal accelerations."""
     in_pitch = sch.derived_column(sizes, sch.PITCH, sch.MODE_TANK_COMPLIANCE + k)
     in_yaw = sch.derived_column(sizes, sch.YAW, sch.MODE_TANK_COMPLIANCE + k)
@@ -141,9 +147,15 @@ def _entry(row: int, column: int) -> int:
 
 @kernel
 def _solve_tensions(
-    sizes: Counts, inverse_mass: float, accel: vec.Vector, alpha: vec.Vector, properties: Array, y: Array,
-    first: int, work: Work,
-) -> None:  # fmt: skip  # ten lines otherwise
+    sizes: Counts,
+    inverse_mass: float,
+    accel: vec.Vector,
+    alpha: vec.Vector,
+    properties: Array,
+    y: Array,
+    first: int,
+    work: Work,
+) -> None:
     """Solve  (1/m_k) T_k + sum_l G_kl T_l = demand_k - (hinge acceleration along the rod without tensions).
 
     G is symmetric: how much the hinge of k accelerates along its rod per newton of tension in l. With arms about the CG
@@ -191,9 +203,7 @@ def _solve_tensions(
 
 
 @kernel
-def _bending_acceleration(
-    sizes: Counts, k: int, properties: Array, accel_mps2: Array
-) -> tuple[float, float]:  # fmt: skip  # as ruff would, but for a line of one bracket
+def _bending_acceleration(sizes: Counts, k: int, properties: Array, accel_mps2: Array) -> tuple[float, float]:
     """Acceleration of the hinge of tank k along y and z, from the modal accelerations."""
     bend_z = modal_sum(
         sizes, properties, sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + k), accel_mps2, of_plane(sch.PITCH)
@@ -207,7 +217,7 @@ def _bending_acceleration(
 @kernel
 def _add_loads(
     sizes: Counts, accel: vec.Vector, alpha: vec.Vector, properties: Array, y: Array, first: int, work: Work
-) -> None:  # fmt: skip  # ten lines otherwise
+) -> None:
     """Rows and columns of the engine's angular accelerations s in the system of the tensions (docs/model.md, 14.4):
 
         I_i s_i - sum_j (b_i . Y_j) s_j - sum_k h_ki T_k = known_i + b_i . X,

@@ -40,9 +40,19 @@ class Sizes:
 
 
 LARGEST = Sizes(
-    MAX_MODES, MAX_MODES, MAX_PENDULUMS, MAX_SURFACES + 1, MAX_SURFACES, MAX_MODES, MAX_ENGINES - 1, MAX_ENGINES,
-    MAX_ENGINES + MAX_SENSORS, MAX_ENGINES, MAX_TVC_LOADS, MAX_SENSORS,
-)  # fmt: skip  # a row
+    MAX_MODES,
+    MAX_MODES,
+    MAX_PENDULUMS,
+    MAX_SURFACES + 1,
+    MAX_SURFACES,
+    MAX_MODES,
+    MAX_ENGINES - 1,
+    MAX_ENGINES,
+    MAX_ENGINES + MAX_SENSORS,
+    MAX_ENGINES,
+    MAX_TVC_LOADS,
+    MAX_SENSORS,
+)
 
 
 class Counts(NamedTuple):
@@ -70,12 +80,20 @@ class Counts(NamedTuple):
 @kernel
 def counts(sizes: Sizes) -> Counts:
     return Counts(
-        integer(sizes, "pitch_modes"), integer(sizes, "yaw_modes"), integer(sizes, "pendulums"),
-        integer(sizes, "surfaces"), integer(sizes, "tables"), integer(sizes, "spatial_modes"),
-        integer(sizes, "further_groups"), integer(sizes, "engines"), integer(sizes, "gimbals"),
-        integer(sizes, "thrust_curves"), integer(sizes, "tvc_loads"), integer(sizes, "sensors"),
+        integer(sizes, "pitch_modes"),
+        integer(sizes, "yaw_modes"),
+        integer(sizes, "pendulums"),
+        integer(sizes, "surfaces"),
+        integer(sizes, "tables"),
+        integer(sizes, "spatial_modes"),
+        integer(sizes, "further_groups"),
+        integer(sizes, "engines"),
+        integer(sizes, "gimbals"),
+        integer(sizes, "thrust_curves"),
+        integer(sizes, "tvc_loads"),
+        integer(sizes, "sensors"),
         integer(sizes, "mode_groups"),
-    )  # fmt: skip  # eleven lines otherwise
+    )
 
 
 @kernel

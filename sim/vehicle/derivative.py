@@ -172,9 +172,14 @@ def _derive_properties(vehicle: StageRecord, sizes: Counts, pool: Array, clock_s
 
 @routine_beside
 def derivative(
-    vehicle: StageRecord, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
+    vehicle: StageRecord,
+    environment: Environment,
+    pool: Array,
+    held: Held,
+    inputs: StageInputs,
+    at: Evaluation,
     work: Work,
-) -> None:  # fmt: skip  # nine lines otherwise
+) -> None:
     """Derivative of `at.y` into `at.dy`, auxiliary outputs into `at.aux`, with the properties of this instant."""
     sizes = counts(vehicle.sizes)
     if not are_usual(sizes):
@@ -187,25 +192,41 @@ def derivative(
 
 @rare_routine
 def _unusual_derivative(
-    vehicle: StageRecord, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
+    vehicle: StageRecord,
+    environment: Environment,
+    pool: Array,
+    held: Held,
+    inputs: StageInputs,
+    at: Evaluation,
     work: Work,
-) -> None:  # fmt: skip  # nine lines otherwise
+) -> None:
     _derivative(vehicle, counts(vehicle.sizes), environment, pool, held, inputs, at, work)
 
 
 @rare_routine
 def _rigid_derivative(
-    vehicle: StageRecord, environment: Environment, pool: Array, held: Held, inputs: StageInputs, at: Evaluation,
+    vehicle: StageRecord,
+    environment: Environment,
+    pool: Array,
+    held: Held,
+    inputs: StageInputs,
+    at: Evaluation,
     work: Work,
-) -> None:  # fmt: skip  # nine lines otherwise
+) -> None:
     _derivative(vehicle, rigid_counts(counts(vehicle.sizes)), environment, pool, held, inputs, at, work)
 
 
 @kernel
 def _derivative(
-    vehicle: StageRecord, sizes: Counts, environment: Environment, pool: Array, held: Held, inputs: StageInputs,
-    at: Evaluation, work: Work,
-) -> None:  # fmt: skip  # ten lines otherwise
+    vehicle: StageRecord,
+    sizes: Counts,
+    environment: Environment,
+    pool: Array,
+    held: Held,
+    inputs: StageInputs,
+    at: Evaluation,
+    work: Work,
+) -> None:
     (properties, y, dy, aux), modes = at, work.modes
     eta, xi, spatial, pendulums = (
         states.eta_index(sizes),
@@ -226,7 +247,7 @@ def _derivative(
 
     aero_force, aero_moment = aerodynamics(
         vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux.air
-    )  # fmt: skip  # twelve lines otherwise
+    )
     thrust_force, thrust_moment, gimbal_load = thrust_loads(vehicle, sizes, engine, properties, work, aux)
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_TOTAL_MASS]
     pad, axial_load = (0.0, 0.0, 0.0), (aero_force[0] + thrust_force[0]) * inverse_mass
@@ -267,7 +288,7 @@ def _derivative(
     if sizes.engines > 1:
         further_force, further_moment, reaction_load, momentum = further_reactions(
             vehicle.engine, vehicle.sizes, rate, axial_load, first_rates, reaction_load, momentum, properties, work
-        )  # fmt: skip  # thirteen lines otherwise
+        )
         force, moment = add(force, further_force), add(moment, further_moment)
     if sizes.spatial_modes > 0:
         apply_spatial_load(sizes, properties, sch.gimbal_place(sizes, 0), reaction_load, modes.spatial.force_N)
@@ -284,9 +305,18 @@ def _derivative(
     for tank in range(sizes.pendulums):
         first = pendulums + states.N_PENDULUM * tank
         damper_force, damper_moment = pendulum_loads(
-            vehicle.slosh, sizes, tank, rate, axial_load, balanced.offset, properties, y, first, modes,
+            vehicle.slosh,
+            sizes,
+            tank,
+            rate,
+            axial_load,
+            balanced.offset,
+            properties,
+            y,
+            first,
+            modes,
             record_at(work.tank, tank),
-        )  # fmt: skip  # twelve lines otherwise
+        )
         force, moment = add(force, damper_force), add(moment, damper_moment)
     if vehicle.slosh.exchange == 1:
         liquid_force, liquid_moment = exchange_loads(
@@ -296,9 +326,23 @@ def _derivative(
 
     if sizes.tvc_loads > 0:
         prepare_loads(
-            vehicle.tvc_load, vehicle.engine, engine, balanced.offset, sizes, rate, first_rates, axial_load,
-            properties, y, loads, held.faults, work.engine, modes, work.system, aux.tvc_loads,
-        )  # fmt: skip  # eleven lines otherwise
+            vehicle.tvc_load,
+            vehicle.engine,
+            engine,
+            balanced.offset,
+            sizes,
+            rate,
+            first_rates,
+            axial_load,
+            properties,
+            y,
+            loads,
+            held.faults,
+            work.engine,
+            modes,
+            work.system,
+            aux.tvc_loads,
+        )
     specific_force, alpha = accelerate(sizes, held.on_pad, balanced, force, moment, pad, properties, y, pendulums, work)
 
     rigid.kinematics(
@@ -382,9 +426,18 @@ def further_motion(e: Engine, of: Sizes, properties: Array, work: Work, aux: Aux
 
 @kernel
 def aerodynamics(
-    vehicle: StageRecord, sizes: Counts, environment: Environment, pool: Array, held: Held,
-    rotation: Matrix, rate: Vector, properties: Array, y: Array, work: Work, air: AirData,
-) -> tuple[Vector, Vector]:  # fmt: skip  # nine more lines otherwise
+    vehicle: StageRecord,
+    sizes: Counts,
+    environment: Environment,
+    pool: Array,
+    held: Held,
+    rotation: Matrix,
+    rate: Vector,
+    properties: Array,
+    y: Array,
+    work: Work,
+    air: AirData,
+) -> tuple[Vector, Vector]:
     """Force and moment about the core CG in B; adds to the generalised forces of the modes in `work`."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if air_acts(vehicle.aero, air):
@@ -396,9 +449,18 @@ def aerodynamics(
         cg = vector_at(properties, sch.CORE_CG)
         if environment.penetration == 1:
             winds_along_body(
-                environment, pool, vehicle.aero.station_m, sizes.surfaces, vehicle.aero.crossflow_station_m, cg[0],
-                rotation, y, work.anchor, air, work.aero.wind_B_mps,
-            )  # fmt: skip  # eleven lines otherwise
+                environment,
+                pool,
+                vehicle.aero.station_m,
+                sizes.surfaces,
+                vehicle.aero.crossflow_station_m,
+                cg[0],
+                rotation,
+                y,
+                work.anchor,
+                air,
+                work.aero.wind_B_mps,
+            )
         force, moment = body_loads(vehicle.aero, air.density_kgpm3, flow, rate, held.burning, cg, work.aero)
         surface_force, surface_moment = surface_loads(
             vehicle.aero, sizes, air.density_kgpm3, flow, properties, work.modes, work.aero
@@ -406,9 +468,18 @@ def aerodynamics(
         force, moment = add(force, surface_force), add(moment, surface_moment)
         if sizes.tables > 0:
             table_force, table_moment = table_loads(
-                vehicle.aero, sizes, pool, air.density_kgpm3, air.mach, flow, rate, held.burning, properties,
-                work.modes, work.aero,
-            )  # fmt: skip  # twelve lines otherwise
+                vehicle.aero,
+                sizes,
+                pool,
+                air.density_kgpm3,
+                air.mach,
+                flow,
+                rate,
+                held.burning,
+                properties,
+                work.modes,
+                work.aero,
+            )
             force, moment = add(force, table_force), add(moment, table_moment)
     return force, moment
 
@@ -432,7 +503,7 @@ def thrust_loads(
     if sizes.engines > 1:
         further_force, further_moment, load = further_thrusts(
             vehicle.engine, vehicle.sizes, vehicle.follower_thrust, load, bend, properties, work, aux
-        )  # fmt: skip  # ten lines otherwise
+        )
         force, moment = add(force, further_force), add(moment, further_moment)
     return force, moment, load
 
@@ -506,9 +577,16 @@ def further_thrusts(
 
 @routine
 def further_reactions(
-    e: Engine, of: Sizes, rate: Vector, axial_load: float, first_rates: Rates, load: Load, momentum: Load,
-    properties: Array, work: Work,
-) -> tuple[Vector, Vector, Load, Load]:  # fmt: skip  # eleven lines otherwise
+    e: Engine,
+    of: Sizes,
+    rate: Vector,
+    axial_load: float,
+    first_rates: Rates,
+    load: Load,
+    momentum: Load,
+    properties: Array,
+    work: Work,
+) -> tuple[Vector, Vector, Load, Load]:
     """Reaction of the engines beyond the first: force, moment; `load` and `momentum` with theirs at the first station.
 
     What acts at other stations goes to the modes at once, and their gyroscopic moment into the moment.

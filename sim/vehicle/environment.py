@@ -95,7 +95,7 @@ PartWinds = Annotated[Array, (3 * (CROSSFLOW_PART + 1),)]  # of each surface and
 @kernel
 def air_data(
     environment: Environment, pool: Array, gust: Vector, rotation: Matrix, y: Array, anchor: Anchor, out: AirData
-) -> Vector:  # fmt: skip  # nine lines otherwise
+) -> Vector:
     """Air data into `out`; returns the gravitation in I, m/s2. `gust`: of the turbulence, in its frame, m/s."""
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     gravity = gravitation(environment.earth, x, yy, z)
@@ -123,9 +123,18 @@ def air_data(
 
 @kernel
 def winds_along_body(
-    environment: Environment, pool: Array, stations_m: Array, parts: int, crossflow_m: float, cg_m: float,
-    rotation: Matrix, y: Array, anchor: Anchor, air_at_cg: AirData, wind_B_mps: Array,
-) -> None:  # fmt: skip  # ten lines otherwise
+    environment: Environment,
+    pool: Array,
+    stations_m: Array,
+    parts: int,
+    crossflow_m: float,
+    cg_m: float,
+    rotation: Matrix,
+    y: Array,
+    anchor: Anchor,
+    air_at_cg: AirData,
+    wind_B_mps: Array,
+) -> None:
     """Air's velocity at each part less that at the core CG, in B, into `wind_B_mps`.
 
     Profile and gusts at the part's own altitude, along the straight axis. The turbulence's difference is there already.

@@ -197,7 +197,7 @@ def spectral_lines(wave_number_pm: Array, density_m3ps2: Array, seed: int) -> di
 @routine
 def turbulence_start(
     turbulence: Turbulence, pool: Array, state: TurbulenceState, altitude_m: float, along_N: Vector
-) -> None:  # fmt: skip  # nine lines otherwise
+) -> None:
     """Draw the filters' states from their stationary distribution and set the gust: there is no spin-up.
 
     `along_N`: direction of flight relative to the air, north, east, down; counts in the frame HORIZONTAL only.
@@ -222,7 +222,7 @@ def turbulence_start(
 @routine
 def turbulence_tick(
     turbulence: Turbulence, pool: Array, state: TurbulenceState, airspeed_mps: float, altitude_m: float, along_N: Vector
-) -> None:  # fmt: skip  # nine lines otherwise
+) -> None:
     """Advance the gust by one tick at the present airspeed [m/s] and altitude [m]; called every `tick_ns`.
 
     `along_N` as for `turbulence_start`.
@@ -312,9 +312,7 @@ def second_order_step(theta: float) -> tuple[float, float, float, float]:
 
 
 @kernel
-def _set_gust(
-    turbulence: Turbulence, pool: Array, state: TurbulenceState, altitude_m: float, along_N: Vector
-) -> None:  # fmt: skip  # nine lines otherwise
+def _set_gust(turbulence: Turbulence, pool: Array, state: TurbulenceState, altitude_m: float, along_N: Vector) -> None:
     """The gust of the filters' present states: outputs of unit variance times the intensities; or that of the lines."""
     if turbulence.lines > 0:
         state.now_mps[0], state.now_mps[1], state.now_mps[2] = 0.0, 0.0, 0.0

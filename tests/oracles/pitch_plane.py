@@ -376,13 +376,29 @@ def quantities(vehicle: VehicleFolder, t: float) -> dict[str, float]:
     lift = [surface(mach) for surface in vehicle.surfaces]
     slope = sum(row[0] for row in lift)
     values = {
-        "h": altitude, "U": speed, "mach": mach, "qbar": pressure, "gamma_deg": path_angle, "T": thrust,
-        "m": mass, "x_cg": x_cg, "Iyy": pitch, "Ixx": roll, "CA": aero[0], "CNa": slope,
-        "x_cp": sum(row[0] * row[1] for row in lift) / slope, "Cmq": aero[2],
-        "Za": -slope * s.pressure_area_N / (mass * speed), "Ma": s.m_alpha_ps2,
-        "Zd": thrust / (mass * speed), "Md": s.m_delta_ps2, "Mq": s.pitch_damping_Nms / pitch,
-        "m_rigid": s.core_mass_kg, "Iyy_rigid": s.core_inertia_kgm2, "ax_sensed": s.axial_mps2,
-    }  # fmt: skip  # sixteen more lines otherwise
+        "h": altitude,
+        "U": speed,
+        "mach": mach,
+        "qbar": pressure,
+        "gamma_deg": path_angle,
+        "T": thrust,
+        "m": mass,
+        "x_cg": x_cg,
+        "Iyy": pitch,
+        "Ixx": roll,
+        "CA": aero[0],
+        "CNa": slope,
+        "x_cp": sum(row[0] * row[1] for row in lift) / slope,
+        "Cmq": aero[2],
+        "Za": -slope * s.pressure_area_N / (mass * speed),
+        "Ma": s.m_alpha_ps2,
+        "Zd": thrust / (mass * speed),
+        "Md": s.m_delta_ps2,
+        "Mq": s.pitch_damping_Nms / pitch,
+        "m_rigid": s.core_mass_kg,
+        "Iyy_rigid": s.core_inertia_kgm2,
+        "ax_sensed": s.axial_mps2,
+    }
     for name, tank, pendulum in zip(("lox", "fuel"), vehicle.tanks, s.pendulums, strict=True):
         row = tank(t)
         values |= {f"m_s_{name}": row[0], f"L_p_{name}": row[1], f"x_hinge_{name}": row[2]}

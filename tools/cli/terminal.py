@@ -128,9 +128,15 @@ def folded(text: str, width: int | None = None) -> str:
             continue
         indent = line[: len(line) - len(line.lstrip())]
         lines += textwrap.wrap(
-            line.lstrip(), room, initial_indent=indent, subsequent_indent=indent + "    ", drop_whitespace=True,
-            break_long_words=False, break_on_hyphens=False, replace_whitespace=False,
-        )  # fmt: skip  # four more lines otherwise
+            line.lstrip(),
+            room,
+            initial_indent=indent,
+            subsequent_indent=indent + "    ",
+            drop_whitespace=True,
+            break_long_words=False,
+            break_on_hyphens=False,
+            replace_whitespace=False,
+        )
     return "\n".join(lines)
 
 

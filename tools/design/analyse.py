@@ -275,9 +275,7 @@ def _found(
 ) -> list[N]:
     """Return nodes along the flight. Raises ScenarioError for a time outside the powered flight."""
     try:
-        nodes = make(
-            scenario, times_s, plane=order.axis, errata=order.errata, plant=order.plant, faults=order.faults
-        )  # fmt: skip  # nine lines otherwise
+        nodes = make(scenario, times_s, plane=order.axis, errata=order.errata, plant=order.plant, faults=order.faults)
         for node in nodes:
             _ = node.plant  # raises where there is none, before the long work
     except ValueError as error:

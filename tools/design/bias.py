@@ -115,14 +115,19 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
         raise ScenarioError(loaded.label, "there is no programme to bias", "guidance.programme", allowed="a table")
     if scenario.guidance.method != "linear" and len(programme) > 1:
         raise ScenarioError(
-            loaded.label, "a bias is linear between rows", "guidance.method", value=scenario.guidance.method,
+            loaded.label,
+            "a bias is linear between rows",
+            "guidance.method",
+            value=scenario.guidance.method,
             allowed="linear",
-        )  # fmt: skip  # two more lines otherwise
+        )
     if programme.get("roll_rate_degps").any():
         raise ScenarioError(
-            loaded.label, "pitch and yaw change places when the vehicle rolls", "guidance.programme",
+            loaded.label,
+            "pitch and yaw change places when the vehicle rolls",
+            "guidance.programme",
             allowed="a programme that commands no roll",
-        )  # fmt: skip  # two more lines otherwise
+        )
 
     def flown(air: WindSection, table: CsvTable, end_s: float) -> Flight:
         guidance = scenario.guidance.model_copy(update={"programme": table})

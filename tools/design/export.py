@@ -198,23 +198,35 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
         adapts = ("least", "span", "error_gain", "damper_gain", "leakage_ps", "low_pass_share")
         assert computer.law.sections.shape == (2, MAX_SECTIONS, 5)
         values = (
-            int(computer.sample_ns), int(computer.sample_ns) / 1.0e9, int(computer.takes_over),
+            int(computer.sample_ns),
+            int(computer.sample_ns) / 1.0e9,
+            int(computer.takes_over),
             *(
                 min(float(limit), _ENDLESS)
                 for limit in (computer.angle_error_limit_rad, computer.command_limit_rad, computer.dac_step_rad)
             ),
-            min(float(computer.pid.limit_rad), _ENDLESS), float(computer.relief.share),
-            int(computer.roll_on), int(roll.minimum_on_ticks),
+            min(float(computer.pid.limit_rad), _ENDLESS),
+            float(computer.relief.share),
+            int(computer.roll_on),
+            int(roll.minimum_on_ticks),
             *(float(getattr(roll, name)) for name in ("k_rate_s", "dead_band_rad", "hysteresis_rad")),
             *(float(getattr(allocation, k)) if by_gimbals else 0.0 for k in ("k_p", "k_d_s", "roll_limit_rad")),
-            int(computer.over), breaks, f"gain_at_{n}", f"gain_{n}",
+            int(computer.over),
+            breaks,
+            f"gain_at_{n}",
+            f"gain_{n}",
             computer.sensors.blend[:, : gyros + 1].tolist(),
-            int(adaptive.on), *(float(adaptive[name]) for name in adapts),
-            adaptive.reference.tolist(), adaptive.high_pass[0].tolist(),
-            computer.law.n_sections.tolist(), computer.law.sections.tolist(),
-            int(computer.loops.on), int(computer.loops.fade_ticks),
-            computer.loops.n_sections.tolist(), computer.loops.sections.tolist(),
-        )  # fmt: skip  # a value a line otherwise
+            int(adaptive.on),
+            *(float(adaptive[name]) for name in adapts),
+            adaptive.reference.tolist(),
+            adaptive.high_pass[0].tolist(),
+            computer.law.n_sections.tolist(),
+            computer.law.sections.tolist(),
+            int(computer.loops.on),
+            int(computer.loops.fade_ticks),
+            computer.loops.n_sections.tolist(),
+            computer.loops.sections.tolist(),
+        )
         stages.append(values)
     yield "const law_stage law_stages[LAW_STAGES] = {"
     for values in stages:

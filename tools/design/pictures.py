@@ -93,11 +93,18 @@ def _entry(values: np.ndarray, i: int) -> float:
 
 LOWEST_HZ, HIGHEST_HZ = 0.1, 100.0
 AXIS_OF = {
-    "time_s": "time, s", "speed_mps": "speed, m/s", "mass_kg": "mass, kg", "dynamic_pressure_Pa": "q, Pa",
-    "k_p": r"$k_P$, rad/rad", "k_d_s": r"$k_D$, s", "k_i_ps": r"$k_I$, 1/s", "k_a_s2pm": r"$k_A$, s$^2$/m",
-    "k_alpha": r"$k_\alpha$, rad/rad", "percussion_m": "lever of the centre of percussion, m",
+    "time_s": "time, s",
+    "speed_mps": "speed, m/s",
+    "mass_kg": "mass, kg",
+    "dynamic_pressure_Pa": "q, Pa",
+    "k_p": r"$k_P$, rad/rad",
+    "k_d_s": r"$k_D$, s",
+    "k_i_ps": r"$k_I$, 1/s",
+    "k_a_s2pm": r"$k_A$, s$^2$/m",
+    "k_alpha": r"$k_\alpha$, rad/rad",
+    "percussion_m": "lever of the centre of percussion, m",
     "accel_per_incidence_mps2": r"acceleration per incidence, m/s$^2$",
-}  # fmt: skip  # seven more lines otherwise
+}
 
 
 def gains(designs: Mapping[str, Design], title: str = "") -> Figure:
@@ -141,9 +148,14 @@ def filters(designs: Mapping[str, Design], nodes: Sequence[Node], title: str = "
     for n, (low_hz, high_hz) in enumerate(bands_hz, 1):
         middle_hz = np.sqrt(low_hz * high_hz)
         places[0].annotate(
-            f"{n}" if n > 1 else "mode 1", (middle_hz, 1.0), xycoords=("data", "axes fraction"),
-            ha="center", va="bottom", fontsize=7, color=BLACK,
-        )  # fmt: skip  # five more lines otherwise
+            f"{n}" if n > 1 else "mode 1",
+            (middle_hz, 1.0),
+            xycoords=("data", "axes fraction"),
+            ha="center",
+            va="bottom",
+            fontsize=7,
+            color=BLACK,
+        )
     for place in places:
         place.set_xscale("log")
         place.set_xlim(LOWEST_HZ, HIGHEST_HZ)

@@ -36,10 +36,18 @@ from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.way_out import way_out_comments, way_out_record, way_out_table
 
 GAIN_HEADS = {
-    "time_s": "time, s", "speed_mps": "speed, m/s", "mass_kg": "mass, kg", "dynamic_pressure_Pa": "q, Pa",
-    "k_p": "k_p", "k_d_s": "k_d, s", "k_i_ps": "k_i, 1/s", "k_a_s2pm": "k_a, s2/m", "k_alpha": "k_alpha",
-    "percussion_m": "percussion, m", "accel_per_incidence_mps2": "per incidence, m/s2",
-}  # fmt: skip  # seven more lines otherwise
+    "time_s": "time, s",
+    "speed_mps": "speed, m/s",
+    "mass_kg": "mass, kg",
+    "dynamic_pressure_Pa": "q, Pa",
+    "k_p": "k_p",
+    "k_d_s": "k_d, s",
+    "k_i_ps": "k_i, 1/s",
+    "k_a_s2pm": "k_a, s2/m",
+    "k_alpha": "k_alpha",
+    "percussion_m": "percussion, m",
+    "accel_per_incidence_mps2": "per incidence, m/s2",
+}
 MET, MISSED = "met", "MISSED"
 _KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
 _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
@@ -142,12 +150,18 @@ def case_report(outcome: DesignOutcome, solution: Solution) -> str:
     ]
     off, flown = outcome.dispersed_found, outcome.flown_found
     return _joined(
-        head, limits_table([*outcome.found, *outcome.coupled_found]),
+        head,
+        limits_table([*outcome.found, *outcome.coupled_found]),
         limits_table(off, f"limits of {len(off[0].values)} dispersed plants") if off else [],
         limits_table(flown, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
-        way_out_table(solution), design_table(design), search_table(solution), wind_table(outcome),
-        margins_table(outcome.judged), lobes_table(outcome.judged), nodes_table(outcome.found, outcome.judged),
-    )  # fmt: skip  # five more lines otherwise
+        way_out_table(solution),
+        design_table(design),
+        search_table(solution),
+        wind_table(outcome),
+        margins_table(outcome.judged),
+        lobes_table(outcome.judged),
+        nodes_table(outcome.found, outcome.judged),
+    )
 
 
 def _joined(*parts: Sequence[str]) -> str:
@@ -250,14 +264,20 @@ def _margins_rows(title: str, found: Sequence[tuple[float, Margins]]) -> list[st
     for time_s, m in found:
         rows.append(
             (
-                f"{time_s:g}", "stable" if m.stable else "UNSTABLE",
-                number(m.gain_up_db.value, 2), number(m.gain_down_db.value, 2), number(m.phase_deg.value, 1),
+                f"{time_s:g}",
+                "stable" if m.stable else "UNSTABLE",
+                number(m.gain_up_db.value, 2),
+                number(m.gain_down_db.value, 2),
+                number(m.phase_deg.value, 1),
                 number(1e3 * m.delay_s.value, 1),
-                number(m.modulus, 3), number(m.clearances[0].value, 2) if m.clearances else "-",
-                number(m.aero_gain_db.value, 2), number(m.rigid_gain_db.value, 2),
-                number(m.rigid_phase_deg.value, 1), number(m.crossover_hz, 3),
+                number(m.modulus, 3),
+                number(m.clearances[0].value, 2) if m.clearances else "-",
+                number(m.aero_gain_db.value, 2),
+                number(m.rigid_gain_db.value, 2),
+                number(m.rigid_phase_deg.value, 1),
+                number(m.crossover_hz, 3),
             )
-        )  # fmt: skip  # six more lines otherwise
+        )
     return [title, *aligned(rows, "  ", right=(0, *range(2, 12)))]
 
 
@@ -382,8 +402,15 @@ def number(value: float, digits: int) -> str:
 # JSON
 
 SCHEMA = 1
-_BOUNDS = {"gain_up": "db", "gain_down": "db", "phase": "deg", "delay": "s", "aero_gain": "db", "rigid_gain": "db",
-           "rigid_phase": "deg"}  # fmt: skip  # seven more lines otherwise
+_BOUNDS = {
+    "gain_up": "db",
+    "gain_down": "db",
+    "phase": "deg",
+    "delay": "s",
+    "aero_gain": "db",
+    "rigid_gain": "db",
+    "rigid_phase": "deg",
+}
 _NUMBERS = ("stable", "unstable_poles", "growth_1ps", "growth_hz", "crossover_hz", "modulus")
 
 
@@ -418,12 +445,18 @@ def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
     """Limits beside what was reached."""
     return [
         {
-            "key": c.key, "name": c.text, "unit": c.unit, "sense": c.sense,
+            "key": c.key,
+            "name": c.text,
+            "unit": c.unit,
+            "sense": c.sense,
             "limit": c.limit.tolist() if isinstance(c.limit, np.ndarray) else c.limit,
-            "worst": c.values[c.worst], "at_s": c.time_s[c.worst], "met": c.passed, "values": c.values.tolist(),
+            "worst": c.values[c.worst],
+            "at_s": c.time_s[c.worst],
+            "met": c.passed,
+            "values": c.values.tolist(),
         }
         for c in checks
-    ]  # fmt: skip  # seven more lines otherwise
+    ]
 
 
 def analysis_record(

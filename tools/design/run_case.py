@@ -199,11 +199,12 @@ def _write(folder: Path, made: CaseDesign, orders: Sequence[FoundDesigns]) -> li
         stages = [number | each for number, each in zip(numbers, records, strict=True)]
         record = {"schema": record["schema"], "name": record["name"], "feasible": made.feasible, "stages": stages}
     record |= {
-        "feasible": made.feasible, "flights": [one.text for one in made.rounds],
+        "feasible": made.feasible,
+        "flights": [one.text for one in made.rounds],
         "lost": None if made.loss is None else loss_text(made.loss),
         "not_designed": [n + 1 for n in made.not_designed],
         "not_covered": uncovered_record(made.uncovered),
-    }  # fmt: skip  # two more lines otherwise
+    }
     text = design_text(made.design, comments(made))
     files = [write_whole(folder / DESIGN_NAME, text), write_record(folder / RECORD_NAME, record)]
     for structure, schedule, one, _ in order_designs(orders):
@@ -337,11 +338,18 @@ def orders_table(found: FoundDesigns) -> list[str]:
 def orders_record(found: FoundDesigns) -> list[dict[str, object]]:
     """For design.json."""
     return [
-        {"structure": structure, "schedule": schedule, "status": s.status, "objective_db": s.objective_db,
-         "violation_db": s.violation_db, "near_best": s.certificate.near_best, "starts": s.certificate.starts,
-         **s.law.record()}
+        {
+            "structure": structure,
+            "schedule": schedule,
+            "status": s.status,
+            "objective_db": s.objective_db,
+            "violation_db": s.violation_db,
+            "near_best": s.certificate.near_best,
+            "starts": s.certificate.starts,
+            **s.law.record(),
+        }
         for (structure, schedule), (_, s) in found.items()
-    ]  # fmt: skip  # seven more lines otherwise
+    ]
 
 
 def order_folder(folder: Path, structure: str, schedule: str) -> Path:

@@ -52,14 +52,16 @@ def way_out_record(solution: Solution) -> dict[str, Any]:
     """Return conflict and trials for design.json."""
     limits = [
         {
-            "limit": each.name, "gains_db_per_db": each.gains_db, "a_db_is": each.by,
+            "limit": each.name,
+            "gains_db_per_db": each.gains_db,
+            "a_db_is": each.by,
             "at": [
                 {"point": c.plant, "time_s": c.time_s, "frequency_hz": c.frequency_hz, "part": c.multiplier}
                 for c in each.points
             ],
         }
         for each in conflict(solution)
-    ]  # fmt: skip  # more lines otherwise
+    ]
     return {"missing_db": solution.violation_db, "conflict": limits, "trials": [asdict(t) for t in solution.trials]}
 
 

@@ -63,9 +63,12 @@ ON_COMPLIANCE: dict[str, tuple[str, ...]] = {
     "following": (),
     "[28] as piston": (_LOAD,),
     "H1 H2 as piston": (
-        _LOAD, f"{_ACTUATOR}model='fourth-order'", f"{_ACTUATOR}omega_hz=[5.8, 7.2]", f"{_ACTUATOR}zeta=[0.87, 0.49]",
+        _LOAD,
+        f"{_ACTUATOR}model='fourth-order'",
+        f"{_ACTUATOR}omega_hz=[5.8, 7.2]",
+        f"{_ACTUATOR}zeta=[0.87, 0.49]",
     ),
-}  # fmt: skip  # four more lines otherwise
+}
 ON_LOAD = 1000  # random vehicles
 TextRows = Sequence[Sequence[str]]
 
@@ -172,8 +175,14 @@ def between() -> list[str]:
         cost = peak(held[f, s]) - peak(o)
         rows.append((f, s, _n(peak(o)), *least, _n(peak(held[f, s])), _n(cost)))
     head = (
-        "filter", "gains", "peak, dB", "least gain margin, dB", "least phase margin, deg", "peak held, dB", "cost, dB",
-    )  # fmt: skip  # seven more lines otherwise
+        "filter",
+        "gains",
+        "peak, dB",
+        "least gain margin, dB",
+        "least phase margin, deg",
+        "peak held, dB",
+        "cost, dB",
+    )
     return table(head, rows)
 
 
@@ -397,8 +406,15 @@ def campaigns() -> list[str]:
             both = (r["name"], limit) if first else ("", "")
             rows.append((*both, design.removeprefix("ksr3-"), *cells, f"**{shown['judgement']}**"))
     head = (
-        "requirement", "limit", "design", "median", "99.73 % within, at 90 % confidence", "worst", "in run", "failed",
-    )  # fmt: skip  # eight more lines otherwise
+        "requirement",
+        "limit",
+        "design",
+        "median",
+        "99.73 % within, at 90 % confidence",
+        "worst",
+        "in run",
+        "failed",
+    )
     return table((*head, "met by, % of flights (90 % bounds)", "verdict"), rows)
 
 

@@ -57,19 +57,55 @@ PACKAGES = {
     "control": ("control",),
     "sim/vehicle": ("sim/vehicle",),
     "sim/flight": ("sim/flight",),
-    "design": ("design/case", "design/certificate", "design/laws", "design/loop", "design/margins", "design/model",
-               "design/optimise", "design/paper"),
+    "design": (
+        "design/case",
+        "design/certificate",
+        "design/laws",
+        "design/loop",
+        "design/margins",
+        "design/model",
+        "design/optimise",
+        "design/paper",
+    ),
     "statistics": ("sim/campaign", "design/verify"),
-}  # fmt: skip
+}
 OPERATORS: dict[type[ast.AST], tuple[str, tuple[str, ...]]] = {
-    ast.Add: ("+", ("-",)), ast.Sub: ("-", ("+",)), ast.Mult: ("*", ("/",)), ast.Div: ("/", ("*",)),
-    ast.Pow: ("**", ("*",)), ast.FloorDiv: ("//", ("*",)), ast.Mod: ("%", ("*",)), ast.Lt: ("<", (">", "<=")),
-    ast.Gt: (">", ("<", ">=")), ast.LtE: ("<=", (">", "<")), ast.GtE: (">=", ("<", ">")), ast.Eq: ("==", ("!=",)),
-    ast.NotEq: ("!=", ("==",)), ast.And: ("and", ("or",)), ast.Or: ("or", ("and",)),
-}  # fmt: skip
-NAMES = {"sin": "cos", "cos": "sin", "min": "max", "max": "min", "any": "all", "all": "any", "minimum": "maximum",
-         "maximum": "minimum", "floor": "ceil", "ceil": "floor", "real": "imag", "imag": "real", "argmin": "argmax",
-         "argmax": "argmin", "PITCH": "YAW", "YAW": "PITCH", "sinh": "cosh", "cosh": "sinh"}  # fmt: skip
+    ast.Add: ("+", ("-",)),
+    ast.Sub: ("-", ("+",)),
+    ast.Mult: ("*", ("/",)),
+    ast.Div: ("/", ("*",)),
+    ast.Pow: ("**", ("*",)),
+    ast.FloorDiv: ("//", ("*",)),
+    ast.Mod: ("%", ("*",)),
+    ast.Lt: ("<", (">", "<=")),
+    ast.Gt: (">", ("<", ">=")),
+    ast.LtE: ("<=", (">", "<")),
+    ast.GtE: (">=", ("<", ">")),
+    ast.Eq: ("==", ("!=",)),
+    ast.NotEq: ("!=", ("==",)),
+    ast.And: ("and", ("or",)),
+    ast.Or: ("or", ("and",)),
+}
+NAMES = {
+    "sin": "cos",
+    "cos": "sin",
+    "min": "max",
+    "max": "min",
+    "any": "all",
+    "all": "any",
+    "minimum": "maximum",
+    "maximum": "minimum",
+    "floor": "ceil",
+    "ceil": "floor",
+    "real": "imag",
+    "imag": "real",
+    "argmin": "argmax",
+    "argmax": "argmin",
+    "PITCH": "YAW",
+    "YAW": "PITCH",
+    "sinh": "cosh",
+    "cosh": "sinh",
+}
 FIRST = "tests/test_regression_nominal.py"  # of those that get to a mutant: the strongest for its time
 MOST = 511  # mutants of one copy
 SWITCH = f'''

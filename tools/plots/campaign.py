@@ -21,14 +21,22 @@ JudgedDrivers = Sequence[tuple[Judged, Sequence[Driver]]]
 
 _MOST_POINTS = 4000
 _LIMITED = {  # channel: the metric whose limits hold for it
-    "alpha_total_deg": "max_alpha_deg", "dynamic_pressure_Pa": "max_dynamic_pressure_Pa", "mach": "max_mach",
-    "altitude_m": "max_altitude_m", "speed_mps": "max_speed_mps", "q_alpha_Padeg": "max_q_alpha_Padeg",
-    "error_pitch_deg": "max_attitude_error_deg", "error_yaw_deg": "max_attitude_error_deg",
-    "error_roll_deg": "max_roll_error_deg", "gimbal_pitch_angle_deg": "max_gimbal_deg",
-    "gimbal_yaw_angle_deg": "max_gimbal_deg", "gimbal_pitch_rate_degps": "max_gimbal_rate_degps",
-    "gimbal_yaw_rate_degps": "max_gimbal_rate_degps", "bend_pitch_gimbal_m": "max_bending_m",
+    "alpha_total_deg": "max_alpha_deg",
+    "dynamic_pressure_Pa": "max_dynamic_pressure_Pa",
+    "mach": "max_mach",
+    "altitude_m": "max_altitude_m",
+    "speed_mps": "max_speed_mps",
+    "q_alpha_Padeg": "max_q_alpha_Padeg",
+    "error_pitch_deg": "max_attitude_error_deg",
+    "error_yaw_deg": "max_attitude_error_deg",
+    "error_roll_deg": "max_roll_error_deg",
+    "gimbal_pitch_angle_deg": "max_gimbal_deg",
+    "gimbal_yaw_angle_deg": "max_gimbal_deg",
+    "gimbal_pitch_rate_degps": "max_gimbal_rate_degps",
+    "gimbal_yaw_rate_degps": "max_gimbal_rate_degps",
+    "bend_pitch_gimbal_m": "max_bending_m",
     "bend_yaw_gimbal_m": "max_bending_m",
-}  # fmt: skip  # nine more lines otherwise
+}
 
 
 def replay(folder: Path, run: int | str) -> str:
@@ -56,32 +64,47 @@ def plots(
     strongest = [(v, d) for v, drivers in found[:4] for d in drivers[:3]]
     made = (
         Plot(
-            "histograms", "Metrics of all runs",
+            "histograms",
+            "Metrics of all runs",
             [_histogram(data, v) for v in verdicts if v.metric and len(data.runs)],
-            f"Red: the limit, and runs beyond it. Dashed: bound of the {quantile}.", columns=3, height=150,
+            f"Red: the limit, and runs beyond it. Dashed: bound of the {quantile}.",
+            columns=3,
+            height=150,
         ),
         Plot(
-            "tails", "Tails", [_tail(v, tail) for v, tail in fitted],
+            "tails",
+            "Tails",
+            [_tail(v, tail) for v, tail in fitted],
             "Runs beyond the threshold against the fitted distribution; on the line the fit is exact.",
-            columns=3, height=170,
+            columns=3,
+            height=170,
         ),
         Plot(
-            "envelopes", "Over time", [_envelope(each, units.get(each.channel, "1"), verdicts) for each in over_time],
+            "envelopes",
+            "Over time",
+            [_envelope(each, units.get(each.channel, "1"), verdicts) for each in over_time],
             f"Percentiles of at most the first {campaign.envelope.runs} runs, at each time of those that still fly. "
             "Red: limits of the metric that is the channel's largest value; those far away in the panel's title.",
             columns=2,
         ),
         Plot(
-            "drivers", "What drives each metric", [_tornado(v, drivers[:8], labels) for v, drivers in driven],
+            "drivers",
+            "What drives each metric",
+            [_tornado(v, drivers[:8], labels) for v, drivers in driven],
             "Rank correlation of the inputs with the metric. Grey: 95 % of inputs without influence stay within the "
-            "band.", columns=2, height=240,
+            "band.",
+            columns=2,
+            height=240,
         ),
         Plot(
-            "scatter", "Strongest inputs", [_scatter(sample, v, d, inputs[d.name], labels) for v, d in strongest],
+            "scatter",
+            "Strongest inputs",
+            [_scatter(sample, v, d, inputs[d.name], labels) for v, d in strongest],
             "The strongest inputs of the metrics nearest to their limits; red: runs that miss the limit.",
-            columns=3, height=170,
+            columns=3,
+            height=170,
         ),
-    )  # fmt: skip  # a line for each argument otherwise
+    )
     out = [plot for plot in made if plot.panels]
     for plot in out:
         plot.command, plot.name = replay(data.folder, "{}"), prefix + plot.name
@@ -131,9 +154,15 @@ def bars(values: Array, runs: NDArray[np.int64], v: Judged) -> Series:
     every = np.bincount(place, minlength=len(worst))
     wrong = np.bincount(place[missed(values, v)], minlength=len(worst))
     return {
-        "kind": "bars", "colour": "blue", "name": "runs", "x": 0.5 * (edges[1:] + edges[:-1]), "edges": edges,
-        "y": every, "y2": wrong, "runs": worst,
-    }  # fmt: skip  # eight more lines otherwise
+        "kind": "bars",
+        "colour": "blue",
+        "name": "runs",
+        "x": 0.5 * (edges[1:] + edges[:-1]),
+        "edges": edges,
+        "y": every,
+        "y2": wrong,
+        "runs": worst,
+    }
 
 
 def _tail(v: Judged, tail: Tail) -> Panel:
@@ -172,11 +201,25 @@ def _tornado(v: Judged, drivers: Sequence[Driver], labels: dict[str, str]) -> Pa
     names = [_plain(d.name, labels) for d in drivers]
     noise = drivers[0].noise
     series: list[Series] = [
-        {"kind": "shape", "colour": "grey", "name": "", "bare": True, "opacity": 0.22,
-         "x": [-noise, noise, noise, -noise], "y": [0.0, 0.0, 1.0, 1.0]},
-        {"kind": "rows", "colour": "blue", "name": "", "names": names, "x": [d.rank for d in drivers],
-         "y": [d.rank for d in drivers], "matters": [d.matters for d in drivers]},
-    ]  # fmt: skip  # a line for each key otherwise
+        {
+            "kind": "shape",
+            "colour": "grey",
+            "name": "",
+            "bare": True,
+            "opacity": 0.22,
+            "x": [-noise, noise, noise, -noise],
+            "y": [0.0, 0.0, 1.0, 1.0],
+        },
+        {
+            "kind": "rows",
+            "colour": "blue",
+            "name": "",
+            "names": names,
+            "x": [d.rank for d in drivers],
+            "y": [d.rank for d in drivers],
+            "matters": [d.matters for d in drivers],
+        },
+    ]
     return Panel(v.name, series, "rank correlation", x_range=(-1.0, 1.0), y_range=(0.0, 1.0), rows=True)
 
 
@@ -195,8 +238,21 @@ def _scatter(data: DataSet, v: Judged, d: Driver, x: Array, labels: dict[str, st
     return Panel(f"{v.name}: {d.rank:+.2f}", series, _input(d.name, labels), named(v.metric, v.unit))
 
 
-_UNITS = {"mps": "m/s", "radps": "rad/s", "degps": "deg/s", "kg": "kg", "m": "m", "s": "s", "deg": "deg", "hz": "Hz",
-          "N": "N", "Pa": "Pa", "rad": "rad", "g": "g", "K": "K"}  # fmt: skip  # eleven more lines otherwise
+_UNITS = {
+    "mps": "m/s",
+    "radps": "rad/s",
+    "degps": "deg/s",
+    "kg": "kg",
+    "m": "m",
+    "s": "s",
+    "deg": "deg",
+    "hz": "Hz",
+    "N": "N",
+    "Pa": "Pa",
+    "rad": "rad",
+    "g": "g",
+    "K": "K",
+}
 
 
 def _plain(name: str, labels: dict[str, str]) -> str:

@@ -127,9 +127,17 @@ def name_point(place: Axes, x: float, y: float, text: str, *, must: bool = True,
     style: dict[str, Any] = {"fontsize": 6.5, "color": BLACK} | look
     line: Any = {"arrowstyle": "-", "linewidth": 0.4, "color": style["color"], "shrinkA": 0.0, "shrinkB": 1.5}
     place.annotate(
-        text, (x, y), xytext=(0.0, _RADII_PT[0]), textcoords="offset points", ha="center", va="center",
-        arrowprops=line, annotation_clip=True, gid=_FLOATING + "-must" * must, **style,
-    )  # fmt: skip  # four more lines otherwise
+        text,
+        (x, y),
+        xytext=(0.0, _RADII_PT[0]),
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        arrowprops=line,
+        annotation_clip=True,
+        gid=_FLOATING + "-must" * must,
+        **style,
+    )
 
 
 def settle(figure: Figure) -> None:

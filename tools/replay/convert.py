@@ -30,9 +30,11 @@ DEFAULT_RATE_HZ, MANY_RATE_HZ = 50.0, 10.0
 _NOMINAL_COLOUR = PURPLE
 _NIGHT, _DEEP = [24, 29, 38, 255], [13, 17, 24, 255]
 _CORNERS = {  # right, top
-    rrb.Corner2D.RightTop: (True, True), rrb.Corner2D.LeftTop: (False, True),
-    rrb.Corner2D.RightBottom: (True, False), rrb.Corner2D.LeftBottom: (False, False),
-}  # fmt: skip  # two more lines otherwise
+    rrb.Corner2D.RightTop: (True, True),
+    rrb.Corner2D.LeftTop: (False, True),
+    rrb.Corner2D.RightBottom: (True, False),
+    rrb.Corner2D.LeftBottom: (False, False),
+}
 _BEHIND = 0.07  # of the powered flight is seen behind it: the number at its end is whole, too
 _LEGEND_LINES = 4  # a legend of more covers the curves of several flights
 _LEGEND_MOST = COLOURED = 6  # flights with a colour and a name of their own; more names would cover the plots
@@ -377,9 +379,11 @@ def layout(
 
     plots = rrb.Tabs(contents=[tabs_over(span) for span in spans]) if len(spans) > 1 else tabs_over(spans[0])
     phases = rrb.StateTimelineView(
-        name="Phases", origin="/", contents=[f"+ /{root}/phase" for root in roots[:6]],
+        name="Phases",
+        origin="/",
+        contents=[f"+ /{root}/phase" for root in roots[:6]],
         time_view=time_axis(spans[-1].span_s),
-    )  # fmt: skip  # two more lines otherwise
+    )
     shown = [TextLogColumn(TextLogColumnKind.Body)]
     events = rrb.TextLogView(
         name="Events",
@@ -404,9 +408,12 @@ def layout(
 
 
 def window(
-    content: rrb.Container, timeline: str, play_state: Literal["following", "paused"] | None = None,
-    *, bare: bool = False,
-) -> rrb.Blueprint:  # fmt: skip  # five lines otherwise
+    content: rrb.Container,
+    timeline: str,
+    play_state: Literal["following", "paused"] | None = None,
+    *,
+    bare: bool = False,
+) -> rrb.Blueprint:
     """A window with this content and nothing around it but the time; `bare`: without the viewer's menu either."""
     return rrb.Blueprint(
         *([rrb.TopPanel(state="hidden")] if bare else []),

@@ -186,10 +186,14 @@ def send_limits(
 
 # -- read-outs -----------------------------------------------------------------------------------------------------
 _READ = (
-    ("altitude, km", "altitude_m", 1e-3), ("speed, m/s", "speed_mps", 1.0), ("Mach number", "mach", 1.0),
-    ("dynamic pressure, kPa", "dynamic_pressure_Pa", 1e-3), ("incidence, deg", "alpha_total_deg", 1.0),
-    ("pitch gimbal, deg", "gimbal_pitch_angle_deg", 1.0), ("yaw gimbal, deg", "gimbal_yaw_angle_deg", 1.0),
-)  # fmt: skip  # a line for each read-out otherwise
+    ("altitude, km", "altitude_m", 1e-3),
+    ("speed, m/s", "speed_mps", 1.0),
+    ("Mach number", "mach", 1.0),
+    ("dynamic pressure, kPa", "dynamic_pressure_Pa", 1e-3),
+    ("incidence, deg", "alpha_total_deg", 1.0),
+    ("pitch gimbal, deg", "gimbal_pitch_angle_deg", 1.0),
+    ("yaw gimbal, deg", "gimbal_yaw_angle_deg", 1.0),
+)
 
 
 def send_now(recording: rr.RecordingStream, flights: Sequence[tuple[str, Channels]]) -> None:

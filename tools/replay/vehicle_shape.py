@@ -245,10 +245,12 @@ def _engine(stage: Stage, number: int) -> EngineShape:
         return shape
     name = engine.group or str(groups.index(engine.group) + 1) if engine.gimbal != "fixed" else ""
     return dataclasses.replace(
-        shape, offset_m=engine.offset_m, cant_deg=engine.cant_deg,
+        shape,
+        offset_m=engine.offset_m,
+        cant_deg=engine.cant_deg,
         follows=(engine.gimbal in ("both", "pitch"), engine.gimbal in ("both", "yaw")),
         channels=f"gimbal_group_{name}" if len(groups) > 1 and name else "gimbal",
-    )  # fmt: skip  # eight lines otherwise
+    )
 
 
 # -- bending and slosh ---------------------------------------------------------------------------------------------
@@ -272,9 +274,14 @@ def shapes_at(table: ModeTable, clock_s: Array, stations_m: Array, column: str =
 
 
 def bent_line(
-    stage: StageShape, clock_s: Array, pitch: Array, yaw: Array, stations_m: Array, column: str = "phi",
+    stage: StageShape,
+    clock_s: Array,
+    pitch: Array,
+    yaw: Array,
+    stations_m: Array,
+    column: str = "phi",
     spatial: Array | None = None,
-) -> Array:  # fmt: skip  # seven lines otherwise
+) -> Array:
     """Displacement (n, stations, 2) of the axis along body y and z, true to scale; with `slope_pm` its slope.
 
     `pitch`, `yaw`, `spatial`: coordinates (n, modes) of each kind of modes.

@@ -77,9 +77,10 @@ def aerodynamics(stack: Stack) -> Aerodynamics:
     layout, stages = stack.layout, list(reversed(stack.layout.stage[stack.number :]))
     diameter = max(s.diameter_m for s in layout.stage)
     nose = Surface(
-        "nose", 2.0 * (stages[0].diameter_m / diameter) ** 2 * _BODY_LIFT,
+        "nose",
+        2.0 * (stages[0].diameter_m / diameter) ** 2 * _BODY_LIFT,
         np.full(len(MACH), NOSE_CENTRE[layout.nose] * layout.nose_length_m),
-    )  # fmt: skip  # two more lines otherwise
+    )
     surfaces = [nose]
     for ahead, behind in pairwise(stages):
         gained = (behind.diameter_m**2 - ahead.diameter_m**2) / diameter**2
@@ -101,9 +102,15 @@ def aerodynamics(stack: Stack) -> Aerodynamics:
     share = (max(s.diameter_m for s in stages) / diameter) ** 2
     axial = layout.axial_factor * share * _AXIAL
     found = Aerodynamics(
-        MACH, diameter, tuple(surfaces), CROSSFLOW * total / (0.25 * math.pi * diameter**2),
-        sum(a * x for a, x in planform) / total, roll, axial, axial + share * _BASE,
-    )  # fmt: skip  # four more lines otherwise
+        MACH,
+        diameter,
+        tuple(surfaces),
+        CROSSFLOW * total / (0.25 * math.pi * diameter**2),
+        sum(a * x for a, x in planform) / total,
+        roll,
+        axial,
+        axial + share * _BASE,
+    )
     return found if stack.stage.aero is None else _with_given(found, stack.stage.aero)
 
 
@@ -124,8 +131,10 @@ def _with_given(estimate: Aerodynamics, given: AeroSection) -> Aerodynamics:
     def either(name: str, other: Array) -> Array:
         return of(given.table, name) if name in given.table else np.interp(mach, estimate.mach, other)
 
-    surfaces = [Surface(s.name or str(n + 1), of(s.table, "CN_alpha_pr"), of(s.table, "station_m"))
-                for n, s in enumerate(given.surface)]  # fmt: skip  # one line more otherwise
+    surfaces = [
+        Surface(s.name or str(n + 1), of(s.table, "CN_alpha_pr"), of(s.table, "station_m"))
+        for n, s in enumerate(given.surface)
+    ]
     if "CN_alpha_pr" in given.table and not given.surface:
         slope = of(given.table, "CN_alpha_pr")
         turned = given.moment_reference_m - estimate.diameter_m * either("Cm_alpha_pr", 0.0 * estimate.mach) / slope
@@ -145,15 +154,21 @@ def _with_given(estimate: Aerodynamics, given: AeroSection) -> Aerodynamics:
         axial, coast = axial + power_on, coast + power_on + base
     elif not axial.any():
         axial, coast = either("", estimate.axial), either("", estimate.axial_coast)
-    lifting = surfaces or [replace(s, slope_pr=either("", s.slope_pr), station_m=either("", s.station_m))
-                           for s in estimate.surfaces]  # fmt: skip  # one line more otherwise
+    lifting = surfaces or [
+        replace(s, slope_pr=either("", s.slope_pr), station_m=either("", s.station_m)) for s in estimate.surfaces
+    ]
     across = given.crossflow_station_m
     return Aerodynamics(
-        mach, estimate.diameter_m, tuple(lifting),
+        mach,
+        estimate.diameter_m,
+        tuple(lifting),
         float(given.table["C_crossflow"][0]) if "C_crossflow" in given.table else estimate.crossflow,
-        estimate.crossflow_station_m if across is None else across, either("Clp", estimate.roll_damping), axial, coast,
+        estimate.crossflow_station_m if across is None else across,
+        either("Clp", estimate.roll_damping),
+        axial,
+        coast,
         of(given.table, "Cmq") if "Cmq" in given.table else None,
-    )  # fmt: skip  # four more lines otherwise
+    )
 
 
 def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]:

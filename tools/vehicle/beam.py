@@ -71,14 +71,29 @@ class Beam:
     def _matrices(self, density_kgpm: Array) -> tuple[Array, Array]:
         """Stiffness and consistent mass over (displacement, slope) of each node."""
         h = float(self.nodes_m[1] - self.nodes_m[0])
-        k_unit = np.array(
-            [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h * h, -6 * h, 2 * h * h],
-             [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h * h, -6 * h, 4 * h * h]]
-        ) / h**3  # fmt: skip  # seven more lines otherwise
-        m_unit = np.array(
-            [[156, 22 * h, 54, -13 * h], [22 * h, 4 * h * h, 13 * h, -3 * h * h],
-             [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h * h, -22 * h, 4 * h * h]]
-        ) * h / 420.0  # fmt: skip  # eight more lines otherwise
+        k_unit = (
+            np.array(
+                [
+                    [12, 6 * h, -12, 6 * h],
+                    [6 * h, 4 * h * h, -6 * h, 2 * h * h],
+                    [-12, -6 * h, 12, -6 * h],
+                    [6 * h, 2 * h * h, -6 * h, 4 * h * h],
+                ]
+            )
+            / h**3
+        )
+        m_unit = (
+            np.array(
+                [
+                    [156, 22 * h, 54, -13 * h],
+                    [22 * h, 4 * h * h, 13 * h, -3 * h * h],
+                    [54, 13 * h, 156, -22 * h],
+                    [-13 * h, -3 * h * h, -22 * h, 4 * h * h],
+                ]
+            )
+            * h
+            / 420.0
+        )
         size = 2 * len(self.nodes_m)
         k, m = np.zeros((size, size)), np.zeros((size, size))
         for e in range(len(density_kgpm)):

@@ -100,9 +100,11 @@ def _renormalise(found: list[list[BeamMode]], k: int) -> None:
         mode = modes[k]
         scale = math.copysign(1.0 / float(np.abs(mode.phi).max()), float(mode.phi @ before))
         modes[k] = replace(
-            mode, generalized_mass_kg=mode.generalized_mass_kg * scale**2, phi=mode.phi * scale,
+            mode,
+            generalized_mass_kg=mode.generalized_mass_kg * scale**2,
+            phi=mode.phi * scale,
             slope_pm=mode.slope_pm * scale,
-        )  # fmt: skip  # two more lines otherwise
+        )
         before = modes[k].phi
 
 
@@ -201,9 +203,8 @@ def least_rigid_hz(built: Built, aero_gain_db: float) -> tuple[list[float], list
         needed = math.sqrt(factor * max(m_alpha_1ps2(built, p), 0.0)) / (2.0 * math.pi)
         rows.append((round(p.time_s, 3), round(max(SHARE * built.rigid_hz(p), needed), 3)))
     kept = [
-        row for k, row in enumerate(rows)
-        if k in (0, len(rows) - 1) or not rows[k - 1][1] == row[1] == rows[k + 1][1]
-    ]  # fmt: skip  # two more lines otherwise
+        row for k, row in enumerate(rows) if k in (0, len(rows) - 1) or not rows[k - 1][1] == row[1] == rows[k + 1][1]
+    ]
     return [t for t, _ in kept], [hz for _, hz in kept]
 
 

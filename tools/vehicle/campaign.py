@@ -17,30 +17,59 @@ AXIAL, DAMPING = 0.1, {"distribution": "log-normal", "three_sigma": 0.6931}  # h
 def campaign_of(built: Built) -> dict[str, Any]:
     """Return the campaign of all stages, each with deviations of its own, in winds up to the limit wind."""
     spread = [
-        {"name": "share of the limit wind", "key": "wind.profile.speed_mps", "apply": "scale",
-         "distribution": "uniform", "low": 0.0, "high": 1.0, "source": "assumed, to begin with"},
-        {"name": "direction of the wind", "key": "wind.turn_deg", "distribution": "uniform", "low": 0.0, "high": 360.0,
-         "source": "assumed, to begin with"},
-    ]  # fmt: skip  # ten more lines otherwise
+        {
+            "name": "share of the limit wind",
+            "key": "wind.profile.speed_mps",
+            "apply": "scale",
+            "distribution": "uniform",
+            "low": 0.0,
+            "high": 1.0,
+            "source": "assumed, to begin with",
+        },
+        {
+            "name": "direction of the wind",
+            "key": "wind.turn_deg",
+            "distribution": "uniform",
+            "low": 0.0,
+            "high": 360.0,
+            "source": "assumed, to begin with",
+        },
+    ]
     for of_layout, stage in enumerate(built.layout.stage):
         parts = [n for n, stack in enumerate(built.stacks) if stack.number == of_layout]  # two if it drops the fairing
         of = f", {stage.name}" if len(built.layout.stage) > 1 else ""
         for name, keys, given in _deviations(built, stage, parts):
             spread.append(
-                {"name": f"{name}{of}", "keys": [f"vehicle.stage.{n}.{key}" for n in parts for key in keys],
-                 "apply": "scale", "distribution": "normal", **given, "source": "assumed, to begin with"}
-            )  # fmt: skip  # five more lines otherwise
+                {
+                    "name": f"{name}{of}",
+                    "keys": [f"vehicle.stage.{n}.{key}" for n in parts for key in keys],
+                    "apply": "scale",
+                    "distribution": "normal",
+                    **given,
+                    "source": "assumed, to begin with",
+                }
+            )
     control = built.layout.control
     either_way_s = min(SPREAD.delay_s, control.delay_s, control.sample_s - control.delay_s)
     spread.append(
-        {"name": "compute delay", "key": "vehicle.computer.delay_s", "apply": "add", "distribution": "uniform",
-         "low": -either_way_s, "high": either_way_s, "source": "assumed, to begin with"}
-    )  # fmt: skip  # two more lines otherwise
+        {
+            "name": "compute delay",
+            "key": "vehicle.computer.delay_s",
+            "apply": "add",
+            "distribution": "uniform",
+            "low": -either_way_s,
+            "high": either_way_s,
+            "source": "assumed, to begin with",
+        }
+    )
     return {
-        "schema": 1, "extends": "scenario.toml", "description": f"{built.layout.name}, dispersed, in wind",
+        "schema": 1,
+        "extends": "scenario.toml",
+        "description": f"{built.layout.name}, dispersed, in wind",
         "campaign": {"runs": 100, "seed": 1},
-        "wind": {"profile": LIMIT_WIND, "turbulence": {"model": "dryden", "exceedance": "light"}}, "disperse": spread,
-    }  # fmt: skip  # four more lines otherwise
+        "wind": {"profile": LIMIT_WIND, "turbulence": {"model": "dryden", "exceedance": "light"}},
+        "disperse": spread,
+    }
 
 
 def _deviations(

@@ -158,17 +158,23 @@ def _control(built: Built) -> Plot:
     ratio = [abs(a) / d for a, d in zip(alpha, delta, strict=True)]
     steepest = min(s.engine.angle_limit_deg for s in built.layout.stage) / 5.0
     moments = [
-        line(*_split(points, alpha), "M_alpha", colour="red"), line(*_split(points, delta), "M_delta", dash="6 3"),
-    ]  # fmt: skip  # a line each otherwise
+        line(*_split(points, alpha), "M_alpha", colour="red"),
+        line(*_split(points, delta), "M_delta", dash="6 3"),
+    ]
     first = [
-        line(gains[:, 0], gains[:, 1], "k_p"), line(gains[:, 0], gains[:, 2], "k_d, s", colour="orange", dash="6 3"),
-    ]  # fmt: skip  # a line each otherwise
+        line(gains[:, 0], gains[:, 1], "k_p"),
+        line(gains[:, 0], gains[:, 2], "k_d, s", colour="orange", dash="6 3"),
+    ]
     panels = [
         Panel("moments over inertia", moments, _TIME, "1/s2"),
-        Panel("|M_alpha| / M_delta", [line(*_split(points, ratio), colour="ink"), limit(steepest)], _TIME,
-              "deg of gimbal per deg"),
+        Panel(
+            "|M_alpha| / M_delta",
+            [line(*_split(points, ratio), colour="ink"), limit(steepest)],
+            _TIME,
+            "deg of gimbal per deg",
+        ),
         Panel("first gains", first, _TIME),
-    ]  # fmt: skip  # three lines more otherwise
+    ]
     caption = "Middle: above the red line the gimbals cannot hold 5 deg of incidence."
     return Plot("control", "Control", panels, caption, 3)
 

@@ -50,9 +50,13 @@ def write(built: Built, folder: Path) -> list[Path]:
         files.append(write_whole(folder / "vehicle" / name, text))
     made = f"# {layout.name}: an estimate from a layout by simvehicle, to begin with.\n"
     documents = {
-        "vehicle/vehicle.toml": _rounded(vehicle), "design.toml": _design(built), "scenario.toml": _scenario(built),
-        "campaign.toml": campaign_of(built), "case.toml": _case(built), "suite.toml": _suite(built),
-    }  # fmt: skip  # seven more lines otherwise
+        "vehicle/vehicle.toml": _rounded(vehicle),
+        "design.toml": _design(built),
+        "scenario.toml": _scenario(built),
+        "campaign.toml": campaign_of(built),
+        "case.toml": _case(built),
+        "suite.toml": _suite(built),
+    }
     for name, content in documents.items():
         files.append(write_whole(folder / name, made + tomli_w.dumps(content)))
     if built.design is not None:
@@ -122,8 +126,13 @@ def _aero(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     aero, given, name = built.aero[n], built.stacks[n].stage.aero, f"{_prefix(built, n)}aero"
     table = {} if given is None else dict(given.table.columns)
     damping = [aero.pitch_damping(x)[k] for k, x in enumerate(_cg_over_mach(built, n))]
-    worked_out = {"CA": aero.axial, "CA_coast": aero.axial_coast, "Cmq": damping, "Clp": aero.roll_damping,
-                  "C_crossflow": np.full(len(aero.mach), aero.crossflow)}  # fmt: skip  # five more lines otherwise
+    worked_out = {
+        "CA": aero.axial,
+        "CA_coast": aero.axial_coast,
+        "Cmq": damping,
+        "Clp": aero.roll_damping,
+        "C_crossflow": np.full(len(aero.mach), aero.crossflow),
+    }
     if given is not None and given.coefficients:  # what stands there acts besides
         worked_out = {key: worked_out[key] for key in ("Cmq", "Clp", "C_crossflow")}
     out = {} if given is None else _copied(given, name, tables)
@@ -238,16 +247,21 @@ def _vehicle(built: Built, tables: Tables) -> dict[str, Any]:
         "name": layout.name,
         "description": "an estimate from a layout",
         "reference": {
-            "length_m": max(first.exit_station_m, layout.stage[0].rear_station_m), "diameter_m": widest,
+            "length_m": max(first.exit_station_m, layout.stage[0].rear_station_m),
+            "diameter_m": widest,
             "area_m2": 0.25 * math.pi * widest**2,
         },
         "stage": [_stage(built, n, tables) for n in range(len(built.stacks))],
         "computer": {
-            "sample_s": control.sample_s, "delay_s": control.delay_s, "count_rad": 1e-5, "dac_step_deg": 0.001,
-            "attitude": "quaternion", "angle_error_limit_deg": 20.0,
+            "sample_s": control.sample_s,
+            "delay_s": control.delay_s,
+            "count_rad": 1e-5,
+            "dac_step_deg": 0.001,
+            "attitude": "quaternion",
+            "angle_error_limit_deg": 20.0,
             "command_limit_deg": min(s.engine.angle_limit_deg for s in layout.stage),
         },
-    }  # fmt: skip  # five more lines otherwise
+    }
 
 
 def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
@@ -262,13 +276,19 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         tables[f"{prefix}tank_{tank.name}.csv"] = _over_time(stack, "liquid_mass_kg", left)
     mass, arm, inertia = engine_inertia(e)
     engine = {
-        "table": f"{prefix}thrust.csv", "exit_area_m2": e.exit_area_m2, "gimbal_station_m": e.gimbal_station_m,
-        "exit_station_m": e.exit_station_m, "gimballed_mass_kg": mass, "cg_from_gimbal_m": arm,
+        "table": f"{prefix}thrust.csv",
+        "exit_area_m2": e.exit_area_m2,
+        "gimbal_station_m": e.gimbal_station_m,
+        "exit_station_m": e.exit_station_m,
+        "gimballed_mass_kg": mass,
+        "cg_from_gimbal_m": arm,
         "inertia_about_gimbal_kgm2": inertia,
-    }  # fmt: skip  # three more lines otherwise
+    }
     many = len(e.positions_m) > 1
-    engines = [engine | ({"name": f"E{k + 1}", "group": group} if many else {}) | {"offset_m": list(at)}
-               for k, (at, group) in enumerate(zip(e.positions_m, e.groups, strict=True))]  # fmt: skip  # ditto
+    engines = [
+        engine | ({"name": f"E{k + 1}", "group": group} if many else {}) | {"offset_m": list(at)}
+        for k, (at, group) in enumerate(zip(e.positions_m, e.groups, strict=True))
+    ]
     out: dict[str, Any] = {"name": stack.name}
     if stack.drops_fairing:
         out["separation_s"] = stack.burn.end_s
@@ -282,17 +302,27 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     out["engine"] = engines if many else engines[0]
     actuator = {
         "model": next(model for model, count in SECTIONS.items() if count == len(e.servo_hz)),
-        "omega_hz": list(e.servo_hz), "zeta": list(e.servo_zeta),
-        "angle_limit_deg": e.angle_limit_deg, "rate_limit_degps": e.rate_limit_degps,
-    }  # fmt: skip  # two more lines otherwise
+        "omega_hz": list(e.servo_hz),
+        "zeta": list(e.servo_zeta),
+        "angle_limit_deg": e.angle_limit_deg,
+        "rate_limit_degps": e.rate_limit_degps,
+    }
     groups = dict.fromkeys(e.groups)
     out["actuator"] = [{"group": g} | actuator for g in groups] if len(groups) > 1 else actuator
     out["tank"] = [
-        {"name": t.name, "table": f"{prefix}tank_{t.name}.csv", "damping_ratio": t.damping_ratio, "shape": "cylinder",
-         "radius_m": t.radius_m, "bottom_station_m": t.bottom_station_m, "height_m": t.height_m,
-         "dome_m": list(t.dome_m), "density_kgpm3": t.density_kgpm3}
+        {
+            "name": t.name,
+            "table": f"{prefix}tank_{t.name}.csv",
+            "damping_ratio": t.damping_ratio,
+            "shape": "cylinder",
+            "radius_m": t.radius_m,
+            "bottom_station_m": t.bottom_station_m,
+            "height_m": t.height_m,
+            "dome_m": list(t.dome_m),
+            "density_kgpm3": t.density_kgpm3,
+        }
         for t in stage.tank
-    ]  # fmt: skip  # eight more lines otherwise
+    ]
     if stage.bending is not None or stage.spatial_modes is not None:
         key = "bending" if stage.bending is not None else "spatial_modes"
         out[key] = _copied(getattr(stage, key), f"{prefix}{key}", tables)
@@ -322,9 +352,11 @@ def _filter(built: Built, n: int) -> dict[str, Any]:
     if not sections:
         return {"structure": "none"}
     return {
-        "structure": "F2" if len(sections) == 1 else "F4", "quadratic": sections, "discretization": "prewarped",
+        "structure": "F2" if len(sections) == 1 else "F4",
+        "quadratic": sections,
+        "discretization": "prewarped",
         "prewarp_hz": sections[0]["zero_hz"],
-    }  # fmt: skip  # two more lines otherwise
+    }
 
 
 def _roll(built: Built, n: int) -> dict[str, Any]:
@@ -332,8 +364,10 @@ def _roll(built: Built, n: int) -> dict[str, Any]:
     and damping to the first gains of pitch."""
     out: dict[str, Any] = {"roll": {"k_rate_s": 0.5, "dead_band_deg": 1.0, "hysteresis_deg": 0.2, "minimum_on_s": 0.02}}
     stack, e = built.stacks[n], built.stacks[n].stage.engine
-    sides = [np.sum([at for at, g in zip(e.positions_m, e.groups, strict=True) if g == name], axis=0)
-             for name in dict.fromkeys(e.groups)]  # fmt: skip  # ditto
+    sides = [
+        np.sum([at for at, g in zip(e.positions_m, e.groups, strict=True) if g == name], axis=0)
+        for name in dict.fromkeys(e.groups)
+    ]
     if len(sides) > 1 and np.any(sides):
         torque_Nm = float(stack.burn.thrust_N.max()) / len(e.positions_m) * float(np.abs(sides).sum())
         omega = 2.0 * math.pi * built.rigid_hz(burning(built)[0])
@@ -347,9 +381,11 @@ def _roll(built: Built, n: int) -> dict[str, Any]:
 def _design(built: Built) -> dict[str, Any]:
     table = [{"time_s": t, "k_p": float(f"{k_p:.6g}"), "k_d_s": float(f"{k_d:.6g}")} for t, k_p, k_d in built.gains]
     out: dict[str, Any] = {
-        "schema": 2, "name": f"{built.layout.name}, first gains", "vehicle": built.layout.name,
+        "schema": 2,
+        "name": f"{built.layout.name}, first gains",
+        "vehicle": built.layout.name,
         "gains": {"table": table, "yaw": "pitch"},
-    }  # fmt: skip  # two more lines otherwise
+    }
     first, *others = ({"filter": _filter(built, n), **_roll(built, n)} for n in range(len(built.stacks)))
     out |= first
     if others:
@@ -374,14 +410,21 @@ def _requirements(built: Built) -> list[dict[str, Any]]:
 def _scenario(built: Built) -> dict[str, Any]:
     site, last = built.layout.site, built.flight.points[-1]
     return {
-        "schema": 1, "name": built.layout.name, "description": f"{built.layout.name}, powered ascent without wind",
-        "vehicle": "vehicle", "design": "design.toml",
+        "schema": 1,
+        "name": built.layout.name,
+        "description": f"{built.layout.name}, powered ascent without wind",
+        "vehicle": "vehicle",
+        "design": "design.toml",
         "run": {"duration_s": float(math.ceil(last.time_s + 5.0))},
-        "site": {"latitude_deg": site.latitude_deg, "longitude_deg": site.longitude_deg,
-                 "altitude_m": site.altitude_m, "azimuth_deg": site.azimuth_deg},
+        "site": {
+            "latitude_deg": site.latitude_deg,
+            "longitude_deg": site.longitude_deg,
+            "altitude_m": site.altitude_m,
+            "azimuth_deg": site.azimuth_deg,
+        },
         "guidance": {"programme": "vehicle/pitch_programme.csv", **_closed_loop(built)},
         "requirement": _requirements(built),
-    }  # fmt: skip  # ten more lines otherwise
+    }
 
 
 def _closed_loop(built: Built) -> dict[str, Any]:
@@ -392,9 +435,12 @@ def _closed_loop(built: Built) -> dict[str, Any]:
     reached_m = built.flight.orbit.apogee_m
     if wanted.apogee_altitude_m > reached_m:
         raise ScenarioError(
-            built.layout.name, "is beyond what all propellant reaches", "trajectory.apogee_altitude_m",
-            value=wanted.apogee_altitude_m, allowed=f"up to {reached_m:.6g}",
-        )  # fmt: skip  # three more lines otherwise
+            built.layout.name,
+            "is beyond what all propellant reaches",
+            "trajectory.apogee_altitude_m",
+            value=wanted.apogee_altitude_m,
+            allowed=f"up to {reached_m:.6g}",
+        )
     spent = last.usable_kg * (last.used_shares[1] - last.used_shares[0])
     return {
         "orbit": {
@@ -416,33 +462,45 @@ def _case(built: Built) -> dict[str, Any]:
     times_s, hz = least_rigid_hz(built, max(asked["gain_up_db"], asked["gain_down_db"]))
     least_hz = hz[0] if len(set(hz)) == 1 else {"time_s": times_s, "value": hz}
     limits = {
-        "rigid_body": "aerodynamic", "rigid_hz": least_hz, "rigid_zeta": 0.5,
+        "rigid_body": "aerodynamic",
+        "rigid_hz": least_hz,
+        "rigid_zeta": 0.5,
         "gain_margin_db": max(asked["gain_up_db"], asked["gain_down_db"]) + ROOM_DB,
         "phase_margin_deg": asked["rigid_phase_deg"] + ROOM_DEG,
         "first_mode_phase_deg": asked["first_mode_phase_deg"] + ROOM_DEG,
-        "second_mode_db": peak_db, "modes_from_3_db": peak_db,
-    }  # fmt: skip  # eight more lines otherwise
+        "second_mode_db": peak_db,
+        "modes_from_3_db": peak_db,
+    }
     orders = ["F4" if len(_filter(built, n).get("quadratic", ())) > 1 else "F2" for n in range(len(built.stacks))]
     differing = [{"filter": {"structure": order}} if order != orders[0] else {} for order in orders]
     return {
-        "schema": 2, "description": f"{built.layout.name}, every stage: largest least |1 + L|",
+        "schema": 2,
+        "description": f"{built.layout.name}, every stage: largest least |1 + L|",
         "scenario": "scenario.toml",
-        "gains": {"schedule": "free"}, "objective": {"kind": "least-margin"},
+        "gains": {"schedule": "free"},
+        "objective": {"kind": "least-margin"},
         "filter": {"structure": orders[0], "bounds": {"zero_hz": [low, 100.0], "pole_hz": [low, 100.0]}},
         "limits": limits,
         **({"stage": differing} if any(differing) else {}),
-    }  # fmt: skip  # twelve more lines otherwise
+    }
 
 
 def _suite(built: Built) -> dict[str, Any]:
     campaign = {
-        "file": "campaign.toml", "limits": "dispersed", "success": 0.95,
+        "file": "campaign.toml",
+        "limits": "dispersed",
+        "success": 0.95,
         "why": "what a hundred flights can show if none of them fails; for 99.73 % more runs are needed",
-    }  # fmt: skip  # two more lines otherwise
+    }
     why = "what 60 vehicles can show with none or one that fails"
     margins: dict[str, Any] = {"nodes_per_stage": 7, "cases": 60, "success": 0.95, "why": why}
     return {
-        "schema": 2, "extends": SUITE, "scenario": "scenario.toml", "limit_wind": LIMIT_WIND,
+        "schema": 2,
+        "extends": SUITE,
+        "scenario": "scenario.toml",
+        "limit_wind": LIMIT_WIND,
         "description": f"{built.layout.name}, to begin with: the suite of any launcher with fewer nodes and vehicles",
-        "margins": margins, "certificate": {"nodes_per_stage": 2}, "campaign": [campaign],
-    }  # fmt: skip  # four more lines otherwise
+        "margins": margins,
+        "certificate": {"nodes_per_stage": 2},
+        "campaign": [campaign],
+    }

@@ -24,9 +24,7 @@ from maxq.tools.vehicle.build import Built
 from maxq.tools.vehicle.files import write
 
 POINTS = 15  # of each stage, at which first gains are checked
-SEARCH = (
-    "nodes_per_stage=11", "search.starts=2", "search.leaps=0", "between_nodes='ignore'", "gains.schedule='free'",
-)  # fmt: skip  # a line each otherwise
+SEARCH = ("nodes_per_stage=11", "search.starts=2", "search.leaps=0", "between_nodes='ignore'", "gains.schedule='free'")
 SHOWN = 6  # times in a message
 
 

@@ -201,9 +201,11 @@ class LayoutStage(Between):
                 raise refuse("leaves a gap or overlaps", f"{before:g}", ("shell", n, "front_station_m"), value=begins)
         if self.shell[-1].rear_station_m < self.engine.gimbal_station_m - 1e-6:
             raise refuse(
-                "the structure ends ahead of the gimbal", f"from {self.engine.gimbal_station_m:g}",
-                ("shell", len(self.shell) - 1, "rear_station_m"), value=self.shell[-1].rear_station_m,
-            )  # fmt: skip  # two more lines otherwise
+                "the structure ends ahead of the gimbal",
+                f"from {self.engine.gimbal_station_m:g}",
+                ("shell", len(self.shell) - 1, "rear_station_m"),
+                value=self.shell[-1].rear_station_m,
+            )
 
 
 class LayoutSite(Section):
@@ -284,8 +286,10 @@ class Layout(Section):
             if abs(upper.rear_station_m - lower.front_station_m) > 1e-6:
                 raise refuse(
                     f"the next stage ends at {upper.rear_station_m:g} m: a gap in the structure, or an overlap",
-                    f"{upper.rear_station_m:g}", ("stage", n, "front_station_m"), value=lower.front_station_m,
-                )  # fmt: skip  # two more lines otherwise
+                    f"{upper.rear_station_m:g}",
+                    ("stage", n, "front_station_m"),
+                    value=lower.front_station_m,
+                )
         if self.trajectory.orbit_altitude_m is not None and len(self.stage) == 1:
             raise refuse(
                 "a single stage does not steer to an orbit", "two stages or more", ("trajectory", "orbit_altitude_m")

@@ -48,11 +48,17 @@ def _stages(built: Built) -> tuple[str, LayoutRows]:
         gained = stack.burn.impulse_Ns / (first - last) * math.log(first / last)
         rows.append(
             (
-                stack.name, f"{first:.0f}", f"{last:.0f}", f"{stack.burn.end_s - stack.burn.start_s:.1f}",
-                f"{thrust / first / STANDARD_GRAVITY_mps2:.2f}", f"{gained:.0f}", f"{point.speed_mps:.0f}",
-                f"{point.altitude_m / 1e3:.1f}", f"{math.degrees(point.path_rad):z.1f}",
+                stack.name,
+                f"{first:.0f}",
+                f"{last:.0f}",
+                f"{stack.burn.end_s - stack.burn.start_s:.1f}",
+                f"{thrust / first / STANDARD_GRAVITY_mps2:.2f}",
+                f"{gained:.0f}",
+                f"{point.speed_mps:.0f}",
+                f"{point.altitude_m / 1e3:.1f}",
+                f"{math.degrees(point.path_rad):z.1f}",
             )
-        )  # fmt: skip  # six more lines otherwise
+        )
     orbit = built.flight.orbit
     about = "point mass, kg and m/s; thrust over weight and delta-v in vacuum; v, h and path at burn-out"
     if orbit.perigee_m >= 0.0:

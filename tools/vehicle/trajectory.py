@@ -103,9 +103,12 @@ class _StackPlace(NamedTuple):
         radius = earth.WGS84_RADIUS_m * (1.0 - earth.WGS84_FLATTENING * math.sin(latitude) ** 2)
         turning = earth.WGS84_RATE_radps * math.cos(latitude)
         return _StackPlace(
-            radius, turning * math.sin(azimuth), turning * math.cos(azimuth) * radius, math.sin(latitude),
+            radius,
+            turning * math.sin(azimuth),
+            turning * math.cos(azimuth) * radius,
+            math.sin(latitude),
             math.cos(latitude) * math.cos(azimuth),
-        )  # fmt: skip  # three more lines otherwise
+        )
 
     def gravity_mps2(self, radius_m: float, angle_rad: float) -> float:
         """Towards the centre, `angle_rad` along the plane from the site."""
@@ -232,10 +235,15 @@ class _Model:
                     dropped, can_drop = (n, max(a, burn.full_s[0] + 1.0)), False
                 gone = fairing.mass_kg if fairing is not None and dropped is not None else 0.0
                 found = solve_ivp(
-                    partial(self.rate, n, time_s, gone), (a, b), y, t_eval=np.unique([*at[(at >= a) & (at < b)], b]),
-                    rtol=1e-7, atol=[1.0, 1.0, 1e-4, 1e-7], max_step=_STEP_s,
+                    partial(self.rate, n, time_s, gone),
+                    (a, b),
+                    y,
+                    t_eval=np.unique([*at[(at >= a) & (at < b)], b]),
+                    rtol=1e-7,
+                    atol=[1.0, 1.0, 1e-4, 1e-7],
+                    max_step=_STEP_s,
                     events=above if can_drop else None,
-                )  # fmt: skip  # five more lines otherwise
+                )
                 rows = np.reshape(found.y, (4, -1)).T
                 for t, row in zip(found.t, rows, strict=True):
                     if t < b or b == burn.end_s:
@@ -296,10 +304,11 @@ def ascent(layout: Layout, stacks: Sequence[Stack], aero: Sequence[Aerodynamics]
         flown = without_fairing(flown, n, clock_s)
         begins.insert(n + 1, begins[n] + clock_s)
         kept = [
-            p if p.number < n or (p.number == n and p.clock_s < clock_s)
+            p
+            if p.number < n or (p.number == n and p.clock_s < clock_s)
             else replace(p, number=p.number + 1, clock_s=p.clock_s - (clock_s if p.number == n else 0.0))
             for p in kept
-        ]  # fmt: skip  # one more line otherwise
+        ]
     return Ascent(kept, flown, begins, model.kick_rad, model.tangents, orbit)
 
 

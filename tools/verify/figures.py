@@ -145,8 +145,11 @@ def _worst_flights(found: Verification) -> Plot:
     """Small multiples of the flights with the least room."""
 
     def room(f: FlownResult) -> float:
-        shares = [(v.bound[1] - v.value) / abs(v.bound[1]) * (1 if v.bound[0] == "limit" else -1)
-                  for v in f.verdicts if v.bound[1]]  # fmt: skip  # three more lines otherwise
+        shares = [
+            (v.bound[1] - v.value) / abs(v.bound[1]) * (1 if v.bound[0] == "limit" else -1)
+            for v in f.verdicts
+            if v.bound[1]
+        ]
         return min(shares, default=math.inf) if not f.failures else -math.inf
 
     panels = []
@@ -240,8 +243,10 @@ def _bode(judged: Sequence[JudgedLoop], plane: str) -> Plot:
     phase[0]["x"] = 10.0 ** np.asarray(phase[0]["x"])
     gain.append(limit(0.0, "0 dB", colour="grey"))
     low, high = float(turned[seen].min()), float(turned[seen].max())
-    phase += [limit(-180.0 + 360.0 * k, "-180 deg and whole turns from it", colour="grey", dash="2 2", seen=False)
-              for k in range(-12, 4)]  # fmt: skip  # two more lines otherwise
+    phase += [
+        limit(-180.0 + 360.0 * k, "-180 deg and whole turns from it", colour="grey", dash="2 2", seen=False)
+        for k in range(-12, 4)
+    ]
     for mark in picture.marks:
         db, turn = 20.0 * math.log10(max(abs(mark.loop), 1e-300)), float(np.interp(mark.frequency_hz, f, turned))
         if mark.is_lobe and db > _BOTTOM_DB:
@@ -257,7 +262,7 @@ def _bode(judged: Sequence[JudgedLoop], plane: str) -> Plot:
     panels = [
         Panel("gain", gain, "frequency, Hz", "|L|, dB", reach, (_BOTTOM_DB, top), log_x=True),
         Panel("phase", phase, "frequency, Hz", "deg", reach, turns, log_x=True),
-    ]  # fmt: skip  # twelve more lines otherwise
+    ]
     said = f"{least.margins.modulus:.3f}" if least.margins.stable else "unstable"
     caption = (
         f"At {least.time_s:g} s, where |1 + L| of the loop as designed is least of all nodes: {said}. Red: gain and "
@@ -363,9 +368,17 @@ def _campaign(found: Verification, number: int) -> list[Plot]:
     inputs = analysis.inputs_of(sample) if result.runs else {}
     drivers = [(v, analysis.drivers(sample, v.metric, inputs)) for v in nearest_limits(result.verdicts)]
     return campaign_plots.plots(
-        data, result.verdicts, tails_of(data, result.verdicts), analysis.bands(data.folder, data.campaign),
-        channel_units(data.campaign.base), drivers, inputs, sample, labels_of(data.campaign), f"campaign-{number + 1}-",
-    )  # fmt: skip  # seven more lines otherwise
+        data,
+        result.verdicts,
+        tails_of(data, result.verdicts),
+        analysis.bands(data.folder, data.campaign),
+        channel_units(data.campaign.base),
+        drivers,
+        inputs,
+        sample,
+        labels_of(data.campaign),
+        f"campaign-{number + 1}-",
+    )
 
 
 # gimbal and slosh
@@ -397,8 +410,17 @@ def _slosh(found: Verification) -> Plot:
         one = list({a.time_s: a for a in found.slosh if a.stage == stage}.values())
         times = [a.time_s for a in one]
         low, high = [a.percussion_station_m for a in one], [a.cg_station_m for a in one]
-        stations.append({"kind": "band", "colour": "limit", "name": "between centre of percussion and CG: slosh harms",
-                         "x": times, "y": low, "y2": high, "opacity": 0.15})  # fmt: skip  # more lines otherwise
+        stations.append(
+            {
+                "kind": "band",
+                "colour": "limit",
+                "name": "between centre of percussion and CG: slosh harms",
+                "x": times,
+                "y": low,
+                "y2": high,
+                "opacity": 0.15,
+            }
+        )
     for n, (stage, tank) in enumerate(sorted({(a.stage, a.tank) for a in found.slosh})):
         mine = [a for a in found.slosh if (a.stage, a.tank) == (stage, tank)]
         here, name = [a.time_s for a in mine], tank_name(found.scenario.vehicle, stage, tank)

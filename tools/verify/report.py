@@ -39,8 +39,15 @@ WORDS = {ACCEPTED: MET, REJECTED: REJECTED, UNDECIDED: UNDECIDED}  # of a single
 _KEYS = {"judgement": "verdict"}  # of a requirement, as verdict.json has them
 _FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
 _LINE = (
-    "difference_db", "difference_deg", "unrounded_db", "unrounded_deg", "coherence", "error", "nonlinear_db", "reason",
-)  # fmt: skip  # seven more lines otherwise
+    "difference_db",
+    "difference_deg",
+    "unrounded_db",
+    "unrounded_deg",
+    "coherence",
+    "error",
+    "nonlinear_db",
+    "reason",
+)
 
 
 @dataclass(frozen=True)
@@ -75,10 +82,20 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
     """The review as HTML."""
     dated = {"date": signed.date} if signed.date else {}
     return render(
-        "review.html.j2", plots, found=found, command=command, headline=headline(found), tank_name=tank_name,
-        signed=signed, summary=_summary(found), limiting=_limiting(found), matrix=_matrix(found.flights),
-        loop=_loop(found), not_covered=uncovered_lines(found.scenario.vehicle, found.uncovered), **dated,
-    )  # fmt: skip  # nine more lines otherwise
+        "review.html.j2",
+        plots,
+        found=found,
+        command=command,
+        headline=headline(found),
+        tank_name=tank_name,
+        signed=signed,
+        summary=_summary(found),
+        limiting=_limiting(found),
+        matrix=_matrix(found.flights),
+        loop=_loop(found),
+        not_covered=uncovered_lines(found.scenario.vehicle, found.uncovered),
+        **dated,
+    )
 
 
 def _summary(found: Verification) -> list[dict[str, Any]]:
@@ -151,16 +168,24 @@ def _loop(found: Verification) -> dict[str, Any]:
     return {
         "computer": f"flight computer: {1e3 * computer.sample_s:g} ms sample, {1e3 * computer.delay_s:g} ms delay",
         "programme": ("programme", ["attitude over time"]),
-        "law": ("flight code" if computer.law == "external" else f"{design.law.upper()} law" if design else "law",
-                ["gains over time", f"error up to {computer.angle_error_limit_deg:g} deg"]),
+        "law": (
+            "flight code" if computer.law == "external" else f"{design.law.upper()} law" if design else "law",
+            ["gains over time", f"error up to {computer.angle_error_limit_deg:g} deg"],
+        ),
         "filter": ("bending filter", [f"order {sections}", f"command up to {computer.command_limit_deg:g} deg"]),
-        "actuator": ("actuator", ["none"] if first is None else
-                     [first.model, f"{first.angle_limit_deg:g} deg, {first.rate_limit_degps:g} deg/s"]),
-        "vehicle": ("vehicle", [f"engines: {len(stage.engines)}", f"bending modes: {modes}",
-                                f"tanks that slosh: {len(stage.tank)}"]),
+        "actuator": (
+            "actuator",
+            ["none"]
+            if first is None
+            else [first.model, f"{first.angle_limit_deg:g} deg, {first.rate_limit_degps:g} deg/s"],
+        ),
+        "vehicle": (
+            "vehicle",
+            [f"engines: {len(stage.engines)}", f"bending modes: {modes}", f"tanks that slosh: {len(stage.tank)}"],
+        ),
         "gyro": ("rate gyro", [f"at {stage.gyro.station_m:g} m" if stage.gyro is not None else "ideal"]),
         "attitude": ("attitude and rate", [computer.attitude]),
-    }  # fmt: skip  # a line for each word otherwise
+    }
 
 
 def print_page(page: Path, pdf: Path) -> Path | None:
@@ -171,11 +196,21 @@ def print_page(page: Path, pdf: Path) -> Path | None:
     part = pdf.with_name(f".{pdf.name}.part")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [
-            browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
-            "--disable-component-update", "--disable-sync", f"--user-data-dir={profile}", "--no-pdf-header-footer",
-            "--generate-pdf-document-outline", "--window-size=900,1200",
-            f"--print-to-pdf={part.resolve()}", page.resolve().as_uri(),
-        ]  # fmt: skip  # nine more lines otherwise
+            browser,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            f"--user-data-dir={profile}",
+            "--no-pdf-header-footer",
+            "--generate-pdf-document-outline",
+            "--window-size=900,1200",
+            f"--print-to-pdf={part.resolve()}",
+            page.resolve().as_uri(),
+        ]
         try:
             subprocess.run(command, capture_output=True, timeout=_PRINT_S, check=True)
             part.replace(pdf)
@@ -261,11 +296,16 @@ def ranking(every: Sequence[Verification]) -> list[str]:
         nominal = {r.name.partition(",")[0]: r.found for r in v.requirements if r.part == "margins"}
         rows.append(
             (
-                str(n), v.design, _mark(v.judgement), str(len(v.of(REJECTED))), str(len(v.of(UNDECIDED))),
-                printable(worst.name) if worst else "", f"{100.0 * worst.room:.0f} %" if worst else "",
+                str(n),
+                v.design,
+                _mark(v.judgement),
+                str(len(v.of(REJECTED))),
+                str(len(v.of(UNDECIDED))),
+                printable(worst.name) if worst else "",
+                f"{100.0 * worst.room:.0f} %" if worst else "",
                 *(nominal.get(key, "-").partition(" ")[0] for key in _RANKED),
             )
-        )  # fmt: skip  # five more lines otherwise
+        )
     return ["ranking", *aligned(rows, "  ", right=(0, 3, 4, 6, 7, 8, 9))]
 
 

@@ -75,9 +75,13 @@ def execute(
             begun = time.perf_counter()
             try:
                 one = verify(
-                    path, loaded, vehicle=vehicle, memory=None if afresh else memory.default_folder(),
-                    watch=progress.show, stop=stop,
-                )  # fmt: skip  # four more lines otherwise
+                    path,
+                    loaded,
+                    vehicle=vehicle,
+                    memory=None if afresh else memory.default_folder(),
+                    watch=progress.show,
+                    stop=stop,
+                )
             except ValueError as error:
                 if not str(error).startswith("node at"):
                     raise
@@ -168,10 +172,15 @@ def execute_cases(cases: Iterable[Callable[[], run_case.Made]], suite: str, pack
     ranked = in_order([c for one in made for c in candidates(one)])
     rows = [("", "candidate", "objective, dB", "least |1 + L|", "limits of its case")]
     rows += [
-        (str(n), str(c.folder), f"{c.objective_db:.3f}", f"{c.modulus:.3f}" if c.modulus > 0.0 else "unstable",
-         "met" if c.meets_limits else "MISSED")
+        (
+            str(n),
+            str(c.folder),
+            f"{c.objective_db:.3f}",
+            f"{c.modulus:.3f}" if c.modulus > 0.0 else "unstable",
+            "met" if c.meets_limits else "MISSED",
+        )
         for n, c in enumerate(ranked, 1)
-    ]  # fmt: skip  # five more lines otherwise
+    ]
     tell("candidates in order of merit", *aligned(rows, "  ", right=(0, 2, 3)), "")
 
     def keep(design: str, found: Verification, loaded: suites.LoadedSuite) -> None:

@@ -246,9 +246,7 @@ def actuator_motion(
 
 
 @kernel
-def actuator_rates(
-    a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float, dy: Array
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+def actuator_rates(a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float, dy: Array) -> None:
     """`actuator_derivative` with the faults of this actuator. A stuck servo stands; its rate state dies away."""
     if faults[ANY_FAULT] == 0.0:
         actuator_derivative(a, y, i, command, dy)

@@ -76,12 +76,15 @@ def table_coefficients(
     lateral = math.sqrt(flow[1] * flow[1] + flow[2] * flow[2])
     first_roll = float(tables.first_roll_rad[j])
     interpolate_grid(
-        pool, tables.grid, j,
+        pool,
+        tables.grid,
+        j,
         _angle(tables.axis[j, 0], mach, flow, lateral, first_roll),
         _angle(tables.axis[j, 1], mach, flow, lateral, first_roll),
         _angle(tables.axis[j, 2], mach, flow, lateral, first_roll),
-        bare_pointer(work.grid_row), 0,
-    )  # fmt: skip  # ten lines otherwise
+        bare_pointer(work.grid_row),
+        0,
+    )
     for role in range(N_ROLES):
         work.coefficient[role] = 0.0
     for c in range(tables.grid.at[j, N_COLUMNS]):
@@ -90,9 +93,14 @@ def table_coefficients(
 
 @routine
 def static_loads(
-    tables: IncidenceTables, j: int, flow: Vector, lengths: Vector, axial_factor: float, force_factor: float,
+    tables: IncidenceTables,
+    j: int,
+    flow: Vector,
+    lengths: Vector,
+    axial_factor: float,
+    force_factor: float,
     work: IncidenceWork,
-) -> tuple[Vector, Vector, Vector]:  # fmt: skip  # seven more lines otherwise
+) -> tuple[Vector, Vector, Vector]:
     """From `work`, per dynamic pressure and area: axial force (B), lateral force (B), moment (B, m).
 
     `lengths`: references of roll, pitch and yaw moment, m. Along the wind the axial force includes drag and lift.

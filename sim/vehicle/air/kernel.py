@@ -201,9 +201,18 @@ def local_flow(
 
 @kernel
 def table_loads(
-    aero: Aero, sizes: Counts, pool: Array, density: float, mach: float, flow: Vector, rate: Vector, burning: int,
-    properties: Array, modes: Modes, work: AeroWork,
-) -> tuple[Vector, Vector]:  # fmt: skip  # eleven more lines otherwise
+    aero: Aero,
+    sizes: Counts,
+    pool: Array,
+    density: float,
+    mach: float,
+    flow: Vector,
+    rate: Vector,
+    burning: int,
+    properties: Array,
+    modes: Modes,
+    work: AeroWork,
+) -> tuple[Vector, Vector]:
     """Forces and moments of the tables over incidence about the core CG in B; adds to the modes' generalised forces."""
     lengths = (aero.span_m, aero.chord_m, aero.yaw_chord_m)
     reference_m = properties[sch.schedule_width(sizes) + sch.MOMENT_REFERENCE]
@@ -222,10 +231,12 @@ def table_loads(
             square = local[0] * local[0] + local[1] * local[1] + local[2] * local[2]
             axial, lateral, couple = static_loads(
                 aero.tables, j, local, lengths, aero.axial_factor, aero.force_factor, work.incidence
-            )  # fmt: skip  # three more lines otherwise
+            )
             axial, lateral, couple = (
-                scaled(half * square, axial), scaled(half * square, lateral), scaled(half * square, couple)
-            )  # fmt: skip  # two more lines otherwise
+                scaled(half * square, axial),
+                scaled(half * square, lateral),
+                scaled(half * square, couple),
+            )
             if aero.tables.any_rates[j] == 1:
                 damping = 0.5 * half * aero.damping_factor * math.sqrt(square)
                 by_rate, couple_by_rate = rate_loads(rate, lengths, work.incidence)

@@ -14,8 +14,18 @@ from maxq.sim.input.values import NotNegative, Section, optional
 from maxq.sim.vehicle.air.tables import COEFFICIENT_COLUMNS, GridTable, grid_table
 
 COEFFICIENTS = (
-    "CA", "CA_coast", "CD", "CN_alpha_pr", "x_cp_m", "Cm_alpha_pr", "Cm0", "Cmq", "Cnr", "Clp", "C_crossflow",
-)  # fmt: skip  # ten more lines otherwise
+    "CA",
+    "CA_coast",
+    "CD",
+    "CN_alpha_pr",
+    "x_cp_m",
+    "Cm_alpha_pr",
+    "Cm0",
+    "Cmq",
+    "Cnr",
+    "Clp",
+    "C_crossflow",
+)
 
 
 AERO_COLUMNS = Columns("mach", optional=COEFFICIENTS, not_negative=("mach", "CA", "CA_coast", "CD", "C_crossflow"))
@@ -105,14 +115,16 @@ class Coefficients(Section):
                 there = np.moveaxis(grid.values[..., c], k, 0)[end]
                 if name in ("CY", "CN", "CZ", "CL", "Cm", "Cn") and (there != 0.0).any():
                     raise self.table.refusal(
-                        f"{name} is not zero at total_deg = {total[end]:g}, where it has no direction", "0",
+                        f"{name} is not zero at total_deg = {total[end]:g}, where it has no direction",
+                        "0",
                         at=("table",),
-                    )  # fmt: skip  # one more line otherwise
+                    )
                 if "roll_deg" in grid.axes and np.ptp(there, axis=grid.axes.index("roll_deg") - 1).max() > 0.0:
                     raise self.table.refusal(
                         f"{name} depends on roll_deg at total_deg = {total[end]:g}, where it is undefined",
-                        "one value", at=("table",),
-                    )  # fmt: skip  # one more line otherwise
+                        "one value",
+                        at=("table",),
+                    )
 
 
 class AeroSection(Section):

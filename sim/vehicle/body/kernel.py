@@ -173,9 +173,17 @@ def coriolis_of_outflow(sizes: Counts, rate: Vector, properties: Array) -> tuple
 
 @kernel
 def kinematics(
-    earth: Earth, on_pad: int, rotation: Matrix, rate: Vector, specific_force: Vector, alpha: Vector,
-    gravitation: Vector, properties: Array, y: Array, dy: Array,
-) -> None:  # fmt: skip  # eight more lines otherwise
+    earth: Earth,
+    on_pad: int,
+    rotation: Matrix,
+    rate: Vector,
+    specific_force: Vector,
+    alpha: Vector,
+    gravitation: Vector,
+    properties: Array,
+    y: Array,
+    dy: Array,
+) -> None:
     """Position, velocity, attitude and rate. The core CG moves through the body as propellant leaves.
 
     On the pad, position and attitude rotate with the Earth.

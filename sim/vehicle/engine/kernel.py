@@ -99,9 +99,13 @@ def engine_axis_motion(e: Engine, k: int, pitch: GimbalMotion, yaw: GimbalMotion
     """`thrust_axis_motion` of engine k, from the motion of its group."""
     in_pitch, in_yaw = e.follows_pitch[k], e.follows_yaw[k]
     return thrust_axis_motion(
-        in_pitch * pitch.angle_rad + e.turned_pitch_rad[k], in_pitch * pitch.rate_radps, in_pitch * pitch.accel_radps2,
-        in_yaw * yaw.angle_rad + e.turned_yaw_rad[k], in_yaw * yaw.rate_radps, in_yaw * yaw.accel_radps2,
-    )  # fmt: skip  # eight lines otherwise
+        in_pitch * pitch.angle_rad + e.turned_pitch_rad[k],
+        in_pitch * pitch.rate_radps,
+        in_pitch * pitch.accel_radps2,
+        in_yaw * yaw.angle_rad + e.turned_yaw_rad[k],
+        in_yaw * yaw.rate_radps,
+        in_yaw * yaw.accel_radps2,
+    )
 
 
 @kernel
@@ -194,10 +198,14 @@ def put_deflected(kept: KeptEngine, engine: Deflected) -> None:
 @kernel
 def deflected_at(kept: KeptEngine) -> Deflected:
     return Deflected(
-        vector_at(kept.axis, 0), vector_at(kept.gimbal_m, 0), vector_at(kept.delta_m, 0),
-        vector_at(kept.delta_rate_mps, 0), vector_at(kept.delta_accel_mps2, 0),
-        vector_at(kept.relative_rate_radps, 0), vector_at(kept.relative_accel_radps2, 0),
-    )  # fmt: skip  # nine lines otherwise
+        vector_at(kept.axis, 0),
+        vector_at(kept.gimbal_m, 0),
+        vector_at(kept.delta_m, 0),
+        vector_at(kept.delta_rate_mps, 0),
+        vector_at(kept.delta_accel_mps2, 0),
+        vector_at(kept.relative_rate_radps, 0),
+        vector_at(kept.relative_accel_radps2, 0),
+    )
 
 
 @kernel

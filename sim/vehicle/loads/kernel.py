@@ -127,9 +127,16 @@ def station_width(sizes: Counts, alike: int) -> int:
 
 @routine
 def evaluate_sections(
-    loads: Loads, vehicle: StageRecord, inputs: StageInputs, pool: Array, clock_s: float, at: Evaluation, work: Work,
-    columns: Array, out: SectionLoads,
-) -> None:  # fmt: skip  # eleven lines otherwise
+    loads: Loads,
+    vehicle: StageRecord,
+    inputs: StageInputs,
+    pool: Array,
+    clock_s: float,
+    at: Evaluation,
+    work: Work,
+    columns: Array,
+    out: SectionLoads,
+) -> None:
     """Loads at all stations into `out.section`, right after the derivative at `at`; `columns` is scratch memory."""
     sizes = counts(vehicle.sizes)
     interpolate_into(pool, loads.table, find_interval(pool, loads.table, clock_s), clock_s, columns, 0)
@@ -173,9 +180,7 @@ def _of_point(station: float, x: float, force: Vector, y: float, z: float) -> Se
 
 
 @kernel
-def _drivers(
-    loads: Loads, vehicle: StageRecord, sizes: Counts, at: Evaluation, work: Work, columns: Array
-) -> Drivers:  # fmt: skip
+def _drivers(loads: Loads, vehicle: StageRecord, sizes: Counts, at: Evaluation, work: Work, columns: Array) -> Drivers:
     """The line mass carries the momentum of the core: scaled to its mass, and what of the rate of the angular momentum
     its transverse motion does not hold (sections turn as well) is a moment a kilogram, the same everywhere.
     """
@@ -327,9 +332,16 @@ def _aerodynamic(
 
 @kernel
 def _of_pendulum(
-    loads: Loads, vehicle: StageRecord, sizes: Counts, tank: int, station: float, shift_y: float, shift_z: float,
-    at: Evaluation, work: Work,
-) -> SectionLoad:  # fmt: skip  # eleven lines otherwise
+    loads: Loads,
+    vehicle: StageRecord,
+    sizes: Counts,
+    tank: int,
+    station: float,
+    shift_y: float,
+    shift_z: float,
+    at: Evaluation,
+    work: Work,
+) -> SectionLoad:
     """The rod's pull at its hinge, along the body at the tank's bottom; the damper's force at the bob."""
     own, y = record_at(work.tank, tank), at.y
     first = pendulum_index(sizes, 0) + N_PENDULUM * tank
@@ -351,8 +363,9 @@ def _of_pendulum(
 
 
 @routine
-def gather_sections(loads: Loads, sizes: Counts, stage: int, now_ns: int, mass: float, cg_m: float, columns: Array,
-                    out: SectionLoads) -> None:  # fmt: skip  # nine lines otherwise
+def gather_sections(
+    loads: Loads, sizes: Counts, stage: int, now_ns: int, mass: float, cg_m: float, columns: Array, out: SectionLoads
+) -> None:
     """Update the extremes with `out.section`, evaluated with `columns`."""
     total = columns[TOTAL_MASS]
     apart = abs(columns[TOTAL_FIRST] / total - cg_m) / (loads.tail_m - loads.nose_m)

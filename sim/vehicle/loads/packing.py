@@ -77,9 +77,13 @@ def _liquids_of(loads: schema.LoadsSection, tanks: Sequence[Tank]) -> list[schem
 
 @cached_by_identity
 def _table(
-    loads: schema.LoadsSection, tanks: tuple[Tank, ...], pitch: ModeTable | None, yaw: ModeTable | None,
-    spatial: SpatialModeTable | None, method: Method,
-) -> Cubics:  # fmt: skip  # seven lines otherwise
+    loads: schema.LoadsSection,
+    tanks: tuple[Tank, ...],
+    pitch: ModeTable | None,
+    yaw: ModeTable | None,
+    spatial: SpatialModeTable | None,
+    method: Method,
+) -> Cubics:
     """All columns over the stage's clock."""
     planes = [pitch] if pitch is yaw else [pitch, yaw]
     modes = max((table.modes for table in planes if table is not None), default=0)
@@ -125,9 +129,13 @@ class _Body:
     """
 
     def __init__(
-        self, loads: schema.LoadsSection, tanks: tuple[Tank, ...], modes: Sequence[ModeTable | SpatialModeTable | None],
-        times: Array, method: Method,
-    ) -> None:  # fmt: skip  # nine lines otherwise
+        self,
+        loads: schema.LoadsSection,
+        tanks: tuple[Tank, ...],
+        modes: Sequence[ModeTable | SpatialModeTable | None],
+        times: Array,
+        method: Method,
+    ) -> None:
         line = loads.line_mass
         front, rear, mass = line["front_station_m"], line["rear_station_m"], line["mass_kg"]
         of_modes = [table.station_m for table in modes if table is not None]
@@ -136,8 +144,9 @@ class _Body:
         spread = rear > front
         density = (
             (mass[spread] / (rear - front)[spread])[:, None]
-            * (front[spread, None] <= ends[:-1]) * (rear[spread, None] >= ends[1:])
-        ).sum(axis=0)  # fmt: skip  # of each interval
+            * (front[spread, None] <= ends[:-1])
+            * (rear[spread, None] >= ends[1:])
+        ).sum(axis=0)
         x, weights = _gauss(np.broadcast_to(ends[:-1], (len(times), len(ends) - 1)), ends[1:])
         self.parts = [_Part(x, weights * density[None, :, None], ends[1:], ends[1:], x)]
         at = front[~spread]

@@ -20,8 +20,13 @@ LINE_MASS_COLUMNS = Columns(
 )
 LIQUID_COLUMNS = Columns("time_s", sets=(("mass_kg", "front_station_m"),), not_negative=("mass_kg",), begins_by=0.0)
 BORNE = (
-    "compression_N", "tension_N", "shear_N", "bending_moment_Nm", "equivalent_compression_N", "equivalent_tension_N",
-)  # fmt: skip  # the kinds of sim/vehicle/loads/kernel.py, in their order
+    "compression_N",
+    "tension_N",
+    "shear_N",
+    "bending_moment_Nm",
+    "equivalent_compression_N",
+    "equivalent_tension_N",
+)
 LIMIT_COLUMNS = Columns(
     "station_m", optional=("time_s", "radius_m", *BORNE), positive=("radius_m", *BORNE), repeats=True
 )
@@ -78,9 +83,12 @@ class LoadsSection(Section):
         for n, liquid in enumerate(self.liquid):
             table = liquid.table
             liquid.table.refuse_where(
-                table["front_station_m"] > liquid.bottom_station_m, "front_station_m", "lies behind the tank's bottom",
-                f"at most bottom_station_m = {liquid.bottom_station_m:g}", at=("liquid", n, "table"),
-            )  # fmt: skip  # five lines otherwise
+                table["front_station_m"] > liquid.bottom_station_m,
+                "front_station_m",
+                "lies behind the tank's bottom",
+                f"at most bottom_station_m = {liquid.bottom_station_m:g}",
+                at=("liquid", n, "table"),
+            )
         if self.limits is not None:
             self._check_limits(self.limits)
         shares = self.axial_force
@@ -116,9 +124,11 @@ def check_loads(loads: LoadsSection, gimbal_station_m: float | None, tanks: Sequ
     """
     if gimbal_station_m is not None and loads.stations_m[-1] > gimbal_station_m:
         raise refuse(
-            "is behind the gimbal, where only the engine is", f"at most {gimbal_station_m:g}",
-            ("loads", "stations_m", len(loads.stations_m) - 1), value=loads.stations_m[-1],
-        )  # fmt: skip  # four lines otherwise
+            "is behind the gimbal, where only the engine is",
+            f"at most {gimbal_station_m:g}",
+            ("loads", "stations_m", len(loads.stations_m) - 1),
+            value=loads.stations_m[-1],
+        )
     given = [liquid.tank for liquid in loads.liquid if liquid.tank]
     for n, liquid in enumerate(loads.liquid):
         if liquid.tank and (liquid.tank not in tanks or given.count(liquid.tank) > 1):
@@ -154,8 +164,9 @@ def check_line_mass(loads: LoadsSection, mass: Mass, key: Path) -> None:
             raise refuse(
                 f"at {times[worst]:g} s line mass and liquids have a {name} of {here[worst]:.6g} {unit}, the stage "
                 f"{there[worst]:.6g} {unit}: {100 * apart[worst]:.2g} % apart",
-                f"at most tolerance = {loads.tolerance:g}", (*key, "loads", "line_mass"),
-            )  # fmt: skip  # four lines otherwise
+                f"at most tolerance = {loads.tolerance:g}",
+                (*key, "loads", "line_mass"),
+            )
 
 
 def _mass_over_time(mass: Mass) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:

@@ -303,13 +303,19 @@ def spatial_columns(modes: Mapping[float, NastranModes], count: int = MAX_MODES)
             for k, g in enumerate(on_axis):
                 x, y, z, about_x, about_y, about_z = (float(v) for v in given.shape[n, g])
                 row = {
-                    "time_s": time_s, "mode": float(rank), "frequency_hz": float(given.frequency_hz[n]),
+                    "time_s": time_s,
+                    "mode": float(rank),
+                    "frequency_hz": float(given.frequency_hz[n]),
                     "generalized_mass_kg": float(given.generalized_mass_kg[n]),
                     "station_m": float(given.position_m[g, 0]),
-                    "phi_x": -x, "phi_y": y, "phi_z": -z,
-                    "theta_x_pm": -about_x, "theta_y_pm": about_y, "theta_z_pm": -about_z,
+                    "phi_x": -x,
+                    "phi_y": y,
+                    "phi_z": -z,
+                    "theta_x_pm": -about_x,
+                    "theta_y_pm": about_y,
+                    "theta_z_pm": -about_z,
                     "mass_forward_kg": float(lumped[2, k]),
-                }  # fmt: skip  # twelve lines otherwise
+                }
                 if whole:
                     row |= {"mass_kg": float(lumped[0, k]), "roll_inertia_kgm2": float(lumped[1, k])}
                 for name, value in row.items():

@@ -265,9 +265,7 @@ def bending_rate_at_gyro(sizes: Counts, properties: Array, modes: PlanarMotion) 
 
 
 @kernel
-def apply_gimbal_load(
-    sizes: Counts, properties: Array, gimbal: int, load: Load, quantity: Array
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+def apply_gimbal_load(sizes: Counts, properties: Array, gimbal: int, load: Load, quantity: Array) -> None:
     """Add the generalised forces of a load on the body at a gimbal's station to a modal quantity."""
     _, force_y, force_z, _, moment_y, moment_z = load
     pitch, yaw, phi = of_plane(sch.PITCH), of_plane(sch.YAW), sch.gimbal_row(sizes, gimbal)

@@ -209,7 +209,7 @@ def free_spatial_accelerations(sizes: Counts, properties: Array, modes: SpatialM
 @routine
 def spatial_along_rod(
     sizes: Counts, properties: Array, place: int, u: Vector, accel_mps2: Array, shapes: Array
-) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> float:
     """Keep the shapes at a hinge along its rod `u`; returns its acceleration by the modal ones."""
     n, c, total = sizes.spatial_modes, sch.place_column(sizes, place, 0), 0.0
     for i in range(n):

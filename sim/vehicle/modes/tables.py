@@ -163,9 +163,16 @@ def spatial_mode_table(table: CsvTable, at: Path = ()) -> SpatialModeTable:
         frequency, mass, *rest = full
         shapes, forward, given = np.stack(rest[:6], axis=-1), rest[6], dict(zip(lumped, rest[7:], strict=True))
         made = SpatialModeTable(
-            times, stations, frequency, mass, shapes[..., :3], shapes[..., 3:], forward,
-            given.get("mass_kg"), given.get("roll_inertia_kgm2"),
-        )  # fmt: skip  # nine lines otherwise
+            times,
+            stations,
+            frequency,
+            mass,
+            shapes[..., :3],
+            shapes[..., 3:],
+            forward,
+            given.get("mass_kg"),
+            given.get("roll_inertia_kgm2"),
+        )
         refuse_impossible(table, made, at)
         table.keep(made)
     return made

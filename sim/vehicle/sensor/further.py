@@ -72,9 +72,18 @@ def pack_sensors(stage: Stage, ideal: bool) -> tuple[Sensor, ...]:
 
 @routine
 def sense(
-    sensors: Any, sizes: Counts, rate: Vector, specific_force: Vector, alpha: Vector, properties: Array, faults: Array,
-    y: Array, first: int, dy: Array, modes: Modes,
-) -> None:  # fmt: skip  # thirteen lines otherwise
+    sensors: Any,
+    sizes: Counts,
+    rate: Vector,
+    specific_force: Vector,
+    alpha: Vector,
+    properties: Array,
+    faults: Array,
+    y: Array,
+    first: int,
+    dy: Array,
+    modes: Modes,
+) -> None:
     """Derivatives of the sensors' states, from y[first] on, once all accelerations are known."""
     for k in range(sizes.sensors):
         sensor, i, place = sensors[k], first + 9 * k, sizes.gimbals - sizes.sensors + k
@@ -110,9 +119,15 @@ def rate_at(sizes: Counts, place: int, rate: Vector, properties: Array, modes: M
 
 @kernel
 def force_at(
-    sizes: Counts, place: int, station_m: float, rate: Vector, specific_force: Vector, alpha: Vector, properties: Array,
+    sizes: Counts,
+    place: int,
+    station_m: float,
+    rate: Vector,
+    specific_force: Vector,
+    alpha: Vector,
+    properties: Array,
     modes: Modes,
-) -> Vector:  # fmt: skip  # ten lines otherwise
+) -> Vector:
     """Specific force at a sensor, in axes that turn with the bent body, m/s2.
 
     Of the modes' own accelerations the quasi-velocities hold what the roll rate does: with nu = d(eta)/dt + p A eta the

@@ -125,9 +125,18 @@ def restore_pendulum(y: Array, first: int) -> None:
 
 @kernel
 def pendulum_loads(
-    slosh: Slosh, sizes: Counts, tank: int, rate: Vector, axial_load: float, offset: Vector, properties: Array,
-    y: Array, first: int, modes: Modes, own: TankWork,
-) -> tuple[Vector, Vector]:  # fmt: skip  # eleven lines otherwise
+    slosh: Slosh,
+    sizes: Counts,
+    tank: int,
+    rate: Vector,
+    axial_load: float,
+    offset: Vector,
+    properties: Array,
+    y: Array,
+    first: int,
+    modes: Modes,
+    own: TankWork,
+) -> tuple[Vector, Vector]:
     """Fill `own` of a tank; returns the force and moment (about the core CG) of its damper, B.
 
     The states of the pendulum lie at y[first:first+6]; `offset` leads from the core CG to the CG with the engine
@@ -205,9 +214,7 @@ def pendulum_loads(
     roll = moment[0] + asymmetry_y * force[2] - asymmetry_z * force[1]
     moment = (roll, moment[1] + shift_z * force[0], moment[2] - shift_y * force[0])
     if sizes.spatial_modes > 0:
-        moment = (
-            moment[0] + asymmetry_x * force[0], moment[1] - shift_x * force[2], moment[2] + shift_x * force[1]
-        )  # fmt: skip  # five lines otherwise
+        moment = (moment[0] + asymmetry_x * force[0], moment[1] - shift_x * force[2], moment[2] + shift_x * force[1])
         own.shift_m[0], own.asymmetry_m[0], own.damper_force_N[0] = shift_x, asymmetry_x, force[0]
     return force, moment
 
@@ -334,9 +341,18 @@ def _plane_asymmetry(
 
 @kernel
 def pendulum_derivative(
-    slosh: Slosh, sizes: Counts, tank: int, rate: Vector, specific_force: Vector, alpha: Vector, properties: Array,
-    y: Array, first: int, dy: Array, own: TankWork,
-) -> None:  # fmt: skip  # eleven lines otherwise
+    slosh: Slosh,
+    sizes: Counts,
+    tank: int,
+    rate: Vector,
+    specific_force: Vector,
+    alpha: Vector,
+    properties: Array,
+    y: Array,
+    first: int,
+    dy: Array,
+    own: TankWork,
+) -> None:
     """Derivative of the states at y[first:first+6] once the body's accelerations are known.
 
     The pendulum of an empty tank rests: without mass it has no effect.
@@ -359,8 +375,10 @@ def pendulum_derivative(
     if sizes.spatial_modes > 0:
         shift_x, asymmetry_x, bend_x = own.shift_m[0], own.asymmetry_m[0], own.bending_accel_mps2[0]
         hinge = (
-            hinge[0] + bend_x + alpha[0] * asymmetry_x, hinge[1] + alpha[2] * shift_x, hinge[2] - alpha[1] * shift_x
-        )  # fmt: skip  # five lines otherwise
+            hinge[0] + bend_x + alpha[0] * asymmetry_x,
+            hinge[1] + alpha[2] * shift_x,
+            hinge[2] - alpha[1] * shift_x,
+        )
     per_length = 1.0 / pendulum_length(properties, tank)
     along = per_length * dot(hinge, u) - dot(kappa, kappa)
     spin_u, spin_kappa = cross(rate, u), cross(rate, kappa)

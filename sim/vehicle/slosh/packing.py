@@ -124,9 +124,16 @@ def _of_table(
 
 @cached_by_identity
 def _of_shape(
-    table: CsvTable, profile: Profile, modes: int, radius: float, bottom: float, viscosity: float, density: float,
-    baffles: Baffles | None, method: Method,
-) -> list[tuple[Cubics, Cubics]]:  # fmt: skip  # eleven lines otherwise
+    table: CsvTable,
+    profile: Profile,
+    modes: int,
+    radius: float,
+    bottom: float,
+    viscosity: float,
+    density: float,
+    baffles: Baffles | None,
+    method: Method,
+) -> list[tuple[Cubics, Cubics]]:
     mass = fit(table["time_s"], table["liquid_mass_kg"], method)
 
     def depth_at(at: Array) -> Array:
@@ -149,7 +156,7 @@ def _of_shape(
 
 def _instants(
     time_s: Array, height: Cubics | None = None, bottom: float = 0.0, baffles: Baffles | None = None
-) -> Array:  # fmt: skip  # one more line otherwise
+) -> Array:
     """Times (s) of a table, at least `_INSTANTS` between them, and before and after each ring leaves the liquid."""
     if len(time_s) == 1:
         return time_s

@@ -171,9 +171,12 @@ class Tank(Section):
         most = density * radius**3 * float(profile.volume(np.array(profile.height)))
         mass = self.table["liquid_mass_kg"]
         self.table.refuse_where(
-            mass > most * (1.0 + 1e-9), "liquid_mass_kg", "is more than the tank holds", f"up to {most:.6g}",
+            mass > most * (1.0 + 1e-9),
+            "liquid_mass_kg",
+            "is more than the tank holds",
+            f"up to {most:.6g}",
             at=("table",),
-        )  # fmt: skip  # one more line otherwise
+        )
 
     def _check_baffles(self, baffles: Baffles) -> None:
         if self.shape is None:

@@ -154,7 +154,7 @@ def swing_engines(
 @kernel
 def hinge_moment(
     load: TvcLoad, k: int, y: Array, i: int, position: float, rate: float, stop: float, play: float, floating: int
-) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> float:
     """Moment of spring, damper, friction and stop on an engine about its hinge, N m; states at y[i:i+3].
 
     In its gap neither spring nor damper acts, and at its ends they push only.
@@ -174,10 +174,23 @@ def hinge_moment(
 
 @routine
 def prepare_loads(
-    load: TvcLoad, e: Engine, first: Deflected, offset: Vector, sizes: Counts, rate: Vector, first_rates: Rates,
-    axial_load: float, properties: Array, y: Array, states: int, faults: Array, engines: KeptEngines, modes: Modes,
-    system: System, out: TvcLoadOutputs,
-) -> None:  # fmt: skip  # twelve lines otherwise
+    load: TvcLoad,
+    e: Engine,
+    first: Deflected,
+    offset: Vector,
+    sizes: Counts,
+    rate: Vector,
+    first_rates: Rates,
+    axial_load: float,
+    properties: Array,
+    y: Array,
+    states: int,
+    faults: Array,
+    engines: KeptEngines,
+    modes: Modes,
+    system: System,
+    out: TvcLoadOutputs,
+) -> None:
     """Fill both unknowns of each load; their states lie at y[states:].
 
     `first`: the first engine; `first_rates`: those of its gimbal. `offset` leads from the core CG to the CG with the
@@ -234,7 +247,7 @@ def prepare_loads(
 @routine
 def _modal_forces(
     sizes: Counts, properties: Array, e: Engine, k: int, force: Vector, couple: Vector, swing: Swing
-) -> None:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> None:
     """Of a force at the CG of engine k at rest and a couple, at its gimbal (3.4)."""
     clear_modes(sizes, swing.planar_force_N)
     at_gimbal = load_at_gimbal(e, k, force, couple)
@@ -261,7 +274,7 @@ def load_responses(sizes: Counts, inverse_mass: float, inverse: Symmetric, prope
 @routine
 def moment_about_hinge(
     sizes: Counts, swing: Swing, accel: Vector, alpha: Vector, planar_mps2: Array, spatial_mps2: Array
-) -> float:  # fmt: skip  # as ruff would, but for a line of one bracket
+) -> float:
     """Moment on the hinge of an unknown by accelerations of the CG, of the body's rotation and of the modes, N m."""
     total: float = dot(vector_at(swing.force_N, 0), accel) + dot(vector_at(swing.moment_Nm, 0), alpha)
     total += product_of_modes(sizes, swing.planar_force_N, planar_mps2)
@@ -280,9 +293,16 @@ def add_load_to_modes(sizes: Counts, swing: Swing, amount: float, modes: Modes) 
 
 @routine
 def load_derivative(
-    load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int, dy: Array, system: System,
-    engines: EngineOutputs, out: TvcLoadOutputs,
-) -> None:  # fmt: skip  # ten lines otherwise
+    load: TvcLoad,
+    e: Engine,
+    sizes: Counts,
+    y: Array,
+    first: int,
+    dy: Array,
+    system: System,
+    engines: EngineOutputs,
+    out: TvcLoadOutputs,
+) -> None:
     """Derivatives of the states at y[first:] once the accelerations are known, which are outputs as well."""
     for back in range(2 * sizes.tvc_loads):
         k = 2 * sizes.tvc_loads - 1 - back

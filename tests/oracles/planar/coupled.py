@@ -19,9 +19,15 @@ class Coupled:
     """
 
     def __init__(
-        self, vehicle: PlanarVehicle, across: PlanarVehicle, condition: FlightCondition, load: float, errata: Errata,
-        held: Array, wind: bool = False,
-    ) -> None:  # fmt: skip  # nine lines otherwise
+        self,
+        vehicle: PlanarVehicle,
+        across: PlanarVehicle,
+        condition: FlightCondition,
+        load: float,
+        errata: Errata,
+        held: Array,
+        wind: bool = False,
+    ) -> None:
         one = Equations(vehicle, condition, load, errata, wind, held)
         other = Equations(across, condition, load, errata, held=held)
         self.one, self.across, self.held, self.shared = one, other, held, vehicle.modes.spatial
@@ -131,11 +137,15 @@ class Coupled:
         whole, size = without_unknowns(rows, np.concatenate(hinges)), self.size
         every = state_names(
             one.modes + across.modes - shared, one.tanks + across.tanks, len(one.loaded) + len(across.loaded)
-        )  # fmt: skip  # four lines otherwise
+        )
         further = (*(f"across_{name}" for name in across.names[:3]), *(x for x in every if x not in one.names))
         outputs = outputs_of(one.vehicle)
         return StateSpace(
-            whole[:size, :size], whole[:size, size:], whole[size:, :size], whole[size:, size:], (*one.names, *further),
+            whole[:size, :size],
+            whole[:size, size:],
+            whole[size:, :size],
+            whole[size:, size:],
+            (*one.names, *further),
             (*one.inputs, *(f"across_{name}" for name in across.inputs)),
             (*outputs, *(f"across_{name}" for name in outputs), "roll_bending_radps"),
-        )  # fmt: skip  # five more lines otherwise
+        )

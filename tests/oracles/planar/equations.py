@@ -46,9 +46,14 @@ class Equations:
     """Each quantity is a row of coefficients: per state, then per input."""
 
     def __init__(
-        self, vehicle: PlanarVehicle, condition: FlightCondition, load: float, errata: Errata, wind: bool = False,
+        self,
+        vehicle: PlanarVehicle,
+        condition: FlightCondition,
+        load: float,
+        errata: Errata,
+        wind: bool = False,
         held: Array | None = None,
-    ) -> None:  # fmt: skip  # five more lines otherwise
+    ) -> None:
         vehicle = vehicle.hanging(load)
         self.vehicle, self.condition, self.load, self.errata = vehicle, condition, load, errata
         self.modes, self.tanks = len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg)

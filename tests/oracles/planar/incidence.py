@@ -124,10 +124,17 @@ def table_slopes(
         [math.cos(alpha_rad) * math.cos(beta_rad), math.sin(beta_rad), math.sin(alpha_rad) * math.cos(beta_rad)]
     )
     return [
-        _of_table(pool, vehicle.aero, j, int(vehicle.sizes.surfaces) - int(vehicle.sizes.tables) + j,
-                  reference_station_m(pool, vehicle.aero, properties, clock_s), mach, direction)
+        _of_table(
+            pool,
+            vehicle.aero,
+            j,
+            int(vehicle.sizes.surfaces) - int(vehicle.sizes.tables) + j,
+            reference_station_m(pool, vehicle.aero, properties, clock_s),
+            mach,
+            direction,
+        )
         for j in range(int(vehicle.sizes.tables))
-    ]  # fmt: skip  # ten more lines otherwise
+    ]
 
 
 def reference_station_m(pool: Array, a: Any, properties: Array, clock_s: float) -> float:

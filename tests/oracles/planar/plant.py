@@ -87,9 +87,12 @@ def axial_load_mps2(vehicle: PlanarVehicle, condition: FlightCondition) -> float
 
 
 def vehicle_plant(
-    vehicle: PlanarVehicle, condition: FlightCondition, errata: Errata = CORRECTED, liquids: Liquids | None = None,
+    vehicle: PlanarVehicle,
+    condition: FlightCondition,
+    errata: Errata = CORRECTED,
+    liquids: Liquids | None = None,
     wind: bool = False,
-) -> StateSpace:  # fmt: skip  # six lines otherwise
+) -> StateSpace:
     """Motion of the actuators, which engines follow or swing on -> rates, of body, modes and pendulums.
 
     States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
@@ -128,8 +131,8 @@ def alone(whole: StateSpace, vehicle: PlanarVehicle, wind: bool = False) -> Stat
     n = len(state_names(len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg), swinging))
     m, rows = len(inputs), len(outputs)
     return StateSpace(
-        whole.a[:n, :n], whole.b[:n, :m], whole.c[:rows, :n], whole.d[:rows, :m], whole.states[:n], inputs, outputs,
-    )  # fmt: skip  # five more lines otherwise
+        whole.a[:n, :n], whole.b[:n, :m], whole.c[:rows, :n], whole.d[:rows, :m], whole.states[:n], inputs, outputs
+    )
 
 
 def _check_load(vehicle: PlanarVehicle, load_mps2: Array | float) -> None:

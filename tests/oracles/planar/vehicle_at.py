@@ -143,9 +143,10 @@ class PlanarVehicle:
             forward = forward + mass * arm * (e.mounted[0] - e.rest[0]) / body.core_mass_kg
             inertia = inertia + mass * (now - before)  # not in place: an array of many vehicles stays theirs
         body = dataclasses.replace(
-            body, core_cg_station_m=body.core_cg_station_m - forward,
+            body,
+            core_cg_station_m=body.core_cg_station_m - forward,
             core_inertia_kgm2=inertia - body.core_mass_kg * forward**2,
-        )  # fmt: skip  # one more line otherwise
+        )
         return dataclasses.replace(self, body=body, engines=hung)
 
     def thrust_N(self, pressure_Pa: float) -> float:
@@ -318,13 +319,21 @@ def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: str, of_plane: 
     beyond = np.array([at(p, 0) for p in places]).reshape(-1, n).T
     along = Along(
         gimbals=np.concatenate([at(gimbal, 0)[:, None], beyond[:, :engines]], axis=1),
-        hinges=each(tank, tanks, 0), surfaces=each(surface, surfaces, 0), sensors=beyond[:, engines:],
-    )  # fmt: skip  # three more lines otherwise
+        hinges=each(tank, tanks, 0),
+        surfaces=each(surface, surfaces, 0),
+        sensors=beyond[:, engines:],
+    )
     moves = any(shapes.any() for shapes in vars(along).values())
     return dataclasses.replace(
-        of_plane, **joined, softening_kgpm=both, spatial=n, roll_gyro_pm=at(gyro_at, 3), along=along if moves else None,
-        further_gimbals=further[:engines], sensors=further[engines:],
-    )  # fmt: skip  # four more lines otherwise
+        of_plane,
+        **joined,
+        softening_kgpm=both,
+        spatial=n,
+        roll_gyro_pm=at(gyro_at, 3),
+        along=along if moves else None,
+        further_gimbals=further[:engines],
+        sensors=further[engines:],
+    )
 
 
 def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: str) -> tuple[GimballedEngine, ...]:

@@ -106,11 +106,15 @@ def _measured(workers: int, processes: int, runs: int, flight_s: float | None, k
         if done.flown != runs:
             raise RuntimeError(f"{done.flown} of {runs} runs came back")
     return {
-        "workers": workers, "processes": processes, "lost": workers // processes if kill else 0,
-        "runs": runs, "batches": batches,
-        "per_s": round(runs / wall, 1), "client_ms": round(1e3 * own / runs, 3),
+        "workers": workers,
+        "processes": processes,
+        "lost": workers // processes if kill else 0,
+        "runs": runs,
+        "batches": batches,
+        "per_s": round(runs / wall, 1),
+        "client_ms": round(1e3 * own / runs, 3),
         "scheduler_ms_a_batch": round(1e3 * scheduler_s / batches, 2),
-    }  # fmt: skip  # a line each otherwise
+    }
 
 
 def _cpu_s(pid: int) -> float:

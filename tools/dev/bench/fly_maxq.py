@@ -25,9 +25,11 @@ WHOLE_FLIGHT_NS = 10**12  # one segment holds it
 def nine_engines(one: EngineSection) -> str:
     """The stage's engine as nine, each a group."""
     whole = {
-        "table": "'vehicles/ksr3/thrust.csv'", "gimbal_station_m": one.gimbal_station_m,
-        "exit_station_m": one.exit_station_m, "cg_from_gimbal_m": one.cg_from_gimbal_m,
-    }  # fmt: skip  # two more lines otherwise
+        "table": "'vehicles/ksr3/thrust.csv'",
+        "gimbal_station_m": one.gimbal_station_m,
+        "exit_station_m": one.exit_station_m,
+        "cg_from_gimbal_m": one.cg_from_gimbal_m,
+    }
     shared = ("thrust_factor", "exit_area_m2", "gimballed_mass_kg", "inertia_about_gimbal_kgm2")
     whole |= {key: getattr(one, key) / 9 for key in shared}
     each = ", ".join(f"{key}={value}" for key, value in whole.items())

@@ -28,14 +28,27 @@ def _brake(time_s: float, rate_hz: float, state: Any, history: Any, observed: An
 
 def _rocket() -> Any:
     motor = GenericMotor(
-        thrust_source=129e3, burn_time=59.0, chamber_radius=0.5, chamber_height=6.0, chamber_position=4.0,
-        propellant_initial_mass=3400.0, nozzle_radius=0.28, dry_mass=400.0, dry_inertia=(300.0, 300.0, 50.0),
-        center_of_dry_mass_position=0.5, nozzle_position=0.0,
-    )  # fmt: skip  # eight more lines otherwise
+        thrust_source=129e3,
+        burn_time=59.0,
+        chamber_radius=0.5,
+        chamber_height=6.0,
+        chamber_position=4.0,
+        propellant_initial_mass=3400.0,
+        nozzle_radius=0.28,
+        dry_mass=400.0,
+        dry_inertia=(300.0, 300.0, 50.0),
+        center_of_dry_mass_position=0.5,
+        nozzle_position=0.0,
+    )
     rocket = Rocket(
-        radius=0.5, mass=2300.0, inertia=(25e3, 25e3, 600.0), power_off_drag=0.4, power_on_drag=0.35,
-        center_of_mass_without_motor=7.0, coordinate_system_orientation="tail_to_nose",
-    )  # fmt: skip  # five more lines otherwise
+        radius=0.5,
+        mass=2300.0,
+        inertia=(25e3, 25e3, 600.0),
+        power_off_drag=0.4,
+        power_on_drag=0.35,
+        center_of_mass_without_motor=7.0,
+        coordinate_system_orientation="tail_to_nose",
+    )
     rocket.add_motor(motor, position=0.0)
     rocket.add_nose(length=2.5, kind="von karman", position=14.0)
     rocket.add_trapezoidal_fins(4, root_chord=1.5, tip_chord=0.8, span=0.9, position=1.8)
@@ -57,9 +70,16 @@ def main() -> None:
 
         def fly() -> tuple[int, State]:
             flight = Flight(
-                rocket=rocket, environment=environment, rail_length=10.0, inclination=88.0, heading=250.0,
-                max_time=FLOWN_S, rtol=choice.rtol, time_overshoot=not causal, ode_solver="RK23" if causal else "LSODA",
-            )  # fmt: skip  # six more lines otherwise
+                rocket=rocket,
+                environment=environment,
+                rail_length=10.0,
+                inclination=88.0,
+                heading=250.0,
+                max_time=FLOWN_S,
+                rtol=choice.rtol,
+                time_overshoot=not causal,
+                ode_solver="RK23" if causal else "LSODA",
+            )
             end = [float(x) for x in flight.solution[-1]]
             return len(flight.solution), [*end[1:4], *end[7:11]]
 

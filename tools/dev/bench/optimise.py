@@ -178,11 +178,20 @@ def compare(structure: str, schedule: str, method: str, seconds: float, seed: in
     exact = descend(problem, x, 150, 1e-8)
     met = exact.unstable == 0 and exact.violation_db < MET_DB
     return {
-        "structure": structure, "schedule": schedule, "method": method, "seed": seed, "ours_db": ours.objective_db,
-        "ours_by_its_cost_db": own_cost, "ours_s": took, "found_db": best, "found_violation_db": there.violation_db,
-        "found_unstable": there.unstable, "exact_db": exact.objective_db if met else None,
-        "seconds": spent, "evaluations": evaluations,
-    }  # fmt: skip  # nine more lines otherwise
+        "structure": structure,
+        "schedule": schedule,
+        "method": method,
+        "seed": seed,
+        "ours_db": ours.objective_db,
+        "ours_by_its_cost_db": own_cost,
+        "ours_s": took,
+        "found_db": best,
+        "found_violation_db": there.violation_db,
+        "found_unstable": there.unstable,
+        "exact_db": exact.objective_db if met else None,
+        "seconds": spent,
+        "evaluations": evaluations,
+    }
 
 
 def one_table() -> tuple[float, list[dict[str, Any]]]:
@@ -192,13 +201,19 @@ def one_table() -> tuple[float, list[dict[str, Any]]]:
     found = solve_orders(order_cases(loaded), nominal_plants(loaded), lambda _done, _of: None)
     rows = [
         {
-            "structure": structure, "schedule": schedule, "objective_db": s.objective_db, "status": s.status,
-            "near_best": s.certificate.near_best, "starts": s.certificate.starts,
-            "leaps_back": s.certificate.leaps_back, "leaps": s.certificate.leaps,
-            "kkt_residual": s.certificate.kkt_residual, "seconds": s.certificate.seconds,
+            "structure": structure,
+            "schedule": schedule,
+            "objective_db": s.objective_db,
+            "status": s.status,
+            "near_best": s.certificate.near_best,
+            "starts": s.certificate.starts,
+            "leaps_back": s.certificate.leaps_back,
+            "leaps": s.certificate.leaps,
+            "kkt_residual": s.certificate.kkt_residual,
+            "seconds": s.certificate.seconds,
         }
         for (structure, schedule), (_, s) in found.items()
-    ]  # fmt: skip  # eight more lines otherwise
+    ]
     return time.perf_counter() - begun, rows
 
 

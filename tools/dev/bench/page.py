@@ -28,15 +28,28 @@ def _peers(result: dict[str, Any]) -> str:
         if case is not ours and "skipped" not in ours:
             ratio = f"{case['cpu_s_median'] / ours['cpu_s_median']:.1f}"
             low = f"{case['cpu_s_min'] / ours['cpu_s_min']:.1f}"
-        rows.append([
-            f"{name} {case['version']}", case["what"],
-            f"{case['cpu_s_median']:.3f} / {case['cpu_s_min']:.3f}",
-            f"{case['wall_s_median']:.3f} / {case['wall_s_min']:.3f}",
-            f"{case['steps'] / case['cpu_s_median']:,.0f}",
-            ratio, low, f"{case['needed']:g}" if case["needed"] else "",
-        ])  # fmt: skip  # five more lines otherwise
-    head = ("program", "flight", "CPU, s (median / min)", "wall, s (median / min)", "steps/s",
-            "ratio to maxq (medians)", "(minima)", "needed")  # fmt: skip  # eight more lines otherwise
+        rows.append(
+            [
+                f"{name} {case['version']}",
+                case["what"],
+                f"{case['cpu_s_median']:.3f} / {case['cpu_s_min']:.3f}",
+                f"{case['wall_s_median']:.3f} / {case['wall_s_min']:.3f}",
+                f"{case['steps'] / case['cpu_s_median']:,.0f}",
+                ratio,
+                low,
+                f"{case['needed']:g}" if case["needed"] else "",
+            ]
+        )
+    head = (
+        "program",
+        "flight",
+        "CPU, s (median / min)",
+        "wall, s (median / min)",
+        "steps/s",
+        "ratio to maxq (medians)",
+        "(minima)",
+        "needed",
+    )
     return _table(head, rows)
 
 
@@ -112,17 +125,34 @@ def _precision(result: dict[str, Any]) -> str:
 
 
 def _steps(result: dict[str, Any]) -> str:
-    head = ("flight", "", "longest step, ms", "steps/s", "CPU, s", "attitude, deg", "bending, m", "slosh, deg",
-            "position, m", "worst metric: error as a share of its requirement")  # fmt: skip  # ten lines otherwise
+    head = (
+        "flight",
+        "",
+        "longest step, ms",
+        "steps/s",
+        "CPU, s",
+        "attitude, deg",
+        "bending, m",
+        "slosh, deg",
+        "position, m",
+        "worst metric: error as a share of its requirement",
+    )
     rows = []
     for flight, methods in result.items():
         for n, (method, row) in enumerate(methods.items()):
             name = f"RK4, {1e3 * float(method[7:]):g} ms" if method.startswith("step_s") else method.replace("=", " ")
-            rows.append([
-                "" if n else flight, name, " / ".join(f"{ms:g}" for ms in row["longest_ms"]), f"{row['steps_per_s']:,}",
-                f"{row['cpu_s']:.3f}", *(f"{row[q]:.1e}" for q in ("attitude_deg", "bending_m", "slosh_deg")),
-                f"{row['position_m']:.1e}", f"{row['worst_metric']}: {row['share']:.1e}",
-            ])  # fmt: skip  # eight more lines otherwise
+            rows.append(
+                [
+                    "" if n else flight,
+                    name,
+                    " / ".join(f"{ms:g}" for ms in row["longest_ms"]),
+                    f"{row['steps_per_s']:,}",
+                    f"{row['cpu_s']:.3f}",
+                    *(f"{row[q]:.1e}" for q in ("attitude_deg", "bending_m", "slosh_deg")),
+                    f"{row['position_m']:.1e}",
+                    f"{row['worst_metric']}: {row['share']:.1e}",
+                ]
+            )
     return _table(head, rows)
 
 
@@ -154,14 +184,27 @@ def _campaigns(result: dict[str, Any]) -> str:
 def _cluster(result: list[dict[str, Any]]) -> str:
     rows = [
         [
-            f"{row['workers']:,}" + (" simulated" if row["workers"] > row["processes"] else ""), f"{row['lost']}",
-            f"{row['runs']:,}", f"{row['batches']:,}", f"{row['per_s']:,.0f}", f"{row['client_ms']:.2f}",
-            f"{row['scheduler_ms_a_batch']:.1f}", f"{1e3 / row['client_ms']:,.0f}",
+            f"{row['workers']:,}" + (" simulated" if row["workers"] > row["processes"] else ""),
+            f"{row['lost']}",
+            f"{row['runs']:,}",
+            f"{row['batches']:,}",
+            f"{row['per_s']:,.0f}",
+            f"{row['client_ms']:.2f}",
+            f"{row['scheduler_ms_a_batch']:.1f}",
+            f"{1e3 / row['client_ms']:,.0f}",
         ]
         for row in result
-    ]  # fmt: skip  # six more lines otherwise
-    head = ("workers", "killed under way", "runs", "batches", "runs a second", "client's CPU, ms a run",
-            "scheduler's CPU, ms a batch", "the client's limit, runs a second")  # fmt: skip  # more lines otherwise
+    ]
+    head = (
+        "workers",
+        "killed under way",
+        "runs",
+        "batches",
+        "runs a second",
+        "client's CPU, ms a run",
+        "scheduler's CPU, ms a batch",
+        "the client's limit, runs a second",
+    )
     return _table(head, rows)
 
 
@@ -171,29 +214,58 @@ def _optimise(result: dict[str, Any]) -> str:
         ["F6, free gains, CPU", f"{one['seconds']:.1f} s", "3 s", _met(one["seconds"], 3.0)],
         ["its nodes, flown and sampled, CPU", f"{one['seconds_plants']:.1f} s", "", ""],
         ["the same at 44 nodes over at 11, CPU", f"{one['nodes_ratio']:.1f}", "4.5", _met(one["nodes_ratio"], 4.5)],
-        [f"the {len(optima)} optima of one table, all cores, by the clock", f"{one['table_s']:.1f} s", "12 s",
-         _met(one["table_s"], 12.0)],
-        ["robust design with the worst-case search, by the clock", f"{one['robust_s']:.1f} s", "60 s",
-         _met(one["robust_s"], 60.0)],
-    ]  # fmt: skip  # nine more lines otherwise
+        [
+            f"the {len(optima)} optima of one table, all cores, by the clock",
+            f"{one['table_s']:.1f} s",
+            "12 s",
+            _met(one["table_s"], 12.0),
+        ],
+        [
+            "robust design with the worst-case search, by the clock",
+            f"{one['robust_s']:.1f} s",
+            "60 s",
+            _met(one["robust_s"], 60.0),
+        ],
+    ]
     text = _table(("what", "measured", "at most", "met"), rows)
     rows = [
-        [f"{o['structure']}, {o['schedule']}", f"{o['objective_db']:.3f}", f"{o['near_best']} of {o['starts']}",
-         f"{o['leaps_back']} of {o['leaps']}", f"{o['kkt_residual']:.0e}", f"{o['seconds']:.1f}"]
+        [
+            f"{o['structure']}, {o['schedule']}",
+            f"{o['objective_db']:.3f}",
+            f"{o['near_best']} of {o['starts']}",
+            f"{o['leaps_back']} of {o['leaps']}",
+            f"{o['kkt_residual']:.0e}",
+            f"{o['seconds']:.1f}",
+        ]
         for o in optima
-    ]  # fmt: skip  # six more lines otherwise
+    ]
     head = ("optimum", "peak of mode 1, dB", "starts at the best", "leaps back at it", "KKT residual", "s")
     text += "\n\n" + _table(head, rows)
     rows = [
-        [f"{r['structure']}, {r['schedule']}", r["method"], f"{r['ours_db']:.3f}", f"{r['ours_s']:.1f}",
-         f"{r['found_db']:.3f}" if r["found_db"] < BROKEN_DB else "none", f"{r['found_violation_db']:.3f}",
-         "none" if r["exact_db"] is None else f"{r['exact_db']:.3f}", f"{r['seconds']:.0f}", f"{r['evaluations']:,}"]
+        [
+            f"{r['structure']}, {r['schedule']}",
+            r["method"],
+            f"{r['ours_db']:.3f}",
+            f"{r['ours_s']:.1f}",
+            f"{r['found_db']:.3f}" if r["found_db"] < BROKEN_DB else "none",
+            f"{r['found_violation_db']:.3f}",
+            "none" if r["exact_db"] is None else f"{r['exact_db']:.3f}",
+            f"{r['seconds']:.0f}",
+            f"{r['evaluations']:,}",
+        ]
         for r in result["searches"]
-    ]  # fmt: skip  # eight more lines otherwise
+    ]
     columns = (
-        "problem", "search", "ours, dB", "CPU, s", "its best, dB", "which misses limits by, dB", "limits met, dB",
-        "CPU, s ", "evaluations",
-    )  # fmt: skip  # seven more lines otherwise
+        "problem",
+        "search",
+        "ours, dB",
+        "CPU, s",
+        "its best, dB",
+        "which misses limits by, dB",
+        "limits met, dB",
+        "CPU, s ",
+        "evaluations",
+    )
     ahead = min(r["exact_db"] - r["ours_db"] for r in result["searches"] if r["exact_db"] is not None)
     told = f"The best of these with all limits met lies {abs(ahead):.3f} dB {'above' if ahead >= 0 else 'below'} ours."
     return "\n\n".join([text, _table(columns, rows), told])

@@ -129,11 +129,15 @@ def _refined(of: Refined, python: Path, flights: int) -> list[dict[str, Any]]:
         end = np.array(flown[-1]["state"])
         exact = end if exact is None else exact
         q, q_exact = end[3:] / np.linalg.norm(end[3:]), exact[3:] / np.linalg.norm(exact[3:])
-        rows.append({
-            "program": of.program, "method": name, "cpu_s": min(flight["cpu_s"] for flight in flown),
-            "position_m": float(np.linalg.norm(end[:3] - exact[:3])),
-            "attitude_deg": math.degrees(2.0 * min(np.linalg.norm(q - q_exact), np.linalg.norm(q + q_exact))),
-        })  # fmt: skip  # two more lines otherwise
+        rows.append(
+            {
+                "program": of.program,
+                "method": name,
+                "cpu_s": min(flight["cpu_s"] for flight in flown),
+                "position_m": float(np.linalg.norm(end[:3] - exact[:3])),
+                "attitude_deg": math.degrees(2.0 * min(np.linalg.norm(q - q_exact), np.linalg.norm(q + q_exact))),
+            }
+        )
     return rows[:0:-1]
 
 

@@ -169,5 +169,10 @@ def _rows(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
 
 
 TABLES: dict[str, Callable[..., str]] = {
-    "events": events, "help": help_of, "keys": keys, "metrics": metrics, "ranges": ranges, "topics": topics,
-}  # fmt: skip  # five more lines otherwise
+    "events": events,
+    "help": help_of,
+    "keys": keys,
+    "metrics": metrics,
+    "ranges": ranges,
+    "topics": topics,
+}

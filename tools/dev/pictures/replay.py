@@ -38,9 +38,15 @@ FLIGHTS = {
     "windy": [*WIND, *_described("November wind of Anheung")],
     "loaded": ["--set", "switches.section_loads=true"],
     "failing": [*WIND, *_described("four times the November wind of Anheung"), "--set", "wind.factor=4"],
-    "lost": [*WIND, *_described("a torque of 300 kN m from 9 s on"), "--set", "run.duration_s=14", "--set",
-             'injection=[{at="body_torque",axis="y",kind="step",amplitude_Nm=3e5,start_s=9.0}]'],
-}  # fmt: skip  # six more lines otherwise
+    "lost": [
+        *WIND,
+        *_described("a torque of 300 kN m from 9 s on"),
+        "--set",
+        "run.duration_s=14",
+        "--set",
+        'injection=[{at="body_torque",axis="y",kind="step",amplitude_Nm=3e5,start_s=9.0}]',
+    ],
+}
 SHOTS = (  # flights, time, tab, name of the picture
     (("windy",), 40.0, "Bending", "replay"),
     (("nominal",), 0.3, "Attitude", "liftoff"),

@@ -52,7 +52,7 @@ extends = "scenario.toml"
     f"stage.{n}.accelerometer = {{station_m = 6.8, count_mps = 0.001, {GYRO}}}\n"
     f"stage.{n}.rate_gyro = [{{station_m = {station_m}, {GYRO}}}]\n"
     for n, station_m in enumerate((14.5, 6.8, 6.8))
-)  # fmt: skip  # a literal in parts
+)
 FIRST = "stages=[1]"  # of petrel; the others fly the design of the row "pd F4"
 WIND = "wind={sigma_mps=10.0, length_v_m=3000.0, band_hz=[0.02, 0.3]}"
 FEW = [FIRST, "nodes_per_stage=7", "search.starts=2", "search.leaps=1"]
@@ -66,15 +66,17 @@ ROWS: dict[str, tuple[list[str], Mapping[str, list[str]]]] = {  # keys of the ca
     "incidence-relief F4": (["law=incidence-relief"], RELIEF),
     "load-relief F4": (["law=load-relief"], RELIEF),
     "pd F4, loop filters of attitude and rate F2": (
-        [*SMALL, f"loop_filters.attitude{F2}", f"loop_filters.rate{F2}"], PLAIN
+        [*SMALL, f"loop_filters.attitude{F2}", f"loop_filters.rate{F2}"],
+        PLAIN,
     ),
     "load-relief F4, loop filter of acceleration F2": (
-        [*SMALL, "law=load-relief", f"loop_filters.acceleration{F2}"], RELIEF
+        [*SMALL, "law=load-relief", f"loop_filters.acceleration{F2}"],
+        RELIEF,
     ),
     "pd F4, blended gyros": ([*SMALL, "blend=[-0.5, 1.5]"], PLAIN),
     **{f"pd {structure}": ([*SMALL, f"filter.structure={structure}"], PLAIN) for structure in ("F2", "F3", "F5", "F6")},
     "pd sections": ([*SMALL, "filter.structure=sections", "filter.quadratic=3", "filter.first_order=1"], PLAIN),
-}  # fmt: skip  # five more lines otherwise
+}
 ADAPTED, IN_LOOPS = "pd F4, adaptation", "pd F4, loop filters of attitude and rate F2"
 FLOWN_WITH = {  # what a design is flown with besides
     (name, ADAPTED): [

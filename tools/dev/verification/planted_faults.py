@@ -195,14 +195,23 @@ FAULTS: tuple[Fault, ...] = (
     Fault("shapes at the fins, sign", "air -> bending", _mode_at("shape", 1, -1.0)),
     Fault("local incidence left out", "bending -> incidence", _set("vehicle.aero.local_incidence", lambda _: 0)),
     Fault("thrust does not follow the bent gimbal", "bending -> thrust", _set("vehicle.follower_thrust", lambda _: 0)),
-    Fault("engine inertia left out", "engine -> body", _both(
-        _times("vehicle.engine.gimballed_mass_kg", 0.0), _times("vehicle.engine.inertia_kgm2", 0.0))),
-    Fault("engine inertia, 5 %", "engine -> body", _both(
-        _times("vehicle.engine.gimballed_mass_kg", 1.05), _times("vehicle.engine.inertia_kgm2", 1.05))),
+    Fault(
+        "engine inertia left out",
+        "engine -> body",
+        _both(_times("vehicle.engine.gimballed_mass_kg", 0.0), _times("vehicle.engine.inertia_kgm2", 0.0)),
+    ),
+    Fault(
+        "engine inertia, 5 %",
+        "engine -> body",
+        _both(_times("vehicle.engine.gimballed_mass_kg", 1.05), _times("vehicle.engine.inertia_kgm2", 1.05)),
+    ),
     Fault("engine's CG forward of the gimbal", "engine -> body", _times("vehicle.engine.cg_from_gimbal_m", -1.0)),
     Fault("hinges 5 cm aft", "slosh -> body", _tank(schedule.TANK_HINGE, shift=0.05)),
-    Fault("sloshing mass, 5 %", "slosh -> body", _both(
-        _tank(schedule.TANK_MASS, 1.05), _tank(schedule.TANK_MASS_RATE, 1.05))),
+    Fault(
+        "sloshing mass, 5 %",
+        "slosh -> body",
+        _both(_tank(schedule.TANK_MASS, 1.05), _tank(schedule.TANK_MASS_RATE, 1.05)),
+    ),
     Fault("pendulum lengths, 1 %", "slosh", _tank(schedule.TANK_LENGTH, 1.01)),
     Fault("slosh damping, 10 %", "slosh", _times("vehicle.slosh.damping_ratio", 1.1)),
     Fault("aerodynamic moment, sign", "air -> body", _aero_moment_sign),
@@ -229,4 +238,4 @@ FAULTS: tuple[Fault, ...] = (
     Fault("k_p and k_d exchanged", "law", _gains(lambda g: g[:, [1, 0, 3, 2]])),
     Fault("k_d, sign", "law", _gains(lambda g: g * [1.0, -1.0, 1.0, 1.0])),
     Fault("yaw's gains in pitch, 5 % apart", "law", _gains(lambda g: g * [1.05, 1.05, 1.0, 1.0])),
-)  # fmt: skip  # six more lines otherwise
+)
