@@ -491,7 +491,7 @@ def table(done: list[dict[str, Any]]) -> None:
             killed, equivalent = own.count(""), sum(why.startswith("equivalent") for why in own)
             counts = f"{len(own)} | {killed} | {equivalent} | {len(own) - killed - equivalent}"
             lines.append(f"| {package} | {counts} | {100.0 * killed / max(len(own) - equivalent, 1):.1f} % |")
-        lines += ["", "| lives | why |", "|---|---|"]
+        lines += ["", "| survivor | reason |", "|---|---|"]
         lines += [f"| {key} | {why} |" for _, key, why in rows if why]
         text = before + begin + "\n" + "\n".join(lines) + "\n" + end + after
     PAGE.write_text(text)
