@@ -53,6 +53,7 @@ from maxq.tools.dev.harness_mutants import NAMED
 ROOT = Path(__file__).resolve().parents[2]
 PIPE = "\\|"  # within a cell of a table
 PAGE = ROOT / "docs/verification.md"
+REASONS = Path(__file__).with_name("surviving_mutants.json")
 PACKAGES = {
     "control": ("control",),
     "sim/vehicle": ("sim/vehicle",),
@@ -464,21 +465,20 @@ def _file_of(name: str) -> str:
 
 
 def table(done: list[dict[str, Any]]) -> None:
-    """Counts by package and a line for each survivor, of what was drawn and what was named, where there are any.
+    """Write the counts by package, and a line for each survivor that is not equivalent, of drawn and of named mutants.
 
-    What is said on the page of a survivor is kept, whatever its line: it is equivalent if that is said. Mutants whose
-    line is "gone" (deleted since they were drawn) are not counted.
+    REASONS explains survivors; one is equivalent if its reason begins with this word. Mutants whose line is "gone"
+    (deleted since they were drawn) are not counted.
     """
-    text = PAGE.read_text()
+    text, said = PAGE.read_text(), json.loads(REASONS.read_text())
     for name, packages in (("mutants", [*PACKAGES, "all"]), ("named", ["by name"])):
         mine = [r for r in done if r["status"] != "gone" and (r["package"] in PACKAGES) == (name == "mutants")]
         if not mine:
             continue
         begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
         before, rest = text.split(begin)
-        written, after = rest.split(end)
-        said = {key: why for key, why in re.findall(r"^\| (.*? -> .*?) \| (.*?) \|$", written, re.M)}
-        rows = list[tuple[str, str, str]]()  # package, mutant, and why it lives; "" if it was killed
+        _, after = rest.split(end)
+        rows = list[tuple[str, str, str]]()  # package, mutant, and reason of its survival; "" if it was killed
         for r in sorted(mine, key=lambda r: r["number"]):
             key = f"{r['file']}: `{r['source'].replace('|', PIPE)}`, `{r['old']}` -> `{r['new'] or ' '}`"
             rows.append((r["package"], key, "" if r["status"] == "killed" else said.get(key, "open")))
@@ -492,7 +492,7 @@ def table(done: list[dict[str, Any]]) -> None:
             counts = f"{len(own)} | {killed} | {equivalent} | {len(own) - killed - equivalent}"
             lines.append(f"| {package} | {counts} | {100.0 * killed / max(len(own) - equivalent, 1):.1f} % |")
         lines += ["", "| survivor | reason |", "|---|---|"]
-        lines += [f"| {key} | {why} |" for _, key, why in rows if why]
+        lines += [f"| {key} | {why} |" for _, key, why in rows if why and not why.startswith("equivalent")]
         text = before + begin + "\n" + "\n".join(lines) + "\n" + end + after
     PAGE.write_text(text)
 
