@@ -439,7 +439,9 @@ def verdicts() -> list[str]:
     shown = set[tuple[str, ...]]()
     for name, r in reversed(by_name[0].items()):
         mine = [of.get(name, {"found": "-", "verdict": ""}) for of in by_name]
-        found = [m["found"].partition(";")[0] if name.startswith("least |1 + L|") else m["found"] for m in mine]
+        found = [re.sub(r", wanted [<>]=[^;]*", "", m["found"]) for m in mine]
+        if name.startswith("least |1 + L|"):
+            found = [text.partition(";")[0] for text in found]
         key = (re.sub(", (pitch|yaw)$", "", name), *found)
         if key in shown:
             continue
