@@ -123,7 +123,7 @@ class SuiteFlight(Section):
     scenario: str | None = optional("base scenario (default: the suite's)")
     set: tuple[str, ...] = optional(
         "changes, key=value as with simrun --set; * in a key stands for each element of a list, $MARK or "
-        "${MARK + NUMBER} for what the flight of the suite's scenario says (docs/simverify.md)",
+        "${MARK + NUMBER} for a value from the flight of the suite's scenario (docs/simverify.md)",
         (),
     )
     scale: dict[str, float | str] = optional("changes: key and factor on its value; * as in set", {})

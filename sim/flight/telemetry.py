@@ -225,7 +225,7 @@ def air_row(air: AirData) -> AirRow:
 class LoadsRow(NamedTuple):
     aero_force_B_axis_N: Annotated[Xyz, "N", "aerodynamic force"]
     aero_moment_B_axis_Nm: Annotated[Xyz, "N m", "aerodynamic moment about the core CG"]
-    specific_force_B_axis_mps2: Annotated[Xyz, "m/s2", "specific force at the core CG (what an accelerometer senses)"]
+    specific_force_B_axis_mps2: Annotated[Xyz, "m/s2", "specific force at the core CG, as sensed by an accelerometer"]
     alpha_BI_B_axis_radps2: Annotated[Xyz, "rad/s2", "angular acceleration"]
     gravitation_I_axis_mps2: Annotated[Xyz, "m/s2", "gravitation"]
     thrust_over_weight_g: Annotated[float, "g", "thrust over mass"]

@@ -70,11 +70,11 @@ class Fault(Section):
     """A part that fails, permanently or for a time."""
 
     kind: FaultKind = Field(
-        description="engine-off: no thrust and no flow; thrust-loss: a share of both; gyro-stuck, accelerometer-stuck: "
-        "the output stays as it is; -dead: it is zero; -bias, -noisy: a constant or noise is added to it; "
-        "actuator-stuck: the servo stays as it is; actuator-hard-over: it goes to angle_deg as its limits let it; "
-        "actuator-floating: it gives no force and the engine swings freely on its gimbal (without a TVC load the servo "
-        "goes to its middle)"
+        description="engine-off: no thrust and no flow; thrust-loss: a share of both is lost; gyro-stuck, "
+        "accelerometer-stuck: constant output; -dead: zero output; -bias, -noisy: a constant or noise is added; "
+        "actuator-stuck: constant servo position; actuator-hard-over: the servo moves to angle_deg within its limits; "
+        "actuator-floating: no force, and the engine swings freely on its gimbal (without a TVC load the servo is "
+        "centred)"
     )
     at_s: Seconds = Field(description="instant of the failure, s, whole ns")
     since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from liftoff on", "clock")
