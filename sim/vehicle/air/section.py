@@ -62,7 +62,8 @@ class Coefficients(Section):
         description="one row for each combination of up to three of: mach; total_deg, the angle between x axis and "
         "flow, with roll_deg, atan2(v, w), or alpha_deg = atan2(w, u) and beta_deg = asin(v/V); outside it the end "
         "values hold. Forces CA = -CX, CY, CN = -CZ, or drag CD and lift CL (rotated by the angle of attack); moments "
-        "Cl, Cm, Cn (span, chord, yaw chord) about the moment reference; Clp ... CNq per p span/2V, q chord/2V, r yaw chord/2V"
+        "Cl, Cm, Cn (span, chord, yaw chord) about the moment reference; Clp ... CNq per p span/2V, q chord/2V, r yaw "
+        "chord/2V"
     )
     axes: Literal["body", "aeroballistic"] | None = optional(
         "axes of forces and moments; aeroballistic: CN and Cm in the plane of the total angle of attack, CY and Cn "
