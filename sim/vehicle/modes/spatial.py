@@ -28,7 +28,7 @@ SPATIAL_STATES = StateBlock(
 )
 NU_SPATIAL_STATES = StateBlock({"nu_spatial_{}_mps": "m/s"}, "spatial_modes")
 
-PerMode = Annotated[Array, (MAX_MODES,)]
+PerSpatialMode = Annotated[Array, (MAX_MODES,)]
 Load = tuple[float, float, float, float, float, float]  # force and moment of B, or displacement and rotation
 
 
@@ -39,23 +39,23 @@ def sum_of_loads(a: Load, b: Load) -> Load:
 
 @dataclass(frozen=True)
 class SpatialModes:
-    zeta: PerMode
-    frequency_factor: PerMode
+    zeta: PerSpatialMode
+    frequency_factor: PerSpatialMode
 
 
 @dataclass
 class SpatialMotion:
     """The modes in an evaluation of the derivative."""
 
-    force_N: PerMode  # generalised force
-    eta_m: PerMode  # modal coordinate
-    rate_mps: PerMode  # its time derivative
-    nu_mps: PerMode  # its quasi-velocity
-    accel_mps2: PerMode  # time derivative of the quasi-velocity
-    turned_m: PerMode  # A eta (eq. 4.7)
-    turned_rate_mps: PerMode  # A d(eta)/dt
-    momentum_Ns: PerMode  # what the moving engine adds to the modal momentum
-    roll_m: PerMode  # acceleration per roll acceleration with engines deflected
+    force_N: PerSpatialMode  # generalised force
+    eta_m: PerSpatialMode  # modal coordinate
+    rate_mps: PerSpatialMode  # its time derivative
+    nu_mps: PerSpatialMode  # its quasi-velocity
+    accel_mps2: PerSpatialMode  # time derivative of the quasi-velocity
+    turned_m: PerSpatialMode  # A eta (eq. 4.7)
+    turned_rate_mps: PerSpatialMode  # A d(eta)/dt
+    momentum_Ns: PerSpatialMode  # what the moving engine adds to the modal momentum
+    roll_m: PerSpatialMode  # acceleration per roll acceleration with engines deflected
 
 
 @routine

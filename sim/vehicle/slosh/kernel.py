@@ -29,7 +29,7 @@ from maxq.control.kernel.vectors import Vector, add, cross, dot, scaled, set_vec
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle.block import W_BI_B, Counts, Sizes, StateBlock
 from maxq.sim.vehicle.modes.planar import Modes, PlanarMotion, modal_sum, of_plane
-from maxq.sim.vehicle.modes.spatial import PerMode, roll_defect, spatial_motion
+from maxq.sim.vehicle.modes.spatial import PerSpatialMode, roll_defect, spatial_motion
 
 if TYPE_CHECKING:
     from maxq.sim.vehicle.modes.section import BendingSection
@@ -63,7 +63,7 @@ class TankWork:
     roll_bend_z_m: float
     bob_place_m: Annotated[Array, (3,)]  # relative to the core CG, B; this and the next only with `Slosh.exchange`
     bob_velocity_mps: Annotated[Array, (3,)]  # relative to the core CG, B
-    shapes_along_rod: PerMode  # of spatial modes at the hinge
+    shapes_along_rod: PerSpatialMode  # of spatial modes at the hinge
 
 
 Tanks = tuple[TankWork, ...]
