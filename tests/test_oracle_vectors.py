@@ -69,9 +69,10 @@ def test_kernels_equal_the_library(size: float) -> None:
         a,
     ]
     assert out[:9, :3] == pytest.approx(np.array(threes), abs=ROUNDING)
-    assert np.abs(out[9] - _scalar_first(turn * other)).max() < ROUNDING or np.abs(
-        out[9] + _scalar_first(turn * other)
-    ).max() < ROUNDING  # fmt: skip  # either sign is the same rotation
+    assert (
+        np.abs(out[9] - _scalar_first(turn * other)).max() < ROUNDING
+        or np.abs(out[9] + _scalar_first(turn * other)).max() < ROUNDING
+    )  # either sign is the same rotation
     assert out[10] == pytest.approx([q[0], *-q[1:]], abs=0.0)
     assert out[11] == pytest.approx(_scalar_first(Rotation.from_rotvec(a)), abs=ROUNDING)
 

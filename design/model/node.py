@@ -35,7 +35,7 @@ from maxq.sim.input.ranges import LONGEST_S
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.flight import KeptRows
+from maxq.sim.run.flight import GrowingRows
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import LogSection, Scenario
@@ -232,7 +232,7 @@ def with_swings(nodes: Sequence[Node], scenario: LoadedScenario, faults: bool = 
     if not any(node.vehicle.pendulums.ring.any() for node in nodes):
         return list(nodes)
     logged = scenario.scenario.model_copy(update={"log": _SWING_LOG})
-    run, kept = flown_run(dataclasses.replace(scenario, scenario=logged), faults, log=True), KeptRows()
+    run, kept = flown_run(dataclasses.replace(scenario, scenario=logged), faults, log=True), GrowingRows()
     last_s = max(node.time_s + 0.5 * float(window_s.max()) for node in nodes if len(window_s := swing_window_s(node)))
     while not run.finished and run.now_s < last_s:
         kept.add(run.fly_segment())

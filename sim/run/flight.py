@@ -143,7 +143,7 @@ def copied(rows: LoggedRows) -> LoggedRows:
     return {group: (times.copy(), values.copy()) for group, (times, values) in rows.items()}
 
 
-class KeptRows:
+class GrowingRows:
     """Rows of all segments so far, in arrays larger than needed: a long log is never in memory twice.
 
     What is not used of them takes address space only.

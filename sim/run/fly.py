@@ -34,7 +34,7 @@ from maxq.sim.flight.step import Arena
 from maxq.sim.flight.telemetry import FAST, SLOW, Logged, channel_table
 from maxq.sim.input.values import to_ns
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
-from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, KeptRows, LoggedRows, copied
+from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, LoggedRows, copied
 from maxq.sim.run.metrics import end_metrics, judge, orbit_metrics, section_extremes, section_metrics, step_failure
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -374,7 +374,7 @@ def fly(
     run = FlightRun(loaded, log=log)
     if not log and watch is None:  # nobody looks in between
         run.segment_ns *= max(_UNSEEN_NS // run.segment_ns, 1)
-    kept = KeptRows()
+    kept = GrowingRows()
     while not run.finished:
         rows = run.fly_segment()
         if log:

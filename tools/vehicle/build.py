@@ -26,7 +26,7 @@ MOST_RIGID_HZ = 0.4
 SHARE = 0.8  # of the first gains' frequency that a design must keep
 BELOW = 8.0  # the rigid body's frequency is at most this part of mode 1's and of the actuator's
 _NEAR_NODE = 0.1  # of the largest displacement
-Modes = tuple[Array, list[list[BeamMode]]]  # times of the stage's clock, modes at each
+TimedModes = tuple[Array, list[list[BeamMode]]]  # times of the stage's clock, modes at each
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Built:
     layout: Layout
     stacks: list[Stack]
     aero: list[Aerodynamics]
-    modes: list[Modes]
+    modes: list[TimedModes]
     flight: Ascent
     gains: list[tuple[float, float, float]]  # flight time, k_p, k_d
     assumed: list[str] = field(default_factory=list)  # those of `build` first: modes that are left out
@@ -77,7 +77,7 @@ def slosh_kg(tank: LayoutTank, liquid_kg: float) -> float:
     return float(scale * modes_over(tank.profile, depth, 1)[0].mass[0])
 
 
-def _modes(stack: Stack) -> Modes:
+def _modes(stack: Stack) -> TimedModes:
     stage, times = stack.stage, np.linspace(0.0, stack.burn.end_s, MODE_ROWS)
     if (bending := stage.bending) is not None:
         table = bending.pitch_modes or bending.yaw_modes
@@ -108,7 +108,9 @@ def _renormalise(found: list[list[BeamMode]], k: int) -> None:
         before = modes[k].phi
 
 
-def _that_count(every: Sequence[Stack], modes: list[Modes], highest_hz: float) -> tuple[list[Modes], list[str]]:
+def _that_count(
+    every: Sequence[Stack], modes: list[TimedModes], highest_hz: float
+) -> tuple[list[TimedModes], list[str]]:
     """The beam's modes that begin below a frequency, as many in all parts of a stage; and words about the others."""
     out, words = list(modes), []
     for number, stage in enumerate(every[0].layout.stage):
@@ -143,7 +145,7 @@ def on_the_pad(built: Built) -> list[BeamMode]:
 
 
 def _mode_of(table: ModeTable, t: float) -> list[BeamMode]:
-    """Modes that are given, at the row nearest to a time."""
+    """Return the given modes at the row nearest to a time."""
     k = int(np.argmin(np.abs(table.time_s - t)))
     return [
         BeamMode(table.station_m, float(hz), float(kg), table.phi[k, m], table.slope_pm[k, m])

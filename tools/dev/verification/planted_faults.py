@@ -26,7 +26,7 @@ PITCH = schedule.PITCH
 
 
 @dataclass(frozen=True)
-class Fault:
+class PlantedFault:
     name: str
     where: str  # the coupling or part it touches
     plant: PackedChange
@@ -177,69 +177,73 @@ def _aero_moment_sign(packed: Packed) -> None:
 FIRST, SECOND, THIRD = slice(0, 1), slice(1, 2), slice(2, 3)
 ALL = slice(0, 3)
 
-FAULTS: tuple[Fault, ...] = (
-    Fault("mode 1 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, FIRST, -1.0)),
-    Fault("mode 2 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, SECOND, -1.0)),
-    Fault("mode 3 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, THIRD, -1.0)),
-    Fault("mode 1 at the gyro, 3 %", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, FIRST, 1.03)),
-    Fault("displacement at the gimbal, sign", "thrust -> bending", _mode(schedule.MODE_PHI_GIMBAL, ALL, -1.0)),
-    Fault("slope at the gimbal, sign", "engine -> bending", _mode(schedule.MODE_SLOPE_GIMBAL, ALL, -1.0)),
-    Fault("generalised mass of mode 1, 3 %", "bending", _mode(schedule.MODE_MASS, FIRST, 1.03)),
-    Fault("frequency of mode 1, 0.5 %", "bending", _mode(schedule.MODE_OMEGA, FIRST, 1.005)),
-    Fault("damping of the modes, 10 %", "bending", _times("vehicle.bending.zeta_pitch", 1.1)),
-    Fault("axial softening, sign", "axial load -> bending", _times("vehicle.bending.softening_factor", -1.0)),
-    Fault("axial softening left out", "axial load -> bending", _times("vehicle.bending.softening_factor", 0.0)),
-    Fault("mode shapes at the LOX hinge, sign", "slosh <-> bending", _mode_at("tank", 0, -1.0)),
-    Fault("mode shapes at the fuel hinge, sign", "slosh <-> bending", _mode_at("tank", 1, -1.0)),
-    Fault("mode slopes at the fins, sign", "bending -> angle of attack", _mode_at("slope", 1, -1.0)),
-    Fault("mode shapes at the fins, sign", "air -> bending", _mode_at("shape", 1, -1.0)),
-    Fault(
+FAULTS: tuple[PlantedFault, ...] = (
+    PlantedFault("mode 1 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, FIRST, -1.0)),
+    PlantedFault("mode 2 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, SECOND, -1.0)),
+    PlantedFault("mode 3 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, THIRD, -1.0)),
+    PlantedFault("mode 1 at the gyro, 3 %", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, FIRST, 1.03)),
+    PlantedFault("displacement at the gimbal, sign", "thrust -> bending", _mode(schedule.MODE_PHI_GIMBAL, ALL, -1.0)),
+    PlantedFault("slope at the gimbal, sign", "engine -> bending", _mode(schedule.MODE_SLOPE_GIMBAL, ALL, -1.0)),
+    PlantedFault("generalised mass of mode 1, 3 %", "bending", _mode(schedule.MODE_MASS, FIRST, 1.03)),
+    PlantedFault("frequency of mode 1, 0.5 %", "bending", _mode(schedule.MODE_OMEGA, FIRST, 1.005)),
+    PlantedFault("damping of the modes, 10 %", "bending", _times("vehicle.bending.zeta_pitch", 1.1)),
+    PlantedFault("axial softening, sign", "axial load -> bending", _times("vehicle.bending.softening_factor", -1.0)),
+    PlantedFault("axial softening left out", "axial load -> bending", _times("vehicle.bending.softening_factor", 0.0)),
+    PlantedFault("mode shapes at the LOX hinge, sign", "slosh <-> bending", _mode_at("tank", 0, -1.0)),
+    PlantedFault("mode shapes at the fuel hinge, sign", "slosh <-> bending", _mode_at("tank", 1, -1.0)),
+    PlantedFault("mode slopes at the fins, sign", "bending -> angle of attack", _mode_at("slope", 1, -1.0)),
+    PlantedFault("mode shapes at the fins, sign", "air -> bending", _mode_at("shape", 1, -1.0)),
+    PlantedFault(
         "local angle of attack left out",
         "bending -> angle of attack",
         _set("vehicle.aero.local_incidence", lambda _: 0),
     ),
-    Fault("thrust does not follow the bent gimbal", "bending -> thrust", _set("vehicle.follower_thrust", lambda _: 0)),
-    Fault(
+    PlantedFault(
+        "thrust does not follow the bent gimbal", "bending -> thrust", _set("vehicle.follower_thrust", lambda _: 0)
+    ),
+    PlantedFault(
         "engine inertia left out",
         "engine -> body",
         _both(_times("vehicle.engine.gimballed_mass_kg", 0.0), _times("vehicle.engine.inertia_kgm2", 0.0)),
     ),
-    Fault(
+    PlantedFault(
         "engine inertia, 5 %",
         "engine -> body",
         _both(_times("vehicle.engine.gimballed_mass_kg", 1.05), _times("vehicle.engine.inertia_kgm2", 1.05)),
     ),
-    Fault("engine's CG forward of the gimbal", "engine -> body", _times("vehicle.engine.cg_from_gimbal_m", -1.0)),
-    Fault("hinges 5 cm aft", "slosh -> body", _tank(schedule.TANK_HINGE, shift=0.05)),
-    Fault(
+    PlantedFault(
+        "engine's CG forward of the gimbal", "engine -> body", _times("vehicle.engine.cg_from_gimbal_m", -1.0)
+    ),
+    PlantedFault("hinges 5 cm aft", "slosh -> body", _tank(schedule.TANK_HINGE, shift=0.05)),
+    PlantedFault(
         "sloshing mass, 5 %",
         "slosh -> body",
         _both(_tank(schedule.TANK_MASS, 1.05), _tank(schedule.TANK_MASS_RATE, 1.05)),
     ),
-    Fault("pendulum lengths, 1 %", "slosh", _tank(schedule.TANK_LENGTH, 1.01)),
-    Fault("slosh damping, 10 %", "slosh", _times("vehicle.slosh.damping_ratio", 1.1)),
-    Fault("aerodynamic moment, sign", "air -> body", _aero_moment_sign),
-    Fault("centre of pressure 10 cm aft", "air -> body", _set("vehicle.aero.centre_shift_m", lambda v: v + 0.1)),
-    Fault("normal force, 5 %", "air -> body", _times("vehicle.aero.force_factor", 1.05)),
-    Fault("rate damping, sign", "air -> body", _times("vehicle.aero.damping_factor", -1.0)),
-    Fault("jet damping left out", "mass flow -> body", _set("vehicle.jet_damping", lambda _: 0)),
-    Fault("thrust, 3 %", "engine -> body", _times("vehicle.engine.thrust_factor", 1.03)),
-    Fault("transverse inertia, 3 %", "body", _column(schedule.CORE_INERTIA + 1, 1.03)),
-    Fault("CG 10 cm aft", "body", _column(schedule.CORE_CG, shift=0.10)),
-    Fault("gimbal 10 cm forward", "engine -> body", _set("vehicle.engine.gimbal_station_m", lambda v: v - 0.1)),
-    Fault("a3 and a4 of the actuator exchanged", "actuator", _exchange_a3_a4),
-    Fault("damping ratio of the servo, 3 %", "actuator", _times("vehicle.actuator_pitch.zeta_1", 1.03)),
-    Fault("gyro's damping ratio, 20 %", "gyro", _times("vehicle.gyro.zeta", 1.2)),
-    Fault("gyro's scale, 3 %", "gyro", _set("vehicle.gyro.scale_y", lambda v: v + 0.03)),
-    Fault("delay 1 ms longer", "computer", _set("computer.delay_ns", lambda v: v + 1_000_000)),
-    Fault("no delay", "computer", _set("computer.delay_ns", lambda _: 0)),
-    Fault("command one sample late", "computer", _one_sample_late),
-    Fault("filter not pre-warped", "filter", _without_prewarping),
-    Fault("b0 of the first section, 2 %", "filter", _coefficient(0, 0, 1.02)),
-    Fault("a2 of the second section, 2 %", "filter", _coefficient(1, 4, 1.02)),
-    Fault("second section left out", "filter", _set("computer.law.n_sections", lambda v: v - 1)),
-    Fault("gains of the previous row", "law", _gains(lambda g: g * (1.0 + 0.034 / 0.838))),
-    Fault("k_p and k_d exchanged", "law", _gains(lambda g: g[:, [1, 0, 3, 2]])),
-    Fault("k_d, sign", "law", _gains(lambda g: g * [1.0, -1.0, 1.0, 1.0])),
-    Fault("yaw's gains in pitch, 5 % apart", "law", _gains(lambda g: g * [1.05, 1.05, 1.0, 1.0])),
+    PlantedFault("pendulum lengths, 1 %", "slosh", _tank(schedule.TANK_LENGTH, 1.01)),
+    PlantedFault("slosh damping, 10 %", "slosh", _times("vehicle.slosh.damping_ratio", 1.1)),
+    PlantedFault("aerodynamic moment, sign", "air -> body", _aero_moment_sign),
+    PlantedFault("centre of pressure 10 cm aft", "air -> body", _set("vehicle.aero.centre_shift_m", lambda v: v + 0.1)),
+    PlantedFault("normal force, 5 %", "air -> body", _times("vehicle.aero.force_factor", 1.05)),
+    PlantedFault("rate damping, sign", "air -> body", _times("vehicle.aero.damping_factor", -1.0)),
+    PlantedFault("jet damping left out", "mass flow -> body", _set("vehicle.jet_damping", lambda _: 0)),
+    PlantedFault("thrust, 3 %", "engine -> body", _times("vehicle.engine.thrust_factor", 1.03)),
+    PlantedFault("transverse inertia, 3 %", "body", _column(schedule.CORE_INERTIA + 1, 1.03)),
+    PlantedFault("CG 10 cm aft", "body", _column(schedule.CORE_CG, shift=0.10)),
+    PlantedFault("gimbal 10 cm forward", "engine -> body", _set("vehicle.engine.gimbal_station_m", lambda v: v - 0.1)),
+    PlantedFault("a3 and a4 of the actuator exchanged", "actuator", _exchange_a3_a4),
+    PlantedFault("damping ratio of the servo, 3 %", "actuator", _times("vehicle.actuator_pitch.zeta_1", 1.03)),
+    PlantedFault("gyro's damping ratio, 20 %", "gyro", _times("vehicle.gyro.zeta", 1.2)),
+    PlantedFault("gyro's scale, 3 %", "gyro", _set("vehicle.gyro.scale_y", lambda v: v + 0.03)),
+    PlantedFault("delay 1 ms longer", "computer", _set("computer.delay_ns", lambda v: v + 1_000_000)),
+    PlantedFault("no delay", "computer", _set("computer.delay_ns", lambda _: 0)),
+    PlantedFault("command one sample late", "computer", _one_sample_late),
+    PlantedFault("filter not pre-warped", "filter", _without_prewarping),
+    PlantedFault("b0 of the first section, 2 %", "filter", _coefficient(0, 0, 1.02)),
+    PlantedFault("a2 of the second section, 2 %", "filter", _coefficient(1, 4, 1.02)),
+    PlantedFault("second section left out", "filter", _set("computer.law.n_sections", lambda v: v - 1)),
+    PlantedFault("gains of the previous row", "law", _gains(lambda g: g * (1.0 + 0.034 / 0.838))),
+    PlantedFault("k_p and k_d exchanged", "law", _gains(lambda g: g[:, [1, 0, 3, 2]])),
+    PlantedFault("k_d, sign", "law", _gains(lambda g: g * [1.0, -1.0, 1.0, 1.0])),
+    PlantedFault("yaw's gains in pitch, 5 % apart", "law", _gains(lambda g: g * [1.05, 1.05, 1.0, 1.0])),
 )
