@@ -52,7 +52,7 @@ COMPARED = ("ksr3-two-phase", "ksr3-robust")
 ROBUST = (
     "ksr3-robust",
     "ksr3-robust-ascent",
-)  # made when one sign moved both tanks and one all modes, and with each by itself
+)  # with one sign for both tanks and one for all modes, and with independent signs
 STRUCTURES, SCHEDULES = ("F2", "F3", "F4", "F5", "F6"), ("two-phase", "linear", "free")
 LIMITS, PLANTS = ("identical", "relaxed"), {"flown": "the reconstructed vehicle", "table2": "the plant of Table 2"}
 CLAIMS = ("3 to 5 dB on the two-phase design", "a further 0.33 to 0.57 dB")  # of Subcases 1 and 2, by the paper
