@@ -102,7 +102,7 @@ def start_orbit_guidance(state: OrbitGuidanceState) -> None:
 
 @kernel
 def gravitation(g: OrbitGuidance, r: vec.Vector) -> vec.Vector:
-    """Of a flattened Earth (Vallado, eq. 8-30), m/s2."""
+    """Return the gravitation of a flattened Earth (Vallado, eq. 8-30), m/s2."""
     radius = vec.norm(r)
     k = -g.mu_m3ps2 / radius**3
     bulge = 1.5 * g.j2 * (g.j2_radius_m / radius) ** 2
@@ -113,7 +113,7 @@ def gravitation(g: OrbitGuidance, r: vec.Vector) -> vec.Vector:
 
 @kernel
 def direction(state: OrbitGuidanceState, unknowns: Array, time_s: float) -> vec.Vector:
-    """Of the thrust, in I."""
+    """Return the direction of the thrust in I."""
     s = (time_s - state.begun_s) / SLOPE_s
     up, aside = unknowns[0] + unknowns[1] * s, unknowns[2] + unknowns[3] * s
     x, n, z = vec.vector_at(state.axes, 0), vec.vector_at(state.axes, 3), vec.vector_at(state.axes, 6)
@@ -123,7 +123,7 @@ def direction(state: OrbitGuidanceState, unknowns: Array, time_s: float) -> vec.
 
 @kernel
 def thrust_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> float:
-    """Of constant thrust while the mass decreases, from the last one measured."""
+    """Return the acceleration by constant thrust while the mass decreases, from the last measured one."""
     left = 1.0 - state.acceleration_mps2 * (time_s - state.last_s) / g.exhaust_mps
     return state.acceleration_mps2 / max(left, 0.01)
 

@@ -1,5 +1,5 @@
-"""How Numba compiles kernels: fewer passes, one linking and optimisation for all that an entry calls, and processes
-beside this one for what is large.
+"""Compile kernels with Numba: fewer passes, one link and optimisation of all functions that an entry calls, and
+separate processes for large functions.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ Extension = Literal["open", "mirror", "periodic"]
 
 @dataclass(frozen=True)
 class GridRefs:
-    """Where grids lie in the pool."""
+    """The places of grids in the pool."""
 
     at: Annotated[IntArray, (MAX_SURFACES, 6)]
 

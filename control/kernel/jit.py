@@ -93,7 +93,7 @@ class _Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """What Numba asks a global for where it compiles a caller."""
+        """Return the Numba type of this object, which Numba requests of a global when it compiles a caller."""
         return self._bare._numba_type_
 
     @functools.cached_property

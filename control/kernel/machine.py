@@ -1,4 +1,4 @@
-"""What this machine offers: its cores, and a folder of the user's for what need not be worked out again."""
+"""The resources of this machine: its cores, and a folder of the user for results that need not be computed again."""
 
 from __future__ import annotations
 

@@ -50,7 +50,9 @@ class LoadReliefState:
 
 
 def lag_share(corner_hz: float, sample_s: float) -> float:
-    """Of a first-order lag sampled exactly for inputs that are constant over a sample."""
+    """Return the share of the new input in a first-order lag, sampled exactly for inputs that are constant over a
+    sample.
+    """
     return -math.expm1(-2.0 * math.pi * corner_hz * sample_s)
 
 
@@ -99,7 +101,7 @@ def tick_incidence_relief(
 
 
 class LoadReliefRow(NamedTuple):
-    """What is logged of the load relief."""
+    """The logged values of the load relief."""
 
     k_a_axis_s2pm: Annotated[PitchYaw, "s2/m", "gain of the lateral acceleration; 0 without load relief"]
     relief_axis_deg: Annotated[PitchYaw, "deg", "load relief's share of the law's output"]

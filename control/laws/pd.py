@@ -128,7 +128,7 @@ def settle_pd(law: PdRecord, state: PdState, gimbal: int) -> None:
 
 
 class LawInputs(NamedTuple):
-    """What a law is given for one axis at a sample."""
+    """The inputs of a law for one axis at a sample."""
 
     gimbal: int  # 0 pitch, 1 yaw
     at: float  # where the gains' table is read: flight time, or the variable of the schedule
@@ -174,7 +174,7 @@ def filtered(law: PdRecord, state: PdState, gimbal: int, law_rad: float) -> floa
 
 
 class LawRow(NamedTuple):
-    """What is logged of the law."""
+    """The logged values of the law."""
 
     k_p_axis: Annotated[PitchYaw, "1", "proportional gain"]
     k_d_axis_s: Annotated[PitchYaw, "s", "rate gain"]

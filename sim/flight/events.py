@@ -122,7 +122,9 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
 
 @routine
 def navigate(environment: Environment, pool: Array, y: Array, mass_kg: float, navigation: Array) -> None:
-    """What gains may be scheduled over besides time (`OVER` of control/structures.py), without error."""
+    """Compute the quantities other than time over which gains may be scheduled (`OVER` of control/structures.py),
+    without error.
+    """
     earth = environment.earth
     vx, vy, vz = velocity_over_ground(earth, y)
     squares = vx * vx + vy * vy + vz * vz
@@ -133,7 +135,7 @@ def navigate(environment: Environment, pool: Array, y: Array, mass_kg: float, na
 
 @routine_beside
 def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
-    """One tick of the flight computer on the gyro's angle increments since the last one."""
+    """Run one tick of the flight computer on the gyro's angle increments since the last tick."""
     clock = memory.clock
     now = clock.now_ns
     begun = now - p.computer.sample_ns  # a rate is commanded over the sample that ends now
@@ -188,7 +190,9 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
 
 @routine
 def sample_sensors(p: Parameters, memory: Memory, y: Array) -> None:
-    """What sensors beyond the gyro have put out since the last sample, with noise; and which samples are lost."""
+    """Compute the outputs of the sensors beyond the gyro since the last sample, with noise, and the samples that are
+    lost.
+    """
     sample, seed, root_s = memory.clock.samples, p.timeline.seed, math.sqrt(1e-9 * p.computer.sample_ns)
     read, faults = memory.computer.sensors, memory.held.faults
     for k in range(p.vehicle.sizes.sensors):
@@ -357,7 +361,9 @@ def transfer_state(
 def bent_motion(
     sizes: Counts, pool: Array, at: int, rates: int, place: vec.Vector, y: Array
 ) -> tuple[vec.Vector, vec.Vector]:
-    """Of the part that flies on, by the modes: displacement of a place from the nose, rotation; or their rates."""
+    """Return the modal displacement of a place from the nose and the rotation of the part that flies on, or their
+    rates.
+    """
     moved = (
         handed(sizes, pool, at, 0, rates, y),
         handed(sizes, pool, at, 1, rates, y),

@@ -36,7 +36,7 @@ def raise_to(extremes: Extremes, metric: int, value: float, now_ns: int) -> None
 
 @kernel
 def largest_error(error_rad: Array) -> tuple[float, float]:
-    """Of roll, and of pitch and yaw, deg."""
+    """Return the largest errors of roll, and of pitch and yaw, deg."""
     return math.degrees(abs(error_rad[0])), math.degrees(max(abs(error_rad[1]), abs(error_rad[2])))
 
 

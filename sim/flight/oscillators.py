@@ -53,7 +53,8 @@ _LEAST_TERM = 1e-18
 
 @routine
 def blocks_for(kept: Array, vehicle: StageRecord, stage: int, now_ns: int, step_ns: int, at: Evaluation) -> int:
-    """Where `kept` (KEPT_SIZE,) holds the blocks for this step; worked out from the evaluation at its start if need be.
+    """Return the index at which `kept` (KEPT_SIZE,) holds the blocks for this step; compute them from the evaluation at
+    its start if needed.
 
     Times are whole numbers of ns, which a float64 holds for a hundred days.
     """

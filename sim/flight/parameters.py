@@ -28,7 +28,7 @@ LIFTOFF, BURNOUT, SEPARATION, APOGEE, IMPACT, CONTROL_LOST, TUMBLE, DIVERGED = r
 
 @dataclass(frozen=True)
 class StageTimeline:
-    """How a stage is flown: instants in ns of flight time unless named otherwise."""
+    """The timeline of a stage: instants in ns of flight time unless named otherwise."""
 
     step_ns: int
     even: int  # 1: pieces of equal length, none above `step_ns`, fill the time between two instants
@@ -69,7 +69,7 @@ class Parameters:
 
 @dataclass
 class Clock:
-    """Where a flight stands between two calls of the kernel."""
+    """The position of a flight between two calls of the kernel."""
 
     now_ns: int
     stage: int
@@ -104,8 +104,8 @@ class Extremes:
 
 @dataclass
 class Waves:
-    """Of each pendulum, stage by stage with room for MAX_PENDULUMS each: the largest wave under thrust over the height
-    at which it breaks, its time, and the first time at which it is as high (-1: none).
+    """The waves of each pendulum, stage by stage with space for MAX_PENDULUMS each: the peak wave height under thrust
+    over the breaking height, its time, and the first time at which a wave breaks (-1: none).
     """
 
     largest: Annotated[Array, (MAX_STAGES * MAX_PENDULUMS,)]

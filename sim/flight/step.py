@@ -1,4 +1,4 @@
-"""One step of the classical fourth-order Runge-Kutta method over a stretch in which nothing switches."""
+"""Take one step of the classical fourth-order Runge-Kutta method over an interval in which nothing switches."""
 
 from __future__ import annotations
 

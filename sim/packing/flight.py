@@ -112,7 +112,7 @@ def _liftoff_s(scenario: Scenario) -> float:
 
 
 def _handed_on(stages: Sequence[Stage], burns: Sequence[Burn], sizes: Sequence[Sizes], n: int, pool: Pool) -> int:
-    """Where the pool has what the modes before stage n hand on to it."""
+    """Return the pool index of the motion that the modes before stage n hand on to it."""
     if stages[n].continues:
         return NONE
     before = part_at(stages[n - 1], burns[n - 1], sizes[n - 1], burns[n - 1].end_s)

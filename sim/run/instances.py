@@ -128,7 +128,7 @@ class _Library(Instance):
 
 
 def _threads() -> int:
-    """Of this process; 0: not known."""
+    """Return the number of threads of this process; 0 if it is not known."""
     try:
         return len(os.listdir("/proc/self/task"))
     except OSError:

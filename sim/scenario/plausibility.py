@@ -1,4 +1,4 @@
-"""What a scenario may hold and is implausible: said as warnings, and flown as it is.
+"""Values of a scenario that are possible but implausible: they are flown, with a warning.
 
 The bounds are those of launch vehicles that exist, with a margin. Values that no
 vehicle can have are refused (`sim/input/ranges.py`).

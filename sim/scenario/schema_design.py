@@ -44,7 +44,7 @@ class GainsSection(Section):
 
     @property
     def over(self) -> Over:
-        """What the gains are scheduled over."""
+        """Return the quantity over which the gains are scheduled."""
         over: Over = GAIN_COLUMNS.axis_of(self.table)  # type: ignore[assignment]  # a column that the table may have
         return over
 
@@ -216,7 +216,7 @@ DesignBasis = dict[str, Any]
 
 
 class StageLaw(Section):
-    """What differs in a stage; whatever is absent is the design's own."""
+    """The differences of a stage from the design; an absent key has the design's own value."""
 
     renamed: ClassVar[dict[str, str]] = RENAMED
 
@@ -300,7 +300,7 @@ class Design(Section):
         return self.model_copy(update={"adaptive": None, "stage": still})
 
     def of_stage(self, number: int) -> Design:
-        """What a stage flies, from 0: a design without stages; the same object where there are none."""
+        """Return the design that a stage flies, from 0; for a design without stages, the same object."""
         if not self.stage:
             return self
         own = self.stage[number] if number < len(self.stage) else StageLaw()

@@ -103,7 +103,7 @@ FREQUENCIES = {
 
 
 class Injection(Section):
-    """One signal on one axis."""
+    """A signal on one axis."""
 
     at: Literal["gimbal_command", "rate_command", "body_force", "body_torque"] = Field(description="where it enters")
     axis: Literal["pitch", "yaw", "roll", "x", "y", "z"] = Field(
@@ -175,7 +175,7 @@ USUAL_STEP_S = 0.001
 
 
 class Run(Section):
-    """How long and how finely."""
+    """The duration and the step of the flight."""
 
     duration_s: Period = optional("longest flight from start_s on, s, whole ns", 400.0)
     step_s: Annotated[Period, Field(le=1.0)] = optional("integrator step, s, whole ns", USUAL_STEP_S)
@@ -279,7 +279,7 @@ class Switches(Section):
 
 
 class LogSection(Section):
-    """How often is logged."""
+    """The rates of the log."""
 
     fast_hz: Rate = optional("actuator, bending, slosh, control, gyro, Hz; must divide 1e9", 1000.0)
     slow_hz: Rate = optional("the rest, Hz; must divide 1e9", 100.0)
@@ -337,7 +337,7 @@ class Scenario(Section):
 
     @property
     def held(self) -> bool:
-        """Whether the flight begins held down."""
+        """Return True if the flight begins in hold-down."""
         return self.initial is None or self.initial.held
 
     def _check(self) -> None:

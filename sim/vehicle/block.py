@@ -19,7 +19,7 @@ from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MA
 
 @dataclass(frozen=True)
 class Sizes:
-    """How many flexible, sloshing and moving parts a stage has: with them every index of the state is known."""
+    """The numbers of flexible, sloshing and moving parts of a stage, which determine every index of the state."""
 
     pitch_modes: int
     yaw_modes: int

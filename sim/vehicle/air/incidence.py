@@ -30,7 +30,7 @@ N_ROLES = len(ROLES)
 
 @dataclass(frozen=True)
 class IncidenceTables:
-    """How many there are says `Sizes.tables`."""
+    """The tables over the angle of attack; `Sizes.tables` gives their number."""
 
     grid: GridRefs
     axis: Annotated[IntArray, (MAX_SURFACES, 3)]  # NO_AXIS ... BETA

@@ -91,7 +91,7 @@ def put_surface(kept: SurfaceLoad, force_y_N: float, force_z_N: float, slope: fl
 
 @kernel
 def air_acts(aero: Aero, air: AirData) -> bool:
-    """Whether there are aerodynamic forces: where the air is, above the floor of the airspeed."""
+    """Return True if there are aerodynamic forces: in the atmosphere, above the floor of the airspeed."""
     acts: bool = aero.on == 1 and air.density_kgpm3 > 0.0 and air.airspeed_mps >= aero.airspeed_floor_mps
     return acts
 
