@@ -41,7 +41,7 @@ Groups = list[tuple[float, Array]]
 
 
 class Excited(Protocol):
-    """What is known of a loop that is excited: the vehicle's part, and L, as a linear model or as measured before."""
+    """The known parts of a loop that is excited: the vehicle's part, and L, as a linear model or as measured before."""
 
     @property
     def fixed(self) -> FixedPath: ...

@@ -146,7 +146,7 @@ def _half(time_s: float, span: Span) -> float:
 
 
 def fits(time_s: float, spans: Sequence[Span]) -> bool:
-    """Whether a window about a time lies within a powered span."""
+    """Return True if a window about a time is within a powered span."""
     return any(_half(time_s, span) >= 0.2 * WINDOW_S for span in spans)
 
 
@@ -165,7 +165,9 @@ def _window(time_s: float, spans: Sequence[Span]) -> tuple[float, float]:
 
 
 def _amplitude_deg(loaded: LoadedScenario) -> float:
-    """Of each line: together they stay below the share of every stage's gimbal rate and angle that a burst may take."""
+    """Return the amplitude of each line: together they stay below the share of every stage's gimbal rate and angle that
+    a burst may take.
+    """
     together = math.sqrt(2.0 * len(LINES_HZ))  # crest of many sines
     actuators = [actuator for stage in loaded.vehicle.stage for actuator in stage.actuators]
     by_rate = [a.rate_limit_degps * 2.0 * a.zeta[0] / (2.0 * math.pi * a.omega_hz[0]) for a in actuators]

@@ -451,7 +451,7 @@ class PdVariables:
 
 
 def _gain_nodes(task: Task, schedule: str) -> Array:
-    """Where the gain table has rows, in the unit of what it is over."""
+    """Return the rows of the gain table, in the unit of the quantity over which it is scheduled."""
     gains = task.case.gains
     if schedule == "nodes":
         return np.array(gains.nodes_s if gains.over == "time_s" else gains.nodes, float)

@@ -16,7 +16,7 @@ from maxq.sim.vehicle.air import kernel as aero
 
 @dataclass(frozen=True)
 class Pendulums:
-    """One entry a slosh mode, tank by tank, (pendulums,)."""
+    """The slosh modes, tank by tank: arrays of one entry each, (pendulums,)."""
 
     mass_kg: Array
     length_m: Array
@@ -171,7 +171,8 @@ def without_lateral_air(held: HeldStage) -> HeldStage:
 # --- derivatives
 @dataclass(frozen=True)
 class StabilityDerivatives:
-    """Of alpha' = Z and q' = M as the paper defines them (4 to 8): whole mass, body rigid, liquid frozen.
+    """The coefficients of alpha' = Z and q' = M as the paper defines them (4 to 8): whole mass, body rigid, liquid
+    frozen.
 
     Z_alpha and M_alpha are negative for a statically stable vehicle with lift.
     """

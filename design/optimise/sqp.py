@@ -55,7 +55,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Merit:
-    """What a step must bring down: weight of the objective (0: only the limits count) and of the largest excess."""
+    """The merit that a step must lower: weights of the objective (0: only the limits count) and of the largest
+    excess.
+    """
 
     objective: float
     penalty: float
@@ -105,7 +107,8 @@ def descend(
     limits_only: bool = False,
     give_up: Callable[[int, ProblemAtPoint], bool] | None = None,
 ) -> ProblemAtPoint:
-    """Where a start ends: no step promises `tolerance_db`, or `give_up` gives it up after a number of steps.
+    """Descend from a start until no step promises `tolerance_db`, or until `give_up` stops it after a number of steps;
+    return the end point.
 
     `limits_only`: bring down the largest excess, whatever the objective.
     """

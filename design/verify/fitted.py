@@ -60,7 +60,7 @@ Marks = dict[str, float | int | str]
 
 
 class _Missing(Exception):
-    """What the vehicle does not have."""
+    """The parts that the vehicle does not have."""
 
 
 def fit(loaded: LoadedSuite, base: LoadedScenario, memory: PartsOnDisk) -> LoadedSuite:
@@ -189,7 +189,7 @@ def _number(given: float | str, marks: Marks, label: str, where: str) -> float:
 
 
 def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
-    """Of the whole flight, and of each stage that burns."""
+    """Return the instants of the whole flight, and of each stage that burns."""
     log = LogSection(fast_hz=10.0, slow_hz=10.0, transform_hz=1.0)
     quiet = base.scenario.model_copy(update={"log": log, "fault": ()})
     flight, spans = fly(LoadedScenario(quiet, base.label, base.files)), powered_spans(base)

@@ -412,8 +412,8 @@ def meet_limits(values: Array, limits: LoopLimits) -> NDArray[np.bool_]:
 
 
 def percentiles(values: Array, name: str, confidence: float, shares: Sequence[float]) -> Array:
-    """What at most so many (`shares`) of all vehicles are worse than, with that confidence, at each node: (shares,
-    nodes).
+    """Return the values that at most given `shares` of all vehicles exceed, with that confidence, at each node:
+    (shares, nodes).
 
     Order statistics (tolerance_bound), of values (vehicles, nodes, SWEPT); NaN where there are too few vehicles. An
     unstable loop counts as worst.

@@ -59,7 +59,7 @@ def bending_frequencies(nodes: Sequence[Node], title: str = "") -> Figure:
 
 
 def bending_hz(nodes: Sequence[Node]) -> Array:
-    """Of the free-free modes, (modes, nodes)."""
+    """Return the frequencies of the free-free modes, (modes, nodes)."""
     omega = [node.vehicle.omega_radps for node in nodes]
     return np.array([[_entry(own, i) for own in omega] for i in range(max(map(len, omega)))]) / (2.0 * np.pi)
 
@@ -87,7 +87,7 @@ def slosh_frequencies(nodes: Sequence[Node], tanks: Sequence[str], title: str = 
 
 
 def _entry(values: np.ndarray, i: int) -> float:
-    """One of a vehicle's modes or tanks; NaN, which is not drawn, where it has fewer."""
+    """Return the value of one of a vehicle's modes or tanks; NaN, which is not drawn, if it has fewer."""
     return float(values[i]) if i < len(values) else float("nan")
 
 

@@ -400,7 +400,7 @@ class _Server:
         return True
 
     def _forked(self, do: Any, path: Path | None = None) -> str:
-        """What a forked process writes, which does this; at the end of a file that is given."""
+        """Run this in a forked process and return the text that it writes; at the end of a file, if one is given."""
         if path is None:
             path = self.work / f"answer-{os.getpid()}"
             path.write_text("")

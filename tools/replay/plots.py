@@ -1,4 +1,4 @@
-"""What is plotted: one table for viewer, paper and terminal, with units and limits, sorted into tabs by subject."""
+"""The plots: one table for viewer, paper and terminal, with units and limits, sorted into tabs by subject."""
 
 from __future__ import annotations
 
@@ -332,7 +332,7 @@ class PlotAxis:
     beyond: tuple[Limit, ...]
 
     def beyond_text(self, unit: str) -> str:
-        """What to say of limits that are not drawn: `limit 30 deg/s`."""
+        """Return a note on limits that are not drawn: `limit 30 deg/s`."""
         sizes = sorted({abs(limit.value) for limit in self.beyond})
         if not sizes:
             return ""

@@ -63,7 +63,7 @@ _SECTION_LOADS = (  # title, unit, and by which column of the limits it is bound
 
 @dataclass(frozen=True)
 class Flights:
-    """What a set of sheets shows; the `reference` (the nominal, or the first) gives events and the thick lines."""
+    """The content of a set of sheets; the `reference` (the nominal, or the first) gives events and the thick lines."""
 
     all: Sequence[ReplayFlight]
     reference: ReplayFlight
@@ -85,7 +85,7 @@ class Flights:
         return ON_LIGHT[others.index(flight)] if self.few else VERDICT[flight.verdict]
 
     def look(self, flight: ReplayFlight) -> dict[str, Any]:
-        """How a flight's line looks where it is the only one of it in a plot."""
+        """Return the style of a flight's line in a plot where the flight has one line."""
         if not self.many:
             return {"color": BLUE, "linewidth": 1.4}
         if flight is self.reference:
@@ -238,7 +238,7 @@ def envelope(times_ns: IntArray, values: Array, span_ns: tuple[int, int], bins: 
 
 
 def _draw_limits(place: Axes, axis: PlotAxis) -> None:
-    """What is not allowed is shaded and hatched, so that it is seen without colour too."""
+    """Shade and hatch the range outside the limits, so that it is visible without colour."""
     first = {limit.text: limit for limit in reversed(axis.drawn)}
     for limit in axis.drawn:
         colour, hatch = (LIMIT, "////") if limit.required else (GREY, None)

@@ -44,12 +44,14 @@ class Built:
 
     @property
     def mode_1_hz(self) -> float:
-        """Of the first stage, mean over its burn; infinite without modes."""
+        """Return the frequency of mode 1 of the first stage, mean over its burn; infinite without modes."""
         found = [modes[0].frequency_hz for modes in self.modes[0][1] if modes]
         return float(np.mean(found)) if found else math.inf
 
     def rigid_hz(self, p: TrajectoryPoint) -> float:
-        """Of the first gains: the layout's, or an eighth of mode 1 and of the actuator then, at most 0.4 Hz."""
+        """Return the rigid-body frequency of the first gains: the layout's, or an eighth of mode 1 and of the actuator
+        then, at most 0.4 Hz.
+        """
         times, modes = self.modes[p.number]
         own = [of[0].frequency_hz for of in modes if of]
         first_hz = float(np.interp(p.clock_s, times, own)) if len(own) == len(times) else math.inf
@@ -128,7 +130,7 @@ def _that_count(
 
 
 def beam_load(stack: Stack, t: float) -> list[Rod]:
-    """What rides on the beam at `t` of the stage's clock: all but what sloshes."""
+    """Return the masses that the beam carries at `t` of the stage's clock: everything but the sloshing masses."""
     rods = [*stack.dry, *stack.grains(t)]
     for tank, liquid in zip(stack.stage.tank, stack.liquids(t), strict=True):
         left = liquid.mass_kg - slosh_kg(tank, liquid.mass_kg)
@@ -252,7 +254,7 @@ def too_weak(built: Built) -> list[str]:
 
 
 def warnings(built: Built) -> list[str]:
-    """What may be meant, but is unusual."""
+    """Return a line for each value that is unusual, but possible."""
     out, half_hz = [], 0.5 / built.layout.control.sample_s
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):

@@ -1,5 +1,6 @@
-"""What simvehicle writes of a layout: the tables of the vehicle, a pitch programme, a first design, a scenario, a
-campaign, a case and a suite, as simrun, simdesign and simverify read them."""
+"""Write the files that follow from a layout: the tables of the vehicle, a pitch programme, a first design, a scenario,
+a campaign, a case and a suite, as simrun, simdesign and simverify read them.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +101,7 @@ def _continued(stack: Stack, rows: list[tuple[float, ...]]) -> list[tuple[float,
 
 
 def _over_time(stack: Stack, columns: str, values: Iterable[tuple[float, ...]]) -> CsvFile:
-    """What the burn changes, at `_times_s`."""
+    """Return a table of the values that the burn changes, at `_times_s`."""
     return f"time_s,{columns}", _continued(stack, [(t, *row) for t, row in zip(_times_s(stack), values, strict=True)])
 
 
@@ -394,7 +395,7 @@ def _design(built: Built) -> dict[str, Any]:
 
 
 def _requirements(built: Built) -> list[dict[str, Any]]:
-    """What the control is held to, with room for winds."""
+    """Return the requirements of the control, with a margin for winds."""
     stages = built.layout.stage
     limits = {
         "attitude error": ("max_attitude_error_deg", 10.0),

@@ -89,7 +89,9 @@ class Ascent:
 
 
 class _StackPlace(NamedTuple):
-    """What the launch site gives: local radius, turning about the plane's normal and along it, and the latitude."""
+    """The constants of the launch site: local radius, turning about the plane's normal and along it, and the
+    latitude.
+    """
 
     radius_m: float
     spin_radps: float
@@ -131,7 +133,7 @@ class _Model:
 
     @cached_property
     def masses(self) -> list[tuple[Array, Array]]:
-        """Of each stack: clock, mass."""
+        """Return clock and mass of each stack."""
         out = []
         for stack in self.stacks:
             clock = np.linspace(0.0, stack.burn.end_s, 201)

@@ -86,7 +86,7 @@ def _vehicle(found: Verification) -> Plot:
 
 
 def _filter(found: Verification) -> Plot:
-    """Of every stage that has its own."""
+    """Draw the filter of every stage that has its own."""
     design, computer = found.scenario.design, found.scenario.vehicle.computer
     assert design is not None
     assert computer is not None
@@ -221,7 +221,7 @@ def _level_and_turn(picture: LoopPicture) -> tuple[Array, Array, Array]:
 
 
 def _lobe_colours(judged: Sequence[JudgedLoop]) -> dict[str, str]:
-    """One for each pole over all nodes."""
+    """Return a colour for each pole over all nodes."""
     every = {mark.text for j in judged for mark in picture_of(j, "").marks if mark.is_lobe}
     poles = sorted({part for text in every for part in text.split(", ")})
     of = {pole: COLOURS[1:][n % (len(COLOURS) - 1)] for n, pole in enumerate(poles)}

@@ -113,7 +113,7 @@ def _errors(course: Course, reference: Course) -> dict[str, Any]:
 
 
 def _sizes_of_motion(course: Course) -> dict[str, float]:
-    """How far the parts move in this flight: what the errors are to be compared with."""
+    """Return the sizes of the parts' motion in this flight, with which the errors are compared."""
     sizes, upright = course.sizes, np.array([-1.0, 0.0, 0.0])
     first, bobs = int(eta_index(sizes)), [int(pendulum_index(sizes, k)) for k in range(sizes.pendulums)]
     modes = [first + i for i in range(sizes.pitch_modes)]

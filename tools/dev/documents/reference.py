@@ -86,7 +86,7 @@ def metrics() -> str:
 
 
 def ranges() -> str:
-    """What numbers may be, by the names of keys and columns."""
+    """Return the ranges of numbers, by the names of keys and columns."""
     return "\n".join(_ranges())
 
 
@@ -103,7 +103,7 @@ def help_of(command: str) -> str:
 
 
 def _ranges() -> Iterator[str]:
-    """What numbers may be, by the names of keys and columns."""
+    """Yield the ranges of numbers, by the names of keys and columns."""
     yield "| names | least | most | why |"
     yield "|---|---|---|---|"
     for r in RANGES:
@@ -153,7 +153,7 @@ def _cell(text: str) -> str:
 
 
 def topics_markdown(table: ChannelTable) -> str:
-    """One section with a table per topic."""
+    """Return a section with a table for each topic."""
     sections = []
     for topic in table.topics:
         text = f"{topic.description}\n\n" if topic.description else ""
