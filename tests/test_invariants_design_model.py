@@ -1,4 +1,4 @@
-"""What must hold of nodes, deviations and loops whatever the vehicle, and the edges of what a vehicle may be.
+"""The invariants of nodes, deviations and loops for every vehicle, and the edges of what a vehicle may be.
 
 | what | holds |
 |---|---|

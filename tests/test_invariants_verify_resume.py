@@ -1,4 +1,4 @@
-"""What `simverify` has worked out is not worked out again: after a kill, after Ctrl-C, of a design that has changed.
+"""Results of `simverify` are not computed again: after a kill, after Ctrl-C, for a design that has changed.
 
 | what | expected |
 |---|---|

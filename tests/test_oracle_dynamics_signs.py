@@ -1,4 +1,4 @@
-"""One test per coupling path, each path on its own: which way it acts, in pitch and in yaw, and how strongly.
+"""A test for each coupling path alone: its direction in pitch and in yaw, and its size.
 
 The signs are the contract's: x forward, y right, z down; positive gimbal angles give positive moments; a mode
 moves to +z (pitch) and +y (yaw); its slope turns the body by +sigma eta about y and by -sigma xi about z.

@@ -163,7 +163,9 @@ def test_a_tail_off_ends_where_its_table_does() -> None:
 
 
 def test_burn_rate_speeds_up_all_that_flows() -> None:
-    """One engine at 1.1 times its flow: at the same clock of the tables every rate is 1.1 times the nominal one."""
+    """Check an engine at 1.1 times its flow: at the same clock of the tables every rate is 1.1 times the nominal
+    one.
+    """
     nominal, made = (
         pack_flight(load_scenario("nominal", [f"vehicle.stage.0.engine.mass_flow_factor={k}"]).scenario)
         for k in (1.0, 1.1)

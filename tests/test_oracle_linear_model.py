@@ -71,7 +71,7 @@ def plane_states(plane: str, tvc_load: bool = False) -> list[str]:
 
 @dataclass(frozen=True)
 class Node:
-    """One instant: the simulator linearised, and the model at the same condition."""
+    """An instant: the simulator linearised, and the model at the same condition."""
 
     packed: Packed
     condition: FlightCondition

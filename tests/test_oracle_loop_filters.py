@@ -130,7 +130,7 @@ def test_each_loop_has_its_filter_before_the_law(gains: GainSchedule) -> None:
 
 
 def steady_memory(b: list[float], a: list[float], value: float) -> Array:
-    """Of transposed direct form II after a long time at one input."""
+    """Return the memory of transposed direct form II after a long time at one input."""
     out = value * sum(b) / sum(a)
     last = b[2] * value - a[2] * out
     return np.array([b[1] * value - a[1] * out + last, last])

@@ -1,4 +1,4 @@
-"""What simverify reckons with, against what must hold.
+"""The computations of simverify, against independent ones.
 
 | what | against |
 |---|---|

@@ -134,7 +134,7 @@ def through(*more: str) -> LoadedScenario:
 
 
 def moments(scenario: LoadedScenario) -> Array:
-    """Of both planes between 38 and 42 s, (2, stations, instants)."""
+    """Return the moments of both planes between 38 and 42 s, (2, stations, instants)."""
     flown = fly(scenario)
     names = [[f"section_{k + 1}_bending_{plane}_Nm" for k in PICKED] for plane in ("pitch", "yaw")]
     time_s = flown.time_s(names[0][0])

@@ -22,7 +22,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def refused(table: str) -> str:
-    """What is said of a CSV file of gains."""
+    """Return the error message for a CSV file of gains."""
     Path("t.csv").write_text(table)
     with pytest.raises(ScenarioError) as caught:
         load_scenario("nominal", ["design.gains.table=t.csv"])

@@ -1,4 +1,4 @@
-"""What the viewer really shows: rendered without a window, in software where there is no graphics card.
+"""The images of the viewer: rendered without a window, in software if there is no graphics card.
 
 | what | how it is checked |
 |---|---|

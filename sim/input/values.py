@@ -31,7 +31,7 @@ _ACTS = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u20
 
 
 def is_whole_ns(seconds: float) -> bool:
-    """Return True if `seconds` is a whole number of nanoseconds, but for the rounding of the decimal as it was written."""
+    """Return True if `seconds` is a whole number of nanoseconds, but for the rounding of the written decimal."""
     ns = seconds * NS_PER_S
     return abs(seconds) <= LONGEST_S and abs(ns - round(ns)) <= 4.0 * math.ulp(ns)
 

@@ -61,7 +61,7 @@ from maxq.design.model.state_space import StateSpace
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where coordinates stand in the second-order system: lateral, rotation, modes, pendulums."""
+    """The places of the coordinates in the second-order system: lateral, rotation, modes, pendulums."""
 
     modes: int
     tanks: int
@@ -109,7 +109,7 @@ def _solve(matrix: Array, right: Array) -> Array:
 
 
 def _mass_matrix(vehicle: PlanarVehicle, at: _Layout) -> Array:
-    """Of the generalised accelerations s, q', eta'', G'' (symmetric)."""
+    """Return the mass matrix of the generalised accelerations s, q', eta'', G'' (symmetric)."""
     body, bobs = vehicle.body, vehicle.pendulums
     mass = np.zeros((at.size, at.size))
     mass[0, 0], mass[1, 1] = body.core_mass_kg, body.core_inertia_kgm2

@@ -82,7 +82,7 @@ def _attitude() -> tuple[sp.Matrix, sp.Matrix]:
 
 @dataclass(frozen=True)
 class _Piece:
-    """One term of the Lagrangian.
+    """A term of the Lagrangian.
 
     `kinetic` is a function of the quasi-velocities `_V`, `_W`, the piece's own coordinates and their rates;
     `potential` of position, attitude and the own coordinates.

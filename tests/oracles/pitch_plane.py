@@ -260,7 +260,7 @@ def vehicle(s: Snapshot) -> tuple[Array, Array, Array]:
 
 
 class _Layout:
-    """Where the states are."""
+    """The places of the states."""
 
     def __init__(self, pendulums: int, modes: int) -> None:
         first = 3

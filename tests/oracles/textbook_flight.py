@@ -24,7 +24,7 @@ LAYERS = ((0.0, -6.5e-3), (11e3, 0.0), (20e3, 1e-3), (32e3, 2.8e-3), (47e3, 0.0)
 
 @dataclass(frozen=True)
 class Air:
-    """What a body feels of the air at an instant; `flow_B` is its velocity relative to the air, in B."""
+    """The air around a body at an instant; `flow_B` is the body's velocity relative to the air, in B."""
 
     altitude_m: float
     density: float

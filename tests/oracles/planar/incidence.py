@@ -26,7 +26,7 @@ _ALONG = 1e-10  # sine of the total incidence below which there is no plane of i
 
 @dataclass(frozen=True)
 class TableSlopes:
-    """Of one table of a vehicle, per rho S V / 2 (force; m: moment); the moment is that about `reference_m`.
+    """The slopes of a vehicle's table, per rho S V / 2 (force; m: moment); the moment is that about `reference_m`.
 
     Rows x, y, z of B; columns u, v, w (m/s) or p, q, r (rad/s). `force` is per rho S V^2 / 2. `by_mach`:
     what of the slopes by the flow goes through the Mach number, which is that at the CG whatever the flow at the table.
@@ -42,7 +42,8 @@ class TableSlopes:
     station_m: float  # where modes meet it
 
     def plane(self, plane: str) -> tuple[float, float, float, float]:
-        """What a planar model keeps: CN_alpha, CN_alpha times station (m), the same by the turning rate (m, m2).
+        """Return the values that a planar model keeps: CN_alpha, CN_alpha times station (m), the same by the turning
+        rate (m, m2).
 
         In the pitch plane that is Fz and My by w and q, in yaw Fy and Mz by v and -r; all else is dropped: the other
         plane's and the axial flow, and all that turns about x. Slopes are those by the flow at the table.
@@ -56,7 +57,7 @@ class TableSlopes:
         return slope, moment, float(by_rate), float(rate_moment)
 
     def plane_by_mach(self, plane: str) -> tuple[float, float]:
-        """What comes to the first two with the Mach number at the CG."""
+        """Return the changes of the first two with the Mach number at the CG."""
         return self._slopes(_axes_of(plane), *self.by_mach)
 
     def across(self, plane: str) -> tuple[float, float, float, float]:
@@ -75,7 +76,7 @@ class TableSlopes:
 
 
 def _axes_of(plane: str) -> tuple[int, int, float]:
-    """Of a plane: the axis across, that of turning, and its sign."""
+    """Return the axes of a plane: the axis across, that of turning, and its sign."""
     return (2, 1, 1.0) if plane == "pitch" else (1, 2, -1.0)
 
 
