@@ -268,7 +268,7 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
 @routine
 def take_over(before: Computer, computer: Computer, state: ComputerState) -> None:
     """A stage's own law takes over from that of the stage `before`: filters settled at their last inputs, those before
-    fading out, adaptation anew.
+    fading out, adaptation again.
     """
     attitude, old, new, loops = state.attitude, before.loops, computer.loops, state.loops
     loops.fading = new.fade_ticks

@@ -2,7 +2,7 @@
 
 | what | how |
 |---|---|
-| loop sampled exactly, equations as printed | limits hold on the loop built anew, by design/margins |
+| loop sampled exactly, equations as printed | limits hold on the loop built again, by design/margins |
 | conditions of optimality | rows' multipliers and bounds', put together here, cancel the gradients |
 | multipliers | are what the objective changes by when a limit is moved |
 | several starts | end at the same design, and the certificate says how many |

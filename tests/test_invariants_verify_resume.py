@@ -3,7 +3,7 @@
 | what | expected |
 |---|---|
 | killed with SIGKILL, or interrupted, part-way | the same command recalls every part and finds what one go finds |
-| one changed gain | certificate and margins anew at its node alone; flights and what flies the whole ascent anew |
+| one changed gain | certificate and margins again at its node alone; flights and what flies the whole ascent again |
 | the same design under another name | everything recalled |
 """
 

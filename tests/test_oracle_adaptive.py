@@ -1,4 +1,4 @@
-"""Adaptive augmenting control against its equations written anew, closed forms and flights.
+"""Adaptive augmenting control against its equations written again, closed forms and flights.
 
 | what | oracle |
 |---|---|

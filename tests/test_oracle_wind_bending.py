@@ -3,7 +3,7 @@
 | what | oracle |
 |---|---|
 | every coefficient of the moment by states and engine, both planes | the simulator's section loads, linearised: 1e-8 |
-| the same with tables over incidence at a trim, liquid that goes over to the core, a line mass that does not fit | so |
+| the same with tables at a trim, liquid that goes over to the core, a line mass that does not fit | so |
 | by the wind | the simulator's section loads in constant side winds |
 | rms in turbulence with the loop closed | 24 flights through it |
 """

@@ -53,8 +53,8 @@ def test_a_folder_in_use_advises_what_can_help() -> None:
     try:
         with pytest.raises(CampaignError, match=r"wait for it, or give another --out$"):
             open_store(Path("there"), campaign)
-        with pytest.raises(CampaignError, match=r"wait for it, or work it out anew$"):
-            open_store(Path("there"), campaign, "work it out anew")
+        with pytest.raises(CampaignError, match=r"wait for it, or work it out again$"):
+            open_store(Path("there"), campaign, "work it out again")
     finally:
         store.unlock()
 

@@ -81,7 +81,7 @@ def is_own(path: str) -> bool:
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no types
-    """Numba's files of one function's machine code, each with its SHA-256 at the end: a damaged one is made anew.
+    """Numba's files of one function's machine code, each with its SHA-256 at the end: a damaged one is made again.
 
     Numba reads neither file to its end, and takes the index as empty and code as missing where that is returned here.
     """

@@ -27,7 +27,8 @@ class GainSchedule:
     """Gains of one axis: `k_p` (n,), `k_d_s` (n,) in s, with an integral `k_i_ps` (n,) in 1/s, with load relief
     `k_a_s2pm` (n,) in s2/m, at values `at` (n,) of `over`; linear between, held outside.
 
-    With load relief by incidence `k_alpha` (n,) and what the incidence is estimated with (laws/load_relief.py).
+    With load relief by angle of attack `k_alpha` (n,) and what the angle of attack is estimated with
+    (laws/load_relief.py).
     """
 
     at: Sequence[float]

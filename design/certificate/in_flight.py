@@ -35,7 +35,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Injection, LogSection
 
 WINDOW_S = 8.0
-SETTLE_S = 2.5  # after lift-off
+SETTLE_S = 2.5  # after liftoff
 ACROSS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of a window: places of the linear loop
 LINES_HZ = tuple(n / WINDOW_S for n in (4, 7, 11, 18, 29, 46, 62, 74, 90))  # 0.5 .. 11 Hz
 COMMAND_DEG = 0.35  # of each line at most; fewer than half of any limit together
@@ -50,7 +50,7 @@ class InFlightResponse:
     `reason` is "" where the two agree to 0.5 dB and 4 deg, "time variation" where the loop's own change in the window
     is as large as the difference, "converter noise" where that together with its standard errors is or the same flights
     with ideal converters leave nothing unexplained, "settling" where an oscillation near a line has not decayed since
-    lift-off, else "unexplained".
+    liftoff, else "unexplained".
     """
 
     time_s: float

@@ -49,8 +49,8 @@ class PdVariables:
 
     Then, where the rate is blended, the weights of further gyros, the same for all plants; the first one's is what is
     left of 1. Last the variables of the loops' own filters. Own parameters of a plant: the filter's variables, ln k_p,
-    ln k_d, weights, the loops' filters, and for load relief by incidence two that no variable moves: 1 / b and -p / b
-    (control/laws/load_relief.py).
+    ln k_d, weights, the loops' filters, and for load relief by angle of attack two that no variable moves: 1 / b and -p
+    / b (control/laws/load_relief.py).
     """
 
     inputs: tuple[str, ...] = MEASUREMENTS[:2]

@@ -3,10 +3,10 @@
     T = G_w - G_u (sum of C_i M_i) / (1 + L),    rms^2 = integral of |T|^2 S df
 
 from the lateral wind to an output, with the law's measurements M_i per wind, the output G_u per command and G_w per
-wind. Load is dynamic pressure times incidence (relative to the air at the core's CG), drift the lateral velocity across
-the undisturbed path, w - U theta, the bending moment that of model/sections.py at each of the stations asked for.
-Frequencies are those of the spectrum's band; the computer is in it as in the loop, the wind's images beyond its Nyquist
-frequency are not. A loop that is not stable has no rms: stability is the optimiser's affair.
+wind. Load is dynamic pressure times angle of attack (relative to the air at the core's CG), drift the lateral velocity
+across the undisturbed path, w - U theta, the bending moment that of model/sections.py at each of the stations asked
+for. Frequencies are those of the spectrum's band; the computer is in it as in the loop, the wind's images beyond its
+Nyquist frequency are not. A loop that is not stable has no rms: stability is the optimiser's affair.
 """
 
 from __future__ import annotations

@@ -222,7 +222,7 @@ def fly_campaign(
     count = 1
     while afresh and folder.exists():
         folder = known.with_name(f"{known.name}-{(count := count + 1)}")
-    outcome = run_campaign(loaded, folder, watch=watch, stop=stop, elsewhere="fly it anew with simverify --afresh")
+    outcome = run_campaign(loaded, folder, watch=watch, stop=stop, elsewhere="fly it again with simverify --afresh")
     data = DataSet(folder, loaded, loaded.campaign.runs)
     return CampaignResult(
         wanted.name or loaded.name,

@@ -145,7 +145,7 @@ class PartsOnDisk:
     """Parts in a folder, a file each; `folder` None remembers nothing. Threads may share one.
 
     A file is the SHA-256 of the rest, the hash of what the part depends on, and the part as JSON, a line each. One that
-    is damaged or belongs elsewhere is worked out anew. No file can name code to run.
+    is damaged or belongs elsewhere is worked out again. No file can name code to run.
     """
 
     def __init__(self, folder: Path | None) -> None:

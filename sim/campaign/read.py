@@ -83,7 +83,7 @@ class LoadedCampaign:
     def inputs(self, run: int, drawn: Drawn | None = None) -> Inputs:
         """Draws and scenario of one run, out of a batch where one is given; from several threads, too.
 
-        While its values exclude each other it is drawn anew as a whole. Raises CampaignError where the file refuses
+        While its values exclude each other it is drawn again as a whole. Raises CampaignError where the file refuses
         that, Refused where it does not help.
         """
         redraws = 0

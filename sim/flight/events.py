@@ -1,6 +1,6 @@
-"""Events: commands that take effect, ignition, burn-out, separation, and events that depend on the state.
+"""Events: commands that take effect, ignition, burnout, separation, and events that depend on the state.
 
-Instants known beforehand are met exactly, because no step reaches over them. Lift-off, apogee and impact depend on
+Instants known beforehand are met exactly, because no step reaches over them. Liftoff, apogee and impact depend on
 the state: a step that crosses one is repeated with ever better lengths until the crossing is known to the nanosecond.
 """
 
@@ -49,7 +49,7 @@ def record_event(p: Parameters, memory: Memory, event: int, now_ns: int) -> None
     if memory.clock.event_ns[event] < 0:
         memory.clock.event_ns[event] = now_ns
         if event == LIFTOFF and p.faults.count > 0:
-            memory.faults.next_ns = now_ns  # what counts from lift-off has its instants now
+            memory.faults.next_ns = now_ns  # what counts from liftoff has its instants now
     if (p.timeline.stop_mask >> event) & 1 == 1:
         memory.clock.finished = 1
 
@@ -60,7 +60,7 @@ def burn_out(p: Parameters, memory: Memory) -> None:
     clock = memory.clock
     memory.held.burning = 0
     clock.stage_burnout_ns[clock.stage] = clock.now_ns
-    clock.event_ns[BURNOUT] = -1  # the last stage's burn-out counts
+    clock.event_ns[BURNOUT] = -1  # the last stage's burnout counts
     record_event(p, memory, BURNOUT, clock.now_ns)
 
 
@@ -108,7 +108,7 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
 def apply_due_command(p: Parameters, memory: Memory) -> None:
     """Hand a command that is due to the actuators and thrusters, which hold it.
 
-    From burn-out on the engine is sent to its middle: without thrust the law could only drive it into its stops.
+    From burnout on the engine is sent to its middle: without thrust the law could only drive it into its stops.
     """
     clock, held = memory.clock, memory.held
     if clock.now_ns >= clock.command_due_ns:

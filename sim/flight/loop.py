@@ -262,7 +262,7 @@ def detect_crossing(p: Parameters, memory: Memory, space: step.Workspace) -> int
 
 @kernel
 def apply_event(p: Parameters, memory: Memory, event: int) -> None:
-    """Effects of lift-off, apogee or impact at the present instant."""
+    """Effects of liftoff, apogee or impact at the present instant."""
     if event == LIFTOFF:
         memory.held.on_pad = 0
     if event == APOGEE:

@@ -6,7 +6,7 @@ length h (step.exponential_runge_kutta) needs seven matrices of each block: D, a
     phi_1(Z) = (exp(Z) - 1) / Z,   phi_2(Z) = (phi_1(Z) - 1) / Z,   phi_3(Z) = (phi_2(Z) - 1/2) / Z,   Z = h D,
 
 those that stand below. They are kept for the few lengths of steps that alternate. D may be any matrix near the present
-one as long as it is the same within a step, so that the modes, which change with the propellant, are looked at anew
+one as long as it is the same within a step, so that the modes, which change with the propellant, are looked at again
 every quarter of a second only; actuators and gyros are what they are until the stage ends.
 """
 

@@ -49,7 +49,9 @@ class StageTimeline:
     ground_altitude_m: float
     stop_mask: int  # bit i: the flight ends with event i
     control_lost_rad: float  # attitude error under thrust at which control counts as lost; inf: nothing controls
-    tumble_rad: float  # total incidence that counts as tumbling while dynamic pressure exceeds `tumble_pressure_Pa`
+    tumble_rad: (
+        float  # total angle of attack that counts as tumbling while dynamic pressure exceeds `tumble_pressure_Pa`
+    )
     tumble_pressure_Pa: float
     fast_ns: int  # log periods
     slow_ns: int
@@ -78,7 +80,7 @@ class Clock:
     cause: int  # of divergence, see state.CAUSES
     steps: int
     interval: int  # of the schedule
-    fresh: int  # 1: the schedule has to be read anew
+    fresh: int  # 1: the schedule has to be read again
     next_break_ns: int  # of the schedule
     next_sample_ns: int
     command_due_ns: int  # when the pending command takes effect

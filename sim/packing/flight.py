@@ -168,7 +168,7 @@ def _timeline(
 
 
 def _burn(stage: Stage, burn: Burn, stage_start_ns: int) -> tuple[int, int]:
-    """Ignition and burn-out; a single row of thrust burns for ever, no engine never."""
+    """Ignition and burnout; a single row of thrust burns for ever, no engine never."""
     ignition_ns = stage_start_ns + round(NS_PER_S * stage.ignition_s)
     if not stage.engines:
         return NEVER, NEVER

@@ -161,7 +161,7 @@ class FlightRun:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """All events so far in order of time: an ignition, burn-out and separation for each stage that had it."""
+        """All events so far in order of time: an ignition, burnout and separation for each stage that had it."""
         clock, timelines = self.clock, self.packed.parameters["timeline"]
         start_ns = to_ns(self.loaded.scenario.run.start_s)
         found = []

@@ -80,7 +80,7 @@ class Instance(ABC):
         """End of the flight."""
 
     def unload(self) -> bool:
-        """After `close`: whether nothing of the code is left in this process, so that the next flight begins anew."""
+        """After `close`: whether nothing of the code is left in this process, so that the next flight begins again."""
         return False
 
 

@@ -183,7 +183,7 @@ class LoopFiltersSection(Section):
 
 
 class LoadReliefSection(Section):
-    """Feedback of the lateral acceleration, or of the incidence it tells; its gain is a column of the gains."""
+    """Feedback of the lateral acceleration, or of the angle of attack it tells; its gain is a column of the gains."""
 
     corner_hz: Positive = Field(description="corner of the accelerometer's first-order lag in the computer, Hz")
 
@@ -230,7 +230,7 @@ class StageLaw(Section):
     roll_gimbal: RollGimbal | None = optional("own roll control by gimbals")
     blend: Blend | None = optional("own weights of rate gyros")
     load_relief: LoadReliefSection | None = optional("own lag of the accelerometer")
-    adaptive: AdaptiveSection | None = optional("own adaptation, which starts anew at the separation")
+    adaptive: AdaptiveSection | None = optional("own adaptation, which starts again at the separation")
     basis: DesignBasis | None = optional("own basis")
 
 
@@ -275,7 +275,10 @@ class Design(Section):
                     raise table.refusal(f"the law {self.law} {verb} column {column}", allowed, at=("gains", key))
             slope = table.get(self.gain_names[-1]) if table is not None and self.law == "incidence-relief" else None
             if slope is not None and not ((slope > 0.0).all() or (slope < 0.0).all()):
-                problem, allowed = "no incidence follows from 0 m/s2", "accel_per_incidence_mps2 of one sign (below 0)"
+                problem, allowed = (
+                    "no angle of attack follows from 0 m/s2",
+                    "accel_per_incidence_mps2 of one sign (below 0)",
+                )
                 raise table.refusal(problem, allowed, at=("gains", key))
         if self.law != "pid" and self.gains.integral_limit_deg is not None:
             problem = f"the law {self.law} has no integral"

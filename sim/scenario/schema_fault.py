@@ -77,7 +77,7 @@ class Fault(Section):
         "goes to its middle)"
     )
     at_s: Seconds = Field(description="when, s, whole ns")
-    since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from lift-off on", "clock")
+    since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from liftoff on", "clock")
     until_s: Seconds | None = optional("when the part works again, s, whole ns (default: never)")
     stage: int | None = optional("of which stage, from 0 (default: of whichever flies)", None, ge=0, lt=MAX_STAGES)
     gyro: int | None = optional(

@@ -163,7 +163,7 @@ class Injection(Section):
 
     @property
     def highest_hz(self) -> tuple[float, ...]:
-        """Frequencies that it reaches; none for steps and tables, at whose kinks the integrator begins anew."""
+        """Frequencies that it reaches; none for steps and tables, at whose kinks the integrator begins again."""
         return (*(self.frequencies_hz or ()), self.frequency_hz or 0.0, self.stop_frequency_hz or 0.0)
 
 
@@ -271,7 +271,7 @@ class Switches(Section):
     guidance: bool = optional("guidance programme; off: rates zero", True)
     roll_control: bool = optional("roll thrusters", True)
     section_loads: bool = optional("section loads at the stations of [stage.loads]", False)
-    local_incidence: bool = optional("bending changes the incidence of the lifting parts", True)
+    local_incidence: bool = optional("bending changes the angle of attack of the lifting parts", True)
     gust_penetration: bool = optional(
         "each lifting part meets wind, gusts and turbulence at its own place along the body (off: all those at the CG)",
         False,

@@ -124,7 +124,7 @@ class Stage(Section):
 
     name: str = optional("name of the stage in logs (default: its number)", "")
     separation_s: Period | None = optional("end of this stage on its clock, s")
-    separation_after_burnout_s: Seconds | None = optional("end of this stage after burn-out, s")
+    separation_after_burnout_s: Seconds | None = optional("end of this stage after burnout, s")
     separation: Separation | None = optional("springs, impulse and tip-off rates where this stage ends")
     continues: bool = optional(
         "engines, tanks and modes of the stage before fly on, and only mass drops, as with a fairing: engine angles, "

@@ -25,7 +25,7 @@ class Sizes:
     yaw_modes: int
     pendulums: int  # slosh modes of all tanks
     surfaces: int  # places at which the air acts on the bent body: lifting surfaces, then tables of coefficients
-    tables: int = 0  # of these, tables of coefficients over incidence
+    tables: int = 0  # of these, tables of coefficients over angle of attack
     spatial_modes: int = 0
     further_groups: int = 0  # of engines that move together, beyond the first
     engines: int = 1  # alike engines of a group count once (engine/kernel.py); 1 without one
@@ -56,7 +56,7 @@ LARGEST = Sizes(
 
 
 class Counts(NamedTuple):
-    """Sizes as plain numbers: those of a record are read anew after every write to an array.
+    """Sizes as plain numbers: those of a record are read again after every write to an array.
 
     In a kernel compiled for one vehicle (`records.with_constants`) they are constants, which takes the arithmetic of
     indices and the ends of loops out of it: measured, a seventh of a flight's time.

@@ -121,7 +121,7 @@ def _mass_matrix(vehicle: PlanarVehicle, at: _Layout) -> Array:
 
 
 def _stiffness(vehicle: PlanarVehicle, condition: FlightCondition, load: float, at: _Layout) -> Array:
-    """Forces lost per unit of displacement: elastic, axial load, thrust and incidence of the bent body."""
+    """Forces lost per unit of displacement: elastic, axial load, thrust and angle of attack of the bent body."""
     modes, bobs, engine = vehicle.modes, vehicle.pendulums, vehicle.engine
     k = np.zeros((at.size, at.size))
     k[at.mode, at.mode] += np.diag(modes.generalized_mass_kg * modes.omega_radps**2)

@@ -339,7 +339,7 @@ def _add_pendulum(f: Array, s: Snapshot, layout: _Layout, k: int) -> None:
 
 
 def _add_air(f: Array, modal: slice, s: Snapshot, layout: _Layout) -> None:
-    """Normal force of each surface at its local incidence; pitch damping as one moment."""
+    """Normal force of each surface at its local angle of attack; pitch damping as one moment."""
     f[1, 2] += s.pitch_damping_Nms
     for surface in s.surfaces:
         incidence = np.zeros(layout.size + 2)

@@ -169,8 +169,8 @@ def integrate(
 ) -> list[State]:
     """Return the states at `times` (rising; the first is the start). The integration restarts at each of `kinks`.
 
-    `longest_step_s`: for loads with kinks at unknown times, such as tables over incidence: the error estimate of a long
-    step does not see them.
+    `longest_step_s`: for loads with kinks at unknown times, such as tables over angle of attack: the error estimate of
+    a long step does not see them.
     """
 
     def derivative(t: float, y: Vector, last: float) -> Vector:

@@ -184,7 +184,7 @@ def process(main: Callable[[], int]) -> NoReturn:
 def _keep_freed_memory() -> None:
     """Let glibc keep what is freed for the next flight, a few megabytes.
 
-    To get each page from the system anew takes a hundredth of a campaign's time. Other C libraries stay as they are.
+    To get each page from the system again takes a hundredth of a campaign's time. Other C libraries stay as they are.
     """
     import ctypes  # noqa: PLC0415  # lazy: --help does without
 

@@ -103,7 +103,7 @@ AXIS_OF = {
     "k_a_s2pm": r"$k_A$, s$^2$/m",
     "k_alpha": r"$k_\alpha$, rad/rad",
     "percussion_m": "lever of the centre of percussion, m",
-    "accel_per_incidence_mps2": r"acceleration per incidence, m/s$^2$",
+    "accel_per_incidence_mps2": r"acceleration per angle of attack, m/s$^2$",
 }
 
 

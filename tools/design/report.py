@@ -48,7 +48,7 @@ GAIN_HEADS = {
     "k_a_s2pm": "k_a, s2/m",
     "k_alpha": "k_alpha",
     "percussion_m": "percussion, m",
-    "accel_per_incidence_mps2": "per incidence, m/s2",
+    "accel_per_incidence_mps2": "per angle of attack, m/s2",
 }
 MET, MISSED = "met", "MISSED"
 _KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}

@@ -157,7 +157,7 @@ class ReplayFlight:
 
     @property
     def burn_end_s(self) -> float:
-        """Last burn-out, or the end of the log where there is none."""
+        """Last burnout, or the end of the log where there is none."""
         moment = self.moment("burnout")
         return moment.time_s if moment is not None else self.span_s[1]
 

@@ -168,7 +168,7 @@ _TABLE: dict[str, list[_Row]] = {
     "Air": [
         _Row("pressure", "dynamic pressure", "kPa", {"dynamic pressure": "dynamic_pressure_Pa"}, 1e-3,
              limits=("max_powered_dynamic_pressure_Pa", "max_dynamic_pressure_Pa"), glance=(1, "{}")),
-        _Row("incidence", "incidence where the dynamic pressure exceeds 1 kPa", "deg",
+        _Row("incidence", "angle of attack where the dynamic pressure exceeds 1 kPa", "deg",
              {"attack": "alpha_deg", "sideslip": "beta_deg", "total": "alpha_total_deg"},
              only=_IN_AIR, limits=("max_alpha_deg",), glance=(3, "incidence, {}")),
         _Row("wind", "wind: motion of the air", "m/s",

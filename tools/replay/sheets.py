@@ -168,7 +168,7 @@ def _figure(
 
 
 def _span(tab: Tab, shown: Flights) -> tuple[float, float]:
-    """The whole flight for what concerns all of it; else until shortly after burn-out, where the rest is at zero."""
+    """The whole flight for what concerns all of it; else until shortly after burnout, where the rest is at zero."""
     start, end = min(f.span_s[0] for f in shown.all), max(f.span_s[1] for f in shown.all)
     burnouts = [m.time_s for f in shown.all if (m := f.moment("burnout")) is not None]
     if tab.name in ("Trajectory", "Air") or not burnouts:

@@ -172,7 +172,7 @@ def _with_given(estimate: Aerodynamics, given: AeroSection) -> Aerodynamics:
 
 
 def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]:
-    """Slopes of normal force and pitch moment, 1/rad, and the axial force coefficient, at no incidence over Mach."""
+    """Slopes of normal force and pitch moment, 1/rad, and the axial force coefficient, at zero angle of attack."""
     values = grid.values
     for axis in reversed(range(len(grid.axes))):
         if grid.axes[axis] not in ("mach", "total_deg", "alpha_deg"):

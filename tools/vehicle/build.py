@@ -156,7 +156,7 @@ def _mode_of(table: ModeTable, t: float) -> list[BeamMode]:
 
 
 def m_alpha_1ps2(built: Built, p: TrajectoryPoint) -> float:
-    """Angular acceleration per incidence, positive for an unstable vehicle."""
+    """Angular acceleration per angle of attack, positive for an unstable vehicle."""
     aero, props = built.aero[p.number], built.stacks[p.number].mass_properties(p.clock_s)
     slope, centre = aero.normal(p.mach)
     return slope * p.dynamic_pressure_Pa * aero.area_m2 * (props.x_cg_m - centre) / props.pitch_kgm2
@@ -248,7 +248,7 @@ def too_weak(built: Built) -> list[str]:
         worst = max(burning(built, n), key=lambda p: m_alpha_1ps2(built, p) / m_delta_1ps2(built, p))
         needed = INCIDENCE_deg * m_alpha_1ps2(built, worst) / m_delta_1ps2(built, worst)
         if needed > (limit := stack.stage.engine.angle_limit_deg):
-            held = f"{INCIDENCE_deg:g} deg of incidence need {needed:.1f} deg of the gimbals' {limit:g}"
+            held = f"{INCIDENCE_deg:g} deg of angle of attack need {needed:.1f} deg of the gimbals' {limit:g}"
             out.append(f"{stack.name}: at {worst.time_s:.0f} s {held}")
     return out
 

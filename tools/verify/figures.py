@@ -74,7 +74,7 @@ def _vehicle(found: Verification) -> Plot:
         bodies.append(side_view.revolved(*stage.profile.T, fill="page", opacity=1.0))
         for k, t in enumerate(stage.tanks):
             surface = t.bottom_station_m - float(t.level[1][0])
-            for top, said, full in ((t.top_station_m, "", False), (surface, f"{t.name} at lift-off", True)):
+            for top, said, full in ((t.top_station_m, "", False), (surface, f"{t.name} at liftoff", True)):
                 bodies.append(side_view.tank([top, t.bottom_station_m], t.radius_m, said, COLOURS[k % 4], full=full))
     lowest = vehicle.stages[0]
     marks = [("gyro", lowest.gyro_station_m, "green")] if lowest.gyro_station_m is not None else []
@@ -394,11 +394,11 @@ def _authority(found: Verification) -> Plot:
         winds.append(limit(found.suite.wind_limit_mps, "wind asked for", colour="ink"))
     top = min(float(np.nanmax(wind[np.isfinite(wind)], initial=10.0)), 100.0)
     panels = [
-        Panel("gimbal per incidence, |M_alpha / M_delta|", [line(times, ratio)], "time, s", "deg/deg"),
+        Panel("gimbal per angle of attack, |M_alpha / M_delta|", [line(times, ratio)], "time, s", "deg/deg"),
         Panel("steady cross-wind that the gimbal trims", winds, "time, s", "m/s", y_range=(0.0, top)),
     ]
     caption = (
-        "Where a degree of incidence takes several of gimbal, wind uses up the gimbal angle before any stability "
+        "Where a degree of angle of attack takes several of gimbal, wind uses up the gimbal angle before any stability "
         "margin is lost."
     )
     return Plot("authority", "Gimbal authority", panels, caption)

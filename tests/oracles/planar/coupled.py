@@ -60,7 +60,7 @@ class Coupled:
         self.free = self.drives[0] + self.drives[1] - spring  # accelerations without what rides along x
 
     def _crossed(self) -> list[tuple[Array, Array, Array]]:
-        """Accelerations of each plane by the other's flow, in incidence: lateral, turning, of all its modes."""
+        """Accelerations of each plane by the other's flow, in angle of attack: lateral, turning, of all its modes."""
         out = []
         for plane, other, e in zip(self.planes, self.planes[::-1], self.embed[::-1], strict=True):
             air = plane.vehicle.aerodynamics

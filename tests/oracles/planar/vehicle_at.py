@@ -181,7 +181,7 @@ def vehicle_at(
 ) -> PlanarVehicle:
     """Read a burning stage at `time_s` of its own clock and a Mach number.
 
-    `trim`: angles of attack and sideslip, rad, at which tables over incidence have their slopes.
+    `trim`: angles of attack and sideslip, rad, at which tables over angle of attack have their slopes.
     """
     one = _in_plane(packed, time_s, mach, plane, stage, trim)
     if one.modes.spatial == 0:

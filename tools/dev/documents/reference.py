@@ -43,7 +43,7 @@ _EVENT_MEANINGS = {
     "apogee": "the altitude begins to fall for the first time",
     "impact": "the altitude falls below the ground: the lower of the site and sea level",
     "control_lost": CONTROL_LOST_CAUSE,
-    "tumble": "the total incidence exceeds 90 deg while the dynamic pressure exceeds 5 kPa",
+    "tumble": "the total angle of attack exceeds 90 deg while the dynamic pressure exceeds 5 kPa",
     FAULT_NAME: "a fault of the scenario begins; the text says which",
     FAULT_END_NAME: "it ends",
     WAVE_BREAKING_NAME: "a wave in a tank is as high as it can be (docs/model.md, section 5); the text says in which",
