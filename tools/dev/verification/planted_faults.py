@@ -1,7 +1,7 @@
 """Faults that are planted into the simulator to see whether the margin certificate finds them.
 
 Each alters what has been packed for a flight: the table of the vehicle, the records of its components, the computer.
-Nothing is compiled anew, and the linear model knows nothing of it. A fault is found where a line of the frequency
+Nothing is compiled again, and the linear model knows nothing of it. A fault is found where a line of the frequency
 response or a measured margin is off by more than is allowed without a reason that explains it.
 
 `size` says how large the mistake is. Signs and exchanged numbers have no size; of what has one, the mistake is small.
@@ -152,7 +152,7 @@ def _to_discrete(s: Array, c: float) -> Array:
 
 
 def _gains(rows: Callable[[Array], Array]) -> PackedChange:
-    """The gain table's columns (k_p pitch, k_d pitch, k_p yaw, k_d yaw) made anew from themselves."""
+    """The gain table's columns (k_p pitch, k_d pitch, k_p yaw, k_d yaw) made again from themselves."""
 
     def plant(packed: Packed) -> None:
         table = table_in(packed.pool, packed.parameters[0].computer.law.gains).coefficients
@@ -191,9 +191,13 @@ FAULTS: tuple[PlantedFault, ...] = (
     PlantedFault("axial softening left out", "axial load -> bending", _times("vehicle.bending.softening_factor", 0.0)),
     PlantedFault("shapes at the lox hinge, sign", "slosh <-> bending", _mode_at("tank", 0, -1.0)),
     PlantedFault("shapes at the fuel hinge, sign", "slosh <-> bending", _mode_at("tank", 1, -1.0)),
-    PlantedFault("slopes at the fins, sign", "bending -> incidence", _mode_at("slope", 1, -1.0)),
+    PlantedFault("slopes at the fins, sign", "bending -> angle of attack", _mode_at("slope", 1, -1.0)),
     PlantedFault("shapes at the fins, sign", "air -> bending", _mode_at("shape", 1, -1.0)),
-    PlantedFault("local incidence left out", "bending -> incidence", _set("vehicle.aero.local_incidence", lambda _: 0)),
+    PlantedFault(
+        "local angle of attack left out",
+        "bending -> angle of attack",
+        _set("vehicle.aero.local_incidence", lambda _: 0),
+    ),
     PlantedFault(
         "thrust does not follow the bent gimbal", "bending -> thrust", _set("vehicle.follower_thrust", lambda _: 0)
     ),
