@@ -17,7 +17,7 @@ ROUNDING = 1e-14  # of a dozen products of numbers of order one
 
 @entry
 def _everything(out, a, b, q, p, j):  # type: ignore[no-untyped-def]  # Numba infers
-    """One compilation for all of them; a row each."""
+    """Compile all of them at once; a row each."""
     a, b = (a[0], a[1], a[2]), (b[0], b[1], b[2])
     q, p = v.quaternion_at(q, 1), v.quaternion_at(p, 0)
     j = v.symmetric_at(j, 0)

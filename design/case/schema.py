@@ -180,7 +180,7 @@ class SearchSettings(Section):
 
 
 class StageCase(Section):
-    """Keys that differ in a stage and replace those of the case."""
+    """The keys that differ in a stage and replace those of the case."""
 
     gains: CaseGains | None = optional("see [gains]")
     filter: CaseFilter | None = optional("see [filter]")

@@ -84,7 +84,7 @@ class HeldFlight:
     def run(self, duration_s: float, injections: tuple[Injection, ...], change: PackedChange = unchanged) -> FlightRun:
         """A new flight with signals injected; `change` may alter the packed parameters before it flies.
 
-        Only what differs is packed anew: tables take longer than the flight.
+        Only what differs is packed again: tables take longer than the flight.
         """
         run = self.loaded.scenario.run.model_copy(update={"duration_s": duration_s})
         scenario = self.loaded.scenario.model_copy(update={"injection": injections, "run": run})

@@ -1,4 +1,4 @@
-"""What a campaign file may say beside its scenario: [campaign], [[disperse]], [wind_model]."""
+"""The sections of a campaign file in addition to its scenario: [campaign], [[disperse]], [wind_model]."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Correlated(Section):
 
 
 class Campaign(Section):
-    """Number of runs, draws and required confidence."""
+    """The number of runs, the draws and required confidence."""
 
     runs: Annotated[int, Field(ge=0, lt=2**53)] = Field(description="number of flights")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of all draws", 1)
@@ -276,7 +276,7 @@ class WindModel(Section):
 
 
 class CampaignFile(Section):
-    """Sections of a campaign file in addition to those of a scenario."""
+    """The sections of a campaign file in addition to those of a scenario."""
 
     campaign: Campaign
     disperse: tuple[Disperse, ...] = optional("values that differ from run to run", ())
@@ -289,6 +289,6 @@ class CampaignFile(Section):
 
 
 def keep_is_known(text: str) -> bool:
-    """Whether `text` selects flights: see `KEEP_ALLOWED`."""
+    """Return True if `text` selects flights: see `KEEP_ALLOWED`."""
     found = re.fullmatch(r"worst:\d+(?::(.*))?|failed(?::\d+)?|\s*\d+\s*(?:,\s*\d+\s*)*", text)
     return found is not None and found[1] in (None, *METRIC_NAMES)

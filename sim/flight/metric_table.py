@@ -60,7 +60,9 @@ class EndMetrics(NamedTuple):
 
 
 class SectionMetrics(NamedTuple):
-    """Of the section loads, under thrust and on the pad (with loads.coast always); nan without them."""
+    """The metrics of section loads, under thrust and on the pad (with loads.coast always); nan without section
+    loads.
+    """
 
     max_section_bending_moment_Nm: Annotated[float, "N m", "largest bending moment of a section, both planes together"]
     max_section_bending_moment_station_m: Annotated[float, "m", "its station, aft of the nose"]

@@ -125,7 +125,9 @@ class Flight(Tabular):
 
     @property
     def beyond_model(self) -> tuple[str, ...]:
-        """Where the flight left what its model describes, and since when: waves that break."""
+        """Return a line for each departure of the flight from the limits of its model, such as breaking waves, with its
+        first time.
+        """
         return tuple(
             f"wave breaks at {e.time_s:.3f} s in {e.detail.split(':')[0]}"
             for e in self.events

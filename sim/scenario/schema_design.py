@@ -44,7 +44,7 @@ class GainsSection(Section):
 
     @property
     def over(self) -> Over:
-        """What the gains are scheduled over."""
+        """Return the quantity over which the gains are scheduled."""
         over: Over = GAIN_COLUMNS.axis_of(self.table)  # type: ignore[assignment]  # a column that the table may have
         return over
 
@@ -218,7 +218,7 @@ DesignBasis = dict[str, Any]
 
 
 class StageLaw(Section):
-    """Keys that differ in a stage; absent keys are those of the design."""
+    """The keys that differ in a stage; absent keys are those of the design."""
 
     renamed: ClassVar[dict[str, str]] = RENAMED
 
@@ -275,7 +275,10 @@ class Design(Section):
                     raise table.refusal(f"the law {self.law} {verb} column {column}", allowed, at=("gains", key))
             slope = table.get(self.gain_names[-1]) if table is not None and self.law == "incidence-relief" else None
             if slope is not None and not ((slope > 0.0).all() or (slope < 0.0).all()):
-                problem, allowed = "no incidence follows from 0 m/s2", "accel_per_incidence_mps2 of one sign (below 0)"
+                problem, allowed = (
+                    "no angle of attack follows from 0 m/s2",
+                    "accel_per_incidence_mps2 of one sign (below 0)",
+                )
                 raise table.refusal(problem, allowed, at=("gains", key))
         if self.law != "pid" and self.gains.integral_limit_deg is not None:
             problem = f"the law {self.law} has no integral"
@@ -300,7 +303,7 @@ class Design(Section):
         return self.model_copy(update={"adaptive": None, "stage": still})
 
     def of_stage(self, number: int) -> Design:
-        """What a stage flies, from 0: a design without stages; the same object where there are none."""
+        """Return the design that a stage flies, from 0; for a design without stages, the same object."""
         if not self.stage:
             return self
         own = self.stage[number] if number < len(self.stage) else StageLaw()

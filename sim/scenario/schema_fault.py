@@ -33,7 +33,7 @@ FaultKind = Literal[
 
 
 class FaultAbout(NamedTuple):
-    """What a kind of fault is about: `part` is the key of the stage's section that must be there."""
+    """The subject of a kind of fault: `part` is the key that the stage's section must have."""
 
     part: str
     axes: tuple[str, ...] = ()  # that `axis` may name
@@ -121,7 +121,7 @@ class Fault(Section):
 
     @property
     def of_engines(self) -> bool:
-        """Whether thrust and mass flow change: what packing knows beforehand."""
+        """Return True if thrust and mass flow change, which packing must know beforehand."""
         return KINDS[self.kind].part == "engine"
 
     @property

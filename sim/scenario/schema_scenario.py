@@ -103,7 +103,7 @@ FREQUENCIES = {
 
 
 class Injection(Section):
-    """One signal on one axis."""
+    """A signal on one axis."""
 
     at: Literal["gimbal_command", "rate_command", "body_force", "body_torque"] = Field(
         description="place of the signal"
@@ -164,7 +164,7 @@ class Injection(Section):
 
     @property
     def highest_hz(self) -> tuple[float, ...]:
-        """Frequencies that it reaches; none for steps and tables, at whose kinks the integrator begins anew."""
+        """Frequencies that it reaches; none for steps and tables, at whose kinks the integrator begins again."""
         return (*(self.frequencies_hz or ()), self.frequency_hz or 0.0, self.stop_frequency_hz or 0.0)
 
 
@@ -176,7 +176,7 @@ USUAL_STEP_S = 0.001
 
 
 class Run(Section):
-    """Duration, steps and end of the flight."""
+    """The duration, the steps and the end of the flight."""
 
     duration_s: Period = optional("maximum duration from start_s on, s, whole ns", 400.0)
     step_s: Annotated[Period, Field(le=1.0)] = optional("integrator step, s, whole ns", USUAL_STEP_S)
@@ -276,7 +276,7 @@ class Switches(Section):
 
 
 class LogSection(Section):
-    """Rates of the log."""
+    """The rates of the log."""
 
     fast_hz: Rate = optional("rate of actuator, bending, slosh, control and gyro, Hz; must divide 1e9", 1000.0)
     slow_hz: Rate = optional("rate of the other topics, Hz; must divide 1e9", 100.0)
@@ -334,7 +334,7 @@ class Scenario(Section):
 
     @property
     def held(self) -> bool:
-        """Whether the flight begins held down."""
+        """Return True if the flight begins in hold-down."""
         return self.initial is None or self.initial.held
 
     def _check(self) -> None:

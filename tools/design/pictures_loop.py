@@ -36,7 +36,9 @@ class Mark:
 
 @dataclass(frozen=True)
 class LoopPicture:
-    """What is drawn. Points of the curve in rising frequency, close enough to follow every resonance."""
+    """The content of a loop's picture. Points of the curve in rising frequency, close enough to follow every
+    resonance.
+    """
 
     title: str
     frequency_hz: Array

@@ -44,12 +44,14 @@ class Built:
 
     @property
     def mode_1_hz(self) -> float:
-        """Of the first stage, mean over its burn; infinite without modes."""
+        """Return the frequency of mode 1 of the first stage, mean over its burn; infinite without modes."""
         found = [modes[0].frequency_hz for modes in self.modes[0][1] if modes]
         return float(np.mean(found)) if found else math.inf
 
     def rigid_hz(self, p: TrajectoryPoint) -> float:
-        """Of the first gains: the layout's, or an eighth of mode 1 and of the actuator then, at most 0.4 Hz."""
+        """Return the rigid-body frequency of the first gains: the layout's, or an eighth of mode 1 and of the actuator
+        then, at most 0.4 Hz.
+        """
         times, modes = self.modes[p.number]
         own = [of[0].frequency_hz for of in modes if of]
         first_hz = float(np.interp(p.clock_s, times, own)) if len(own) == len(times) else math.inf
@@ -128,7 +130,7 @@ def _that_count(
 
 
 def beam_load(stack: Stack, t: float) -> list[Rod]:
-    """What rides on the beam at `t` of the stage's clock: all but what sloshes."""
+    """Return the masses that the beam carries at `t` of the stage's clock: everything but the sloshing masses."""
     rods = [*stack.dry, *stack.grains(t)]
     for tank, liquid in zip(stack.stage.tank, stack.liquids(t), strict=True):
         left = liquid.mass_kg - slosh_kg(tank, liquid.mass_kg)
@@ -154,7 +156,7 @@ def _mode_of(table: ModeTable, t: float) -> list[BeamMode]:
 
 
 def m_alpha_1ps2(built: Built, p: TrajectoryPoint) -> float:
-    """Angular acceleration per incidence, positive for an unstable vehicle."""
+    """Angular acceleration per angle of attack, positive for an unstable vehicle."""
     aero, props = built.aero[p.number], built.stacks[p.number].mass_properties(p.clock_s)
     slope, centre = aero.normal(p.mach)
     return slope * p.dynamic_pressure_Pa * aero.area_m2 * (props.x_cg_m - centre) / props.pitch_kgm2
@@ -246,13 +248,13 @@ def too_weak(built: Built) -> list[str]:
         worst = max(burning(built, n), key=lambda p: m_alpha_1ps2(built, p) / m_delta_1ps2(built, p))
         needed = INCIDENCE_deg * m_alpha_1ps2(built, worst) / m_delta_1ps2(built, worst)
         if needed > (limit := stack.stage.engine.angle_limit_deg):
-            held = f"{INCIDENCE_deg:g} deg of incidence need {needed:.1f} deg of the gimbals' {limit:g}"
+            held = f"{INCIDENCE_deg:g} deg of angle of attack need {needed:.1f} deg of the gimbals' {limit:g}"
             out.append(f"{stack.name}: at {worst.time_s:.0f} s {held}")
     return out
 
 
 def warnings(built: Built) -> list[str]:
-    """What may be meant, but is unusual."""
+    """Return a line for each value that is unusual, but possible."""
     out, half_hz = [], 0.5 / built.layout.control.sample_s
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):

@@ -21,7 +21,7 @@ _TIME, _STATION = "flight time, s", "station, m aft of the nose"
 
 
 def page(built: Built) -> str:
-    """One HTML file with all figures in it."""
+    """Return one HTML file with all figures."""
     plots = [_vehicle(built), _masses(built), _aerodynamics(built), _control(built), _ascent(built)]
     if any(modes[0] for _, modes in built.modes):
         plots.append(_modes(built))
@@ -43,7 +43,7 @@ def _vehicle(built: Built) -> Plot:
     marks = [("gyro", layout.control.gyro_station_m, "green")]
     marks += [(f"CG at {name} of {first.name}", station, "ink") for name, station in cg_m]
     marks.append((f"CP at Mach {hardest.mach:.1f}", built.aero[0].normal(hardest.mach)[1], "red"))
-    caption = "Full: propellant at lift-off; pale: the tanks. Nozzles as wide as their exits."
+    caption = "Full: propellant at liftoff; pale: the tanks. Nozzles as wide as their exits."
     return side_view.figure(layout.name, bodies, marks, max(s.diameter_m for s in layout.stage), caption)
 
 
@@ -70,9 +70,7 @@ def _stage(stage: LayoutStage, nose_m: float, nose: str) -> list[Series]:
         for top, full in ((profile.height, False), (depth, True)):
             z = np.linspace(0.0, top, 81)
             place, radius = t.bottom_station_m - t.radius_m * z, t.radius_m * profile.surface_radius(z)
-            out.append(
-                side_view.tank(place, radius, f"{t.name} at lift-off" if full else "", COLOURS[k % 4], full=full)
-            )
+            out.append(side_view.tank(place, radius, f"{t.name} at liftoff" if full else "", COLOURS[k % 4], full=full))
     for grain in stage.grain:
         ends = [grain.front_station_m, grain.rear_station_m]
         out.append(side_view.revolved(ends, grain.radius_m or r, "grain", fill="grey", opacity=0.5, bare=True))

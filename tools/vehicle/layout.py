@@ -104,7 +104,7 @@ class Grain(Between):
 
 
 class LoadSections(Section):
-    """Stations of section loads (switches.section_loads)."""
+    """The stations of section loads (switches.section_loads)."""
 
     stations_m: tuple[float, ...] = Field(min_length=1, max_length=MAX_LOAD_STATIONS, description="m aft of the nose")
     axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional("as in a vehicle file")
@@ -152,7 +152,7 @@ class LayoutEngines(Section):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Of each engine: what side of the axis it stands on; above and below where all stand in the plane of pitch."""
+        """Return the side of the axis at which each engine is; above and below if all are in the plane of pitch."""
         across, names = (0, ("left", "middle", "right")) if any(y for y, _ in self.positions_m) else (1, _STACKED)
         return tuple(names[int(np.sign(at[across])) + 1] for at in self.positions_m)
 
@@ -212,7 +212,7 @@ class LayoutStage(Between):
 
 
 class LayoutSite(Section):
-    """Launch site."""
+    """The launch site."""
 
     latitude_deg: values.Latitude = Field(description="geodetic, deg")
     longitude_deg: values.Longitude = Field(description="east, deg")

@@ -1,4 +1,4 @@
-"""What `simvehicle` prints: stages, bending modes, control over time, and what was assumed."""
+"""The printed report of `simvehicle`: stages, bending modes, control over time, and assumptions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def tables(built: Built) -> list[tuple[str, LayoutRows]]:
 
 
 def notes(built: Built) -> list[tuple[str, list[str]]]:
-    """What was assumed, and what is unusual."""
+    """Return the assumptions, and the unusual values."""
     both = (("assumed beyond the layout", built.assumed), ("unusual", warnings(built)))
     return [(title, lines) for title, lines in both if lines]
 
@@ -60,9 +60,9 @@ def _stages(built: Built) -> tuple[str, LayoutRows]:
             )
         )
     orbit = built.flight.orbit
-    about = "point mass, kg and m/s; thrust over weight and delta-v in vacuum; v, h and path at burn-out"
+    about = "point mass, kg and m/s; thrust over weight and delta-v in vacuum; v, h and path at burnout"
     if orbit.perigee_m >= 0.0:
-        about += f"; the last burn-out is in an orbit of {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km"
+        about += f"; the last burnout is in an orbit of {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km"
     return f"stages ({about})", rows
 
 
@@ -76,7 +76,7 @@ def _modes(built: Built) -> tuple[str, LayoutRows]:
             rows.append((stack.name, str(k + 1), *ends, f"{slope:.3f}"))
     held = ", ".join(f"{mode.frequency_hz:.2f}" for mode in on_the_pad(built))
     on_pad = f"; held at the tail on the pad: {held} Hz" if held else ""
-    return f"bending, free-free, 1 at the gimbal; first at ignition, last at burn-out{on_pad}", rows
+    return f"bending, free-free, 1 at the gimbal; first at ignition, last at burnout{on_pad}", rows
 
 
 def _control(built: Built) -> tuple[str, LayoutRows]:

@@ -74,7 +74,7 @@ def _vehicle(found: Verification) -> Plot:
         bodies.append(side_view.revolved(*stage.profile.T, fill="page", opacity=1.0))
         for k, t in enumerate(stage.tanks):
             surface = t.bottom_station_m - float(t.level[1][0])
-            for top, said, full in ((t.top_station_m, "", False), (surface, f"{t.name} at lift-off", True)):
+            for top, said, full in ((t.top_station_m, "", False), (surface, f"{t.name} at liftoff", True)):
                 bodies.append(side_view.tank([top, t.bottom_station_m], t.radius_m, said, COLOURS[k % 4], full=full))
     lowest = vehicle.stages[0]
     marks = [("gyro", lowest.gyro_station_m, "green")] if lowest.gyro_station_m is not None else []
@@ -86,7 +86,7 @@ def _vehicle(found: Verification) -> Plot:
 
 
 def _filter(found: Verification) -> Plot:
-    """Of every stage that has its own."""
+    """Draw the filter of every stage that has its own."""
     design, computer = found.scenario.design, found.scenario.vehicle.computer
     assert design is not None
     assert computer is not None
@@ -221,7 +221,7 @@ def _level_and_turn(picture: LoopPicture) -> tuple[Array, Array, Array]:
 
 
 def _lobe_colours(judged: Sequence[JudgedLoop]) -> dict[str, str]:
-    """One for each pole over all nodes."""
+    """Return a colour for each pole over all nodes."""
     every = {mark.text for j in judged for mark in picture_of(j, "").marks if mark.is_lobe}
     poles = sorted({part for text in every for part in text.split(", ")})
     of = {pole: COLOURS[1:][n % (len(COLOURS) - 1)] for n, pole in enumerate(poles)}
@@ -394,11 +394,11 @@ def _authority(found: Verification) -> Plot:
         winds.append(limit(found.suite.wind_limit_mps, "wind asked for", colour="ink"))
     top = min(float(np.nanmax(wind[np.isfinite(wind)], initial=10.0)), 100.0)
     panels = [
-        Panel("gimbal per incidence, |M_alpha / M_delta|", [line(times, ratio)], "time, s", "deg/deg"),
+        Panel("gimbal per angle of attack, |M_alpha / M_delta|", [line(times, ratio)], "time, s", "deg/deg"),
         Panel("steady cross-wind that the gimbal trims", winds, "time, s", "m/s", y_range=(0.0, top)),
     ]
     caption = (
-        "Where a degree of incidence takes several of gimbal, wind uses up the gimbal angle before any stability "
+        "Where a degree of angle of attack takes several of gimbal, wind uses up the gimbal angle before any stability "
         "margin is lost."
     )
     return Plot("authority", "Gimbal authority", panels, caption)

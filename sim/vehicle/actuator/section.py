@@ -48,7 +48,7 @@ class ActuatorAxis(Section):
 
 
 class YawActuator(Section):
-    """Keys that differ in the yaw actuator; all are optional."""
+    """The keys that differ in the yaw actuator; all are optional."""
 
     omega_hz: tuple[Positive, ...] | None = optional("natural frequencies, Hz")
     zeta: tuple[Positive, ...] | None = optional("damping ratios")

@@ -99,7 +99,9 @@ class Coefficients(Section):
             self._check_axis(grid)
 
     def _check_axis(self, grid: GridTable) -> None:
-        """Where the flow is along the axis, the plane of incidence is undefined: nothing may depend on it there."""
+        """Check that nothing depends on the plane of incidence where the flow is along the axis and that plane is
+        undefined.
+        """
         k = grid.axes.index("total_deg")
         total = grid.breaks[k]
         if total[0] > 0.0:
@@ -160,7 +162,7 @@ class AeroSection(Section):
 
     @property
     def moment_reference(self) -> tuple[str, CsvTable]:
-        """What the moment reference depends on ("", "time_s", "mass_kg"), and its station over that."""
+        """Return the variable of the moment reference ("", "time_s", "mass_kg"), and its station over that."""
         for key, table in (("time_s", self.moment_reference_over_time), ("mass_kg", self.moment_reference_over_mass)):
             if table is not None:
                 return key, table

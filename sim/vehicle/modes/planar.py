@@ -357,7 +357,7 @@ def gyroscopic_forces(
 
 
 class ModeRow(NamedTuple):
-    """One bending mode."""
+    """The logged values of a bending mode."""
 
     eta_mode_m: Annotated[float, "m", "modal coordinate (displacement of the gimbal)"]
     eta_mode_mps: Annotated[float, "m/s", "modal rate"]

@@ -388,7 +388,7 @@ def pendulum_derivative(
 
 
 class SloshRow(NamedTuple):
-    """One slosh pendulum."""
+    """The logged values of a slosh pendulum."""
 
     slosh_tank_pitch_deg: Annotated[float, "deg", "pendulum angle in the pitch plane"]
     slosh_tank_yaw_deg: Annotated[float, "deg", "pendulum angle in the yaw plane"]

@@ -248,7 +248,7 @@ def prepare_loads(
 def _modal_forces(
     sizes: Counts, properties: Array, e: Engine, k: int, force: Vector, couple: Vector, swing: Swing
 ) -> None:
-    """Of a force at the CG of engine k at rest and a couple, at its gimbal (3.4)."""
+    """Return the modal forces of a force at the CG of engine k at rest and of a couple, at its gimbal (3.4)."""
     clear_modes(sizes, swing.planar_force_N)
     at_gimbal = load_at_gimbal(e, k, force, couple)
     apply_gimbal_load(sizes, properties, e.gimbal[k], at_gimbal, swing.planar_force_N)
@@ -320,7 +320,7 @@ class TvcLoadRow(NamedTuple):
 
 
 class SwingRow(NamedTuple):
-    """One engine, where several swing."""
+    """The logged values of a swinging engine, where several swing."""
 
     swing_load_axis_angle_deg: Annotated[PitchYaw, "deg", "angle of the engine"]
     actuator_load_axis_angle_deg: Annotated[PitchYaw, "deg", "position of its actuators, as an angle"]

@@ -118,7 +118,9 @@ def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
 
 
 def _certified(loaded: LoadedScenario, times_s: list[float], kept: Path) -> dict[str, Any]:
-    """What each node's certificate says, by time and plane; those that `kept` has and that agree are not made again."""
+    """Return the content of each node's certificate, by time and plane; those in `kept` that agree are not made
+    again.
+    """
     found = json.loads(kept.read_text()) if kept.exists() else {}
     for plane in PLANES:
         for node in operating_points.nodes(loaded, times_s, plane=plane):
