@@ -114,7 +114,7 @@ def _spatial_motion(sizes: Counts, properties: Array, place: int, quantity: Arra
 
 @kernel
 def roll_defect(sizes: Counts, properties: Array, place: int, quantity: Array, turned: Array) -> Load:
-    """Motion of a place per roll rate beyond what the quasi-velocities hold: (x cross Phi) eta - Phi A eta, eq. 4.8.
+    """Motion of a place per roll rate beyond what the quasi-velocities hold: (x cross Phi) eta - Phi A eta, eq. 4.9.
 
     `quantity`, `turned`: `eta_m` with `turned_m`, or their rates. Zero where the turned shapes are modes, too.
     """
@@ -181,7 +181,7 @@ def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, mode
 
 @routine
 def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, modes: SpatialMotion) -> Vector:
-    """Roll-rate coupling of the modes, and the moment of their angular momentum about x on the body (eq. 4.9).
+    """Roll-rate coupling of the modes, and the moment of their angular momentum about x on the body (eq. 4.8).
 
     `momentum_Ns` holds what moving engines add to the modal momenta.
     """

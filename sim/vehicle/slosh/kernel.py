@@ -152,7 +152,7 @@ def pendulum_loads(
         -properties[sch.CORE_CG + 2],
     )
     shift_y, shift_z, shift_rate_y, shift_rate_z, nu_y, nu_z = _bending_at_tank(sizes, tank, properties, modes.planar)
-    # velocity of the hinge by bending, with the rotation of the bent axis (docs/model.md, eq. 5.3)
+    # velocity of the hinge by bending, with the rotation of the bent axis (docs/model.md, eq. 5.1)
     bend = (q * shift_z - r * shift_y, nu_y, nu_z)
     asymmetry_y, asymmetry_z, asymmetry_rate_y, asymmetry_rate_z = 0.0, 0.0, 0.0, 0.0
     if slosh.planes_differ == 1:
@@ -223,7 +223,7 @@ def pendulum_loads(
 def wall_and_ring_damping(
     slosh: Slosh, tank: int, length: float, axial_load: float, rate: float, properties: Array
 ) -> float:
-    """Acceleration by a smooth wall and ring baffles, over the rate `rate` (rad/s) of the swing, m/s (5.7, 5.8).
+    """Acceleration by a smooth wall and ring baffles, over the rate `rate` (rad/s) of the swing, m/s (5.8).
 
     zeta = viscous / a^(1/4) + ring sqrt(swing), as 2 zeta omega L. The drag of a ring grows with the 3/2-th power of
     the velocity; RING_DRAG is what makes it dissipate, at any amplitude of a plane swing, as much as that ratio does.
