@@ -8,13 +8,13 @@ those already there, in the space of the standard normal numbers that make up a 
 
 with s so that 44 % are (Papaioannou et al., Probab. Eng. Mech. 41, 2015). A run's noise is a number of its own: with
 probability s it is another one. Populations are independent of each other, so that the spread of their estimates
-contains the correlation of chains and of levels. The bounds are Student's, on the logarithm, at half of the stated risk,
-because the estimates are skewed. docs/verdicts.md states how often they cover on closed forms. Neither estimate nor
-bounds contain a failure mode that no chain reaches.
+contains the correlation of chains and of levels. The bounds are Student's, on the logarithm, at half of the stated
+risk, because the estimates are skewed. docs/verdicts.md states how often they cover on closed forms. Neither estimate
+nor bounds contain a failure mode that no chain reaches.
 
-No bound is given where the chains cannot show one: if a population is stuck at a value that no flight exceeds, or if the
-noise decides. A seed has no neighbours: if a flight near the limit hardly ever stays there with another seed, the chains
-keep the few seeds with which they began, and the estimate is too low.
+No bound is given where the chains cannot show one: if a population is stuck at a value that no flight exceeds, or if
+the noise decides. A seed has no neighbours: if a flight near the limit hardly ever stays there with another seed, the
+chains keep the few seeds with which they began, and the estimate is too low.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ FEWEST = 200  # points a level: with fewer the intervals cover too seldom
 _MOST_LEVELS = 12
 _ACCEPTED = 0.44
 _FEWEST_AT_ONCE = 8
-_FRESH_NOISE = 0.05  # least share of flights that stay beyond the last level with other noise; measured (docs/verdicts.md)
+_FRESH_NOISE = 0.05  # least share of flights that stay beyond the last level with other noise (docs/verdicts.md)
 SHARE_OF_FLIGHTS = 1.0 / (POPULATIONS * 4.6)  # of all flights that a population of four further levels takes a level
 
 Value = Callable[[Array, IntArray], Array]
@@ -109,7 +109,10 @@ def subset_simulation(
         return Rare(mean, 0.0, 1.0, math.nan, tuple(each), reason)
     fresh = float(np.mean([one.fresh_noise for one in each]))
     if fresh < _FRESH_NOISE:
-        reason = f"noise decides: with other noise {fresh:.1%} of flights stay beyond the last level ({_FRESH_NOISE:.0%})"
+        reason = (
+            f"noise decides: {fresh:.1%} of flights stay beyond the last level with other noise, "
+            f"and {_FRESH_NOISE:.0%} are needed"
+        )
         return Rare(mean, 0.0, 1.0, math.nan, tuple(each), reason)
     error = float(p.std(ddof=1)) / math.sqrt(POPULATIONS) / mean
     factor = math.exp(float(stdtrit(POPULATIONS - 1, 0.5 * (1.0 + confidence))) * error)
