@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-VERIFICATION = Path(__file__).resolve().parents[3] / "docs" / "verification.md"
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+VERIFICATION = DOCS / "verification.md"
 
 
 def markers(name: str) -> tuple[str, str]:
