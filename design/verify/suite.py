@@ -26,7 +26,7 @@ from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import ScenarioError, refuse, suggestion
-from maxq.sim.input.files import find, shown
+from maxq.sim.input.files import named_in_file
 from maxq.sim.input.values import NotNegative, Positive, Section, optional
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -324,18 +324,14 @@ class LoadedSuite:
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
     """The suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError.
 
-    Scenarios and campaigns that it names are those beside it, where there are such.
+    Scenarios, campaigns and winds that it names are those in its folder, where there are such, else the shipped ones.
     """
     changes = tuple(overrides)
     suite, tree, file, _ = load_file(Suite, "suite", name, changes)
 
-    def beside(given: Any) -> Any:
-        """What a text of the file names, if it lies beside the file that says so."""
-        path = find(given, ("{}", "{}.toml")) if isinstance(given, Text) else None
-        return given if path is None or path == file else shown(path)
-
     def placed(one: Any, table: Any, key: str) -> Any:
-        return one.model_copy(update={key: beside(table.get(key, getattr(one, key)))})
+        given = table.get(key)
+        return one.model_copy(update={key: named_in_file(given, file)}) if isinstance(given, Text) else one
 
     suite = placed(suite, tree, "scenario")
     suite = placed(suite, tree, "limit_wind") if suite.limit_wind else suite

@@ -174,7 +174,8 @@ def load_file(
     file, label = locate(str(name), role)
     reading = Reading()
     tree = reading.document(file, label, role)
-    apply(parsed, tree, Source(COMMAND_LINE, (Path.cwd(), file.parent, scenarios_folder() / FOLDERS[role])))
+    shipped = scenarios_folder()
+    apply(parsed, tree, Source(COMMAND_LINE, (Path.cwd(), file.parent, shipped / FOLDERS[role], shipped)))
     tree.setdefault("name", file.stem)
     return _validated(model, tree, reading), tree, file, label
 
