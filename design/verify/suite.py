@@ -33,7 +33,7 @@ from maxq.sim.scenario.schema_scenario import Scenario
 
 SuiteVerdict = Literal["accepted", "passed screening", "rejected", "undecided"]
 ACCEPTED: SuiteVerdict = "accepted"
-SCREENED: SuiteVerdict = "passed screening"  # every requirement of a suite that asks too little to accept anything
+SCREENED: SuiteVerdict = "passed screening"  # every requirement is met, with less than the floor of an acceptance
 REJECTED: SuiteVerdict = "rejected"
 UNDECIDED: SuiteVerdict = "undecided"
 
@@ -66,10 +66,13 @@ class JudgedRequirement:
         return f"{said}; not settled" + (f": {self.more_runs} more runs" if self.more_runs else "")
 
 
-def overall(requirements: Iterable[JudgedRequirement], suite: Suite | None = None) -> SuiteVerdict:
-    """Rejected if one is, else undecided if one is, or if there is none; accepted by a suite that lacks nothing."""
+def overall(requirements: Iterable[JudgedRequirement], missing_evidence: Iterable[str] = ()) -> SuiteVerdict:
+    """Return the verdict: rejected if one is, else undecided if one is, or if there is none.
+
+    Else accepted, or where evidence is missing (`floor.missing_evidence`) the screening is passed.
+    """
     found = {r.judgement for r in requirements} or {UNDECIDED}
-    passed = SCREENED if suite is not None and suite.lacks else ACCEPTED
+    passed = SCREENED if any(missing_evidence) else ACCEPTED
     return REJECTED if REJECTED in found else UNDECIDED if UNDECIDED in found else passed
 
 
@@ -264,16 +267,6 @@ class Suite(Section):
     wind_limit_mps: Positive | None = optional(
         "steady cross-wind that the gimbal must be able to trim at every time, m/s"
     )
-
-    @property
-    def lacks(self) -> list[str]:
-        """What it does not ask for, without which nothing is accepted: such a suite is a screening."""
-        out = [] if self.campaign else ["no dispersed flight flown"]
-        out += [] if self.margins is not None and self.margins.cases else ["no dispersed vehicle"]
-        if self.certificate is None:
-            return [*out, "no certificate"]
-        one = self.certificate.times_s is not None and len(self.certificate.times_s) * len(self.certificate.planes) == 1
-        return [*out, "one certificate node"] if one else out
 
     def _check(self) -> None:
         names = [f.name for f in self.flight]

@@ -17,11 +17,12 @@ from pathlib import Path
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.certificate.in_flight import InFlightResponse
 from maxq.design.certificate.measured_only import MeasuredNode
-from maxq.design.model.powered import loss_text, powered_flight
+from maxq.design.model.powered import loss_text, powered_flight, powered_spans
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify import flown, linear
 from maxq.design.verify.certified import certificate_requirements, measured_requirements
 from maxq.design.verify.fitted import fit
+from maxq.design.verify.floor import Evidence, missing_evidence
 from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash
 from maxq.design.verify.parts import Parts, Watch
 from maxq.design.verify.slosh import SloshAdvice
@@ -65,6 +66,7 @@ class Verification:
     measured: tuple[MeasuredNode, ...] = field(repr=False)  # of flight code without a linear model
     uncovered: tuple[Uncovered, ...]  # intervals of the flight of the operating points without any
     left_out: tuple[str, ...]  # of the suite, for what the vehicle does not have
+    missing_evidence: tuple[str, ...]  # below the floor of an acceptance (`floor`)
     hashes: dict[str, str]  # of design, scenario (with its vehicle) and source code
     versions: dict[str, str]
     recalled: int
@@ -82,7 +84,7 @@ class Verification:
 
     @property
     def judgement(self) -> SuiteVerdict:
-        return overall(self.requirements, self.suite)
+        return overall(self.requirements, self.missing_evidence)
 
     @property
     def more_runs(self) -> int:
@@ -148,8 +150,9 @@ def verify(
         next(iter(campaigns_loaded), None),
         flown.design_changes(design, vehicle),
     )
+    scenarios = [flown.load_flight(loaded, flight, design, vehicle) for flight in suite.flight]
     with timed("scenarios"):
-        flights = flown.fly_suite(loaded, design, vehicle, kept, partial(interruptible, "scenarios"), workers)
+        flights = flown.fly_suite(loaded, scenarios, kept, partial(interruptible, "scenarios"), workers)
     with timed("linear margins"):  # nothing but what was asked for, where a part alone is repeated
         alone = suite.margins is not None and suite.margins.only == WORST
         margin, limits, slosh = ([], [], []) if alone else (job.margins(), job.authority(), job.slosh())
@@ -191,6 +194,23 @@ def verify(
     requirements += measured_requirements(measured, suite.margins.nominal if suite.margins else LoopLimits())
     for campaign in campaigns:
         requirements += flown.campaign_requirements(campaign)
+    counted = [
+        one.scenario for flight, (one, _) in zip(suite.flight, scenarios, strict=True) if flight.design_must_keep
+    ]
+    evidence = Evidence(
+        suite,
+        along,
+        powered_spans(along),
+        {
+            part: job.points_s(wanted)
+            for part, wanted in (("margins", suite.margins), ("certificate", suite.certificate))
+        },
+        job.described_by_stage(),
+        job.design is not None,
+        counted,
+        campaigns_loaded if suite.campaign else (),
+        frozenset(response.plane for response in through),
+    )
     hashed = content_hash(repr(scenario.design)), content_hash(scenario.as_flown), code_hash()
     hashes = {name: text[:16] for name, text in zip(("design", "scenario", "code"), hashed, strict=True)}
     return Verification(
@@ -209,6 +229,7 @@ def verify(
         tuple(measured),
         gaps,
         loaded.left_out,
+        missing_evidence(evidence),
         hashes=hashes,
         versions=versions(),
         recalled=kept.recalled,

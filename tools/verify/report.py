@@ -30,6 +30,7 @@ from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.report import uncovered_lines, uncovered_record, uncovered_table, write_record
 from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot, as_csv
+from maxq.tools.verify.outcome import headline
 
 VERDICT_NAME, PAGE_NAME, PDF_NAME, FIGURES_NAME = "verdict.json", "review.html", "review.pdf", "figures"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -250,7 +251,12 @@ def report(found: Verification, title: str) -> list[str]:
         "",
         *aligned(rows, "  ", right=(4,), drop=(5, 4)),
         *(["", *uncovered_table(found.scenario.vehicle, found.uncovered)] if found.uncovered else []),
+        *_listed("below the floor of an acceptance", found.missing_evidence),
     ]
+
+
+def _listed(title: str, lines: Sequence[str]) -> list[str]:
+    return ["", title, *(f"  {printable(line)}" for line in lines)] if lines else []
 
 
 def _mark(judgement: str) -> str:
@@ -269,16 +275,6 @@ def reasons(found: Verification) -> list[str]:
 def from_here(text: str) -> str:
     """Paths below the working folder without it."""
     return text.replace(f"{Path.cwd()}{os.sep}", "")
-
-
-def headline(found: Verification, name: str = "") -> str:
-    """The verdict; `name` is the design's for people."""
-    counts = [f"{len(found.of(j))} {WORDS[j]}" for j in (ACCEPTED, REJECTED, UNDECIDED) if found.of(j)]
-    more = f", {found.more_runs} more runs would settle it" if found.judgement == UNDECIDED and found.more_runs else ""
-    said = f"of {len(found.requirements)} requirements {', '.join(counts)}{more}"
-    lacks = f"{', '.join(found.suite.lacks)}; " if found.suite.lacks else ""
-    word = f"{found.judgement.upper()}{' AT THE SCREENING' if lacks and found.judgement != SCREENED else ''}"
-    return f"{word}: {lacks}{printable(name or from_here(found.design))}; {said}"
 
 
 def ranked(every: Sequence[Verification]) -> list[Verification]:
@@ -321,7 +317,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "vehicle": found.scenario.vehicle.name,
         "suite": found.suite.name,
         "verdict": found.judgement,
-        "lacks": found.suite.lacks,
+        "missing_evidence": found.missing_evidence,
         "left_out": found.left_out,
         "deviations": found.deviations,
         "not_covered": uncovered_record(found.uncovered),
