@@ -333,7 +333,7 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
 
     Its scenario is one beside the case, or as `load_scenario` finds it.
     """
-    case, tree, file, label = load_file(Case, "case", name, overrides)
+    case, tree, file, label, _ = load_file(Case, "case", name, overrides)
     given = tree.get("scenario")
     flown = named_in_file(given, file) if isinstance(given, Text) else case.scenario
     campaign = tree.get("robust", {}).get("campaign")

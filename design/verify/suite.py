@@ -11,7 +11,7 @@ import math
 import re
 import shlex
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from string import Template
@@ -26,7 +26,7 @@ from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import ScenarioError, refuse, suggestion
-from maxq.sim.input.files import named_in_file
+from maxq.sim.input.files import builtin_files, find, named_in_file
 from maxq.sim.input.values import NotNegative, Positive, Section, optional
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -264,6 +264,9 @@ class Suite(Section):
     dispersed_limit: tuple[DispersedLimit, ...] = optional(
         "limits of flights and campaigns with limits = 'dispersed'", ()
     )
+    baseline: str | None = optional(
+        "agreed suite with which this one is compared (default: the shipped suite that it extends, else standard)"
+    )
     wind_limit_mps: Positive | None = optional(
         "steady cross-wind that the gimbal must be able to trim at every time, m/s"
     )
@@ -284,6 +287,8 @@ class LoadedSuite:
     overrides: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why
     along: CampaignWanted | None = None  # whose draws and flights a vehicle that is measured alone has
+    asked: Suite = field(default_factory=Suite.model_construct)  # as it was read: not fitted, and whole
+    baseline: str = "standard"  # the suite with which it is compared
 
     def command(self, design: str, vehicle: str | None = None, *more: str) -> str:
         """The command that judges a design by this suite; `more`: further words."""
@@ -320,7 +325,7 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
     Scenarios, campaigns and winds that it names are those in its folder, where there are such, else the shipped ones.
     """
     changes = tuple(overrides)
-    suite, tree, file, _ = load_file(Suite, "suite", name, changes)
+    suite, tree, file, _, files = load_file(Suite, "suite", name, changes)
 
     def placed(one: Any, table: Any, key: str) -> Any:
         given = table.get(key)
@@ -334,7 +339,14 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
         spread = placed(suite.margins.three_sigma, tree["margins"]["three_sigma"], "campaign")
         suite = suite.model_copy(update={"margins": suite.margins.model_copy(update={"three_sigma": spread})})
     each = tuple(one for flown in flights for one in flown.flights())
-    return LoadedSuite(suite.model_copy(update={"flight": each, "campaign": tuple(campaigns)}), str(name), changes)
+    suite = suite.model_copy(update={"flight": each, "campaign": tuple(campaigns)})
+    shipped = {path: builtin for builtin, path in builtin_files("suite").items()}
+    baseline = next((shipped[path] for path in files if path in shipped), "standard")
+    if isinstance(given := tree.get("baseline"), Text):
+        beside = find(given, ("{}", "{}.toml"))
+        known = given in shipped.values() or beside is None
+        baseline = str(given) if known or beside is None else str(beside)
+    return LoadedSuite(suite, str(name), changes, asked=suite, baseline=baseline)
 
 
 def shared_risk(loaded: LoadedSuite, campaigns: Sequence[Campaign], designs: int, number: int = 0) -> list[str]:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.certificate.in_flight import InFlightResponse
@@ -20,6 +21,7 @@ from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.model.powered import loss_text, powered_flight, powered_spans
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify import flown, linear
+from maxq.design.verify.baseline import Compared, against_baseline
 from maxq.design.verify.certified import certificate_requirements, measured_requirements
 from maxq.design.verify.fitted import fit
 from maxq.design.verify.floor import Evidence, missing_evidence
@@ -42,9 +44,10 @@ from maxq.design.verify.suite import (
 )
 from maxq.design.verify.uncovered import Uncovered
 from maxq.design.verify.worst import WorstVehicle, worst_requirements
+from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.campaign.runner import CampaignProgress
 from maxq.sim.run.record import versions
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,7 +70,8 @@ class Verification:
     uncovered: tuple[Uncovered, ...]  # intervals of the flight of the operating points without any
     left_out: tuple[str, ...]  # of the suite, for what the vehicle does not have
     missing_evidence: tuple[str, ...]  # below the floor of an acceptance (`floor`)
-    hashes: dict[str, str]  # of design, scenario (with its vehicle) and source code
+    compared: Compared  # the suite with its baseline
+    hashes: dict[str, str]  # SHA-256 of all that the verdict depends on, by name
     versions: dict[str, str]
     recalled: int
     worked_out: int
@@ -133,6 +137,7 @@ def verify(
             raise KeyboardInterrupt
 
     suite, kept = loaded.suite, PartsOnDisk(memory)
+    compared = against_baseline(loaded, vehicle)
     scenario = load_scenario(suite.scenario, flown.design_changes(design, vehicle))
     along = flight_of(suite, design, vehicle)
     loaded = fit(loaded, along, kept)
@@ -211,8 +216,12 @@ def verify(
         campaigns_loaded if suite.campaign else (),
         frozenset(response.plane for response in through),
     )
-    hashed = content_hash(repr(scenario.design)), content_hash(scenario.as_flown), code_hash()
-    hashes = {name: text[:16] for name, text in zip(("design", "scenario", "code"), hashed, strict=True)}
+    flown_as = {flight.name: one.as_flown for flight, (one, _) in zip(suite.flight, scenarios, strict=True)}
+    hashes = _hashes(scenario, flown_as, campaigns_loaded) | compared.hashes
+    hashes |= {
+        "overrides": content_hash(loaded.overrides),
+        "limits off the nominal flight": content_hash(suite.dispersed_limit),
+    }
     return Verification(
         design,
         suite,
@@ -230,6 +239,7 @@ def verify(
         gaps,
         loaded.left_out,
         missing_evidence(evidence),
+        compared,
         hashes=hashes,
         versions=versions(),
         recalled=kept.recalled,
@@ -239,6 +249,25 @@ def verify(
         cpus_s=cpus,
         deviations=job.deviations,
     )
+
+
+def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequence[LoadedCampaign]) -> dict[str, str]:
+    """Return the SHA-256 of design, scenario, code, flights (as flown) and campaigns, by name."""
+    section, vehicle = scenario.scenario, scenario.vehicle
+    parts: dict[str, Any] = {
+        "design": repr(scenario.design),
+        "scenario": scenario.as_flown,
+        "vehicle": told(vehicle),
+        "physics switches": told(section.switches),
+        "requirements": told(section.requirement),
+    }
+    parts |= {f"flight {name}": text for name, text in flights.items()}
+    for loaded in campaigns:
+        parts[f"campaign {loaded.name}"] = [description_of(loaded), told(loaded.file)]
+    out = {name: content_hash(content) for name, content in parts.items()} | {"code": code_hash()}
+    computers = filter(None, (vehicle.computer_of(n) for n in range(len(vehicle.stage))))
+    files = [file for computer in computers for file in (computer.library, computer.python) if file is not None]
+    return out | {f"code under test: {file.title}": file.sha256 for file in files}
 
 
 def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:

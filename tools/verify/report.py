@@ -247,6 +247,7 @@ def report(found: Verification, title: str) -> list[str]:
             rows.append((printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
     return [
         title,
+        *baseline_lines(found),
         *([printable(from_here(found.deviations))] if found.deviations else []),
         "",
         *aligned(rows, "  ", right=(4,), drop=(5, 4)),
@@ -257,6 +258,14 @@ def report(found: Verification, title: str) -> list[str]:
 
 def _listed(title: str, lines: Sequence[str]) -> list[str]:
     return ["", title, *(f"  {printable(line)}" for line in lines)] if lines else []
+
+
+def baseline_lines(found: Verification) -> list[str]:
+    """Return the differences of the suite from its baseline, a table below the line that counts them."""
+    head = ("difference from the baseline", "of", "baseline", "here")
+    every = found.compared.differences
+    rows = [(d.kind, printable(d.what), printable(d.baseline), printable(d.here)) for d in every]
+    return [f"baseline: {found.compared.title}", *(aligned([head, *rows], "  ") if rows else [])]
 
 
 def _mark(judgement: str) -> str:
@@ -324,6 +333,11 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "more_runs": found.more_runs,
         "command": command,
         "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],
+        "baseline": {
+            "suite": found.compared.baseline,
+            "shipped": found.compared.shipped,
+            "differences": [vars(d) for d in found.compared.differences],
+        },
         "against_basis": against_basis(found.suite, found.scenario),
         "flights": [{key: getattr(f, key) for key in _FLIGHT} for f in found.flights],
         "certificate": [_node(c) for c in found.certificates],
