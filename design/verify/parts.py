@@ -27,7 +27,7 @@ from maxq.design.verify.described import DescribedVehicles
 from maxq.design.verify.memory import PartsOnDisk, counted
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
-from maxq.design.verify.suite import WORST, CertificateWanted, LinearMargins, Suite
+from maxq.design.verify.suite import CERTIFICATE, WORST, CertificateWanted, LinearMargins, Suite
 from maxq.design.verify.uncovered import Uncovered, uncovered
 from maxq.design.verify.worst import WorstVehicle, search_plane
 from maxq.sim.campaign.read import LoadedCampaign, description_of
@@ -120,12 +120,14 @@ class Parts:
         wanted = self.suite.margins
         if wanted is None or self.design is None or not (wanted.cases or wanted.corner_sigmas or wanted.worst):
             return ""
+        if wanted.only == CERTIFICATE:
+            return ""
         return self.described.text(self.nodes(wanted.planes[0]))
 
     def described_by_stage(self) -> list[tuple[LoadedCampaign, Node]]:
         """Return the campaign that describes the dispersed vehicles of each stage, and a node of it."""
         wanted = self.suite.margins
-        if wanted is None or self.design is None or not wanted.cases:
+        if wanted is None or self.design is None or not wanted.cases or wanted.only:
             return []
         nodes = {node.stage: node for node in self.nodes(wanted.planes[0])}
         return [(self.described.at(node), node) for node in nodes.values()]
@@ -207,6 +209,7 @@ class Parts:
     def uncovered(self) -> tuple[Uncovered, ...]:
         """Return the intervals without operating points; none where the suite asks for nothing at such points."""
         margins = self.suite.margins if self.design is not None else None
+        margins = None if margins is not None and margins.only == CERTIFICATE else margins
         points_s = self.points_s(margins, self.suite.certificate)
         if not points_s:
             return ()

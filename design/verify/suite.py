@@ -285,7 +285,8 @@ class LoadedSuite:
     suite: Suite
     label: str  # as the user named it
     overrides: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why
+    left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why; parts by `only`
+    part: str = ""  # that is judged alone (`only`)
     along: CampaignWanted | None = None  # whose draws and flights a vehicle that is measured alone has
     asked: Suite = field(default_factory=Suite.model_construct)  # as it was read: not fitted, and whole
     baseline: str = "standard"  # the suite with which it is compared
@@ -299,14 +300,16 @@ class LoadedSuite:
         return shlex.join([*words, *(word for change in self.overrides for word in ("--set", change)), *more])
 
     def only(self, label: str) -> LoadedSuite:
-        """The same with nothing but one flight, one vehicle of the linear margins, or the certificate. Raises
-        ScenarioError."""
+        """Return the suite with one flight, one vehicle of the linear margins, or the certificate alone.
+
+        Its limits stay. Raises ScenarioError.
+        """
         suite = self.suite
         flights = tuple(f for f in suite.flight if f.name == label)
         known = label in (AS_DESIGNED, WORST) or VEHICLE_LABEL.fullmatch(label) is not None
-        margins = suite.margins if known else None
         certificate = suite.certificate if label == CERTIFICATE else None
-        if not flights and margins is None and certificate is None:
+        margins = suite.margins if known or certificate is not None else None
+        if not flights and certificate is None and (margins is None or not known):
             allowed = ", ".join(
                 [*(f.name for f in suite.flight), AS_DESIGNED, "corner N", "vehicle N", WORST, CERTIFICATE]
             )
@@ -315,8 +318,16 @@ class LoadedSuite:
             margins = margins.model_copy(update={"only": label})
         wind = suite.wind_limit_mps if label == AS_DESIGNED else None
         update = {"flight": flights, "margins": margins, "certificate": certificate, "campaign": ()}
-        along = next(iter(suite.campaign), None) if margins is not None and label != AS_DESIGNED else None
-        return replace(self, suite=suite.model_copy(update={**update, "wind_limit_mps": wind}), along=along)
+        along = next(iter(suite.campaign), None) if known and label != AS_DESIGNED else None
+        others = len(suite.flight) - len(flights)
+        left_out = [f"{others} flight{'s' * (others != 1)}"] if others else []
+        if suite.margins is not None:
+            left_out.append("linear margins" + (f" but for '{label}'" if known else ""))
+        left_out += ["wind that can be trimmed"] if suite.wind_limit_mps is not None and wind is None else []
+        left_out += ["certificate"] if suite.certificate is not None and certificate is None else []
+        left_out += [f"campaign {wanted.name or wanted.file}" for wanted in suite.campaign]
+        suite = suite.model_copy(update={**update, "wind_limit_mps": wind})
+        return replace(self, suite=suite, along=along, part=label, left_out=(*self.left_out, *left_out))
 
 
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:

@@ -79,6 +79,7 @@ class Verification:
     walls_s: dict[str, float]
     cpus_s: dict[str, float]  # of all threads
     deviations: str = ""  # the description of the dispersed vehicles, for people
+    part: str = ""  # that was judged alone
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{len(found)} {j}" for j in (ACCEPTED, REJECTED, UNDECIDED) if (found := self.of(j)))
@@ -159,7 +160,7 @@ def verify(
     with timed("scenarios"):
         flights = flown.fly_suite(loaded, scenarios, kept, partial(interruptible, "scenarios"), workers)
     with timed("linear margins"):  # nothing but what was asked for, where a part alone is repeated
-        alone = suite.margins is not None and suite.margins.only == WORST
+        alone = suite.margins is not None and suite.margins.only in (WORST, CERTIFICATE)
         margin, limits, slosh = ([], [], []) if alone else (job.margins(), job.authority(), job.slosh())
     with timed("worst vehicle"):
         worst = job.worst()
@@ -238,7 +239,7 @@ def verify(
         tuple(measured),
         gaps,
         loaded.left_out,
-        missing_evidence(evidence),
+        (f"'{loaded.part}' was judged alone",) if loaded.part else missing_evidence(evidence),
         compared,
         hashes=hashes,
         versions=versions(),
@@ -248,6 +249,7 @@ def verify(
         walls_s=walls,
         cpus_s=cpus,
         deviations=job.deviations,
+        part=loaded.part,
     )
 
 

@@ -253,7 +253,30 @@ def report(found: Verification, title: str) -> list[str]:
         *aligned(rows, "  ", right=(4,), drop=(5, 4)),
         *(["", *uncovered_table(found.scenario.vehicle, found.uncovered)] if found.uncovered else []),
         *_listed("below the floor of an acceptance", found.missing_evidence),
+        *(["", *measured_lines(found)] if found.part and (found.certificates or found.measured) else []),
     ]
+
+
+def measured_lines(found: Verification) -> list[str]:
+    """Return a table of the margins that were measured in flight, and of the linear loop held likewise."""
+    rows: list[tuple[str, ...]] = [("at", "plane", "margin", "measured", "linear, held", "remark")]
+
+    def row(
+        at: NodeCertificate | MeasuredNode, what: str, unit: str, values: Sequence[float], remark: str = ""
+    ) -> None:
+        factor, shown_unit = (1e3, "ms") if unit == "s" else (1.0, unit)
+        texts = [f"{factor * x:.2f} {shown_unit}" if math.isfinite(x) else "-" for x in values]
+        rows.append((f"{at.time_s:g} s", at.plane, what.replace("_", " "), *texts, remark))
+
+    for certificate in found.certificates:
+        for m in certificate.margins:
+            row(certificate, m.what, m.unit, (m.measured, m.held), m.reason)
+    for node in found.measured:
+        for measured in node.margins:
+            row(node, measured.what, measured.unit, (measured.measured, measured.linear), measured.reason)
+        if node.stable:
+            row(node, "phase between lines", "deg", (node.phase_deg, math.nan))
+    return ["margins measured in flight", *aligned(rows, "  ", right=(0, 3, 4))]
 
 
 def _listed(title: str, lines: Sequence[str]) -> list[str]:
@@ -327,6 +350,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "suite": found.suite.name,
         "verdict": found.judgement,
         "missing_evidence": found.missing_evidence,
+        "part": found.part,
         "left_out": found.left_out,
         "deviations": found.deviations,
         "not_covered": uncovered_record(found.uncovered),
