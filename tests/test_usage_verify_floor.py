@@ -147,6 +147,8 @@ def test_flight_code_without_a_linear_model_is_screened(standard: Evidence) -> N
         "no dispersed vehicle: flight code has no linear model",
         "certificate: no in-flight response in pitch and yaw",
     )
+    unguarded = missing_evidence(replace(standard, guarded=False))
+    assert unguarded == ("flight code ran in the process that judges it",)
 
 
 def test_a_campaign_whose_spreads_are_zero_shows_nothing(standard: Evidence, tmp_path: Path) -> None:

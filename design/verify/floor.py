@@ -62,11 +62,12 @@ class Evidence:
     flights: Sequence[Scenario]
     campaigns: Sequence[LoadedCampaign]
     in_flight: frozenset[str]
+    guarded: bool = True  # flight code, if any, runs in a process of its own
 
 
 def missing_evidence(e: Evidence) -> tuple[str, ...]:
     """Return what the evidence lacks for an acceptance, a phrase each; empty where it reaches the floor."""
-    out = [*_flights(e)]
+    out = [*_flights(e), *([] if e.guarded else ["flight code ran in the process that judges it"])]
     out += [] if e.campaigns else ["no dispersed flight flown"]
     for wanted, campaign in zip(e.suite.campaign, e.campaigns, strict=True):
         out += [f"campaign {campaign.name}: {text}" for text in _campaign(e, wanted, campaign)]

@@ -46,6 +46,7 @@ from maxq.design.verify.uncovered import Uncovered
 from maxq.design.verify.worst import WorstVehicle, worst_requirements
 from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.campaign.runner import CampaignProgress
+from maxq.sim.run.flight_software import guards
 from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
 
@@ -203,6 +204,7 @@ def verify(
     counted = [
         one.scenario for flight, (one, _) in zip(suite.flight, scenarios, strict=True) if flight.design_must_keep
     ]
+    computers = filter(None, (scenario.vehicle.computer_of(n) for n in range(len(scenario.vehicle.stage))))
     evidence = Evidence(
         suite,
         along,
@@ -216,6 +218,7 @@ def verify(
         counted,
         campaigns_loaded if suite.campaign else (),
         frozenset(response.plane for response in through),
+        guards(scenario) or not any(c.law == "external" for c in computers),
     )
     flown_as = {flight.name: one.as_flown for flight, (one, _) in zip(suite.flight, scenarios, strict=True)}
     hashes = _hashes(scenario, flown_as, campaigns_loaded) | compared.hashes
