@@ -115,6 +115,7 @@ def test_designs_cases_and_scenarios_of_shipped_names() -> None:
     Path("ksr3-robust/design.toml").write_text("")
     with pytest.warns(NameNote, match=r"ksr3-robust is .* \./ksr3-robust/design\.toml$"):
         assert design_path("ksr3-robust") == "designs/ksr3-robust.toml"
+    assert design_path("designs/ksr3-robust.toml") == design_path("ksr3-robust.toml") == "designs/ksr3-robust.toml"
     assert design_path("./ksr3-robust") == os.path.abspath("ksr3-robust/design.toml")
     for role, name in (
         ("scenario", "nominal"),

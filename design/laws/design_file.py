@@ -37,8 +37,9 @@ def design_path(name: str) -> str:
         return str((path / DESIGN_NAME).resolve())
     if path.is_file():
         return str(path.resolve())
-    if name.removesuffix(".toml") in known:
-        return f"designs/{name.removesuffix('.toml')}.toml"
+    stem = name.removeprefix("designs/").removesuffix(".toml")
+    if stem in known:
+        return f"designs/{stem}.toml"
     if path.is_dir():
         raise ScenarioError(name, f"the folder has no {DESIGN_NAME}", allowed="a design file (.toml)")
     hint = suggestion(name.removesuffix(".toml"), known)
