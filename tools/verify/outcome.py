@@ -12,7 +12,7 @@ from maxq.tools.cli.terminal import printable
 
 ONLY_REJECTS = "A screening can reject, not accept."
 MOST_REASONS = 3  # below the floor, in the line; the report lists all
-_BOUND = re.compile(r"(>=|<=) (-?[0-9.]\S*(?: [^\s,]+)?)")
+_BOUND = re.compile(r"(>=|<=) (-?[0-9.][^\s,]*(?: [^,]+)?)")
 _BEYOND = {">=": "<", "<=": ">"}
 _AT_POINT = re.compile(r"(\S+ s), (pitch|yaw)")
 
