@@ -67,10 +67,8 @@ class Compared:
     @property
     def title(self) -> str:
         """One line for people: the number of differences, and from which suite."""
-        suite = (
-            f"the {'shipped ' if self.shipped else ''}suite {self.baseline}{'' if self.shipped else ', not shipped'}"
-        )
-        count = len(self.differences)
+        count, suite = len(self.differences), f"suite {self.baseline}"
+        suite = f"the shipped {suite}" if self.shipped else f"the {suite}, not shipped"
         return f"{count or 'no'} difference{'s' * (count != 1)} from {suite}"
 
 
@@ -152,14 +150,15 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> list[Differenc
     if names[0] != names[1]:  # whose numbers are its own
         out += [Difference(CHANGED, f"vehicle, {_NOT_COMPARED}", *names)] if all(names) else []
         old, new = ({p: v for p, v in each.items() if not _of_vehicle(p)} for each in (old, new))
-    for head in _parts_of(old):
-        if any(path[: len(head)] == head for path in old) and not any(path[: len(head)] == head for path in new):
-            old = {path: value for path, value in old.items() if path[: len(head)] != head}
-            out.append(Difference(SPREAD if "deviation" in head else REMOVED, " ".join(head), "", ""))
-    for head in _parts_of(new):
-        if any(path[: len(head)] == head for path in new) and not any(path[: len(head)] == head for path in old):
-            new = {path: value for path, value in new.items() if path[: len(head)] != head}
-            out.append(Difference(STRICTER, " ".join(head), "", ""))
+    for mine, other, kind in ((old, new, REMOVED), (new, old, STRICTER)):
+        for head in _parts_of(mine):
+            below = [path for path in mine if path[: len(head)] == head]
+            if below and not any(path[: len(head)] == head for path in other):
+                out.append(
+                    Difference(SPREAD if kind == REMOVED and "deviation" in head else kind, " ".join(head), "", "")
+                )
+                for path in below:
+                    del mine[path]
     alike: dict[tuple[Any, ...], list[str]] = {}
     for path in [*old, *(path for path in new if path not in old)]:
         a, b = old.get(path), new.get(path)
@@ -175,17 +174,12 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> list[Differenc
 
 def _joined(found: Sequence[Difference]) -> Iterator[Difference]:
     """Yield removed and added flights in one difference each."""
+    whole = [d for d in found if d.what.startswith("flight ") and not (d.baseline or d.here)]
     for kind in (REMOVED, STRICTER):
-        names = [
-            d.what.removeprefix("flight ")
-            for d in found
-            if d.kind == kind and d.what.startswith("flight ") and not d.here
-        ]
+        names = [d.what.removeprefix("flight ") for d in whole if d.kind == kind]
         if names:
             yield Difference(kind, f"{len(names)} flight{'s' * (len(names) != 1)}: {', '.join(names)}", "", "")
-    for d in found:
-        if d.kind not in (REMOVED, STRICTER) or not d.what.startswith("flight ") or d.here:
-            yield d
+    yield from (d for d in found if d not in whole)
 
 
 def _parts_of(leaves: dict[KeyPath, Any]) -> list[KeyPath]:

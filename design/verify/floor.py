@@ -83,12 +83,11 @@ def missing_evidence(e: Evidence) -> tuple[str, ...]:
 
 
 def _level(success: float, confidence: float, count: int, what: str) -> Iterator[str]:
-    least = FLOOR
-    if success < least.success or confidence < least.confidence:
-        asked = f"{100.0 * least.success:g} % with {100.0 * least.confidence:g} %"
+    if success < FLOOR.success or confidence < FLOOR.confidence:
+        asked = f"{100.0 * FLOOR.success:g} % with {100.0 * FLOOR.confidence:g} %"
         yield f"{100.0 * success:g} % with {100.0 * confidence:g} % confidence, not {asked}"
-    if count < least.runs:
-        yield f"{count} {what if count != 1 else what.removesuffix('s')}, not {least.runs}"
+    if count < FLOOR.runs:
+        yield f"{count} {what if count != 1 else what.removesuffix('s')}, not {FLOOR.runs}"
 
 
 def _flights(e: Evidence) -> Iterator[str]:
