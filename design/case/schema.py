@@ -30,7 +30,7 @@ from maxq.design.case.basis import (
 )
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import ScenarioError, refuse
-from maxq.sim.input.files import builtin_files, find, shown
+from maxq.sim.input.files import builtin_files, find, named_in_file
 from maxq.sim.input.values import Positive, Section, at_time, optional
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
 from maxq.sim.scenario.schema_design import Design, LoadReliefSection
@@ -335,15 +335,14 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
 
     Its scenario is one beside the case, or as `load_scenario` finds it.
     """
-    case, tree, file, label = load_file(Case, "case", name, overrides)
+    case, tree, file, label, _ = load_file(Case, "case", name, overrides)
     given = tree.get("scenario")
-    beside = find(given, ("{}", "{}.toml")) if isinstance(given, Text) else None
+    flown = named_in_file(given, file) if isinstance(given, Text) else case.scenario
     campaign = tree.get("robust", {}).get("campaign")
-    there = find(campaign, ("{}", "{}.toml")) if isinstance(campaign, Text) else None
-    if case.robust is not None and there is not None:
-        case = case.model_copy(update={"robust": case.robust.model_copy(update={"campaign": shown(there)})})
+    if case.robust is not None and isinstance(campaign, Text):
+        update = {"campaign": named_in_file(campaign, file)}
+        case = case.model_copy(update={"robust": case.robust.model_copy(update=update)})
     try:
-        flown = beside if beside is not None and beside != file else case.scenario
         scenario = load_scenario(flown)
         if case.bends:  # its masses along the body are the vehicle's
             load_scenario(flown, ["switches.section_loads=true"])
@@ -362,7 +361,8 @@ def _start_design(case: Case, tree: Any, scenario: LoadedScenario) -> Design | N
     name = case.search.start_design
     if name is None:
         return None
-    path = find(tree["search"]["start_design"], ("{}/design.toml", "{}"))
+    known = name in builtin_files("design")
+    path = None if known else find(tree["search"]["start_design"], ("{}/design.toml", "{}"))
     at = f"designs/{name.removesuffix('.toml')}.toml" if path is None else path.as_posix()
     try:
         return load_scenario(scenario.label, [f'design="{at}"']).design

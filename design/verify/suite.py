@@ -11,7 +11,7 @@ import math
 import re
 import shlex
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from string import Template
@@ -26,14 +26,14 @@ from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import ScenarioError, refuse, suggestion
-from maxq.sim.input.files import find, shown
+from maxq.sim.input.files import builtin_files, find, named_in_file
 from maxq.sim.input.values import NotNegative, Positive, Section, optional
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_scenario import Scenario
 
 SuiteVerdict = Literal["accepted", "passed screening", "rejected", "undecided"]
 ACCEPTED: SuiteVerdict = "accepted"
-SCREENED: SuiteVerdict = "passed screening"  # every requirement of a suite that asks too little to accept anything
+SCREENED: SuiteVerdict = "passed screening"  # every requirement is met, with less than the floor of an acceptance
 REJECTED: SuiteVerdict = "rejected"
 UNDECIDED: SuiteVerdict = "undecided"
 
@@ -66,10 +66,13 @@ class JudgedRequirement:
         return f"{said}; not settled" + (f": {self.more_runs} more runs" if self.more_runs else "")
 
 
-def overall(requirements: Iterable[JudgedRequirement], suite: Suite | None = None) -> SuiteVerdict:
-    """Rejected if one is, else undecided if one is, or if there is none; accepted by a suite that lacks nothing."""
+def overall(requirements: Iterable[JudgedRequirement], missing_evidence: Iterable[str] = ()) -> SuiteVerdict:
+    """Return the verdict: rejected if one is, else undecided if one is, or if there is none.
+
+    Else accepted, or where evidence is missing (`floor.missing_evidence`) the screening is passed.
+    """
     found = {r.judgement for r in requirements} or {UNDECIDED}
-    passed = SCREENED if suite is not None and suite.lacks else ACCEPTED
+    passed = SCREENED if any(missing_evidence) else ACCEPTED
     return REJECTED if REJECTED in found else UNDECIDED if UNDECIDED in found else passed
 
 
@@ -270,19 +273,12 @@ class Suite(Section):
     dispersed_limit: tuple[DispersedLimit, ...] = optional(
         "limits of flights and campaigns with limits = 'dispersed'", ()
     )
+    baseline: str | None = optional(
+        "agreed suite with which this one is compared (default: the shipped suite that it extends, else standard)"
+    )
     wind_limit_mps: Positive | None = optional(
         "steady cross-wind that the gimbal must be able to trim at every time, m/s"
     )
-
-    @property
-    def lacks(self) -> list[str]:
-        """Return the tests that the suite lacks, without which it can accept nothing: such a suite is a screening."""
-        out = [] if self.campaign else ["no dispersed flight flown"]
-        out += [] if self.margins is not None and self.margins.cases else ["no dispersed vehicle"]
-        if self.certificate is None:
-            return [*out, "no certificate"]
-        one = self.certificate.times_s is not None and len(self.certificate.times_s) * len(self.certificate.planes) == 1
-        return [*out, "one certificate node"] if one else out
 
     def _check(self) -> None:
         names = [f.name for f in self.flight]
@@ -298,8 +294,11 @@ class LoadedSuite:
     suite: Suite
     label: str  # as the user named it
     overrides: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why
+    left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why; parts by `only`
+    part: str = ""  # that is judged alone (`only`)
     along: CampaignWanted | None = None  # whose draws and flights a vehicle that is measured alone has
+    asked: Suite = field(default_factory=Suite.model_construct)  # as it was read: not fitted, and whole
+    baseline: str = "standard"  # the suite with which it is compared
 
     def command(self, design: str, vehicle: str | None = None, *more: str) -> str:
         """The command that judges a design by this suite; `more`: further words."""
@@ -310,14 +309,16 @@ class LoadedSuite:
         return shlex.join([*words, *(word for change in self.overrides for word in ("--set", change)), *more])
 
     def only(self, label: str) -> LoadedSuite:
-        """The same with nothing but one flight, one vehicle of the linear margins, or the certificate. Raises
-        ScenarioError."""
+        """Return the suite with one flight, one vehicle of the linear margins, or the certificate alone.
+
+        Its limits stay. Raises ScenarioError.
+        """
         suite = self.suite
         flights = tuple(f for f in suite.flight if f.name == label)
         known = label in (AS_DESIGNED, WORST) or VEHICLE_LABEL.fullmatch(label) is not None
-        margins = suite.margins if known else None
         certificate = suite.certificate if label == CERTIFICATE else None
-        if not flights and margins is None and certificate is None:
+        margins = suite.margins if known or certificate is not None else None
+        if not flights and certificate is None and (margins is None or not known):
             allowed = ", ".join(
                 [*(f.name for f in suite.flight), AS_DESIGNED, "corner N", "vehicle N", WORST, CERTIFICATE]
             )
@@ -326,25 +327,29 @@ class LoadedSuite:
             margins = margins.model_copy(update={"only": label})
         wind = suite.wind_limit_mps if label == AS_DESIGNED else None
         update = {"flight": flights, "margins": margins, "certificate": certificate, "campaign": ()}
-        along = next(iter(suite.campaign), None) if margins is not None and label != AS_DESIGNED else None
-        return replace(self, suite=suite.model_copy(update={**update, "wind_limit_mps": wind}), along=along)
+        along = next(iter(suite.campaign), None) if known and label != AS_DESIGNED else None
+        others = len(suite.flight) - len(flights)
+        left_out = [f"{others} flight{'s' * (others != 1)}"] if others else []
+        if suite.margins is not None:
+            left_out.append("linear margins" + (f" but for '{label}'" if known else ""))
+        left_out += ["wind that can be trimmed"] if suite.wind_limit_mps is not None and wind is None else []
+        left_out += ["certificate"] if suite.certificate is not None and certificate is None else []
+        left_out += [f"campaign {wanted.name or wanted.file}" for wanted in suite.campaign]
+        suite = suite.model_copy(update={**update, "wind_limit_mps": wind})
+        return replace(self, suite=suite, along=along, part=label, left_out=(*self.left_out, *left_out))
 
 
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
     """The suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError.
 
-    Scenarios and campaigns that it names are those beside it, where there are such.
+    Scenarios, campaigns and winds that it names are those in its folder, where there are such, else the shipped ones.
     """
     changes = tuple(overrides)
-    suite, tree, file, _ = load_file(Suite, "suite", name, changes)
-
-    def beside(given: Any) -> Any:
-        """Resolve a text that names a file in the folder of the file that contains it."""
-        path = find(given, ("{}", "{}.toml")) if isinstance(given, Text) else None
-        return given if path is None or path == file else shown(path)
+    suite, tree, file, _, files = load_file(Suite, "suite", name, changes)
 
     def placed(one: Any, table: Any, key: str) -> Any:
-        return one.model_copy(update={key: beside(table.get(key, getattr(one, key)))})
+        given = table.get(key)
+        return one.model_copy(update={key: named_in_file(given, file)}) if isinstance(given, Text) else one
 
     suite = placed(suite, tree, "scenario")
     suite = placed(suite, tree, "limit_wind") if suite.limit_wind else suite
@@ -354,7 +359,14 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
         spread = placed(suite.margins.three_sigma, tree["margins"]["three_sigma"], "campaign")
         suite = suite.model_copy(update={"margins": suite.margins.model_copy(update={"three_sigma": spread})})
     each = tuple(one for flown in flights for one in flown.flights())
-    return LoadedSuite(suite.model_copy(update={"flight": each, "campaign": tuple(campaigns)}), str(name), changes)
+    suite = suite.model_copy(update={"flight": each, "campaign": tuple(campaigns)})
+    shipped = {path: builtin for builtin, path in builtin_files("suite").items()}
+    baseline = next((shipped[path] for path in files if path in shipped), "standard")
+    if isinstance(given := tree.get("baseline"), Text):
+        beside = find(given, ("{}", "{}.toml"))
+        known = given in shipped.values() or beside is None
+        baseline = str(given) if known or beside is None else str(beside)
+    return LoadedSuite(suite, str(name), changes, asked=suite, baseline=baseline)
 
 
 def shared_risk(loaded: LoadedSuite, campaigns: Sequence[Campaign], designs: int, number: int = 0) -> list[str]:
