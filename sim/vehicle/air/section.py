@@ -1,4 +1,4 @@
-"""Aerodynamics of a stage, as the vehicle's file gives them."""
+"""The aerodynamics of a stage, as in the vehicle file."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ REFERENCE_OVER_MASS = Columns("mass_kg", sets=(("station_m",),), positive=("mass
 
 
 def _nothing() -> CsvTable:
-    """A table without coefficients."""
+    """Return a table without coefficients."""
     return CsvTable("", {"mach": np.zeros(1)})
 
 
@@ -55,7 +55,9 @@ class AeroSurface(Section):
 
 
 class Coefficients(Section):
-    """A table of coefficients over Mach number and angle of attack; all tables act together, beside the slopes."""
+    """A table of coefficients over Mach number and angle of attack; all tables are summed, in addition to the
+    slopes.
+    """
 
     name: str = optional("name of the table", "")
     table: Annotated[CsvTable, COEFFICIENT_COLUMNS] = Field(
@@ -82,7 +84,7 @@ class Coefficients(Section):
 
     @property
     def grid(self) -> GridTable:
-        """The table as arrays."""
+        """Return the table as arrays."""
         return grid_table(self.table, ("table",))
 
     @property
@@ -102,8 +104,8 @@ class Coefficients(Section):
             self._check_axis(grid)
 
     def _check_axis(self, grid: GridTable) -> None:
-        """Check that nothing depends on the plane of incidence where the flow is along the axis and that plane is
-        undefined.
+        """Check the coefficients where the flow is along the axis: lateral ones must be zero, and none may depend on
+        the roll angle.
         """
         k = grid.axes.index("total_deg")
         total = grid.breaks[k]
@@ -131,7 +133,7 @@ class Coefficients(Section):
 
 
 class AeroSection(Section):
-    """Coefficients over Mach number, and over angle of attack; outside the table the end values hold."""
+    """The coefficients over Mach number, and over angle of attack; outside the table the end values hold."""
 
     table: Annotated[CsvTable, AERO_COLUMNS] = Field(
         default_factory=_nothing,

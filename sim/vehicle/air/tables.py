@@ -18,7 +18,7 @@ AXES = {
     "alpha_deg": (-180.0, 180.0),
     "beta_deg": (-90.0, 90.0),
 }
-"""Variables of a table and their bounds."""
+"""The variables of a table and their bounds."""
 FORCES = ("CA", "CX", "CD", "CY", "CN", "CZ", "CL")
 MOMENTS = ("Cl", "Cm", "Cn")
 RATES = ("Clp", "Clr", "Cmq", "Cnr", "Cnp", "CYp", "CYr", "CNq")
@@ -31,17 +31,17 @@ class GridTable:
     """Coefficients over one to three variables, each at every combination of their values."""
 
     axes: tuple[str, ...]  # in the order of AXES
-    breaks: tuple[NDArray[np.float64], ...]  # of each variable, rising; angles in deg
+    breaks: tuple[NDArray[np.float64], ...]  # breakpoints of each variable, increasing; angles in deg
     names: tuple[str, ...]
     values: NDArray[np.float64]  # (points of each variable ..., names)
 
 
 def grid_table(table: CsvTable, at: Path = ()) -> GridTable:
-    """The grid of a table whose columns have been checked; `at` is its key.
+    """Return the grid of a table whose columns have been checked; `at` is its key.
 
-    Rows may stand in any order. Raises the schema's refusal unless each combination of the variables' values has
-    exactly one row and the values are possible ones. A roll angle goes round: a table over less than 360 deg is
-    closed by its first value, and over 360 deg its ends must be equal.
+    Rows may be in any order. Raises the refusal of the schema unless each combination of the variables' values has
+    exactly one row and the values are possible. A roll angle is periodic: a table over less than 360 deg is closed by
+    its first value, and over 360 deg its ends must be equal.
     """
     made = table.derived
     if not isinstance(made, GridTable):
@@ -94,7 +94,7 @@ def _closed(
     values: NDArray[np.float64],
     at: Path,
 ) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
-    """With the roll angle's first value at its end as well."""
+    """Return the table with the roll angle's first value repeated at its end."""
     k = axes.index("roll_deg")
     roll = breaks[k]
     turn = roll[-1] - roll[0]

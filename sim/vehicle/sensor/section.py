@@ -1,4 +1,4 @@
-"""Rate gyros and accelerometer of a stage, as the vehicle's file gives them."""
+"""The rate gyros and the accelerometer of a stage, as in the vehicle file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from maxq.sim.input.values import Fraction, NotNegative, Positive, Section, Trip
 
 
 class GyroSection(Section):
-    """Rate gyros, one per axis (paper, eq. 29)."""
+    """The rate gyros, one per axis (paper, eq. 29)."""
 
     station_m: float = Field(description="station, m aft of the nose")
     omega_hz: Positive = Field(description="natural frequency, Hz")
@@ -26,14 +26,16 @@ Latency = Annotated[int, Field(ge=0, le=MAX_LATENCY)]
 
 
 class RateGyro(GyroSection):
-    """A rate gyro beyond the first, three axes; the design says what part it has in the rate of the law (blend)."""
+    """A rate gyro of three axes beyond the first; the design gives its weight in the rate of the law (blend)."""
 
     latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
     dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
 
 
 class Accelerometer(Section):
-    """Accelerometer of three axes: specific force at its station, with what bending, engine and liquid do to it."""
+    """An accelerometer of three axes: specific force at its station, including the effects of bending, engine and
+    liquid.
+    """
 
     station_m: float = Field(description="station, m aft of the nose, on the body axis")
     omega_hz: Positive = Field(description="natural frequency, Hz")

@@ -1,4 +1,4 @@
-"""A tank with sloshing liquid: its pendulums as tables, or its shape, from which they follow; damping, high waves."""
+"""A tank with sloshing liquid: its pendulums as tables, or its shape from which they follow; damping, high waves."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _LEAST_DOME = 0.25  # of the radius: a flatter dome gives shallow liquid a pendu
 
 
 class Profile(NamedTuple):
-    """Inner shape of a tank, lengths in radii of its cylindrical part; domes are half ellipsoids, 0 flat."""
+    """The inner shape of a tank, lengths in radii of its cylindrical part; domes are half ellipsoids, 0 is flat."""
 
     bottom: float
     wall: float
     top: float
 
     def surface_radius(self, depth: Array) -> Array:
-        """Radius of the surface at rest when the liquid is `depth` deep."""
+        """Return the radius of the surface at rest when the liquid is `depth` deep."""
         low = 1.0 - np.minimum(depth, self.bottom) / self.bottom if self.bottom else 0.0 * depth
         high = np.maximum(depth - self.bottom - self.wall, 0.0) / self.top if self.top else 0.0 * depth
         return np.asarray(np.sqrt(np.maximum(1.0 - low**2 - high**2, 0.0)))
@@ -54,7 +54,7 @@ class Profile(NamedTuple):
         return self.bottom + self.wall + self.top
 
     def depth(self, volume: Array) -> Array:
-        """The inverse of `volume`, by bisection."""
+        """Return the depth of the liquid, the inverse of `volume`, by bisection."""
         low, high = np.zeros_like(volume), np.full_like(volume, self.height)
         for _ in range(60):
             middle = 0.5 * (low + high)
@@ -64,7 +64,7 @@ class Profile(NamedTuple):
 
 
 def check_domes(profile: Profile, radius_m: float, key: str = "dome_m") -> None:
-    """Refuse domes that are too flat, or higher than the tank; `key` gives their heights."""
+    """Reject domes that are too flat, or higher than the tank; `key` gives their heights."""
     for dome in (profile.bottom, profile.top):
         if dome < 0.0 or 0.0 < dome < _LEAST_DOME:
             least = _LEAST_DOME * radius_m
@@ -76,7 +76,9 @@ def check_domes(profile: Profile, radius_m: float, key: str = "dome_m") -> None:
 
 
 class Baffles(Section):
-    """Rings on the cylindrical wall of a tank: damping that grows with the root of the wave (NASA SP-106, eq. 4.10)."""
+    """The rings on the cylindrical wall of a tank: damping that grows with the root of the wave (NASA SP-106, eq.
+    4.10).
+    """
 
     width_m: Positive = Field(description="of each ring, from the wall inwards, m")
     station_m: tuple[float, ...] = Field(
@@ -85,7 +87,7 @@ class Baffles(Section):
 
 
 class Tank(Section):
-    """A tank with a sloshing liquid: a spherical pendulum that hangs at its hinge, or two."""
+    """A tank with a sloshing liquid: one or two spherical pendulums, each with its hinge."""
 
     name: ChannelPart = optional("name of the tank in logs (default: its number); a second pendulum is NAME_2", "")
     table: Annotated[CsvTable, TANK_COLUMNS] = Field(
@@ -114,7 +116,7 @@ class Tank(Section):
 
     @property
     def profile(self) -> Profile:
-        """The shape in radii; an upright cylinder as deep as any liquid where none is given."""
+        """Return the shape in radii, or an upright cylinder as deep as any liquid if none is given."""
         radius = self.radius_m or 1.0
         height = (self.height_m or 2.0 * radius) / radius
         if self.shape in ("sphere", "ellipsoid"):
