@@ -1,13 +1,13 @@
-"""The fast linear parts of a vehicle, whose motion under a known force is worked out exactly: modes, actuators, gyros.
+"""The fast linear parts of a vehicle, whose motion under a known force is computed exactly: modes, actuators, gyros.
 
-Each is a block of up to six states with its own matrix D; what else acts on it is slow or comes from outside. A step of
+Each part is a block of up to six states with its own matrix D. All other effects on it are slow or external. A step of
 length h (step.exponential_runge_kutta) needs seven matrices of each block: D, and of the functions
 
     phi_1(Z) = (exp(Z) - 1) / Z,   phi_2(Z) = (phi_1(Z) - 1) / Z,   phi_3(Z) = (phi_2(Z) - 1/2) / Z,   Z = h D,
 
-those that stand below. They are kept for the few lengths of steps that alternate. D may be any matrix near the present
-one as long as it is the same within a step, so that the modes, which change with the propellant, are looked at again
-every quarter of a second only; actuators and gyros are what they are until the stage ends.
+those listed below. They are stored for the few step lengths that alternate. D may be any matrix near the current one
+that is constant within a step. Hence the modes, which change with the propellant, are updated only every quarter of a
+second. Actuators and gyros are constant until the stage ends.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ _LEAST_TERM = 1e-18
 
 @routine
 def blocks_for(kept: Array, vehicle: StageRecord, stage: int, now_ns: int, step_ns: int, at: Evaluation) -> int:
-    """Return the index at which `kept` (KEPT_SIZE,) holds the blocks for this step; compute them from the evaluation at
-    its start if needed.
+    """Return the index at which `kept` (KEPT_SIZE,) holds the blocks for this step.
 
-    Times are whole numbers of ns, which a float64 holds for a hundred days.
+    The blocks are computed from the evaluation at the start of the step if needed. Times are whole numbers of ns, which
+    a float64 represents exactly for a hundred days.
     """
     for k in range(LENGTHS):
         slot = k * LENGTH_WIDTH
@@ -90,7 +90,7 @@ def blocks_for(kept: Array, vehicle: StageRecord, stage: int, now_ns: int, step_
 
 @kernel
 def _further_blocks(vehicle: StageRecord) -> int:
-    """Blocks behind the modes."""
+    """Return the number of blocks behind the modes."""
     blocks = (1 - vehicle.actuator_pitch.ideal) + (1 - vehicle.actuator_yaw.ideal)
     for channel in range(2 * vehicle.sizes.further_groups):
         blocks += 1 - vehicle.further_actuators[channel].ideal
@@ -106,7 +106,7 @@ def _add_block(kept: Array, slot: int, first: int, stride: int, states: int, mat
 
 @routine
 def _add_modes(kept: Array, slot: int, vehicle: StageRecord, sizes: Counts, h: float, at: Evaluation) -> int:
-    """All modes, with the present stiffness under the axial load; returns where the matrices of what follows begin."""
+    """Add all modes, with the current stiffness under the axial load, and return the index of the next matrices."""
     p, end = at.properties, slot + _NUMBERS
     soft = vehicle.bending.softening_factor * at.aux.axial_load_mps2
     for plane in (sch.PITCH, sch.YAW):
@@ -137,7 +137,7 @@ def _add_modes(kept: Array, slot: int, vehicle: StageRecord, sizes: Counts, h: f
 def _add_actuator(
     kept: Array, slot: int, end: int, a: Actuator, before: Actuator, channel: int, first: int, h: float
 ) -> int:
-    """All sections of an actuator together, or those of the actuator `before` it where it has the same."""
+    """Add all sections of an actuator together, or reuse those of the actuator `before` it if they are equal."""
     if a.ideal == 1:
         return end
     n = a.order
@@ -157,7 +157,7 @@ def _add_actuator(
 
 @kernel
 def put_oscillator(kept: Array, i: int, a: float, b: float, h: float) -> None:
-    """Matrices at kept[i:] of x' = v, v' = -a x - b v.
+    """Write the matrices of x' = v, v' = -a x - b v at kept[i:].
 
     Every function of D is p + q D, and D^2 = -a - b D.
     """
@@ -185,13 +185,13 @@ def put_oscillator(kept: Array, i: int, a: float, b: float, h: float) -> None:
 
 @kernel
 def _put_two(kept: Array, i: int, a: float, b: float, p: float, q: float) -> None:
-    """The matrix p + q D."""
+    """Write the matrix p + q D."""
     kept[i], kept[i + 1], kept[i + 2], kept[i + 3] = p, q, -a * q, p - b * q
 
 
 @routine
 def put_functions(kept: Array, i: int, n: int, h: float, scratch: int) -> None:
-    """Matrices at kept[i:] for the D (n, n) that stands there already, by their power series."""
+    """Write the matrices at kept[i:] for the D (n, n) already there, by their power series."""
     size = n * n
     for half in range(2):
         t = h if half == 0 else 0.5 * h
@@ -230,7 +230,7 @@ def put_functions(kept: Array, i: int, n: int, h: float, scratch: int) -> None:
 
 @kernel
 def _times(kept: Array, matrix: int, other: int, out: int, n: int, t: float) -> None:
-    """t D times another matrix; D has few entries."""
+    """Multiply t D by another matrix; D has few nonzero entries."""
     for row in range(n):
         for column in range(n):
             kept[out + n * row + column] = 0.0
@@ -243,7 +243,7 @@ def _times(kept: Array, matrix: int, other: int, out: int, n: int, t: float) -> 
 
 @kernel
 def row_times(kept: Array, matrix: int, row: int, n: int, vector: Array, at: int) -> float:
-    """A row of a block's matrix times the vector at vector[at:]."""
+    """Return a row of a block's matrix times the vector at vector[at:]."""
     i, total = matrix + n * row, 0.0
     for j in range(n):
         total += kept[i + j] * vector[at + j]

@@ -1,4 +1,4 @@
-"""All that one stage's flight depends on, as one record; a flight is an array of them, one row per stage."""
+"""The parameters of one stage's flight, as one record; a flight is an array of them, one row per stage."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Clock:
 
 @dataclass
 class Extremes:
-    """Value and time of each metric so far."""
+    """The value and time of each metric so far."""
 
     value: Annotated[Array, (N_METRICS,)]
     time_ns: Annotated[IntArray, (N_METRICS,)]
@@ -106,8 +106,10 @@ class Extremes:
 
 @dataclass
 class Waves:
-    """The waves of each pendulum, stage by stage with space for MAX_PENDULUMS each: the peak wave height under thrust
-    over the breaking height, its time, and the first time at which a wave breaks (-1: none).
+    """The waves of each pendulum, stage by stage with space for MAX_PENDULUMS each.
+
+    Each has the peak wave height under thrust divided by the breaking height, its time, and the first time at which a
+    wave breaks (-1: none).
     """
 
     largest: Annotated[Array, (MAX_STAGES * MAX_PENDULUMS,)]
@@ -117,8 +119,10 @@ class Waves:
 
 @dataclass
 class Truth:
-    """`start_q_BI`: attitude at the start, which the computer knows exactly. `error_rad`: roll, and tilt
-    about body axes, from the commanded to the true attitude, at the computer's last sample.
+    """The true attitude in relation to the computer's.
+
+    `start_q_BI`: attitude at the start, which the computer knows exactly. `error_rad`: roll, and tilt about body axes,
+    from the commanded to the true attitude, at the computer's last sample.
     """
 
     start_q_BI: Annotated[Array, (4,)]
@@ -130,7 +134,7 @@ ERRORS_SQUARED = 5
 
 @dataclass
 class Memory:
-    """Everything of a flight that changes, besides the state vector."""
+    """The complete state of a flight except the state vector."""
 
     clock: Clock
     held: Held
@@ -144,8 +148,10 @@ class Memory:
     sections: SectionLoads
     waves: Waves
     errors: Annotated[Array, (8,)]
-    """Of the integration: attitude, deg; bending, m; slosh, deg; position, m; speed, m/s; from ERRORS_SQUARED on the
-    sums of the squares of the first three in steps within which an engine started or stopped.
+    """The errors of the integration: attitude, deg; bending, m; slosh, deg; position, m; speed, m/s.
+
+    From ERRORS_SQUARED on follow the sums of the squares of the first three, in steps within which an engine started or
+    stopped.
     """
 
     increment_rad: Annotated[Array, (3,)]

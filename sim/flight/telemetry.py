@@ -1,7 +1,7 @@
 """The log of a flight: rows that declare their channels, and the kernels that fill them.
 
-The fast group holds what oscillates (actuator, gyro, control, bending, slosh), the slow group the rest. Values are
-in the units of the log. See control/kernel/rows.py for how a row is declared.
+The fast group holds oscillating quantities (actuator, gyro, control, bending, slosh), the slow group the rest. Values
+are in the units of the log. control/kernel/rows.py describes the declaration of a row.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Logged:
 
 
 class FastRow(NamedTuple):
-    """Topics of the fast group that every vehicle has."""
+    """The topics of the fast group that every vehicle has."""
 
     actuator: Annotated[ActuatorRow, "gimbal command and engine motion"]
     gyro: Annotated[GyroRow, "rate gyro"]
@@ -278,7 +278,7 @@ def vehicle_row(memory: Memory, props: Array, aux: Aux) -> VehicleRow:
 
 
 class SlowRow(NamedTuple):
-    """Topics of the slow group."""
+    """The topics of the slow group."""
 
     truth: Annotated[MotionRow, "motion"]
     air: Annotated[AirRow, "air data"]
@@ -314,11 +314,12 @@ def channel_table(
     accelerometer: bool = False,
     adaptive: bool = False,
 ) -> ChannelTable:
-    """Channels of a vehicle with so many modes, these pendulums and sections, in the order of the kernels' columns.
+    """Return the channels of a vehicle with these numbers of modes, pendulums and sections, in the order of the
+    kernels' columns.
 
-    `stations`: what is said of each station of the section loads; in names they go by their numbers, from 1. `waves`:
-    with the height of the pendulums' waves. `external`: with what flight code from outside monitors. `accelerometer`:
-    the last of the sensors is one. `adaptive`: with the total gain.
+    `stations`: description of each station of the section loads; names contain their numbers, from 1. `waves`: include
+    the height of the pendulums' waves. `external`: include the monitored values of external flight code.
+    `accelerometer`: the last sensor is an accelerometer. `adaptive`: include the total gain.
     """
     topics = declared_topics(FAST, FastRow)
     kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))
