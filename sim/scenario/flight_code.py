@@ -1,7 +1,7 @@
 """Flight code that a vehicle file names: a shared library, a Python class, or a computer behind a socket.
 
-Reading a scenario runs none of it: a file is only found and hashed. What was flown is in the log with its SHA-256, and
-other content under the same name is refused when the log is flown again (sim/run/flight_software.py).
+Reading a scenario does not run the code: its file is only found and hashed. The log contains the SHA-256 of the code
+flown. When the log is flown again, other content under the same name is rejected (sim/run/flight_software.py).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _ADDRESS = re.compile(r"(tcp|udp)://(\[[0-9a-f:]+\]|[0-9a-z.]+):([0-9]{1,5})")
 
 
 def flight_code_key(name: str) -> str:
-    """The key of [computer] for what a person means by `name`; empty where that is no flight code."""
+    """Return the key of [computer] that `name` denotes, or an empty string if it denotes no flight code."""
     if ".py:" in name:
         return "python"
     if name.startswith(("tcp://", "udp://")):
@@ -33,7 +33,7 @@ def flight_code_key(name: str) -> str:
 
 
 class CodeFile(Section):
-    """A file of flight code as it was found; in a vehicle file its name alone, for Python with `:Class` behind it."""
+    """A file of flight code that was found; in a vehicle file only its name, for Python followed by `:Class`."""
 
     file: str = Field(description="where it is, absolute")
     sha256: str = Field(description="of its content")
@@ -59,7 +59,7 @@ class CodeFile(Section):
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Return a title for messages."""
         return shown(Path(self.file)) + (f":{self.member}" if self.member else "")
 
 

@@ -1,7 +1,7 @@
-"""Faults: what fails, when, and for how long.
+"""Faults: the failed part, the time of the failure, and its duration.
 
-A kind of fault is an entry of KINDS (which keys it has) and its name in FaultKind; what faults of its part do stands in
-sim/packing/faults.py. Keys that no kind had before are fields of Fault.
+A kind of fault is an entry of KINDS (its keys) and its name in FaultKind. sim/packing/faults.py defines the effects of
+faults of a part. Keys that no other kind has are fields of Fault.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ _OF_KINDS = tuple(dict.fromkeys(key for kind in KINDS.values() for key in kind.k
 
 
 class Fault(Section):
-    """A part that fails at an instant, for good or for a time."""
+    """A part that fails at an instant, permanently or for a time."""
 
     kind: FaultKind = Field(
         description="engine-off: no thrust and no flow; thrust-loss: a share of both; gyro-stuck, accelerometer-stuck: "
@@ -128,12 +128,12 @@ class Fault(Section):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Those that fail."""
+        """Return the axes that fail."""
         return KINDS[self.kind].axes if self.axis is None else (self.axis,)
 
     @property
     def text(self) -> str:
-        """Kind and target, for people."""
+        """Return kind and target, for messages."""
         targets = [(key, getattr(self, key)) for key in KINDS[self.kind].targets]
         named = [value if isinstance(value, str) else f"{key} {value}" for key, value in targets if value is not None]
         return " ".join((self.kind, *named))

@@ -1,4 +1,4 @@
-"""The scenario: what is flown, from which initial state, with which injected signals."""
+"""The scenario: vehicle and design, initial state, injected signals and requirements of a flight."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Geodetic(Section):
 
 
 class Initial(Section):
-    """State at the start. Of each of position, velocity, attitude and rates at most one key is given."""
+    """The state at the start. Position, velocity, attitude and rates are each given by at most one key."""
 
     held: bool = optional("whether the vehicle is held down until release", False)
     geodetic: Geodetic | None = optional("position (default: the site)")
@@ -157,13 +157,15 @@ class Injection(Section):
 
     @property
     def amplitude(self) -> float:
-        """In the unit of the target; 1 for a table."""
+        """Return the amplitude in the unit of the target; 1 for a table."""
         value: float | None = getattr(self, AMPLITUDES[self.at])
         return 1.0 if value is None else value
 
     @property
     def highest_hz(self) -> tuple[float, ...]:
-        """Frequencies that it reaches; none for steps and tables, at whose kinks the integrator begins again."""
+        """Return the highest frequencies of the signal; none for steps and tables, at whose kinks the integrator
+        restarts.
+        """
         return (*(self.frequencies_hz or ()), self.frequency_hz or 0.0, self.stop_frequency_hz or 0.0)
 
 
@@ -202,7 +204,7 @@ class Run(Section):
 
 
 class Guidance(Section):
-    """Commanded body rates over time."""
+    """The commanded body rates over time."""
 
     programme: Annotated[CsvTable, PROGRAMME_COLUMNS] | None = optional(
         "commanded rates over the vehicle clock (default: zero)"
@@ -215,7 +217,9 @@ class Guidance(Section):
 
 
 class OrbitTarget(Section):
-    """Closed-loop guidance of the last engine's stages to an orbit, cut off at its perigee. Outside the air only."""
+    """The closed-loop guidance of the last engine's stages to an orbit, with cutoff at its perigee, outside the
+    atmosphere only.
+    """
 
     perigee_altitude_m: float = Field(description="above the equatorial radius, m")
     apogee_altitude_m: float = Field(description="above the equatorial radius, m")
@@ -235,7 +239,7 @@ class OrbitTarget(Section):
 
 
 class HoldDown(Section):
-    """When a vehicle that is held down is let go."""
+    """The release of a vehicle that is held down."""
 
     release: Literal["thrust", "time"] = optional("when thrust exceeds weight, or at release_s", "thrust")
     release_s: Seconds | None = optional('on the vehicle clock, s, for release = "time"')
@@ -247,7 +251,7 @@ class HoldDown(Section):
 
 
 class Switches(Section):
-    """Each part of the model can be switched off or made ideal."""
+    """The switches of the parts of the model, each of which can be switched off or made ideal."""
 
     aerodynamics: bool = optional("all aerodynamic forces", True)
     thrust: bool = optional("thrust", True)
@@ -287,7 +291,7 @@ class LogSection(Section):
 
 
 class RequirementSection(Section):
-    """A number that the flight must keep to."""
+    """A bound on a metric of the flight."""
 
     metric: str = Field(description="name of the metric")
     limit: float | None = optional("at most this")
@@ -296,7 +300,7 @@ class RequirementSection(Section):
 
     @property
     def bound(self) -> tuple[str, float]:
-        """`limit` or `minimum`, and its value."""
+        """Return `limit` or `minimum`, and its value."""
         return ("limit", self.limit) if self.limit is not None else ("minimum", self.minimum or 0.0)
 
     @model_validator(mode="after")
@@ -485,7 +489,7 @@ class Scenario(Section):
             )
 
     def _check_coverage(self) -> None:
-        """Refuse tables of vehicle, design and guidance that end before the powered flight does."""
+        """Reject tables of vehicle, design and guidance that end before the powered flight does."""
         on, start_s, end_s = self.switches.thrust, self.run.start_s, self.run.start_s + self.run.duration_s
         powered_end_s = check_stages(self.vehicle.stage, end_s, on and self.run.freeze_vehicle_at_s is None)
         if powered_end_s == 0.0 or not on:

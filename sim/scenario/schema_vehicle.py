@@ -44,7 +44,7 @@ _CODE = ("library", "python", "address")
 
 
 class ComputerSection(Section):
-    """Flight computer: converter, sampling, delay and output."""
+    """The flight computer: converter, sampling, delay and output."""
 
     sample_s: Period = Field(description="sample period, s, whole ns")
     delay_s: Seconds = Field(description="from sample to output, s, whole ns, at most sample_s")
@@ -69,7 +69,7 @@ class ComputerSection(Section):
 
     @property
     def code_keys(self) -> tuple[str, ...]:
-        """Which of the keys that name flight code are given."""
+        """Return the given keys that name flight code."""
         return tuple(key for key in _CODE if getattr(self, key) is not None)
 
     def _check(self) -> None:
@@ -82,7 +82,7 @@ class ComputerSection(Section):
 
 
 class StageComputer(Section):
-    """Keys of the flight computer that differ while a stage flies."""
+    """The keys of the flight computer that differ while a stage flies."""
 
     sample_s: Period | None = optional("sample period, s, whole ns")
     delay_s: Seconds | None = optional("from sample to output, s, whole ns, at most sample_s")
@@ -120,7 +120,7 @@ TvcLoads = Annotated[
 
 
 class Stage(Section):
-    """A stage; its clock, on which its tables run, starts at the previous separation."""
+    """A stage; its clock, the argument of its tables, starts at the previous separation."""
 
     name: str = optional("name of the stage in logs (default: its number)", "")
     separation_s: Period | None = optional("end of this stage on its clock, s")
@@ -156,7 +156,7 @@ class Stage(Section):
 
     @property
     def sensors(self) -> tuple[RateGyro | Accelerometer, ...]:
-        """Rate gyros beyond the first, then the accelerometer."""
+        """Return the rate gyros beyond the first, then the accelerometer."""
         return (*self.rate_gyro, *((self.accelerometer,) if self.accelerometer is not None else ()))
 
     @property
@@ -172,12 +172,14 @@ class Stage(Section):
 
     @property
     def engines(self) -> tuple[EngineSection, ...]:
-        """All engines, none where there is no thrust."""
+        """Return all engines, none without thrust."""
         return (self.engine,) if isinstance(self.engine, EngineSection) else self.engine or ()
 
     @property
     def engine_groups(self) -> tuple[str, ...]:
-        """Groups of engines that move together, in the order in which the engines name them; one at least."""
+        """Return the groups of engines that move together, in the order in which the engines name them; at least
+        one.
+        """
         return tuple(dict.fromkeys(e.group for e in self.engines if e.gimbal != "fixed")) or ("",)
 
     @property
@@ -190,7 +192,7 @@ class Stage(Section):
 
     @property
     def tvc_loads(self) -> dict[str, TvcLoadSection]:
-        """By group of engines."""
+        """Return the TVC loads by group of engines."""
         if isinstance(self.tvc_load, tuple):
             return {load.group or "": load for load in self.tvc_load}
         return {} if self.tvc_load is None else dict.fromkeys(self.engine_groups, self.tvc_load)
@@ -201,7 +203,7 @@ class Stage(Section):
 
     @model_validator(mode="after")
     def _modes_over_time(self) -> Stage:
-        """Tables of modes over mass become tables over time, by the stage's mass."""
+        """Convert tables of modes over mass to tables over time, by the stage's mass."""
         changed: dict[str, Any] = {}
         for section, keys, arrays in (
             ("bending", ("pitch", "yaw"), mode_table),
@@ -244,7 +246,7 @@ class Stage(Section):
             check_loads(self.loads, gimbal_station_m, names)
 
     def mode_tables(self) -> list[tuple[str, ModeTable | SpatialModeTable]]:
-        """Tables of modes and their keys; one that serves both planes once."""
+        """Return the tables of modes and their keys; a table for both planes appears once."""
         out: list[tuple[str, ModeTable | SpatialModeTable]] = []
         bending = self.bending
         if bending is not None:
@@ -268,7 +270,7 @@ class Stage(Section):
                 )
 
     def _check_groups(self, key: str, given: Any, *, all_of_them: bool) -> None:
-        """A list has an entry for each group of engines, a table serves all."""
+        """Check that a list has an entry for each group of engines; a single table serves all groups."""
         groups = self.engine_groups
         allowed = ", ".join(repr(group) for group in groups)
         if not isinstance(given, tuple):
@@ -331,7 +333,7 @@ class Stage(Section):
             )
 
     def _check_stations(self) -> None:
-        """The mode shapes must reach every station at which something acts or measures."""
+        """Check that the mode shapes reach every station at which loads or sensors act."""
         needed: list[tuple[tuple[str | int, ...], float]] = []
         for n, engine in enumerate(self.engines):
             needed.append(((*self.engine_key(n), "gimbal_station_m"), engine.gimbal_station_m))
@@ -365,7 +367,7 @@ class Stage(Section):
 
 
 class Vehicle(Section):
-    """vehicle.toml."""
+    """The vehicle, a file vehicle.toml."""
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("name of the vehicle", "")
@@ -417,7 +419,7 @@ class Vehicle(Section):
             raise refuse(problem, allowed, ("stage", n, "computer", "delay_s"), value=own.delay_s)
 
     def computer_of(self, number: int) -> ComputerSection | None:
-        """The computer while a stage flies, from 0."""
+        """Return the computer while a stage flies, counted from 0."""
         own = self.stage[number].computer
         if self.computer is None or own is None:
             return self.computer
