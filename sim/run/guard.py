@@ -1,9 +1,9 @@
-"""Processes that fly flight code from outside, so that a crash or an endless loop ends one flight and nothing else.
+"""Processes that fly external flight code, so that a crash or an endless loop ends only one flight.
 
-A worker is forked on memory that both processes share and flies what lies there. One that is done with a flight waits
-for the next of the same code: a fork costs as much as a third of a flight. So that each flight begins as in a fresh
-process, a library is unloaded in between; a worker of which something would be left (Python modules, a library that
-cannot be unloaded or that has started threads) ends with its flight.
+A worker is forked with memory that both processes share, and flies the flight in it. After a flight the worker waits
+for the next one with the same code, because a fork costs as much as a third of a flight. A library is unloaded in
+between, so that each flight begins as in a fresh process. If a part of the code would remain (Python modules, a library
+that cannot be unloaded or that has started threads), the worker ends with its flight.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from maxq.sim.run.instances import Instance, Setup, Unusable, started
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 Arrays = tuple[NDArray[Any], ...]
-"""What `loop.advance` takes, in its order without `until_ns`."""
+"""The arguments of `loop.advance`, in its order without `until_ns`."""
 MEMORY = 2  # index of the flight's memory in Arrays
 
 STARTING = 2  # of `inside`: while an instance is made
@@ -46,7 +46,7 @@ _leaving: set[int] = set()  # processes that have been told to end
 
 
 class Worker:
-    """A process that flies `computer`'s code on arrays of the types `kinds`."""
+    """A process that flies the code of `computer` on arrays of the types `kinds`."""
 
     def __init__(self, computer: ComputerSection, kinds: list[np.dtype[Any]], size: int) -> None:
         self.computer, self.kinds, self.size = computer, kinds, size
@@ -65,7 +65,7 @@ class Worker:
         self._answers.register(self._line.fileno(), select.POLLIN)
 
     def start(self, arrays: Arrays, setup: Setup) -> tuple[Arrays, bool, str]:
-        """The arrays in shared memory; whether the code was started on them, and what it says."""
+        """Start a flight: return the arrays in shared memory, True if the code was started, and its message."""
         shapes = [array.shape for array in arrays]
         placed = _placed(self._room, self.kinds, shapes)
         for room, array in zip(placed, arrays, strict=True):
@@ -80,7 +80,7 @@ class Worker:
         return self._done(b"A" + until_ns.to_bytes(8, sys.byteorder, signed=True))
 
     def release(self) -> None:
-        """End of the flight: let it close the code, and keep it for the next where nothing of the code is left."""
+        """End the flight: close the code, and keep the worker for the next flight if no part of the code remains."""
         self._seen["inside"][0] = 1  # or it could take as long as it likes
         clean = self._pid > 0 and self._done(b"C")[0]
         self._seen.clear()
@@ -94,7 +94,7 @@ class Worker:
             oldest.end()
 
     def end(self) -> None:
-        """Let the process end."""
+        """End the process."""
         _lines.discard(self._line)
         self._line.close()
         if self._pid > 0:
@@ -102,7 +102,7 @@ class Worker:
         _reap()
 
     def _done(self, order: bytes) -> tuple[bool, str]:
-        """Its answer; where there is none, the fault, and the process has ended."""
+        """Return the process's answer to an order, or the fault if there is none and the process has ended."""
         calls = int(self._seen["calls"][0])
         limit_s = self.computer.timeout_s + (5.0 if self.computer.address else 0.0)  # a socket has its own timeout
         with contextlib.suppress(OSError):
@@ -130,7 +130,7 @@ class Worker:
 
 
 def worker_for(computer: ComputerSection, arrays: Arrays) -> Worker:
-    """A worker that waits, or a new one."""
+    """Return a waiting worker, or a new one."""
     kinds, size = [array.dtype for array in arrays], _places([array.nbytes for array in arrays])[-1]
     _reap()
     with _FORK:
@@ -161,7 +161,7 @@ def _end_idle() -> None:
 
 
 def _forget() -> None:
-    """In a process that has been forked: the workers are not its own."""
+    """Forget the workers in a forked process, because they belong to its parent."""
     for line in _lines:
         line.close()
     _lines.clear()
@@ -192,7 +192,7 @@ def _placed(room: mmap.mmap, kinds: Sequence[np.dtype[Any]], shapes: Sequence[tu
 
 
 class _Flying:
-    """The worker's own side."""
+    """The worker's side of the connection."""
 
     def __init__(self, line: Any, room: mmap.mmap, computer: ComputerSection, kinds: list[np.dtype[Any]]) -> None:
         self._line, self._room, self._computer, self._kinds = line, room, computer, kinds
@@ -200,7 +200,7 @@ class _Flying:
         self._instance: Instance | None = None
 
     def serve(self) -> NoReturn:
-        """Do what is asked until there is nobody to ask."""
+        """Carry out orders until the connection ends."""
         code = 1
         try:
             for number in (signal.SIGINT, signal.SIGTERM):  # the process that asks sees to these
