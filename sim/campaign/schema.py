@@ -32,7 +32,9 @@ Probability = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
 def _as_read(value: Any, usual: ValidatorFunctionWrapHandler) -> Any:
-    """A text stays as it was read: it may name a file, which is looked for beside the file that names it."""
+    """Keep a text as it was read, because it may name a file, which is searched for in the folder of the file that
+    names it.
+    """
     return value if isinstance(value, Text) else usual(value)
 
 
@@ -48,7 +50,7 @@ Samples = Annotated[CsvTable, Columns("")]
 
 
 class Envelope(Section):
-    """Histories that are kept thinned out, for percentiles over time."""
+    """The histories kept at a low rate, for percentiles over time."""
 
     channels: tuple[str, ...] = optional(
         "names of log channels (docs/telemetry.md)",
@@ -70,7 +72,7 @@ class Envelope(Section):
 
 
 class Correlated(Section):
-    """Two draws whose normal scores are correlated, whatever their distributions (a Gaussian copula)."""
+    """Two draws whose normal scores are correlated, with any distributions (a Gaussian copula)."""
 
     of: tuple[str, str] = Field(description="names or key paths of two draws of continuous distributions")
     coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="of correlation of their scores")
@@ -127,7 +129,7 @@ _MEANINGFUL: dict[str, tuple[str, ...]] = {
     "samples": ("file", "column"),
     "cases": ("file",),
 }
-"""Keys that have a meaning with each distribution only."""
+"""The keys that have a meaning only with certain distributions."""
 _REQUIRED = {
     "low": "a number",
     "high": "a number",
@@ -135,7 +137,9 @@ _REQUIRED = {
     "values": "a list of values",
     "file": "a CSV file",
 }
-"""Keys that are required where they have a meaning; low and high are optional in a truncated normal distribution."""
+"""The keys that are required where they have a meaning; low and high are optional in a truncated normal
+distribution.
+"""
 
 
 class Disperse(Section):
@@ -177,22 +181,24 @@ class Disperse(Section):
 
     @property
     def sigma_of_normal(self) -> float:
-        """Standard deviation of a normal distribution, of ln(x) of a log-normal one."""
+        """Return the standard deviation of a normal distribution, or of ln(x) of a log-normal one."""
         return self.sigma if self.sigma is not None else (self.three_sigma or 0.0) / 3.0
 
     @property
     def ends(self) -> tuple[float, float]:
-        """`low` and `high`, infinite where they are not given."""
+        """Return `low` and `high`, infinite if they are not given."""
         return -math.inf if self.low is None else self.low, math.inf if self.high is None else self.high
 
     @property
     def sample_column(self) -> str:
-        """The column that samples are drawn from; empty where it is not given and there are several."""
+        """Return the column from which samples are drawn, or an empty string if it is not given and there are
+        several.
+        """
         names = list(self.file.columns) if self.file is not None else []
         return self.column or (names[0] if len(names) == 1 else "")
 
     def centre(self, nominal: float) -> float:
-        """The mean of a normal draw; without one the draw that changes nothing."""
+        """Return the mean of a normal draw; without a mean, the draw that changes nothing."""
         if self.mean is not None:
             return self.mean
         return {"set": nominal, "scale": 1.0, "add": 0.0}[self.apply]
@@ -245,7 +251,7 @@ class Disperse(Section):
 
 
 class WindModel(Section):
-    """Wind profiles that differ from run to run."""
+    """The wind profiles that differ from run to run."""
 
     model: Literal["vector", "ensemble"] = Field(
         description="vector: normal deviations from wind.profile, correlated over altitude; ensemble: given profiles"
