@@ -35,7 +35,9 @@ class BendingSection(Section):
     yaw: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
         "modes of the yaw plane; may be the same file (default: none)"
     )
-    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode, both planes alike")
+    damping_ratio: tuple[Fraction, ...] = Field(
+        max_length=MAX_MODES, description="damping ratio of each mode, the same in both planes"
+    )
     frequency_factor: tuple[Positive, ...] = Field(
         default_factory=_ones, description="multiplies the frequency of each mode (default ones)"
     )
@@ -74,7 +76,7 @@ class SpatialModesSection(Section):
         description="one row per time (or total mass), mode and station: displacement phi along, rotation theta about "
         "x, y, z; mass_kg and roll_inertia_kgm2 are lumped at the stations; or a NASTRAN file (op2, f06)"
     )
-    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode")
+    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="damping ratio of each mode")
     frequency_factor: tuple[Positive, ...] = Field(
         default_factory=_ones, description="multiplies the frequency of each mode (default ones)"
     )
