@@ -42,9 +42,10 @@ class Strapdown:
 class AttitudeError:
     """The attitude error; triples are per body axis (roll, pitch, yaw).
 
-    `measured`: attitude from the counted gyro increments. `error_rad`: attitude error. `theta_e_rad`: attitude error
-    clamped at its limit, the input of the law. `rate_radps`: measured rate q_g, the increment divided by the sample
-    period.
+    - `measured`: attitude from the counted gyro increments.
+    - `error_rad`: attitude error.
+    - `theta_e_rad`: attitude error clamped at its limit, the input of the law.
+    - `rate_radps`: measured rate q_g, the increment divided by the sample period.
     """
 
     measured: Strapdown

@@ -79,9 +79,10 @@ class Computer:
 
     `sample_ns`: period of the ticks. `delay_ns`: time from a tick to the effect of its command, applied by the plant.
 
-    `attitude`: definition of the attitude error, index into `METHODS` of attitude.py. `angle_error_limit_rad`: clamp of
-    theta_e. `command_limit_rad`: limit of each gimbal command; inf is no limit. `dac_step_rad`: step of the
-    digital-to-analogue converter; 0 is none.
+    - `attitude`: definition of the attitude error, index into `METHODS` of attitude.py.
+    - `angle_error_limit_rad`: clamp of theta_e.
+    - `command_limit_rad`: limit of each gimbal command; inf is no limit.
+    - `dac_step_rad`: step of the digital-to-analogue converter; 0 is none.
 
     `programme`: table of `guidance.rate_programme`. `unrolled` = 1: the pitch and yaw axes of the programme do not
     roll. The switches are 1 or 0. With `control_on` = 0 the law returns 0, and injected commands still pass. With
@@ -124,11 +125,13 @@ class Computer:
 class ComputerState:
     """The state of the flight computer, allocated by `records.blank` and started by `start_computer`.
 
-    `ticks`: samples done. `invalid_inputs`: inputs rejected so far (`computer_tick`). `requested_rad`: output of the
-    law plus injected command. `command_limited`: 1 where the limit cut that sum. `command_rad`: gimbal command issued
-    at the last tick; the roll demand is `roll.demand`. `navigation`: speed_mps, mass_kg, dynamic_pressure_Pa at the end
-    of the sample (`OVER` of structures.py). The caller writes them where scheduled gains or external flight code use
-    them.
+    - `ticks`: samples done.
+    - `invalid_inputs`: inputs rejected so far (`computer_tick`).
+    - `requested_rad`: output of the law plus injected command.
+    - `command_limited`: 1 where the limit cut that sum.
+    - `command_rad`: gimbal command issued at the last tick; the roll demand is `roll.demand`.
+    - `navigation`: speed_mps, mass_kg, dynamic_pressure_Pa at the end of the sample (`OVER` of structures.py). The
+      caller writes them where scheduled gains or external flight code use them.
     """
 
     ticks: int

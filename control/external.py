@@ -38,19 +38,23 @@ OWN_ERROR, NOT_FINITE, BAD_THRUSTER, CRASHED, STUCK = range(1, 6)
 class FswInputs:
     """The struct `maxq_fsw_inputs`; triples are per body axis x, y, z (roll, pitch, yaw).
 
-    `bytes`: size of the struct. `time_ns`, `time_s`: vehicle clock at the end of the sample. `tick`: samples before
-    this one. `stage`: from 0. `health`: bit 0, all gyro increments were valid; bits 1 and 2, the samples of the
-    accelerometer and of all further rate gyros have arrived.
-
-    `counts`, `delta_angle_rad`: gyro pulses of the sample and the corresponding angle; without quantisation counts are
-    0. `angle_rad`: sum of the angles. `rate_radps`: angle of the sample divided by its period. `commanded_angle_rad`,
-    `commanded_rate_radps`: of the guidance programme, with injected rates. `attitude_error_rad`: input of the built-in
-    law. `q_BR`, `commanded_q_BR`: attitude from the counts and of the guidance, B to R (the body at its start), scalar
-    first.
-
-    `delta_velocity_mps`: specific force integrated over the sample, from the accelerometer; 0 without one.
-    `further_rate_radps`: rates of the gyros beyond the first, as `rate_radps`. `speed_mps`, `mass_kg`,
-    `dynamic_pressure_Pa`: as for gain schedules (structures.py).
+    - `bytes`: size of the struct.
+    - `time_ns`, `time_s`: vehicle clock at the end of the sample.
+    - `tick`: samples before this one.
+    - `stage`: from 0.
+    - `health`: bit 0, all gyro increments were valid; bits 1 and 2, the samples of the accelerometer and of all further
+      rate gyros have arrived.
+    - `counts`, `delta_angle_rad`: gyro pulses of the sample and the corresponding angle; without quantisation counts
+      are 0.
+    - `angle_rad`: sum of the angles.
+    - `rate_radps`: angle of the sample divided by its period.
+    - `commanded_angle_rad`, `commanded_rate_radps`: of the guidance programme, with injected rates.
+    - `attitude_error_rad`: input of the built-in law.
+    - `q_BR`, `commanded_q_BR`: attitude from the counts and of the guidance, B to R (the body at its start), scalar
+      first.
+    - `delta_velocity_mps`: specific force integrated over the sample, from the accelerometer; 0 without one.
+    - `further_rate_radps`: rates of the gyros beyond the first, as `rate_radps`.
+    - `speed_mps`, `mass_kg`, `dynamic_pressure_Pa`: as for gain schedules (structures.py).
     """
 
     bytes: int
@@ -79,8 +83,10 @@ class FswInputs:
 class FswOutputs:
     """The struct `maxq_fsw_outputs`; all 0 before each call.
 
-    `gimbal_rad`: commands in pitch and yaw before limit and DAC, which are hardware. `roll_gimbal_rad`: roll command to
-    several groups of engines (allocation.py). `roll_thruster`: -1, 0 or 1. `monitor`: values for the log.
+    - `gimbal_rad`: commands in pitch and yaw before limit and DAC, which are hardware.
+    - `roll_gimbal_rad`: roll command to several groups of engines (allocation.py).
+    - `roll_thruster`: -1, 0 or 1.
+    - `monitor`: values for the log.
     """
 
     bytes: int
@@ -94,9 +100,12 @@ class FswOutputs:
 class ExternalState:
     """The state of external flight code.
 
-    `step`, `instance`: addresses of the function and of its instance. `inside`: 1 while the function runs. `calls`:
-    calls so far. `invalid_before`: invalid inputs up to the previous sample. `fault`: 0, or the reason that ends the
-    flight. `code`: return value of the function, or index of the invalid output.
+    - `step`, `instance`: addresses of the function and of its instance.
+    - `inside`: 1 while the function runs.
+    - `calls`: calls so far.
+    - `invalid_before`: invalid inputs up to the previous sample.
+    - `fault`: 0, or the reason that ends the flight.
+    - `code`: return value of the function, or index of the invalid output.
     """
 
     step: int

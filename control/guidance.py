@@ -28,10 +28,12 @@ N_AXES = 3
 class GuidanceState:
     """The state of the guidance, per body axis x, y, z (roll, pitch, yaw).
 
-    `start_rad`: integral of the programme when the computer was started. `programme_rad`: change of this integral
-    since. `injected_rad`: integral of the injected rates. `angle_rad`: commanded angle, the sum of both.
-    `increment_rad`, `rate_radps`: commanded turn of the body in the last sample, and this turn divided by the sample
-    period.
+    - `start_rad`: integral of the programme when the computer was started.
+    - `programme_rad`: change of this integral since.
+    - `injected_rad`: integral of the injected rates.
+    - `angle_rad`: commanded angle, the sum of both.
+    - `increment_rad`, `rate_radps`: commanded turn of the body in the last sample, and this turn divided by the sample
+      period.
 
     `attitude`: the same rates as a commanded attitude, the reference of the attitude error.
     """

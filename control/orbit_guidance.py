@@ -44,12 +44,15 @@ FAIR = 1.0
 
 @dataclass(frozen=True)
 class OrbitGuidance:
-    """The parameters of the orbit guidance. `on`: 0 without it. `start_s`: vehicle clock. `rate_limit_radps`: limit of
-    the commanded attitude rate.
+    """The parameters of the orbit guidance.
 
-    `radius_m`, `speed_mps`: targets at cutoff, where the vertical speed is 0. `semimajor_m`: semi-major axis of the
-    orbit. `cos_inclination`: a magnitude above 1 selects the plane of flight at the start. `exhaust_mps`: effective
-    exhaust speed of the engine that is cut off.
+    - `on`: 0 without it.
+    - `start_s`: vehicle clock.
+    - `rate_limit_radps`: limit of the commanded attitude rate.
+    - `radius_m`, `speed_mps`: targets at cutoff, where the vertical speed is 0.
+    - `semimajor_m`: semi-major axis of the orbit.
+    - `cos_inclination`: a magnitude above 1 selects the plane of flight at the start.
+    - `exhaust_mps`: effective exhaust speed of the engine that is cut off.
     """
 
     on: int = 0
@@ -71,9 +74,12 @@ class OrbitGuidanceState:
     """The state of the orbit guidance. `position_m`, `velocity_mps`: navigated, in I, at the end of the sample.
     `start_q_BI`: attitude at the start.
 
-    `acceleration_mps2`: thrust acceleration at `last_s`. `last_*`: values of the last cycle. `axes`: x, n, z in I.
-    `unknowns`: scaled as in the module's text. `solved_s`, `begun_s`: time of the last solution, and t_0. `cut_off_s`:
-    time of the engine cutoff; inf as long as it is unknown.
+    - `acceleration_mps2`: thrust acceleration at `last_s`.
+    - `last_*`: values of the last cycle.
+    - `axes`: x, n, z in I.
+    - `unknowns`: scaled as in the module's text.
+    - `solved_s`, `begun_s`: time of the last solution, and t_0.
+    - `cut_off_s`: time of the engine cutoff; inf as long as it is unknown.
     """
 
     position_m: Annotated[Array, (3,)]

@@ -27,8 +27,12 @@ class Roll:
 
 @dataclass
 class RollState:
-    """The state of roll control. `switching_rad`: s. `demand`: sign of the torque about body x, -1, 0 or +1.
-    `ticks_on`: samples of the current firing so far. `firings`: firings begun.
+    """The state of roll control.
+
+    - `switching_rad`: s.
+    - `demand`: sign of the torque about body x, -1, 0 or +1.
+    - `ticks_on`: samples of the current firing so far.
+    - `firings`: firings begun.
     """
 
     switching_rad: float

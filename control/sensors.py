@@ -25,8 +25,9 @@ from maxq.control.kernel.records import Array, IntArray
 class Sensors:
     """The parameters of the sensors. `accelerometer`: number of the last sensor if it is an accelerometer; -1 without.
 
-    `converter`: angle (rad) or velocity (m/s) per pulse. `latency`: samples. `blend` (2, sensors): weights w_0, w_1 and
-    so on in pitch and yaw.
+    - `converter`: angle (rad) or velocity (m/s) per pulse.
+    - `latency`: samples.
+    - `blend` (2, sensors): weights w_0, w_1 and so on in pitch and yaw.
     """
 
     count: int
@@ -41,8 +42,9 @@ class SensorState:
     """The state of the sensors. `increment` (sensors, 3): output over the sample, written by the caller. `lost`: 1
     where the output did not arrive.
 
-    `past`: counts of the last samples, a ring. `delta` (sensors, 3): increments used by the computer, rad or m/s.
-    `value`: their mean over the sample, rad/s or m/s2.
+    - `past`: counts of the last samples, a ring.
+    - `delta` (sensors, 3): increments used by the computer, rad or m/s.
+    - `value`: their mean over the sample, rad/s or m/s2.
     """
 
     converter: Annotated[tuple[ConverterState, ...], (MAX_SENSORS,)]

@@ -38,8 +38,12 @@ from maxq.control.laws.load_relief import lag_share
 class Adaptive:
     """The parameters of adaptive augmenting control.
 
-    `on`: 1 with adaptation. `least`: k_0. `span`: k_max. `error_gain`: a. `damper_gain`: alpha, 1/(rad2 s).
-    `leakage_ps`: beta.
+    - `on`: 1 with adaptation.
+    - `least`: k_0.
+    - `span`: k_max.
+    - `error_gain`: a.
+    - `damper_gain`: alpha, 1/(rad2 s).
+    - `leakage_ps`: beta.
 
     `reference` (2, 3): e and q one sample later, from e, q and q_c. `high_pass` (1, 5): b0, b1, b2, a1, a2.
     """

@@ -68,8 +68,10 @@ class PdRecord:
 class PdState:
     """The state of PD; pairs are per gimbal axis (pitch, yaw).
 
-    `k_p`, `k_d_s`: gains in use. `pd_rad`: delta_pd. `filtered_rad`: delta_pd after the bending filter.
-    `filter_memory`: memory of each section.
+    - `k_p`, `k_d_s`: gains in use.
+    - `pd_rad`: delta_pd.
+    - `filtered_rad`: delta_pd after the bending filter.
+    - `filter_memory`: memory of each section.
     """
 
     k_p: Annotated[Array, (2,)]

@@ -317,9 +317,11 @@ def channel_table(
     """Return the channels of a vehicle with these numbers of modes, pendulums and sections, in the order of the
     kernels' columns.
 
-    `stations`: description of each station of the section loads; names contain their numbers, from 1. `waves`: include
-    the height of the pendulums' waves. `external`: include the monitored values of external flight code.
-    `accelerometer`: the last sensor is an accelerometer. `adaptive`: include the total gain.
+    - `stations`: description of each station of the section loads; names contain their numbers, from 1.
+    - `waves`: include the height of the pendulums' waves.
+    - `external`: include the monitored values of external flight code.
+    - `accelerometer`: the last sensor is an accelerometer.
+    - `adaptive`: include the total gain.
     """
     topics = declared_topics(FAST, FastRow)
     kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))

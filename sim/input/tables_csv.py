@@ -124,12 +124,15 @@ class Foreign(NamedTuple):
 class Columns:
     """The required form of a table, which annotates a field: `Annotated[CsvTable, Columns("time_s", ...)]`.
 
-    `axis`: the independent column, or one of `other_axes` in its place. It must increase strictly, with two exceptions:
-    `repeats` allows equal values, and `falling` names axes that decrease. If it is `axis`, it must begin at or before
-    `begins_by`. `sets`: alternative sets of required columns, of which exactly one must be complete. `positive`,
-    `not_negative`: columns with these bounds. Without an axis (empty) the table consists of samples, with any columns.
-    `grid`: instead of one axis at least one of these, with the other columns at each combination of their values
-    (grids.py).
+    - `axis`: the independent column, or one of `other_axes` in its place. It must increase strictly, with two
+      exceptions: `repeats` allows equal values, and `falling` names axes that decrease. If it is `axis`, it must begin
+      at or before `begins_by`.
+    - `sets`: alternative sets of required columns, of which exactly one must be complete.
+    - `positive`, `not_negative`: columns with these bounds.
+    - `grid`: instead of one axis at least one of these, with the other columns at each combination of their values
+      (grids.py).
+
+    Without an axis (empty) the table consists of samples, with any columns.
     """
 
     axis: str

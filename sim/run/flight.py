@@ -53,10 +53,12 @@ class Event:
 class Flight(Tabular):
     """A completed flight.
 
-    `flight["alpha_deg"]` is a channel, `flight.time_s("alpha_deg")` its times. `metrics` and `metric_times_s` are
-    indexed by metric name (nan: no time, because the metric was never updated). `outcome`: "impact" or another event of
-    run.stop_at that ended it, "duration", "diverged", "interrupted". `cause`: reason for a divergence. `final` holds
-    every channel at the last instant, with or without a log.
+    `flight["alpha_deg"]` is a channel, and `flight.time_s("alpha_deg")` its times.
+
+    - `metrics`, `metric_times_s`: by metric name (nan: no time, because the metric was never updated).
+    - `outcome`: "impact" or another event of run.stop_at that ended it, "duration", "diverged", "interrupted".
+    - `cause`: reason for a divergence.
+    - `final`: every channel at the last instant, with or without a log.
     """
 
     scenario: LoadedScenario

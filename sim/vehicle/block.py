@@ -123,9 +123,10 @@ def rigid_counts(sizes: Counts) -> Counts:
 class StateBlock:
     """The states of one kind of part: all states of the first part, then those of the next.
 
-    `states`: name and unit of the states of a part, where `{}` in a name represents the part. `parts`: names of the
-    parts, or the field of `Sizes` that counts them. `bound`: if the sum of the magnitudes of a part's states exceeds
-    it, the flight has diverged, with the cause `excess`.
+    - `states`: name and unit of the states of a part, where `{}` in a name represents the part.
+    - `parts`: names of the parts, or the field of `Sizes` that counts them.
+    - `bound`: if the sum of the magnitudes of a part's states exceeds it, the flight has diverged, with the cause
+      `excess`.
     """
 
     states: Mapping[str, str]

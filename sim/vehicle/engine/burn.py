@@ -106,8 +106,9 @@ class EngineFault:
 class TableClock:
     """The clock of the stage's tables over the stage clock: a parabola from each of `time_s` to the next.
 
-    `table_s` (n,). `rate` (n, 2): ds/dt after an instant, and just before the next; the last rate holds for ever.
-    `share` (engines, n, 2): throttle and faults of each engine, linear between.
+    - `table_s` (n,).
+    - `rate` (n, 2): ds/dt after an instant, and just before the next; the last rate holds for ever.
+    - `share` (engines, n, 2): throttle and faults of each engine, linear between.
     """
 
     time_s: BurnNumbers

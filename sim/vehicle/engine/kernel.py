@@ -32,10 +32,11 @@ Indices = Annotated[IntArray, _PER_ENGINE]
 class Engine:
     """All engines of a stage; `Sizes.engines` is their number.
 
-    `turned_*_rad`: cant and misalignment, which add to the gimbal's angles. `rest_*`: thrust axis with cant, but
-    neither deflected nor misaligned, B. `lever_*_m`: vector from the body axis at the gimbal's station to the engine's
-    CG at rest (aft, y, z), for the modes. y and z are used for canted engines only; without cant they are of second
-    order. `exit_*`: centre and second moments of the nozzle exits about it, for jet damping.
+    - `turned_*_rad`: cant and misalignment, which add to the gimbal's angles.
+    - `rest_*`: thrust axis with cant, but neither deflected nor misaligned, B.
+    - `lever_*_m`: vector from the body axis at the gimbal's station to the engine's CG at rest (aft, y, z), for the
+      modes. y and z are used for canted engines only; without cant they are of second order.
+    - `exit_*`: centre and second moments of the nozzle exits about it, for jet damping.
     """
 
     exit_area_m2: Numbers

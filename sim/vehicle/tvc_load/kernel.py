@@ -195,8 +195,9 @@ def prepare_loads(
 ) -> None:
     """Fill both unknowns of each load; their states are at y[states:].
 
-    `first`: the first engine. `first_rates`: rates of its gimbal. `offset`: vector from the core CG to the CG with the
-    engines deflected.
+    - `first`: the first engine.
+    - `first_rates`: rates of its gimbal.
+    - `offset`: vector from the core CG to the CG with the engines deflected.
     """
     for n in range(sizes.tvc_loads):
         k, i = load.engine[n], states + N_TVC_LOAD * n

@@ -25,7 +25,7 @@ class TvcLoadSection(Section):
     )
     friction_angle_deg: Positive = optional("angle over which the friction builds up, deg", 0.05)
     stop_stiffness_Nmprad: Positive | None = optional(
-        "stiffness of the contact of one engine at the actuator's stop_deg, N m/rad (default: ten times that of the compliance)"
+        "stiffness of one engine at the stop_deg of the actuator, N m/rad (default: ten times the compliance)"
     )
 
     def _check(self) -> None:
