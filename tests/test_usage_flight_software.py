@@ -135,7 +135,7 @@ def test_wrong_python_is_told_in_a_line(capsys: Printed, text: str, code: int, s
         ({"python": "my_fsw.py"}, "names no class"),
         ({"python": "none.py:A", "address": "tcp://127.0.0.1:1"}, "no such file"),
         ({"address": "tcp://10.0.0.1:5000"}, "is not on this machine"),
-        ({"address": "127.0.0.1"}, "is no address"),
+        ({"address": "127.0.0.1"}, "is not an address"),
         ({"address": "tcp://127.0.0.1:1"}, "connection refused"),
     ],
 )

@@ -92,7 +92,7 @@ def _fitted(x_bytes: bytes, y_bytes: bytes, columns: int, method: Method) -> Cub
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("a table must hold finite numbers only")
     if (np.diff(x) <= 0).any():
-        raise ValueError("a table's first column must rise strictly")
+        raise ValueError("a table's first column must increase strictly")
     if len(x) == 1:
         x, y = np.array([x[0], x[0] + 1.0]), np.repeat(y, 2, axis=0)
     if method == "pchip" and len(x) > 2:

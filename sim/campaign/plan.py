@@ -242,7 +242,7 @@ class Plan:
         if (d.spec.outside or self.campaign.outside) == "refuse":
             at = int(np.argmin(good))
             raise CampaignError(
-                f"run {drawn.first + at}: {d.name} = {results[0][at]:g} lies outside its bounds"
+                f"run {drawn.first + at}: {d.name} = {results[0][at]:g} is outside its bounds"
                 f"{_bounds_text(d)}; outside = 'resample' draws again, at_least and at_most cut the distribution"
             )
         for at in np.flatnonzero(~good).tolist():
@@ -254,7 +254,7 @@ class Plan:
                     break
             else:
                 raise CampaignError(
-                    f"run {run}: {MOST_ATTEMPTS} draws of {d.name} all lie outside its bounds{_bounds_text(d)}; "
+                    f"run {run}: {MOST_ATTEMPTS} draws of {d.name} are all outside its bounds{_bounds_text(d)}; "
                     "change the distribution or the bounds"
                 )
             values[at] = new[0]

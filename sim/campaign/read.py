@@ -259,7 +259,7 @@ def made_of(
     for n, channel in enumerate(file.campaign.envelope.channels):
         if channel not in known:
             path = ("campaign", "envelope", "channels", n)
-            raise refuse("is no log channel (docs/telemetry.md)", key=path, value=channel)
+            raise refuse("is not a log channel (docs/telemetry.md)", key=path, value=channel)
     plan = Plan(file.campaign, tuple(found), wind)
     _check_correlated(plan)
     return LoadedCampaign(loaded, file, plan)
@@ -277,9 +277,9 @@ def _check_correlated(plan: Plan) -> None:
         found = [[d.name for d in free if name in (d.name, d.label)] for name in pair.of]
         if [len(names) for names in found] != [1, 1] or found[0] == found[1]:
             allowed = f"two of {', '.join(d.label for d in free) or 'no draws'}"
-            raise refuse("are no two draws", allowed, ("campaign", "correlated", n, "of"), value=pair.of)
+            raise refuse("are not two draws", allowed, ("campaign", "correlated", n, "of"), value=pair.of)
     if plan.pairs and np.linalg.eigvalsh(plan.correlation[1])[0] < -1e-9:
-        problem, allowed = "no draws have all of these coefficients together", "those of a positive semidefinite matrix"
+        problem, allowed = "these coefficients exclude each other", "those of a positive semidefinite matrix"
         raise refuse(problem, allowed, ("campaign", "correlated"), value=len(plan.campaign.correlated))
 
 
@@ -296,7 +296,7 @@ def _check_overlaps(file: CampaignFile, found: list[Draw]) -> None:
                 raise refuse("is dispersed twice", allowed, key, value=target.key)
             taken.add(place)
             if target.key == WIND_KEY and file.wind_model is not None:
-                raise refuse("is drawn by [wind_model] already", key=key, value=target.key)
+                raise refuse("is already drawn by [wind_model]", key=key, value=target.key)
             if target.key == SEED_KEY and file.campaign.noise == "each-run":
                 allowed = "'as-scenario' with such a draw"
                 raise refuse("run.seed is dispersed", allowed, ("campaign", "noise"))
@@ -386,7 +386,7 @@ def _check_fits(spec: Disperse, target: Target, at: KeyPath) -> None:
     if any(isinstance(value, str) for value in spec.values or ()):
         raise refuse(f"{target.key} holds a number", "numbers", (*at, "values"))
     if spec.where is not None and target.kind != "column":
-        raise refuse(f"{target.key} is no column of a table", key=(*at, "where"))
+        raise refuse(f"{target.key} is not a column of a table", key=(*at, "where"))
     for name, value in (spec.where or {}).items():
         if name not in target.columns:
             raise refuse("the table has no such column", ", ".join(target.columns), (*at, "where", name), value=value)
@@ -410,6 +410,6 @@ def _tables(
             out.append(TypeAdapter(Annotated[CsvTable, columns]).validate_python(value, context=reading))
         except ValidationError as error:
             context = error.errors(include_url=False)[0].get("ctx", {})
-            problem, allowed = context.get("problem", "is no such table"), context.get("allowed", "")
+            problem, allowed = context.get("problem", "is not such a table"), context.get("allowed", "")
             raise refuse(problem, allowed, (*here, "values", n), value=str(value)) from None
     return tuple(out)

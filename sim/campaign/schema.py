@@ -226,9 +226,9 @@ class Disperse(Section):
         if self.distribution == "truncated-normal" and low == -high == -math.inf:
             raise refuse("needs low, high or both", "a number", "low")
         if low > high or (low == high and self.distribution == "truncated-normal"):
-            raise refuse("low lies above high", f"at most {high:g}", "low")
+            raise refuse("low is above high", f"at most {high:g}", "low")
         if self.mode is not None and not low <= self.mode <= high:
-            raise refuse("lies outside low .. high", f"{low:g} .. {high:g}", "mode")
+            raise refuse("is outside low .. high", f"{low:g} .. {high:g}", "mode")
         if self.values is not None:
             if not self.values:
                 raise refuse("is empty", "one value or more", "values")
@@ -246,7 +246,7 @@ class Disperse(Section):
         if n == 0 or len(c) != n or len(matrix) != n:
             raise refuse(f"is not a matrix of {n} by {n}", "a row of numbers for each of keys", "covariance")
         if (c != c.T).any() or np.linalg.eigvalsh(c).min() < -1e-12 * np.abs(c).max():
-            raise refuse("is no covariance", "a symmetric matrix without negative eigenvalues", "covariance")
+            raise refuse("is not a covariance", "a symmetric matrix without negative eigenvalues", "covariance")
 
 
 class WindModel(Section):
@@ -277,10 +277,10 @@ class WindModel(Section):
             table: CsvTable = self.needs("table", "model is 'vector'", WIND_MODEL_COLUMNS.allowed())
             self.needs("correlation_length_m", "model is 'vector'", "a number > 0")
             if (np.abs(table.get("correlation")) > 1.0).any():
-                raise table.refusal("is no correlation", "numbers -1 .. 1", "correlation", at=("table",))
+                raise table.refusal("is not a correlation", "numbers -1 .. 1", "correlation", at=("table",))
             if self.months is not None:
                 odd = ~np.isin(self.months["month"], np.arange(1, 13))
-                self.months.refuse_where(odd, "month", "is no month", "whole numbers 1 .. 12", at=("months",))
+                self.months.refuse_where(odd, "month", "is not a month", "whole numbers 1 .. 12", at=("months",))
         elif not self.needs("profiles", "model is 'ensemble'", "a list of CSV files"):
             raise refuse("is empty", "one profile or more", "profiles")
 
@@ -295,7 +295,7 @@ class CampaignFile(Section):
     def _check(self) -> None:
         for n, text in enumerate(self.campaign.keep):
             if not keep_is_known(text):
-                raise refuse("is no selection", KEEP_ALLOWED, ("campaign", "keep", n))
+                raise refuse("is not a selection", KEEP_ALLOWED, ("campaign", "keep", n))
 
 
 def keep_is_known(text: str) -> bool:

@@ -113,7 +113,7 @@ class Store:
         for part in parts_in(self.folder):
             problem = self._problem(part)
             if not problem and part.first <= reach:
-                problem = f"it holds run {part.first}, which another part holds already"
+                problem = f"it contains run {part.first}, which another part already contains"
             if problem:
                 aside = part.path.with_name(part.path.name + ".corrupt")
                 os.replace(part.path, aside)
@@ -219,7 +219,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     except OSError as error:
         raise CampaignError(f"{path}: cannot be read: {reason(error)}") from None
     except ValueError:
-        raise CampaignError(f"{path}: is damaged; remove it, and the runs beside it") from None
+        raise CampaignError(f"{path}: is damaged; remove it and the runs in the same folder") from None
     if content.get("layout") != LAYOUT:
         raise CampaignError(f"{path}: has layout {content.get('layout')}, this maxq knows {LAYOUT}")
     return content

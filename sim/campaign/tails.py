@@ -66,7 +66,7 @@ def tail_of(values: Array, limit: float, success: float, confidence: float, larg
         return Tail(f"{n} runs; {4 * _FEWEST} are needed")
     share, p = k / n, 1.0 - success
     if p >= share:
-        return Tail(f"{100.0 * success:g} % lies within what was flown")
+        return Tail(f"{100.0 * success:g} % is within the values flown")
     u = 0.5 * (x[n - k - 1] + x[n - k])
     y = x[n - k :] - u
     different, counts = np.unique(x[n - k :], return_counts=True)

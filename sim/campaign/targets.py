@@ -90,7 +90,7 @@ def find_target(scenario: Scenario, key: str) -> Target:
         if isinstance(at, Section):
             names = _names(type(at))
             if part not in names:
-                raise refuse("is no key of the scenario" + _hint(part, names, parts[:n]))
+                raise refuse("is not a key of the scenario" + _hint(part, names, parts[:n]))
             at = getattr(at, names[part])
             path.append(part)
         elif isinstance(at, tuple):

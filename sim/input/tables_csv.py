@@ -218,7 +218,7 @@ class Columns:
 
     def _from_file(self, name: str, context: Any) -> CsvTable:
         if not isinstance(name, Text) or context is None:
-            raise refuse("a file is named where none can be read", "the table itself")
+            raise refuse("names a file, but no files can be read here", "the table itself")
         reading: Reading = context
         if self.foreign and (made := self.foreign.read(name, reading, self)):
             return made
@@ -231,7 +231,7 @@ class Columns:
             if not isinstance(given, str):
                 raise refuse("must be a text", key=key)
         if date and not re.fullmatch(DATE, date):
-            raise refuse("is no date", "YYYY-MM-DD, or YYYY-MM-DDThh", (DATE_KEY,), value=date)
+            raise refuse("is not a date", "YYYY-MM-DD, or YYYY-MM-DDThh", (DATE_KEY,), value=date)
         columns: dict[str, Column] = {}
         for name, numbers in value.items():
             if name in (FILE_KEY, DATE_KEY):

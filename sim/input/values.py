@@ -117,7 +117,7 @@ class Section(BaseModel):
 
 def _whole_ns(seconds: float) -> float:
     if abs(seconds) > LONGEST_S:
-        raise refuse("is longer than a flight can be", f"times up to {LONGEST_S:g} s, which are three years")
+        raise refuse("is longer than any flight", f"times up to {LONGEST_S:g} s, which are three years")
     if not is_whole_ns(seconds):
         raise refuse("is not a whole number of nanoseconds", "multiples of 1e-9 s")
     return seconds
@@ -125,7 +125,7 @@ def _whole_ns(seconds: float) -> float:
 
 def _whole_period(rate_hz: float) -> float:
     if rate_hz * LONGEST_S < 1.0:
-        raise refuse("is slower than a flight can be long", f"a period of at most {LONGEST_S:g} s")
+        raise refuse("has a period longer than any flight", f"a period of at most {LONGEST_S:g} s")
     if not is_whole_period(rate_hz):
         raise refuse("its period is not a whole number of nanoseconds", "rates that divide 1e9, e.g. 50, 100, 1000")
     return rate_hz

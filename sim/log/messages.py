@@ -89,7 +89,7 @@ def _field_names(schema: bytes) -> list[str]:
     try:
         files = descriptor_pb2.FileDescriptorSet.FromString(schema).file
     except DecodeError as error:
-        raise ValueError("the schema is no protobuf schema") from error
+        raise ValueError("the schema is not a protobuf schema") from error
     if len(files) != 1 or len(files[0].message_type) != 1:
         raise ValueError("the schema does not hold exactly one message")
     fields = files[0].message_type[0].field

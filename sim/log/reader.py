@@ -386,7 +386,9 @@ def _chunk_content(data: bytes, start: int, end: int) -> bytes:
         raise DamagedError("its first byte is wrong")
     if chunk.uncompressed_size > MOST_CHUNK_BYTES:
         size = f"{chunk.uncompressed_size / 1e6:.0f} MB"
-        raise DamagedError(f"it says that it decompresses to {size}; at most {MOST_CHUNK_BYTES / 1e6:.0f} MB are read")
+        raise DamagedError(
+            f"it declares a decompressed size of {size}; at most {MOST_CHUNK_BYTES / 1e6:.0f} MB are read"
+        )
     try:
         content = _decompressed(chunk)
     except _UNREADABLE as error:

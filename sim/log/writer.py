@@ -175,7 +175,7 @@ def _check_times(what: str, times_ns: IntArray, earliest: int = 0) -> None:
     if times_ns.dtype != np.int64 or times_ns.ndim != 1:
         raise ValueError(f"{what}: times must be a one-dimensional array of int64")
     if len(times_ns) and (int(times_ns[0]) < earliest or bool((times_ns[1:] < times_ns[:-1]).any())):
-        raise ValueError(f"{what}: times must not fall and must start at or after {earliest} ns")
+        raise ValueError(f"{what}: times must not decrease and must start at or after {earliest} ns")
 
 
 def message_block(channel_id: int, template: NDArray[np.void], times_ns: IntArray) -> NDArray[np.void]:

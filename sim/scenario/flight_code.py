@@ -45,7 +45,7 @@ class CodeFile(Section):
         if not isinstance(value, str):
             return value
         if not isinstance(value, Text) or not isinstance(info.context, Reading):
-            raise refuse("a file is named where none can be read", "a table with file and sha256")
+            raise refuse("names a file, but no files can be read here", "a table with file and sha256")
         is_python = ".py" in value
         name, _, member = value.rpartition(":") if is_python else (str(value), "", "")
         if is_python and not (name.endswith(".py") and member.isidentifier()):
@@ -67,7 +67,7 @@ def _loopback(text: str) -> str:
     found = _ADDRESS.fullmatch(text)
     allowed = "tcp://127.0.0.1:PORT or udp://127.0.0.1:PORT, of this machine"
     if not found or not 0 < int(found[3]) < 65536:
-        raise refuse("is no address", allowed)
+        raise refuse("is not an address", allowed)
     host = found[2].strip("[]")
     try:
         local = host == "localhost" or ipaddress.ip_address(host).is_loopback

@@ -205,7 +205,7 @@ def _refuse_foreign_design(tree: TomlTable) -> None:
         return
     if tree.sources.get("vehicle", tree.source).label != COMMAND_LINE:
         problem = f'the design was made for "{made_for}", and the scenario flies "{flies}"'
-        allowed = "a scenario of the design's vehicle (--scenario); or ask for it: --vehicle, --set vehicle=..."
+        allowed = "a scenario of the design's vehicle (--scenario); or set the vehicle: --vehicle, --set vehicle=..."
         raise tree.sources.get("design", tree.source).error(("design",), problem, allowed=allowed)
 
 
@@ -270,7 +270,7 @@ def copy_scenario(name: str, folder: str | Path) -> Path:
     targets = {file: Path(folder) / file.relative_to(scenarios_folder()) for file in sorted(files)}
     for target in targets.values():
         if target.exists():
-            raise ScenarioError(str(target), "is there already, and is not overwritten", allowed="a new folder")
+            raise ScenarioError(str(target), "already exists, and is not overwritten", allowed="a new folder")
     try:
         for file, target in targets.items():
             target.parent.mkdir(parents=True, exist_ok=True)

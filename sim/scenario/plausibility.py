@@ -61,7 +61,7 @@ def _reference(reference: Reference, tail_m: float) -> Iterator[Implausible]:
     """Yield implausible lengths; `tail_m`: rearmost station that the files name, 0 if there is none."""
     length, diameter, area = reference.length_m, reference.diameter_m, reference.area_m2
     if tail_m > 0.0 and not 0.9 * tail_m <= length <= 2.0 * tail_m:
-        yield "length_m", length, f"the hindmost station, {tail_m:g} m, or a little more"
+        yield "length_m", length, f"the rearmost station, {tail_m:g} m, or a little more"
     if diameter > 1.5 * length:
         yield "diameter_m", diameter, f"less than the length of {length:g} m"
     across = 0.25 * math.pi * diameter**2
@@ -249,7 +249,7 @@ def _lift_off(stage: Stage) -> Iterator[Implausible]:
     thrust = sum(engine.thrust_factor * float(engine.table["thrust_vacuum_N"].max()) for engine in stage.engines)
     kg = stage.mass.mass_kg if stage.mass.table is None else float(stage.mass.table["mass_kg"].min())
     if stage.engines and thrust < _G * (kg or 0.0):
-        usual = f"more than the weight of {_G * (kg or 0.0):.4g} N, or it is never let go"
+        usual = f"more than the weight of {_G * (kg or 0.0):.4g} N, or it is never released"
         yield "vehicle.stage.0.engine", thrust, usual
 
 

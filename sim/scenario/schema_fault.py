@@ -117,7 +117,7 @@ class Fault(Section):
             raise refuse(f"{self.kind} has no such axis", ", ".join(kind.axes), "axis")
         if self.tail_off is not None:
             more = self.tail_off["share"] > 1.0
-            self.tail_off.refuse_where(more, "share", "is more than there was", "0 .. 1", at=("tail_off",))
+            self.tail_off.refuse_where(more, "share", "exceeds the thrust before the fault", "0 .. 1", at=("tail_off",))
         if self.until_s is not None and self.until_s <= self.at_s:
             raise refuse("ends before it begins", f"more than at_s = {self.at_s:g}", "until_s")
 

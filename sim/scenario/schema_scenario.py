@@ -200,7 +200,7 @@ class Run(Section):
         if self.step_s > self.duration_s:
             raise refuse("is longer than the flight", f"at most duration_s = {self.duration_s:g}", "step_s")
         if len(set(self.stop_at)) != len(self.stop_at):
-            raise refuse("names an event twice", "each event once", "stop_at")
+            raise refuse("contains an event twice", "each event once", "stop_at")
 
 
 class Guidance(Section):
@@ -394,7 +394,7 @@ class Scenario(Section):
         key, flown = ("design", *(("stage", stage) if own else ()), "filter"), design.of_stage(stage).filter
         nyquist = 0.5 / computer.sample_s
         if flown.prewarp_hz is not None and flown.prewarp_hz >= nyquist:
-            raise refuse("lies above half the sample rate", f"less than {nyquist:g}", (*key, "prewarp_hz"))
+            raise refuse("is above half the sample rate", f"less than {nyquist:g}", (*key, "prewarp_hz"))
         if unfit := flown.unfit(computer.sample_s):
             problem = f"cannot be run every {computer.sample_s:g} s: {unfit}"
             raise refuse(problem, key=(*key, "structure"), value=flown.structure)

@@ -230,7 +230,7 @@ class Stage(Section):
         names = [tank.name or str(n + 1) for n, tank in enumerate(self.tank)]
         for n, name in enumerate(names):
             if name in names[:n]:
-                raise refuse("is the name of another tank already", "each name once", ("tank", n, "name"), value=name)
+                raise refuse("is already the name of another tank", "each name once", ("tank", n, "name"), value=name)
         self._check_engines()
         self._check_groups("actuator", self.actuator, all_of_them=True)
         if len(self.pendulum_names) > MAX_PENDULUMS:
@@ -280,7 +280,7 @@ class Stage(Section):
             if group not in groups:
                 raise refuse("no gimballed engine is of this group", allowed, (key, n, "group"), value=group)
             if group in named[:n]:
-                raise refuse("has an entry already", "each group once", (key, n, "group"), value=group)
+                raise refuse("already has an entry", "each group once", (key, n, "group"), value=group)
         missing = [group for group in groups if group not in named]
         if missing and all_of_them:
             raise refuse(f"no entry for group {missing[0]!r}", f"one for each of {allowed}", (key,), value=len(given))

@@ -61,7 +61,7 @@ def _upgraded(
         for table in tables:
             at = at.setdefault(table, {})
         if last in at or (key in section.renamed and section.renamed[key] in given):
-            raise source.error(here, f"is given besides {section.renamed.get(key, key)}", allowed="one of them")
+            raise source.error(here, f"is given in addition to {section.renamed.get(key, key)}", allowed="one of them")
         at[last] = value
     return out
 

@@ -111,7 +111,7 @@ class Coefficients(Section):
         total = grid.breaks[k]
         if total[0] > 0.0:
             raise self.table.refusal(
-                f"total_deg begins at {total[0]:g}: forces in the plane of incidence must vanish with it",
+                f"total_deg begins at {total[0]:g}: forces in the plane of total angle of attack must vanish with it",
                 "a first total_deg = 0",
                 at=("table",),
             )
@@ -184,12 +184,12 @@ class AeroSection(Section):
             raise refuse("cannot be combined with a moment reference that moves", "one of them", "moment_reference_m")
         if "x_cp_m" in table and "Cm_alpha_pr" in table:
             raise table.refusal(
-                "column Cm_alpha_pr cannot stand beside x_cp_m", "one of x_cp_m, Cm_alpha_pr", at=("table",)
+                "column Cm_alpha_pr cannot be combined with x_cp_m", "one of x_cp_m, Cm_alpha_pr", at=("table",)
             )
         if "x_cp_m" in table and "CN_alpha_pr" not in table:
             raise table.refusal("column x_cp_m needs a column CN_alpha_pr", at=("table",))
         placed = "x_cp_m" in table or "Cm_alpha_pr" in table or self.surface
         if "CN_alpha_pr" in table and not placed:
             raise table.refusal(
-                "the normal force has no place to act at", "x_cp_m or Cm_alpha_pr beside CN_alpha_pr", at=("table",)
+                "the normal force has no point of application", "x_cp_m or Cm_alpha_pr with CN_alpha_pr", at=("table",)
             )

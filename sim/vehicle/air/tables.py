@@ -80,11 +80,11 @@ def _check_axes(table: CsvTable, axes: tuple[str, ...], at: Path) -> None:
     if "total_deg" in axes and ("alpha_deg" in axes or "beta_deg" in axes):
         raise table.refusal("total_deg cannot be combined with alpha_deg or beta_deg", "one or the other", at=at)
     if "roll_deg" in axes and "total_deg" not in axes:
-        raise table.refusal("roll_deg has no meaning without total_deg", "total_deg beside roll_deg", at=at)
+        raise table.refusal("roll_deg has no meaning without total_deg", "total_deg with roll_deg", at=at)
     for name in axes:
         low, high = AXES[name]
         outside = (table[name] < low) | (table[name] > high)
-        table.refuse_where(outside, name, f"lies outside {low:g} .. {high:g}", f"{low:g} .. {high:g}", at=at)
+        table.refuse_where(outside, name, f"is outside {low:g} .. {high:g}", f"{low:g} .. {high:g}", at=at)
 
 
 def _closed(

@@ -139,12 +139,12 @@ class Tank(Section):
         given = [name for name in SECOND_MODE if name in table]
         if given and len(given) < len(SECOND_MODE):
             missing = next(name for name in SECOND_MODE if name not in table)
-            raise table.refusal(f"column {missing} is missing beside {given[0]}", ", ".join(SECOND_MODE), at=("table",))
+            raise table.refusal(f"column {missing} is missing with {given[0]}", ", ".join(SECOND_MODE), at=("table",))
         if ("liquid_mass_kg" in table) != (self.shape is not None):
             allowed = "shape with liquid_mass_kg, or neither"
             raise refuse("the pendulum is given by a table or follows from a shape", allowed, ("shape",))
         if given and self.shape is not None:
-            raise table.refusal(f"column {given[0]} cannot stand beside liquid_mass_kg", "modes = 2", at=("table",))
+            raise table.refusal(f"column {given[0]} cannot be combined with liquid_mass_kg", "modes = 2", at=("table",))
         damped = {"damping_ratio", "viscosity_m2ps", "baffles"} & self.model_fields_set
         if not damped:
             allowed = "damping_ratio (0 .. 1), viscosity_m2ps or baffles"
