@@ -3,9 +3,9 @@
     u = A v,   v = (pitch, yaw, roll),   u = pitch and yaw angle of each group
 
 A command is the common angle of all gimballed engines that would produce the required moment. In pitch and yaw all
-engines deflect alike; in roll each engine deflects in the direction that turns the vehicle. With the moments per radian
-of each channel, B (3, channels), the sums of B over the channels of each axis, D = diag(sums), and the weights of the
-channels, W = engines / limit^2,
+engines deflect alike; in roll each engine deflects in the direction that turns the vehicle. Let B (3, channels) be the
+moments per radian of each channel, D = diag(sums of |B| over the channels of each axis), and W = engines / limit^2 the
+weights of the channels. Then
 
     A = W^-1 B' (B W^-1 B')^-1 D,   the pseudo-inverse: for B u = D v the least sum over engines of (angle / limit)^2
 

@@ -316,8 +316,8 @@ def computer_tick(
     Writes `state.command_rad` (2,), pitch and yaw, `state.roll.demand`, and the angles of each group of engines in
     `state.allocation`.
 
-    An input that is not finite, or an angle beyond `INCREMENT_LIMIT_RAD` in one sample, counts as 0 and is counted in
-    `state.invalid_inputs`, so that a bad sample does not corrupt sums and filters. The caller checks this count and
+    An input that is not finite, or an angle beyond `INCREMENT_LIMIT_RAD` in one sample, is replaced by 0 and counted in
+    `state.invalid_inputs`. Hence a bad sample does not corrupt sums and filters. The caller checks this count and
     ensures that `time_s` is finite.
     """
     sample_s = computer.sample_ns / 1.0e9

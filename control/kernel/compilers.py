@@ -260,7 +260,7 @@ class _LateCode(_KernelCode):
         if self._code:
             return
         pipe, write = os.pipe()
-        with warnings.catch_warnings():  # of Python 3.12, that another thread may hold a lock: none that is asked for
+        with warnings.catch_warnings():  # from Python 3.12, about locks of other threads: none is needed here
             warnings.simplefilter("ignore", DeprecationWarning)
             self._child = os.fork()
         if self._child == 0:

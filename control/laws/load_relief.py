@@ -12,9 +12,9 @@ The law `incidence-relief` feeds back an estimate of the angle of attack:
     delta = -k_p theta_e - k_d q_g - k_alpha alpha,    alpha = lag(a - p q') / b,    q' = (q_g - q_g before) / T
 
 Thrust moves both the accelerometer and the rate, with the ratio p = (da/d delta) / (dq'/d delta). Hence a - p q' is the
-acceleration of the centre of percussion, which is independent of the gimbal angle, and b = da/d alpha - p dq'/d alpha.
-p (percussion_m) and b (accel_per_incidence_mps2, negative) are columns of the gain table, with the values of the rigid
-body in nominal air.
+acceleration of the centre of percussion, which is independent of the gimbal angle, with b = da/d alpha - p dq'/d alpha.
+The parameters p (percussion_m) and b (accel_per_incidence_mps2, negative) are columns of the gain table, with the
+values of the rigid body in nominal air.
 """
 
 from __future__ import annotations

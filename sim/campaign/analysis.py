@@ -6,9 +6,9 @@ metric to the dispersed inputs is estimated from the runs flown, without further
 - rank correlation (Spearman): sign and strength of a monotone influence;
 - first-order Sobol' index: the share of the metric's variance that the input explains, as the variance between classes
   of the input (Pearson's correlation ratio), corrected for the number of classes;
-- Borgonovo's delta: how far the metric's distribution moves, on average, when the input is known, as half the
-  difference between the histograms of a class and of all (Plischke, Borgonovo & Smith, EJOR 226, 2013), less what the
-  same number of runs gives for an independent input. It also detects an influence on the spread alone.
+- Borgonovo's delta: the mean shift of the metric's distribution when the input is known, as half the difference
+  between the histograms of a class and of all (Plischke, Borgonovo & Smith, EJOR 226, 2013). The value for an
+  independent input in the same number of runs is subtracted. Delta also detects an influence on the spread alone.
 
 Each index refers to a single input. Inputs that are correlated with each other (neighbouring winds) share their
 influence.
@@ -44,7 +44,7 @@ CONTROL_KEPT = "control kept"
 """The requirement of every campaign: no run diverges, loses control or is impossible."""
 _KEPT_RUNS = 100_000  # 80 MB or so with a hundred columns
 _WORST = 10  # flights that are named for each requirement
-_MOST_RUNS = 20_000  # of a sensitivity: more change nothing in the digits that are shown
+_MOST_RUNS = 20_000  # runs of a sensitivity: more do not change the digits shown
 _FEWEST_RUNS = 30
 _SHUFFLES = 8
 
@@ -67,8 +67,8 @@ class Judged:
     bound: float
     shown: Shown
     median: float
-    quantile: float  # of the share `success`, by the samples alone
-    tolerance: float  # bound of that quantile, as sure as the verdict; nan: too few runs
+    quantile: float  # quantile of the share `success`, from the samples alone
+    tolerance: float  # bound of that quantile with the verdict's confidence; nan: too few runs
     worst: tuple[Worst, ...]
 
 
@@ -389,7 +389,7 @@ def borgonovo(x: Array, y: Array) -> float:
     classes, bins = _classes(x), _classes(y)
     if classes.max(initial=0) < 1 or bins.max(initial=0) < 1:
         return 0.0
-    rng = np.random.default_rng(20020412)  # the same noise is taken off every time
+    rng = np.random.default_rng(20020412)  # the same noise is subtracted every time
     by_chance = np.mean([_distance(rng.permutation(classes), bins) for _ in range(_SHUFFLES)])
     return float(np.clip((_distance(classes, bins) - by_chance) / (1.0 - by_chance), 0.0, 1.0))
 

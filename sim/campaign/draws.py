@@ -136,7 +136,7 @@ def quantile(spec: Disperse, u: Array, nominal: float) -> Array:
     if spec.distribution == "truncated-normal":
         return _truncated(centre, sigma, low, high, u)
     if spec.distribution == "log-normal":
-        with np.errstate(over="ignore"):  # what is infinite is out of range, and drawn again
+        with np.errstate(over="ignore"):  # infinite values are out of range, and drawn again
             return np.asarray((spec.median or centre) * np.exp(sigma * ndtri(u)))
     if spec.distribution == "uniform":
         return np.asarray(low + (high - low) * u)

@@ -28,7 +28,7 @@ from maxq.sim.run.record import record
 from maxq.sim.scenario.loader import LoadedScenario
 
 SIGMAS = 3.0
-_SEED = 1  # of the search
+_SEED = 1  # seed of the search
 
 
 @dataclass(frozen=True)

@@ -26,16 +26,16 @@ from maxq.sim.world.wind import wind_components
 
 SEED_KEY, WIND_KEY, MONTH_KEY, DATE_KEY = "run.seed", "wind.profile", "wind.month", "wind.date"
 MOST_ATTEMPTS = 1000
-_INSIDE = 1e-300, 1.0 - 1e-16  # of (0, 1), for a distribution's quantiles
+_INSIDE = 1e-300, 1.0 - 1e-16  # limits within (0, 1), for a distribution's quantiles
 
 
 @dataclass(frozen=True)
 class Draw:
     """A random number of a run, and the places of the scenario to which it goes."""
 
-    name: str  # of the column in the data set: the key path, or the first of several
+    name: str  # name of the column in the data set: the key path, or the first of several
     label: str
-    entry: int  # of [[disperse]]
+    entry: int  # index in [[disperse]]
     spec: Disperse
     targets: tuple[Target, ...]
     group: tuple[int, int] | None = None  # (entry, position) where it is correlated with others of the entry
@@ -83,9 +83,9 @@ class Drawn:
     redraws: np.ndarray
     seeds: np.ndarray | None = None
     wind: np.ndarray | None = None
-    draws: dict[str, np.ndarray] = field(default_factory=dict)  # by name; of texts and tables the index
-    flown: dict[tuple[str, int], list[Any]] = field(default_factory=dict)  # what the scenario has, by name and target
-    recorded: dict[str, list[Any]] = field(default_factory=dict)  # what the data set has, by column; without the wind
+    draws: dict[str, np.ndarray] = field(default_factory=dict)  # by name; for texts and tables the index
+    flown: dict[tuple[str, int], list[Any]] = field(default_factory=dict)  # values in the scenario, by name and target
+    recorded: dict[str, list[Any]] = field(default_factory=dict)  # values in the data set, by column; without the wind
 
 
 @dataclass(frozen=True)
@@ -346,7 +346,7 @@ class VectorWind:
         month.
         """
         parts = [uniforms(seed, WIND_KEY, first, count, attempt, component=k) for k in range(self.size)]
-        if self._months is not None:  # in turn: as many runs of each
+        if self._months is not None:  # in turn: the same number of runs of each
             parts[-1] = (np.arange(first, first + count) % len(self._months) + 0.5) / len(self._months)
         return self.of_scores(ndtri(np.array(parts)).T)
 

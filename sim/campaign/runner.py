@@ -40,7 +40,7 @@ from maxq.sim.scenario.schema_scenario import RequirementSection
 CHUNK = 8  # runs that a thread prepares, flies and judges together; fewer towards the end, so that all end together
 AHEAD = 2  # tasks for each worker that are submitted before they are needed
 _POLL_S = 0.2  # interval of progress reports and of queries whether to stop
-_TRIES = 5  # of a batch whose workers die; Dask itself tries each one several times
+_TRIES = 5  # attempts at a batch whose workers die; Dask itself tries each one several times
 _SHARES = 4  # batches for each thread of a cluster, at least
 
 Gap = tuple[int, int]
@@ -54,7 +54,7 @@ class Tally:
     name: str
     requirement: RequirementSection | None
     failures: int = 0
-    failures_in_order: int = 0  # of the runs without a gap from the first one on
+    failures_in_order: int = 0  # failures in the runs without a gap from the first one on
     worst: float = math.nan
 
     def add(self, outcome: str, cause: str, metrics: Mapping[str, Any]) -> bool:
@@ -118,9 +118,9 @@ class CampaignProgress:
     """The state of a campaign, passed to `watch` a few times a second."""
 
     total: int
-    before: int  # runs that were there when this began
+    before: int  # runs that existed at the beginning
     interim: Interim
-    flown: int = 0  # since then
+    flown: int = 0  # runs flown since then
     started_s: float = field(default_factory=time.monotonic)
 
     @property
@@ -211,7 +211,7 @@ def _fly(
 
     def begun(task: Future[Any]) -> None:
         flying.add(task)
-        task.add_done_callback(landed.put)  # to look through all of a large cluster's tasks would take longer
+        task.add_done_callback(landed.put)  # searching all of a large cluster's tasks would take longer
 
     watch(progress)
     try:
@@ -361,7 +361,7 @@ class DaskCluster:
             rows, theirs = task.result()
         except CampaignError:
             raise
-        except Exception as error:  # of Dask: its workers died, or it lost the task
+        except Exception as error:  # from Dask: its workers died, or it lost the task
             if tries < _TRIES:
                 return self._submit(first, size, tries + 1)
             raise CampaignError(

@@ -38,7 +38,7 @@ RunOrder = tuple[Drawn, int]
 """The draws of a run's batch, and the run."""
 Packing = Callable[[Scenario], Packed]
 
-_SEGMENT_NS = 100 * NS_PER_S  # of a flight, a tenth of a second's work: between two of them it can be cancelled
+_SEGMENT_NS = 100 * NS_PER_S  # segment of a flight, a tenth of a second's work: the flight can be cancelled between two
 
 
 @dataclass
@@ -173,7 +173,7 @@ def fly_scenario(loaded: LoadedScenario) -> Flight:
 def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, packed: Packed) -> FlightRun:
     """Return a flight at its start, without a log, with the channels of an envelope if one is given."""
     timeline = packed.parameters[0].timeline
-    step_ns = 1 if timeline.even == 1 else int(timeline.step_ns)  # of the grid on which rows lie
+    step_ns = 1 if timeline.even == 1 else int(timeline.step_ns)  # step of the grid of the rows
     if envelope is not None:
         period_ns = max(round(NS_PER_S / envelope.rate_hz / step_ns), 1) * step_ns
         packed.parameters["timeline"]["fast_ns"] = period_ns

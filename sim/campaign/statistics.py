@@ -36,7 +36,7 @@ MET: Judgement = "met"
 NOT_MET: Judgement = "not met"
 OPEN: Judgement = "not yet enough runs"
 _MOST_RUNS = 1 << 50
-_POWER = 0.5  # of the density of failure probabilities below p0, p^(_POWER - 1): few runs where none or few fail
+_POWER = 0.5  # exponent in the density of failure probabilities below p0, p^(_POWER - 1): few runs if few fail
 
 
 def failure_upper(failures: int, runs: int, confidence: float) -> float:
@@ -68,9 +68,9 @@ class Shown:
     success: float  # estimate
     success_least: float  # lower confidence bound, by the test that judges
     success_most: float  # upper confidence bound
-    allowed: int  # failures with which it would be met after so many runs; -1: too few runs for any
-    more: int  # further runs needed, all of them without failure; 0 where it is settled
-    test: str  # by which test, in words
+    allowed: int  # failures with which it would be met after these runs; -1: too few runs even for none
+    more: int  # further runs needed, all of them without failure; 0 if settled
+    test: str  # name of the test
 
 
 ANY_TIME = "any-time test"
@@ -87,7 +87,7 @@ def judge_failures(failures: int, runs: int, success: float, confidence: float, 
     if planned is not None:
         test, allowed = f"fixed test of {planned} runs", allowed_failures(planned, success, confidence)
         refused = _least(lambda k: k > planned or bool(bdtrc(k - 1, planned, p) <= risk), 1)
-        risk_met = max(risk - (float(bdtr(allowed, planned, p)) if allowed >= 0 else 0.0), 1e-300)  # what is left
+        risk_met = max(risk - (float(bdtr(allowed, planned, p)) if allowed >= 0 else 0.0), 1e-300)  # the remaining risk
         risk_missed = max(risk - float(bdtrc(refused - 1, planned, p)), 1e-300)
 
     def more(least: int) -> int:

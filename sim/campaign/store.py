@@ -58,7 +58,7 @@ class Store:
     def __init__(self, folder: Path, campaign: LoadedCampaign) -> None:
         self.folder = folder
         self.schema = schema_of(campaign)
-        self.notes: list[str] = []  # what was found and repaired
+        self.notes: list[str] = []  # findings and repairs
         self._channels = campaign.campaign.envelope.channels
         self._lock = filelock.FileLock(folder / LOCK)
 
@@ -146,7 +146,7 @@ def read_part(path: Path, columns: list[str] | None = None, schema: pa.Schema | 
                 raise CampaignError(f"{path}: its columns are not those of this campaign")
             about = file.metadata
             size = sum(about.row_group(n).total_byte_size for n in range(about.num_row_groups))
-            size = max(size, 8 * about.num_rows * about.num_columns)  # runs of equal values take next to nothing
+            size = max(size, 8 * about.num_rows * about.num_columns)  # runs of equal values take almost no space
             if size > MOST_BYTES:
                 most = f"{MOST_BYTES / 1e9:.1f} GB"
                 raise CampaignError(f"{path}: decompresses to {size / 1e9:.1f} GB; {most} is the most that is read")
@@ -156,7 +156,7 @@ def read_part(path: Path, columns: list[str] | None = None, schema: pa.Schema | 
 
 
 def _write_table(table: pa.Table, path: Path) -> None:
-    texts = [f.name for f in table.schema if pa.types.is_string(f.type)]  # numbers hardly ever repeat
+    texts = [f.name for f in table.schema if pa.types.is_string(f.type)]  # numbers rarely repeat
     with whole_file(path, CampaignError, durable=True) as part, open(part, "wb") as file:
         pq.write_table(table, file, compression="snappy", use_dictionary=texts, write_page_checksum=True)
 

@@ -25,10 +25,10 @@ from scipy.special import boxcox, inv_boxcox, ndtri
 from maxq.control.kernel.records import Array
 from maxq.sim.campaign.statistics import last
 
-_SHARE = 0.1  # of the runs lies beyond the threshold
+_SHARE = 0.1  # share of the runs beyond the threshold
 _FEWEST, _MOST = 30, 500  # excesses
 _SHAPES = np.linspace(-0.99, 1.5, 84)
-_SAMPLES = 99  # that the distance is compared with
+_SAMPLES = 99  # number of samples with which the distance is compared
 _PILED = 0.05  # share of equal excesses that no continuous tail has
 _BEST_SEEN = 1e-15
 
@@ -41,16 +41,16 @@ class Tail:
 
     problem: str
     threshold: float = math.nan
-    share: float = math.nan  # of the runs beyond the threshold
+    share: float = math.nan  # share of the runs beyond the threshold
     shape: float = math.nan  # xi: below 0 the tail ends, above 0 it is heavier than an exponential one
     scale: float = math.nan
-    quantile: float = math.nan  # that a share `success` of all flights does not exceed
+    quantile: float = math.nan  # value that a share `success` of all flights does not exceed
     quantile_bound: float = math.nan  # its one-sided bound with `confidence`
     beyond: float = math.nan  # probability of a value beyond the limit
     beyond_bound: float = math.nan
-    fit: float = math.nan  # share of samples from the fitted distribution that lie farther from theirs
-    excesses: tuple[float, ...] = ()  # rising, towards the limit
-    expected: tuple[float, ...] = ()  # of the fitted distribution, at the same ranks
+    fit: float = math.nan  # share of samples from the fitted distribution with a larger distance from their fit
+    excesses: tuple[float, ...] = ()  # increasing, towards the limit
+    expected: tuple[float, ...] = ()  # excesses of the fitted distribution, at the same ranks
 
 
 def tail_of(values: Array, limit: float, success: float, confidence: float, largest: bool = True) -> Tail:
@@ -75,7 +75,7 @@ def tail_of(values: Array, limit: float, success: float, confidence: float, larg
     shape, scale = (float(part[0]) for part in fit_pareto(y[None]))
     best = _log_likelihood(y, np.array([shape]), np.array([scale]))[0]
     allowed = 0.5 * float(ndtri(0.5 + 0.5 * confidence)) ** 2
-    shares = share * np.exp(np.linspace(-4.0, 4.0, 9) / math.sqrt(k))  # of the runs that may lie beyond the threshold
+    shares = share * np.exp(np.linspace(-4.0, 4.0, 9) / math.sqrt(k))  # possible shares of runs beyond the threshold
     known = k * np.log(shares / share) + (n - k) * np.log1p(-shares) - (n - k) * math.log1p(-share)
     each, chance = (part.ravel() for part in np.meshgrid(_SHAPES, known))
     beyond_u = np.repeat(shares, len(_SHAPES))
@@ -116,7 +116,7 @@ def tail_of(values: Array, limit: float, success: float, confidence: float, larg
 def fit_pareto(y: Array) -> tuple[Array, Array]:
     """Return shape and scale (samples,) of the generalised Pareto distribution of excesses y (samples, k)."""
     top, mean = y.max(axis=1), y.mean(axis=1)
-    inside = 1.0 - np.geomspace(1e-6, 1.0, 60)[:-1]  # of the way to -1/top, where a sample would lie beyond the end
+    inside = 1.0 - np.geomspace(1e-6, 1.0, 60)[:-1]  # fractions of -1/top, at which a sample would be beyond the end
     grid = np.concatenate([-inside[None] / top[:, None], np.geomspace(1e-4, 30.0, 60)[None] / mean[:, None]], axis=1)
     grid.sort(axis=1)
 
@@ -139,7 +139,7 @@ def fit_pareto(y: Array) -> tuple[Array, Array]:
 
 def _log_likelihood(y: Array, shape: Array, scale: Array) -> Array:
     """Return the log-likelihood (shapes,); -inf if a value is beyond the end of the distribution."""
-    xi = np.where(np.abs(shape) < 1e-6, 1e-6, shape)  # an exponential distribution, as far as digits go
+    xi = np.where(np.abs(shape) < 1e-6, 1e-6, shape)  # an exponential distribution to rounding
     with np.errstate(divide="ignore", invalid="ignore"):
         inner = np.log1p(xi[:, None] * y / scale[:, None])
         total = -len(y) * np.log(scale) - (1.0 + 1.0 / xi) * inner.sum(axis=1)

@@ -48,9 +48,9 @@ class Target:
     path: tuple[str | int, ...]
     kind: Literal["number", "integer", "text", "column", "table"]
     nominal: float
-    bounds: tuple[tuple[str, float], ...] = ()  # what the schema allows: ("gt", 0.0)
+    bounds: tuple[tuple[str, float], ...] = ()  # bounds of the schema: ("gt", 0.0)
     whole_ns: bool = False
-    columns: tuple[str, ...] = ()  # of the table that holds a column
+    columns: tuple[str, ...] = ()  # columns of the table that contains the column
 
     @property
     def is_angle(self) -> bool:

@@ -50,7 +50,7 @@ def record_event(p: Parameters, memory: Memory, event: int, now_ns: int) -> None
     if memory.clock.event_ns[event] < 0:
         memory.clock.event_ns[event] = now_ns
         if event == LIFTOFF and p.faults.count > 0:
-            memory.faults.next_ns = now_ns  # what counts from liftoff has its instants now
+            memory.faults.next_ns = now_ns  # the instants of faults timed from liftoff are known now
     if (p.timeline.stop_mask >> event) & 1 == 1:
         memory.clock.finished = 1
 
@@ -95,13 +95,13 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
             if p.environment.penetration == 1:
                 way_m = air.airspeed_mps * 1e-9 * turbulence.tick_ns
                 history_tick(memory.history, memory.gusts, way_m, p.environment.reach_m)
-    apply_due_command(p, memory)  # before the sample: its command replaces what is pending
+    apply_due_command(p, memory)  # before the sample, whose command replaces the pending one
     if now >= clock.next_sample_ns:
         if p.computer.over != 0 or p.computer.external != 0:
             navigate(p.environment, pool, y, properties[TOTAL_MASS], memory.computer.navigation)
         sample_computer(p, pool, memory, y)
         clock.next_sample_ns = now + p.computer.sample_ns
-        apply_due_command(p, memory)  # and after it: without a delay its command is due at once
+        apply_due_command(p, memory)  # and after it, because without a delay its command is due at once
     return changed
 
 

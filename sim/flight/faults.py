@@ -22,7 +22,7 @@ class Faults:
     """
 
     count: int
-    stage: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # -1: whichever flies
+    stage: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # -1: the current stage
     start_ns: Annotated[IntArray, (MAX_FAULT_WRITES,)]
     stop_ns: Annotated[IntArray, (MAX_FAULT_WRITES,)]
     since_liftoff: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # 1: both count from liftoff

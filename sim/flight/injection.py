@@ -15,8 +15,8 @@ from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate
 
-GIMBAL_COMMAND, RATE_COMMAND, BODY_FORCE, BODY_TORQUE = range(4)  # where a signal enters
-STEP, DOUBLET, SINE, CHIRP, MULTISINE, TABLE = range(6)  # its form
+GIMBAL_COMMAND, RATE_COMMAND, BODY_FORCE, BODY_TORQUE = range(4)  # place of a signal
+STEP, DOUBLET, SINE, CHIRP, MULTISINE, TABLE = range(6)  # form of a signal
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Injections:
     tones: Annotated[IntArray, (MAX_INJECTIONS,)]
     tone_hz: Annotated[Array, (MAX_INJECTIONS, MAX_TONES)]
     tone_phase: Annotated[Array, (MAX_INJECTIONS, MAX_TONES)]
-    column: Annotated[IntArray, (MAX_INJECTIONS,)]  # of `table`, for the form TABLE
+    column: Annotated[IntArray, (MAX_INJECTIONS,)]  # column of `table`, for the form TABLE
     table: TableRef
 
 

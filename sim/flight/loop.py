@@ -118,7 +118,7 @@ def advance(
     now_at, log_rows = space.start, LogRows(fast_ns, fast, slow_ns, slow, rows)
     while clock.finished == 0 and clock.now_ns < until_ns:
         p = P[clock.stage]
-        if clock.now_ns < p.timeline.separation_ns or clock.stage + 1 == len(P):  # what is long to compile comes first
+        if clock.now_ns < p.timeline.separation_ns or clock.stage + 1 == len(P):  # slow to compile, so first
             fly_step(p, pool, memory, logged, until_ns, space, log_rows)
         else:
             separate(P, pool, memory, now_at.y, now_at.properties, space.end.properties, space.y_end)
@@ -330,7 +330,7 @@ def log_between(
         if due >= began + step_ns:
             break
         step.evaluate_between(p, pool, memory, began, step_ns, due - began, space)
-        clock.now_ns = due  # rows tell the Earth's rotation by it
+        clock.now_ns = due  # rows compute the Earth's rotation from it
         if p.loads.stations > 0 and due % slow_ns == 0:
             clock_s = step.schedule_clock(p, memory.clock, due, 0.0)
             at = space.between

@@ -22,7 +22,7 @@ from maxq.sim.vehicle.derivative import StageRecord
 from maxq.sim.vehicle.state import ACTUATOR, GYRO, N_ACTUATOR, actuator_index, eta_index, spatial_index, xi_index
 from maxq.sim.vehicle.workspace import Evaluation
 
-D = 0  # matrices of a block, row by row, one behind the other
+D = 0  # matrices of a block, row by row, one after the other
 FORCED_HALF = 1  # h/2 phi_1(Z/2): motion by half a step under a constant force
 TURNED_HALF = 2  # h phi_2(Z/2)
 FORCED = 3  # h phi_1(Z)
@@ -33,8 +33,9 @@ _MATRICES = 7
 LARGEST = N_ACTUATOR
 _BLOCKS = 3 * MAX_MODES + 2 * MAX_ENGINES + 3
 
-# of a kept length: its step and until when its modes hold (ns), its stage from 1, how many blocks it has; then of each
-# block its first state, the distance to the next, how many there are, where its matrices stand; then the matrices
+# layout of a kept length: its step and the end of validity of its modes (ns), its stage from 1, its number of blocks;
+# then for each block its first state, the distance to the next state, the number of states, the place of its matrices;
+# then the matrices
 STEP_NS, UNTIL_NS, STAGE, COUNT = 0, 1, 2, 3
 HEAD = 4
 BLOCK_WIDTH = 4
@@ -43,8 +44,8 @@ _SCRATCH = 2 * LARGEST * LARGEST
 LENGTH_WIDTH = (
     _NUMBERS + _MATRICES * (4 * (3 * MAX_MODES + 1) + LARGEST * LARGEST * 2 * MAX_ENGINES) + _SCRATCH
 )  # fmt: skip  # one sum
-LENGTHS = 6  # that are kept
-KEPT_SIZE = LENGTHS * LENGTH_WIDTH + 1  # and which goes next
+LENGTHS = 6  # number of kept lengths
+KEPT_SIZE = LENGTHS * LENGTH_WIDTH + 1  # and the one to be replaced next
 MOVED_WIDTH = 5 * LARGEST
 MOVED_SIZE = MOVED_WIDTH * _BLOCKS
 _KEPT_NS = 250_000_000
@@ -165,7 +166,7 @@ def put_oscillator(kept: Array, i: int, a: float, b: float, h: float) -> None:
     for half in range(2):
         t = h if half == 0 else 0.5 * h
         p, q, factor, p_2, q_2, p_3, q_3 = 1.0, 0.0, 0.5, 0.5, 0.0, 1.0 / 6.0, 0.0
-        for j in range(1, 60):  # of t D to the power j: p + q D
+        for j in range(1, 60):  # t D to the power j is p + q D
             p, q = -a * t * q, t * (p - b * q)
             factor /= j + 2
             p_2, q_2 = p_2 + factor * p, q_2 + factor * q

@@ -47,12 +47,12 @@ class Workspace(NamedTuple):
     """The arrays of a step in addition to the flight's own state."""
 
     start: Evaluation  # at the start of the step, with the state of the flight
-    middle: Evaluation  # at its later stages; `middle` and `end` have properties of their own, and share the rest
+    middle: Evaluation  # at its later stages; `middle` and `end` have separate properties, and share the rest
     end: Evaluation
     y_end: Array  # state at the end of the step
     work: Work  # scratch memory of the derivative
     columns: Array  # of the section loads
-    moved: Array  # of each block of oscillators: what its stages need of each other
+    moved: Array  # for each block of oscillators, values passed between its stages
     kept: Array  # the blocks' matrices, see oscillators.py
     between: Evaluation  # at an instant within the step
 
@@ -240,7 +240,7 @@ def _block_stage(
     constant force, at the end, r, and the sum of r over the middle stages.
     """
     first, stride, n, matrices = int(kept[block]), int(kept[block + 1]), int(kept[block + 2]), int(kept[block + 3])
-    if n == 2:  # told as numbers: the compiler unrolls them
+    if n == 2:  # literal numbers, so that the compiler unrolls the loops
         _block_of(2, first, stride, matrices, kept, moved, at, stage, y, k_1, k, out)
     elif n == 6:
         _block_of(6, first, stride, matrices, kept, moved, at, stage, y, k_1, k, out)
@@ -337,7 +337,7 @@ def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, ste
         for i in range(first, first + modes):
             bent = max(bent, abs(whole[i] - y_end[i]))
     for tank in range(sizes.pendulums):
-        if bob_mass(space.end.properties, tank) <= 0.0:  # it stopped where its tank ran empty, within the step
+        if bob_mass(space.end.properties, tank) <= 0.0:  # it stopped when its tank became empty, within the step
             continue
         i = states.pendulum_index(sizes, tank)
         for j in range(i, i + 3):

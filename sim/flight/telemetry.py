@@ -67,7 +67,7 @@ class Logged:
     stations: int  # of section loads
     waves: int  # 1: with the height of the waves
     engines: int  # 0 for vehicles of one engine
-    external: int  # 1: with the monitors of flight code from outside
+    external: int  # 1: with the monitors of external flight code
     adaptive: int  # 1: with the total gain of adaptive augmenting control
 
 

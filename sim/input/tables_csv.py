@@ -323,7 +323,7 @@ class Columns:
 
 
 _ABOVE_ZERO = 5e-324  # the least number
-_ALSO = 4  # mistakes of a table that are named beside the first
+_ALSO = 4  # further errors of a table in the message of the first
 
 
 def raise_together(refusals: list[PydanticCustomError]) -> None:

@@ -1,8 +1,8 @@
 """The transfer of modal motion at a separation to the part that flies on.
 
-Displacements and velocities of the bent axis of the remaining part are approximated by a rigid motion and its own
-modes, by least squares weighted with its masses (docs/model.md, section 4). The transfer does not depend on the modal
-displacements, so it is one matrix for each separation.
+A rigid motion and the modes of the remaining part approximate displacements and velocities of its bent axis, by least
+squares weighted with its masses (docs/model.md, section 4). The transfer does not depend on the modal displacements, so
+it is one matrix for each separation.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def evaluate_into(
     memory, room = state[0], space[0]
     p = P[memory.clock.stage]
     pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(room.properties)
-    # a step lies in one interval of the schedule; breakpoints are met to the nanosecond
+    # a step is within one interval of the schedule; breakpoints are met to the nanosecond
     within_s = schedule_clock(p, memory.clock, now_ns, 1e-9)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, within_s)
     read_schedule(p, pool, memory, now_ns, elapsed_s, properties)

@@ -69,7 +69,7 @@ class Flight(Tabular):
     metric_times_s: dict[str, float]
     verdicts: tuple[Verdict, ...]
     section_extremes: tuple[SectionExtreme, ...]
-    failures: tuple[str, ...]  # what went wrong and when: control lost, diverged, above the wind profile
+    failures: tuple[str, ...]  # failures and their times: control lost, diverged, above the wind profile
     outcome: str
     cause: str
     end_s: float

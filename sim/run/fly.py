@@ -45,14 +45,14 @@ if TYPE_CHECKING:
 
 _SEGMENT_NS = 1_000_000_000  # one log chunk
 _UNSEEN_NS = 60_000_000_000  # a tenth of a second's work
-_MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds of work, 10 MB of rows
+_MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # limits of a segment: tens of milliseconds of work, 10 MB of rows
 _FEW = 1_000  # steps and rows: a segment with fewer may be longer
 
 IGNITION_NAME, FAULT_NAME, FAULT_END_NAME = "ignition", "fault", "fault_end"
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
-SOFTWARE_NAME = "flight_software"  # the flight code from outside has ended the flight
-ATTITUDE_METRICS = (  # of vehicles that something steers
+SOFTWARE_NAME = "flight_software"  # external flight code has ended the flight
+ATTITUDE_METRICS = (  # metrics of controlled vehicles
     "max_attitude_error_deg",
     "max_roll_error_deg",
     "max_computer_attitude_error_deg",
@@ -251,7 +251,7 @@ class FlightRun:
         if self._software is not None and self.finished:
             rows = copied(rows)
             for own, flown in zip(self._own[2:5], self._arrays(self._logged, self._rows)[2:5], strict=True):
-                own[:] = flown  # memory, state and arena: shared ones may be another flight's from now on
+                own[:] = flown  # memory, state and arena: another flight may use the shared ones from now on
             self._hold(self._own)
             self._software.close()
         self.wall_s += time.perf_counter() - start
@@ -296,7 +296,7 @@ class FlightRun:
         metrics |= orbit_metrics(earth, r_I_m, v_I_mps)._asdict()
         metric_times_s |= section_times._asdict()
         judged = scenario.requirement
-        if scenario.design is None or scenario.vehicle.computer is None:  # nothing steers: there is no attitude to miss
+        if scenario.design is None or scenario.vehicle.computer is None:  # no control: there is no attitude error
             metrics |= dict.fromkeys(ATTITUDE_METRICS, math.nan)
             judged = tuple(r for r in judged if r.metric not in ATTITUDE_METRICS)
         inexact = step_failure(accuracy, metrics, judged) if accuracy is not None else ""
@@ -341,7 +341,7 @@ class FlightRun:
     def state_hash(self) -> str:
         """Return the SHA-256 over the last state, time and events, which is equal for bit-identical flights."""
         clock = self.clock
-        flown = self.packed.state[: len(_state_names(self.packed.sizes))]  # not the room for what it does not have
+        flown = self.packed.state[: len(_state_names(self.packed.sizes))]  # without the unused entries
         digest = hashlib.sha256(flown.tobytes())
         digest.update(np.array([clock.now_ns, clock.steps, clock.stage]).tobytes())
         digest.update(np.asarray(clock.event_ns).tobytes())
@@ -374,7 +374,7 @@ def fly(
     A flight that diverges is a result (`outcome`, `cause`), not an exception.
     """
     run = FlightRun(loaded, log=log)
-    if not log and watch is None:  # nobody looks in between
+    if not log and watch is None:  # no observer between segments
         run.segment_ns *= max(_UNSEEN_NS // run.segment_ns, 1)
     kept = GrowingRows()
     while not run.finished:

@@ -37,12 +37,12 @@ Arrays = tuple[NDArray[Any], ...]
 MEMORY = 2  # index of the flight's memory in Arrays
 
 STARTING = 2  # of `inside`: while an instance is made
-_SMALLEST = 1 << 24  # shared bytes of a worker; what is not used of them takes no memory
+_SMALLEST = 1 << 24  # shared bytes of a worker; the unused part takes no memory
 _POLL_S = 0.05
-_FORK = threading.RLock()  # again by the same thread where garbage is collected in it
+_FORK = threading.RLock()  # reentrant, because garbage may be collected while it is held
 _idle: list[Worker] = []
 _lines: set[Any] = set()  # this process's ends
-_leaving: set[int] = set()  # processes that have been told to end
+_leaving: set[int] = set()  # processes asked to end
 
 
 class Worker:
@@ -54,7 +54,7 @@ class Worker:
         with _FORK:
             self._line, theirs = Pipe()
             _lines.add(self._line)
-            for stream in (sys.stdout, sys.stderr):  # or both processes would write what waits there
+            for stream in (sys.stdout, sys.stderr):  # or both processes would write the buffered output
                 with contextlib.suppress(OSError, ValueError, AttributeError):
                     stream.flush()
             self._pid = os.fork()
@@ -81,7 +81,7 @@ class Worker:
 
     def release(self) -> None:
         """End the flight: close the code, and keep the worker for the next flight if no part of the code remains."""
-        self._seen["inside"][0] = 1  # or it could take as long as it likes
+        self._seen["inside"][0] = 1  # or it could take any time
         clean = self._pid > 0 and self._done(b"C")[0]
         self._seen.clear()
         if not clean:
@@ -203,7 +203,7 @@ class _Flying:
         """Carry out orders until the connection ends."""
         code = 1
         try:
-            for number in (signal.SIGINT, signal.SIGTERM):  # the process that asks sees to these
+            for number in (signal.SIGINT, signal.SIGTERM):  # the parent process handles these
                 signal.signal(number, signal.SIG_IGN)
         except ValueError:
             pass  # forked by a thread, which is now the main thread

@@ -120,7 +120,7 @@ class _Library(Instance):
         self._library.maxq_fsw_close(ctypes.c_void_p(self.address))
 
     def unload(self) -> bool:
-        if not _threads() or _threads() > self._threads:  # one of its own may run on in it
+        if not _threads() or _threads() > self._threads:  # a thread of the library may still run in it
             return False
         _ctypes.dlclose(self._library._handle)
         try:

@@ -76,7 +76,7 @@ def check_programme(table: CsvTable, start: float, end: float) -> None:
     if table["time_s"][0] > start:
         raise table.refusal("the programme begins too late", f"a first time_s <= {start:g}", "time_s", 0, at=key)
     commands_nothing = all(column[-1] == 0.0 for name, column in table.columns.items() if name != "time_s")
-    if table["time_s"][-1] < end and not commands_nothing:  # its last row holds: a rate that goes on is a mistake
+    if table["time_s"][-1] < end and not commands_nothing:  # its last row holds, and a rate that continues is an error
         raise _ends_too_early(table, "the programme ends before the thrust does", end, key)
 
 

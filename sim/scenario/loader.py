@@ -159,7 +159,7 @@ def load_scenario_text(text: str, overrides: Iterable[str] = (), label: str = AS
     for key in ("extends", "unset"):
         if key in tree:
             raise ScenarioError(label, "a scenario given as text must be self-contained", key, value=tree[key])
-    if isinstance(tree.get("design"), dict):  # of an earlier version of maxq
+    if isinstance(tree.get("design"), dict):  # from an earlier version of maxq
         tree["design"] = adopt(upgraded(tree["design"], Design, tree.source)[0], tree.source)
     reading = Reading()
     _assemble(reading, tree, parsed, ())

@@ -54,7 +54,7 @@ def explain(error: ValidationError, tree: TomlTable, model: type[Section]) -> Sc
     if first["type"] == "extra_forbidden":
         problem, allowed = _unknown_key(path, model)
     elif first["type"] == "missing" and path and isinstance(path[-1], int):
-        path = path[:-1]  # a list that is too short: say so of the list
+        path = path[:-1]  # a list that is too short: report the list
         problem, value, allowed = ("has too few elements", value_at(tree, path), describe(*field_at(model, path)))
     elif first["type"] == "missing":
         problem, value = "required key is missing", NOTHING
@@ -142,7 +142,7 @@ def value_at(tree: Any, path: Path) -> Any:
     return tree
 
 
-# what a field allows, in words: for errors and for docs/scenario.md
+# allowed values of a field in words, for errors and docs/scenario.md
 
 _BOUNDS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 _LONG_INTEGER = 2**62

@@ -27,7 +27,7 @@ _G = 9.8
 _LEAST_GYRATION = 0.03  # of the length: a rod has 0.29, a sphere 0.32 of its diameter
 _MOST_MARGIN = 0.6  # static margin, of the length
 _INCIDENCE_deg, _HELD_Pa = 5.0, 8e3  # launchers pass 15 to 80 kPa
-_DAMPED = 0.01  # damping ratio of what baffles damp
+_DAMPED = 0.01  # damping ratio of a liquid with baffles
 _ROOT = 1.8412  # first zero of J1'
 
 
@@ -98,7 +98,7 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Implausible]:
             key = ".".join(map(str, (*stage.engine_key(n), "table.thrust_vacuum_N")))
             yield key, thrust, f"less than 100 g on {float(kg.min()):g} kg"
     if stage.aero is None:
-        return  # nobody needs the reference lengths: they may be anything
+        return  # the reference lengths are not used and may have any value
     volume = 0.25 * math.pi * reference.diameter_m**2 * length
     heaviest = float(kg.max())
     if not 1.0 <= heaviest / volume <= 2e4:
@@ -145,7 +145,7 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Imp
         return
     slope, centre_m = lift
     length, diameter = reference.length_m, reference.diameter_m
-    outside = np.abs(centre_m - 0.5 * length) > 0.75 * length  # behind a wide nose it may lie ahead of it
+    outside = np.abs(centre_m - 0.5 * length) > 0.75 * length  # with a wide nose it may be ahead of it
     if outside.any():
         yield (
             "aero.surface",

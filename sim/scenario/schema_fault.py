@@ -36,8 +36,8 @@ class FaultAbout(NamedTuple):
     """The subject of a kind of fault: `part` is the key that the stage's section must have."""
 
     part: str
-    axes: tuple[str, ...] = ()  # that `axis` may name
-    targets: tuple[str, ...] = ()  # optional keys that name what fails
+    axes: tuple[str, ...] = ()  # allowed values of `axis`
+    targets: tuple[str, ...] = ()  # optional keys that name the failed part
     values: tuple[str, ...] = ()  # required keys
     options: tuple[str, ...] = ()  # other optional keys
 

@@ -313,7 +313,7 @@ class Stage(Section):
             total = (self.mass.mass_kg or 0.0) - flow * np.clip(times, 0.0, burn)
         moving = np.zeros(len(times))
         for factor, table in zip((tank.mass_factor for tank in self.tank), tables, strict=True):
-            of_liquid = "liquid_mass_kg" in table  # of a shape all of it, which is more than what sloshes
+            of_liquid = "liquid_mass_kg" in table  # with a shape the whole liquid, which is more than the sloshing mass
             mass = table["liquid_mass_kg"] if of_liquid else table["slosh_mass_kg"] + table.get(SECOND_MODE[0])
             moving += factor * np.interp(times, table["time_s"], mass)
         if (moving >= total).any():

@@ -29,7 +29,7 @@ from maxq.sim.input.errors import refuse
 from maxq.sim.input.files import Reading
 from maxq.sim.input.tables_csv import DATE, Columns, CsvTable, Foreign, read_csv
 
-_RADIUS_m = 6356766.0  # of geopotential heights, as in the standard atmosphere
+_RADIUS_m = 6356766.0  # Earth radius of geopotential heights, as in the standard atmosphere
 NUMBER_MARK = "#"  # "station.txt#12": the twelfth sounding of a file
 
 

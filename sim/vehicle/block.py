@@ -1,9 +1,9 @@
 """State blocks: the declaration of a component's integrated states.
 
 A component's module declares its states as a `StateBlock` and has kernels for their derivatives and initial values,
-which get the index of the first state as an argument. `state.py` holds the list of blocks and composes from it the
-state vector, its size, initial values, names and the bounds beyond which a flight counts as diverged. The log rows that
-show the states are declared in the same module (control/kernel/rows.py).
+whose argument is the index of the first state. `state.py` holds the list of blocks and composes from it the state
+vector, its size, initial values and names. It also holds the bounds beyond which a flight counts as diverged. The log
+rows of the states are declared in the component's module (control/kernel/rows.py).
 """
 
 from __future__ import annotations

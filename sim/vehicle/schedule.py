@@ -6,9 +6,9 @@ that a kernel finds the interval once and evaluates every column in one sweep. T
 
 Fixed columns come first, then eight per tank, then the planar modes: row by row for all modes of a plane (pitch plane,
 then yaw plane). A row has a multiple of four modes, with unused ones zero, so that kernels process four modes at a
-time. Then follow the spatial modes, row by row for all modes: frequency and mass, six rows for each place at which
-loads or sensors act (displacement along x, y, z, rotation about x, y, z), softening and turning. Further thrust curves
-follow last.
+time. Then follow the spatial modes, row by row for all modes: frequency and mass, six rows for each place, softening
+and turning. A place is a station at which loads or sensors act, and its rows are displacement along and rotation about
+x, y, z. Further thrust curves follow last.
 
 Behind the table's columns are properties derived from them, computed by `complete_modes` and `rigid.prepare_outflow`.
 """

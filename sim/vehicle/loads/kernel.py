@@ -1,7 +1,7 @@
 """Section loads: axial force, shear and bending moment at stations of the body axis, by summation of forces.
 
-The load at a station is the sum of all forces forward of it: aerodynamic forces, forces of the pendulums, injected
-forces, and the inertial forces of the line mass under the computed accelerations, including those of the modes
+The load at a station is the sum of all forces forward of it: aerodynamic, pendulum, injected and inertial forces. The
+inertial forces are those of the line mass under the computed accelerations, including those of the modes
 (docs/model.md, section 13). Section loads do not influence the flight. They are evaluated between steps, at a separate
 rate, from the contents of `aux` and `work` after the derivative. Without stations they cost one comparison per step.
 

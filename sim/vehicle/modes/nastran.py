@@ -78,7 +78,7 @@ def _modes(content: bytes, path: FilePath, label: str) -> NastranModes:
     grids = bulk.grids
     for what, found in (("eigenvalues", values), ("eigenvectors", vectors), ("positions of grid points", grids)):
         if not found:
-            allowed = "eigenvectors, eigenvalue summary and GRID cards (in the file, or in a .bdf beside it)"
+            allowed = "eigenvectors, eigenvalue summary and GRID cards (in the file, or in a .bdf next to it)"
             raise refuse(f"holds no {what}", allowed, file=label)
     points = sorted(set(grids).intersection(*(vectors[n] for n in vectors)))
     turned = [p for p in points if bulk.displaced_in.get(p, 0) != 0]

@@ -1,7 +1,7 @@
 """Lateral slosh modes of an axisymmetric tank as pendulums, from its shape and the depth of its liquid.
 
-The problem is that of linear potential flow. The velocity potential phi = f(r, z) cos(theta) is harmonic in the liquid,
-has no normal derivative on the wall, and on the surface at rest d(phi)/dz = kappa phi, omega^2 = kappa a under the
+The problem is that of linear potential flow. The velocity potential phi = f(r, z) cos(theta) is harmonic in the liquid
+and has no normal derivative on the wall. On the surface at rest d(phi)/dz = kappa phi, with omega^2 = kappa a under the
 axial load a. Ritz's method solves it by stationary values of (int |grad phi|^2 dV) / (int phi^2 dS) over polynomials in
 r and z (Legendre's, f = r p(r^2, z)). They converge fast, because phi is smooth except at the contact line. Liquid
 deeper than five radii has no effect and is omitted.
