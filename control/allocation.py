@@ -50,8 +50,9 @@ class Allocation:
 
 @dataclass
 class AllocationState:
-    """The state of the allocation. `roll_rad`: roll command. `angle_rad`: angles issued at the last tick, pitch and yaw
-    of each group.
+    """The state of the allocation.
+
+    `roll_rad`: roll command. `angle_rad`: angles issued at the last tick, pitch and yaw of each group.
     """
 
     roll_rad: float

@@ -30,8 +30,9 @@ QUATERNION = METHODS.index("quaternion")
 
 @dataclass
 class Strapdown:
-    """The strapdown attitude. `q`: unit quaternion from B to R, the attitude at the start, scalar first. `last_rad`:
-    last angle increment.
+    """The strapdown attitude.
+
+    `q`: unit quaternion from B to R, the attitude at the start, scalar first. `last_rad`: last angle increment.
     """
 
     q: Annotated[Array, (4,)]

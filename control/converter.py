@@ -20,8 +20,9 @@ FINEST_COUNT_RAD = 1.0e-9
 
 @dataclass(frozen=True)
 class Converter:
-    """The parameter of the converter. `count_rad`: angle per pulse, rad; 0 is an ideal converter, which returns the
-    increment itself.
+    """The parameter of the converter.
+
+    `count_rad`: angle per pulse, rad; 0 is an ideal converter, which returns the increment itself.
     """
 
     count_rad: float

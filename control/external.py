@@ -29,8 +29,9 @@ LARGEST_RAD = 1.0e6  # largest command, far below overflow
 HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS = 2, 4  # bits of `FswInputs.health`
 
 OWN_ERROR, NOT_FINITE, BAD_THRUSTER, CRASHED, STUCK = range(1, 6)
-"""The faults with which flight code ends a flight. CRASHED and STUCK are detected from outside
-(sim/run/flight_software.py).
+"""The faults with which flight code ends a flight.
+
+CRASHED and STUCK are detected from outside (sim/run/flight_software.py).
 """
 
 

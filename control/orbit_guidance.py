@@ -71,8 +71,9 @@ class OrbitGuidance:
 
 @dataclass
 class OrbitGuidanceState:
-    """The state of the orbit guidance. `position_m`, `velocity_mps`: navigated, in I, at the end of the sample.
-    `start_q_BI`: attitude at the start.
+    """The state of the orbit guidance.
+
+    `position_m`, `velocity_mps`: navigated, in I, at the end of the sample. `start_q_BI`: attitude at the start.
 
     - `acceleration_mps2`: thrust acceleration at `last_s`.
     - `last_*`: values of the last cycle.
@@ -187,8 +188,9 @@ def largest_miss(state: OrbitGuidanceState) -> float:
 
 @routine
 def solve(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float, trials: int) -> float:
-    """Solve for `state.unknowns` by Newton's method and return the final residual. Steps are bounded, because the first
-    guess can be far off.
+    """Solve for `state.unknowns` by Newton's method and return the final residual.
+
+    Steps are bounded, because the first guess can be far off.
     """
     x, rows = state.unknowns, state.rows
     for _ in range(trials):

@@ -39,8 +39,9 @@ class Sensors:
 
 @dataclass
 class SensorState:
-    """The state of the sensors. `increment` (sensors, 3): output over the sample, written by the caller. `lost`: 1
-    where the output did not arrive.
+    """The state of the sensors.
+
+    `increment` (sensors, 3): output over the sample, written by the caller. `lost`: 1 where the output did not arrive.
 
     - `past`: counts of the last samples, a ring.
     - `delta` (sensors, 3): increments used by the computer, rad or m/s.

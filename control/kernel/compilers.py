@@ -200,8 +200,9 @@ expressions, parallel loops, inlining on this level.
 
 
 class EntryCompiler(CompilerBase):  # type: ignore[misc]  # Numba has no types
-    """The compiler of Numba for other target code, without garbage collection. Garbage collection takes a tenth of the
-    time, and there is almost no garbage.
+    """The compiler of Numba for other target code, without garbage collection.
+
+    Garbage collection takes a tenth of the time, and there is almost no garbage.
     """
 
     code: type[JITCodeLibrary] = _EntryCode

@@ -164,8 +164,9 @@ def entry(function: Function) -> Function:
 
 
 def from_python(function: Function) -> Function:
-    """Compile a kernel for callers in Python, as an entry of its own. A kernel without an entry is compiled again in
-    every process.
+    """Compile a kernel for callers in Python, as an entry of its own.
+
+    A kernel without an entry is compiled again in every process.
     """
     return entry(getattr(function, "py_func", function))
 

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[Any]
-"""The rows of one record type (dtype_of a dataclass). A kernel annotates a single row, an np.record, with its
-dataclass.
+"""The rows of one record type (dtype_of a dataclass).
+
+A kernel annotates a single row, an np.record, with its dataclass.
 """
 
 Reader = tuple[Callable[[Any], tuple[Any, ...]], tuple[int, ...]]
@@ -74,8 +75,9 @@ def pack(instances: list[Any]) -> NDArray[Any]:
 
 
 def _values(instance: Any) -> tuple[Any, ...]:
-    """Return the nested tuples from which NumPy makes a record. One call does it, because a campaign packs for every
-    flight.
+    """Return the nested tuples from which NumPy makes a record.
+
+    One call does it, because a campaign packs for every flight.
     """
     schema = type(instance)
     if schema not in _READERS:

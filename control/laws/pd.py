@@ -101,8 +101,9 @@ def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
 
 
 def make_pd(gains: TableRef, sample_ns: int, *filters: DiscreteFilter | None) -> PdRecord:
-    """Return the PD parameters with `filters` in pitch and yaw, where None passes the input unchanged. Raises
-    ValueError for a filter with another sample period.
+    """Return the PD parameters with `filters` in pitch and yaw, where None passes the input unchanged.
+
+    Raises ValueError for a filter with another sample period.
     """
     sections, n_sections = np.zeros((2, MAX_SECTIONS, 5)), np.zeros(2, np.int64)
     for gimbal, discrete in enumerate(filters):

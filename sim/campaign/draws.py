@@ -114,8 +114,9 @@ def _reversed_bits(x: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def _scrambled(x: NDArray[np.uint32], seed: np.uint32) -> NDArray[np.uint32]:
-    """Return the nested uniform scrambling: a hash of the bits above a bit decides whether it is flipped. Products
-    wrap.
+    """Return the nested uniform scrambling: a hash of the bits above a bit decides whether it is flipped.
+
+    Products wrap.
     """
     x = _reversed_bits(x)
     x = x + seed

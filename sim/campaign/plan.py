@@ -101,8 +101,7 @@ class Plan:
         return self.campaign.noise == "each-run"
 
     def draw(self, first: int, count: int, attempt: int = 0) -> Drawn:
-        """Return the draws of the runs `first` .. `first + count - 1`; single values outside their bounds are drawn
-        again.
+        """Return the draws of `count` runs from `first` on; single values outside their bounds are drawn again.
 
         Raises CampaignError if the file rejects such a draw, or if no draw is ever allowed.
         """

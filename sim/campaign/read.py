@@ -197,8 +197,9 @@ class LoadedCampaign:
 
 
 def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCampaign:
-    """Return the campaign in a file, or the built-in one of that name, with `key=value` overrides. Raises
-    ScenarioError.
+    """Return the campaign in a file, or the built-in one of that name, with `key=value` overrides.
+
+    Raises ScenarioError.
     """
     loaded, tree, reading = load_with_sections(path, CAMPAIGN_SECTIONS, overrides)
     run = loaded.scenario.run
@@ -236,8 +237,9 @@ def made_of(
     reading: Reading | None = None,
     given: Mapping[str, tuple[Any, ...]] | None = None,
 ) -> LoadedCampaign:
-    """Return the campaign that disperses `loaded` as specified in `file`. Raises the errors that `load_campaign`
-    reports.
+    """Return the campaign that disperses `loaded` as specified in `file`.
+
+    Raises the errors that `load_campaign` reports.
 
     `given`: by name of a draw, the tables among which it chooses, for use without files.
     """

@@ -58,8 +58,9 @@ class Tally:
     worst: float = math.nan
 
     def add(self, outcome: str, cause: str, metrics: Mapping[str, Any]) -> bool:
-        """Count a run, and return True if it misses the requirement. A run without usable metrics misses all of
-        them.
+        """Count a run, and return True if it misses the requirement.
+
+        A run without usable metrics misses all of them.
         """
         void = outcome in VOID
         if self.requirement is None:

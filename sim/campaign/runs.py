@@ -106,8 +106,9 @@ class _Run:
 
     @contextmanager
     def _errors_recorded(self) -> Iterator[None]:
-        """Record the error of a run, since one run in ten thousand must not end a campaign. A lack of memory concerns
-        the machine and is raised again.
+        """Record the error of a run, since one run in ten thousand must not end a campaign.
+
+        A lack of memory concerns the machine and is raised again.
         """
         try:
             yield

@@ -73,8 +73,9 @@ class Store:
             at = max(at, part.last + 1)
 
     def write(self, rows: Sequence[Row]) -> None:
-        """Write one part of consecutive runs. Raises CampaignError if it cannot be written; then no part of it is
-        left.
+        """Write one part of consecutive runs.
+
+        Raises CampaignError if it cannot be written; then no part of it is left.
         """
         table, histories = table_of(rows, self.schema), history_table(rows, self._channels)
         first, last = table["run"][0].as_py(), table["run"][-1].as_py()

@@ -35,8 +35,9 @@ _BEST_SEEN = 1e-15
 
 @dataclass(frozen=True)
 class Tail:
-    """The tail of a metric towards its limit. `problem`: reason for a missing fit, for which the other fields are nan
-    or empty.
+    """The tail of a metric towards its limit.
+
+    `problem`: reason for a missing fit, for which the other fields are nan or empty.
     """
 
     problem: str

@@ -40,8 +40,9 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class Target:
-    """A place of the scenario. `nominal` is nan where the place holds no number; `kind` is the type of its
-    content.
+    """A place of the scenario.
+
+    `nominal` is nan where the place holds no number; `kind` is the type of its content.
     """
 
     key: str

@@ -142,8 +142,9 @@ def evaluate(
 
 @kernel
 def gusts_along_body(p: Parameters, memory: Memory, fraction: float, cg_m: float, wind_B_mps: Array) -> Vector:
-    """Return the turbulence at the core CG, and write its difference at each part to `wind_B_mps`. The nose meets it
-    first.
+    """Return the turbulence at the core CG, and write its difference at each part to `wind_B_mps`.
+
+    The nose meets it first.
     """
     here = gust_behind(memory.history, memory.gusts, fraction, max(cg_m, 0.0))
     parts = counts(p.vehicle.sizes).surfaces

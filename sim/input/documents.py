@@ -218,8 +218,9 @@ Override = tuple[KeyPath, Any]
 
 
 def parse_override(text: str) -> Override:
-    """Parse `a.b.0.c=value`. The right side is a TOML value; anything else (a bare word) is a text, and nothing removes
-    the key.
+    """Parse `a.b.0.c=value`.
+
+    The right side is a TOML value; anything else (a bare word) is a text. An empty right side removes the key.
 
     Raises ScenarioError if there is no `=` or the path has an empty part.
     """

@@ -90,8 +90,9 @@ def refuse(
 
 
 def suggestion(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """Return `did you mean x?`, or an empty string. A key that differs only in its unit (`_km` for `_m`) comes first.
-    `cutoff`: least similarity, from 0 to 1 (difflib).
+    """Return `did you mean x?`, or an empty string.
+
+    A key that differs only in its unit (`_km` for `_m`) comes first. `cutoff`: least similarity, from 0 to 1 (difflib).
     """
     choices = list(known)
     stem = word.rpartition("_")[0]

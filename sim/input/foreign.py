@@ -26,8 +26,9 @@ _NAMES = ("CN", "Cm", "CA", "CY", "Cn", "Cl")  # as grids.py calls them
 
 
 def read_rasp(text: str, name: str, shown: str) -> CsvTable:
-    """Read the thrust, and in proportion to it the flow of the header's propellant. Raises the refusal of the
-    schema.
+    """Read the thrust, and in proportion to it the flow of the header's propellant.
+
+    Raises the refusal of the schema.
     """
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip() and line.strip()[0] != ";"]
     if not lines:

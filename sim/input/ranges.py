@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 LONGEST_S = 1.0e8
-"""The longest time, about three years. The times of eight stages sum to less than the 292 years that 64 bits of ns can
-hold.
+"""The longest time, about three years.
+
+The times of eight stages sum to less than the 292 years that 64 bits of ns can hold.
 """
 
 LARGEST_NUMBER = 1e30

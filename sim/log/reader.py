@@ -195,8 +195,9 @@ class _LogFile:
             self._chunks = self._chunks_from(head_end)
 
     def _read_head(self) -> int:
-        """Read the head, and return the offset behind it. Raises ValueError, with a message to follow the file's
-        name.
+        """Read the head, and return the offset behind it.
+
+        Raises ValueError, with a message to follow the file's name.
         """
         data = self._data
         if not data.startswith(MAGIC):

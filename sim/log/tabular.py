@@ -48,8 +48,9 @@ class Tabular(ABC):
         return {channel: self[channel] for channel in self.channels_in((name,))}
 
     def to_pandas(self, *names: str) -> pd.DataFrame:
-        """Return a data frame with a column for each channel over `time_s`. Channels of the slower rate are NaN between
-        their times.
+        """Return a data frame with a column for each channel over `time_s`.
+
+        Channels of the slower rate are NaN between their times.
 
         pandas must be installed.
         """

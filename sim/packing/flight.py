@@ -40,8 +40,9 @@ _start_states = from_python(start_states)
 
 @dataclass(frozen=True)
 class Packed:
-    """The packed flight. `parameters` (stages,) of Parameters, `pool` of tables, `memory` (1,) of Memory, `state`
-    (MAX_STATE,).
+    """The packed flight.
+
+    `parameters` (stages,) of Parameters, `pool` of tables, `memory` (1,) of Memory, `state` (MAX_STATE,).
     """
 
     parameters: NDArray[Any]

@@ -50,8 +50,9 @@ def guards(loaded: LoadedScenario) -> bool:
 
 
 def checked(loaded: LoadedScenario) -> ComputerSection:
-    """Return the computer, after checking that its code exists and is as the scenario specifies. Raises
-    ScenarioError.
+    """Return the computer, after checking that its code exists and is as the scenario specifies.
+
+    Raises ScenarioError.
     """
     computer = loaded.vehicle.computer
     assert computer is not None

@@ -183,8 +183,9 @@ class Verdict:
 
 
 def judge(requirement: RequirementSection, values: Mapping[str, float], times_s: Mapping[str, float]) -> Verdict:
-    """Return the verdict on a requirement; a value that is not a number meets none. Raises KeyError for an unknown
-    metric.
+    """Return the verdict on a requirement; a value that is not a number meets none.
+
+    Raises KeyError for an unknown metric.
     """
     value, (kind, bound) = values[requirement.metric], requirement.bound
     met = value <= bound if kind == "limit" else value >= bound

@@ -61,8 +61,9 @@ def record(
     timing: Callable[[], dict[str, float]] = dict,
     number: int = 0,
 ) -> Flight:
-    """Fly `run` to its end, and write log and summary into `folder`, which is created. `number`: number of the run in a
-    campaign.
+    """Fly `run` to its end, and write log and summary into `folder`, which is created.
+
+    `number`: number of the run in a campaign.
 
     Files of the same names are replaced. `watch` is called after every segment (1 s of simulated time, or about a
     thousand steps). If `stop` then returns True, the flight ends there with outcome "interrupted". `timing`: further

@@ -97,8 +97,9 @@ PartWinds = Annotated[Array, (3 * (CROSSFLOW_PART + 1),)]  # wind of each surfac
 def air_data(
     environment: Environment, pool: Array, gust: Vector, rotation: Matrix, y: Array, anchor: Anchor, out: AirData
 ) -> Vector:
-    """Write the air data to `out`, and return the gravitation in I, m/s2. `gust`: velocity of the turbulence, in its
-    frame, m/s.
+    """Write the air data to `out`, and return the gravitation in I, m/s2.
+
+    `gust`: velocity of the turbulence, in its frame, m/s.
     """
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     gravity = gravitation(environment.earth, x, yy, z)

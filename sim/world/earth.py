@@ -211,8 +211,9 @@ def geodetic(earth: Earth, x: float, y: float, z: float) -> Vector:
 
 @kernel
 def earth_position(earth: Earth, latitude_rad: float, longitude_rad: float, altitude_m: float) -> Vector:
-    """Return the Earth-fixed position (x, y, z) [m] of a geodetic position. On a flat Earth it is (0, 0, -altitude), at
-    the site.
+    """Return the Earth-fixed position (x, y, z) [m] of a geodetic position.
+
+    On a flat Earth it is (0, 0, -altitude), at the site.
     """
     if earth.figure == FLAT:
         return 0.0, 0.0, -altitude_m

@@ -21,8 +21,9 @@ _LONG_AGO_m = -1e30
 
 @dataclass
 class GustHistory:
-    """The state record of the gust history. `before_m`, `now_m`: travelled distance at the last tick but one and at the
-    last tick.
+    """The state record of the gust history.
+
+    `before_m`, `now_m`: travelled distance at the last tick but one and at the last tick.
     """
 
     last: int  # newest place in the ring: the last tick but one

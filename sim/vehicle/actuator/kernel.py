@@ -248,8 +248,9 @@ def actuator_motion(
 
 @kernel
 def actuator_rates(a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float, dy: Array) -> None:
-    """Write `actuator_derivative` with the faults of this actuator. A stuck servo stays in place, and its rate state
-    decays.
+    """Write `actuator_derivative` with the faults of this actuator.
+
+    A stuck servo stays in place, and its rate state decays.
     """
     if faults[ANY_FAULT] == 0.0:
         actuator_derivative(a, y, i, command, dy)

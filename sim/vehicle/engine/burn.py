@@ -75,8 +75,9 @@ def stage_end_s(stage: Stage) -> float:
 
 @dataclass(frozen=True)
 class EngineFault:
-    """A fault of engines, on the stage clock. `loss`: share of the thrust that is lost at once; a tail-off gives the
-    remaining share instead.
+    """A fault of engines, on the stage clock.
+
+    `loss`: share of the thrust that is lost at once; a tail-off gives the remaining share instead.
     """
 
     fault: Fault
@@ -149,8 +150,9 @@ class TableClock:
 
 @dataclass(frozen=True)
 class Burn:
-    """A stage's burn: its zero on the vehicle clock, and burnout and end on its own clock. `clock` is None if the
-    tables' clock is the stage clock times `burn_rate`.
+    """A stage's burn: its zero on the vehicle clock, and burnout and end on its own clock.
+
+    `clock` is None if the tables' clock is the stage clock times `burn_rate`.
     """
 
     start_s: float

@@ -53,8 +53,9 @@ class NastranModes:
 
 
 def read_nastran(file: str | FilePath) -> NastranModes:
-    """Return the modes of an op2 or f06 file. Raises the refusal of the schema, naming the file, if it contains
-    none.
+    """Return the modes of an op2 or f06 file.
+
+    Raises the refusal of the schema, naming the file, if it contains none.
     """
     path = FilePath(file)
     try:

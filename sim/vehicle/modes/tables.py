@@ -53,8 +53,9 @@ SPATIAL_COLUMNS = replace(
 
 @dataclass(frozen=True, eq=False)
 class _Modes:
-    """T times, M modes, S stations (metres aft of the nose). Instances are compared by identity, so that derived
-    results can be cached.
+    """T times, M modes, S stations (metres aft of the nose).
+
+    Instances are compared by identity, so that derived results can be cached.
     """
 
     time_s: Floats  # (T,)
@@ -69,8 +70,9 @@ class _Modes:
 
 @dataclass(frozen=True, eq=False)
 class ModeTable(_Modes):
-    """The bending modes of one plane over time. `mass_forward_kg`: mass forward of a station, the same for all
-    modes.
+    """The bending modes of one plane over time.
+
+    `mass_forward_kg`: mass forward of a station, the same for all modes.
     """
 
     phi: Floats  # (T, M, S)

@@ -136,8 +136,9 @@ class System:
 def swing_engines(
     load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int, engines: EngineOutputs, out: TvcLoadOutputs
 ) -> None:
-    """Set angles and rates of engines on a load, and keep those of their actuators. A group reports its first
-    engine.
+    """Set angles and rates of engines on a load, and keep those of their actuators.
+
+    A group reports its first engine.
     """
     for k in range(sizes.tvc_loads):
         channel = 2 * e.group[load.engine[k]]
