@@ -444,8 +444,9 @@ def hand_sensors(computer: Computer, state: ComputerState) -> None:
 
 @routine
 def allocate_commands(computer: Computer, pool: Array, state: ComputerState, time_s: float) -> None:
-    """Allocate the commands in pitch, yaw and roll to the groups of engines; limit and DAC act on each group's
-    angles.
+    """Allocate the commands in pitch, yaw and roll to the groups of engines.
+
+    Limit and DAC act on the angles of each group.
     """
     a, angles = computer.allocation, state.allocation.angle_rad
     if a.groups == 1:
@@ -469,8 +470,9 @@ def allocate_commands(computer: Computer, pool: Array, state: ComputerState, tim
 def update_command(
     computer: Computer, pool: Array, state: ComputerState, gimbal: int, at: float, injected_rad: float, replaces: int
 ) -> None:
-    """Compute the command of gimbal axis `gimbal` (0 pitch, 1 yaw): law with the gains at `at`, injection, limit,
-    DAC.
+    """Compute the command of gimbal axis `gimbal` (0 pitch, 1 yaw).
+
+    It is the law with the gains at `at`, then injection, limit and DAC.
     """
     error_rad, rate_radps = state.attitude.theta_e_rad[gimbal + 1], state.attitude.rate_radps[gimbal + 1]
     lateral_mps2, sample_s = 0.0, computer.sample_ns / 1.0e9

@@ -47,8 +47,9 @@ class ConverterState:
 
 
 def make_converter(count_rad: float) -> Converter:
-    """Return a converter; raise ValueError unless `count_rad` is 0 (ideal) or finite and at least
-    `FINEST_COUNT_RAD`.
+    """Return a converter; `count_rad` must be 0 (ideal) or finite and at least `FINEST_COUNT_RAD`.
+
+    Raises ValueError for other values.
     """
     if not (count_rad == 0 or FINEST_COUNT_RAD <= count_rad < math.inf):
         raise ValueError(f"count_rad = {count_rad}: allowed is 0 (ideal) or at least {FINEST_COUNT_RAD:g}")
@@ -57,8 +58,9 @@ def make_converter(count_rad: float) -> Converter:
 
 @kernel
 def round_half_away(value: float) -> int:
-    """Return the nearest whole number, with halves rounded away from 0, so that a mirrored flight is the mirror
-    image.
+    """Return the nearest whole number, with halves rounded away from 0.
+
+    A mirrored flight is then the exact mirror image.
     """
     return int(value + math.copysign(0.5, value))
 

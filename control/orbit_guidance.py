@@ -27,8 +27,10 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 
 WAITING, SEARCHING, STEERING, ENDING, CUT_OFF = range(5)
-"""The phases: before `start_s`; no solution yet, on the programme; steering; linear direction before cutoff; engine cut
-off.
+"""The phases of the guidance.
+
+WAITING: before `start_s`. SEARCHING: no solution yet, on the programme. STEERING. ENDING: linear direction before
+cutoff. CUT_OFF: engine cut off.
 """
 N = 5  # number of unknowns (a, b, c, d, time to go) and of conditions
 STEPS = 24  # steps of the prediction
@@ -280,8 +282,9 @@ def choose_axes(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> N
 
 @routine
 def measure_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> int:
-    """Measure the thrust acceleration from the velocity gained beyond gravitation since the last cycle; return 1 if the
-    thrust was steady.
+    """Measure the thrust acceleration, and return 1 if the thrust was steady.
+
+    It follows from the velocity gained beyond gravitation since the last cycle.
     """
     r, v, since_s = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0), time_s - state.last_s
     known = since_s < 2.5 * g.cycle_s
@@ -339,8 +342,9 @@ def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: 
 def steer(
     g: OrbitGuidance, state: OrbitGuidanceState, q_BR: Array, time_s: float, sample_s: float
 ) -> tuple[float, float]:
-    """Return the turn of the commanded attitude `q_BR` about its y and z towards the direction of thrust in this
-    sample, rad.
+    """Return the turn of the commanded attitude `q_BR` about its y and z in this sample, rad.
+
+    The turn is towards the direction of thrust.
     """
     if state.phase == CUT_OFF:
         return 0.0, 0.0

@@ -13,10 +13,10 @@ from maxq.control.kernel.jit import kernel
 
 @dataclass(frozen=True)
 class Roll:
-    """The parameters of roll control: thrusters switch on at |s| > dead_band_rad and off at |s| < dead_band_rad -
-    hysteresis_rad.
+    """The parameters of roll control.
 
-    `k_rate_s`: weight of the rate, s. `minimum_on_ticks`: shortest firing, samples.
+    Thrusters switch on at |s| > dead_band_rad and off at |s| < dead_band_rad - hysteresis_rad. `k_rate_s`: weight of
+    the rate, s. `minimum_on_ticks`: shortest firing, samples.
     """
 
     k_rate_s: float

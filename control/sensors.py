@@ -115,9 +115,7 @@ def read_sensors(sensors: Sensors, state: SensorState, tick: int, sample_s: floa
 
 @kernel
 def blended_rate(sensors: Sensors, state: SensorState, gimbal: int, first_radps: float) -> float:
-    """Return the rate of the law about the axis of a gimbal (0 pitch, 1 yaw), rad/s, from the first and further
-    gyros.
-    """
+    """Return the rate of the law about the axis of a gimbal (0 pitch, 1 yaw), rad/s, from all gyros."""
     rate_radps: float = sensors.blend[gimbal, 0] * first_radps
     for k in range(MAX_SENSORS - 1):
         if k < sensors.count and k != sensors.accelerometer:

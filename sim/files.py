@@ -32,11 +32,10 @@ def write_whole(path: Path, content: str | bytes, raises: Raises = FileError, *,
 
 @contextlib.contextmanager
 def whole_file(path: Path, raises: Raises = FileError, *, durable: bool = False) -> Iterator[Path]:
-    """Yield a hidden temporary path in the folder of `path`, and rename it to `path` at the end; create missing
-    folders.
+    """Yield a hidden temporary path in the folder of `path`, and rename it to `path` at the end.
 
-    If writing fails, no file is left. An OSError is raised as `raises(line)`. `durable`: flush the content to the disk
-    before the rename, so that even a power failure leaves a whole file or none.
+    Missing folders are created. If writing fails, no file is left. An OSError is raised as `raises(line)`. `durable`:
+    flush the content to the disk before the rename, so that even a power failure leaves a whole file or none.
     """
     part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}")
     try:

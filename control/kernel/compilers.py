@@ -1,5 +1,7 @@
-"""Changes to Numba's compilation of kernels: fewer passes, one linking and optimisation for each entry and all its
-callees, and parallel processes for large routines.
+"""Changes to Numba's compilation of kernels.
+
+There are fewer passes, one linking and optimisation for each entry with all its callees, and parallel processes for
+large routines.
 """
 
 from __future__ import annotations
@@ -194,8 +196,9 @@ _PASSES = (
     NativeLowering,
     NoPythonBackend,
 )
-"""The passes of Numba, without those for features that kernels do not use: closures, `with`, exceptions, array
-expressions, parallel loops, inlining on this level.
+"""The passes of Numba that kernels need.
+
+Left out are those for closures, `with`, exceptions, array expressions, parallel loops, and inlining on this level.
 """
 
 

@@ -38,8 +38,9 @@ class GridRefs:
 
 @dataclass(frozen=True)
 class Grid:
-    """The grid. `breaks`: three arrays, with a single number where there is no variable. `nodes` (n_1, n_2, n_3, terms,
-    columns).
+    """A grid.
+
+    `breaks`: three arrays, with a single number where there is no variable. `nodes` (n_1, n_2, n_3, terms, columns).
     """
 
     breaks: tuple[Array, Array, Array]
@@ -160,8 +161,9 @@ def interpolate_grid(
 
 @kernel
 def _located(pool: Array, first: int, n: int, terms: int, x: float) -> tuple[int, Weights]:
-    """Return the interval of `x`, and the weights of value (2) and slope (2) at its ends; zero for an end that does not
-    exist.
+    """Return the interval of `x`, and the weights of value (2) and slope (2) at its ends.
+
+    The weights are zero for an end that does not exist.
     """
     if n == 1:
         return 0, (1.0, 0.0, 0.0, 0.0)

@@ -41,8 +41,9 @@ def kernel(function: Function) -> Function:
 
 
 def formula(function: Function) -> Function:
-    """Compile as `kernel` does, for index and size arithmetic and single vectors; Python calls the plain function,
-    which is faster than loading machine code.
+    """Compile as `kernel` does, for index and size arithmetic and single vectors.
+
+    Python calls the plain function, which is faster than loading machine code.
     """
     return _for_kernels(function, kind=_Formula, forceinline=True)
 
@@ -145,16 +146,18 @@ def _compile_for_all_integers(compiled: Any) -> None:
 
 
 def _signed(function: Function) -> Function:
-    """Attach the signature to a function: Numba reads it three times, which takes a tenth of a second for all
-    kernels.
+    """Attach the signature to a function.
+
+    Numba reads it three times, which takes a tenth of a second for all kernels.
     """
     function.__dict__["__signature__"] = inspect.signature(function)
     return function
 
 
 def entry(function: Function) -> Function:
-    """Compile as `kernel` does, for the few functions that Python calls; keep the machine code on disk, with all
-    callees.
+    """Compile as `kernel` does, for the few functions that Python calls.
+
+    The machine code is kept on disk, with all callees.
     """
     compiled = numba.njit(_signed(function), nogil=True, error_model="numpy", pipeline_class=EntryCompiler)
     if not numba.config.DISABLE_JIT:

@@ -82,11 +82,10 @@ def is_own(path: str) -> bool:
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no types
-    """The cache files of one function's machine code, each with its SHA-256 at the end, so that a damaged file is made
-    again.
+    """The cache files of one function's machine code, each with its SHA-256 at the end.
 
-    Numba reads neither file to its end. It accepts an empty index and missing code, which this class returns for a
-    damaged file.
+    A damaged file is made again. Numba reads neither file to its end. It accepts an empty index and missing code, which
+    this class returns for a damaged file.
     """
 
     @contextlib.contextmanager

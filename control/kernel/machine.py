@@ -14,11 +14,10 @@ def cores() -> int:
 
 
 def own_cache(name: str) -> Path:
-    """Return a folder for machine code or results, and create it if missing: in `$MAXQ_CACHE`, or the user's cache
-    folder.
+    """Return a folder for machine code or results, and create it if missing.
 
-    Raises PermissionError if another user owns the folder or may write to it, because its content is executed and
-    trusted.
+    It is in `$MAXQ_CACHE`, or in the user's cache folder. Raises PermissionError if another user owns the folder or may
+    write to it, because its content is executed and trusted.
     """
     base = os.environ.get("MAXQ_CACHE") or os.path.join(
         os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "maxq"

@@ -31,8 +31,9 @@ _ROUNDS = 10
 
 @kernel
 def philox(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, int, int, int]:
-    """Return four 32-bit words of Philox4x32-10 from a counter of four and a key of two 32-bit words (all in
-    0..2^32-1).
+    """Return four 32-bit words of Philox4x32-10 from a counter of four and a key of two such words.
+
+    All words are integers in 0..2^32-1.
     """
     for _ in range(_ROUNDS):
         product_0 = _MULTIPLIER_0 * c0
@@ -76,8 +77,9 @@ def standard_normal(seed: int, stream: int, index: int) -> float:
 
 @routine
 def standard_normal_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
-    """Return two independent standard normal draws at little more than the cost of one; the first is
-    `standard_normal`.
+    """Return two independent standard normal draws, the first of which is `standard_normal`.
+
+    They cost little more than one draw.
     """
     first, second = uniform_pair(seed, stream, index)
     return normal_quantile(first), normal_quantile(second)
@@ -128,10 +130,9 @@ def _ratio(coefficients: tuple[tuple[float, float], ...], r: float) -> float:
 
 @kernel
 def normal_quantile(probability: float) -> float:
-    """Return x with P(X <= x) = `probability` for a standard normal X; relative accuracy 1e-15; needs 0 < probability <
-    1.
+    """Return x with P(X <= x) = `probability` for a standard normal X.
 
-    Source: Wichura, AS 241, routine PPND16.
+    The relative accuracy is 1e-15, for 0 < probability < 1. Source: Wichura, AS 241, routine PPND16.
     """
     q = probability - 0.5
     if abs(q) <= 0.425:  # 85 % of all draws: no library call

@@ -1,5 +1,4 @@
-"""Parameter records: a frozen dataclass is the schema of a parameter set, and a packed `np.record` is the kernel's
-input.
+"""Parameter records: frozen dataclasses as schemas, and packed `np.record`s as the input of kernels.
 
 A kernel receives `P[i]` and reads `P[i].engine.mass_kg`. It compiles once for every vehicle, because no size in the
 layout depends on the vehicle: arrays are bounded and have a count. `with_constants` puts counts into the layout, where
@@ -33,8 +32,10 @@ _READERS: dict[type, Reader] = {}
 
 
 def dtype_of(schema: type) -> np.dtype[Any]:
-    """Return the record layout of a dataclass of `float`, `int`, `Annotated[Array, shape]`, nested dataclasses and
-    tuples of them (`Annotated[tuple[X, ...], shape]`).
+    """Return the record layout of a dataclass.
+
+    Its fields are `float`, `int`, `Annotated[Array, shape]`, nested dataclasses and tuples of them (`Annotated[tuple[X,
+    ...], shape]`).
 
     Raises TypeError for any other field type, and for a name that np.record has itself.
     """

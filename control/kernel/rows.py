@@ -89,8 +89,9 @@ def put(row: Array, column: int, values: Any) -> int:
 
 @intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
 def _store(context: Any, row: Any, column: Any, values: Any) -> Any:
-    """Numba intrinsic: implement `put` as one store per number, because Numba cannot loop over tuples of unlike
-    types.
+    """Numba intrinsic: implement `put` as one store per number.
+
+    Numba cannot loop over tuples of unlike types.
     """
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -119,8 +119,9 @@ def hermite(x: Array, y: Array, slopes: Array) -> Cubics:
 
 
 def monotone_slopes(x: Array, y: Array) -> Array:
-    """Return derivatives (n, m) at three or more points for which the cubics do not overshoot (Fritsch & Butland
-    1984).
+    """Return derivatives (n, m) at three or more points for which the cubics do not overshoot.
+
+    Source: Fritsch & Butland 1984.
     """
     slopes = np.empty(y.shape)
     _monotone_into(_shared(x), _shared(y), slopes)
@@ -154,8 +155,9 @@ def _monotone_into(x: Array, y: Array, slopes: Array) -> None:
 
 @kernel
 def _end_slope(h_0: float, h_1: float, secant_0: float, secant_1: float) -> float:
-    """Return the derivative at an end from three points, limited where it would overshoot; counted inwards from the
-    end.
+    """Return the derivative at an end from three points, limited where it would overshoot.
+
+    Points are counted inwards from the end.
     """
     slope = ((2.0 * h_0 + h_1) * secant_0 - h_0 * secant_1) / (h_0 + h_1)
     if not _both_rise_or_fall(slope, secant_0):
@@ -193,8 +195,9 @@ def _merge_into(tables: Sequence[Cubics], breaks: Array, out: Array) -> None:
 
 @entry
 def _carry(breaks: Array, coefficients: Array, finer: Array, out: Array, first: int) -> None:
-    """Write the coefficients of a table, re-centred on the `finer` breakpoints that include its own, into columns from
-    `first`.
+    """Write the coefficients of a table, re-centred on the `finer` breakpoints, into columns from `first`.
+
+    The finer breakpoints include the table's own.
     """
     k, last = 0, len(breaks) - 1
     for i in range(len(finer) - 1):

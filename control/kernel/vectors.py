@@ -54,8 +54,9 @@ _C = (-1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800, 1 / 479001600)
 
 @kernel
 def sine_cosine(x: float) -> tuple[float, float]:
-    """Return sin(x), cos(x), x in rad: Taylor series to rounding for |x| <= 0.25 (a gimbal's range), the library
-    beyond.
+    """Return sin(x), cos(x), x in rad.
+
+    For |x| <= 0.25 (a gimbal's range) they are Taylor series to rounding, and library functions beyond.
     """
     if abs(x) > 0.25:
         return math.sin(x), math.cos(x)
@@ -175,8 +176,9 @@ def inertia_times(j: Symmetric, w: Vector) -> Vector:
 
 @kernel
 def inverse_inertia(j: Symmetric) -> Symmetric:
-    """Return the inverse of the inertia tensor, as the six numbers of a symmetric matrix (xx, yy, zz, xy, xz, yz: no
-    signs).
+    """Return the inverse of the inertia tensor, as the six numbers of a symmetric matrix.
+
+    They are xx, yy, zz, xy, xz, yz, without changes of sign.
     """
     a, b, c, d, e, f = j[0], j[1], j[2], -j[3], -j[4], -j[5]
     xx, yy, zz = b * c - f * f, a * c - e * e, a * b - d * d

@@ -97,8 +97,9 @@ class DataSet:
         )
 
     def to_pandas(self, *names: str) -> pd.DataFrame:
-        """Return columns of all runs over the run's number, a row for each run; without names all columns. pandas must
-        be installed.
+        """Return columns of all runs over the run's number, a row for each run.
+
+        Without names all columns are returned. pandas must be installed.
         """
         known = schema_of(self.campaign).names
         if unknown := [name for name in names if name not in known]:
@@ -148,8 +149,9 @@ class DataSet:
 
     @cached_property
     def planned(self) -> int | None:
-        """Return the number of runs after which the fixed test judges, as recorded before the first was flown, or None
-        for the any-time test.
+        """Return the number of runs after which the fixed test judges, or None for the any-time test.
+
+        The number was recorded before the first run was flown.
         """
         if self.campaign.campaign.test != "fixed":
             return None

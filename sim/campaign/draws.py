@@ -66,8 +66,9 @@ def _permutation(seed: int, key: str, hypercube: int, stratum: int) -> IntArray:
 
 
 def latin(seed: int, key: str, first: int, count: int, stratum: int) -> Array:
-    """Return numbers as `uniforms` does; each `stratum` runs from a multiple of it on fill as many equal cells once
-    each.
+    """Return Latin hypercube numbers in the form of `uniforms`.
+
+    Each `stratum` runs, from a multiple of it on, fill as many equal cells once each.
     """
     runs = np.arange(first, first + count)
     cells = np.empty(count, np.int64)
@@ -146,8 +147,9 @@ def quantile(spec: Disperse, u: Array, nominal: float) -> Array:
 
 
 def box(spec: Disperse, nominal: float, sigmas: float = 3.0) -> tuple[float, float]:
-    """Return the least and greatest value of a search: the distribution's ends, or `sigmas` of a normal one on either
-    side.
+    """Return the least and greatest value of a search.
+
+    They are the distribution's ends, or `sigmas` of a normal one on either side.
     """
     if spec.distribution in ("uniform", "triangular"):
         return spec.ends
@@ -188,8 +190,9 @@ def cholesky(matrix: Array) -> Array:
 
 
 def _truncated(mean: float, sigma: float, low: float, high: float, u: Array) -> Array:
-    """Return draws of a normal distribution between `low` and `high`, from the lower tail, where probabilities keep
-    their digits.
+    """Return draws of a normal distribution between `low` and `high`.
+
+    They are computed in the lower tail, where probabilities keep their digits.
     """
     if sigma == 0.0:
         return np.clip(np.full_like(u, mean), low, high)

@@ -94,8 +94,9 @@ def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 @dataclass(frozen=True)
 class Shrunk:
-    """A reduced failure: its remaining inputs by name, the scenario with them alone, its flight, and the number of
-    flights.
+    """A reduced failure.
+
+    The fields are its remaining inputs by name, the scenario with only these, its flight, and the flights flown.
     """
 
     failure: str
@@ -106,8 +107,9 @@ class Shrunk:
 
 
 def failures_of(flight: Flight) -> list[str]:
-    """Return the reasons for which a flight fails: its outcome if it has no usable metrics, loss of control, missed
-    requirements.
+    """Return the reasons for which a flight fails.
+
+    These are its outcome if it has no usable metrics, loss of control, and missed requirements.
     """
     found = [flight.outcome] if flight.outcome in VOID else []
     found += ["control lost"] if any(e.name == "control_lost" for e in flight.events) else []

@@ -160,9 +160,7 @@ class Plan:
 
     @cached_property
     def score_names(self) -> list[str]:
-        """Return the names of the standard normal numbers that make up a run, in addition to its noise: a draw, or the
-        wind.
-        """
+        """Return the names of a run's standard normal numbers: its draws and its wind, without its noise."""
         return self._streams + [f"{WIND_KEY} {k + 1}" for k in range(self.wind.size if self.wind is not None else 0)]
 
     @cached_property
@@ -170,10 +168,10 @@ class Plan:
         return list(dict.fromkeys(d.stream for d in self.draws))
 
     def of_scores(self, z: Array, noise: np.ndarray) -> tuple[Drawn, np.ndarray]:
-        """Return runs 0, 1, ... from standard normal numbers (runs, scores) and seeds, and True for runs within all
-        bounds.
+        """Return runs 0, 1, ... from standard normal numbers (runs, scores) and seeds, and their validity.
 
-        Samples, cases and profiles that are otherwise taken in turn are taken at random here.
+        The second result is True for runs within all bounds. Samples, cases and profiles that are otherwise taken in
+        turn are taken at random here.
         """
         good, groups = np.ones(len(z), bool), dict[int, list[Array]]()
         u = dict(zip(self._streams, np.clip(ndtr(z.T), *_INSIDE), strict=False))
@@ -214,8 +212,9 @@ class Plan:
         return uniforms(self.campaign.seed, d.stream, first, count, attempt)
 
     def _values(self, d: Draw, first: int, raw: Mapping[str, Array], groups: dict[int, list[Array]]) -> np.ndarray:
-        """Return the values of consecutive runs from uniform numbers by name; `groups`: cache of correlated values by
-        entry.
+        """Return the values of consecutive runs from uniform numbers by name.
+
+        `groups`: cache of correlated values by entry.
         """
         spec, u = d.spec, raw[d.name]
         if d.group is not None:
@@ -341,8 +340,9 @@ class VectorWind:
         self.size = 2 * len(self._altitude_m) + (model.months is not None)
 
     def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:
-        """Return (count, altitudes, 2): deviations north and east, m/s; with months there is one more row, that of the
-        month.
+        """Return (count, altitudes, 2): deviations north and east, m/s.
+
+        With months there is one more row, that of the month.
         """
         parts = [uniforms(seed, WIND_KEY, first, count, attempt, component=k) for k in range(self.size)]
         if self._months is not None:  # in turn: the same number of runs of each

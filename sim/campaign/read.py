@@ -129,8 +129,9 @@ class LoadedCampaign:
         return self._loaded(values)
 
     def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[DrawPlace, Any]:
-        """Return the values that a run flies for the named inputs (None: all), e.g. its wind and its noise, for
-        `changed`.
+        """Return the values that a run flies for the named inputs (None: all), for `changed`.
+
+        Its wind and its noise are examples of inputs.
         """
         at = run - drawn.first
         values = {place: values[at] for place, values in drawn.flown.items()}
@@ -239,9 +240,8 @@ def made_of(
 ) -> LoadedCampaign:
     """Return the campaign that disperses `loaded` as specified in `file`.
 
-    Raises the errors that `load_campaign` reports.
-
-    `given`: by name of a draw, the tables among which it chooses, for use without files.
+    Raises the errors that `load_campaign` reports. `given`: by name of a draw, the tables among which it chooses, for
+    use without files.
     """
     found = [d for n, spec in enumerate(file.disperse) for d in _draws(loaded, spec, n, reading, given or {})]
     _check_overlaps(file, found)
@@ -271,8 +271,9 @@ _CONTINUOUS = ("normal", "truncated-normal", "uniform", "log-normal", "triangula
 
 
 def _check_correlated(plan: Plan) -> None:
-    """Raise the exception of `refuse` for a pair without two such draws, and for coefficients that exclude each
-    other.
+    """Raise the exception of `refuse` for invalid pairs.
+
+    A pair is invalid without two such draws, or with coefficients that exclude each other.
     """
     free = [d for d in plan.draws if d.spec.distribution in _CONTINUOUS and d.group is None]
     for n, pair in enumerate(plan.campaign.correlated):

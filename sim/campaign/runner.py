@@ -1,5 +1,6 @@
-"""The runner of a campaign: on threads over the compiled kernel, which releases the interpreter's lock, or a Dask
-cluster.
+"""The runner of a campaign, on threads or on a Dask cluster.
+
+Threads run in parallel, because the compiled kernel releases the interpreter's lock.
 
     result = run_campaign(load_campaign("campaigns/first"), Path("runs/first"), workers=2)
     result = run_campaign(load_campaign("campaigns/ksr3"), Path("runs/ksr3"), cluster=Client("tcp://head:8786"))

@@ -235,8 +235,9 @@ def input_types(campaign: LoadedCampaign) -> dict[str, pa.DataType]:
 
 
 def schema_of(campaign: LoadedCampaign) -> pa.Schema:
-    """Return the schema of a row for each run: its outcome, its draws (null where nothing could be drawn), metrics and
-    their times.
+    """Return the schema of a row for each run.
+
+    Its columns are the outcome, the draws (null where nothing could be drawn), the metrics and their times.
     """
     inputs = [pa.field(name, kind) for name, kind in input_types(campaign).items()]
     metrics = [pa.field(name, pa.float64()) for name in (*METRIC_NAMES, *map(TIME_OF.format, METRIC_NAMES))]

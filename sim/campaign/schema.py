@@ -32,8 +32,9 @@ Probability = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
 def _as_read(value: Any, usual: ValidatorFunctionWrapHandler) -> Any:
-    """Keep a text as it was read, because it may name a file, which is searched for in the folder of the file that
-    names it.
+    """Keep a text as it was read.
+
+    It may name a file, which is searched for in the folder of the naming file.
     """
     return value if isinstance(value, Text) else usual(value)
 
@@ -136,8 +137,9 @@ _REQUIRED = {
     "values": "a list of values",
     "file": "a CSV file",
 }
-"""The keys that are required where they have a meaning; low and high are optional in a truncated normal
-distribution.
+"""The keys that are required where they have a meaning.
+
+low and high are optional in a truncated normal distribution.
 """
 
 
@@ -190,8 +192,9 @@ class Disperse(Section):
 
     @property
     def sample_column(self) -> str:
-        """Return the column from which samples are drawn, or an empty string if it is not given and there are
-        several.
+        """Return the column from which samples are drawn.
+
+        It is empty if it is not given and there are several.
         """
         names = list(self.file.columns) if self.file is not None else []
         return self.column or (names[0] if len(names) == 1 else "")

@@ -51,8 +51,9 @@ def failure_lower(failures: int, runs: int, confidence: float) -> float:
 
 @lru_cache(maxsize=1024)
 def allowed_failures(runs: int, success: float, confidence: float) -> int:
-    """Return the most failures with which a fixed test of `runs` shows the requirement to be met; -1 if not even zero
-    do.
+    """Return the most failures with which a fixed test of `runs` shows the requirement to be met.
+
+    It is -1 if not even zero failures do.
     """
     p, risk = 1.0 - success, 1.0 - confidence
     return _least(lambda k: k > runs or bool(bdtr(k, runs, p) > risk), 0) - 1
@@ -91,8 +92,9 @@ def judge_failures(failures: int, runs: int, success: float, confidence: float, 
         risk_missed = max(risk - float(bdtrc(refused - 1, planned, p)), 1e-300)
 
     def more(least: int) -> int:
-        """Return the further runs, `least` or more, after which this number of failures shows the requirement to be met
-        at any time.
+        """Return the further runs, `least` or more, after which these failures show the requirement to be met.
+
+        The proof is valid at any time.
         """
         needed = -math.log(risk_met)
         return _least(lambda n: evidence_met(failures, n, p) >= needed, max(runs + least, failures, 1)) - runs
@@ -137,8 +139,9 @@ def last(holds: Callable[[float], bool], low: float, high: float, halvings: int)
 
 
 def confidence_sequence(failures: int, runs: int, confidence: float) -> tuple[float, float]:
-    """Return bounds of the probability of failure, each with `confidence` at all times together: the values that no
-    test rejects.
+    """Return bounds of the probability of failure, each with `confidence` at all times together.
+
+    The values between the bounds are those that no test rejects.
     """
     needed = -math.log(1.0 - confidence)
     share = failures / runs if runs else 0.0
@@ -167,8 +170,9 @@ def tolerance_bound(values: Array, allowed: int, largest: bool = True) -> float:
 
 
 def evidence_met(failures: int, runs: int, p: float) -> float:
-    """Return the log of the e-value against "fails with probability p or more"; the mixture has the density q^-0.5
-    below p.
+    """Return the log of the e-value against "fails with probability p or more".
+
+    The mixture has the density q^-0.5 below p.
     """
     k, n = failures, runs
     inside = float(betainc(k + _POWER, n - k + 1, p))

@@ -82,9 +82,7 @@ def tail_of(values: Array, limit: float, success: float, confidence: float, larg
     beyond_u = np.repeat(shares, len(_SHAPES))
 
     def likely(excess: float, probability: float) -> bool:
-        """Return True if the data allow that a value that far beyond the threshold is exceeded with that
-        probability.
-        """
+        """Return True if the data allow this probability of exceeding the threshold by `excess`."""
         with np.errstate(divide="ignore"):
             scales = excess / boxcox(beyond_u / probability, each)
         return bool(best - (_log_likelihood(y, each, scales) + chance).max() <= allowed)

@@ -124,9 +124,7 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
 
 @routine
 def navigate(environment: Environment, pool: Array, y: Array, mass_kg: float, navigation: Array) -> None:
-    """Compute the quantities other than time over which gains may be scheduled (`OVER` of control/structures.py),
-    without error.
-    """
+    """Compute the variables of gain schedules other than time, without error (`OVER` of control/structures.py)."""
     earth = environment.earth
     vx, vy, vz = velocity_over_ground(earth, y)
     squares = vx * vx + vy * vy + vz * vz
@@ -302,8 +300,7 @@ def detect_loss_of_control(p: Parameters, memory: Memory, aux: Aux) -> None:
 def transfer_state(
     before: Parameters, after: Parameters, pool: Array, memory: Memory, old: Array, new: Array, whole: Array, y: Array
 ) -> None:
-    """Separate a stage: the upper stage continues from its own core CG with the motion of the whole vehicle at this
-    point.
+    """Separate a stage: the upper stage continues with the motion of the whole vehicle at its own core CG.
 
     Its modes take their part of the motion of the bent axis, and the rigid motion takes the rest (docs/model.md, 4.10).
     Engine and bobs start at rest, unless the stage continues. An impulse and springs push the stage forward: springs of
@@ -362,9 +359,7 @@ def transfer_state(
 def bent_motion(
     sizes: Counts, pool: Array, at: int, rates: int, place: vec.Vector, y: Array
 ) -> tuple[vec.Vector, vec.Vector]:
-    """Return the modal displacement of a place from the nose and the rotation of the part that flies on, or their
-    rates.
-    """
+    """Return the modal displacement of a place from the nose and the rotation of the remaining part, or their rates."""
     moved = (
         handed(sizes, pool, at, 0, rates, y),
         handed(sizes, pool, at, 1, rates, y),
@@ -398,8 +393,9 @@ def handed(sizes: Counts, pool: Array, at: int, row: int, rates: int, y: Array) 
 
 @kernel
 def modes_in(sizes: Counts, kind: int) -> tuple[int, int]:
-    """Return the first state and the number of the modes in pitch (0), in yaw (1), and in space (2); their rates
-    follow.
+    """Return the first state and the number of the modes in pitch (0), in yaw (1), or in space (2).
+
+    The rates of the modes follow.
     """
     if kind == 0:
         return states.eta_index(sizes), sizes.pitch_modes

@@ -1,5 +1,4 @@
-"""The faults of the scenario in flight: their writes into the array that the components read, and the times of the
-writes.
+"""The faults of the scenario in flight: values and times of their writes into the array that the components read.
 
 The instants are known in advance, or once the vehicle has lifted off, so that no step extends beyond one.
 """
@@ -17,8 +16,9 @@ from maxq.sim.vehicle.faults import ANY_FAULT, N_FAULT_SLOTS
 
 @dataclass(frozen=True)
 class Faults:
-    """The writes into slots (sim/vehicle/faults.py), one per row; of two writes to one slot the later row is in
-    force.
+    """The writes into slots (sim/vehicle/faults.py), one per row.
+
+    Of two writes to one slot the later row is in force.
     """
 
     count: int

@@ -139,9 +139,7 @@ def advance(
 def fly_step(
     p: Parameters, pool: Array, memory: Memory, logged: Logged, until_ns: int, space: step.Workspace, log_rows: LogRows
 ) -> None:
-    """Process the events due at this instant, log a row, and step to the next instant or event, whichever comes
-    first.
-    """
+    """Process the events due at this instant, log a row, and step to the next instant or event."""
     clock, now_at, now = memory.clock, space.start, memory.clock.now_ns
     if events.process_due_events(p, pool, memory, now_at.y, now_at.aux, now_at.properties) == 1 or clock.fresh == 1:
         step.read_schedule(p, pool, memory, now, 0.0, now_at.properties)

@@ -234,11 +234,11 @@ def exponential_runge_kutta(
 def _block_stage(
     kept: Array, block: int, moved: Array, at: int, stage: int, y: Array, k_1: Array, k: Array, out: Array
 ) -> None:
-    """Write the states of one block at stage 2, 3, 4, or at the end (5), to `out`, given the derivative `k` of the
-    previous stage.
+    """Write the states of one block at stage 2, 3, 4, or at the end (5), to `out`.
 
-    `moved[at:]` holds the block's derivative at the start, its motion since then at the previous stage and, under the
-    constant force, at the end, r, and the sum of r over the middle stages.
+    `k` is the derivative of the previous stage. `moved[at:]` holds the block's derivative at the start, its motion
+    since then at the previous stage and, under the constant force, at the end, r, and the sum of r over the middle
+    stages.
     """
     first, stride, n, matrices = int(kept[block]), int(kept[block + 1]), int(kept[block + 2]), int(kept[block + 3])
     if n == 2:  # literal numbers, so that the compiler unrolls the loops

@@ -58,8 +58,9 @@ FAST, SLOW = "fast", "slow"
 
 @dataclass(frozen=True)
 class Logged:
-    """The widths of a log's rows of bending, slosh and section loads, those of the widest stage; `on` = 0 for no
-    log.
+    """The widths of a log's rows of bending, slosh and section loads.
+
+    They are those of the widest stage. `on` = 0 means no log.
     """
 
     on: int
@@ -314,8 +315,7 @@ def channel_table(
     accelerometer: bool = False,
     adaptive: bool = False,
 ) -> ChannelTable:
-    """Return the channels of a vehicle with these numbers of modes, pendulums and sections, in the order of the
-    kernels' columns.
+    """Return the channels of a vehicle with these numbers of parts, in the order of the kernels' columns.
 
     - `stations`: description of each station of the section loads; names contain their numbers, from 1.
     - `waves`: include the height of the pendulums' waves.

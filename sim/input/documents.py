@@ -89,8 +89,9 @@ def adopt(value: Any, source: Source) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """Return a tree of TOML or JSON as dicts, tuples and values (texts keep their source), for strict validation by
-    schemas.
+    """Return a tree of TOML or JSON as dicts, tuples and values, for strict validation by schemas.
+
+    Texts keep their source.
     """
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
@@ -220,9 +221,8 @@ Override = tuple[KeyPath, Any]
 def parse_override(text: str) -> Override:
     """Parse `a.b.0.c=value`.
 
-    The right side is a TOML value; anything else (a bare word) is a text. An empty right side removes the key.
-
-    Raises ScenarioError if there is no `=` or the path has an empty part.
+    The right side is a TOML value; anything else (a bare word) is a text. An empty right side removes the key. Raises
+    ScenarioError if there is no `=` or the path has an empty part.
     """
     left, equals, right = text.partition("=")
     path = tuple(part.strip() for part in left.split("."))

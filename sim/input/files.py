@@ -122,9 +122,7 @@ def not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, st
 
 
 def _nearest(name: Text, variants: Iterable[str]) -> str:
-    """Return `did you mean x?` for a built-in file of this name in another folder, or a similar name in the intended
-    folder.
-    """
+    """Return `did you mean x?` for a built-in file in another folder, or a similar name in the intended folder."""
     asked, root = Path(name), scenarios_folder()
     table = tuple(variants) == TABLE_VARIANTS
 
@@ -148,8 +146,9 @@ def _nearest(name: Text, variants: Iterable[str]) -> str:
 
 
 def _below(path: Path) -> str:
-    """Return `did you mean x?` for a file of this name one or two folders below, because --copy keeps the folders of
-    its files.
+    """Return `did you mean x?` for a file of this name one or two folders below.
+
+    simrun --copy keeps the folders of its files.
     """
     with contextlib.suppress(OSError, ValueError):
         for pattern in ("*/", "*/*/"):

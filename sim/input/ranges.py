@@ -138,9 +138,7 @@ def range_of(name: str) -> Range:
 
 
 def first_beyond(name: str, value: Any) -> tuple[tuple[int, ...], float] | None:
-    """Return place and value of the first number, in lists of any depth, that is outside the range of `name`, or
-    None.
-    """
+    """Return place and value of the first number outside the range of `name`, in lists of any depth, or None."""
     if isinstance(value, tuple):
         for n, item in enumerate(value):
             if found := first_beyond(name, item):

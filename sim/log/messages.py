@@ -107,10 +107,9 @@ def message_class(schema: bytes, full_name: str) -> type[Message]:
 
 
 def doubles_template(n_fields: int) -> NDArray[np.void]:
-    """Return one message of `n_fields` doubles as a structured array of length 1, with tags set and values to be
-    filled.
+    """Return one message of `n_fields` doubles as a structured array of length 1.
 
-    Raises ValueError outside 1..MOST_FIELDS.
+    Tags are set, and values are to be filled. Raises ValueError outside 1..MOST_FIELDS.
     """
     if not 1 <= n_fields <= MOST_FIELDS:
         raise ValueError(f"a message holds 1 to {MOST_FIELDS} channels, not {n_fields}")

@@ -110,15 +110,11 @@ class Log(LoggedRun, Tabular):
         return self.table.channel(name)
 
     def time_ns(self, name: str) -> IntArray:
-        """Return the times (n,) of a channel or topic, in ns since the start of the simulation; raise KeyError as
-        above.
-        """
+        """Return the times (n,) of a channel or topic, in ns since the start; raise KeyError as above."""
         return self._times_ns[self._topic(name)]
 
     def time_s(self, name: str) -> Array:
-        """Return the times (n,) of a channel or topic, in s since the start of the simulation; raise KeyError as
-        above.
-        """
+        """Return the times (n,) of a channel or topic, in s since the start; raise KeyError as above."""
         return self.time_ns(name) / 1e9
 
     def _topic(self, name: str) -> str:
@@ -251,10 +247,9 @@ class _LogFile:
         return end
 
     def _indexed_chunks(self) -> list[tuple[int, int]]:
-        """Return start and end of all chunks from the index at the end of the file, which also holds the record of the
-        run's end.
+        """Return start and end of all chunks from the index at the end of the file.
 
-        Raises DamagedError where the index is missing or damaged.
+        The record of the run's end is read too. Raises DamagedError where the index is missing or damaged.
         """
         summary, size = _summary(self._data), len(self._data)
         places = [(i.chunk_start_offset, i.chunk_start_offset + i.chunk_length) for i in summary.chunk_indexes]
@@ -418,10 +413,9 @@ def _decompressed(chunk: Chunk) -> bytes:
 
 
 def _message_runs(content: bytes) -> dict[int, list[range]]:
-    """Return the places of the messages of each channel in a chunk's content, in runs of equal size: the starts in a
-    run.
+    """Return the places of the messages of each channel in a chunk's content.
 
-    Raises DamagedError.
+    They are runs of equal size, each given by the starts of its messages. Raises DamagedError.
     """
     runs: dict[int, list[range]] = {}
     position, end = 0, len(content)

@@ -50,9 +50,7 @@ class Tabular(ABC):
     def to_pandas(self, *names: str) -> pd.DataFrame:
         """Return a data frame with a column for each channel over `time_s`.
 
-        Channels of the slower rate are NaN between their times.
-
-        pandas must be installed.
+        Channels of the slower rate are NaN between their times. pandas must be installed.
         """
         import pandas as pd  # noqa: PLC0415  # optional: nothing here needs it
 
@@ -63,8 +61,9 @@ class Tabular(ABC):
         return frames[0] if len(frames) == 1 else pd.concat(frames, axis=1)
 
     def to_xarray(self, *names: str) -> Any:
-        """Return the table of `to_pandas` as an `xarray.Dataset`, with unit and description of each channel. xarray
-        must be installed.
+        """Return the table of `to_pandas` as an `xarray.Dataset`, with unit and description of each channel.
+
+        xarray must be installed.
         """
         data = self.to_pandas(*names).to_xarray()
         for name in data:
@@ -73,10 +72,9 @@ class Tabular(ABC):
         return data
 
     def to_csv(self, path: str | Path, *names: str) -> Path:
-        """Write a CSV file with all digits: `time_s`, then a column for each channel, empty where a slower channel has
-        no value.
+        """Write a CSV file of `time_s` and a column for each channel, with all digits.
 
-        Raises FileError if the file cannot be written.
+        A column is empty where a slower channel has no value. Raises FileError if the file cannot be written.
         """
         groups = self._groups(names)
         times = np.unique(np.concatenate([self.time_s(group[0]) for group in groups]))

@@ -104,9 +104,7 @@ _SHEAR_ROWS = np.concatenate([[0.0, 0.002, 0.005], np.geomspace(0.01, 1.0, 21)])
 def _to_the_ground(
     shear: schema.GroundShear, altitude_m: Array, columns: Array, ground_m: float
 ) -> tuple[Array, Array]:
-    """Return the profile with rows of a shear law below its lowest level, or below the wind measured near the
-    ground.
-    """
+    """Return the profile with rows of a shear law below its lowest level or below the measured ground wind."""
     height, lowest = altitude_m - ground_m, shear.height_m
     if shear.speed_mps is not None and shear.from_deg is not None:
         kept = height > lowest

@@ -68,8 +68,9 @@ WRITES: dict[str, Callable[[Fault, int, int], tuple[Write, ...]]] = {
     "accelerometer": _sensor,
     "actuator": _actuator,
 }
-"""The effect of a fault of a part on an axis (0 roll, 1 pitch, 2 yaw; 0 for a part without axes), for this number of
-gyros.
+"""The effect of a fault of a part on an axis, for this number of gyros.
+
+Axes are 0 roll, 1 pitch, 2 yaw; a part without axes has 0.
 """
 
 

@@ -172,8 +172,9 @@ def _timeline(
 
 
 def _burn(stage: Stage, burn: Burn, stage_start_ns: int) -> tuple[int, int]:
-    """Return the times of ignition and burnout; a single row of thrust burns for ever, and a stage without an engine
-    never.
+    """Return the times of ignition and burnout.
+
+    A single row of thrust burns for ever, and a stage without an engine never.
     """
     ignition_ns = stage_start_ns + round(NS_PER_S * stage.ignition_s)
     if not stage.engines:

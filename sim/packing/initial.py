@@ -68,8 +68,9 @@ def _motion(
 
 
 def product(a: Array, b: Array) -> Array:
-    """Multiply the matrix `a` (3, 3) by a matrix or vector `b` (3, ...), with the same rounding on every processor,
-    unlike BLAS.
+    """Multiply the matrix `a` (3, 3) by a matrix or vector `b` (3, ...).
+
+    Unlike with BLAS, the rounding is the same on every processor.
     """
     return np.asarray(
         np.multiply.outer(a[:, 0], b[0]) + np.multiply.outer(a[:, 1], b[1]) + np.multiply.outer(a[:, 2], b[2])

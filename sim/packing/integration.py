@@ -28,8 +28,9 @@ _LEAST = 1e-5  # smaller added damping ratios cause no warning, whatever their s
 
 
 class Oscillation(NamedTuple):
-    """The pair of poles of an oscillation as given in the files: uncoupled, without softening, at its highest frequency
-    of the flight.
+    """The pair of poles of an oscillation as given in the files.
+
+    It is uncoupled, without softening, at its highest frequency of the flight.
     """
 
     name: str
@@ -48,9 +49,7 @@ class MethodError:
 
     @property
     def share(self) -> float:
-        """Return the ratio of the added to the own damping ratio of the oscillation; negative if the method reduces
-        damping.
-        """
+        """Return the ratio of the added to the own damping ratio; negative if the method reduces damping."""
         own = self.oscillation.damping_ratio
         return self.added_damping_ratio / own if own > 0.0 else math.copysign(math.inf, self.added_damping_ratio)
 

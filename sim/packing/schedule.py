@@ -163,8 +163,9 @@ def _pace(stage: Stage, burn: Burn) -> float:
 
 
 def _derivative(table: Cubics, pace: float) -> Cubics:
-    """Return the exact derivative with respect to the time of flight; zero outside the table, where its end values
-    hold.
+    """Return the exact derivative with respect to the time of flight.
+
+    It is zero outside the table, where the end values hold.
     """
     n, _, columns = table.coefficients.shape
     breaks = np.concatenate([[table.breaks[0] - 1.0], table.breaks, [table.breaks[-1] + 1.0]])

@@ -53,8 +53,7 @@ def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> StageModes
 
 @cached_by_identity
 def modal_transfer(before: StageModes, after: StageModes, mass_kg: float, gyration_m2: float) -> Array:
-    """Return (RIGID + modes after, modes before): the contribution of each old mode to rigid motion and to each new
-    mode.
+    """Return the matrix (RIGID + modes after, modes before) from old modes to rigid motion and new modes.
 
     The masses are those between the stations of the new modes. Without new modes they are those of the old modes up to
     the station where the mass forward is `mass_kg`. `gyration_m2`: roll inertia per mass.

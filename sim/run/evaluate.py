@@ -40,11 +40,10 @@ class Instant(NamedTuple):
 
 
 def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
-    """Return the simulator's derivative and loads at a state (MAX_STATE,) and flight time, with gimbal commands as
-    held.
+    """Return the simulator's derivative and loads at a state (MAX_STATE,) and flight time.
 
-    `packed` may be at its start or in mid-flight. Its stage, and whether it burns or is held down, are used. It is not
-    changed.
+    Gimbal commands are those held. `packed` may be at its start or in mid-flight. Its stage, and whether it burns or is
+    held down, are used. It is not changed.
     """
     memory = packed.memory.copy()
     if memory[0].clock.started == 0:

@@ -131,8 +131,9 @@ class Flight(Tabular):
 
     @property
     def beyond_model(self) -> tuple[str, ...]:
-        """Return a line for each departure of the flight from the limits of its model, such as breaking waves, with its
-        first time.
+        """Return a line with its first time for each departure from the limits of the model.
+
+        A breaking wave is such a departure.
         """
         return tuple(
             f"wave breaks at {e.time_s:.3f} s in {e.detail.split(':')[0]}"

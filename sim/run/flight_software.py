@@ -114,10 +114,9 @@ class FlightSoftware:
         self._end: Callable[[], object] = lambda: None
 
     def start(self, arrays: Arrays) -> Arrays:
-        """Start the code on a flight at its start, and return the arrays of the flight, in shared memory if it is
-        guarded.
+        """Start the code on a flight at its start, and return the arrays of the flight.
 
-        Raises ScenarioError if the code cannot be started.
+        They are in shared memory if the flight is guarded. Raises ScenarioError if the code cannot be started.
         """
         memory = arrays[MEMORY][0]
         setup = setup_of(self._computer, arrays[0][0].computer, int(memory.clock.now_ns))

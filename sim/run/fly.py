@@ -161,8 +161,9 @@ class FlightRun:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """Return all events so far in order of time: an ignition, burnout and separation for each stage that had
-        one.
+        """Return all events so far in order of time.
+
+        Each stage has its ignition, burnout and separation, if they occurred.
         """
         clock, timelines = self.clock, self.packed.parameters["timeline"]
         start_ns = to_ns(self.loaded.scenario.run.start_s)
@@ -422,8 +423,9 @@ def _adapts(scenario: Scenario) -> bool:
 
 
 def engine_names(scenario: Scenario) -> tuple[str, ...]:
-    """Return a name or number for each engine of the stage with the most engines; empty for a vehicle of single
-    engines.
+    """Return a name or number for each engine of the stage with the most engines.
+
+    The result is empty for a vehicle of single engines.
     """
     engines = max((stage.engines for stage in scenario.vehicle.stage), key=len)
     return tuple(e.name or str(i + 1) for i, e in enumerate(engines)) if len(engines) > 1 else ()

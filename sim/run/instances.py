@@ -1,5 +1,6 @@
-"""Running instances of external flight code: the flight calls a C function with the records of external.py for all
-kinds.
+"""Running instances of external flight code.
+
+For all kinds of code the flight calls a C function with the records of external.py:
 
 | key | function | where an error shows |
 |---|---|---|
@@ -81,8 +82,9 @@ class Instance(ABC):
         """End the flight."""
 
     def unload(self) -> bool:
-        """Return True if, after `close`, no part of the code remains in this process, so that the next flight begins
-        afresh.
+        """Return True if, after `close`, no part of the code remains in this process.
+
+        The next flight then begins afresh.
         """
         return False
 
@@ -204,8 +206,9 @@ def module_of(file: str, sha256: str) -> ModuleType:
 
 
 HEADER = struct.Struct("=4sIq")
-"""The header of a message, in the byte order of this machine: MAGIC, kind, number of the message, which the answer
-repeats.
+"""The header of a message, in the byte order of this machine.
+
+It consists of MAGIC, kind, and the number of the message, which the answer repeats.
 """
 MAGIC, SETUP, STEP, CLOSE = b"MAXQ", 1, 2, 3
 _CODE = struct.Struct("=q")

@@ -83,7 +83,8 @@ def _product(p: Array, q: Array) -> Array:
 
 
 def plain(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the Python function of a kernel that calls no other kernel, because a single call does not justify
-    compiling it.
+    """Return the Python function of a kernel that calls no other kernel.
+
+    A single call does not justify compiling it.
     """
     return getattr(function, "py_func", function)

@@ -27,8 +27,9 @@ _OF_ERRORS = {
 
 
 def step_failure(accuracy: float, metrics: Mapping[str, float], requirements: Sequence[RequirementSection]) -> str:
-    """Return a message if an estimated error exceeds `accuracy` of a required value, or of the reached one where
-    nothing is required; else an empty text.
+    """Return a message if an estimated error exceeds the `accuracy`, else an empty text.
+
+    The accuracy is relative to a required value, or to the reached one where nothing is required.
     """
     for name, of in _OF_ERRORS.items():
         limits = [r.limit for r in requirements if r.metric == of and r.limit is not None]
@@ -66,10 +67,10 @@ def end_metrics(final: Mapping[str, float], earth: Earth, site: Site, flight_tim
 
 
 def orbit_metrics(earth: Earth, r_I_m: Vector, v_I_mps: Vector) -> OrbitMetrics:
-    """Return the orbit metrics from position and velocity in I (Vallado, Fundamentals of Astrodynamics and
-    Applications, algorithm 9).
+    """Return the orbit metrics from position and velocity in I.
 
-    For an equatorial orbit I's x axis replaces the node, and for a circular orbit the node replaces the perigee.
+    Source: Vallado, Fundamentals of Astrodynamics and Applications, algorithm 9. For an equatorial orbit I's x axis
+    replaces the node, and for a circular orbit the node replaces the perigee.
     """
     if earth.figure == FLAT or earth.gravity not in (INVERSE_SQUARE, J2):
         return OrbitMetrics(*[math.nan] * len(OrbitMetrics._fields))
@@ -116,8 +117,9 @@ class SectionExtreme:
 
 
 def section_extremes(parameters: Records, sections: SectionLoads) -> tuple[SectionExtreme, ...]:
-    """Return all extremes of a flight's section loads, stage by stage, station by station; `parameters` of every
-    stage.
+    """Return all extremes of a flight's section loads, stage by stage, station by station.
+
+    `parameters`: those of every stage.
     """
     out = []
     for stage, p in enumerate(parameters):

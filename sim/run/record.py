@@ -63,11 +63,10 @@ def record(
 ) -> Flight:
     """Fly `run` to its end, and write log and summary into `folder`, which is created.
 
-    `number`: number of the run in a campaign.
-
-    Files of the same names are replaced. `watch` is called after every segment (1 s of simulated time, or about a
-    thousand steps). If `stop` then returns True, the flight ends there with outcome "interrupted". `timing`: further
-    entries for the summary's timing. The returned `Flight` has no rows, which are in the log.
+    `number`: number of the run in a campaign. Files of the same names are replaced. `watch` is called after every
+    segment (1 s of simulated time, or about a thousand steps). If `stop` then returns True, the flight ends there with
+    outcome "interrupted". `timing`: further entries for the summary's timing. The returned `Flight` has no rows, which
+    are in the log.
 
     Raises LogError if a file cannot be written; folders created for it are then removed again.
     """

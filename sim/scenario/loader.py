@@ -100,8 +100,9 @@ class LoadedScenario:
         return to_toml(self.scenario)
 
     def telling(self, overrides: Iterable[str]) -> LoadedScenario:
-        """Return the scenario with the user's overrides added to its description, which would otherwise be
-        incorrect.
+        """Return the scenario with the user's overrides added to its description.
+
+        The description would be incorrect without them.
         """
         about, told = self.scenario.description.rstrip(), [*overrides]
         if not about or not told or any(text.startswith("description=") for text in told):
@@ -320,7 +321,8 @@ def _toml_lines(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
 
 
 def _toml_value(value: Any) -> str:
-    """Return a value as TOML: JSON texts, finite numbers, booleans and lists are valid, except DEL, which TOML requires
-    escaped.
+    """Return a value as TOML.
+
+    JSON texts, finite numbers, booleans and lists are valid TOML, except DEL, which TOML requires escaped.
     """
     return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("\x7f", "\\u007F")

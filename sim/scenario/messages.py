@@ -38,8 +38,9 @@ _IN_FILES_ONLY = {
 
 
 def explain(error: ValidationError, tree: TomlTable, model: type[Section]) -> ScenarioError:
-    """Return the first error (unknown keys first, because they explain missing ones), and the number of further
-    errors.
+    """Return the first error, and the number of further errors.
+
+    Unknown keys come first, because they explain missing ones.
     """
     order = {"extra_forbidden": 0, "missing": 2}
     found = [{**detail, "loc": _without_forms(detail["loc"])} for detail in error.errors(include_url=False)]

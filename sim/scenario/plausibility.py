@@ -124,8 +124,10 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Implausible]:
 
 
 def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Implausible]:
-    """Check gimbals against CG, centre of pressure against body and CG, and the angle of attack that the first stage
-    can control.
+    """Yield implausible gimbals, centres of pressure and angles of attack.
+
+    Gimbals are checked against the CG, the centre of pressure against body and CG, and the first stage against the
+    angle of attack that it can control.
     """
     mass, engines = stage.mass.table, [e for e in stage.engines if e.gimbal != "fixed"]
     if mass is None or stage.aero is None:
@@ -171,8 +173,9 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Imp
 
 
 def _lift(stage: Stage) -> tuple[Array, Array] | None:
-    """Return the slope of the normal force, 1/rad, and its station, m aft of the nose, over Mach; None if tables hold
-    it.
+    """Return the slope of the normal force, 1/rad, and its station, m aft of the nose, over Mach number.
+
+    The result is None if other tables hold it.
     """
     aero = stage.aero
     if aero is None or aero.coefficients:
@@ -216,8 +219,9 @@ def _liquids(stage: Stage) -> Iterator[Implausible]:
 
 
 def _bob(tank: Tank) -> tuple[Array, Array, Array]:
-    """Return times, station and mass of the first slosh mode; a shape counts as a cylinder of its depth (NASA
-    SP-106).
+    """Return times, station and mass of the first slosh mode.
+
+    A shape counts as a cylinder of its depth (NASA SP-106).
     """
     table = tank.table
     if "slosh_mass_kg" in table:

@@ -144,8 +144,9 @@ class RollSection(Section):
 
 
 class RollGimbal(Section):
-    """The roll control by the gimbals of two or more groups of engines: -k_p times roll angle, -k_d_s times roll
-    rate.
+    """The roll control by the gimbals of two or more groups of engines.
+
+    Its command is -k_p times roll angle, -k_d_s times roll rate.
     """
 
     k_p: NotNegative = Field(description="rad of deflection per rad of roll error")
@@ -187,8 +188,9 @@ class LoopFiltersSection(Section):
 
 
 class LoadReliefSection(Section):
-    """The feedback of the lateral acceleration, or of the angle of attack estimated from it; its gain is a column of
-    the gains.
+    """The feedback of lateral acceleration, or of an angle of attack estimated from it.
+
+    Its gain is a column of the gains.
     """
 
     corner_hz: Positive = Field(description="corner of the accelerometer's first-order lag in the computer, Hz")

@@ -163,8 +163,9 @@ class Injection(Section):
 
     @property
     def highest_hz(self) -> tuple[float, ...]:
-        """Return the highest frequencies of the signal; none for steps and tables, at whose kinks the integrator
-        restarts.
+        """Return the highest frequencies of the signal.
+
+        Steps and tables have none: the integrator restarts at their kinks.
         """
         return (*(self.frequencies_hz or ()), self.frequency_hz or 0.0, self.stop_frequency_hz or 0.0)
 
@@ -217,8 +218,9 @@ class Guidance(Section):
 
 
 class OrbitTarget(Section):
-    """The closed-loop guidance of the last engine's stages to an orbit, with cutoff at its perigee, outside the
-    atmosphere only.
+    """The closed-loop guidance of the last engine's stages to an orbit.
+
+    The engine is cut off at the perigee. It works outside the atmosphere only.
     """
 
     perigee_altitude_m: float = Field(description="above the equatorial radius, m")

@@ -159,8 +159,9 @@ class Stage(Section):
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Return the numbers of parts that keep their state where a stage continues: groups of engines, pendulums,
-        modes, TVC loads.
+        """Return the numbers of parts that keep their state where a stage continues.
+
+        The parts are groups of engines, pendulums, modes and TVC loads.
         """
         bending, spatial = self.bending, self.spatial_modes
         planes = (bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None)
@@ -175,8 +176,9 @@ class Stage(Section):
 
     @property
     def engine_groups(self) -> tuple[str, ...]:
-        """Return the groups of engines that move together, in the order in which the engines name them; at least
-        one.
+        """Return the groups of engines that move together, at least one.
+
+        Their order is that in which the engines name them.
         """
         return tuple(dict.fromkeys(e.group for e in self.engines if e.gimbal != "fixed")) or ("",)
 

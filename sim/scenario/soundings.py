@@ -96,8 +96,9 @@ class Sounding(NamedTuple):
 
 
 def soundings(text: str, native: Iterable[str] = (), shown: str = "") -> list[Sounding]:
-    """Return all soundings in the text of the file `shown`; none in a file of another kind, or with `native` columns
-    only.
+    """Return all soundings in the text of the file `shown`.
+
+    A file of another kind, or with `native` columns only, has none.
     """
     lines = text.splitlines()
     first = next((line for line in lines if line.strip()), "")
@@ -221,8 +222,10 @@ def _geometric(geopotential_m: np.ndarray) -> np.ndarray:
 
 
 def _from_pressure(altitude_m: np.ndarray, pressure_hPa: np.ndarray) -> np.ndarray:
-    """Return the altitude by pressure: between the levels with both, or by the standard atmosphere if fewer than two
-    have both.
+    """Return the altitude by pressure.
+
+    It is interpolated between the levels with both, or follows from the standard atmosphere if fewer than two have
+    both.
     """
     both = np.isfinite(altitude_m) & (pressure_hPa > 0.0)
     pressed = np.where(pressure_hPa > 0.0, pressure_hPa, math.nan)

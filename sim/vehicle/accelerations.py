@@ -104,9 +104,7 @@ def accelerate(
 def _arm_through_modes(
     sizes: Counts, k: int, u: vec.Vector, properties: Array, modes: Modes, tank: slosh.TankWork
 ) -> None:
-    """Add to the roll arm of tank k the contribution of its tension through the modes and the deflected engines
-    (7.3).
-    """
+    """Add to the roll arm of tank k the effect of its tension through modes and deflected engines (7.3)."""
     y, z = _bending_acceleration(sizes, k, properties, modes.planar.roll_m)
     tank.roll_bend_y_m, tank.roll_bend_z_m = y, z
     roll = u[1] * y + u[2] * z
@@ -222,8 +220,9 @@ def _bending_acceleration(sizes: Counts, k: int, properties: Array, accel_mps2: 
 def _add_loads(
     sizes: Counts, accel: vec.Vector, alpha: vec.Vector, properties: Array, y: Array, first: int, work: Work
 ) -> None:
-    """Add the rows and columns of the engine's angular accelerations s to the system of the tensions (docs/model.md,
-    14.4):
+    """Add the rows and columns of the engine's angular accelerations s to the system of the tensions.
+
+    The equations are (docs/model.md, 14.4)
 
         I_i s_i - sum_j (b_i . Y_j) s_j - sum_k h_ki T_k = known_i + b_i . X,
 

@@ -180,8 +180,9 @@ def derivative(
     at: Evaluation,
     work: Work,
 ) -> None:
-    """Write the derivative of `at.y` to `at.dy` and auxiliary outputs to `at.aux`, with the properties of this
-    instant.
+    """Write the derivative of `at.y` to `at.dy` and auxiliary outputs to `at.aux`.
+
+    The properties are those of this instant.
     """
     sizes = counts(vehicle.sizes)
     if not are_usual(sizes):
@@ -490,11 +491,11 @@ def aerodynamics(
 def thrust_loads(
     vehicle: StageRecord, sizes: Counts, engine: Deflected, properties: Array, work: Work, aux: Aux
 ) -> tuple[Vector, Vector, Load]:
-    """Return force, moment about the core CG, and load on the modes of the thrust along the deflected engines on the
-    bent body.
+    """Return the loads of the thrust along the deflected engines on the bent body.
 
-    The load is that at the first station of gimbals; loads at other stations are added to the modes directly.
-    `outer_spatial_load` adds the moment due to the displacement by spatial modes.
+    They are the force, the moment about the core CG, and the load on the modes. The load is that at the first station
+    of gimbals; loads at other stations are added to the modes directly. `outer_spatial_load` adds the moment due to the
+    displacement by spatial modes.
     """
     strength = thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux.air.pressure_Pa)
     aux.engines.thrust_N[0], aux.engines.axial_thrust_N = strength, vehicle.engine.rest_x[0] * strength
@@ -556,8 +557,9 @@ def thrust_load(
 def further_thrusts(
     e: Engine, of: Sizes, follower: int, load: Load, first_bend: Bend, properties: Array, work: Work, aux: Aux
 ) -> tuple[Vector, Vector, Load]:
-    """Return force and moment of the engines beyond the first, and `load` plus their load at the first station of
-    gimbals.
+    """Return force and moment of the engines beyond the first, and `load` plus their load.
+
+    The loads refer to the first station of gimbals.
     """
     sizes, modes = counts(of), work.modes
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)

@@ -87,8 +87,9 @@ _LIMITS: tuple[tuple[Index, Index, int, float], ...] = tuple(
 
 @kernel
 def _at(index: Index, sizes: Sizes | Counts) -> int:
-    """Evaluate an index with the fields of `Counts` in their order; a loop over them would not become one constant
-    expression.
+    """Evaluate an index with the fields of `Counts` in their order.
+
+    A loop over them would not become one constant expression.
     """
     modes = index[1] * sizes.pitch_modes + index[2] * sizes.yaw_modes
     rest = index[3] * sizes.pendulums + index[4] * sizes.surfaces + index[5] * sizes.tables
@@ -115,9 +116,7 @@ def xi_index(sizes: Sizes | Counts) -> int:
 
 @kernel
 def spatial_index(sizes: Sizes | Counts) -> int:
-    """Return the index of the first coordinate of the spatial modes; their rates follow after `spatial_modes`
-    entries.
-    """
+    """Return the index of the spatial modes' first coordinate; the rates follow after `spatial_modes` entries."""
     return _at(_SPATIAL, sizes)
 
 
@@ -129,9 +128,7 @@ def pendulum_index(sizes: Sizes | Counts, tank: int) -> int:
 
 @kernel
 def actuator_index(sizes: Sizes | Counts, group: int) -> int:
-    """Return the index of the first state of the pitch actuator of a group of engines; that of yaw follows after
-    `N_ACTUATOR`.
-    """
+    """Return the index of the first state of a group's pitch actuator; that of yaw follows after `N_ACTUATOR`."""
     return ACTUATOR if group == 0 else _at(_FURTHER_ACTUATORS, sizes) + 2 * N_ACTUATOR * (group - 1)
 
 
@@ -143,8 +140,9 @@ def tvc_load_index(sizes: Sizes | Counts) -> int:
 
 @kernel
 def sensor_index(sizes: Sizes | Counts, sensor: int) -> int:
-    """Return the index of output and its rate about or along x, y, z of a sensor; the integrals of the outputs follow
-    after six entries.
+    """Return the index of a sensor's output and its rate about or along x, y, z.
+
+    The integrals of the outputs follow after six entries.
     """
     return _at(_SENSORS, sizes) + N_SENSOR * sensor
 

@@ -38,10 +38,10 @@ _G0_OVER_R_Kpm = 9.80665 / GAS_CONSTANT_Jpkg_K  # [K/m] pressure falls by exp(-g
 
 
 def _layers() -> tuple[Array, Array, Array, Array]:
-    """Return the bases of the standard's layers: geopotential altitude [m], lapse rate [K/m], temperature [K], pressure
-    [Pa].
+    """Return the bases of the standard's layers.
 
-    Temperature and pressure follow from the other two, layer by layer, so that all are continuous.
+    The arrays are geopotential altitude [m], lapse rate [K/m], temperature [K] and pressure [Pa]. Temperature and
+    pressure follow from the other two, layer by layer, so that all are continuous.
     """
     base = np.array([0.0, 11e3, 20e3, 32e3, 47e3, 51e3, 71e3])
     lapse = np.array([-6.5e-3, 0.0, 1.0e-3, 2.8e-3, 0.0, -2.8e-3, -2.0e-3])
@@ -92,8 +92,9 @@ class Atmosphere:
 
 
 def pressure_altitude(pressure_Pa: Array) -> Array:
-    """Return the geometric altitudes (n,), m, of these pressures in the standard atmosphere, up to its 71 km; nan stays
-    nan.
+    """Return the geometric altitudes (n,), m, of these pressures in the standard atmosphere.
+
+    The limit is its 71 km. nan stays nan.
     """
     i = np.clip(np.searchsorted(-_pressure, -pressure_Pa, side="right") - 1, 0, len(_pressure) - 1)
     lapse, fall = _lapse[i], pressure_Pa / _pressure[i]
@@ -157,8 +158,9 @@ def speed_of_sound(temperature_K: float) -> float:
 
 @kernel
 def us1976(altitude_m: float) -> tuple[float, float]:
-    """Return (pressure [Pa], temperature [K]) of the standard below 86 km, with one power or one exponential per
-    call.
+    """Return (pressure [Pa], temperature [K]) of the standard below 86 km.
+
+    A call needs one power or one exponential.
     """
     h = max(altitude_m, LOWEST_m)
     geopotential = GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m + h)
@@ -196,11 +198,10 @@ def us1976_about(altitude_m: float, temperature_K: float) -> tuple[float, float,
 def us1976_nearby(
     pressure_Pa: float, inverse_temperature: float, lapse_Kpm: float, geopotential_rise_m: float
 ) -> tuple[float, float]:
-    """Return the pressure [Pa] and the ratio of temperatures after a rise of some ten geopotential metres within a
-    layer.
+    """Return pressure [Pa] and ratio of temperatures after a rise within a layer.
 
-    The power series of both formulas of the standard have the same terms: p'/p = -g0/(R T), T' = lapse. They are cut
-    before the fourth power, with a relative error of 3e-13 at 10 m.
+    The rise may be some ten geopotential metres. The power series of both formulas of the standard have the same terms:
+    p'/p = -g0/(R T), T' = lapse. They are cut before the fourth power, with a relative error of 3e-13 at 10 m.
     """
     lapse = lapse_Kpm * inverse_temperature
     first = -_G0_OVER_R_Kpm * inverse_temperature
@@ -212,8 +213,9 @@ def us1976_nearby(
 
 @kernel
 def _upper_air(pool: Array, table: TableRef, altitude_m: float) -> tuple[float, float, float, float]:
-    """Return (density, pressure, temperature, speed of sound) of the standard above 86 km; zero density above its
-    end.
+    """Return (density, pressure, temperature, speed of sound) of the standard above 86 km.
+
+    The density is zero above its end.
     """
     k = find_interval(pool, table, altitude_m)
     log_density = interpolate(pool, table, k, altitude_m, 0)

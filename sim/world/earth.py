@@ -226,10 +226,9 @@ def earth_position(earth: Earth, latitude_rad: float, longitude_rad: float, alti
 
 @kernel
 def ned_axes(sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float) -> Matrix:
-    """Return the unit vectors north, east, down (three numbers each) in E, or in I for the output of `local_frame` in
-    I.
+    """Return the unit vectors north, east, down (three numbers each) in E.
 
-    Read as rows they are the rotation matrix from E to N.
+    They are in I for the output of `local_frame` in I. Read as rows they are the rotation matrix from E to N.
     """
     return (
         -sin_lat * cos_lon,
@@ -279,7 +278,8 @@ def inertial_to_earth(cos: float, sin: float, x: float, y: float, z: float) -> V
 
 @kernel
 def ground_velocity(earth: Earth, x: float, y: float) -> Vector:
-    """Return the velocity relative to I [m/s] of the Earth-fixed point at (x, y, any z) [m], in the position's
-    frame.
+    """Return the velocity relative to I [m/s] of the Earth-fixed point at (x, y, any z) [m].
+
+    Components are in the position's frame.
     """
     return -earth.rate_radps * y, earth.rate_radps * x, 0.0

@@ -40,8 +40,9 @@ _HYDROGEN_500_pm3, _HYDROGEN_FLUX, _HYDROGEN_FROM_m, _HYDROGEN_AT_m = 8.0e10, 7.
 
 
 class _Species(NamedTuple):
-    """A species: molar mass, kg/kmol; number density at 86 km, 1/m3; thermal diffusion; a, b of D_i; Q, U, W of the
-    flux (km).
+    """A species of the air.
+
+    Molar mass, kg/kmol; number density at 86 km, 1/m3; thermal diffusion; a, b of D_i; Q, U, W of the flux (km).
     """
 
     mass: float
@@ -137,11 +138,11 @@ def number_densities(z_m: Array) -> tuple[list[Array], list[_Species]]:
 
 @lru_cache(maxsize=1)
 def upper_air() -> Cubics:
-    """Return ln(density), ln(pressure), kinetic temperature over geometric altitude, in the layout of
-    `atmosphere.air_table`.
+    """Return ln(density), ln(pressure), kinetic temperature over geometric altitude.
 
-    Between the nodes the cubics agree with density and pressure within 7e-5. They agree with the standard's tables
-    within a unit of the last printed digit (four digits of density, five of pressure).
+    The layout is that of `atmosphere.air_table`. Between the nodes the cubics agree with density and pressure within
+    7e-5. They agree with the standard's tables within a unit of the last printed digit (four digits of density, five of
+    pressure).
     """
     z_m = np.arange(BOTTOM_m, TOP_m + _STEP_m, _STEP_m, dtype=np.float64)
     numbers, species = number_densities(z_m)

@@ -1,8 +1,7 @@
-"""Continuous turbulence: the Dryden and von Karman models of MIL-F-8785C (1980), section 3.7, and a spectrum over
-altitude.
+"""Continuous turbulence by the Dryden and von Karman models, or by a spectrum over altitude.
 
-The vehicle flies through a frozen field of gusts whose spectra over the circular frequency w, one-sided, are in the
-Dryden model
+Source: MIL-F-8785C (1980), section 3.7. The vehicle flies through a frozen field of gusts whose spectra over the
+circular frequency w, one-sided, are in the Dryden model
 
     longitudinal     S_u = sigma^2 2 L / (pi V) / (1 + (L w / V)^2)
     lateral, normal  S_v = sigma^2 L / (pi V) (1 + 3 (L w / V)^2) / (1 + (L w / V)^2)^2
@@ -97,8 +96,9 @@ class Turbulence:
 
 @dataclass
 class TurbulenceState:
-    """The state record of turbulence, changed in place: number of ticks, filter states of u (1), v (2), w (2) of each
-    scale, the last two gusts.
+    """The state record of turbulence, changed in place.
+
+    It holds the number of ticks, the filter states of u (1), v (2), w (2) of each scale, and the last two gusts.
     """
 
     ticks: int
@@ -108,12 +108,12 @@ class TurbulenceState:
 
 
 def intensity_table(altitude_m: ArrayLike, sigma_mps: ArrayLike, scale_length_m: ArrayLike) -> Cubics:
-    """Return the table for `Turbulence.intensity`: columns sigma_u, sigma_v, sigma_w [m/s], L_u, L_v, L_w [m], linear
-    in altitude.
+    """Return the table for `Turbulence.intensity`, linear in altitude.
 
-    `sigma_mps` and `scale_length_m` are (n, 3) for n altitudes, or anything that broadcasts to this shape: a single
-    number is a constant. L is the length in the spectra above (MIL-HDBK-1797 writes 2 L for L_v and L_w). Outside the
-    altitudes the end values hold. Raises ValueError unless sigma >= 0 and L > 0.
+    Its columns are sigma_u, sigma_v, sigma_w [m/s], L_u, L_v, L_w [m]. `sigma_mps` and `scale_length_m` are (n, 3) for
+    n altitudes, or anything that broadcasts to this shape: a single number is a constant. L is the length in the
+    spectra above (MIL-HDBK-1797 writes 2 L for L_v and L_w). Outside the altitudes the end values hold. Raises
+    ValueError unless sigma >= 0 and L > 0.
     """
     altitude = np.atleast_1d(np.asarray(altitude_m, float))
     shape = (len(altitude), 3)
@@ -175,13 +175,12 @@ def scale_mixture(mixture: Sequence[tuple[float, float]]) -> dict[str, Any]:
 
 
 def spectral_lines(wave_number_pm: Array, density_m3ps2: Array, seed: int) -> dict[str, Any]:
-    """Return the fields of `Turbulence` for a one-sided power spectrum of each horizontal component over the vertical
-    wave number.
+    """Return the fields of `Turbulence` for a power spectrum over the vertical wave number.
 
-    `wave_number_pm` (n,): cycles per m, increasing. `density_m3ps2` (n,): (m/s)^2 per (cycle per m). Both are > 0. The
-    logarithms are interpolated between the rows, and the spectrum is zero outside them. The range is divided into as
-    many cells of equal ratio as there are lines. Each line has the variance of its cell, at a random place in the cell,
-    with random phases.
+    The spectrum is one-sided and that of each horizontal component. `wave_number_pm` (n,): cycles per m, increasing.
+    `density_m3ps2` (n,): (m/s)^2 per (cycle per m). Both are > 0. The logarithms are interpolated between the rows, and
+    the spectrum is zero outside them. The range is divided into as many cells of equal ratio as there are lines. Each
+    line has the variance of its cell, at a random place in the cell, with random phases.
     """
     ends = np.geomspace(wave_number_pm[0], wave_number_pm[-1], SPECTRAL_LINES + 1)
     inside = np.geomspace(ends[:-1], ends[1:], 33)

@@ -1,5 +1,6 @@
-"""The motion of the air relative to the Earth, in local North-East-Down, over altitude: a profile plus discrete
-gusts.
+"""The motion of the air relative to the Earth over altitude: a profile plus discrete gusts.
+
+Components are in local North-East-Down.
 """
 
 from __future__ import annotations
@@ -49,12 +50,12 @@ class Wind:
 
 
 def wind_components(speed_mps: ArrayLike, from_deg: ArrayLike) -> Array:
-    """Return columns north, east, down [m/s], (n, 3), of the air's motion, from its speed and the direction from which
-    it blows.
+    """Return columns north, east, down [m/s], (n, 3), of the air's motion.
 
-    `from_deg` is meteorological: clockwise from north, 270 is a westerly, air moving to the east. Interpolate these
-    components, not speed and direction: a direction jumps by 360 degrees at north and is undefined in a calm. The mean
-    of two wind vectors is the wind half-way between them.
+    They follow from its speed and the direction from which it blows. `from_deg` is meteorological: clockwise from
+    north, 270 is a westerly, air moving to the east. Interpolate these components, not speed and direction: a direction
+    jumps by 360 degrees at north and is undefined in a calm. The mean of two wind vectors is the wind half-way between
+    them.
     """
     speed = np.atleast_1d(np.asarray(speed_mps, float))
     direction = np.deg2rad(np.atleast_1d(np.asarray(from_deg, float)))

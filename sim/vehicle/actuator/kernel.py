@@ -68,8 +68,9 @@ class Actuator:
 
 
 def pack_actuators(given: ActuatorSection | None, kind: str) -> tuple[Actuator, Actuator]:
-    """Return the pitch and yaw actuators from the stage's section `actuator` (or None) and the scenario's switch of
-    that name.
+    """Return the pitch and yaw actuators of a stage.
+
+    `given`: the stage's section `actuator`, or None. `kind`: the scenario's switch of that name.
     """
     bias_deg = given.bias_deg if given else (0.0, 0.0)
     if given is None or kind == "ideal":

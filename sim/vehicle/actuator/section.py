@@ -61,8 +61,9 @@ class YawActuator(Section):
 
 
 class ActuatorSection(ActuatorAxis):
-    """The actuators of both axes, equal unless `yaw` is given: for all groups of engines, or in a list for each
-    group.
+    """The actuators of both axes, equal unless `yaw` is given.
+
+    One table serves all groups of engines, or a list has one for each group.
     """
 
     group: ChannelPart | None = optional("in a list: name of the group of engines that it moves")

@@ -1,10 +1,10 @@
-"""Aerodynamic coefficients over Mach number and angle of attack: forces and moments of the whole vehicle or of its
-parts.
+"""Aerodynamic forces and moments by coefficients over Mach number and angle of attack.
 
-The coefficients of a table refer to body axes (CX, CY, CZ and Cl, Cm, Cn about x, y, z) or to aeroballistic axes. The
-latter are x, z' in the plane of total angle of attack, on the side to which the vehicle moves through the air, and y'
-across. Lift and drag (-CZ and -CX) are turned by the angle of attack in that plane. The loads of all tables are summed,
-each with the flow at its own station. Derivatives by the body rates are in body axes (docs/model.md, section 6).
+They belong to the whole vehicle or to its parts. The coefficients of a table refer to body axes (CX, CY, CZ and Cl, Cm,
+Cn about x, y, z) or to aeroballistic axes. The latter are x, z' in the plane of total angle of attack, on the side to
+which the vehicle moves through the air, and y' across. Lift and drag (-CZ and -CX) are turned by the angle of attack in
+that plane. The loads of all tables are summed, each with the flow at its own station. Derivatives by the body rates are
+in body axes (docs/model.md, section 6).
 """
 
 from __future__ import annotations
@@ -134,8 +134,9 @@ def static_loads(
 
 @routine
 def rate_loads(rate: Vector, lengths: Vector, work: IncidenceWork) -> tuple[Vector, Vector]:
-    """Return, from `work` and per density times speed times area over four, the lateral force (B, m2/s) and the moment
-    (B, m3/s).
+    """Return the lateral force (B, m2/s) and the moment (B, m3/s) due to body rates, from `work`.
+
+    Both are divided by air density times speed over four.
     """
     p, q, r = lengths[0] * rate[0], lengths[1] * rate[1], lengths[2] * rate[2]
     c = work.coefficient

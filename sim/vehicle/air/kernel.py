@@ -148,8 +148,9 @@ def body_loads(
 def surface_loads(
     aero: Aero, sizes: Counts, density: float, flow: Vector, properties: Array, modes: Modes, work: AeroWork
 ) -> tuple[Vector, Vector]:
-    """Return the normal force of the lifting surfaces at their local angles of attack, and add it to the modes'
-    generalised forces.
+    """Return the normal force of the lifting surfaces at their local angles of attack.
+
+    It is added to the modes' generalised forces.
     """
     whole, row = 0.5 * density * aero.area_m2 * aero.force_factor, bare_pointer(work.mach_row)
     x_cg, y_cg, z_cg = properties[sch.CORE_CG], properties[sch.CORE_CG + 1], properties[sch.CORE_CG + 2]
@@ -216,8 +217,9 @@ def table_loads(
     modes: Modes,
     work: AeroWork,
 ) -> tuple[Vector, Vector]:
-    """Return force and moment of the tables over angle of attack about the core CG in B, and add them to the modes'
-    generalised forces.
+    """Return force and moment of the tables over angle of attack about the core CG in B.
+
+    They are added to the modes' generalised forces.
     """
     lengths = (aero.span_m, aero.chord_m, aero.yaw_chord_m)
     reference_m = properties[sch.schedule_width(sizes) + sch.MOMENT_REFERENCE]

@@ -105,8 +105,9 @@ def _incidence_tables(aero: schema.AeroSection, pool: Pool) -> IncidenceTables:
 
 @cached_by_identity
 def _fitted(table: CsvTable, aeroballistic: bool, method: str) -> tuple[Grid, tuple[str, ...]]:
-    """Return the columns of vehicle/air/incidence.py over the variables of a table, angles in rad, and the names of
-    these columns.
+    """Return the columns of vehicle/air/incidence.py over the variables of a table, and the column names.
+
+    Angles are in rad.
     """
     given = grid_table(table)
     missing = 3 - len(given.axes)

@@ -55,8 +55,9 @@ class AeroSurface(Section):
 
 
 class Coefficients(Section):
-    """A table of coefficients over Mach number and angle of attack; all tables are summed, in addition to the
-    slopes.
+    """A table of coefficients over Mach number and angle of attack.
+
+    All tables are summed, in addition to the slopes.
     """
 
     name: str = optional("name of the table", "")
@@ -104,8 +105,9 @@ class Coefficients(Section):
             self._check_axis(grid)
 
     def _check_axis(self, grid: GridTable) -> None:
-        """Check the coefficients where the flow is along the axis: lateral ones must be zero, and none may depend on
-        the roll angle.
+        """Check the coefficients where the flow is along the axis.
+
+        Lateral ones must be zero, and none may depend on the roll angle.
         """
         k = grid.axes.index("total_deg")
         total = grid.breaks[k]

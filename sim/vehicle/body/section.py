@@ -103,8 +103,7 @@ _SLACK = 1e-9
 
 
 def first_impossible(inertia: NDArray[np.float64]) -> tuple[int, str] | None:
-    """Return the row of the first physically impossible tensor of (n, 3, 3), and the reason; None when all are
-    possible.
+    """Return the row of the first impossible tensor of (n, 3, 3) and the reason, or None if all are possible.
 
     A body's principal moments are positive, and none is larger than the sum of the other two.
     """

@@ -1,5 +1,6 @@
-"""The allocation of a stage's commands to its groups of engines, from their positions and thrusts
-(control/allocation.py).
+"""The allocation of a stage's commands to its groups of engines.
+
+It follows from their positions and thrusts (control/allocation.py).
 """
 
 from __future__ import annotations
@@ -51,8 +52,9 @@ def pack_allocation(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) ->
 
 
 def channel_scales_rad(stage: Stage) -> list[float]:
-    """Return the scales of pitch and yaw of each group: the limit over the root of the number of engines, since each
-    engine's effort counts.
+    """Return the scales of pitch and yaw of each group.
+
+    A scale is the limit over the root of the number of engines, since each engine's effort counts.
     """
     limits = limits_rad(stage) or [1.0] * (2 * len(stage.engine_groups))
     sizes = [sum(e.group == group and e.gimbal != "fixed" for e in stage.engines) for group in stage.engine_groups]

@@ -125,8 +125,9 @@ class TableClock:
         return k, self.table_s[k] + into * (self.rate[k, 0] + 0.5 * slope * into), self.rate[k, 0] + slope * into
 
     def when(self, table_s: BurnNumbers) -> BurnNumbers:
-        """Return the first instants at which the tables' clock reads `table_s`, or infinity for values never
-        reached.
+        """Return the first instants at which the tables' clock reads `table_s`.
+
+        They are infinite for values never reached.
         """
         out = np.full(len(table_s), np.inf)
         slopes = self.slopes()
@@ -198,8 +199,9 @@ def table_time_s(stage: Stage, burn: Burn, time_s: float) -> float:
 
 
 def when_spent_s(stage: Stage, burn: Burn, table_s: float) -> float:
-    """Return the instant of a stage's clock at which its tables' clock reads `table_s`, or infinity if it never
-    does.
+    """Return the instant of a stage's clock at which its tables' clock reads `table_s`.
+
+    It is infinite if that never happens.
     """
     return table_s / burn_rate(stage) if burn.clock is None else float(burn.clock.when(np.array([table_s]))[0])
 

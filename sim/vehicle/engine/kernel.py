@@ -218,8 +218,9 @@ def beside_axis(e: Engine, k: int) -> tuple[float, float]:
 
 @kernel
 def thrust(e: Engine, k: int, vacuum_thrust_N: float, ambient_pressure_Pa: float) -> float:
-    """Return the thrust of engine k against the ambient pressure, N; never negative, because so weak a flow separates
-    from the nozzle.
+    """Return the thrust of engine k against the ambient pressure, N.
+
+    It is never negative, because so weak a flow separates from the nozzle.
     """
     strength: float = max(e.thrust_factor[k] * vacuum_thrust_N - ambient_pressure_Pa * e.exit_area_m2[k], 0.0)
     return strength

@@ -27,8 +27,9 @@ _thrust_axis_motion = from_python(thrust_axis_motion)
 
 @dataclass(frozen=True)
 class Alike:
-    """Engines that move together and differ only in their lateral position: their numbers in the stage, and one of
-    them.
+    """Engines that move together and differ only in their lateral position.
+
+    The fields are their numbers in the stage, one of them, and its faults.
     """
 
     numbers: tuple[int, ...]
@@ -81,8 +82,7 @@ def thrust_curves(stage: Stage, burn: Burn, method: Method) -> list[Cubics]:
 
 
 def on_clock(table: Cubics, burn: Burn, engine: int | None = None) -> Cubics:
-    """Return a table over the tables' clock as a table over the schedule's clock, times the share of an engine's thrust
-    if one is given.
+    """Convert a table over the tables' clock to the schedule's clock, times the thrust share of an engine if given.
 
     The two clocks differ if engines are throttled or fail. Each interval has the cubic with the values and slopes at
     both ends. It is exact where the rate of the clock and the share are constant, and otherwise accurate to the fourth
@@ -221,9 +221,7 @@ def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -
 
 
 def thrust_slopes(e: Given) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the change of the thrust's direction (B) per radian of the pitch and the yaw angle, about the engine at
-    rest.
-    """
+    """Return the change of the thrust's direction (B) per radian of pitch and yaw angle, about the engine at rest."""
     pitch, yaw = (math.radians(angle) for angle in e.cant_deg)
     return _thrust_axis_motion(pitch, 1.0, 0.0, yaw, 0.0, 0.0)[1], _thrust_axis_motion(pitch, 0.0, 0.0, yaw, 1.0, 0.0)[
         1
@@ -231,8 +229,9 @@ def thrust_slopes(e: Given) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 def _flow_per_newton(e: Given) -> float:
-    """Return the mass flow per newton of the mean thrust; 1 where the engine's table has no flow, which then follows
-    the thrust.
+    """Return the mass flow per newton of the mean thrust.
+
+    It is 1 if the engine's table has no flow, which then follows the thrust.
     """
     thrust: Array = e.table["thrust_vacuum_N"]
     if "mass_flow_kgps" not in e.table or not thrust.any():

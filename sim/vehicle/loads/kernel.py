@@ -138,8 +138,9 @@ def evaluate_sections(
     columns: Array,
     out: SectionLoads,
 ) -> None:
-    """Write the loads at all stations to `out.section`, right after the derivative at `at`; `columns` is scratch
-    memory.
+    """Write the loads at all stations to `out.section`, right after the derivative at `at`.
+
+    `columns` is scratch memory.
     """
     sizes = counts(vehicle.sizes)
     interpolate_into(pool, loads.table, find_interval(pool, loads.table, clock_s), clock_s, columns, 0)
@@ -239,8 +240,9 @@ def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Aux, work: Work) -> tu
 
 @kernel
 def _surface_station(loads: Loads, surface: SurfaceLoad) -> float:
-    """Return the station at which a lifting part's force acts, within the body (a slope near zero has its centre
-    anywhere).
+    """Return the station at which a lifting part's force acts, limited to the body.
+
+    A slope near zero can have its centre anywhere.
     """
     if surface.slope == 0.0:
         return loads.tail_m
@@ -252,9 +254,7 @@ def _surface_station(loads: Loads, surface: SurfaceLoad) -> float:
 def _inertia(
     sizes: Counts, alike: int, d: Drivers, station: float, roll: float, work: Work, columns: Array, c: int
 ) -> tuple[SectionLoad, float, float]:
-    """Return the inertial loads of the line mass forward of a station, and the station's displacement by bending (y, z,
-    m).
-    """
+    """Return the inertial loads forward of a station, and its displacement by bending (y, z, m)."""
     mass, first, second = d.scale * columns[c + MASS], d.scale * columns[c + FIRST], d.scale * columns[c + SECOND]
     hung, hung_first = d.scale * columns[c + AXIAL_MASS], d.scale * columns[c + AXIAL_FIRST]
     lever = mass * d.cg[0] - first  # integral of m (x_cg - x)
@@ -320,8 +320,9 @@ def _spatial_inertia(
 def _aerodynamic(
     loads: Loads, d: Drivers, station: float, shift_y: float, shift_z: float, aux: Aux, work: Work
 ) -> SectionLoad:
-    """Return the loads of lifting parts at their stations, of the axial force by its shares, and of the remainder
-    spread over the body.
+    """Return the aerodynamic loads forward of a station.
+
+    Lifting parts act at their stations, the axial force by its shares, and the remainder is spread over the body.
     """
     x = min(max(station - loads.nose_m, 0.0), loads.tail_m - loads.nose_m)
     beyond = station - loads.nose_m - x
@@ -354,8 +355,9 @@ def _of_pendulum(
     at: Evaluation,
     work: Work,
 ) -> SectionLoad:
-    """Return the load of the rod's pull at its hinge, along the body at the tank's bottom, and of the damper's force at
-    the bob.
+    """Return the load of a pendulum.
+
+    The rod pulls at its hinge, along the body at the tank's bottom, and the damper's force acts at the bob.
     """
     own, y = record_at(work.tank, tank), at.y
     first = pendulum_index(sizes, 0) + N_PENDULUM * tank

@@ -177,8 +177,9 @@ class _Body:
         self.parts.append(_Part(x, weights * density, inside[1:], hangs, np.full_like(x, bottom)))
 
     def _forward(self, values: Sequence[Array], stations: Array, hanging: bool = False) -> Array:
-        """Return sums (T, stations, ...) of values at the masses of each part that are, or hang, forward of the
-        stations.
+        """Return sums (T, stations, ...) of values at the masses of each part forward of the stations.
+
+        `hanging`: select the masses by the station that supports them.
         """
         total: Array | float = 0.0
         for part, value in zip(self.parts, values, strict=True):

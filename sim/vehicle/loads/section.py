@@ -184,8 +184,9 @@ def _mass_over_time(mass: Mass) -> tuple[NDArray[np.float64], list[NDArray[np.fl
 
 
 def moments(loads: LoadsSection, times: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Return the mass (kg), first (kg m) and second moment (kg m2) about station 0 of line mass and liquids at
-    `times`.
+    """Return mass (kg), first (kg m) and second moment (kg m2) about station 0 at `times`.
+
+    They are those of line mass and liquids.
     """
     line = loads.line_mass
     parts = [(line["mass_kg"][:, None], line["front_station_m"][:, None], line["rear_station_m"][:, None])]

@@ -350,10 +350,10 @@ def _at_axis(given: NastranModes, on_axis: NDArray[np.int64]) -> tuple[Floats, F
 
 
 def _explains(given: NastranModes, on_axis: NDArray[np.int64], mass: Floats, rolling: Floats) -> bool:
-    """Return True if these are all masses: the modes then have the generalised masses of the file within a factor of
-    two.
+    """Return True if these are all masses.
 
-    Without inertias about the axis only the modes that do not twist are compared.
+    The modes then have the generalised masses of the file within a factor of two. Without inertias about the axis only
+    the modes that do not twist are compared.
     """
     shape = given.shape[:, on_axis]
     twist = (rolling * shape[..., 3] ** 2).sum(axis=1)
@@ -365,8 +365,9 @@ def _explains(given: NastranModes, on_axis: NDArray[np.int64], mass: Floats, rol
 
 
 def _forward(mass: Floats) -> Floats:
-    """Return the mass forward of each station, including half of its own mass; at the last station all, and at the
-    first the excess over a beam's end.
+    """Return the mass forward of each station, including half of its own mass.
+
+    At the last station it is the whole mass, and at the first the excess over a beam's end.
     """
     forward = np.cumsum(mass) - 0.5 * mass
     forward[0], forward[-1] = max(mass[0] - 0.5 * mass[1], 0.0), mass.sum()

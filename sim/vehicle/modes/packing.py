@@ -108,8 +108,9 @@ def _softening_up_to(table: ModeTable, shapes: ModeShapes, mount: Mount) -> Arra
 
 
 def gauss(breaks: Array) -> tuple[Array, Array]:
-    """Return points and weights of an integral over each interval, for polynomials of degree 7: all first points,
-    ...
+    """Return points and weights of an integral over each interval, for polynomials of degree 7.
+
+    The first points of all intervals come first.
     """
     half = 0.5 * np.diff(breaks)
     points = 0.5 * (breaks[1:] + breaks[:-1]) + np.outer(_GAUSS_NODES, half)
@@ -173,9 +174,7 @@ def _turning(table: SpatialModeTable, gyration_m2: float) -> Array:
 
 
 def _lumped(table: SpatialModeTable, gyration_m2: float) -> tuple[Array, Array]:
-    """Return mass and roll inertia at the stations, (T, S): those of the table, or those of the mass forward of
-    them.
-    """
+    """Return mass and roll inertia at the stations, (T, S), from the table or from the mass forward of them."""
     mass = table.mass_kg
     if mass is None:
         between = np.maximum(np.diff(table.mass_forward_kg, axis=1), 0.0)
@@ -185,17 +184,18 @@ def _lumped(table: SpatialModeTable, gyration_m2: float) -> tuple[Array, Array]:
 
 
 def products(a: Array, b: Array, weight: Array) -> Array:
-    """Return weighted scalar products of the rows of `a` with those of `b`; math.fsum for the reason given in
-    `_softening`.
+    """Return weighted scalar products of the rows of `a` with those of `b`.
+
+    math.fsum is used for the reason given in `_softening`.
     """
     return np.array([[math.fsum(weight * p * q) for q in b] for p in a])
 
 
 def solved(matrix: Array, right: Array) -> tuple[Array, list[int]]:
-    """Solve a positive definite system by Gaussian elimination, independently of the rounding of a linear-algebra
-    library.
+    """Solve a positive definite system by Gaussian elimination.
 
-    The second result lists the redundant unknowns, which remain zero.
+    The result does not depend on the rounding of a linear-algebra library. The second result lists the redundant
+    unknowns, which remain zero.
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     m, x = matrix * np.outer(scale, scale), right * scale[:, None]

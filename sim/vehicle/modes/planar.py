@@ -46,9 +46,7 @@ PerPlanarMode = Annotated[Array, (2 * MAX_MODES,)]  # pitch, then yaw
 
 @dataclass
 class PlanarMotion:
-    """The modes in one evaluation of the derivative, with zeros from a plane's last mode to the next multiple of
-    four.
-    """
+    """The modes in one evaluation of the derivative, with zeros up to a multiple of four in each plane."""
 
     force_N: PerPlanarMode  # generalised force
     eta_m: PerPlanarMode  # modal coordinate: eta in pitch, xi in yaw
@@ -189,8 +187,7 @@ def _accelerate_four(properties: Array, r: int, force: Array, accel: Array, q: i
 
 @kernel
 def modal_state(sizes: Counts, roll_rate: float, y: Array, eta: int, xi: int, modes: PlanarMotion) -> None:
-    """Compute the modal coordinates and velocities in `modes` from the states at y[eta:] (pitch plane) and y[xi:] (yaw
-    plane).
+    """Compute `modes` from the states at y[eta:] (pitch plane) and y[xi:] (yaw plane).
 
     The states are modal coordinates and quasi-velocities, from which d(eta)/dt and d(xi)/dt follow. The generalised
     forces are set to zero.
@@ -305,8 +302,9 @@ def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_loa
 def _elastic_forces_on_four(
     sizes: Counts, plane: int, first: int, k_soft: float, properties: Array, modes: PlanarMotion
 ) -> float:
-    """Add these forces on four modes of one plane, and return the sum of their forces times the other plane's
-    coordinates.
+    """Add these forces on four modes of one plane.
+
+    Returns the sum of their forces times the other plane's coordinates.
     """
     s = sch.derived_column(sizes, plane, sch.MODE_STIFFNESS) + first
     d = sch.derived_column(sizes, plane, sch.MODE_DAMPING) + first
@@ -335,12 +333,11 @@ def _elastic_forces_on_four(
 def gyroscopic_forces(
     sizes: Counts, properties: Array, gimbal: int, rate: Vector, engines: Load, modes: PlanarMotion
 ) -> Vector:
-    """Add the roll-rate coupling of the two planes, and return the moment of the modes' angular momentum about x on the
-    body.
+    """Add the roll-rate coupling of the two planes, and return the moment of the modes on the body.
 
-    `engines` is the momentum of the engines at a gimbal's station relative to the body, and its moment about the axis
-    at this station (`rigid.engine_momentum`). Both enter the modal momenta (docs/model.md, eq. 4.1). The modes' own
-    momentum counts at the first station only.
+    The moment is that of their angular momentum about x. `engines` is the momentum of the engines at a gimbal's station
+    relative to the body, and its moment about the axis at this station (`rigid.engine_momentum`). Both enter the modal
+    momenta (docs/model.md, eq. 4.1). The modes' own momentum counts at the first station only.
     """
     p, q, r = rate
     mass, apart = sch.mode_column(sizes, sch.PITCH, sch.MODE_MASS), sch.mode_rows(sizes) * sch.padded_modes(sizes)

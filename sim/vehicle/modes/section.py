@@ -68,8 +68,9 @@ class BendingSection(Section):
 
 
 class SpatialModesSection(Section):
-    """The coupled three-dimensional free-free modes, with engine locked and sloshing masses removed; they add to the
-    planar ones.
+    """The coupled three-dimensional free-free modes, in addition to the planar ones.
+
+    The engine is locked, and the sloshing masses are removed.
     """
 
     table: Annotated[CsvTable, SPATIAL_COLUMNS] = Field(

@@ -167,8 +167,9 @@ def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, mod
 
 @routine
 def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, modes: SpatialMotion) -> float:
-    """Add stiffness, damping and axial softening to the generalised forces, and return their roll moment on the
-    body.
+    """Add stiffness, damping and axial softening to the generalised forces.
+
+    Returns their roll moment on the body.
     """
     roll = 0.0
     stiffness, damping = sch.spatial_derived(sizes, sch.MODE_STIFFNESS), sch.spatial_derived(sizes, sch.MODE_DAMPING)
@@ -184,10 +185,10 @@ def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, mode
 
 @routine
 def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, modes: SpatialMotion) -> Vector:
-    """Add the roll-rate coupling of the modes, and return the moment of their angular momentum about x on the body (eq.
-    4.8).
+    """Add the roll-rate coupling of the modes, and return their moment on the body (eq. 4.8).
 
-    `momentum_Ns` holds the contribution of moving engines to the modal momenta.
+    The moment is that of their angular momentum about x. `momentum_Ns` holds the contribution of moving engines to the
+    modal momenta.
     """
     p, q, r = rate
     mass, n = sch.spatial_column(sizes, sch.SPATIAL_MASS), sizes.spatial_modes

@@ -1,10 +1,10 @@
-"""Mode tables: conversion from the long format (one row per time, mode and station) to arrays, and checks of the
-shapes.
+"""Mode tables: conversion from the long format to arrays, and checks of the shapes.
 
-Impossible mode shapes are rejected, and unlikely ones cause a warning, within limits derived from a good table. In the
-KSR-III table (44 stations, 3 modes, 25 times, from a finite-element beam), slopes deviate from the derivatives of the
-shapes by at most 0.8 %. Successive times agree to a modal assurance criterion of 0.997 and frequencies to 2 %. The mass
-forward gives 0.77 to 0.88 of the generalised masses, because it does not include the engine's inertia.
+The long format has one row per time, mode and station. Impossible mode shapes are rejected, and unlikely ones cause a
+warning, within limits derived from a good table. In the KSR-III table (44 stations, 3 modes, 25 times, from a
+finite-element beam), slopes deviate from the derivatives of the shapes by at most 0.8 %. Successive times agree to a
+modal assurance criterion of 0.997 and frequencies to 2 %. The mass forward gives 0.77 to 0.88 of the generalised
+masses, because it does not include the engine's inertia.
 """
 
 from __future__ import annotations
@@ -106,9 +106,7 @@ class SpatialModeTable(_Modes):
 
     @property
     def moved(self) -> Floats:
-        """Return the displacements of each mode and the contribution of rotations about the axis, side by side (T, M, 4
-        S).
-        """
+        """Return the displacements of each mode and those due to rotations about the axis, side by side (T, M, 4 S)."""
         span = self.station_m[-1] - self.station_m[0]
         return np.concatenate([self.displaced, span * self.rotation_pm[..., 0]], axis=2)
 
@@ -190,12 +188,11 @@ _SLACK = 1e-3
 
 
 def over_time(table: CsvTable, times_s: Floats, mass_kg: Floats, at: Path) -> CsvTable:
-    """Return a table of modes over mass as a table over time: its rows at the instants at which the stage has these
-    masses.
+    """Return a table of modes over mass as a table over time.
 
-    `times_s`, `mass_kg` (n,): the stage's mass on a fine grid. A mass that stays constant for some time counts at the
-    end of that time if it is the largest, else at its start. Raises the refusal of the schema for masses that the stage
-    never has.
+    Its rows are at the instants at which the stage has these masses. `times_s`, `mass_kg` (n,): the stage's mass on a
+    fine grid. A mass that stays constant for some time counts at the end of that time if it is the largest, else at its
+    start. Raises the refusal of the schema for masses that the stage never has.
     """
     given, most, least = table[OVER_MASS], float(mass_kg.max()), float(mass_kg.min())
     outside = (given > most * (1.0 + _SLACK)) | (given < least * (1.0 - _SLACK))
@@ -214,8 +211,9 @@ def over_time(table: CsvTable, times_s: Floats, mass_kg: Floats, at: Path) -> Cs
 def _arrays(
     table: CsvTable, shapes: tuple[str, ...], of_stations: tuple[str, ...], at: Path
 ) -> tuple[Floats, Floats, list[Floats]]:
-    """Return times, stations, and arrays: frequency and generalised mass (T, M), shapes (T, M, S), `of_stations` (T,
-    S).
+    """Return times, stations and arrays of a table.
+
+    The arrays are frequency and generalised mass (T, M), shapes (T, M, S), and `of_stations` (T, S).
     """
     mode = table["mode"]
     numbers = f"mode numbers 1 .. {MAX_MODES}"
@@ -365,8 +363,7 @@ _SHARE = 1e-4
 
 
 def _slopes(modes: ModeTable | SpatialModeTable) -> tuple[Floats, Floats]:
-    """Return the correlation of the slopes with the differences of the shapes, and their relative deviation, both (T,
-    M).
+    """Return the correlation of slopes and differences of shapes, and their relative deviation, both (T, M).
 
     They are 1 and 0 for a mode that does not bend. The correlation is the smaller one of the planes, computed
     separately, because the larger one of a coupled mode would hide a flipped plane.
@@ -383,8 +380,9 @@ def _slopes(modes: ModeTable | SpatialModeTable) -> tuple[Floats, Floats]:
 
 
 def _alike(modes: ModeTable | SpatialModeTable) -> Floats:
-    """Return the cosine between the shapes of successive times, (T - 1, M, M); its square is the modal assurance
-    criterion.
+    """Return the cosine between the shapes of successive times, (T - 1, M, M).
+
+    Its square is the modal assurance criterion.
     """
     moved = modes.moved
     unit = moved / np.maximum(np.sqrt((moved**2).sum(axis=2, keepdims=True)), 1e-300)
@@ -392,8 +390,9 @@ def _alike(modes: ModeTable | SpatialModeTable) -> Floats:
 
 
 def _orthonormality(products: Floats, given: Floats) -> tuple[Floats, Floats]:
-    """Return the products of each mode with itself over its generalised mass, and the largest with others over both,
-    (T, M).
+    """Return the products of each mode with itself, and the largest with other modes, both (T, M).
+
+    They are divided by the generalised masses.
     """
     root = np.sqrt(given)
     scaled = products / (root[:, :, None] * root[:, None, :])

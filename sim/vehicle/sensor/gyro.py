@@ -105,8 +105,9 @@ def outputs_after_fault(faults: Array, lost: int, y: Array, first: int) -> Vecto
 
 @kernel
 def gyro_derivative(g: Gyro, y: Array, first: int, sensed: Vector, faults: Array, dy: Array) -> None:
-    """Write the derivatives of the states (two per axis, from y[first] on) and of the angle integrals that follow
-    them.
+    """Write the derivatives of the states and of the angle integrals that follow them.
+
+    There are two states per axis, from y[first] on.
     """
     for axis in range(3):
         output = lagged(g, y, first + 2 * axis, sensed[axis], dy)
@@ -127,8 +128,9 @@ def lagged(g: Gyro, y: Array, i: int, sensed: float, dy: Array) -> float:
 
 @kernel
 def gyro_start(y: Array, first: int, rate: Vector) -> None:
-    """Set the steady state at the angular rate of the body (B, rad/s), without errors; the angle integrals start at
-    0.
+    """Set the steady state at the angular rate of the body (B, rad/s), without errors.
+
+    The angle integrals start at 0.
     """
     for axis in range(3):
         y[first + 2 * axis] = rate[axis]

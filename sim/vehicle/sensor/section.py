@@ -33,8 +33,9 @@ class RateGyro(GyroSection):
 
 
 class Accelerometer(Section):
-    """An accelerometer of three axes: specific force at its station, including the effects of bending, engine and
-    liquid.
+    """An accelerometer of three axes.
+
+    It measures the specific force at its station, including the effects of bending, engine and liquid.
     """
 
     station_m: float = Field(description="station, m aft of the nose, on the body axis")

@@ -223,8 +223,7 @@ def pendulum_loads(
 def wall_and_ring_damping(
     slosh: Slosh, tank: int, length: float, axial_load: float, rate: float, properties: Array
 ) -> float:
-    """Return the acceleration by a smooth wall and ring baffles, divided by the rate `rate` (rad/s) of the swing, m/s
-    (5.8).
+    """Return the damping of a smooth wall and ring baffles: acceleration over the swing rate `rate` (rad/s), m/s (5.8).
 
     zeta = viscous / a^(1/4) + ring sqrt(swing), as 2 zeta omega L. The drag of a ring grows with the 3/2-th power of
     the velocity. RING_DRAG is chosen so that it dissipates as much energy as that ratio, at any amplitude of a plane
@@ -321,11 +320,11 @@ def _bending_at_tank(
 def _plane_asymmetry(
     sizes: Counts, tank: int, properties: Array, modes: PlanarMotion
 ) -> tuple[float, float, float, float]:
-    """Return the displacement of the hinge minus that with each plane's shapes in the other: y, z (m), and their rates
-    in B.
+    """Return the part of a hinge's displacement due to different planes: y, z (m), and the rates in B.
 
-    The quasi-velocities include the roll rate with the shapes of their own plane. If the planes differ, roll adds this
-    displacement of the hinge (docs/model.md, eq. 5.6).
+    It is the displacement minus that with each plane's shapes in the other. The quasi-velocities include the roll rate
+    with the shapes of their own plane. If the planes differ, roll adds this displacement of the hinge (docs/model.md,
+    eq. 5.6).
     """
     in_pitch, in_yaw = (
         sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + tank),

@@ -157,8 +157,9 @@ def _of_shape(
 def _instants(
     time_s: Array, height: Cubics | None = None, bottom: float = 0.0, baffles: Baffles | None = None
 ) -> Array:
-    """Return the times (s) of a table, with at least `_INSTANTS` between them, and those before and after each ring
-    leaves the liquid.
+    """Return the times (s) of a table, including those before and after each ring leaves the liquid.
+
+    There are at least `_INSTANTS` of them.
     """
     if len(time_s) == 1:
         return time_s
@@ -180,9 +181,7 @@ def _shallow(depth_r: Array) -> Array:
 
 
 def _smooth(viscosity: float, length: Array, loss_1pm: Array) -> Array:
-    """Return the damping ratio of a laminar layer times the fourth root of the axial load, as derived in
-    `slosh_modes`.
-    """
+    """Return the damping ratio of a laminar layer times the fourth root of the axial load (see `slosh_modes`)."""
     return np.asarray(MEASURED_OVER_LAMINAR * math.sqrt(viscosity / 8.0) * length**0.25 * loss_1pm)
 
 

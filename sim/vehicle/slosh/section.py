@@ -76,8 +76,9 @@ def check_domes(profile: Profile, radius_m: float, key: str = "dome_m") -> None:
 
 
 class Baffles(Section):
-    """The rings on the cylindrical wall of a tank: damping that grows with the root of the wave (NASA SP-106, eq.
-    4.10).
+    """The rings on the cylindrical wall of a tank.
+
+    Their damping grows with the root of the wave (NASA SP-106, eq. 4.10).
     """
 
     width_m: Positive = Field(description="width of each ring, from the wall inwards, m")

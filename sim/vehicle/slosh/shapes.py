@@ -135,8 +135,9 @@ def _legendre(x: Array, count: int) -> tuple[Array, Array]:
 
 
 def _wall(profile: Profile, low: float, high: float, points: int) -> tuple[Array, Array, Array, Array]:
-    """Return Gauss points on the wall from height `low` to `high`: height, radius, weights of height and of arc
-    length.
+    """Return Gauss points on the wall from height `low` to `high`.
+
+    The arrays are height, radius, and weights of height and of arc length.
     """
     x, w = np.polynomial.legendre.leggauss(points)
     rows: list[tuple[Array, Array, Array, Array]] = []
@@ -172,12 +173,11 @@ class ModeAt(NamedTuple):
 
 
 def modes_over(profile: Profile, depths: Array, modes: int) -> list[ModeAt]:
-    """Return the lowest modes at `depths` (radii), interpolated between solutions at some thirty depths (to 1e-3 of
-    each).
+    """Return the lowest modes at `depths` (radii).
 
-    In shallow liquid over a flat bottom the length of mode n would be unbounded, so it keeps its value at a depth of
-    R/4. In a top dome filled beyond `FULLEST`, length and wave per swing keep their values, while the mass goes to
-    zero.
+    They are interpolated between solutions at some thirty depths, to 1e-3 of each value. In shallow liquid over a flat
+    bottom the length of mode n would be unbounded, so it keeps its value at a depth of R/4. In a top dome filled beyond
+    `FULLEST`, length and wave per swing keep their values, while the mass goes to zero.
     """
     knots, tables = _solutions(profile, modes)
     inside = np.clip(depths, knots[0], knots[-1])
@@ -199,8 +199,9 @@ def modes_over(profile: Profile, depths: Array, modes: int) -> list[ModeAt]:
 
 
 def _narrowing(profile: Profile, depth: Array) -> Array:
-    """Return the radius of the surface in a top dome, 1 below it; its product with kappa is smooth up to the full
-    tank.
+    """Return the radius of the surface in a top dome, and 1 below it.
+
+    Its product with kappa is smooth up to the full tank.
     """
     return np.where(depth > profile.bottom + profile.wall, profile.surface_radius(depth), 1.0)
 

@@ -279,8 +279,9 @@ def load_responses(sizes: Counts, inverse_mass: float, inverse: Symmetric, prope
 def moment_about_hinge(
     sizes: Counts, swing: Swing, accel: Vector, alpha: Vector, planar_mps2: Array, spatial_mps2: Array
 ) -> float:
-    """Return the moment on the hinge of an unknown by accelerations of the CG, of the body's rotation and of the modes,
-    N m.
+    """Return the moment on the hinge of an unknown by the accelerations of the vehicle, N m.
+
+    They are those of the CG, of the body's rotation and of the modes.
     """
     total: float = dot(vector_at(swing.force_N, 0), accel) + dot(vector_at(swing.moment_Nm, 0), alpha)
     total += product_of_modes(sizes, swing.planar_force_N, planar_mps2)

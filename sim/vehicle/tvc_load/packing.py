@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 
 
 def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, actuators: Sequence[Actuator]) -> TvcLoad:
-    """Return the record of the stage's section `tvc_load`; stops and play are those of the actuators, pitch and yaw of
-    each group.
+    """Return the record of the stage's section `tvc_load`.
+
+    Stops and play are those of the actuators, pitch and yaw of each group.
     """
     out: dict[str, Any] = {f.name: np.zeros(MAX_TVC_LOADS) for f in fields(TvcLoad)}
     out["engine"] = np.zeros(MAX_TVC_LOADS, np.int64)
