@@ -66,7 +66,7 @@ class Envelope(Section):
         ),
     )
     rate_hz: Annotated[float, Field(gt=0.0, le=100.0)] = optional("rows per second, Hz", 2.0)
-    runs: Annotated[int, Field(ge=0)] = optional("number of runs, from the first, with histories", 1000)
+    runs: Annotated[int, Field(ge=0)] = optional("of the first so many runs", 1000)
     percentiles: tuple[Annotated[float, Field(ge=0.0, le=100.0)], ...] = optional(
         "lines of the envelope, %", (0.135, 5.0, 50.0, 95.0, 99.865)
     )
@@ -76,15 +76,15 @@ class Correlated(Section):
     """Two draws whose normal scores are correlated, with any distributions (a Gaussian copula)."""
 
     of: tuple[str, str] = Field(description="names or key paths of two draws of continuous distributions")
-    coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="correlation of their scores")
+    coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="of correlation of their scores")
 
 
 class Campaign(Section):
     """The number of runs, the source of the draws, and the results to show."""
 
     runs: Annotated[int, Field(ge=0, lt=2**53)] = Field(description="number of flights")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of all draws", 1)
-    sampling: Literal["random", "latin-hypercube", "sobol"] = optional("sampling of the space of draws", "random")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("all draws derive from it", 1)
+    sampling: Literal["random", "latin-hypercube", "sobol"] = optional("how the draws fill the space", "random")
     stratum: Annotated[int, Field(gt=0)] | None = optional(
         "runs that make up one Latin hypercube (default: runs as this file says)"
     )
@@ -92,16 +92,17 @@ class Campaign(Section):
         "each run has its own run.seed (turbulence, gyro noise), or all that of the file", "each-run"
     )
     outside: Outside = optional(
-        "resample: a draw outside its bounds is repeated and counted; else it ends the campaign", "resample"
+        "a draw outside its bounds is drawn again and counted, or ends the campaign", "resample"
     )
     test: Literal["any-time", "fixed"] = optional(
-        "test of the verdicts. any-time: valid at any number of runs. fixed: valid at the number of runs recorded "
-        "before the first is flown (an extended campaign is judged by the any-time test with the remaining risk)",
+        "how verdicts are reached: valid however often one looks and goes on, or after the number of runs that is "
+        "recorded before the first one is flown (a campaign that is extended is judged by the other one, with the risk "
+        "that is left)",
         "any-time",
     )
     success: Probability = optional("share of flights that must meet a requirement", 0.9973)
-    confidence: Probability = optional("confidence with which this share must be shown", 0.90)
-    correlated: tuple[Correlated, ...] = optional("pairs of correlated draws", ())
+    confidence: Probability = optional("confidence with which that is to be shown", 0.90)
+    correlated: tuple[Correlated, ...] = optional("pairs of draws that go together", ())
     batch: Annotated[int, Field(gt=0)] | None = optional(
         "runs in a file of the data set (default: a 32nd of the runs, 64 to 1024)"
     )
@@ -150,8 +151,8 @@ class Disperse(Section):
         "key path, e.g. vehicle.stage.0.engine.thrust_factor; * for a part of it: a draw for each element of a list"
     )
     keys: tuple[str, ...] | None = optional("several keys: with covariance a draw for each, else one draw for all")
-    tag: str = optional("distinguishes two draws for one column of a table", "")
-    name: str = optional("name in reports (default: the key)", "")
+    tag: str = optional("tells apart two draws that both act on a table's column", "")
+    name: str = optional("shown to people (default: the key)", "")
     source: str = optional("where the numbers come from", "")
     apply: Literal["set", "scale", "add"] = optional(
         "the draw replaces the value, multiplies it, or is added to it", "set"
@@ -162,7 +163,7 @@ class Disperse(Section):
     )
     distribution: Literal[
         "normal", "truncated-normal", "uniform", "log-normal", "triangular", "choice", "samples", "cases"
-    ] = Field(description="distribution of the draws")
+    ] = Field(description="what the draws follow")
     mean: float | None = optional("normal (default: the value itself; 1 to scale, 0 to add)")
     sigma: NotNegative | None = optional("normal: standard deviation; log-normal: of ln(x)")
     three_sigma: NotNegative | None = optional("three times sigma, instead of it")
@@ -171,14 +172,14 @@ class Disperse(Section):
     mode: float | None = optional("triangular: likeliest value")
     median: Positive | None = optional("log-normal (default: 1 to scale, else the value)")
     values: tuple[Choice, ...] | None = optional("choice: numbers, texts or files")
-    weights: tuple[NotNegative, ...] | None = optional("choice: relative frequency of each (default: equal)")
+    weights: tuple[NotNegative, ...] | None = optional("choice: how often each (default alike)")
     file: Samples | None = optional("samples, cases: a CSV file")
     column: str | None = optional("samples: column of the file (default: its only one)")
     order: Order = optional("samples, cases: a row at random, or row i for run i (again from the first)", "random")
     covariance: tuple[tuple[float, ...], ...] | None = optional("normal with keys: the matrix")
-    at_least: float | None = optional("lower bound of the resulting value")
-    at_most: float | None = optional("upper bound of the resulting value")
-    outside: Outside | None = optional("as campaign.outside, for this entry")
+    at_least: float | None = optional("the value that results is not below this")
+    at_most: float | None = optional("the value that results is not above this")
+    outside: Outside | None = optional("as campaign.outside, for this one")
 
     @property
     def sigma_of_normal(self) -> float:
@@ -265,10 +266,10 @@ class WindModel(Section):
     correlation_length_m: Positive | None = optional("vector: height over which the correlation falls to 1/e, m")
     factor: NotNegative = optional("vector: multiplies the standard deviations", 1.0)
     months: Annotated[CsvTable, MONTH_COLUMNS] | None = optional(
-        "vector: factors of the mean wind and the deviations by month (1 to 12); runs take the months in turn"
+        "vector: by month (1 to 12) what multiplies the mean wind and the deviations; runs have the months in turn"
     )
     profiles: Annotated[Profiles | None, BeforeValidator(_each_sounding)] = optional(
-        "ensemble: files as for wind.profile; a folder means all its files, a file all its soundings"
+        "ensemble: files as for wind.profile; a folder: all files in it; a file of several soundings: each of them"
     )
     order: Order = optional("ensemble: at random, or i for run i", "random")
 
@@ -292,7 +293,7 @@ class CampaignFile(Section):
     """The sections of a campaign file apart from the scenario."""
 
     campaign: Campaign
-    disperse: tuple[Disperse, ...] = optional("values that differ from run to run", ())
+    disperse: tuple[Disperse, ...] = optional("what differs from run to run", ())
     wind_model: WindModel | None = optional("absent: every run has the scenario's wind")
 
     def _check(self) -> None:

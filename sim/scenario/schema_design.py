@@ -31,7 +31,7 @@ class GainsSection(Section):
         "dynamic_pressure_Pa (of that speed in still air), which the computer knows without error"
     )
     yaw: Literal["pitch"] | None = optional('"pitch": as in pitch (the default without yaw_table)')
-    yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = optional("separate gains of the yaw axis")
+    yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = optional("own gains of the yaw axis")
     integral_limit_deg: Positive | None = optional(
         "pid: limit of the integral's share of the command (default: none), deg"
     )
@@ -84,15 +84,13 @@ class FirstOrder(Section):
 class FilterSection(Section):
     """The bending filter."""
 
-    structure: Structure = optional(
-        f"structure in the paper; sections: 1 to {MAX_SECTIONS} of any kind; or none", "none"
-    )
+    structure: Structure = optional(f"of the paper, or sections: 1 to {MAX_SECTIONS} of any kind, or none", "none")
     quadratic: tuple[Quadratic, ...] = optional("second-order sections: F2, F3: 1; F4, F5, F6: 2", ())
     first_order: tuple[FirstOrder, ...] = optional("first-order sections: F3, F5: 1; F6: 2", ())
     discretization: Literal["prewarped", "bilinear", "matched", "zoh"] = optional(
         "prewarped: bilinear, and exact at prewarp_hz", "prewarped"
     )
-    prewarp_hz: Positive | None = optional("frequency at which prewarped is exact, Hz: the first bending frequency")
+    prewarp_hz: Positive | None = optional("where prewarped is exact, Hz: the first bending frequency")
 
     def _check(self) -> None:
         if self.structure == "sections":
@@ -135,7 +133,7 @@ class RollSection(Section):
 
     k_rate_s: NotNegative = Field(description="weight of the rate, s")
     dead_band_deg: Positive = Field(description="half width of the dead band, deg")
-    hysteresis_deg: NotNegative = optional("a thruster switches off at dead_band_deg minus this, deg", 0.0)
+    hysteresis_deg: NotNegative = optional("a thruster goes off at dead_band_deg less this, deg", 0.0)
     minimum_on_s: NotNegative = optional("shortest pulse, s", 0.0)
 
     def _check(self) -> None:
@@ -151,7 +149,7 @@ class RollGimbal(Section):
 
     k_p: NotNegative = Field(description="rad of deflection per rad of roll error")
     k_d_s: NotNegative = Field(description="rad of deflection per rad/s of roll rate, s")
-    limit_deg: Positive = Field(description="limit of the command, deg; pitch and yaw have priority")
+    limit_deg: Positive = Field(description="limit of the command, deg; pitch and yaw come before it")
 
 
 BlendWeights = Annotated[tuple[float, ...], Field(min_length=1, max_length=MAX_SENSORS)]
@@ -177,9 +175,9 @@ class Blend(Section):
 class LoopFiltersSection(Section):
     """The filters of the law's inputs, separate for each loop, in addition to the bending filter behind the law."""
 
-    attitude: FilterSection | None = optional("filter of the attitude error")
-    rate: FilterSection | None = optional("filter of the (blended) rate")
-    acceleration: FilterSection | None = optional("filter of the lateral acceleration before its lag, with load relief")
+    attitude: FilterSection | None = optional("of the attitude error")
+    rate: FilterSection | None = optional("of the (blended) rate")
+    acceleration: FilterSection | None = optional("of the lateral acceleration, before its lag; with load relief")
 
     @property
     def each(self) -> tuple[FilterSection | None, ...]:
@@ -204,14 +202,14 @@ class AdaptiveSection(Section):
     reference_hz: Positive = Field(description="reference model: frequency of the rigid body's motion, Hz")
     reference_zeta: Positive = optional("its damping ratio", 0.7)
     error_gain_pdeg2s: NotNegative = Field(
-        description="rate at which an attitude error beyond the reference model's raises the gain, 1/(deg2 s)"
+        description="how fast an attitude error beyond the reference model's raises the gain, 1/(deg2 s)"
     )
     damper_gain_pdeg2s: NotNegative = Field(
-        description="spectral damper: rate at which command content above high_pass_hz lowers the gain, 1/(deg2 s)"
+        description="spectral damper: how fast the command's content above high_pass_hz lowers the gain, 1/(deg2 s)"
     )
-    leakage_ps: Positive = optional("rate of the gain's return to 1, 1/s", 0.1)
+    leakage_ps: Positive = optional("how fast the gain returns to 1, 1/s", 0.1)
     high_pass_hz: Positive = Field(description="corner of the spectral damper, between control and bending, Hz")
-    low_pass_hz: Positive = optional("corner of the low-pass on its square, Hz", 0.2)
+    low_pass_hz: Positive = optional("corner of the mean of its square, Hz", 0.2)
 
     def _check(self) -> None:
         if self.high_pass_hz <= self.reference_hz:
@@ -229,16 +227,16 @@ class StageLaw(Section):
     renamed: ClassVar[dict[str, str]] = RENAMED
 
     gains: GainsSection | None = optional("own gains")
-    filter: FilterSection | None = optional("separate bending filter, which starts settled at the separation")
+    filter: FilterSection | None = optional("own bending filter, which starts settled at the separation")
     loop_filters: LoopFiltersSection | None = optional(
-        "separate filters of each loop, which start settled at the separation"
+        "own filters of each loop, which start settled at the separation"
     )
-    fade_s: NotNegative | None = optional("time over which all filters of the previous stage fade out, s (default: 0)")
-    roll: RollSection | None = optional("separate roll control by thrusters")
-    roll_gimbal: RollGimbal | None = optional("separate roll control by gimbals")
-    blend: Blend | None = optional("separate weights of rate gyros")
-    load_relief: LoadReliefSection | None = optional("separate lag of the accelerometer")
-    adaptive: AdaptiveSection | None = optional("separate adaptation, which restarts at the separation")
+    fade_s: NotNegative | None = optional("time over which all filters of the stage before fade out, s (default: 0)")
+    roll: RollSection | None = optional("own roll control by thrusters")
+    roll_gimbal: RollGimbal | None = optional("own roll control by gimbals")
+    blend: Blend | None = optional("own weights of rate gyros")
+    load_relief: LoadReliefSection | None = optional("own lag of the accelerometer")
+    adaptive: AdaptiveSection | None = optional("own adaptation, which starts again at the separation")
     basis: DesignBasis | None = optional("own basis")
 
 
@@ -249,26 +247,26 @@ class Design(Section):
 
     schema_version: Literal[2] = optional("version of the format", 2, alias="schema")
     name: str = optional("name of the design", "")
-    description: str = optional("description, in a sentence", "")
-    vehicle: str = optional("name of its vehicle; another one must be set on the command line", "")
+    description: str = optional("what it is, in a sentence", "")
+    vehicle: str = optional("name of the vehicle that it was made for; another one has to be asked for", "")
     law: Law = optional(
-        "control law; pd: proportional-derivative with a bending filter; pid: pd with an integral; load-relief: "
+        "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides; load-relief: "
         "pd with the lateral acceleration fed back; incidence-relief: pd with an estimated angle of attack fed back",
         "pd",
     )
     gains: GainsSection
     filter: FilterSection = FilterSection()
-    loop_filters: LoopFiltersSection | None = optional("absent: the bending filter only")
+    loop_filters: LoopFiltersSection | None = optional("absent: the bending filter alone")
     roll: RollSection | None = optional("absent: no roll control by thrusters")
     roll_gimbal: RollGimbal | None = optional("absent: no roll control by gimbals")
-    blend: Blend | None = optional("absent: the first gyro only")
-    load_relief: LoadReliefSection | None = optional("parameters of the laws load-relief and incidence-relief")
+    blend: Blend | None = optional("absent: the first gyro alone")
+    load_relief: LoadReliefSection | None = optional("of the laws load-relief and incidence-relief")
     adaptive: AdaptiveSection | None = optional("absent: no adaptation; with any law")
     basis: DesignBasis | None = optional(
-        "basis of the design: loop, operating points, limits; used by simdesign and simverify"
+        "what the law was designed under: loop, operating points, limits; simdesign and simverify judge by it"
     )
     stage: tuple[StageLaw, ...] = optional(
-        "differences of each stage, in the order of flight (default: none)", (), max_length=MAX_STAGES
+        "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
     )
 
     def _check(self) -> None:

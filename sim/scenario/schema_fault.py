@@ -71,39 +71,39 @@ class Fault(Section):
 
     kind: FaultKind = Field(
         description="engine-off: no thrust and no flow; thrust-loss: a share of both; gyro-stuck, accelerometer-stuck: "
-        "the output is constant; -dead: it is zero; -bias, -noisy: a constant or noise is added to it; "
-        "actuator-stuck: the servo stops; actuator-hard-over: it moves to angle_deg within its limits; "
-        "actuator-floating: it exerts no force and the engine swings freely (without a TVC load the servo "
+        "the output stays as it is; -dead: it is zero; -bias, -noisy: a constant or noise is added to it; "
+        "actuator-stuck: the servo stays as it is; actuator-hard-over: it goes to angle_deg as its limits let it; "
+        "actuator-floating: it gives no force and the engine swings freely on its gimbal (without a TVC load the servo "
         "goes to its middle)"
     )
-    at_s: Seconds = Field(description="time of the failure, s, whole ns")
-    since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or after liftoff", "clock")
-    until_s: Seconds | None = optional("time of the recovery, s, whole ns (default: never)")
-    stage: int | None = optional("number of the stage, from 0 (default: the current stage)", None, ge=0, lt=MAX_STAGES)
+    at_s: Seconds = Field(description="when, s, whole ns")
+    since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from liftoff on", "clock")
+    until_s: Seconds | None = optional("when the part works again, s, whole ns (default: never)")
+    stage: int | None = optional("of which stage, from 0 (default: of whichever flies)", None, ge=0, lt=MAX_STAGES)
     gyro: int | None = optional(
-        "number of the gyro in the log: 1 is [stage.gyro], from 2 on [[stage.rate_gyro]] (default: 1)",
+        "which gyro, as the log counts them: 1 that of [stage.gyro], from 2 on [[stage.rate_gyro]] (default: 1)",
         None,
         ge=1,
         le=MAX_SENSORS,
     )
     axis: Literal["roll", "pitch", "yaw", "x", "y", "z"] | None = optional(
-        "axis: roll, pitch, yaw of gyros and actuators, x, y, z of the accelerometer (default: all)"
+        "which axis: roll, pitch, yaw of gyros and actuators, x, y, z of the accelerometer (default: all)"
     )
     group: int | None = optional("group of engines, from 0 as they name them (default: 0)", None, ge=0, lt=MAX_ENGINES)
-    angle_deg: float | None = optional("actuator-hard-over: target angle, deg, within the angle limit")
-    bias_degps: float | None = optional("gyro-bias: rate added to the output, deg/s")
-    bias_mps2: float | None = optional("accelerometer-bias: acceleration added to the output, m/s2")
+    angle_deg: float | None = optional("actuator-hard-over: to which angle, deg; its limit of the angle holds")
+    bias_degps: float | None = optional("gyro-bias: added to the output, deg/s")
+    bias_mps2: float | None = optional("accelerometer-bias: added to the output, m/s2")
     noise_mps_rt_h: Positive | None = optional(
-        "accelerometer-noisy: velocity random walk added to the accelerometer's own, m/s/sqrt(h)"
+        "accelerometer-noisy: velocity random walk beside the accelerometer's own, m/s/sqrt(h)"
     )
-    noise_deg_rt_h: Positive | None = optional("gyro-noisy: angle random walk added to the gyro's own, deg/sqrt(h)")
-    engine: int | None = optional("number of the engine, from 0 (default: all)", None, ge=0, lt=MAX_ENGINES)
+    noise_deg_rt_h: Positive | None = optional("gyro-noisy: angle random walk beside the gyro's own, deg/sqrt(h)")
+    engine: int | None = optional("its number in the stage, from 0 (default: all)", None, ge=0, lt=MAX_ENGINES)
     loss: Fraction | None = optional("thrust-loss: share of thrust and mass flow that is lost")
     tail_off: Annotated[CsvTable, TAIL_OFF_COLUMNS] | None = optional(
-        "engine-off: remaining share of thrust and mass flow over the time since at_s (default: none, at once)"
+        "engine-off: share of thrust and mass flow that is left over the time since at_s (default: none at once)"
     )
     reallocate_after_s: Seconds | None = optional(
-        "delay after at_s until commands are allocated to the remaining engines, s (default: never)"
+        "when the computer allocates its commands to what is left, s after at_s (default: never)"
     )
 
     def _check(self) -> None:

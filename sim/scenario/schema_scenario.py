@@ -50,7 +50,7 @@ class Geodetic(Section):
 class Initial(Section):
     """The state at the start. Position, velocity, attitude and rates are each given by at most one key."""
 
-    held: bool = optional("true: the vehicle is held down until release", False)
+    held: bool = optional("whether the vehicle is held down until release", False)
     geodetic: Geodetic | None = optional("position (default: the site)")
     inertial_m: Triple | None = optional("position in I, m")
     earth_m: Triple | None = optional("position in E, m")
@@ -105,7 +105,7 @@ FREQUENCIES = {
 class Injection(Section):
     """A signal on one axis."""
 
-    at: Literal["gimbal_command", "rate_command", "body_force", "body_torque"] = Field(description="place of injection")
+    at: Literal["gimbal_command", "rate_command", "body_force", "body_torque"] = Field(description="where it enters")
     axis: Literal["pitch", "yaw", "roll", "x", "y", "z"] = Field(
         description="gimbal_command: pitch, yaw; rate_command: pitch, yaw, roll; body_*: x, y, z"
     )
@@ -113,7 +113,7 @@ class Injection(Section):
         description="shape; doublet: + in the first half of the time, - in the second; "
         "chirp: the frequency changes linearly"
     )
-    replaces: bool = optional("true: replaces the command; false: adds to it", False)
+    replaces: bool = optional("whether it replaces the command; false: is added to it", False)
     amplitude_deg: float | None = optional("deg, at gimbal_command")
     amplitude_degps: float | None = optional("deg/s, at rate_command")
     amplitude_N: float | None = optional("N, at body_force")
@@ -180,13 +180,13 @@ USUAL_STEP_S = 0.001
 class Run(Section):
     """The duration and the step of the flight."""
 
-    duration_s: Period = optional("longest duration of the flight from start_s on, s, whole ns", 400.0)
+    duration_s: Period = optional("longest flight from start_s on, s, whole ns", 400.0)
     step_s: Annotated[Period, Field(le=1.0)] = optional("integrator step, s, whole ns", USUAL_STEP_S)
     accuracy: Annotated[float, Field(gt=0.0, le=0.1)] | None = optional(
-        "integration error allowed, as a share of the required values (docs/performance.md); steps are as long as the "
-        "vehicle's fastest oscillation allows, instead of step_s (default in campaigns without step_s: 0.05)"
+        "share of what is required by which the integrator may err, see docs/performance.md: steps as long as the "
+        "vehicle's fastest oscillation allows instead of step_s (in campaigns 0.05 where neither is given)"
     )
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of all noise", 1)
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("all noise derives from it", 1)
     start_s: Seconds = optional("vehicle clock at the start, s, whole ns", 0.0)
     freeze_vehicle_at_s: Seconds | None = optional(
         "mass, thrust, modes, ... are held as at this vehicle clock, s (default: not)"
@@ -210,11 +210,11 @@ class Guidance(Section):
     programme: Annotated[CsvTable, PROGRAMME_COLUMNS] | None = optional(
         "commanded rates over the vehicle clock (default: zero)"
     )
-    method: Literal["linear", "pchip", "step"] = optional("interpolation between the rows", "linear")
+    method: Literal["linear", "pchip", "step"] = optional("between the rows", "linear")
     axes: Literal["body", "unrolled"] = optional(
-        "axes of pitch and yaw: those of the body, or axes without the commanded roll", "body"
+        "of pitch and yaw: those of the body, or axes that do not take part in the commanded roll", "body"
     )
-    orbit: OrbitTarget | None = optional("closed-loop guidance to this orbit, after the programme")
+    orbit: OrbitTarget | None = optional("closed-loop guidance to this orbit, beside the programme until then")
 
 
 class OrbitTarget(Section):
@@ -226,12 +226,12 @@ class OrbitTarget(Section):
     perigee_altitude_m: float = Field(description="above the equatorial radius, m")
     apogee_altitude_m: float = Field(description="above the equatorial radius, m")
     inclination_deg: Annotated[float, Field(ge=0.0, le=180.0)] | None = optional(
-        "default: the plane of flight at the start"
+        "default: the plane in which it flies at the start"
     )
-    isp_s: Positive = Field(description="effective specific impulse assumed by the guidance, s")
-    start_s: Seconds = optional("start on the vehicle clock, s; at least 3 s after the ignition", 0.0)
-    cycle_s: Positive = optional("time between two solutions, s", 1.0)
-    rate_limit_degps: Positive = optional("rate limit of the commanded attitude, deg/s", 3.0)
+    isp_s: Positive = Field(description="effective specific impulse that the guidance counts with, s")
+    start_s: Seconds = optional("vehicle clock; not before 3 s after the ignition", 0.0)
+    cycle_s: Positive = optional("between two solutions, s", 1.0)
+    rate_limit_degps: Positive = optional("of the commanded attitude, deg/s", 3.0)
 
     def _check(self) -> None:
         if self.perigee_altitude_m < 100e3:
@@ -259,7 +259,8 @@ class Switches(Section):
     thrust: bool = optional("thrust", True)
     slosh: bool = optional("pendulums; off: the liquid is frozen", True)
     slosh_exchange: bool = optional(
-        "liquid that passes from a pendulum's bob to the core keeps its momentum (off: it arrives at rest)", False
+        "liquid that goes over from a pendulum's bob to the core takes its momentum along (off: it arrives at rest)",
+        False,
     )
     bending: bool = optional("bending modes", True)
     bending_softening: bool = optional("axial load softens the modes", True)
@@ -267,7 +268,7 @@ class Switches(Section):
     engine_inertia: bool = optional("reaction of the gimballed mass (tail wags dog)", True)
     tvc_load: bool = optional("engine on its compliance; off: it follows its actuators exactly", True)
     jet_damping: bool = optional("damping by the mass flow", True)
-    moving_cg: bool = optional("terms due to changing CG and inertia", True)
+    moving_cg: bool = optional("terms of CG and inertia that change", True)
     actuator: Literal["full", "linear", "ideal"] = optional("linear: no limits; ideal: angle = command", "full")
     gyro: Literal["full", "ideal"] = optional("ideal: measures the true rate", "full")
     converter: Literal["full", "ideal"] = optional("ideal: no quantisation", "full")
@@ -278,7 +279,8 @@ class Switches(Section):
     section_loads: bool = optional("section loads at the stations of [stage.loads]", False)
     local_incidence: bool = optional("bending changes the angle of attack of the lifting parts", True)
     gust_penetration: bool = optional(
-        "each lifting part has the wind, gusts and turbulence at its own station (off: all have those at the CG)", False
+        "each lifting part meets wind, gusts and turbulence at its own place along the body (off: all those at the CG)",
+        False,
     )
 
 
@@ -294,9 +296,9 @@ class RequirementSection(Section):
     """A bound on a metric of the flight."""
 
     metric: str = Field(description="name of the metric")
-    limit: float | None = optional("largest allowed value")
-    minimum: float | None = optional("least allowed value")
-    name: str = optional("name in reports (default: the metric)", "")
+    limit: float | None = optional("at most this")
+    minimum: float | None = optional("at least this")
+    name: str = optional("shown to people (default: the metric)", "")
 
     @property
     def bound(self) -> tuple[str, float]:
@@ -320,7 +322,7 @@ class Scenario(Section):
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("default: the file's name", "")
-    description: str = optional("description, in a sentence", "")
+    description: str = optional("what is flown, in a sentence", "")
     vehicle: Vehicle = Field(description="folder with vehicle.toml, a .toml file, or the vehicle itself")
     design: Design | None = optional("a design file, or the design itself (default: command zero)")
     run: Run = Run()
@@ -333,11 +335,11 @@ class Scenario(Section):
     holddown: HoldDown = HoldDown()
     injection: tuple[Injection, ...] = optional("signals for tests", (), max_length=MAX_INJECTIONS)
     fault: tuple[Fault, ...] = optional(
-        "faults; the later one in the list overrides others of the same part", (), max_length=MAX_FAULTS
+        "what fails; of two faults of one thing the later one here holds", (), max_length=MAX_FAULTS
     )
     switches: Switches = Switches()
     log: LogSection = LogSection()
-    requirement: tuple[RequirementSection, ...] = optional("requirements on the flight", ())
+    requirement: tuple[RequirementSection, ...] = optional("what the flight is judged by", ())
 
     @property
     def held(self) -> bool:

@@ -47,23 +47,25 @@ class ComputerSection(Section):
     """The flight computer: converter, sampling, delay and output."""
 
     sample_s: Period = Field(description="sample period, s, whole ns")
-    delay_s: Seconds = Field(description="delay from sample to output, s, whole ns, at most sample_s")
+    delay_s: Seconds = Field(description="from sample to output, s, whole ns, at most sample_s")
     count_rad: NotNegative = Field(description="angle per pulse of the V/F converter, rad; 0: no quantisation")
     dac_step_deg: NotNegative = optional("step of the output, deg; 0: no quantisation", 0.0)
     attitude: Attitude = optional(
-        "definition of the attitude error. quaternion: strapdown, roll and tilt about body axes; rate-integral: "
-        "separate integral of each body rate (paper, eq. 33), for vehicles that turn about one axis",
+        "of the attitude error. quaternion: strapdown, the error is roll and tilt about body axes; rate-integral: "
+        "integral of each body rate by itself (paper, eq. 33), for vehicles that turn about one axis",
         "quaternion",
     )
     angle_error_limit_deg: Positive = Field(description="clamp of the attitude error for the law, deg")
     command_limit_deg: Positive = Field(description="clamp of the gimbal command, deg")
-    law: Literal["design", "external"] = optional("external: external flight code in place of the design", "design")
+    law: Literal["design", "external"] = optional(
+        "external: flight code from outside in place of the design's", "design"
+    )
     library: LibraryFile | None = optional("flight code: shared library (C ABI of maxq_fsw.h)")
     python: PythonClass | None = optional("flight code: Python class, file.py:Class")
     address: Address | None = optional("flight code: computer behind a socket, tcp://127.0.0.1:PORT or udp://...")
-    settings: Settings = optional("text passed to the flight code at its start", "")
+    settings: Settings = optional("text that the flight code gets at its start", "")
     timeout_s: Positive = optional("longest time that the flight code may take for one sample, s", 2.0)
-    guard: bool = optional("run the flight code in a separate process; off: a crash ends maxq, for debuggers", True)
+    guard: bool = optional("flight code in a process of its own; off: a crash ends maxq, for debuggers", True)
 
     @property
     def code_keys(self) -> tuple[str, ...]:
@@ -83,7 +85,7 @@ class StageComputer(Section):
     """The keys of the flight computer that differ while a stage flies."""
 
     sample_s: Period | None = optional("sample period, s, whole ns")
-    delay_s: Seconds | None = optional("delay from sample to output, s, whole ns, at most sample_s")
+    delay_s: Seconds | None = optional("from sample to output, s, whole ns, at most sample_s")
     dac_step_deg: NotNegative | None = optional("step of the output, deg; 0: no quantisation")
     angle_error_limit_deg: Positive | None = optional("clamp of the attitude error (anti-windup), deg")
     command_limit_deg: Positive | None = optional("clamp of the gimbal command, deg")
@@ -92,9 +94,9 @@ class StageComputer(Section):
 class Separation(Section):
     """The effects of a stage's separation on the next stage, apart from its release."""
 
-    impulse_Ns: NotNegative = optional("impulse of retro-rockets or gas, forward on the next stage, N s", 0.0)
+    impulse_Ns: NotNegative = optional("of retro-rockets or gas, forward on the next stage, N s", 0.0)
     spring_J: NotNegative = optional("energy of the springs between the stages, which drive them apart, J", 0.0)
-    tip_off_degps: Triple = optional("rates imparted to the next stage, about x, y, z, deg/s", (0.0, 0.0, 0.0))
+    tip_off_degps: Triple = optional("rates that the next stage takes along, about x, y, z, deg/s", (0.0, 0.0, 0.0))
 
 
 def _form(value: Any) -> str:
@@ -125,13 +127,13 @@ class Stage(Section):
     separation_after_burnout_s: Seconds | None = optional("end of this stage after burnout, s")
     separation: Separation | None = optional("springs, impulse and tip-off rates where this stage ends")
     continues: bool = optional(
-        "engines, tanks and modes of the previous stage continue with their states, and only mass drops, as with a "
-        "fairing",
+        "engines, tanks and modes of the stage before fly on, and only mass drops, as with a fairing: engine angles, "
+        "liquid and modes keep their state",
         False,
     )
     computer: StageComputer | None = optional("absent: the vehicle's computer as it is")
     ignition_s: Seconds = optional("the engine is off before this time on the stage clock, s", 0.0)
-    interpolation: Literal["pchip", "linear"] = optional("interpolation of the tables over time", "pchip")
+    interpolation: Literal["pchip", "linear"] = optional("how the tables over time are joined", "pchip")
     mass: Mass
     engine: Engines | None = optional(f"one table, or up to {MAX_ENGINES} as a list [[...]]; absent: no thrust")
     actuator: Actuators | None = optional(
@@ -141,12 +143,12 @@ class Stage(Section):
         "one table, or a list [[...]] by group; absent, and in groups without: engines follow their actuators exactly"
     )
     tank: tuple[Tank, ...] = optional("tanks with sloshing liquid", (), max_length=MAX_PENDULUMS)
-    bending: BendingSection | None = optional("absent: rigid, except for spatial modes")
+    bending: BendingSection | None = optional("absent: rigid, but for spatial modes")
     spatial_modes: SpatialModesSection | None = optional("absent: none")
     aero: AeroSection | None = optional("absent: no aerodynamic forces")
     gyro: GyroSection | None = optional("absent: ideal gyros")
     rate_gyro: tuple[RateGyro, ...] = optional(
-        "rate gyros beyond the first; the same number in all stages", (), max_length=MAX_SENSORS - 1
+        "rate gyros beyond the first; all stages have as many", (), max_length=MAX_SENSORS - 1
     )
     accelerometer: Accelerometer | None = optional("absent: none; all stages have one, or none")
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
@@ -371,7 +373,7 @@ class Vehicle(Section):
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("name of the vehicle", "")
-    description: str = optional("description, in a sentence", "")
+    description: str = optional("what it is, in a sentence", "")
     reference: Reference
     stage: tuple[Stage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="stages in the order of flight")
     computer: ComputerSection | None = optional("absent: no flight computer, the gimbal stays at zero")

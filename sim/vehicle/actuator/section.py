@@ -31,8 +31,8 @@ class ActuatorAxis(Section):
     angle_limit_deg: GimbalAngle = Field(description="limit of the gimbal angle, deg")
     rate_limit_degps: Positive = Field(description="limit of the gimbal rate, deg/s")
     limits_act_on: Literal["servo", "engine"] = optional(
-        "servo: the other poles follow it and may carry the engine past both limits; engine: they precede it, and the "
-        "engine's rate stays within its limit",
+        "servo: the other poles come behind it and may carry the engine past both limits; engine: they come ahead of "
+        "it, and the engine's rate stays within its limit",
         "servo",
     )
     stop_deg: GimbalAngle | None = optional("hard stop of the engine's own angle, deg (default: none)")
@@ -66,9 +66,9 @@ class ActuatorSection(ActuatorAxis):
     One table serves all groups of engines, or a list has one for each group.
     """
 
-    group: ChannelPart | None = optional("in a list: name of the group of engines that it moves")
+    group: ChannelPart | None = optional("in a list: the group of engines that it moves, as the engines name it")
     bias_deg: Pair = optional("constant error of the angle, pitch and yaw, deg", (0.0, 0.0))
-    yaw: YawActuator | None = optional("differences of the yaw axis")
+    yaw: YawActuator | None = optional("keys that differ in the yaw axis")
 
     def _check(self) -> None:
         super()._check()

@@ -139,14 +139,14 @@ class AeroSection(Section):
 
     table: Annotated[CsvTable, AERO_COLUMNS] = Field(
         default_factory=_nothing,
-        description="optional with coefficients; absent columns are 0 (CA_coast, engine off: as CA); CD acts "
+        description="may be absent beside coefficients; absent columns are 0 (CA_coast, engine off: as CA); CD acts "
         "along the relative wind; CN_alpha_pr acts at x_cp_m, or gives Cm_alpha_pr about the moment reference; "
         "Cmq, Cnr, Clp damp rates",
     )
-    interpolation: Literal["pchip", "linear"] = optional("interpolation between the rows", "pchip")
+    interpolation: Literal["pchip", "linear"] = optional("between the rows", "pchip")
     moment_reference_m: float = optional("station about which moments are given, m aft of the nose", 0.0)
     moment_reference_over_time: Annotated[CsvTable, REFERENCE_OVER_TIME] | None = optional(
-        "moving moment reference over the stage clock, m aft of the nose, instead of moment_reference_m"
+        "the moment reference as it moves over the stage clock, m aft of the nose, instead of moment_reference_m"
     )
     moment_reference_over_mass: Annotated[CsvTable, REFERENCE_OVER_MASS] | None = optional(
         "the same over the vehicle's total mass"
@@ -159,7 +159,7 @@ class AeroSection(Section):
     axial_factor: NotNegative = optional("multiplies axial force and drag (CA, CD)", 1.0)
     damping_factor: NotNegative = optional("multiplies the damping by body rates (Cmq, Cnr, Clp)", 1.0)
     centre_shift_m: float = optional("moves the centre of every lifting part aft, m", 0.0)
-    rate_reference: Literal["inertial", "earth"] = optional("body rates used for damping", "inertial")
+    rate_reference: Literal["inertial", "earth"] = optional("which body rates damp", "inertial")
     surface: tuple[AeroSurface, ...] = optional(
         "lifting parts; their sum is CN_alpha where the table has none", (), max_length=MAX_SURFACES
     )

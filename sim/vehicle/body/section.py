@@ -46,7 +46,7 @@ class Mass(Section):
         "inertia tensor about the CG in B, kg m2: minus the products off the diagonal"
     )
     mass_flow_kgps: NotNegative | None = optional("mass expelled per second, kg/s (default 0)")
-    burn_s: NotNegative | None = optional("duration of the flow, s")
+    burn_s: NotNegative | None = optional("for how long it is expelled, s")
     rate_damping: Annotated[CsvTable, RATE_DAMPING_COLUMNS] | None = optional(
         "moment against the body's rotation per rate about x, y and z, N m s/rad, over the stage clock"
     )

@@ -51,7 +51,7 @@ class EngineSection(Section):
     cg_from_gimbal_m: float = optional("CG of the gimballed mass aft of the gimbal, m", 0.0)
     inertia_about_gimbal_kgm2: NotNegative = optional("transverse inertia about the gimbal, kg m2", 0.0)
     misalignment_deg: Pair = optional("fixed angle of the thrust axis, pitch and yaw, deg", (0.0, 0.0))
-    offset_m: Pair = optional("offset of the gimbal from the body axis, y and z, m", (0.0, 0.0))
+    offset_m: Pair = optional("of the gimbal from the body axis, y and z, m", (0.0, 0.0))
     thrust_factor: NotNegative = optional("multiplies thrust", 1.0)
     mass_flow_factor: Positive = optional("burn rate: speeds up the stage's tables over time", 1.0)
 

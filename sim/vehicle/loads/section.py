@@ -39,20 +39,18 @@ SECTION_PREFIX = "max_section_"
 class Liquid(Section):
     """The liquid of a tank: a column of uniform density between its surface and the tank's bottom."""
 
-    tank: str = optional("name or number of the tank in which it sloshes (default: no sloshing)", "")
+    tank: str = optional("name or number of the tank in which it sloshes (default: it does not)", "")
     table: Annotated[CsvTable, LIQUID_COLUMNS] = Field(
         description="mass (what sloshes included) and station of the surface over the stage clock"
     )
-    bottom_station_m: float = Field(description="station at which the column ends and the body supports its weight, m")
+    bottom_station_m: float = Field(description="where the column ends, and where its weight hangs on the body, m")
 
 
 class LoadsSection(Section):
     """The section loads by summation of forces, with switches.section_loads."""
 
     stations_m: tuple[float, ...] = Field(
-        min_length=1,
-        max_length=MAX_LOAD_STATIONS,
-        description="increasing stations, m aft of the nose, up to the gimbal",
+        min_length=1, max_length=MAX_LOAD_STATIONS, description="rising, m aft of the nose, up to the gimbal"
     )
     line_mass: Annotated[CsvTable, LINE_MASS_COLUMNS] = Field(
         description="all that is not liquid, engine included: masses spread evenly between two stations, or points"
@@ -67,7 +65,7 @@ class LoadsSection(Section):
     axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional(
         "shares of the axial aerodynamic force, with sum 1 (default: all of it at nose_station_m)"
     )
-    nose_station_m: float = optional("station of the body's front end, m aft of the nose", 0.0)
+    nose_station_m: float = optional("where the body begins, m aft of the nose", 0.0)
     period_s: Period = optional("time between evaluations for the extremes, s, whole ns", 0.002)
     coast: bool = optional("extremes are gathered without thrust as well", False)
     tolerance: Fraction = optional(

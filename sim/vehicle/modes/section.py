@@ -35,9 +35,7 @@ class BendingSection(Section):
     yaw: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
         "modes of the yaw plane; may be the same file (default: none)"
     )
-    damping_ratio: tuple[Fraction, ...] = Field(
-        max_length=MAX_MODES, description="damping ratio of each mode, the same in both planes"
-    )
+    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode, both planes alike")
     frequency_factor: tuple[Positive, ...] = Field(
         default_factory=_ones, description="multiplies the frequency of each mode (default ones)"
     )
@@ -77,7 +75,7 @@ class SpatialModesSection(Section):
         description="one row per time (or total mass), mode and station: displacement phi along, rotation theta about "
         "x, y, z; mass_kg and roll_inertia_kgm2 are lumped at the stations; or a NASTRAN file (op2, f06)"
     )
-    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="damping ratio of each mode")
+    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode")
     frequency_factor: tuple[Positive, ...] = Field(
         default_factory=_ones, description="multiplies the frequency of each mode (default ones)"
     )

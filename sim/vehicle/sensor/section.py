@@ -28,8 +28,8 @@ Latency = Annotated[int, Field(ge=0, le=MAX_LATENCY)]
 class RateGyro(GyroSection):
     """A rate gyro of three axes beyond the first; the design gives its weight in the rate of the law (blend)."""
 
-    latency_samples: Latency = optional("delay of its output, samples of the computer", 0)
-    dropout: Fraction = optional("probability that a sample is lost; the computer holds the previous one", 0.0)
+    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
+    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
 
 
 class Accelerometer(Section):
@@ -46,5 +46,5 @@ class Accelerometer(Section):
     scale_factor: Triple = optional("relative error of the scale along x, y, z", (0.0, 0.0, 0.0))
     misalignment_deg: Triple = optional("small rotation about x, y, z, deg", (0.0, 0.0, 0.0))
     noise_mps_rt_h: NotNegative = optional("velocity random walk, m/s per root hour", 0.0)
-    latency_samples: Latency = optional("delay of its output, samples of the computer", 0)
-    dropout: Fraction = optional("probability that a sample is lost; the computer holds the previous one", 0.0)
+    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
+    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)

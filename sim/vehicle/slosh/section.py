@@ -81,7 +81,7 @@ class Baffles(Section):
     Their damping grows with the root of the wave (NASA SP-106, eq. 4.10).
     """
 
-    width_m: Positive = Field(description="width of each ring, from the wall inwards, m")
+    width_m: Positive = Field(description="of each ring, from the wall inwards, m")
     station_m: tuple[float, ...] = Field(
         min_length=1, description="stations of the rings, m aft of the nose; one above the surface damps nothing"
     )
@@ -96,23 +96,23 @@ class Tank(Section):
         "the liquid's mass, from which with `shape` the pendulums follow. Part of the stage's table of mass"
     )
     damping_ratio: Fraction = optional(
-        "damping ratio of the pendulum at small waves (default 0 with viscosity_m2ps or baffles)", 0.0
+        "of the pendulum at small waves, as a ratio to critical (default 0 with viscosity_m2ps or baffles)", 0.0
     )
-    second_damping_ratio: Fraction | None = optional("damping ratio of the second mode (default: damping_ratio)")
-    damping_factor: NotNegative = optional("multiplies all damping: pendulums, smooth walls and baffles", 1.0)
+    second_damping_ratio: Fraction | None = optional("of the second mode's pendulum (default: as damping_ratio)")
+    damping_factor: NotNegative = optional("multiplies all damping: of the pendulums, smooth walls and baffles", 1.0)
     viscosity_m2ps: Positive | None = optional("kinematic, m2/s: adds the damping of a smooth wall")
-    baffles: Baffles | None = optional("ring baffles, whose damping of the first mode increases with the wave")
-    mass_factor: NotNegative = optional("multiplies the sloshing mass; the vehicle's mass is unchanged", 1.0)
-    length_factor: Positive = optional("multiplies the pendulum's length; the frequency varies with 1/sqrt", 1.0)
-    shape: Literal["cylinder", "sphere", "ellipsoid"] | None = optional("shape of the tank, upright on the body axis")
-    radius_m: Positive | None = optional("radius of the tank, m; without a shape that of an upright cylinder")
+    baffles: Baffles | None = optional("ring baffles: they damp the first mode the more the higher the wave")
+    mass_factor: NotNegative = optional("multiplies the sloshing mass; the vehicle's mass stays as it is", 1.0)
+    length_factor: Positive = optional("multiplies the pendulum's length: its frequency goes with 1/sqrt", 1.0)
+    shape: Literal["cylinder", "sphere", "ellipsoid"] | None = optional("of the tank, upright on the body axis")
+    radius_m: Positive | None = optional("of the tank, m; without a shape: of an upright cylinder")
     bottom_station_m: float | None = optional("aft end of the tank, m aft of the nose")
-    height_m: Positive | None = optional("inner height of a cylinder (domes included) or an ellipsoid, m")
+    height_m: Positive | None = optional("of a cylinder (domes included) or an ellipsoid, inside, m")
     dome_m: Pair | None = optional("heights of a cylinder's half-ellipsoidal domes, bottom and top, m; 0: flat")
-    density_kgpm3: Positive | None = optional("density of the liquid, kg/m3")
-    modes: Literal[1, 2] | None = optional("number of lateral slosh modes of a shape (default 1)")
+    density_kgpm3: Positive | None = optional("of the liquid, kg/m3")
+    modes: Literal[1, 2] | None = optional("lateral slosh modes that are flown of a shape (default 1)")
     breaking_height_m: Positive | None = optional(
-        "breaking height of the wave, m (default: height at which the surface falls with the axial load)"
+        "height of the wave at which it counts as breaking, m (default: where the surface falls with the axial load)"
     )
 
     @property
