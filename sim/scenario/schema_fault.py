@@ -1,7 +1,7 @@
 """Faults: the failed part, the time of the failure, and its duration.
 
 A kind of fault is an entry of KINDS (its keys) and its name in FaultKind. sim/packing/faults.py defines the effects of
-faults of a part. Keys that no other kind has are fields of Fault.
+faults of a part. A key that no kind has yet becomes a field of Fault.
 """
 
 from __future__ import annotations

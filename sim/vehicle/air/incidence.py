@@ -136,7 +136,7 @@ def static_loads(
 def rate_loads(rate: Vector, lengths: Vector, work: IncidenceWork) -> tuple[Vector, Vector]:
     """Return the lateral force (B, m2/s) and the moment (B, m3/s) due to body rates, from `work`.
 
-    Both are divided by air density times speed over four.
+    Both are per air density times speed times area over four.
     """
     p, q, r = lengths[0] * rate[0], lengths[1] * rate[1], lengths[2] * rate[2]
     c = work.coefficient
