@@ -17,8 +17,9 @@ import maxq
 from maxq import margins
 from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.held_flight import hold
-from maxq.design.certificate.measured_only import measure_node
+from maxq.design.certificate.measured_only import _rounding_deg, measure_node
 from maxq.design.certificate.response import BANDS
+from maxq.design.loop.fixed_path import fixed_path
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import load_scenario
 
@@ -49,6 +50,21 @@ def test_margins_and_response_are_those_of_the_linear_loop(library: Path) -> Non
     assert np.abs(20.0 * np.log10(np.abs(ratio))).max() < 0.4
     assert np.abs(np.degrees(np.angle(ratio))).max() < 2.0
     assert {c.kind for c in found.cycles} <= {"decays", "limit cycle"}
+
+
+def test_a_limit_cycle_of_the_converter_is_no_growth(library: Path) -> None:
+    """At 30 s a pulse of the gyro wakes the law after half a minute of rest: 0.013 deg, less than a tenth of a count.
+
+    The floor is far below the limits of the gimbal, and zero without rounding.
+    """
+    loaded, node = load_scenario("nominal", ["design=", *flies(library=library)]), maxq.nodes("nominal", [30.0])[0]
+    assert measure_node(loaded, node, bands=(), names=()).stable
+
+    held, path = hold(loaded, node), fixed_path(node, "sampled")
+    assert 0.013 < _rounding_deg(held, path, 7.0) < 0.5
+    assert 0.0 < _rounding_deg(held, path, 0.5) < 0.01
+    quiet = load_scenario("nominal", ["design=", "switches.converter=ideal", *flies(library=library)])
+    assert _rounding_deg(hold(quiet, node), path, 7.0) == 0.0
 
 
 def test_a_planted_delay_is_lost_delay_margin(library: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -10,6 +12,8 @@ from flight_code import EXAMPLES, compiled, flies, needs_compiler
 
 import maxq
 from maxq.control.external import HEADER
+from maxq.design.verify import certified as judge
+from maxq.sim.run import guard
 from maxq.sim.run.fly import fly as fly_once
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
@@ -125,6 +129,48 @@ def test_wrong_python_is_told_in_a_line(capsys: Printed, text: str, code: int, s
     assert fly(*flies(python="my_fsw.py:Autopilot", guard=guard)) == code
     printed = capsys.readouterr()
     assert said in (printed.out if code == 1 else printed.err).splitlines()[-1]
+
+
+MEDDLING = """
+import os
+import sys
+import maxq.design.verify.certified as judge
+
+judge.measured_requirements = lambda *given: []
+with open("imported.txt", "a") as file:
+    file.write(f"{os.getpid()}\\n")
+
+
+class Autopilot:
+    def __init__(self, setup):
+        pass
+
+    def step(self, inputs):
+        return {"gimbal_rad": (0.0, 0.0)}
+"""
+"""A law that never moves the gimbal, and replaces a judge where it is imported."""
+
+
+def test_python_code_is_imported_by_none_but_the_process_that_flies_it() -> None:
+    Path("my_fsw.py").write_text(MEDDLING)
+    before = judge.measured_requirements
+    loaded = load_scenario("nominal", ["design=", "run.duration_s=1.0", *flies(python="my_fsw.py:Autopilot")])
+    for _ in range(2):
+        assert fly_once(loaded).outcome == "duration"
+    assert judge.measured_requirements is before
+    assert not [name for name in sys.modules if name.startswith("maxq_flight_code_")]
+    processes = Path("imported.txt").read_text().split()
+    assert len(set(processes)) == 2  # a process of its own for each flight
+    assert str(os.getpid()) not in processes
+
+
+def test_python_code_that_does_not_return_at_its_start_is_ended(
+    monkeypatch: pytest.MonkeyPatch, capsys: Printed
+) -> None:
+    monkeypatch.setattr(guard, "IMPORT_S", 0.5)
+    Path("my_fsw.py").write_text("while True: pass\n")
+    assert fly(*flies(python="my_fsw.py:Autopilot", timeout_s=0.1)) == 2
+    assert "did not return within 0.6 s at its start" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

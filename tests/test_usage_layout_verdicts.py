@@ -79,6 +79,6 @@ def test_from_layout_to_verdict(name: str, tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.chdir(tmp_path / name)
     code = simverify.main(["../made", "--suite", "suite.toml", "--out", "verdict", "--no-pack"])
     verdict = json.loads(Path("verdict/verdict.json").read_text(encoding="utf-8"))
-    assert verdict["verdict"] == {0: "accepted", 1: "rejected"}[code]
+    assert verdict["verdict"] == {0: "passed screening", 1: "rejected"}[code]
     parts = {requirement["part"] for requirement in verdict["requirements"]}
     assert {"margins", "certificate", "campaign"} <= parts

@@ -18,7 +18,7 @@ _EXAMPLES = """\
 """
 _EXITS = {
     Exit.OK: "accepted: every requirement is met, and shown with the confidence that is asked for "
-    "(of several designs: by the best); by a suite that asks for too little to accept anything: passed the screening",
+    "(of several designs: by the best); with less evidence than an acceptance needs: passed the screening",
     Exit.FAILED: "rejected: at least one requirement is not met",
     Exit.BAD_INPUT: "bad input, nothing flown, or files that cannot be read or written",
     Exit.UNDECIDED: "undecided: more runs are needed; it says how many",

@@ -6,7 +6,8 @@ vehicle's linear model is used for the level of the excitation only, and for the
 
 Limits: what no excitation has reached is not known. Lines leave resonances between them unseen in the response; margins
 do not, because a loop that is broken oscillates wherever it breaks. A growth slower than e-fold in some 20 s passes for
-stable (`GROWS`), and so does one that the burst at its start does not wake.
+stable (`GROWS`), and so do one that the burst at its start does not wake, and an oscillation within the rounding of the
+gyro's converter (`FLOOR_COUNTS`).
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ WATCHED_S = 48.0  # after the burst of a trial
 GROWS = 1.25  # amplitude of the last quarter of a trial over that of the second
 UNSTABLE = "the loop is unstable as it is"
 MOST_FLIGHTS = measured_margins.MOST_FLIGHTS + 4  # between two trials
+FLOOR_COUNTS = 2.0  # of the gyro's converter: rounding alone sustains such an oscillation, now and then
 _PROBE = 0.15  # of the level at which the loop would be excited if it had no feedback
 _ACROSS = 0.3  # of a limit: beyond it an oscillation has grown
 _TOLERANCE = {"dB": 0.02, "s": 1e-4}
@@ -106,7 +108,7 @@ def measure_node(
     """Measure at a node, in its plane. Raises ValueError where the node cannot be held (held_flight.py)."""
     held = hold(loaded, node, fault)
     path = fixed_path(held.node, "sampled")
-    floor = _trial(held, unchanged)
+    floor = _trial(held, path, unchanged)
     if floor.grows:
         return MeasuredNode(node.time_s, node.plane, False, *measured_loop(held, path, ()), (), ())
     lines, response, error = measured_loop(held, path, bands)
@@ -140,8 +142,11 @@ class _Trial:
     level_deg: float  # amplitude at the end
 
 
-def _trial(held: HeldFlight, change: PackedChange, floor_deg: float = 0.0) -> _Trial:
-    """Wake all motions by a doublet, and see whether the command grows; `floor_deg`: that of the loop as it is."""
+def _trial(held: HeldFlight, path: FixedPath, change: PackedChange, floor_deg: float = 0.0) -> _Trial:
+    """Wake all motions by a doublet, and tell if the command grows beyond what rounding sustains.
+
+    `floor_deg`: amplitude of the loop as it is. Commands that turn the gyro by less than `FLOOR_COUNTS` do not grow.
+    """
     kick = gimbal_injection(held.plane, "doublet", 0.5 * burst_rad(held, 1.0), stop_s=0.3)
     run, rows = held.fly(WATCHED_S, (kick,), change)
     samples = rows[:, run.table.index(f"filtered_{held.plane}_deg")]
@@ -150,9 +155,17 @@ def _trial(held: HeldFlight, change: PackedChange, floor_deg: float = 0.0) -> _T
         return _Trial(True, _strongest(samples[-quarter:], held.sample_s), math.inf)
     parts = (_without_trend(samples[k * quarter : (k + 1) * quarter]) for k in (1, 3))
     second, last = (math.sqrt(2.0 * float(np.mean(part**2))) for part in parts)  # of sines of equal power
-    limit = math.degrees(linear_limits(held)[0])
-    grows = last > _ACROSS * limit or (last > GROWS * second and last > 2.0 * floor_deg)
-    return _Trial(grows, _strongest(samples[3 * quarter :], held.sample_s), last)
+    frequency_hz = _strongest(samples[3 * quarter :], held.sample_s)
+    limit, least = math.degrees(linear_limits(held)[0]), max(2.0 * floor_deg, _rounding_deg(held, path, frequency_hz))
+    grows = last > _ACROSS * limit or (last > GROWS * second and last > least)
+    return _Trial(grows, frequency_hz, last)
+
+
+def _rounding_deg(held: HeldFlight, path: FixedPath, frequency_hz: float) -> float:
+    """Return the amplitude of the gimbal command that turns the gyro by `FLOOR_COUNTS` at a frequency."""
+    count = float(held.packed.parameters[0].computer.converter.count_rad)
+    turn = abs(complex(path.response(np.array([frequency_hz]))[0])) / (2.0 * math.pi * frequency_hz)
+    return math.degrees(FLOOR_COUNTS * count / turn) if turn > 0.0 else 0.0
 
 
 def _without_trend(samples: Array) -> Array:
@@ -181,7 +194,7 @@ def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) ->
     most = measured_margins.longest_delay_s(held) if what == "delay" else math.inf
     low, trial = 0.0, None
     for amount in (a for a in TRIALS[what] if a <= most):
-        trial = _trial(held, change(amount), floor_deg)
+        trial = _trial(held, loop.fixed, change(amount), floor_deg)
         if trial.grows:
             break
         low = amount
@@ -203,7 +216,9 @@ def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) ->
         within = at - 5.0 * tolerance
         if within <= low:
             break
-        inside = _trial(held, change(within), floor_deg)  # what has grown fastest may not be what breaks first
+        inside = _trial(
+            held, loop.fixed, change(within), floor_deg
+        )  # what has grown fastest may not be what breaks first
         if not inside.grows:
             break
         high, trial = within, inside

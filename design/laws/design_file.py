@@ -12,7 +12,7 @@ import tomli_w
 from maxq.design.laws.law import DesignedLaw
 from maxq.sim.input.documents import Source, adopt, plain
 from maxq.sim.input.errors import ScenarioError, suggestion
-from maxq.sim.input.files import builtin_files
+from maxq.sim.input.files import builtin_files, note_here
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design, DesignBasis, RollSection, StageLaw
 
@@ -25,20 +25,23 @@ _PLAIN_LIST = re.compile(r"\[\n((?: +[-+.\w\"]+,\n)+) *\]")
 def design_path(name: str) -> str:
     """Return the path with which a scenario names the design that a person calls `name`.
 
-    A design file, a folder with a design.toml that a case has left there, or the name of a built-in one.
+    That is a built-in name, a design file, or a folder with a design.toml that a case has written.
     """
-    path = Path(name)
+    path, known = Path(name), builtin_files("design")
     if not name:
         raise ScenarioError('""', "no such file", allowed="a design file (.toml)")
+    if name in known:
+        note_here(name, known[name], (f"{{}}/{DESIGN_NAME}", "{}", "{}.toml"))
+        return f"designs/{name}.toml"
     if (path / DESIGN_NAME).is_file():
         return str((path / DESIGN_NAME).resolve())
     if path.is_file():
         return str(path.resolve())
-    if name.removesuffix(".toml") in builtin_files("design"):
-        return f"designs/{name.removesuffix('.toml')}.toml"
+    stem = name.removeprefix("designs/").removesuffix(".toml")
+    if stem in known:
+        return f"designs/{stem}.toml"
     if path.is_dir():
         raise ScenarioError(name, f"the folder has no {DESIGN_NAME}", allowed="a design file (.toml)")
-    known = builtin_files("design")
     hint = suggestion(name.removesuffix(".toml"), known)
     problem = f"no such file; {hint}" if hint else "no such file"
     raise ScenarioError(name, problem, allowed=f"a design file (.toml), or a built-in one: {', '.join(known)}")

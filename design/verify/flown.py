@@ -95,15 +95,13 @@ def load_flight(
 
 def fly_suite(
     loaded_suite: LoadedSuite,
-    design: str,
-    vehicle: str | None,
+    loaded: Sequence[tuple[LoadedScenario, list[str]]],
     memory: PartsOnDisk,
     watch: Callable[[int, int], None],
     workers: int,
 ) -> list[FlownResult]:
-    """All flights, in the suite's order. Raises ScenarioError before any is flown where one cannot be."""
+    """Fly all flights in the suite's order; `loaded`: what `load_flight` returns of each."""
     flights = loaded_suite.suite.flight
-    loaded = [load_flight(loaded_suite, flown, design, vehicle) for flown in flights]
 
     def one(flown: SuiteFlight, job: tuple[LoadedScenario, list[str]]) -> FlownResult:
         scenario, changes = job

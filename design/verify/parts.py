@@ -27,7 +27,7 @@ from maxq.design.verify.described import DescribedVehicles
 from maxq.design.verify.memory import PartsOnDisk, counted
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
-from maxq.design.verify.suite import WORST, CertificateWanted, LinearMargins, Suite
+from maxq.design.verify.suite import CERTIFICATE, WORST, CertificateWanted, LinearMargins, Suite
 from maxq.design.verify.uncovered import Uncovered, uncovered
 from maxq.design.verify.worst import WorstVehicle, search_plane
 from maxq.sim.campaign.read import LoadedCampaign, description_of
@@ -120,7 +120,17 @@ class Parts:
         wanted = self.suite.margins
         if wanted is None or self.design is None or not (wanted.cases or wanted.corner_sigmas or wanted.worst):
             return ""
+        if wanted.only == CERTIFICATE:
+            return ""
         return self.described.text(self.nodes(wanted.planes[0]))
+
+    def described_by_stage(self) -> list[tuple[LoadedCampaign, Node]]:
+        """Return the campaign that describes the dispersed vehicles of each stage, and a node of it."""
+        wanted = self.suite.margins
+        if wanted is None or self.design is None or not wanted.cases or wanted.only:
+            return []
+        nodes = {node.stage: node for node in self.nodes(wanted.planes[0])}
+        return [(self.described.at(node), node) for node in nodes.values()]
 
     def _trajectories(self, wanted: LinearMargins, parts: Sequence[Sequence[Node]]) -> list[list[list[Node]]]:
         """Return the nodes of each part as dispersed flights meet them, (parts, flights, nodes); empty without any."""
@@ -187,7 +197,7 @@ class Parts:
             out.append(self.memory.recall("worst", depends, search))
         return out
 
-    def _points_s(self, *parts: LinearMargins | CertificateWanted | None) -> dict[int, list[float]]:
+    def points_s(self, *parts: LinearMargins | CertificateWanted | None) -> dict[int, list[float]]:
         """Return the times of the operating points of parts of the suite, by stage; empty without parts."""
         times = sorted({t for part in parts if part is not None for t in self.times_s(part)})
         return self._by_span(times) if times else {}
@@ -199,7 +209,8 @@ class Parts:
     def uncovered(self) -> tuple[Uncovered, ...]:
         """Return the intervals without operating points; none where the suite asks for nothing at such points."""
         margins = self.suite.margins if self.design is not None else None
-        points_s = self._points_s(margins, self.suite.certificate)
+        margins = None if margins is not None and margins.only == CERTIFICATE else margins
+        points_s = self.points_s(margins, self.suite.certificate)
         if not points_s:
             return ()
         alone = () if margins is not None and margins.between_nodes == "hold" else tuple(points_s)
@@ -209,7 +220,7 @@ class Parts:
 
     def authority(self) -> list[linear.Authority]:
         """Return the authority every second between the first and the last time that the suite names in each stage."""
-        named = self._points_s(self.suite.margins, self.suite.certificate) or self._by_span(node_times(self.along))
+        named = self.points_s(self.suite.margins, self.suite.certificate) or self._by_span(node_times(self.along))
         times: list[float] = []
         for mine in filter(None, named.values()):
             times += [t for t in np.arange(mine[0], mine[-1] + 0.5, 1.0).tolist() if t <= mine[-1]]

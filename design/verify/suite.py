@@ -11,7 +11,7 @@ import math
 import re
 import shlex
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from string import Template
@@ -26,14 +26,14 @@ from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import ScenarioError, refuse, suggestion
-from maxq.sim.input.files import find, shown
+from maxq.sim.input.files import builtin_files, find, named_in_file
 from maxq.sim.input.values import NotNegative, Positive, Section, optional
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_scenario import Scenario
 
 SuiteVerdict = Literal["accepted", "passed screening", "rejected", "undecided"]
 ACCEPTED: SuiteVerdict = "accepted"
-SCREENED: SuiteVerdict = "passed screening"  # every requirement of a suite that asks too little to accept anything
+SCREENED: SuiteVerdict = "passed screening"  # every requirement is met, with less than the floor of an acceptance
 REJECTED: SuiteVerdict = "rejected"
 UNDECIDED: SuiteVerdict = "undecided"
 
@@ -66,10 +66,13 @@ class JudgedRequirement:
         return f"{said}; not settled" + (f": {self.more_runs} more runs" if self.more_runs else "")
 
 
-def overall(requirements: Iterable[JudgedRequirement], suite: Suite | None = None) -> SuiteVerdict:
-    """Rejected if one is, else undecided if one is, or if there is none; accepted by a suite that lacks nothing."""
+def overall(requirements: Iterable[JudgedRequirement], missing_evidence: Iterable[str] = ()) -> SuiteVerdict:
+    """Return the verdict: rejected if one is, else undecided if one is, or if there is none.
+
+    Else accepted, or where evidence is missing (`floor.missing_evidence`) the screening is passed.
+    """
     found = {r.judgement for r in requirements} or {UNDECIDED}
-    passed = SCREENED if suite is not None and suite.lacks else ACCEPTED
+    passed = SCREENED if any(missing_evidence) else ACCEPTED
     return REJECTED if REJECTED in found else UNDECIDED if UNDECIDED in found else passed
 
 
@@ -96,7 +99,7 @@ Plane = Literal["pitch", "yaw"]
 
 
 class DispersedLimit(Section):
-    """A limit off the nominal flight, in place of the scenario's own."""
+    """A limit of dispersed flights, instead of the scenario's limit."""
 
     requirement: str = Field(description="name of the scenario's requirement")
     limit: float | str = Field(description="at most this, in the metric's unit; ${MARK * NUMBER} as in a flight")
@@ -111,26 +114,28 @@ Each = dict[str, Annotated[tuple[float | str, ...], Field(min_length=1)]]
 
 
 class SuiteFlight(Section):
-    """A scenario of the suite: the base scenario with changes, judged by its requirements."""
+    """A scenario of the suite: the base scenario with changes and requirements."""
 
-    name: str = Field(description="shown to people")
+    name: str = Field(description="name in reports")
     each: Each = optional(
-        "a flight for each of these values (of several: for each combination), which stand for $KEY in name and set", {}
+        "one flight for each of these values (for each combination of several keys), which replace $KEY in name and "
+        "set",
+        {},
     )
-    why: str = optional("what it is to show, in a sentence", "")
-    scenario: str | None = optional("another base (default: the suite's)")
+    why: str = optional("purpose, one sentence", "")
+    scenario: str | None = optional("base scenario (default: the suite's)")
     set: tuple[str, ...] = optional(
         "changes, key=value as with simrun --set; * in a key stands for each element of a list, $MARK or "
-        "${MARK + NUMBER} for what the flight of the suite's scenario says (docs/simverify.md)",
+        "${MARK + NUMBER} for a value from the flight of the suite's scenario (docs/simverify.md)",
         (),
     )
-    scale: dict[str, float | str] = optional("changes: key and what multiplies its value; * as in set", {})
-    add: dict[str, float | str] = optional("changes: key and what is added to its value; * as in set", {})
-    each_stage: bool = optional("a flight for each stage that burns, whose marks are that stage's", False)
+    scale: dict[str, float | str] = optional("changes: key and factor on its value; * as in set", {})
+    add: dict[str, float | str] = optional("changes: key and value to add; * as in set", {})
+    each_stage: bool = optional("one flight for each stage that burns, with the marks of that stage", False)
     limits: Literal["own", "dispersed"] = optional(
         "the scenario's own limits, or those of [[dispersed_limit]] where there is one", "own"
     )
-    design_must_keep: bool = optional("false: flown and shown, but no reason to reject", True)
+    design_must_keep: bool = optional("false: flown and reported, but not required", True)
 
     def _check(self) -> None:
         for key in self.each:
@@ -158,47 +163,52 @@ TIMES = "vehicle times, s (default: chosen from the flight, in every stage under
 
 
 class WorstWanted(Section):
-    """A search for the worst vehicle that the dispersions allow, every mode and tank by itself; the worst is flown."""
+    """A search for the worst vehicle within the dispersions, with independent modes and tanks; the worst is flown."""
 
-    sigmas: Positive = optional("reach of the search, in sigma", 3.0)
+    sigmas: Positive = optional("limit of the search, sigma", 3.0)
     region: Literal["ellipsoid", "box"] = optional(
-        "all deviations together as unlikely as one at so many sigma, or each of them up to so many", "ellipsoid"
+        "ellipsoid: all deviations together as unlikely as one of this many sigma; box: each up to this many",
+        "ellipsoid",
     )
     starts: Annotated[int, Field(ge=1, le=1000)] = optional(
-        "searches at each of the worst nodes; every node has one", 12
+        "searches at each of the worst operating points; all others have one", 12
     )
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the starts", 1)
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of the starts", 1)
     modulus: Positive | None = optional("least |1 + L| of the worst vehicle found")
     bound: bool = optional(
-        "also say up to how many sigma each no vehicle is unstable at the worst node (structured singular value)", False
+        "also compute the deviation, in sigma each, up to which no vehicle is unstable at the worst operating point "
+        "(structured singular value)",
+        False,
     )
-    together: bool = optional("the same of pitch, yaw and roll together, coupled as the simulator has them", False)
+    together: bool = optional("the same for pitch, yaw and roll together, coupled as in the simulator", False)
 
 
 class LinearMargins(Section):
     """Margins of the exact sampled loop, as designed and dispersed."""
 
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
-    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where times_s is not given", NODES_PER_STAGE)
+    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional(
+        "number of operating points in a stage without times_s", NODES_PER_STAGE
+    )
     edges: tuple[RelativeDeviation, RelativeDeviation] = optional(
-        "shares of a stage's burn that such nodes keep off its begin (off the pad) and its end", EDGES
+        "shares of a stage's burn at its start (on the pad) and end without such operating points", EDGES
     )
     between_nodes: Literal["ignore", "hold"] = optional(
-        "hold: the instant between the nodes at which a nominal margin is worst becomes a node, where it is worse "
-        "there than at every node",
+        "hold: the instant between the operating points with the worst nominal margin becomes an operating point, if "
+        "it is worse than all others",
         "hold",
     )
     planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch",), min_length=1)
-    cases: Annotated[int, Field(ge=0, le=100000)] = optional("random vehicles", 150)
+    cases: Annotated[int, Field(ge=0, le=100000)] = optional("number of random vehicles", 150)
     trajectories: Annotated[int, Field(ge=0, le=1000)] = optional(
-        "dispersed flights, runs of the suite's first campaign, whose speed, air and attitude the random vehicles meet "
-        "in turn; 0: those of the flight as designed",
+        "number of dispersed flights (runs of the suite's first campaign) that give speed, air and attitude of the "
+        "random vehicles in turn; 0: the flight as designed",
         0,
     )
-    only: str = optional("'as designed', 'corner N' or 'vehicle N': measure this one alone", "")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the random vehicles", 1)
-    success: SuiteProbability = optional("share of random vehicles that must keep the dispersed limits", 0.975)
-    confidence: SuiteProbability = optional("with which that is to be shown", 0.90)
+    only: str = optional("'as designed', 'corner N' or 'vehicle N': measure only this one", "")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of the random vehicles", 1)
+    success: SuiteProbability = optional("share of random vehicles that must meet the dispersed limits", 0.975)
+    confidence: SuiteProbability = optional("required confidence", 0.90)
     why: str = optional("the reason for this level and confidence, shown in the review pack", "")
     corner_sigmas: NotNegative = optional(
         "deviation of every factor at the corners of the screening design, in sigma; 0: no corners. Twelve "
@@ -218,13 +228,15 @@ class LinearMargins(Section):
 
 
 class CertificateWanted(Section):
-    """The points at which the loop is measured in flight and taken to its stability limit."""
+    """The operating points at which the loop and its margins are measured in flight."""
 
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
-    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where times_s is not given", NODES_PER_STAGE)
+    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional(
+        "number of operating points in a stage without times_s", NODES_PER_STAGE
+    )
     planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch", "yaw"), min_length=1)
     in_flight: bool = optional(
-        "also in the ascent itself, where thrust lasts for some seconds before and after the time", True
+        "also measure in the ascent, where thrust lasts for some seconds before and after the time", True
     )
 
 
@@ -232,14 +244,14 @@ class CampaignWanted(Section):
     """A campaign with its required confidence."""
 
     file: str = Field(description="a campaign file, or the name of a built-in one")
-    name: str = optional("shown to people (default: the campaign's)", "")
+    name: str = optional("name in reports (default: the campaign's)", "")
     why: str = optional("the reason for its level and confidence, shown in the review pack", "")
     set: tuple[str, ...] = optional("changes, key=value as with simrun --set", ())
     limits: Literal["own", "dispersed"] = optional("as of a flight", "own")
     runs: Annotated[int, Field(gt=0)] | None = optional("default: the campaign's")
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = optional("default: the campaign's")
     availability: SuiteProbability | None = optional(
-        "judged in place of the requirements one by one: share of the flights in each month's winds that must meet all"
+        "replaces the separate requirements: share of the flights in each month's winds that must meet all of them"
     )
     success: SuiteProbability | None = optional("default: the campaign's")
     confidence: SuiteProbability | None = optional("default: the campaign's")
@@ -250,30 +262,23 @@ class Suite(Section):
 
     schema_version: Literal[2] = optional("version of the format", 2, alias="schema")
     name: str = optional("default: the file's name", "")
-    description: str = optional("what it is for, in a sentence", "")
-    scenario: str = optional("base of the scenarios, and flight along which nodes lie", "nominal")
-    every: tuple[str, ...] = optional("changes of every flight, as its set", ())
-    limit_wind: str | None = optional("wind profile (CSV) that $limit_wind stands for")
-    flight: tuple[SuiteFlight, ...] = optional("scenarios, each judged by its requirements", ())
-    margins: LinearMargins | None = optional("absent: not asked for")
-    certificate: CertificateWanted | None = optional("absent: not asked for")
+    description: str = optional("purpose, one sentence", "")
+    scenario: str = optional("base of the scenarios, and flight of the operating points", "nominal")
+    every: tuple[str, ...] = optional("changes of every flight, as in set", ())
+    limit_wind: str | None = optional("wind profile (CSV) for $limit_wind")
+    flight: tuple[SuiteFlight, ...] = optional("scenarios, each with its requirements", ())
+    margins: LinearMargins | None = optional("absent: not required")
+    certificate: CertificateWanted | None = optional("absent: not required")
     campaign: tuple[CampaignWanted, ...] = optional("campaigns", ())
     dispersed_limit: tuple[DispersedLimit, ...] = optional(
         "limits of flights and campaigns with limits = 'dispersed'", ()
     )
+    baseline: str | None = optional(
+        "agreed suite with which this one is compared (default: the shipped suite that it extends, else standard)"
+    )
     wind_limit_mps: Positive | None = optional(
         "steady cross-wind that the gimbal must be able to trim at every time, m/s"
     )
-
-    @property
-    def lacks(self) -> list[str]:
-        """Return the tests that the suite lacks, without which it can accept nothing: such a suite is a screening."""
-        out = [] if self.campaign else ["no dispersed flight flown"]
-        out += [] if self.margins is not None and self.margins.cases else ["no dispersed vehicle"]
-        if self.certificate is None:
-            return [*out, "no certificate"]
-        one = self.certificate.times_s is not None and len(self.certificate.times_s) * len(self.certificate.planes) == 1
-        return [*out, "one certificate node"] if one else out
 
     def _check(self) -> None:
         names = [f.name for f in self.flight]
@@ -289,8 +294,11 @@ class LoadedSuite:
     suite: Suite
     label: str  # as the user named it
     overrides: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why
+    left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why; parts by `only`
+    part: str = ""  # that is judged alone (`only`)
     along: CampaignWanted | None = None  # whose draws and flights a vehicle that is measured alone has
+    asked: Suite = field(default_factory=Suite.model_construct)  # as it was read: not fitted, and whole
+    baseline: str = "standard"  # the suite with which it is compared
 
     def command(self, design: str, vehicle: str | None = None, *more: str) -> str:
         """The command that judges a design by this suite; `more`: further words."""
@@ -301,14 +309,16 @@ class LoadedSuite:
         return shlex.join([*words, *(word for change in self.overrides for word in ("--set", change)), *more])
 
     def only(self, label: str) -> LoadedSuite:
-        """The same with nothing but one flight, one vehicle of the linear margins, or the certificate. Raises
-        ScenarioError."""
+        """Return the suite with one flight, one vehicle of the linear margins, or the certificate alone.
+
+        Its limits stay. Raises ScenarioError.
+        """
         suite = self.suite
         flights = tuple(f for f in suite.flight if f.name == label)
         known = label in (AS_DESIGNED, WORST) or VEHICLE_LABEL.fullmatch(label) is not None
-        margins = suite.margins if known else None
         certificate = suite.certificate if label == CERTIFICATE else None
-        if not flights and margins is None and certificate is None:
+        margins = suite.margins if known or certificate is not None else None
+        if not flights and certificate is None and (margins is None or not known):
             allowed = ", ".join(
                 [*(f.name for f in suite.flight), AS_DESIGNED, "corner N", "vehicle N", WORST, CERTIFICATE]
             )
@@ -317,25 +327,29 @@ class LoadedSuite:
             margins = margins.model_copy(update={"only": label})
         wind = suite.wind_limit_mps if label == AS_DESIGNED else None
         update = {"flight": flights, "margins": margins, "certificate": certificate, "campaign": ()}
-        along = next(iter(suite.campaign), None) if margins is not None and label != AS_DESIGNED else None
-        return replace(self, suite=suite.model_copy(update={**update, "wind_limit_mps": wind}), along=along)
+        along = next(iter(suite.campaign), None) if known and label != AS_DESIGNED else None
+        others = len(suite.flight) - len(flights)
+        left_out = [f"{others} flight{'s' * (others != 1)}"] if others else []
+        if suite.margins is not None:
+            left_out.append("linear margins" + (f" but for '{label}'" if known else ""))
+        left_out += ["wind that can be trimmed"] if suite.wind_limit_mps is not None and wind is None else []
+        left_out += ["certificate"] if suite.certificate is not None and certificate is None else []
+        left_out += [f"campaign {wanted.name or wanted.file}" for wanted in suite.campaign]
+        suite = suite.model_copy(update={**update, "wind_limit_mps": wind})
+        return replace(self, suite=suite, along=along, part=label, left_out=(*self.left_out, *left_out))
 
 
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
     """The suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError.
 
-    Scenarios and campaigns that it names are those beside it, where there are such.
+    Scenarios, campaigns and winds that it names are those in its folder, where there are such, else the shipped ones.
     """
     changes = tuple(overrides)
-    suite, tree, file, _ = load_file(Suite, "suite", name, changes)
-
-    def beside(given: Any) -> Any:
-        """Resolve a text that names a file in the folder of the file that contains it."""
-        path = find(given, ("{}", "{}.toml")) if isinstance(given, Text) else None
-        return given if path is None or path == file else shown(path)
+    suite, tree, file, _, files = load_file(Suite, "suite", name, changes)
 
     def placed(one: Any, table: Any, key: str) -> Any:
-        return one.model_copy(update={key: beside(table.get(key, getattr(one, key)))})
+        given = table.get(key)
+        return one.model_copy(update={key: named_in_file(given, file)}) if isinstance(given, Text) else one
 
     suite = placed(suite, tree, "scenario")
     suite = placed(suite, tree, "limit_wind") if suite.limit_wind else suite
@@ -345,7 +359,14 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
         spread = placed(suite.margins.three_sigma, tree["margins"]["three_sigma"], "campaign")
         suite = suite.model_copy(update={"margins": suite.margins.model_copy(update={"three_sigma": spread})})
     each = tuple(one for flown in flights for one in flown.flights())
-    return LoadedSuite(suite.model_copy(update={"flight": each, "campaign": tuple(campaigns)}), str(name), changes)
+    suite = suite.model_copy(update={"flight": each, "campaign": tuple(campaigns)})
+    shipped = {path: builtin for builtin, path in builtin_files("suite").items()}
+    baseline = next((shipped[path] for path in files if path in shipped), "standard")
+    if isinstance(given := tree.get("baseline"), Text):
+        beside = find(given, ("{}", "{}.toml"))
+        known = given in shipped.values() or beside is None
+        baseline = str(given) if known or beside is None else str(beside)
+    return LoadedSuite(suite, str(name), changes, asked=suite, baseline=baseline)
 
 
 def shared_risk(loaded: LoadedSuite, campaigns: Sequence[Campaign], designs: int, number: int = 0) -> list[str]:

@@ -8,20 +8,23 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.certificate.in_flight import InFlightResponse
 from maxq.design.certificate.measured_only import MeasuredNode
-from maxq.design.model.powered import loss_text, powered_flight
+from maxq.design.model.powered import loss_text, powered_flight, powered_spans
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify import flown, linear
+from maxq.design.verify.baseline import Compared, against_baseline
 from maxq.design.verify.certified import certificate_requirements, measured_requirements
 from maxq.design.verify.fitted import fit
+from maxq.design.verify.floor import Evidence, missing_evidence
 from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash
 from maxq.design.verify.parts import Parts, Watch
 from maxq.design.verify.slosh import SloshAdvice
@@ -41,9 +44,11 @@ from maxq.design.verify.suite import (
 )
 from maxq.design.verify.uncovered import Uncovered
 from maxq.design.verify.worst import WorstVehicle, worst_requirements
+from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.campaign.runner import CampaignProgress
+from maxq.sim.run.flight_software import guards
 from maxq.sim.run.record import versions
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,7 +70,9 @@ class Verification:
     measured: tuple[MeasuredNode, ...] = field(repr=False)  # of flight code without a linear model
     uncovered: tuple[Uncovered, ...]  # intervals of the flight of the operating points without any
     left_out: tuple[str, ...]  # of the suite, for what the vehicle does not have
-    hashes: dict[str, str]  # of design, scenario (with its vehicle) and source code
+    missing_evidence: tuple[str, ...]  # below the floor of an acceptance (`floor`)
+    compared: Compared  # the suite with its baseline
+    hashes: dict[str, str]  # SHA-256 of all that the verdict depends on, by name
     versions: dict[str, str]
     recalled: int
     worked_out: int
@@ -73,6 +80,7 @@ class Verification:
     walls_s: dict[str, float]
     cpus_s: dict[str, float]  # of all threads
     deviations: str = ""  # the description of the dispersed vehicles, for people
+    part: str = ""  # that was judged alone
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{len(found)} {j}" for j in (ACCEPTED, REJECTED, UNDECIDED) if (found := self.of(j)))
@@ -82,7 +90,7 @@ class Verification:
 
     @property
     def judgement(self) -> SuiteVerdict:
-        return overall(self.requirements, self.suite)
+        return overall(self.requirements, self.missing_evidence)
 
     @property
     def more_runs(self) -> int:
@@ -131,6 +139,7 @@ def verify(
             raise KeyboardInterrupt
 
     suite, kept = loaded.suite, PartsOnDisk(memory)
+    compared = against_baseline(loaded, vehicle)
     scenario = load_scenario(suite.scenario, flown.design_changes(design, vehicle))
     along = flight_of(suite, design, vehicle)
     loaded = fit(loaded, along, kept)
@@ -148,10 +157,11 @@ def verify(
         next(iter(campaigns_loaded), None),
         flown.design_changes(design, vehicle),
     )
+    scenarios = [flown.load_flight(loaded, flight, design, vehicle) for flight in suite.flight]
     with timed("scenarios"):
-        flights = flown.fly_suite(loaded, design, vehicle, kept, partial(interruptible, "scenarios"), workers)
+        flights = flown.fly_suite(loaded, scenarios, kept, partial(interruptible, "scenarios"), workers)
     with timed("linear margins"):  # nothing but what was asked for, where a part alone is repeated
-        alone = suite.margins is not None and suite.margins.only == WORST
+        alone = suite.margins is not None and suite.margins.only in (WORST, CERTIFICATE)
         margin, limits, slosh = ([], [], []) if alone else (job.margins(), job.authority(), job.slosh())
     with timed("worst vehicle"):
         worst = job.worst()
@@ -191,8 +201,31 @@ def verify(
     requirements += measured_requirements(measured, suite.margins.nominal if suite.margins else LoopLimits())
     for campaign in campaigns:
         requirements += flown.campaign_requirements(campaign)
-    hashed = content_hash(repr(scenario.design)), content_hash(scenario.as_flown), code_hash()
-    hashes = {name: text[:16] for name, text in zip(("design", "scenario", "code"), hashed, strict=True)}
+    counted = [
+        one.scenario for flight, (one, _) in zip(suite.flight, scenarios, strict=True) if flight.design_must_keep
+    ]
+    computers = filter(None, (scenario.vehicle.computer_of(n) for n in range(len(scenario.vehicle.stage))))
+    evidence = Evidence(
+        suite,
+        along,
+        powered_spans(along),
+        {
+            part: job.points_s(wanted)
+            for part, wanted in (("margins", suite.margins), ("certificate", suite.certificate))
+        },
+        job.described_by_stage(),
+        job.design is not None,
+        counted,
+        campaigns_loaded if suite.campaign else (),
+        frozenset(response.plane for response in through),
+        guards(scenario) or not any(c.law == "external" for c in computers),
+    )
+    flown_as = {flight.name: one.as_flown for flight, (one, _) in zip(suite.flight, scenarios, strict=True)}
+    hashes = _hashes(scenario, flown_as, campaigns_loaded) | compared.hashes
+    hashes |= {
+        "overrides": content_hash(loaded.overrides),
+        "limits off the nominal flight": content_hash(suite.dispersed_limit),
+    }
     return Verification(
         design,
         suite,
@@ -209,6 +242,8 @@ def verify(
         tuple(measured),
         gaps,
         loaded.left_out,
+        (f"'{loaded.part}' was judged alone",) if loaded.part else missing_evidence(evidence),
+        compared,
         hashes=hashes,
         versions=versions(),
         recalled=kept.recalled,
@@ -217,7 +252,27 @@ def verify(
         walls_s=walls,
         cpus_s=cpus,
         deviations=job.deviations,
+        part=loaded.part,
     )
+
+
+def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequence[LoadedCampaign]) -> dict[str, str]:
+    """Return the SHA-256 of design, scenario, code, flights (as flown) and campaigns, by name."""
+    section, vehicle = scenario.scenario, scenario.vehicle
+    parts: dict[str, Any] = {
+        "design": repr(scenario.design),
+        "scenario": scenario.as_flown,
+        "vehicle": told(vehicle),
+        "physics switches": told(section.switches),
+        "requirements": told(section.requirement),
+    }
+    parts |= {f"flight {name}": text for name, text in flights.items()}
+    for n, loaded in enumerate(campaigns, 1):
+        parts[f"campaign {n}, {loaded.name}"] = [description_of(loaded), told(loaded.file)]
+    out = {name: content_hash(content) for name, content in parts.items()} | {"code": code_hash()}
+    computers = filter(None, (vehicle.computer_of(n) for n in range(len(vehicle.stage))))
+    files = [file for computer in computers for file in (computer.library, computer.python) if file is not None]
+    return out | {f"code under test: {file.title}": file.sha256 for file in files}
 
 
 def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:

@@ -1,6 +1,17 @@
 """The search and reading of the files of a scenario, a case or a suite, including maxq's built-in files.
 
 Built-in files are in the folder scenarios/, which is package data (`maxq.scenarios`).
+
+A name denotes the same file in every working folder (`locate`, `find`):
+
+- A built-in name as printed by --list (standard, nominal, campaigns/ksr3) is the shipped file. So is, in an override, a
+  path below scenarios/ (winds/anheung-november.csv, vehicles/ksr3, designs/ksr3-robust.toml).
+- Any other name is a path. `./standard`, `standard.toml` and an absolute path name a file of the user. A name with
+  .toml without such a file is the shipped one.
+- A path in a file is searched for in the folder of that file, then below scenarios/. Where cases, suites and layouts
+  name other such files, scenarios and campaigns, a built-in name is the shipped file, as above.
+
+A `NameNote` reports a file of the working folder that has a built-in name.
 """
 
 from __future__ import annotations
@@ -9,12 +20,13 @@ import contextlib
 import glob
 import importlib
 import os
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from maxq.sim.input.documents import Source, Text, TomlArray, TomlTable, drop, merge, parse
+from maxq.sim.input.documents import COMMAND_LINE, Source, Text, TomlArray, TomlTable, drop, merge, parse
 from maxq.sim.input.errors import ScenarioError, refuse, suggestion
 
 DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns", "suites", "layouts")
@@ -43,7 +55,14 @@ WANTED = {
 PARTS = ("vehicle", "design")
 """The parts of a scenario that may be named by file instead of given as tables."""
 
+_LISTED_ALONE = ("case", "suite", "layout")
+"""Kinds of which a file names another by its built-in name alone."""
+
 _LISTED_BY = {"scenario": "simrun", "case": "simdesign", "suite": "simverify", "layout": "simvehicle"}
+
+
+class NameNote(UserWarning):
+    """A note that a built-in name is also that of a file of the user, which was not read."""
 
 
 def scenarios_folder() -> Path:
@@ -99,13 +118,40 @@ def kind(path: Path) -> str:
 
 
 def find(name: Text, variants: Iterable[str] = TABLE_VARIANTS) -> Path | None:
-    """Return the first existing file: `name` with each of `variants` ("{}.toml") in each folder of its source."""
-    for folder in name.source.folders:
+    """Return the first existing file: `name` with each of `variants` ("{}.toml") in each folder of its source.
+
+    An override denotes a shipped file if there is one of that path.
+    """
+    folders, shipped = name.source.folders, scenarios_folder()
+    overriding = name.source.label == COMMAND_LINE and shipped in folders and not names_a_path(name)
+    for folder in (shipped, *folders) if overriding else folders:
         for variant in variants:
             path = folder / variant.format(name)
             if kind(path) == "file":
+                if overriding and folder == shipped:
+                    others = (other / variant.format(name) for other in folders)
+                    note_other(name, next((p for p in others if kind(p) == "file" and not p.samefile(path)), None))
                 return Path(os.path.normpath(path))
     return None
+
+
+def names_a_path(name: str) -> bool:
+    """Return True for an absolute path, and for one that begins with ./ or ../: it means no shipped file."""
+    return os.path.isabs(name) or name.startswith(("./", "../"))
+
+
+def note_other(name: str, other: Path | None) -> None:
+    """Warn that the built-in `name` is used, and not the user's file of that name, if there is one."""
+    if other is not None:
+        theirs = shown(other.absolute())
+        theirs = theirs if names_a_path(theirs) else f"./{theirs}"
+        warnings.warn(f"{name} is the one that comes with maxq; the other file is {theirs}", NameNote, stacklevel=2)
+
+
+def note_here(name: str, shipped: Path, variants: Iterable[str] = ("{}", "{}.toml")) -> None:
+    """Warn where the working folder has a file of a built-in name, `shipped`, other than that."""
+    found = (Path(variant.format(name)) for variant in variants)
+    note_other(name, next((path for path in found if kind(path) == "file" and not path.samefile(shipped)), None))
 
 
 def not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, str]:
@@ -158,16 +204,18 @@ def _below(path: Path) -> str:
 
 
 def locate(name: str, role: str) -> tuple[Path, str]:
-    """Return the file or built-in file that `name` denotes, with or without `.toml`, and its name in messages.
+    """Return the built-in file of that name, or the file at that path, and its name in messages.
 
     `role` is a kind of WANTED. Raises ScenarioError if there is neither.
     """
+    known = builtin_files(role) | (builtin_files("campaign") if role == "scenario" else {})
+    if name in known:
+        note_here(name, known[name])
+        return known[name], shown(known[name])
     there = kind(Path(name)) if name else ""
     if there == "file":
         return Path(name).resolve(), name
-    stem, known = name.removesuffix(".toml"), builtin_files(role)
-    if role == "scenario":
-        known |= builtin_files("campaign")
+    stem = name.removesuffix(".toml")
     if stem in known:
         return known[stem], shown(known[stem])
     hint = _below(Path(f"{stem}.toml")) or suggestion(stem, known)
@@ -176,6 +224,26 @@ def locate(name: str, role: str) -> tuple[Path, str]:
     problem = {"folder": "is a folder", "other": "is not an ordinary file"}.get(there, missing)
     listed = "" if hint else f", or a built-in {role} ({_LISTED_BY[role]} --list names them)"
     raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=WANTED[role] + listed)
+
+
+def named_in_file(name: Text, file: Path) -> str:
+    """Return a scenario, campaign or table that the case or suite in `file` names, for use in any folder.
+
+    A built-in name stays as it is, that of a file in the folder becomes its path, and any other is returned unchanged.
+    """
+    known, root = builtin_files("scenario") | builtin_files("campaign"), scenarios_folder()
+    path = find(name, _FILE_VARIANTS)
+    if name in known:
+        note_other(name, None if path is None or path in (file, known[name]) else path)
+        return str(name)
+    text = str(name)
+    if path is not None and path != file:
+        ours = path.is_relative_to(root)
+        text = path.relative_to(root).as_posix() if ours else shown(path)
+        if not ours and not names_a_path(text) and kind(root / text) == "file":
+            text = f"./{text}"
+    stem = text.removesuffix(".toml")
+    return stem if stem in known else text
 
 
 @dataclass
@@ -242,7 +310,8 @@ class Reading:
     ) -> TomlTable:
         """Return the document in the file that the value `name` of `key` names."""
         variants = _VARIANTS.get(role, _FILE_VARIANTS)
-        path = find(name, variants)
+        shipped = builtin_files(role) if role in _LISTED_ALONE else {}
+        path = shipped[name] if name in shipped else find(name, variants)
         if path is None:
             problem, allowed = not_found(name, WANTED[role], variants)
             if role == "vehicle" and any(kind(folder / name) == "folder" for folder in name.source.folders):

@@ -1,8 +1,9 @@
 """External flight code in a flight: found as the scenario names it, started, and called by the compiled flight.
 
-instances.py defines the running code. Another process flies a guarded flight (guard.py). If the code crashes or does
-not return, that process ends the flight, and log and summary are closed as always. In this way flights on several
-threads run Python code on several processors. Without `os.fork` no flight is guarded.
+instances.py defines the running code. Another process flies a guarded flight (guard.py), and only that process loads or
+imports the code. If the code crashes or does not return, that process ends the flight, and log and summary are closed
+as always. In this way flights on several threads run Python code on several processors. Without `os.fork` no flight is
+guarded.
 """
 
 from __future__ import annotations
@@ -20,9 +21,8 @@ from typing import Any
 
 from maxq.control.external import ABI, BAD_THRUSTER, CRASHED, NOT_FINITE, STUCK
 from maxq.sim.input.errors import ScenarioError
-from maxq.sim.run.guard import MEMORY, STARTING, Arrays, Worker, advance_to, worker_for
-from maxq.sim.run.instances import Inputs, Instance, Outputs, Setup, Unusable, module_of, started
-from maxq.sim.scenario.flight_code import CodeFile
+from maxq.sim.run.guard import MEMORY, STARTING, Arrays, Worker, advance_to, time_limit_s, worker_for
+from maxq.sim.run.instances import Inputs, Instance, Outputs, Setup, Unusable, started
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
@@ -50,7 +50,7 @@ def guards(loaded: LoadedScenario) -> bool:
 
 
 def checked(loaded: LoadedScenario) -> ComputerSection:
-    """Return the computer, after checking that its code exists and is as the scenario specifies.
+    """Return the computer, after checking that its code exists and is as specified, without running it.
 
     Raises ScenarioError.
     """
@@ -70,20 +70,7 @@ def checked(loaded: LoadedScenario) -> ComputerSection:
                 loaded.label, "is not the flight code that was flown", where, value=code.title, allowed=allowed
             )
     _announce(title(computer), code.sha256 if code is not None else "")
-    if code is not None and computer.python is not None:
-        _class_of(loaded, code, f"{KEY}.python")
     return computer
-
-
-def _class_of(loaded: LoadedScenario, code: CodeFile, where: str) -> None:
-    """Import the class, so that an error in it appears before the flight."""
-    try:
-        found = getattr(module_of(code.file, code.sha256), code.member, None)
-    except Unusable as error:
-        raise ScenarioError(loaded.label, str(error), where, value=code.title) from None
-    if not callable(getattr(found, "step", None)):
-        problem = f"has no class {code.member}" if found is None else f"{code.member} has no method step"
-        raise ScenarioError(loaded.label, problem, where, value=code.title)
 
 
 def setup_of(computer: ComputerSection, packed_computer: Any, start_ns: int) -> Setup:
@@ -168,7 +155,7 @@ class FlightSoftware:
         if fault == CRASHED:
             return f"crashed {during}: {_signal_name(code)}"
         if fault == STUCK:
-            return f"did not return within {self._computer.timeout_s:g} s {during}"
+            return f"did not return within {time_limit_s(self._computer, int(state.inside)):g} s {during}"
         return self._said or f"its step returned {code}"
 
 

@@ -38,6 +38,8 @@ MEMORY = 2  # index of the flight's memory in Arrays
 
 STARTING = 2  # of `inside`: while an instance is made
 _SMALLEST = 1 << 24  # shared bytes of a worker; the unused part takes no memory
+IMPORT_S = 30.0  # additional time for the start of Python code, which each of its processes imports
+_SOCKET_S = 5.0  # additional time for a socket, which has a separate time limit
 _POLL_S = 0.05
 _FORK = threading.RLock()  # reentrant, because garbage may be collected while it is held
 _idle: list[Worker] = []
@@ -104,7 +106,7 @@ class Worker:
     def _done(self, order: bytes) -> tuple[bool, str]:
         """Return the process's answer to an order, or the fault if there is none and the process has ended."""
         calls = int(self._seen["calls"][0])
-        limit_s = self.computer.timeout_s + (5.0 if self.computer.address else 0.0)  # a socket has its own timeout
+        limit_s = time_limit_s(self.computer, int(self._seen["inside"][0])) + _SOCKET_S * bool(self.computer.address)
         with contextlib.suppress(OSError):
             self._line.send_bytes(order)
         since = time.monotonic()
@@ -127,6 +129,11 @@ class Worker:
                 break
         self._pid = 0
         return False, ""
+
+
+def time_limit_s(computer: ComputerSection, inside: int) -> float:
+    """Return the time after which flight code that does not return is stuck; `inside`: as in its state."""
+    return computer.timeout_s + (IMPORT_S if computer.python is not None and inside == STARTING else 0.0)
 
 
 def worker_for(computer: ComputerSection, arrays: Arrays) -> Worker:

@@ -165,7 +165,12 @@ class _PythonClass(_InPython):
     def __init__(self, code: CodeFile, setup: Setup) -> None:
         super().__init__()
         try:
-            self._object = getattr(module_of(code.file, code.sha256), code.member)(setup)
+            found = getattr(module_of(code.file, code.sha256), code.member, None)
+            if found is None:
+                raise Unusable(f"has no class {code.member}")
+            if not callable(getattr(found, "step", None)):
+                raise Unusable(f"{code.member} has no method step")
+            self._object = found(setup)
         except Unusable:
             raise
         except BaseException as error:

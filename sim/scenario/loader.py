@@ -169,18 +169,21 @@ def load_scenario_text(text: str, overrides: Iterable[str] = (), label: str = AS
 
 def load_file(
     model: type[Model], role: str, name: str | Path, overrides: Iterable[str]
-) -> tuple[Model, TomlTable, Path, str]:
+) -> tuple[Model, TomlTable, Path, str, tuple[Path, ...]]:
     """Return a case or suite (`role`) in a file, or the built-in one of that name, with `key=value` overrides.
 
-    Also returns its document, its file and the file's name in messages. Raises ScenarioError.
+    Also returns its document, its file, the file's name in messages, and all files read, from that one down to the one
+    that it extends. Raises ScenarioError.
     """
     parsed = [parse_override(text) for text in overrides]
     file, label = locate(str(name), role)
     reading = Reading()
     tree = reading.document(file, label, role)
-    apply(parsed, tree, Source(COMMAND_LINE, (Path.cwd(), file.parent, scenarios_folder() / FOLDERS[role])))
+    shipped = scenarios_folder()
+    apply(parsed, tree, Source(COMMAND_LINE, (Path.cwd(), file.parent, shipped / FOLDERS[role], shipped)))
     tree.setdefault("name", file.stem)
-    return _validated(model, tree, reading), tree, file, label
+    files = tuple(reading.files)
+    return _validated(model, tree, reading), tree, file, label, files
 
 
 def _validated(model: type[Model], tree: TomlTable, reading: Reading) -> Model:

@@ -10,6 +10,7 @@ import gc
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable
 from enum import IntEnum
 from types import FrameType
@@ -57,7 +58,9 @@ def run(command: str, body: Callable[[], int], interrupted: str = "interrupted",
     # Before NumPy is loaded: its library's threads would only wait for each other over matrices of forty rows.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        code = body()
+        with warnings.catch_warnings():
+            _say_notes(command)
+            code = body()
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
@@ -74,6 +77,20 @@ def run(command: str, body: Callable[[], int], interrupted: str = "interrupted",
         text = _explanation(error, memory)
         say(command, text or _internal(error))
         return Exit.BAD_INPUT if text else Exit.INTERNAL_ERROR
+
+
+def _say_notes(command: str) -> None:
+    """Say each note on a name (`sim.input.files.NameNote`) once; other warnings are shown as usual."""
+    usual, said = warnings.showwarning, set[str]()
+
+    def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        if category.__name__ != "NameNote":
+            usual(message, category, *place)
+        elif str(message) not in said:
+            said.add(str(message))
+            say(command, f"note: {message}")
+
+    warnings.showwarning = show  # type: ignore[assignment]  # its parameters are those that are used
 
 
 def show_list(kinds: dict[str, str]) -> int:

@@ -43,7 +43,7 @@ from maxq.design.verify.judging import (
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.uncovered import Uncovered, uncovered
 from maxq.sim.files import check_writable, write_whole
-from maxq.sim.input.documents import Source, Text
+from maxq.sim.input.documents import COMMAND_LINE, Source, Text
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.input.files import Reading, builtin_files, find, scenarios_folder
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
@@ -182,7 +182,8 @@ _OPTIONS = {"kind": "loop", "axis": "plane", "errata": "errata", "plant": "plant
 
 def designed_along(design: str) -> str:
     """Return the built-in scenario that a design was designed along; "nominal" where it names none of these."""
-    path, reading = find(Text.of(design_path(design), Source("", (Path.cwd(), scenarios_folder())))), Reading()
+    source, reading = Source(COMMAND_LINE, (Path.cwd(), scenarios_folder())), Reading()
+    path = find(Text.of(design_path(design), source))
     tree = {} if path is None else reading.document(path, design, "design")
     found = [each.get("basis") for each in (tree, *tree.get("stage", ())) if isinstance(each, dict)]
     names = [basis.get("scenario") for basis in found if isinstance(basis, dict)]

@@ -30,6 +30,7 @@ from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.report import uncovered_lines, uncovered_record, uncovered_table, write_record
 from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot, as_csv
+from maxq.tools.verify.outcome import headline
 
 VERDICT_NAME, PAGE_NAME, PDF_NAME, FIGURES_NAME = "verdict.json", "review.html", "review.pdf", "figures"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -246,11 +247,48 @@ def report(found: Verification, title: str) -> list[str]:
             rows.append((printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
     return [
         title,
+        *baseline_lines(found),
         *([printable(from_here(found.deviations))] if found.deviations else []),
         "",
         *aligned(rows, "  ", right=(4,), drop=(5, 4)),
         *(["", *uncovered_table(found.scenario.vehicle, found.uncovered)] if found.uncovered else []),
+        *_listed("below the floor of an acceptance", found.missing_evidence),
+        *(["", *measured_lines(found)] if found.part and (found.certificates or found.measured) else []),
     ]
+
+
+def measured_lines(found: Verification) -> list[str]:
+    """Return a table of the margins that were measured in flight, and of the linear loop held likewise."""
+    rows: list[tuple[str, ...]] = [("at", "plane", "margin", "measured", "linear, held", "remark")]
+
+    def row(
+        at: NodeCertificate | MeasuredNode, what: str, unit: str, values: Sequence[float], remark: str = ""
+    ) -> None:
+        factor, shown_unit = (1e3, "ms") if unit == "s" else (1.0, unit)
+        texts = [f"{factor * x:.2f} {shown_unit}" if math.isfinite(x) else "-" for x in values]
+        rows.append((f"{at.time_s:g} s", at.plane, what.replace("_", " "), *texts, remark))
+
+    for certificate in found.certificates:
+        for m in certificate.margins:
+            row(certificate, m.what, m.unit, (m.measured, m.held), m.reason)
+    for node in found.measured:
+        for measured in node.margins:
+            row(node, measured.what, measured.unit, (measured.measured, measured.linear), measured.reason)
+        if node.stable:
+            row(node, "phase between lines", "deg", (node.phase_deg, math.nan))
+    return ["margins measured in flight", *aligned(rows, "  ", right=(0, 3, 4))]
+
+
+def _listed(title: str, lines: Sequence[str]) -> list[str]:
+    return ["", title, *(f"  {printable(line)}" for line in lines)] if lines else []
+
+
+def baseline_lines(found: Verification) -> list[str]:
+    """Return the differences of the suite from its baseline, a table below the line that counts them."""
+    head = ("difference from the baseline", "of", "baseline", "here")
+    every = found.compared.differences
+    rows = [(d.kind, printable(d.what), printable(d.baseline), printable(d.here)) for d in every]
+    return [f"baseline: {found.compared.title}", *(aligned([head, *rows], "  ") if rows else [])]
 
 
 def _mark(judgement: str) -> str:
@@ -269,16 +307,6 @@ def reasons(found: Verification) -> list[str]:
 def from_here(text: str) -> str:
     """Paths below the working folder without it."""
     return text.replace(f"{Path.cwd()}{os.sep}", "")
-
-
-def headline(found: Verification, name: str = "") -> str:
-    """The verdict; `name` is the design's for people."""
-    counts = [f"{len(found.of(j))} {WORDS[j]}" for j in (ACCEPTED, REJECTED, UNDECIDED) if found.of(j)]
-    more = f", {found.more_runs} more runs would settle it" if found.judgement == UNDECIDED and found.more_runs else ""
-    said = f"of {len(found.requirements)} requirements {', '.join(counts)}{more}"
-    lacks = f"{', '.join(found.suite.lacks)}; " if found.suite.lacks else ""
-    word = f"{found.judgement.upper()}{' AT THE SCREENING' if lacks and found.judgement != SCREENED else ''}"
-    return f"{word}: {lacks}{printable(name or from_here(found.design))}; {said}"
 
 
 def ranked(every: Sequence[Verification]) -> list[Verification]:
@@ -315,19 +343,25 @@ def ranking(every: Sequence[Verification]) -> list[str]:
 def verdict_record(found: Verification, command: str) -> dict[str, Any]:
     """All but histories."""
     return {
-        "schema": 1,
+        "schema": 2,
         "design": found.design,
         "design_name": found.scenario.design.name if found.scenario.design else "",
         "vehicle": found.scenario.vehicle.name,
         "suite": found.suite.name,
         "verdict": found.judgement,
-        "lacks": found.suite.lacks,
+        "missing_evidence": found.missing_evidence,
+        "part": found.part,
         "left_out": found.left_out,
         "deviations": found.deviations,
         "not_covered": uncovered_record(found.uncovered),
         "more_runs": found.more_runs,
         "command": command,
         "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],
+        "baseline": {
+            "suite": found.compared.baseline,
+            "shipped": found.compared.shipped,
+            "differences": [vars(d) for d in found.compared.differences],
+        },
         "against_basis": against_basis(found.suite, found.scenario),
         "flights": [{key: getattr(f, key) for key in _FLIGHT} for f in found.flights],
         "certificate": [_node(c) for c in found.certificates],

@@ -29,6 +29,7 @@ from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, aligned, printable, tell
 from maxq.tools.design import run_case
 from maxq.tools.verify import report
+from maxq.tools.verify.outcome import headline
 
 _EXIT: dict[suites.SuiteVerdict, Exit] = {
     suites.ACCEPTED: Exit.OK,
@@ -101,7 +102,7 @@ def execute(
                 tell(f"warning: {printable(warning)}")
             tell(
                 f"\n{len(files)} file{'s' * (len(files) > 1)} in {folder}/; {time.perf_counter() - begun:.1f} s, "
-                f"{one.recalled} results reused from earlier runs\n{report.headline(one)}\n"
+                f"{one.recalled} results reused from earlier runs\n{headline(one)}\n"
             )
     if len(found) > 1:
         tell(*report.ranking(found))
@@ -229,7 +230,7 @@ def try_in_order(
         found = verify(path, loaded, memory=memory.default_folder(), watch=watch, stop=stop)
         every.append(found)
         keep(design, found, loaded)
-        for line in (report.headline(found, design), *report.reasons(found)):
+        for line in (headline(found, design), *report.reasons(found)):
             tell(line)
         if found.judgement in (suites.ACCEPTED, suites.SCREENED):
             return design, every

@@ -26,17 +26,14 @@ Latency = Annotated[int, Field(ge=0, le=MAX_LATENCY)]
 
 
 class RateGyro(GyroSection):
-    """A rate gyro of three axes beyond the first; the design gives its weight in the rate of the law (blend)."""
+    """An additional three-axis rate gyro; `blend` of the design gives its weight in the rate of the law."""
 
-    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
-    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
+    latency_samples: Latency = optional("delay of the output, samples of the computer", 0)
+    dropout: Fraction = optional("probability that a sample is lost; the computer then holds the last one", 0.0)
 
 
 class Accelerometer(Section):
-    """An accelerometer of three axes.
-
-    It measures the specific force at its station, including the effects of bending, engine and liquid.
-    """
+    """Three-axis accelerometer: specific force at its station, with the effects of bending, engine and liquid."""
 
     station_m: float = Field(description="station, m aft of the nose, on the body axis")
     omega_hz: Positive = Field(description="natural frequency, Hz")
@@ -46,5 +43,5 @@ class Accelerometer(Section):
     scale_factor: Triple = optional("relative error of the scale along x, y, z", (0.0, 0.0, 0.0))
     misalignment_deg: Triple = optional("small rotation about x, y, z, deg", (0.0, 0.0, 0.0))
     noise_mps_rt_h: NotNegative = optional("velocity random walk, m/s per root hour", 0.0)
-    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
-    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
+    latency_samples: Latency = optional("delay of the output, samples of the computer", 0)
+    dropout: Fraction = optional("probability that a sample is lost; the computer then holds the last one", 0.0)

@@ -1,0 +1,277 @@
+"""A suite compared with its baseline, an agreed suite: each difference in resolved content, and its kind.
+
+The baseline is the suite that the key `baseline` names, else the shipped suite that the suite extends or is, else
+`standard`. Limits, levels, flights, campaigns, winds, vehicle and switches are compared as they are read, files
+included, so that a copy under another name differs in nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from maxq.design.quantities import MEASURED
+from maxq.design.verify.memory import content_hash
+from maxq.design.verify.suite import LoadedSuite, Suite, SuiteFlight, read_suite
+from maxq.sim.campaign.read import load_campaign
+from maxq.sim.input.documents import parse_override
+from maxq.sim.input.files import builtin_files
+from maxq.sim.input.tables_csv import DATE_KEY, FILE_KEY
+from maxq.sim.scenario.loader import load_scenario, told
+from maxq.sim.scenario.schema_scenario import Switches
+
+OFF, EXCUSED, REMOVED = "physics switched off", "design_must_keep = false", "removed"
+LOOSENED, SPREAD, LOWERED, SHORTENED = "limit loosened", "spread reduced", "level or number lowered", "shortened"
+CHANGED, STRICTER = "changed", "added or stricter"
+KINDS = (OFF, EXCUSED, REMOVED, LOOSENED, SPREAD, LOWERED, SHORTENED, CHANGED, STRICTER)
+"""The kinds of differences, in the order in which they are listed."""
+
+_WORDS = frozenset({"why", "description", "name", "schema", "schema_version", "source", "only", "log", "design"})
+"""Keys that change no verdict, and the design, which is what is judged."""
+_COUNTS = frozenset({"success", "confidence", "availability", "runs", "cases", "trajectories", "nodes_per_stage"})
+_COUNTS |= {"corner_sigmas", "sigmas", "starts", "in_flight", "bound", "together", "planes", "between_nodes"}
+_LEAST = frozenset({"modulus", "minimum", "wind_limit_mps"})  # limits that a larger value makes stricter
+_SPREADS = frozenset({"sigma", "three_sigma", "factor"})
+_NOT_COMPARED = "whose own numbers, limits, winds and deviations are not compared"
+_MOST_SHOWN = 6  # elements of a list
+
+KeyPath = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A difference from the baseline: its kind, the key or part, and the values there and in the suite."""
+
+    kind: str
+    what: str
+    baseline: str
+    here: str
+
+    @property
+    def text(self) -> str:
+        """One line for people."""
+        return f"{self.kind}: {self.what}" + (f", {self.baseline} -> {self.here}" if self.baseline or self.here else "")
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A suite against its baseline. `hashes`: of the resolved content of both, and of each part of the suite."""
+
+    baseline: str
+    shipped: bool
+    hashes: dict[str, str]
+    differences: tuple[Difference, ...]
+
+    @property
+    def title(self) -> str:
+        """One line for people: the number of differences, and from which suite."""
+        count, suite = len(self.differences), f"suite {self.baseline}"
+        suite = f"the shipped {suite}" if self.shipped else f"the {suite}, not shipped"
+        return f"{count or 'no'} difference{'s' * (count != 1)} from {suite}"
+
+
+def against_baseline(loaded: LoadedSuite, vehicle: str | None = None) -> Compared:
+    """Compare a suite, as it was read, with its baseline. Raises ScenarioError.
+
+    `vehicle`: flown in place of the suite's own.
+    """
+    baseline = read_suite(loaded.baseline)
+    own, named = ("scenario" in suite.asked.model_fields_set for suite in (baseline, loaded))
+    before, after = resolved(baseline.asked, own=own), resolved(loaded.asked, vehicle, own or named)
+    hashes = {"baseline": _hash(before), "suite": _hash(after)}
+    hashes |= {f"suite: {part.replace('_', ' ')}": _hash(content) for part, content in after.items() if content}
+    shipped = loaded.baseline in builtin_files("suite")
+    return Compared(loaded.baseline, shipped, hashes, tuple(differences(before, after)))
+
+
+def _hash(content: Any) -> str:
+    """Return the SHA-256 of content without the names of files and the words in it."""
+    return content_hash([[list(path), value] for path, value in _leaves(content)])
+
+
+def resolved(suite: Suite, vehicle: str | None = None, own: bool = True) -> dict[str, Any]:
+    """Return all that a suite judges by, with the content of the files that it names.
+
+    Without its `own` scenario only the switches of the whole model are in its place. Raises ScenarioError.
+    """
+    changes = [f'vehicle="{vehicle}"'] if vehicle is not None else []
+    out: dict[str, Any] = {key: told(getattr(suite, key)) for key in ("margins", "certificate", "wind_limit_mps")}
+    if suite.margins is not None and suite.margins.three_sigma.campaign is not None:
+        out["margins"]["three_sigma"]["campaign"] = _campaign(suite.margins.three_sigma.campaign, changes)
+    out["dispersed_limit"] = {one.requirement: one.limit for one in suite.dispersed_limit}
+    out["scenario"] = _scenario(load_scenario(suite.scenario, changes)) if own else {"switches": told(Switches())}
+    if suite.limit_wind is not None:
+        windy = load_scenario(suite.scenario, [*changes, f'wind.profile="{suite.limit_wind}"'])
+        out["limit_wind"] = told(windy.scenario.wind.profile)
+    out["flight"] = {flight.name: _flight(suite, flight, changes) for flight in suite.flight}
+    out["campaign"] = {}
+    for n, wanted in enumerate(suite.campaign, 1):
+        mine = {key: value for key, value in told(wanted).items() if key not in ("file", "set")}
+        out["campaign"][str(n)] = _campaign(wanted.file, [*changes, *wanted.set]) | mine
+    return {key: value for key, value in out.items() if value is not None}
+
+
+def _scenario(loaded: Any) -> dict[str, Any]:
+    content = told(loaded.scenario)
+    content["requirement"] = {r.get("name") or r["metric"]: r for r in content.get("requirement", ())}
+    return {key: value for key, value in content.items() if key not in _WORDS}
+
+
+def _flight(suite: Suite, flight: SuiteFlight, changes: Sequence[str]) -> dict[str, Any]:
+    out: dict[str, Any] = {key: getattr(flight, key) for key in ("limits", "design_must_keep", "each_stage")}
+    for text in (*suite.every, *flight.set):
+        path, value = parse_override(text)
+        out[".".join(map(str, path))] = value if isinstance(value, bool | int | float) else str(value)
+    for how in ("scale", "add"):
+        out |= {f"{how} {key}": value for key, value in getattr(flight, how).items()}
+    if flight.scenario is not None:
+        out["scenario"] = content_hash(_scenario(load_scenario(flight.scenario, changes)))[:16]
+    return out
+
+
+def _campaign(file: str, changes: Sequence[str]) -> dict[str, Any]:
+    loaded = load_campaign(file, changes)
+    content = told(loaded.file)
+    numbers = {key: value for key, value in content["campaign"].items() if key not in ("keep", "envelope", "batch")}
+    deviations = {
+        f"{d.key or ', '.join(d.keys or ())}{f' ({d.tag})' if d.tag else ''}": told(d) for d in loaded.file.disperse
+    }
+    models = {"wind_model": content["wind_model"]} if content.get("wind_model") else {}
+    return numbers | models | {"scenario": _scenario(loaded.base), "deviation": deviations}
+
+
+def differences(before: dict[str, Any], after: dict[str, Any]) -> list[Difference]:
+    """Return the differences of `after` from `before`, both as `resolved` returns them, in the order of `KINDS`."""
+    names = [each["scenario"].get("vehicle", {}).get("name", "") for each in (before, after)]
+    old, new = ({path: value for path, value in _leaves(each)} for each in (before, after))
+    out = []
+    if names[0] != names[1]:  # whose numbers are its own
+        out += [Difference(CHANGED, f"vehicle, {_NOT_COMPARED}", *names)] if all(names) else []
+        old, new = ({p: v for p, v in each.items() if not _of_vehicle(p)} for each in (old, new))
+    for mine, other, kind in ((old, new, REMOVED), (new, old, STRICTER)):
+        for head in _parts_of(mine):
+            below = [path for path in mine if path[: len(head)] == head]
+            if below and not any(path[: len(head)] == head for path in other):
+                out.append(
+                    Difference(SPREAD if kind == REMOVED and "deviation" in head else kind, " ".join(head), "", "")
+                )
+                for path in below:
+                    del mine[path]
+    alike: dict[tuple[Any, ...], list[str]] = {}
+    for path in [*old, *(path for path in new if path not in old)]:
+        a, b = old.get(path), new.get(path)
+        if a != b:
+            in_flight = path[0] == "flight"
+            key = (_kind(path, a, b), path[2:] if in_flight else path, _shown(a), _shown(b))
+            alike.setdefault(key, []).append(path[1] if in_flight else "")
+    for (kind, path, a, b), flights in alike.items():
+        of = f"{len(flights)} flights" if len(flights) > 1 else f"flight {flights[0]}"
+        out.append(Difference(kind, f"{of}: {'.'.join(path)}" if flights[0] else _title(path), a, b))
+    return sorted(_joined(out), key=lambda d: KINDS.index(d.kind))
+
+
+def _joined(found: Sequence[Difference]) -> Iterator[Difference]:
+    """Yield removed and added flights in one difference each."""
+    whole = [d for d in found if d.what.startswith("flight ") and not (d.baseline or d.here)]
+    for kind in (REMOVED, STRICTER):
+        names = [d.what.removeprefix("flight ") for d in whole if d.kind == kind]
+        if names:
+            yield Difference(kind, f"{len(names)} flight{'s' * (len(names) != 1)}: {', '.join(names)}", "", "")
+    yield from (d for d in found if d not in whole)
+
+
+def _parts_of(leaves: dict[KeyPath, Any]) -> list[KeyPath]:
+    """Return the parts that are present or absent as a whole: sections, flights, campaigns, deviations."""
+    out: dict[KeyPath, None] = {}
+    for path in leaves:
+        if path[0] in ("margins", "certificate"):
+            out[path[:1]] = None
+        if path[0] in ("flight", "campaign"):
+            out[path[:2]] = None
+        for n, word in enumerate(path[:-1]):
+            if word in ("deviation", "requirement"):
+                out[path[: n + 2]] = None
+            elif word in ("worst", "wind_model"):
+                out[path[: n + 1]] = None
+    return sorted(out, key=len)
+
+
+def _of_vehicle(path: KeyPath) -> bool:
+    """Return True for keys of which every vehicle has its own values."""
+    return "deviation" in path or ("scenario" in path and "switches" not in path) or path[0] == "limit_wind"
+
+
+def _leaves(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
+    if isinstance(value, dict):
+        table = any(isinstance(column, list) for column in value.values())
+        for key, item in value.items():
+            if key not in _WORDS and not (table and key in (FILE_KEY, DATE_KEY)):
+                yield from _leaves(item, (*path, str(key)))
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        for n, item in enumerate(value):
+            yield from _leaves(item, (*path, str(n)))
+    elif value is not None:
+        yield path, value
+
+
+def _title(path: KeyPath) -> str:
+    return f"campaign {path[1]}: {'.'.join(path[2:])}" if path[0] == "campaign" else ".".join(path)
+
+
+def _kind(path: KeyPath, before: Any, after: Any) -> str:
+    key = path[-1]
+    if "switches" in path or key.startswith("switches."):
+        return OFF if after in (False, "false", "ideal", "linear", "'ideal'", "'linear'") else STRICTER
+    if key == "design_must_keep":
+        return STRICTER if after else EXCUSED
+    if key == "limits":
+        return LOOSENED if after == "dispersed" else STRICTER
+    less = _less(key, before, after)
+    if path[:2] in (("margins", "nominal"), ("margins", "dispersed")) and key in MEASURED:
+        if before is None or after is None or less is None:
+            return LOOSENED if after is None else STRICTER if before is None else CHANGED
+        return LOOSENED if less == (MEASURED[key].sense == ">=") else STRICTER
+    if less is None:
+        return LOOSENED if after is None and (key in _LEAST or key == "limit") else CHANGED
+    if key in _LEAST:
+        return LOOSENED if less else STRICTER
+    if path[0] == "dispersed_limit" or ("requirement" in path and key == "limit"):
+        return STRICTER if less else LOOSENED
+    if "deviation" in path or "wind_model" in path or "three_sigma" in path:
+        if key in _SPREADS or "three_sigma" in path[:-1] or key in ("low", "high"):
+            return SPREAD if less != (key == "low") else STRICTER
+        return CHANGED
+    if key in _COUNTS:
+        return LOWERED if less else STRICTER
+    return SHORTENED if key.endswith("duration_s") and less else CHANGED
+
+
+def _less(key: str, before: Any, after: Any) -> bool | None:
+    """Return True where a value is less than before, None where that has no meaning."""
+    if key == "planes":
+        return len(after or ()) < len(before or ())
+    if key == "between_nodes":
+        return bool(after == "ignore")
+    if key.endswith("duration_s") and before is None:
+        return True  # a flight that a change ends
+    try:
+        a, b = float(before), float(after)
+    except (TypeError, ValueError):
+        return None
+    return None if math.isnan(a) or math.isnan(b) else b < a
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        if len(value) > _MOST_SHOWN:
+            return f"{len(value)} values, {content_hash(list(value))[:8]}"
+        return f"[{', '.join(map(_shown, value))}]"
+    return str(value)

@@ -1,0 +1,81 @@
+"""The last line of a verification: the outcome, its decisive reason with numbers, and the count of requirements met."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, JudgedRequirement
+from maxq.design.verify.verify import Verification
+from maxq.tools.cli.terminal import printable
+
+ONLY_REJECTS = "A screening can reject, not accept."
+MOST_REASONS = 3  # below the floor, in the line; the report lists all
+_BOUND = re.compile(r"(>=|<=) (-?[0-9.][^\s,]*(?: [^,]+)?)")
+_BEYOND = {">=": "<", "<=": ">"}
+_AT_POINT = re.compile(r"(\S+ s), (pitch|yaw)")
+
+
+def headline(found: Verification, name: str = "") -> str:
+    """Return the outcome in one line; `name`: the design's, in front where there are several."""
+    met, count = len(found.of(ACCEPTED)), len(found.requirements)
+    reasons, texts = found.missing_evidence, [_decisive(found)]
+    texts.append(f"{met} of {count} requirement{'s' * (count != 1)} met")
+    if found.judgement == SCREENED:
+        more = f", and {len(reasons) - MOST_REASONS} more" if len(reasons) > MOST_REASONS else ""
+        texts.append(f"below the floor of an acceptance: {', '.join(reasons[:MOST_REASONS])}{more}")
+    line = f"{found.judgement.upper()}: {'; '.join(filter(None, texts))}"
+    line += f". {ONLY_REJECTS}" if reasons else ""
+    return f"{printable(name)}: {line}" if name else line
+
+
+def _decisive(found: Verification) -> str:
+    """Return the requirement that decides: missed or undecided by the largest share, or the tightest one."""
+    if found.judgement == REJECTED:
+        return _missed(found.of(REJECTED))
+    if found.judgement == UNDECIDED:
+        open_ = max(found.of(UNDECIDED), key=lambda r: r.more_runs, default=None)
+        more = f", {open_.more_runs} more runs would settle it" if open_ and open_.more_runs else ""
+        return f"{open_.name}: {open_.found}, wanted {open_.wanted}{more}" if open_ else ""
+    finite = [r for r in found.requirements if math.isfinite(r.room)]
+    if not finite:
+        return ""
+    tightest = min(finite, key=lambda r: r.room)
+    share = f"{100.0 * tightest.room:.0f} % of the limit left"
+    return (
+        f"tightest requirement: {_name(tightest)} {tightest.found}, limit {_bound(tightest)}{_at([tightest])}, {share}"
+    )
+
+
+def _missed(rejected: Sequence[JudgedRequirement]) -> str:
+    worst = min(rejected, key=lambda r: r.room if math.isfinite(r.room) else math.inf)
+    sense = _BOUND.fullmatch(worst.wanted)
+    same = [r for r in rejected if (r.part, r.name) == (worst.part, worst.name) and _time(r) == _time(worst)]
+    if sense and re.match(r"-?[0-9.]", worst.found):
+        return f"{_name(worst)} {worst.found} {_BEYOND[sense[1]]} {sense[2]}{_at(same)}"
+    beyond = f" {_BEYOND[sense[1]]} {sense[2]}" if sense else f", wanted {worst.wanted}"
+    return f"{_name(worst)}: {worst.found}{beyond}{_at(same)}"
+
+
+def _name(r: JudgedRequirement) -> str:
+    return printable(r.name.removesuffix(", as designed"))
+
+
+def _bound(r: JudgedRequirement) -> str:
+    sense = _BOUND.fullmatch(r.wanted)
+    return sense[2] if sense else r.wanted
+
+
+def _time(r: JudgedRequirement) -> str:
+    at = _AT_POINT.fullmatch(r.where)
+    return at[1] if at else r.where
+
+
+def _at(same: Sequence[JudgedRequirement]) -> str:
+    """Return the place of requirements that differ in their planes only."""
+    planes = [at[2] for r in same if (at := _AT_POINT.fullmatch(r.where))]
+    where = _time(same[0])
+    if planes:
+        return f" at {where} ({', '.join(dict.fromkeys(planes))})"
+    return f" {where}" if where.startswith("at ") else f" ({where})" if where else ""
