@@ -51,7 +51,7 @@ Samples = Annotated[CsvTable, Columns("")]
 
 
 class Envelope(Section):
-    """Histories at a reduced rate, for percentiles over time."""
+    """The histories at a reduced rate, for percentiles over time."""
 
     channels: tuple[str, ...] = optional(
         "names of log channels (docs/telemetry.md)",

@@ -22,7 +22,7 @@ GAIN_COLUMNS = Columns(
 
 
 class GainsSection(Section):
-    """Gains of the law (PD: paper, eq. 33), linear between rows; outside the table the end values hold."""
+    """The gains of the law (PD: paper, eq. 33), linear between rows; outside the table the end values hold."""
 
     table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
         description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s), for load-relief k_a_s2pm (rad per m/s2), for "
@@ -129,7 +129,7 @@ class FilterSection(Section):
 
 
 class RollSection(Section):
-    """Roll control by on/off thrusters from roll angle + k_rate_s * roll rate."""
+    """The roll control by on/off thrusters from roll angle + k_rate_s * roll rate."""
 
     k_rate_s: NotNegative = Field(description="weight of the rate, s")
     dead_band_deg: Positive = Field(description="half width of the dead band, deg")
@@ -142,10 +142,7 @@ class RollSection(Section):
 
 
 class RollGimbal(Section):
-    """The roll control by the gimbals of two or more groups of engines.
-
-    Its command is -k_p times roll angle, -k_d_s times roll rate.
-    """
+    """The roll control by two or more groups of engines: -k_p times roll angle, -k_d_s times roll rate."""
 
     k_p: NotNegative = Field(description="rad of deflection per rad of roll error")
     k_d_s: NotNegative = Field(description="rad of deflection per rad/s of roll rate, s")
@@ -156,7 +153,7 @@ BlendWeights = Annotated[tuple[float, ...], Field(min_length=1, max_length=MAX_S
 
 
 class Blend(Section):
-    """Rate of the law: weights of all rate gyros, with sum 1."""
+    """The rate of the law: weights of all rate gyros, with sum 1."""
 
     pitch: BlendWeights = Field(description="weights in pitch")
     yaw: BlendWeights | None = optional("weights in yaw (default: as in pitch)")
@@ -173,7 +170,7 @@ class Blend(Section):
 
 
 class LoopFiltersSection(Section):
-    """Filters of the inputs of the law, by loop, in addition to the bending filter at its output."""
+    """The filters of the inputs of the law, by loop, in addition to the bending filter at its output."""
 
     attitude: FilterSection | None = optional("filter of the attitude error")
     rate: FilterSection | None = optional("filter of the (blended) rate")
@@ -188,13 +185,13 @@ class LoopFiltersSection(Section):
 
 
 class LoadReliefSection(Section):
-    """Feedback of the lateral acceleration, or of an angle of attack estimated from it, by a column of the gains."""
+    """The feedback of lateral acceleration, or of an estimated angle of attack; its gain is in the gain table."""
 
     corner_hz: Positive = Field(description="corner of the accelerometer's first-order lag in the computer, Hz")
 
 
 class AdaptiveSection(Section):
-    """Adaptive augmenting control: a total gain on the commands of pitch and yaw, 1 in nominal conditions."""
+    """The adaptive augmenting control: a total gain on the commands of pitch and yaw, 1 in nominal conditions."""
 
     least_gain: Annotated[float, Field(gt=0.0, lt=1.0)] = optional("lower limit of the total gain", 0.5)
     most_gain: Annotated[float, Field(gt=1.0)] = optional("upper limit of the total gain", 2.0)

@@ -154,7 +154,7 @@ class TurbulenceSection(Section):
 
 
 class GroundShear(Section):
-    """Wind between the ground and the lowest level of the profile, in the direction of that level."""
+    """The wind between the ground and the lowest level of the profile, in the direction of that level."""
 
     law: Literal["power", "log"] = Field(
         description="speed over the height h above the site; power: h^exponent; log: ln(1 + h / roughness_m)"

@@ -48,7 +48,7 @@ class Geodetic(Section):
 
 
 class Initial(Section):
-    """State at the start, with at most one key each for position, velocity, attitude and rates."""
+    """The state at the start, with at most one key each for position, velocity, attitude and rates."""
 
     held: bool = optional("hold-down until release", False)
     geodetic: Geodetic | None = optional("position (default: the site)")
@@ -217,7 +217,7 @@ class Guidance(Section):
 
 
 class OrbitTarget(Section):
-    """Closed-loop guidance of the last engine's stages to an orbit, with cutoff at perigee; outside the atmosphere."""
+    """The closed-loop guidance of the last engine to an orbit outside the atmosphere, with cutoff at perigee."""
 
     perigee_altitude_m: float = Field(description="height above the equatorial radius, m")
     apogee_altitude_m: float = Field(description="height above the equatorial radius, m")
@@ -237,7 +237,7 @@ class OrbitTarget(Section):
 
 
 class HoldDown(Section):
-    """Release of a vehicle that is held down."""
+    """The release of a vehicle that is held down."""
 
     release: Literal["thrust", "time"] = optional("when thrust exceeds weight, or at release_s", "thrust")
     release_s: Seconds | None = optional('vehicle clock of the release, s, for release = "time"')
@@ -249,7 +249,7 @@ class HoldDown(Section):
 
 
 class Switches(Section):
-    """Switches that remove parts of the model or make them ideal."""
+    """The switches that remove parts of the model or make them ideal."""
 
     aerodynamics: bool = optional("all aerodynamic forces", True)
     thrust: bool = optional("thrust", True)

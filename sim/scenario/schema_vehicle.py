@@ -82,7 +82,7 @@ class ComputerSection(Section):
 
 
 class StageComputer(Section):
-    """Keys of the flight computer that differ during a stage."""
+    """The keys of the flight computer that differ during a stage."""
 
     sample_s: Period | None = optional("sample period, s, whole ns")
     delay_s: Seconds | None = optional("from sample to output, s, whole ns, at most sample_s")

@@ -129,7 +129,7 @@ class Coefficients(Section):
 
 
 class AeroSection(Section):
-    """Coefficients over Mach number and angle of attack; outside the table the end values hold."""
+    """The coefficients over Mach number and angle of attack; outside the table the end values hold."""
 
     table: Annotated[CsvTable, AERO_COLUMNS] = Field(
         default_factory=_nothing,

@@ -27,7 +27,7 @@ def _ones(data: dict[str, Any]) -> tuple[float, ...]:
 
 
 class BendingSection(Section):
-    """Free-free bending modes, with the engine locked and without slosh masses."""
+    """The free-free bending modes, with the engine locked and without slosh masses."""
 
     pitch: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
         "modes of the pitch plane, one row per time (or total mass), mode and station (default: none)"
@@ -68,7 +68,7 @@ class BendingSection(Section):
 
 
 class SpatialModesSection(Section):
-    """Coupled three-dimensional free-free modes, in addition to planar ones; engine locked, no slosh masses."""
+    """The coupled three-dimensional free-free modes, in addition to planar ones; engine locked, no slosh masses."""
 
     table: Annotated[CsvTable, SPATIAL_COLUMNS] = Field(
         description="one row per time (or total mass), mode and station: displacement phi along, rotation theta about "

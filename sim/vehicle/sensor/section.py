@@ -33,7 +33,7 @@ class RateGyro(GyroSection):
 
 
 class Accelerometer(Section):
-    """Three-axis accelerometer: specific force at its station, with the effects of bending, engine and liquid."""
+    """A three-axis accelerometer: specific force at its station, with the effects of bending, engine and liquid."""
 
     station_m: float = Field(description="station, m aft of the nose, on the body axis")
     omega_hz: Positive = Field(description="natural frequency, Hz")

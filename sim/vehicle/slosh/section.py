@@ -76,7 +76,7 @@ def check_domes(profile: Profile, radius_m: float, key: str = "dome_m") -> None:
 
 
 class Baffles(Section):
-    """Rings on a tank's wall: damping proportional to the root of the wave height (NASA SP-106, eq. 4.10)."""
+    """The rings on a tank's wall: damping proportional to the root of the wave height (NASA SP-106, eq. 4.10)."""
 
     width_m: Positive = Field(description="width of each ring, from the wall inwards, m")
     station_m: tuple[float, ...] = Field(

@@ -8,10 +8,7 @@ from maxq.sim.input.values import ChannelPart, Fraction, NotNegative, Positive, 
 
 
 class TvcLoadSection(Section):
-    """The compliance of actuators and mount on which each engine swings in its planes.
-
-    One table serves all groups of engines, or a list has one by group.
-    """
+    """The compliance of actuators and mount on which each engine swings: for all groups, or a list by group."""
 
     group: ChannelPart | None = optional("in a list: name of the group of engines")
     frequency_hz: Positive | None = optional("of the engine on its compliance, actuators locked, vehicle fixed, Hz")
