@@ -330,7 +330,7 @@ def test_an_instant_that_is_worse_becomes_a_node_with_its_worst_plant(monkeypatc
     stub = Unsearched()
     monkeypatch.setattr(robust, "search_best", lambda case, plants, *_: (SimpleNamespace(law=None), stub))
     monkeypatch.setattr(robust, "make_problem", lambda case, plants, law: SimpleNamespace(law=law))
-    monkeypatch.setattr(robust, "_again", lambda problem, found: found)
+    monkeypatch.setattr(robust, "_again", lambda case, problem, found: found)
 
     def finished(case: Any, plants, *_: Any) -> Any:
         made.append(plants)

@@ -171,14 +171,9 @@ def test_an_interrupted_trial_claims_what_it_reached(margin: tuple) -> None:
 
 
 @pytest.mark.slow
-def test_a_best_effort_that_is_not_settled_is_first_searched_without_a_change(margin: tuple) -> None:
-    """Else a trial could claim for its change what a longer search gains; and multipliers say nothing there."""
-    loaded, s, trials = margin
-    loose = dataclasses.replace(s, certificate=dataclasses.replace(s.certificate, kkt_residual=0.1))
-    plain, wider, *_ = tried(loaded, loose)[0]
-    assert (plain.change, plain.settings) == ("no change", ())
-    assert plain.missing_db == pytest.approx(s.violation_db, abs=1e-4)  # the best effort was the best
-    assert wider.missing_db == trials[0].missing_db
+def test_multipliers_say_nothing_of_an_unstable_best_effort(margin: tuple) -> None:
+    _, s, _ = margin
+    assert conflict(s)
     assert conflict(dataclasses.replace(s, certificate=dataclasses.replace(s.certificate, stable=False))) == ()
 
 

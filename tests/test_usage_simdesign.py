@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from maxq.design.optimise import search, way_out
+from maxq.design.optimise import at_nodes, search
 from maxq.sim.input.files import builtin_files
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
@@ -152,7 +152,7 @@ def test_trials_can_be_left_out(capsys: Printed) -> None:
 
 
 def test_ctrl_c_during_the_trials_keeps_the_design(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
-    honest, begun = way_out.descend, []
+    honest, begun = at_nodes.descend, []
 
     def impatient(*arguments: Any, **more: Any) -> Any:
         begun.append(1)
@@ -160,7 +160,7 @@ def test_ctrl_c_during_the_trials_keeps_the_design(capsys: Printed, monkeypatch:
             raise KeyboardInterrupt
         return honest(*arguments, **more)
 
-    monkeypatch.setattr(way_out, "descend", impatient)
+    monkeypatch.setattr(at_nodes, "descend", impatient)
     assert run(*SMALL, "--set", "limits.gain_margin_db=25", "--out", "out") == 130
     assert capsys.readouterr().out.splitlines()[-1].startswith("INFEASIBLE: ")
     assert "# INFEASIBLE: the best effort" in Path("out/design.toml").read_text()

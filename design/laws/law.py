@@ -219,6 +219,12 @@ class LawVariables(Protocol):
     def starts(self, count: int, seed: int) -> list[Array]:
         """Beginnings of the search, the most promising first."""
 
+    def beside(self, variables: Array, lost: IntArray) -> Array | None:
+        """Return the variables with the gains of the plants number `lost` interpolated between those of the others.
+
+        None where every gain belongs to one of them.
+        """
+
     def leap_size(self, number: int) -> Array:
         """Standard deviations of the variables for a leap from an optimum; sizes vary from leap to leap."""
 

@@ -432,6 +432,15 @@ class PdVariables:
         """Logarithms of all starting gains (keys, nodes) from those of k_p and k_d."""
         return log_gains
 
+    def beside(self, variables: Array, lost: IntArray) -> Array | None:
+        uses = self.gains.weights > 0.0
+        kept = np.delete(uses, lost, axis=0).any(axis=0) & ~uses[lost].any(axis=0)
+        if self.gains.size == 0 or not kept.any():
+            return None
+        y, u, *more = self.split(variables)
+        gains = self.gains.from_nodes(self.gains.nodes[kept], self.gains.at_nodes(u)[:, kept])
+        return np.concatenate([y, gains, *more])
+
     def leap_size(self, number: int) -> Array:
         by_filter, by_gains = LEAPS[number % len(LEAPS)]
         sizes = (self.filter.size, by_filter), (self.gains.size + self.further, by_gains), (self.in_loops, by_filter)

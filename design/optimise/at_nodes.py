@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 
+from maxq.control.kernel.records import Array
 from maxq.design.case.basis import LIMIT_NAMES
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.law import DesignedLaw, LawVariables
@@ -18,11 +19,14 @@ from maxq.design.loop.loop import Loop
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.loops import Loops
 from maxq.design.optimise.plants import Plants
-from maxq.design.optimise.problem import Problem
-from maxq.design.optimise.search import BestPoint, SearchProgress, search
-from maxq.design.optimise.solution import Solution, make_solution
+from maxq.design.optimise.problem import Problem, ProblemAtPoint
+from maxq.design.optimise.search import FINE_STEPS, PATIENCE, BestPoint, SearchProgress, search
+from maxq.design.optimise.solution import MET_DB, Solution, make_solution
+from maxq.design.optimise.sqp import descend
 
 MORE_STARTS = 3  # times as many, where the limits cannot be met
+LEAST_EVALUATIONS = 60  # of a search for the limits alone
+LIMITS_DB = 1e-7  # least gain that a step of such a search promises
 
 
 def make_problem(case: Case, plants: Plants, like: LawVariables | None = None) -> Problem:
@@ -61,7 +65,8 @@ def solve_at_nodes(
 def finished(case: Case, plants: Plants, problem: Problem, found: BestPoint, begun: float) -> Solution:
     """The solution at a search's best point, its stability checked by poles."""
     seconds = time.perf_counter() - begun
-    return make_solution(case, plants, problem, found, seconds, closes_stably(plants, problem, found))
+    stable = closes_stably(plants, problem, found.best.variables)
+    return make_solution(case, plants, problem, found, seconds, stable)
 
 
 def search_best(
@@ -69,8 +74,8 @@ def search_best(
 ) -> tuple[Problem, BestPoint]:
     """Search from all starts: other laws, and as many of the law's own as the case asks for.
 
-    Where the limits cannot be met from these, once more from several times as many: how much they miss has valleys of
-    its own, which starts that are good for the objective need not lie in.
+    Where the limits cannot be met from these, once more from several times as many, and at last for the limits alone:
+    the violation has valleys of its own, and a start that is good for the objective may be in none of them.
     """
     problem, found = _search_from(case, plants, also_from, progress)
     if found.feasible or found.interrupted:
@@ -78,7 +83,56 @@ def search_best(
     wanted = case.search.model_copy(update={"starts": MORE_STARTS * case.search.starts, "leaps": 0})
     again = _search_from(case.model_copy(update={"search": wanted}), plants, also_from, progress)[1]
     better = min(found, again, key=lambda f: (not f.feasible, f.best.unstable, f.best.violation_db))
-    return problem, replace(better, evaluations=found.evaluations + again.evaluations, interrupted=again.interrupted)
+    made = found.evaluations + again.evaluations
+    return problem, search_on(case, problem, replace(better, evaluations=made, interrupted=again.interrupted))
+
+
+def search_on(case: Case, problem: Problem, found: BestPoint, also_settled: bool = False) -> BestPoint:
+    """Return a point that meets the limits, or misses them by less, where one is found from an unsettled best effort.
+
+    The search for it is for the limits alone, from the best effort and the law's own starts. It takes about half as
+    many evaluations as the search before. `also_settled`: search on from a settled best effort, too.
+    """
+    if found.feasible or found.interrupted or (found.settled and not also_settled):
+        return found
+    before, own = problem.evaluations, problem.law.starts(MORE_STARTS * case.search.starts, case.search.seed)
+    try:
+        most = before + max(LEAST_EVALUATIONS, found.evaluations // 2)
+        end = meet_limits(problem, [found.best.variables, *own], most)
+        again = search(problem, [end.variables]) if limits_rank(end) < limits_rank(found.best) else found
+    except KeyboardInterrupt:
+        return replace(found, interrupted=True)
+    better = min(again, found, key=lambda f: (not f.feasible, *limits_rank(f.best)))
+    return replace(better, evaluations=found.evaluations + problem.evaluations - before)
+
+
+def meet_limits(
+    problem: Problem, starts: Sequence[Array], most: int, progress: Callable[[ProblemAtPoint], None] = lambda _: None
+) -> ProblemAtPoint:
+    """Return the point that misses the limits by the least of all that descents from the starts come to.
+
+    They end with the first point that meets the limits, or where the problem has made `most` evaluations. `progress`
+    is called with the best point so far.
+    """
+    best: ProblemAtPoint | None = None
+
+    def watch(count: int, at: ProblemAtPoint) -> bool:
+        nonlocal best
+        best = at if best is None else min(best, at, key=limits_rank)
+        progress(best)
+        return problem.evaluations >= most or (count >= PATIENCE and at.unstable > best.unstable)
+
+    for start in starts:
+        watch(0, descend(problem, start, FINE_STEPS, LIMITS_DB, limits_only=True, give_up=watch))
+        if problem.evaluations >= most or (best is not None and limits_rank(best) <= (0, MET_DB)):
+            break
+    assert best is not None
+    return best
+
+
+def limits_rank(at: ProblemAtPoint) -> tuple[int, float]:
+    """Return the key by which points are sorted where only the limits count: stable before unstable."""
+    return at.unstable, at.violation_db
 
 
 def _search_from(
@@ -98,9 +152,9 @@ def _search_from(
     )
 
 
-def closes_stably(plants: Plants, problem: Problem, found: BestPoint) -> bool:
+def closes_stably(plants: Plants, problem: Problem, variables: Array) -> bool:
     """Return True if every closed loop is stable by its eigenvalues, which the optimiser has not used."""
-    for plant, law in zip(plants.each, problem.law.controllers(found.best.variables), strict=True):
+    for plant, law in zip(plants.each, problem.law.controllers(variables), strict=True):
         poles = plant.without_drift(Loop(plant.path, law).closed_poles())
         if isinstance(plant.path, ExactFixedPath):
             poles = poles[np.abs(poles) < 1e3]

@@ -138,6 +138,10 @@ class Problem:
         """Number of a limit in `kinds`, by its text."""
         return next(k for k, kind in enumerate(self.kinds) if kind.text == text and k > 0)
 
+    def unstable_plants(self, variables: Array) -> CurveIndices:
+        """Return the numbers of the plants with an unstable closed loop."""
+        return np.flatnonzero(self.loops.unstable_poles(self.loops.response(variables))).astype(np.int64)
+
     def evaluate(self, variables: Array, complete: bool = False) -> ProblemAtPoint:
         """Everything at a point; `complete`: with rows that are met by far. Raises ValueError for variables not
         finite.

@@ -30,7 +30,7 @@ from maxq.design.margins.many import DONE, HANDED_BACK
 from maxq.design.model.deviations import acting_at, deviations_of
 from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import campaign_of
-from maxq.design.optimise.at_nodes import finished, make_problem, search_best
+from maxq.design.optimise.at_nodes import finished, make_problem, search_best, search_on
 from maxq.design.optimise.descent import Region, descend, to_corner
 from maxq.design.optimise.over_time import COARSE, UNSTABLE_DB, Instants, gains_at_nodes, instants_along, peaks
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
@@ -271,7 +271,8 @@ def solve_robust(
             taken.update((node.time_s, point) for node, point in new)
             plants = plants.and_also([*(make_plant(node, case) for node in fresh), *dispersed(new)])
             problem = make_problem(case, plants, problem.law)
-            found, worst_db, instant_db = _again(problem, found), np.nan, np.nan  # nothing is known of the new design
+            found = _again(case, problem, found)
+            worst_db, instant_db = np.nan, np.nan  # nothing is known of the new design
             if found.interrupted:
                 interrupted = True
                 break
@@ -289,9 +290,12 @@ def solve_robust(
     return dataclasses.replace(solution, certificate=certificate)
 
 
-def _again(problem: Problem, found: BestPoint) -> BestPoint:
-    """The design for more plants, from the design for fewer."""
-    again = search(problem, [found.best.variables])
+def _again(case: Case, problem: Problem, found: BestPoint) -> BestPoint:
+    """Return the design for more plants, from the design for fewer.
+
+    Where that one met the limits and this one does not, from other starts, too.
+    """
+    again = search_on(case, problem, search(problem, [found.best.variables]), also_settled=found.feasible)
     return dataclasses.replace(
         again,
         ends_db=np.where(

@@ -29,6 +29,7 @@ NEAR_DB = 0.05
 PATIENCE = 10  # steps after which an unstable start is given up; twice as many for one that lies far behind
 FAR_MISSED_DB, FAR_BEHIND_DB = 0.3, 4.0
 FURTHER_DB = 0.002  # a leap's rough end that is better by more is a better valley
+UNSETTLED = 1e-3  # residual of the optimality conditions of a best effort from which a search may well go on
 
 SearchProgress = Callable[[int, int, float, str], None]
 """Called with how much is done, of how much, the best objective so far in dB (nan: none), and of what: "starts",
@@ -49,6 +50,11 @@ class BestPoint:
     evaluations: int
     interrupted: bool
     leaps_db: Array  # where each leap ended, likewise
+
+    @property
+    def settled(self) -> bool:
+        """Return True if the loops are stable, and the optimality conditions met."""
+        return self.best.unstable == 0 and self.optimality.residual <= UNSETTLED
 
     @property
     def near_best(self) -> int:
@@ -92,6 +98,10 @@ def search(
                     best_db = float(np.fmin(best_db, end.objective_db))
                 if progress is not None:
                     progress(len(ends), total, best_db, "starts")
+        if ends and all(end.unstable for end, _ in ends):
+            k = min(range(len(ends)), key=lambda n: _rank(ends[n][0]))
+            if (mended := _mended(problem, problem.evaluate(ends[k][1]))) is not None:
+                ends[k] = mended, mended.variables
     except KeyboardInterrupt:
         interrupted = True
         if not ends:
@@ -119,6 +129,25 @@ def search(
     found = _answer(problem, ends, own, fine, leapt, interrupted)
     made = problem.evaluations + (small.evaluations if small is not problem else 0) - before
     return replace(found, leaps_db=np.array(leaps_db), evaluations=made)
+
+
+def _mended(problem: Problem, at: ProblemAtPoint) -> ProblemAtPoint | None:
+    """Return the end of a descent from an unstable point with the gains of its lost plants taken from their neighbours;
+    None where this makes no loop stable.
+
+    The rows of an unstable loop lead away from -1 on the wrong side: a plant whose gains are its own is then lost,
+    while all others end well.
+    """
+    found = None
+    while at.unstable > 0:
+        start = problem.law.beside(at.variables, problem.unstable_plants(at.variables))
+        if start is None:
+            break
+        after = descend(problem, start, ROUGH_STEPS, ROUGH_DB, give_up=partial(_hopeless, np.nan))
+        if after.unstable >= at.unstable:
+            break
+        found = at = after
+    return found
 
 
 def _leapt(problem: Problem, best: ProblemAtPoint, leaps: int, seed: int) -> Iterator[tuple[ProblemAtPoint, float]]:

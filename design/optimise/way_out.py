@@ -20,13 +20,12 @@ from maxq.control.kernel.records import Array
 from maxq.control.structures import MAX_SECTIONS, STRUCTURES
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.model.node import Node
-from maxq.design.optimise.at_nodes import MORE_STARTS, make_problem
+from maxq.design.optimise.at_nodes import LEAST_EVALUATIONS, MORE_STARTS, closes_stably, make_problem, meet_limits
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.problem import Problem, ProblemAtPoint
 from maxq.design.optimise.robust import Ranges, dispersed_nodes, ranges_of
-from maxq.design.optimise.search import PATIENCE, SearchProgress
+from maxq.design.optimise.search import SearchProgress
 from maxq.design.optimise.solution import MET_DB, Constraint, Solution, Trial
-from maxq.design.optimise.sqp import descend
 
 WIDER = {
     "zero_hz": (1.0, 100.0), "zero_zeta": (0.1, 2.0), "pole_hz": (1.0, 100.0), "pole_zeta": (0.05, 2.0),
@@ -34,9 +33,6 @@ WIDER = {
 }  # fmt: skip  # a table
 """Bounds of the filter's variables in a trial, by key of `filter.bounds`; a case that has wider ones keeps them."""
 FASTER = 2  # times the sample rate
-STEPS, FINE_DB = 150, 1e-7  # of a descent
-LEAST_EVALUATIONS = 60  # of a trial
-UNSETTLED = 1e-3  # residual of the optimality conditions of a best effort from which a search may well go on
 LEAST_SHARE = 1e-3  # multipliers that are smaller are not shown
 
 
@@ -97,13 +93,9 @@ class TriedChange:
     nodes: Sequence[Node]
 
 
-def changes_of(case: Case, nodes: Sequence[Node], settled: bool = True) -> list[TriedChange]:
-    """Return the changes that a case can be tried with.
-
-    First none, where the best effort is not `settled`: a trial may then gain by searching on, whatever its change.
-    """
-    found = [] if settled else [TriedChange("no change", (), case, nodes)]
-    bounds = case.filter.bounds
+def changes_of(case: Case, nodes: Sequence[Node]) -> list[TriedChange]:
+    """Return the changes that a case can be tried with."""
+    found, bounds = [], case.filter.bounds
     wider = {
         key: (min(low, ends[0]), max(high, ends[1]))
         for key, (low, high) in WIDER.items()
@@ -192,8 +184,7 @@ def tried(
         with threadpool_limits(limits=1, user_api="blas"):
             nodes = nodes_of(loaded, [node.time_s for node in solution.nodes])
             certificate, ranges = solution.certificate, ranges_of(loaded, nodes)
-            settled = certificate.stable and certificate.kkt_residual <= UNSETTLED
-            changes = changes_of(case_as_searched(solution), nodes, settled)
+            changes = changes_of(case_as_searched(solution), nodes)
             most = max(LEAST_EVALUATIONS, certificate.evaluations // len(changes))
             for number, change in enumerate(changes):
                 shown = None if progress is None else partial(progress, number, len(changes))
@@ -216,30 +207,27 @@ def _tried(
     """Search with a change, with `most` evaluations."""
     best: ProblemAtPoint | None = None
     problem: Problem | None = None
-    interrupted, refused = False, ""
+    unstable, interrupted, refused = 0, False, ""
 
-    def watch(count: int, at: ProblemAtPoint) -> bool:
+    def watch(so_far: ProblemAtPoint) -> None:
         nonlocal best
-        assert problem is not None
-        best = at if best is None else min(best, at, key=_rank)
+        best = so_far
         if progress is not None:
             progress(best.violation_db if best.unstable == 0 else float("nan"), f"trial: {change.about}")
-        return problem.evaluations >= most or (count >= PATIENCE and at.unstable > best.unstable)
 
     try:
-        problem = make_problem(change.case, plants_of(change.case, change.nodes, solution, ranges))
-        for start in starts_of(problem, change.case, solution):
-            end = descend(problem, start, STEPS, FINE_DB, limits_only=True, give_up=watch)
-            watch(0, end)
-            if problem.evaluations >= most or _met(best):
-                break
+        plants = plants_of(change.case, change.nodes, solution, ranges)
+        problem = make_problem(change.case, plants)
+        best = meet_limits(problem, starts_of(problem, change.case, solution), most, watch)
+        unstable = best.unstable or int(not closes_stably(plants, problem, best.variables))
     except KeyboardInterrupt:
         interrupted = True
         if best is None:
             raise
+        unstable = best.unstable
     except ValueError as error:
         refused = str(error)
-    missing_db, unstable = (best.violation_db, best.unstable) if best is not None else (float("nan"), 0)
+    missing_db = float("nan") if best is None else best.violation_db
     missing_db = 0.0 if missing_db <= MET_DB else missing_db
     count = 0 if problem is None else problem.evaluations
     return Trial(change.about, change.settings, missing_db, unstable, count, interrupted, refused)
@@ -249,11 +237,3 @@ def starts_of(problem: Problem, case: Case, solution: Solution) -> list[Array]:
     """Return the best effort, then the law's own starts."""
     warm = problem.law.variables_of(solution.law)
     return [*([] if warm is None else [warm]), *problem.law.starts(MORE_STARTS * case.search.starts, case.search.seed)]
-
-
-def _rank(at: ProblemAtPoint) -> tuple[int, float]:
-    return at.unstable, at.violation_db
-
-
-def _met(best: ProblemAtPoint | None) -> bool:
-    return best is not None and best.unstable == 0 and best.violation_db <= MET_DB

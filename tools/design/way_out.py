@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
+from maxq.design.optimise.search import UNSETTLED
 from maxq.design.optimise.solution import ActiveBound, Constraint, Solution
-from maxq.design.optimise.way_out import UNSETTLED, conflict
+from maxq.design.optimise.way_out import conflict
 from maxq.tools.cli.terminal import aligned
 
 POINTS = 3  # of a limit, in a table
