@@ -1,16 +1,17 @@
-"""Allocation: the law's commands in pitch, yaw and roll as gimbal angles of groups of engines, and roll by gimbals.
+"""Allocation of the law's commands in pitch, yaw and roll to the gimbal angles of groups of engines.
 
     u = A v,   v = (pitch, yaw, roll),   u = pitch and yaw angle of each group
 
-A command is the angle of which all gimballed engines together would make the wanted moment: in pitch and yaw deflected
-alike, in roll each the way that turns the vehicle. With B (3, channels) the moments of a radian in each channel,
-D = diag(sum of those of each axis) and the weights W = engines / limit^2 of the channels,
+A command is the common angle of all gimballed engines that would produce the required moment. In pitch and yaw all
+engines deflect alike; in roll each engine deflects in the direction that turns the vehicle. Let B (3, channels) be the
+moments per radian of each channel, D = diag(sums of |B| over the channels of each axis), and W = engines / limit^2 the
+weights of the channels. Then
 
     A = W^-1 B' (B W^-1 B')^-1 D,   the pseudo-inverse: for B u = D v the least sum over engines of (angle / limit)^2
 
-A is a table over time, stepwise: it changes when the computer learns that an engine is lost, with D as it was, so that
-the loop keeps its gain as long as the angles reach. Pitch and yaw come first: what they leave of each channel's limit
-bounds roll, by one factor for all channels, so that roll disturbs no other axis.
+A is a stepwise table over time. It changes when the computer learns of the loss of an engine. D keeps its value, so
+that the loop keeps its gain as long as no angle exceeds its limit. Pitch and yaw have priority. The remainder of each
+channel's limit bounds roll by one factor for all channels, so that roll disturbs no other axis.
 """
 
 from __future__ import annotations
@@ -27,14 +28,16 @@ from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, TableRef, find_interval, interpolate
 
-_PARALLEL = 1e-9  # of a determinant, relative to that of perpendicular axes: less means that an axis cannot be had
+_PARALLEL = 1e-9  # least determinant, relative to that of perpendicular axes, of axes that can be controlled
 
 
 @dataclass(frozen=True)
 class Allocation:
-    """`groups` of engines; one has the law's commands as they are. `matrix`: (2 groups x 3) columns, row by row.
+    """The parameters of the allocation to `groups` of engines. A single group receives the law's commands unchanged.
 
-    Roll by gimbals: -k_p times the roll error, -k_d_s times the roll rate, within the limit.
+    `matrix`: (2 groups x 3) columns, row by row.
+
+    Roll by gimbals commands -k_p times the roll error and -k_d_s times the roll rate, within the limit.
     """
 
     groups: int
@@ -47,7 +50,10 @@ class Allocation:
 
 @dataclass
 class AllocationState:
-    """`roll_rad`: command in roll; `angle_rad`: commands issued at the last tick, pitch and yaw of each group."""
+    """The state of the allocation.
+
+    `roll_rad`: roll command. `angle_rad`: angles issued at the last tick, pitch and yaw of each group.
+    """
 
     roll_rad: float
     angle_rad: Annotated[Array, (2 * MAX_ENGINES,)]
@@ -57,10 +63,10 @@ ONE_GROUP = Allocation(1, NO_TABLE, 0.0, 0.0, 0.0, np.zeros(2 * MAX_ENGINES))
 
 
 def pseudo_inverse(effect: Array, scales: Sequence[float], authority: Array) -> Array:
-    """A (channels, 3) of `effect` B (3, channels), W^-1/2 of the channels and D (3,).
+    """Return A (channels, 3) from `effect` B (3, channels), W^-1/2 of the channels and the diagonal of D (3,).
 
-    The command of an axis that the channels cannot turn, or not apart from another, gives nothing. Without a
-    linear-algebra library, which would round in its own way on each processor.
+    An axis that the channels cannot turn, or cannot turn independently of another axis, gets a column of zeros. No
+    linear-algebra library is used, because its rounding depends on the processor.
     """
     squares = np.array(scales, float) ** 2
     out = np.zeros((effect.shape[1], 3))
@@ -77,7 +83,7 @@ def pseudo_inverse(effect: Array, scales: Sequence[float], authority: Array) -> 
 
 
 def _independent(effect: Array, squares: Array) -> list[int]:
-    """Axes that can be turned one apart from the other: pitch and yaw before roll."""
+    """Return the axes that can be turned independently, pitch and yaw before roll."""
     found: list[Array] = []
     axes: list[int] = []
     for axis in range(3):
@@ -108,7 +114,7 @@ def _solved(matrix: Array, right: Array) -> Array:
 
 @kernel
 def roll_command(a: Allocation, phi_e_rad: float, p_radps: float) -> float:
-    """Command in roll to the gimbals, rad."""
+    """Return the roll command to the gimbals, rad."""
     return min(max(-a.k_p * phi_e_rad - a.k_d_s * p_radps, -a.roll_limit_rad), a.roll_limit_rad)
 
 
@@ -123,9 +129,10 @@ def allocate(
     roll_rad: float,
     limit_rad: float,
 ) -> int:
-    """Angles of all channels into `state.angle_rad`; 1 where pitch and yaw alone exceed a limit, which cuts them.
+    """Write the angles of all channels into `state.angle_rad`.
 
-    A channel's limit is the lower one of `limit_rad` and its actuator's.
+    Returns 1 where pitch and yaw alone exceed a limit and are cut. A channel's limit is the lower of `limit_rad` and
+    the limit of its actuator.
     """
     state.roll_rad = roll_rad
     k = find_interval(pool, a.matrix, time_s)

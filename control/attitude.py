@@ -1,16 +1,16 @@
-"""Attitude in the computer: strapdown quaternions, and the attitude error theta_e that any law works on.
+"""Attitude in the flight computer: strapdown quaternions and the attitude error theta_e, the input of every law.
 
-Two ways to the error, both from the counted gyro increments and from the commanded rates of the guidance:
+The error is computed from the counted gyro increments and the commanded rates of the guidance, in one of two ways:
 
 | `attitude` | theta_e |
 |---|---|
 | `quaternion` | from the commanded to the measured attitude: the roll, and the tilt of x about y and z of the body |
 | `rate-integral` | per body axis the integral of the measured less that of the commanded rate (Lee, Ahn & Roh eq. 33) |
 
-Rotations about several axes do not commute: the second is an attitude error only as long as the vehicle turns about one
-axis. The first holds at any attitude, for errors below 180 deg: a large roll error, as in a roll manoeuvre, does not
-turn the axes about which gimbals correct the tilt (a rotation vector's would be turned by half of it). For small errors
-of one axis both are the same, and so is the linear loop.
+Rotations about several axes do not commute, so `rate-integral` is an attitude error only while the vehicle turns about
+one axis. `quaternion` is valid at any attitude, for errors below 180 deg. A large roll error, as in a roll manoeuvre,
+does not turn the axes about which gimbals correct the tilt. The rotation vector would be turned by half of the roll
+error. For small errors about one axis both errors, and hence the linear loops, are equal.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ QUATERNION = METHODS.index("quaternion")
 
 @dataclass
 class Strapdown:
-    """`q`: attitude, B to its place R at the start, unit quaternion, scalar first. `last_rad`: last angle increment."""
+    """The strapdown attitude.
+
+    `q`: unit quaternion from B to R, the attitude at the start, scalar first. `last_rad`: last angle increment.
+    """
 
     q: Annotated[Array, (4,)]
     last_rad: Annotated[Array, (3,)]
@@ -38,10 +41,12 @@ class Strapdown:
 
 @dataclass
 class AttitudeError:
-    """Triples are per body axis (roll, pitch, yaw).
+    """The attitude error; triples are per body axis (roll, pitch, yaw).
 
-    `measured`: attitude by the counted gyro increments. `error_rad`: attitude error; `theta_e_rad`: the same within
-    its limit, for the law. `rate_radps`: measured rate q_g, the increment over the sample.
+    - `measured`: attitude from the counted gyro increments.
+    - `error_rad`: attitude error.
+    - `theta_e_rad`: attitude error clamped at its limit, the input of the law.
+    - `rate_radps`: measured rate q_g, the increment divided by the sample period.
     """
 
     measured: Strapdown
@@ -52,7 +57,7 @@ class AttitudeError:
 
 @kernel
 def start_strapdown(state: Strapdown) -> None:
-    """At R, at rest."""
+    """Set the attitude to R, at rest."""
     state.q[0] = 1.0
     for axis in range(3):
         state.q[1 + axis] = 0.0
@@ -61,10 +66,10 @@ def start_strapdown(state: Strapdown) -> None:
 
 @kernel
 def turn(state: Strapdown, increment_rad: Array) -> None:
-    """Turn on by the body rates' integral over a sample (3,).
+    """Advance the attitude by `increment_rad` (3,), the integral of the body rates over a sample.
 
-    The rotation vector of the sample is the increment and a twelfth of (last increment x increment): the coning term,
-    exact to third order for rates that are linear over both samples (Savage, J. Guidance 21(1), 1998, 19-28).
+    The rotation vector of the sample is the increment plus one twelfth of (last increment x increment). This coning
+    term is exact to third order for rates that are linear over both samples (Savage, J. Guidance 21(1), 1998, 19-28).
     """
     last, new = vec.vector_at(state.last_rad, 0), vec.vector_at(increment_rad, 0)
     by = vec.quaternion_of(vec.add(new, vec.scaled(1.0 / 12.0, vec.cross(last, new))))
@@ -78,7 +83,7 @@ def turn(state: Strapdown, increment_rad: Array) -> None:
 
 @kernel
 def start_attitude_error(state: AttitudeError) -> None:
-    """No error, no rate."""
+    """Set the error and the rate to zero."""
     start_strapdown(state.measured)
     for axis in range(3):
         state.error_rad[axis] = 0.0
@@ -90,9 +95,10 @@ def start_attitude_error(state: AttitudeError) -> None:
 def update_attitude_error(
     state: AttitudeError, method: int, commanded: Strapdown, angle_rad: Array, commanded_rad: Array, limit_rad: float
 ) -> None:
-    """theta_e from the commanded attitude or from counted and commanded angles (3,), clamped at `limit_rad` per axis.
+    """Update theta_e from the commanded attitude, or from the counted and the commanded angles (3,).
 
-    The clamp bounds what the law sees and moves no reference: an error that comes back from beyond it counts in full.
+    theta_e is clamped at `limit_rad` per axis. The clamp limits only the input of the law: the error itself continues
+    beyond the limit, and its return counts in full.
     """
     turned = vec.quaternion_product(
         vec.conjugate(vec.quaternion_at(commanded.q, 0)), vec.quaternion_at(state.measured.q, 0)
@@ -104,7 +110,7 @@ def update_attitude_error(
 
 
 class AttitudeRow(NamedTuple):
-    """The logged attitude error."""
+    """The log row of the attitude error."""
 
     error_axis_deg: Annotated[RollPitchYaw, "deg", "attitude error theta_e in the computer"]
     measured_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "angular rate in the control law"]

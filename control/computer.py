@@ -1,15 +1,15 @@
-"""The flight computer: one sample instant, from gyro angle increments to gimbal and roll commands.
+"""The flight computer at one sample instant: from gyro angle increments to gimbal and roll commands.
 
     increments -> converter -> attitude, rate -> error -> law -> x total gain -> + injection -> limit -> DAC
           guidance, commanded attitude -----^          roll error and rate -> switching line -> thrusters
     several groups of engines: pitch, yaw and roll -> allocation -> limit -> DAC, for each group (allocation.py)
 
-The law is a module of control/laws: a parameter record, a memory record with its start, and a tick for each gimbal
-axis; what it works on is in attitude.py. Here stand its two records and two calls. Flight code from outside takes the
-place of law, roll control and roll command (external.py).
+A law is a module of control/laws with a parameter record, a state record with its start, and a tick for each gimbal
+axis. Its inputs are defined in attitude.py. This module holds its two records and two calls. External flight code
+replaces the law, the roll control and the roll command (external.py).
 
-The computer knows neither plant nor its own delay: it hands the command over at once, and its caller
-lets the command take effect `delay_ns` later and holds it.
+The computer contains neither the plant nor its own delay. It returns the command at once, and the caller applies the
+command `delay_ns` later and holds it.
 
 Triples are per body axis x, y, z (roll, pitch, yaw), pairs per gimbal axis (pitch, yaw).
 """
@@ -66,7 +66,7 @@ from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_
 from maxq.control.sensors import Sensors, SensorState, blended_rate, make_sensors, read_sensors, start_sensors
 from maxq.control.structures import GAINS, LAWS, OVER, Attitude, Law, Over
 
-# No gyro measures, and no scenario means, a turn of more than this in one sample: beyond it lies a fault.
+# Neither a gyro nor a scenario has a larger turn in one sample: a larger value is a fault.
 INCREMENT_LIMIT_RAD = 1.0e3
 
 _UNUSED_ROLL = Roll(0.0, 1.0, 0.0, 0)
@@ -75,20 +75,21 @@ _PID, _LOAD_RELIEF, _INCIDENCE_RELIEF = map(LAWS.index, ("pid", "load-relief", "
 
 @dataclass(frozen=True)
 class Computer:
-    """Parameters.
+    """The parameters of the flight computer.
 
-    `sample_ns`: period of the ticks. `delay_ns`: from a tick to the effect of its command; read by the plant.
+    `sample_ns`: period of the ticks. `delay_ns`: time from a tick to the effect of its command, applied by the plant.
 
-    `attitude`: how the attitude error is formed, index into `METHODS` of attitude.py. `angle_error_limit_rad`: clamp of
-    theta_e. `command_limit_rad`: of each gimbal command. inf: no limit.
-    `dac_step_rad`: step of the digital-to-analogue converter; 0 is none.
+    - `attitude`: definition of the attitude error, index into `METHODS` of attitude.py.
+    - `angle_error_limit_rad`: clamp of theta_e.
+    - `command_limit_rad`: limit of each gimbal command; inf is no limit.
+    - `dac_step_rad`: step of the digital-to-analogue converter; 0 is none.
 
-    `programme`: table of `guidance.rate_programme`; `unrolled` = 1: its axes of pitch and yaw do not roll. The
-    switches are 1 or 0: with `control_on` = 0 the law gives 0 (injected commands still pass), with `guidance_on` = 0
-    the programme stands still, with `roll_on` = 0 no thruster fires.
+    `programme`: table of `guidance.rate_programme`. `unrolled` = 1: the pitch and yaw axes of the programme do not
+    roll. The switches are 1 or 0. With `control_on` = 0 the law returns 0, and injected commands still pass. With
+    `guidance_on` = 0 the programme is stopped, and with `roll_on` = 0 no thruster fires.
 
-    `external`: 1 where flight code from outside is called; with `held_time_s` above 0 it is told this time, s, at all
-    samples. `first_stage`: number of the first stage that is flown; of a held flight, that of the held one.
+    `external`: 1 where external flight code is called. If `held_time_s` is above 0, the code receives this time, s, at
+    all samples. `first_stage`: number of the first stage flown, or of the stage of a frozen-point flight.
     """
 
     sample_ns: int
@@ -110,24 +111,27 @@ class Computer:
     command_limit_rad: float
     dac_step_rad: float
     roll: Roll
-    allocation: Allocation  # of the stage that flies
+    allocation: Allocation  # allocation of the current stage
     sensors: Sensors
     relief: load_relief.LoadRelief
-    takes_over: int = 0  # 1: this stage's law or timing is its own, and is started at the separation
-    over: int = 0  # what the gains are scheduled over, index into `OVER` of structures.py
-    orbit: OrbitGuidance = field(default_factory=OrbitGuidance)  # closed-loop guidance, of the last engine's stages
+    takes_over: int = 0  # 1: the stage has its own law or timing, which starts at the separation
+    over: int = 0  # variable of the gain schedule, index into `OVER` of structures.py
+    orbit: OrbitGuidance = field(default_factory=OrbitGuidance)  # closed-loop guidance in the last engine's stages
     adaptive: Adaptive = field(default_factory=Adaptive)
     loops: loop_filters.LoopFilters = field(default_factory=loop_filters.LoopFilters)
 
 
 @dataclass
 class ComputerState:
-    """All that the computer remembers; made by `records.blank`, started by `start_computer`.
+    """The state of the flight computer, allocated by `records.blank` and started by `start_computer`.
 
-    `ticks`: samples done. `invalid_inputs`: inputs refused so far (`computer_tick`). `requested_rad`: law with
-    injected command; `command_limited`: 1 where the limit then cut it. `command_rad`: gimbal command issued at the last
-    tick; the roll demand is `roll.demand`. `navigation`: speed_mps, mass_kg, dynamic_pressure_Pa at the end of the
-    sample (`OVER` of structures.py), given by the caller where gains or flight code from outside use them.
+    - `ticks`: samples done.
+    - `invalid_inputs`: inputs rejected so far (`computer_tick`).
+    - `requested_rad`: output of the law plus injected command.
+    - `command_limited`: 1 where the limit cut that sum.
+    - `command_rad`: gimbal command issued at the last tick; the roll demand is `roll.demand`.
+    - `navigation`: speed_mps, mass_kg, dynamic_pressure_Pa at the end of the sample (`OVER` of structures.py). The
+      caller writes them where scheduled gains or external flight code use them.
     """
 
     ticks: int
@@ -179,18 +183,21 @@ def build_computer(
     adaptive: Adaptive | None = None,
     loops: loop_filters.LoopFilters | None = None,
 ) -> Computer:
-    """Parameters of a computer; its tables go into `pool`.
+    """Return the parameters of a computer, and add its tables to `pool`.
 
-    `gains` comes from `pd.gains_table`, with the columns of `law` over what `over` says; without it the law gives 0.
-    `integral_limit_rad` bounds the integral of PID. `programme` comes from `guidance.rate_programme`; without it the
-    commanded rates are 0. Filters come from
-    `BendingFilter.discretize`; without `yaw_filter` yaw is as pitch, without either the law's output passes
-    as it is (a filter of no sections gives one axis none). `roll` comes from `roll.make_roll`; without it no
-    thruster fires. `count_rad` = 0 is an ideal converter, `dac_step_rad` = 0 an ideal DAC, an infinite limit
-    none. `relief_hz` is the corner of the accelerometer's lag of a load-relief law. `sensors` comes from
+    `gains` is a table of `pd.gains_table` with the columns of `law` over the variable `over`. Without it the law
+    returns 0. `integral_limit_rad` bounds the integral of PID. `programme` is a table of `guidance.rate_programme`.
+    Without it the commanded rates are 0.
+
+    Filters are those of `BendingFilter.discretize`. Without `yaw_filter` yaw uses the filter of pitch; without either,
+    the law's output is not filtered. A filter without sections leaves a single axis unfiltered. `roll` comes from
+    `roll.make_roll`. Without it no thruster fires.
+
+    `count_rad` = 0 is an ideal converter, `dac_step_rad` = 0 an ideal DAC, and an infinite limit is no limit.
+    `relief_hz` is the corner frequency of the accelerometer lag of a load-relief law. `sensors` comes from
     `sensors.make_sensors`, `adaptive` from `adaptive.make_adaptive`, `loops` from `loop_filters.make_loop_filters`.
 
-    Raises ValueError, naming key, value and what is allowed.
+    Raises ValueError that names key, value and allowed values.
     """
     for key, value, holds, allowed in (
         ("sample_ns", sample_ns, sample_ns > 0 and int(sample_ns) == sample_ns, "a whole number above 0"),
@@ -242,7 +249,7 @@ def _placed(pool: Pool, key: str, table: Cubics | None, n_columns: int) -> Table
 
 @routine
 def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s: float) -> None:
-    """All of `state` at its start, with the programme starting at `time_s`, the beginning of the first sample."""
+    """Initialise `state`, with the programme starting at `time_s`, the beginning of the first sample."""
     state.ticks = 0
     state.invalid_inputs = 0
     start_guidance(pool, computer.programme, state.guidance, time_s)
@@ -267,8 +274,9 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
 
 @routine
 def take_over(before: Computer, computer: Computer, state: ComputerState) -> None:
-    """A stage's own law takes over from that of the stage `before`: filters settled at their last inputs, those before
-    fading out, adaptation again.
+    """Hand over from the law of the stage `before` to that of a stage with a law of its own.
+
+    The new filters are settled at the last inputs of the old ones, which fade out. Adaptation restarts.
     """
     attitude, old, new, loops = state.attitude, before.loops, computer.loops, state.loops
     loops.fading = new.fade_ticks
@@ -299,19 +307,18 @@ def computer_tick(
     gimbal_injection_rad: Array,
     gimbal_replaces: IntArray,
 ) -> None:
-    """Process one sample instant: read the sample that ends at `time_s` and leave the new command in `state`.
+    """Process one sample: read the sample that ends at `time_s`, and leave the new command in `state`.
 
-    `increment_rad` (3,): gyro angle about x, y, z since the last tick. `rate_injection_radps` (3,): rates,
-    constant over the sample that ends now, that add to the commanded rates, or replace them where
-    `rate_replaces` (3,) is not 0. `gimbal_injection_rad` (2,), `gimbal_replaces` (2,): the same for the
-    filtered command, before limit and DAC.
+    `increment_rad` (3,): gyro angle about x, y, z since the last tick. `rate_injection_radps` (3,): rates, constant
+    over the sample that ends now, which add to the commanded rates, or replace them where `rate_replaces` (3,) is not
+    0. `gimbal_injection_rad` (2,), `gimbal_replaces` (2,): the same for the filtered command, before limit and DAC.
 
-    Gives `state.command_rad` (2,), pitch and yaw, `state.roll.demand`, and in `state.allocation` the angles of each
-    group of engines.
+    Writes `state.command_rad` (2,), pitch and yaw, `state.roll.demand`, and the angles of each group of engines in
+    `state.allocation`.
 
-    An input that is not finite, or an angle beyond `INCREMENT_LIMIT_RAD` in one sample, counts as 0 and is
-    noted in `state.invalid_inputs`: one bad sample cannot poison sums and filters. The caller has to look
-    there, and see to it that `time_s` is finite.
+    An input that is not finite, or an angle beyond `INCREMENT_LIMIT_RAD` in one sample, is replaced by 0 and counted in
+    `state.invalid_inputs`. Hence a bad sample does not corrupt sums and filters. The caller checks this count and
+    ensures that `time_s` is finite.
     """
     sample_s = computer.sample_ns / 1.0e9
     for axis in range(3):
@@ -381,7 +388,7 @@ def computer_tick(
 
 @routine
 def follow_orbit_guidance(orbit: OrbitGuidance, state: ComputerState, time_s: float, sample_s: float) -> None:
-    """The commanded attitude turns in pitch and yaw as the closed-loop guidance says; in roll by the programme."""
+    """Turn the commanded attitude in pitch and yaw by the closed-loop guidance, and in roll by the programme."""
     guidance = state.guidance
     turned_rad = steer(orbit, state.orbit, guidance.attitude.q, time_s, sample_s)
     for axis in (1, 2):
@@ -391,7 +398,7 @@ def follow_orbit_guidance(orbit: OrbitGuidance, state: ComputerState, time_s: fl
 
 @routine
 def call_external(computer: Computer, state: ComputerState, time_s: float) -> None:
-    """Hand the sample to the flight code from outside; what it gives is in `state.external.outputs`."""
+    """Pass the sample to the external flight code, which writes `state.external.outputs`."""
     inputs, converter, guidance, attitude = state.external.inputs, state.converter, state.guidance, state.attitude
     inputs.tick, inputs.time_s = state.ticks, time_s
     if computer.held_time_s > 0.0:
@@ -421,7 +428,7 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
 
 @routine
 def hand_sensors(computer: Computer, state: ComputerState) -> None:
-    """Further sensors' samples into the flight code's inputs."""
+    """Copy the samples of the further sensors into the inputs of the flight code."""
     inputs, sensors = state.external.inputs, state.sensors
     inputs.health |= HEALTH_ACCELEROMETER + HEALTH_RATE_GYROS
     for k in range(computer.sensors.count):
@@ -437,7 +444,10 @@ def hand_sensors(computer: Computer, state: ComputerState) -> None:
 
 @routine
 def allocate_commands(computer: Computer, pool: Array, state: ComputerState, time_s: float) -> None:
-    """The commands in pitch, yaw and roll to the groups of engines: limit and DAC act on each group's angles."""
+    """Allocate the commands in pitch, yaw and roll to the groups of engines.
+
+    Limit and DAC act on the angles of each group.
+    """
     a, angles = computer.allocation, state.allocation.angle_rad
     if a.groups == 1:
         angles[0], angles[1] = state.command_rad[0], state.command_rad[1]
@@ -460,7 +470,10 @@ def allocate_commands(computer: Computer, pool: Array, state: ComputerState, tim
 def update_command(
     computer: Computer, pool: Array, state: ComputerState, gimbal: int, at: float, injected_rad: float, replaces: int
 ) -> None:
-    """Command of gimbal axis `gimbal` (0 pitch, 1 yaw): law with the gains at `at`, injection, limit, DAC."""
+    """Compute the command of gimbal axis `gimbal` (0 pitch, 1 yaw).
+
+    It is the law with the gains at `at`, then injection, limit and DAC.
+    """
     error_rad, rate_radps = state.attitude.theta_e_rad[gimbal + 1], state.attitude.rate_radps[gimbal + 1]
     lateral_mps2, sample_s = 0.0, computer.sample_ns / 1.0e9
     if computer.external == 0 and computer.flown_law >= _LOAD_RELIEF:
@@ -477,7 +490,7 @@ def update_command(
     given = LawInputs(gimbal, at, error_rad, rate_radps, lateral_mps2, sample_s, cut_rad, computer.control_on)
     if computer.external != 0:
         wanted_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
-        # no sections of a design: those with which a certificate alters the loop
+        # sections with which a certificate alters the loop, not those of a design
         law_rad = filtered(computer.law, state.law, gimbal, wanted_rad)
     elif computer.flown_law == _LOAD_RELIEF:
         law_rad = load_relief.tick_load_relief(computer.law, computer.relief, pool, state.law, state.relief, given)
@@ -505,19 +518,19 @@ def update_command(
 
 @kernel
 def limit_and_quantise(requested_rad: float, limit_rad: float, step_rad: float) -> float:
-    """`requested_rad` within ±`limit_rad`, at the nearest DAC step that is not beyond the limit; no step is 0."""
+    """Return `requested_rad` limited to ±`limit_rad`, at the nearest DAC step within the limit; a step of 0 is none."""
     command_rad = min(max(requested_rad, -limit_rad), limit_rad)
     if step_rad == 0.0:
         return command_rad
     steps = round_half_away(command_rad / step_rad)
-    # The limit is in general no multiple of the step; the margin keeps rounding from refusing one that is.
+    # The limit is generally not a multiple of the step; the tolerance accepts a multiple despite rounding.
     if abs(steps) * step_rad > limit_rad * (1.0 + 1.0e-12):
         steps -= 1 if steps > 0 else -1
     return steps * step_rad
 
 
 class ControlRow(NamedTuple):
-    """The logged values of the computer, at the rate of the fast group."""
+    """The log row of the computer, at the rate of the fast group."""
 
     counts_axis: Annotated[RollPitchYaw, "1", "gyro pulses of the last sample"]
     attitude: AttitudeRow
@@ -541,7 +554,7 @@ def control_row(state: ComputerState) -> ControlRow:
 
 
 class GuidanceRow(NamedTuple):
-    """Attitude in the computer; R is B at the computer's start."""
+    """The log row of the attitude in the computer; R is B at the computer's start."""
 
     axis_commanded_deg: Annotated[RollPitchYaw, "deg", "integral of the commanded rate"]
     axis_measured_deg: Annotated[RollPitchYaw, "deg", "attitude angle: sum of the gyro pulses"]

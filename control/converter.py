@@ -1,6 +1,6 @@
-"""Voltage-to-frequency converter: the gyro rate, integrated over a sample, becomes a whole number of pulses.
+"""The voltage-to-frequency converter, which turns the gyro rate integrated over a sample into a whole number of pulses.
 
-A pulse is worth `count_rad`. The residual of a sample stays in the integrator and is counted later, so that the sum of
+A pulse represents `count_rad`. The residual of a sample stays in the integrator and is counted later. Hence the sum of
 the pulses equals the true angle within half a pulse at all times (Lee, Ahn & Roh 2.3; errata 15).
 """
 
@@ -20,18 +20,23 @@ FINEST_COUNT_RAD = 1.0e-9
 
 @dataclass(frozen=True)
 class Converter:
-    """`count_rad`: angle per pulse, rad; 0: ideal converter, its output is the increment itself."""
+    """The parameter of the converter.
+
+    `count_rad`: angle per pulse, rad; 0 is an ideal converter, which returns the increment itself.
+    """
 
     count_rad: float
 
 
 @dataclass
 class ConverterState:
-    """Per body axis x, y, z (roll, pitch, yaw), in B relative to I.
+    """The state of the converter, per body axis x, y, z (roll, pitch, yaw), in B relative to I.
 
-    `counts`: pulses of the last sample; `total_counts`: their exact sum; both stay 0 in an ideal converter.
-    `residual_rad`: angle not counted yet. `increment_rad`: the last sample's measured increment. `angle_rad`:
-    sum of the measured increments, computed from `total_counts` and not by adding floats.
+    - `counts`: pulses of the last sample.
+    - `total_counts`: their exact sum. Both stay 0 in an ideal converter.
+    - `residual_rad`: angle not yet counted.
+    - `increment_rad`: measured increment of the last sample.
+    - `angle_rad`: sum of the measured increments, computed from `total_counts`, not by adding floats.
     """
 
     counts: Annotated[IntArray, (3,)]
@@ -42,7 +47,10 @@ class ConverterState:
 
 
 def make_converter(count_rad: float) -> Converter:
-    """Raises ValueError unless `count_rad` is 0 (ideal) or at least `FINEST_COUNT_RAD`, and finite."""
+    """Return a converter; `count_rad` must be 0 (ideal) or finite and at least `FINEST_COUNT_RAD`.
+
+    Raises ValueError for other values.
+    """
     if not (count_rad == 0 or FINEST_COUNT_RAD <= count_rad < math.inf):
         raise ValueError(f"count_rad = {count_rad}: allowed is 0 (ideal) or at least {FINEST_COUNT_RAD:g}")
     return Converter(count_rad)
@@ -50,7 +58,10 @@ def make_converter(count_rad: float) -> Converter:
 
 @kernel
 def round_half_away(value: float) -> int:
-    """Nearest whole number, halves away from 0: odd, so that a mirrored flight is the mirror image."""
+    """Return the nearest whole number, with halves rounded away from 0.
+
+    A mirrored flight is then the exact mirror image.
+    """
     return int(value + math.copysign(0.5, value))
 
 
@@ -69,8 +80,8 @@ def start_converter(state: ConverterState) -> None:
 def convert(converter: Converter, state: ConverterState, axis: int, increment_rad: float) -> None:
     """Count the gyro angle `increment_rad` of one sample on body axis `axis` (0 roll, 1 pitch, 2 yaw).
 
-    Afterwards |residual_rad| <= count_rad/2, and angle_rad differs from the sum of all true increments by the
-    residual. Limit: the increment must be finite and below 9e18 count_rad; `computer_tick` ensures it.
+    Afterwards |residual_rad| <= count_rad/2, and angle_rad differs from the sum of all true increments by the residual.
+    The increment must be finite and below 9e18 count_rad, as `computer_tick` ensures.
     """
     if converter.count_rad == 0.0:
         state.increment_rad[axis] = increment_rad

@@ -1,9 +1,9 @@
-"""Flight code from outside: what it is given at each sample, what it gives back, and the call.
+"""External flight code: its inputs and outputs at each sample, and the call.
 
-Inputs and outputs are the C structs of `maxq_fsw.h`, field for field: all fields have eight bytes, and a later version
-only adds fields at the end (tests/test_oracle_flight_software.py compares both with a C compiler's view). The code is a
-C function at an address, called from the compiled flight; Python code and code behind a socket are C functions that
-ctypes makes (sim/run/flight_software.py).
+Inputs and outputs are the C structs of `maxq_fsw.h`, field for field. All fields have eight bytes, and a later version
+only adds fields at the end. tests/test_oracle_flight_software.py compares both with the layout of a C compiler. The
+code is a C function at an address, called from the compiled flight. For Python code and code behind a socket, ctypes
+makes such a C function (sim/run/flight_software.py).
 """
 
 from __future__ import annotations
@@ -24,31 +24,38 @@ from maxq.control.kernel.records import Array, IntArray
 HEADER = Path(__file__).with_name("maxq_fsw.h")
 ABI = 1
 MONITORS = 8
-LARGEST_RAD = 1.0e6  # of a command: far from what arithmetic cannot hold
+LARGEST_RAD = 1.0e6  # largest command, far below overflow
 
 HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS = 2, 4  # bits of `FswInputs.health`
 
 OWN_ERROR, NOT_FINITE, BAD_THRUSTER, CRASHED, STUCK = range(1, 6)
-"""Faults with which flight code ends a flight. Crashed, stuck: seen from outside (sim/run/flight_software.py)."""
+"""The faults with which flight code ends a flight.
+
+CRASHED and STUCK are detected from outside (sim/run/flight_software.py).
+"""
 
 
 @dataclass
 class FswInputs:
-    """`maxq_fsw_inputs`. Triples are per body axis x, y, z (roll, pitch, yaw).
+    """The struct `maxq_fsw_inputs`; triples are per body axis x, y, z (roll, pitch, yaw).
 
-    `bytes`: size of the struct. `time_ns`, `time_s`: vehicle clock at the end of the sample. `tick`: samples before
-    this one. `stage`: from 0. `health`: bit 0, all gyro increments were valid; bits 1 and 2, the accelerometer's and
-    all further rate gyros' samples have arrived.
-
-    `counts`, `delta_angle_rad`: gyro pulses of the sample and the angle that they mean; without quantisation counts are
-    0. `angle_rad`: sum of the angles. `rate_radps`: angle of the sample over its period. `commanded_angle_rad`,
-    `commanded_rate_radps`: of the guidance programme, with injected rates. `attitude_error_rad`: what the built-in law
-    works on. `q_BR`, `commanded_q_BR`: attitude by the counts and of the guidance, B to R (the body
-    at its start), scalar first.
-
-    `delta_velocity_mps`: specific force over the sample, by the accelerometer; 0 without one. `further_rate_radps`: of
-    rate gyros beyond the first, as `rate_radps`. `speed_mps`, `mass_kg`, `dynamic_pressure_Pa`: as gains may be
-    scheduled over (structures.py).
+    - `bytes`: size of the struct.
+    - `time_ns`, `time_s`: vehicle clock at the end of the sample.
+    - `tick`: samples before this one.
+    - `stage`: from 0.
+    - `health`: bit 0, all gyro increments were valid; bits 1 and 2, the samples of the accelerometer and of all further
+      rate gyros have arrived.
+    - `counts`, `delta_angle_rad`: gyro pulses of the sample and the corresponding angle; without quantisation counts
+      are 0.
+    - `angle_rad`: sum of the angles.
+    - `rate_radps`: angle of the sample divided by its period.
+    - `commanded_angle_rad`, `commanded_rate_radps`: of the guidance programme, with injected rates.
+    - `attitude_error_rad`: input of the built-in law.
+    - `q_BR`, `commanded_q_BR`: attitude from the counts and of the guidance, B to R (the body at its start), scalar
+      first.
+    - `delta_velocity_mps`: specific force integrated over the sample, from the accelerometer; 0 without one.
+    - `further_rate_radps`: rates of the gyros beyond the first, as `rate_radps`.
+    - `speed_mps`, `mass_kg`, `dynamic_pressure_Pa`: as for gain schedules (structures.py).
     """
 
     bytes: int
@@ -75,10 +82,12 @@ class FswInputs:
 
 @dataclass
 class FswOutputs:
-    """`maxq_fsw_outputs`; all 0 before each call.
+    """The struct `maxq_fsw_outputs`; all 0 before each call.
 
-    `gimbal_rad`: commands in pitch and yaw before limit and DAC, which are hardware. `roll_gimbal_rad`: command in roll
-    to several groups of engines (allocation.py). `roll_thruster`: -1, 0 or 1. `monitor`: for the log.
+    - `gimbal_rad`: commands in pitch and yaw before limit and DAC, which are hardware.
+    - `roll_gimbal_rad`: roll command to several groups of engines (allocation.py).
+    - `roll_thruster`: -1, 0 or 1.
+    - `monitor`: values for the log.
     """
 
     bytes: int
@@ -90,10 +99,14 @@ class FswOutputs:
 
 @dataclass
 class ExternalState:
-    """`step`, `instance`: addresses of the function and of its instance. `inside`: 1 while it runs. `calls`: so far.
+    """The state of external flight code.
 
-    `invalid_before`: invalid inputs up to the sample before. `fault`: 0, or why the flight ends; `code`: what the
-    function returned, or which output is wrong.
+    - `step`, `instance`: addresses of the function and of its instance.
+    - `inside`: 1 while the function runs.
+    - `calls`: calls so far.
+    - `invalid_before`: invalid inputs up to the previous sample.
+    - `fault`: 0, or the reason that ends the flight.
+    - `code`: return value of the function, or index of the invalid output.
     """
 
     step: int
@@ -113,7 +126,7 @@ def _address_of(record: Any) -> int:
 
 
 def call_step(step: int, instance: int, inputs: FswInputs, outputs: FswOutputs) -> int:
-    """Return the value that the C function at the address `step` returns for an instance."""
+    """Return the result of the C function at the address `step` for an instance."""
     function = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 3)(step)
     code: int = function(instance, _address_of(inputs), _address_of(outputs))
     return code
@@ -121,7 +134,7 @@ def call_step(step: int, instance: int, inputs: FswInputs, outputs: FswOutputs) 
 
 @intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
 def _call(context: Any, step: Any, instance: Any, inputs: Any, outputs: Any) -> Any:
-    """Numba intrinsic: records are addresses, so that the call costs what it costs in C."""
+    """Numba intrinsic: pass records as addresses, so that the call costs as much as in C."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = ir.IntType(8).as_pointer()
@@ -151,7 +164,7 @@ def clear_outputs(outputs: FswOutputs) -> None:
 
 @kernel
 def step_external(state: ExternalState) -> None:
-    """Call the code on `state.inputs`. Outputs that cannot be used become 0 and a fault."""
+    """Call the code on `state.inputs`. Set invalid outputs to 0 and record a fault."""
     inputs, outputs = state.inputs, state.outputs
     clear_outputs(outputs)
     if state.fault != 0 or state.step == 0:
@@ -173,7 +186,7 @@ def step_external(state: ExternalState) -> None:
 
 
 class MonitorRow(NamedTuple):
-    """The values that external flight code passes to the log."""
+    """The log row of the values that external flight code writes to `monitor`."""
 
     monitor_1: Annotated[float, "1", "monitor[0] of the flight code"]
     monitor_2: Annotated[float, "1", "monitor[1] of the flight code"]

@@ -1,8 +1,8 @@
-"""Bending filters F2 ... F6 and beyond: continuous form, discretisation, and the kernel that runs one sample.
+"""Bending filters F2 to F6 and beyond: continuous form, discretisation, and the kernel that runs one sample.
 
-A filter is a product of quadratic sections (s²/ω_z² + 2 ζ_z s/ω_z + 1)/(s²/ω_p² + 2 ζ_p s/ω_p + 1) and
-first-order sections (s/z + 1)/(s/p + 1): those of Lee, Ahn & Roh, eqs 37-41, or any number of each, at most
-`MAX_SECTIONS` in all. Every one has unit DC gain, and every discretisation keeps it.
+A filter is a product of quadratic sections (s²/ω_z² + 2 ζ_z s/ω_z + 1)/(s²/ω_p² + 2 ζ_p s/ω_p + 1) and first-order
+sections (s/z + 1)/(s/p + 1). It is one of those of Lee, Ahn & Roh, eqs 37-41, or has any number of each section, at
+most `MAX_SECTIONS` in all. Every filter has unit DC gain, and every discretisation preserves it.
 
 The flight computer runs the discrete filter as a cascade of biquads in transposed direct form II.
 """
@@ -26,9 +26,9 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class QuadraticSection:
-    """(s²/ω_z² + 2 ζ_z s/ω_z + 1)/(s²/ω_p² + 2 ζ_p s/ω_p + 1) with ω = 2π times the frequency in Hz.
+    """The section (s²/ω_z² + 2 ζ_z s/ω_z + 1)/(s²/ω_p² + 2 ζ_p s/ω_p + 1) with ω = 2π times the frequency in Hz.
 
-    Poles must be stable; zeros may lie in either half plane (`zero_zeta` of any sign).
+    Poles must be stable; zeros may be in either half plane (`zero_zeta` of any sign).
     """
 
     zero_hz: float
@@ -37,29 +37,29 @@ class QuadraticSection:
     pole_zeta: float
 
     def polynomials(self) -> Array:
-        """[[1, n1, n2], [1, d1, d2]]: numerator and denominator in rising powers of s."""
+        """Return [[1, n1, n2], [1, d1, d2]]: numerator and denominator in rising powers of s."""
         w_z, w_p = 2 * math.pi * self.zero_hz, 2 * math.pi * self.pole_hz
         return np.array([[1.0, 2 * self.zero_zeta / w_z, w_z**-2], [1.0, 2 * self.pole_zeta / w_p, w_p**-2]])
 
 
 @dataclass(frozen=True)
 class FirstOrderSection:
-    """(s/z + 1)/(s/p + 1) with z = 2π zero_hz, p = 2π pole_hz; `zero_hz` < 0: in the right half plane."""
+    """The section (s/z + 1)/(s/p + 1) with z = 2π zero_hz, p = 2π pole_hz; `zero_hz` < 0 is in the right half plane."""
 
     zero_hz: float
     pole_hz: float
 
     def polynomials(self) -> Array:
-        """[[1, n1, 0], [1, d1, 0]]: numerator and denominator in rising powers of s."""
+        """Return [[1, n1, 0], [1, d1, 0]]: numerator and denominator in rising powers of s."""
         return np.array([[1.0, 1 / (2 * math.pi * self.zero_hz), 0.0], [1.0, 1 / (2 * math.pi * self.pole_hz), 0.0]])
 
 
 @dataclass(frozen=True)
 class BendingFilter:
-    """Continuous filter: the product of its sections; with none it is 1.
+    """The continuous filter: the product of its sections, or 1 without sections.
 
-    Raises ValueError, naming key, value and what is allowed, for values that are not finite, unstable poles,
-    a zero at the origin, and more than `MAX_SECTIONS` sections.
+    Raises ValueError that names key, value and allowed values for values that are not finite, unstable poles, a zero at
+    the origin, and more than `MAX_SECTIONS` sections.
     """
 
     quadratic: tuple[QuadraticSection, ...] = ()
@@ -78,12 +78,12 @@ class BendingFilter:
         _refuse_unless(n <= MAX_SECTIONS, "number of filter sections", n, f"at most {MAX_SECTIONS}")
 
     def polynomials(self) -> Array:
-        """(sections, 2, 3): numerator and denominator in rising powers of s, quadratic sections first."""
+        """Return (sections, 2, 3): numerator and denominator in rising powers of s, quadratic sections first."""
         rows = [q.polynomials() for q in self.quadratic] + [f.polynomials() for f in self.first_order]
         return np.array(rows).reshape(-1, 2, 3)
 
     def frequency_response(self, omega_radps: ArrayLike) -> ComplexArray:
-        """F(jω), same shape as `omega_radps`, which may be complex."""
+        """Return F(jω) in the shape of `omega_radps`, which may be complex."""
         s = 1j * np.asarray(omega_radps)
         response = np.ones(s.shape, complex)
         for n, d in self.polynomials():
@@ -93,17 +93,16 @@ class BendingFilter:
     def discretize(
         self, sample_s: float, method: Discretization = "prewarped", prewarp_hz: float | None = None
     ) -> DiscreteFilter:
-        """Discrete filter at the period `sample_s`.
+        """Return the discrete filter at the period `sample_s`.
 
-        - `prewarped`: bilinear, s = c (z - 1)/(z + 1) with the one constant c = ω0/tan(ω0 T/2) in all
-          sections, so that the response at ω0 = 2π `prewarp_hz` is the continuous one exactly.
+        - `prewarped`: bilinear, s = c (z - 1)/(z + 1) with the single constant c = ω0/tan(ω0 T/2) in all sections, so
+          that the response at ω0 = 2π `prewarp_hz` equals the continuous one.
         - `bilinear`: c = 2/T (Tustin).
-        - `matched`: poles and zeros are mapped by exp(sT), with a DC gain of 1; refused where one would alias.
-        - `zoh`: step-invariant. The cascade as a whole is, so its sections are not those of the continuous
-          filter.
+        - `matched`: poles and zeros are mapped by exp(sT), with a DC gain of 1; rejected where one would alias.
+        - `zoh`: step-invariant for the cascade as a whole, so its sections differ from those of the continuous filter.
 
-        A filter without sections is 1 by any method and needs no `prewarp_hz`. Raises ValueError, naming key,
-        value and what is allowed.
+        A filter without sections is 1 by any method and needs no `prewarp_hz`. Raises ValueError that names key, value
+        and allowed values.
         """
         _refuse_unless(sample_s > 0, "sample_s", sample_s, "a finite number above 0")
         if method not in get_args(Discretization):
@@ -127,7 +126,7 @@ class BendingFilter:
 
 @dataclass(frozen=True)
 class DiscreteFilter:
-    """Cascade of biquads: `sections` (n, 5) of b0, b1, b2, a1, a2 with a0 = 1, in powers of z⁻¹.
+    """The discrete filter, a cascade of biquads: `sections` (n, 5) of b0, b1, b2, a1, a2 with a0 = 1, in powers of z⁻¹.
 
     Raises ValueError if a section is unstable or not finite, or there are more than `MAX_SECTIONS`.
     """
@@ -148,13 +147,13 @@ class DiscreteFilter:
         return len(self.sections)
 
     def padded(self) -> Array:
-        """(MAX_SECTIONS, 5): the sections, then zeros; what a parameter record holds."""
+        """Return (MAX_SECTIONS, 5): the sections followed by zeros, as in a parameter record."""
         out = np.zeros((MAX_SECTIONS, 5))
         out[: self.n_sections] = self.sections
         return out
 
     def frequency_response(self, omega_radps: ArrayLike) -> ComplexArray:
-        """F(exp(jωT)), same shape as `omega_radps`."""
+        """Return F(exp(jωT)) in the shape of `omega_radps`."""
         z1 = np.exp(-1j * np.asarray(omega_radps, float) * self.sample_s)
         response = np.ones(z1.shape, complex)
         for b0, b1, b2, a1, a2 in self.sections:
@@ -168,7 +167,7 @@ def _refuse_unless(holds: bool, key: str, value: float, allowed: str) -> None:
 
 
 def _bilinear(numerator: Array, denominator: Array, c: float) -> Array:
-    """Section under s = c (z - 1)/(z + 1)."""
+    """Return the section under s = c (z - 1)/(z + 1)."""
     rows = []
     for p0, p1, p2 in (numerator, denominator):
         if numerator[2] == denominator[2] == 0:  # first order: the common factor (z + 1) is left out
@@ -179,7 +178,7 @@ def _bilinear(numerator: Array, denominator: Array, c: float) -> Array:
 
 
 def _matched(numerator: Array, denominator: Array, sample_s: float) -> Array:
-    """Section with poles and zeros at exp(sT)."""
+    """Return the section with poles and zeros at exp(sT)."""
     rows = []
     for name, polynomial in (("zero", numerator), ("pole", denominator)):
         roots = np.polynomial.polynomial.polyroots(np.trim_zeros(polynomial, "b"))
@@ -196,9 +195,10 @@ def _matched(numerator: Array, denominator: Array, sample_s: float) -> Array:
 
 
 def _step_invariant(polynomials: Array, sample_s: float) -> list[Array]:
-    """Sections of the zero-order-hold equivalent of the whole cascade.
+    """Return the sections of the zero-order-hold equivalent of the whole cascade.
 
-    The product of the sections' own equivalents would not be it: between two sections the signal is not a staircase.
+    It differs from the product of the sections' own equivalents, because the signal between two sections is not a
+    staircase.
     """
     from scipy.linalg import expm  # noqa: PLC0415  # lazy: scipy.signal takes 0.4 s to import, most flights
     from scipy.signal import zpk2sos  # noqa: PLC0415  # do not need it
@@ -229,18 +229,18 @@ def _step_invariant(polynomials: Array, sample_s: float) -> list[Array]:
 
 
 def _normalised(b: Array, a: Array) -> Array:
-    """[b0, b1, b2, a1, a2] for a0 = 1 and unit DC gain."""
-    with np.errstate(all="ignore"):  # what is not finite is refused by DiscreteFilter
+    """Return [b0, b1, b2, a1, a2] for a0 = 1 and unit DC gain."""
+    with np.errstate(all="ignore"):  # DiscreteFilter rejects values that are not finite
         b = b * (a.sum() / b.sum())
     return np.concatenate([b / a[0], a[1:] / a[0]])
 
 
 @kernel
 def filter_sample(sections: Array, n_sections: int, memory: Array, value: float) -> float:
-    """Output of the cascade for the next input `value`, in transposed direct form II.
+    """Return the output of the cascade for the next input `value`, in transposed direct form II.
 
-    `sections` (>= n, 5) of b0, b1, b2, a1, a2; `memory` (>= n, 2) is advanced in place. Without
-    sections the output is `value`.
+    `sections` (>= n, 5): b0, b1, b2, a1, a2. `memory` (>= n, 2): advanced in place. Without sections the output is
+    `value`.
     """
     for i in range(n_sections):
         out = sections[i, 0] * value + memory[i, 0]
@@ -252,7 +252,7 @@ def filter_sample(sections: Array, n_sections: int, memory: Array, value: float)
 
 @kernel
 def settle_filter(sections: Array, n_sections: int, memory: Array, value: float) -> None:
-    """Set `memory` (>= n, 2) to the steady state at the constant input `value`: no transient follows."""
+    """Set `memory` (>= n, 2) to the steady state at the constant input `value`, so that no transient follows."""
     for i in range(n_sections):
         b0, b1, b2 = sections[i, 0], sections[i, 1], sections[i, 2]
         a1, a2 = sections[i, 3], sections[i, 4]

@@ -1,9 +1,9 @@
-"""Guidance: a programme of commanded body rates over time, flown as the exact integral of the rates.
+"""Guidance by a programme of commanded body rates over time, flown as the exact integral of the rates.
 
-The control law needs the commanded angle (Lee, Ahn & Roh eq 33: theta_e is the integral of q_g - q_c).
-A sum of sampled rates would have a discretisation error; the programme's table therefore holds the angle at each
-breakpoint beside the rates, and the kernel integrates the interval's polynomial in closed form: cubic rates (pchip)
-give a quartic angle, linear rates a quadratic and stepwise rates a piecewise linear one, all exact to rounding.
+The control law needs the commanded angle (Lee, Ahn & Roh eq 33: theta_e is the integral of q_g - q_c). A sum of sampled
+rates would have a discretisation error. The programme's table therefore holds the angle at each breakpoint in addition
+to the rates, and the kernel integrates the polynomial of the interval in closed form. Cubic rates (pchip) give a
+quartic angle, linear rates a quadratic one, and stepwise rates a piecewise linear one. All are exact to rounding.
 """
 
 from __future__ import annotations
@@ -26,13 +26,16 @@ N_AXES = 3
 
 @dataclass
 class GuidanceState:
-    """Per body axis x, y, z (roll, pitch, yaw).
+    """The state of the guidance, per body axis x, y, z (roll, pitch, yaw).
 
-    `start_rad`: the programme's integral when the computer was started. `programme_rad`: its change since.
-    `injected_rad`: integral of the injected rates. `angle_rad`: commanded angle, the sum of both. `increment_rad`,
-    `rate_radps`: commanded turn of the body in the last sample, and that over the sample period.
+    - `start_rad`: integral of the programme when the computer was started.
+    - `programme_rad`: change of this integral since.
+    - `injected_rad`: integral of the injected rates.
+    - `angle_rad`: commanded angle, the sum of both.
+    - `increment_rad`, `rate_radps`: commanded turn of the body in the last sample, and this turn divided by the sample
+      period.
 
-    `attitude`: the same rates as a commanded attitude, from which the attitude error is taken.
+    `attitude`: the same rates as a commanded attitude, the reference of the attitude error.
     """
 
     start_rad: Annotated[Array, (3,)]
@@ -51,12 +54,12 @@ def rate_programme(
     roll_radps: ArrayLike = 0.0,
     method: Method = "linear",
 ) -> Cubics:
-    """Programme table of commanded body rates at `time_s` (n,); a single number is a constant rate.
+    """Return the programme table of commanded body rates at `time_s` (n,); a single number is a constant rate.
 
-    Columns 0-2: commanded rates about x, y, z (roll, pitch, yaw), rad/s; columns 3-5: their integral from the
-    first time to the beginning of each interval, rad. Outside `time_s` the end rates hold; with `step` each
-    rate holds up to the next time and the last one indefinitely. Raises ValueError as `tables.fit` does, and for
-    columns of other lengths.
+    Columns 0-2: commanded rates about x, y, z (roll, pitch, yaw), rad/s. Columns 3-5: their integrals from the first
+    time to the beginning of each interval, rad. Outside `time_s` the end rates hold. With `step` each rate holds up to
+    the next time, and the last one indefinitely. Raises ValueError as `tables.fit` does, and for columns of different
+    lengths.
     """
     times = np.atleast_1d(np.asarray(time_s, float))
     rates = np.zeros((len(times), N_AXES))
@@ -69,7 +72,7 @@ def rate_programme(
         if column.shape not in ((), times.shape):
             raise ValueError(f"{key} has {column.size} values: allowed is 1 or {len(times)}, one for each time_s")
         rates[:, axis] = column
-    if method == "step":  # a stepwise table ends at its last point; with one more the last rate holds
+    if method == "step":  # a stepwise table ends at its last point; an additional point holds the last rate
         times, rates = np.append(times, times[-1] + 1.0), np.vstack([rates, rates[-1]])
     table = fit(times, rates, method)
     span = np.diff(table.breaks)[:, None]
@@ -82,9 +85,9 @@ def rate_programme(
 
 @kernel
 def programme_angle(pool: Array, programme: TableRef, time_s: float, axis: int) -> float:
-    """Integral of the commanded rate about body axis `axis` from the table's first time to `time_s`, rad.
+    """Return the integral of the commanded rate about body axis `axis` from the table's first time to `time_s`, rad.
 
-    Outside the table the end rates hold. 0 without a programme.
+    Outside the table the end rates hold. Without a programme the integral is 0.
     """
     if programme.n_breaks == 0:
         return 0.0
@@ -104,7 +107,7 @@ def programme_angle(pool: Array, programme: TableRef, time_s: float, axis: int) 
 
 @kernel
 def start_guidance(pool: Array, programme: TableRef, state: GuidanceState, time_s: float) -> None:
-    """Start at `time_s` with commanded angles of 0."""
+    """Start the guidance at `time_s` with commanded angles of 0."""
     for axis in range(3):
         state.start_rad[axis] = programme_angle(pool, programme, time_s, axis)
         state.programme_rad[axis] = 0.0
@@ -127,10 +130,10 @@ def advance_guidance(
     injected_radps: float,
     replaces: int,
 ) -> None:
-    """Commanded angle of body axis `axis` at `time_s`, the end of a sample of `sample_s`.
+    """Advance the commanded angle of body axis `axis` to `time_s`, the end of a sample of `sample_s`.
 
-    `injected_radps` is a rate, taken as constant over that sample; it adds to the programme, or
-    with `replaces` = 1 takes its place. With `on` = 0 the programme's angle is held.
+    `injected_radps`: a rate, taken as constant over that sample, which adds to the programme, or replaces it with
+    `replaces` = 1. With `on` = 0 the programme's angle is held.
     """
     before_rad = state.programme_rad[axis]
     if on != 0:
@@ -146,8 +149,9 @@ def advance_guidance(
 
 @kernel
 def unroll(state: GuidanceState, sample_s: float) -> None:
-    """Take the last commanded increments in pitch and yaw as about axes that do not roll with the command: they become
-    those about the body axes, which are turned by the commanded roll in the middle of the sample.
+    """Convert the last commanded increments in pitch and yaw from axes that do not roll with the command to body axes.
+
+    The body axes are turned by the commanded roll in the middle of the sample.
     """
     roll_rad = state.angle_rad[ROLL] - 0.5 * state.increment_rad[ROLL]
     sine, cosine = math.sin(roll_rad), math.cos(roll_rad)

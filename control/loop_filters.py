@@ -1,12 +1,12 @@
-"""Filters of each loop by itself, and how the filters of a stage fade out behind its separation.
+"""Filters of the individual loops, and the fade-out of the filters of a stage after its separation.
 
     attitude error -> filter -> \
     rate           -> filter ->  law -> bending filter -> command
     acceleration   -> filter -> /
 
-The law's output has its bending filter in any case (laws/pd.py); a loop's own one filters what the law works on. After
-a separation the filters of the stage before run on beside those of the new one for `fade_ticks` samples, each with the
-same input, and what they give goes over linearly: share k / (n + 1) of the new one at sample k of n.
+The law's output always has its bending filter (laws/pd.py). The filter of a loop acts on an input of the law. After a
+separation the filters of the previous stage run in parallel with the new ones for `fade_ticks` samples, with the same
+inputs. The output passes over linearly: the new filter has the share k / (n + 1) at sample k of n.
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ def _no_sections() -> Array:
 
 @dataclass(frozen=True)
 class LoopFilters:
-    """`on`: 1 with any filter. `fade_ticks`: samples over which the filters of the stage before fade out.
+    """The parameters of the loop filters.
 
-    `sections` (3, MAX_SECTIONS, 5): as `Pd.sections`, of ATTITUDE, RATE, ACCELERATION, alike in pitch and yaw;
+    `on`: 1 with any filter. `fade_ticks`: samples over which the filters of the previous stage fade out.
+
+    `sections` (3, MAX_SECTIONS, 5): as `Pd.sections`, of ATTITUDE, RATE, ACCELERATION, the same in pitch and yaw.
     `n_sections` (3,).
     """
 
@@ -45,10 +47,10 @@ class LoopFilters:
 
 @dataclass
 class LoopFilterState:
-    """Per loop and gimbal axis: `memory` of the filters.
+    """The state of the loop filters, per loop and gimbal axis. `memory`: memory of the filters.
 
-    `old_sections`, `old_n_sections`, `old_memory`: of the stage before, the bending filter (OUTPUT) among them.
-    `fading`: samples left.
+    `old_sections`, `old_n_sections`, `old_memory`: filters of the previous stage, including the bending filter
+    (OUTPUT). `fading`: samples left.
     """
 
     memory: Annotated[Array, (3, 2, MAX_SECTIONS, 2)]
@@ -59,7 +61,7 @@ class LoopFilterState:
 
 
 def make_loop_filters(filters: Sequence[DiscreteFilter | None] = (), fade_ticks: int = 0) -> LoopFilters:
-    """`filters` of ATTITUDE, RATE, ACCELERATION; None: none."""
+    """Return the parameters for `filters` of ATTITUDE, RATE, ACCELERATION; None is no filter."""
     sections, n_sections = _no_sections(), np.zeros(3, np.int64)
     for loop, discrete in enumerate(filters):
         if discrete is not None:
@@ -69,7 +71,7 @@ def make_loop_filters(filters: Sequence[DiscreteFilter | None] = (), fade_ticks:
 
 @kernel
 def start_loop_filters(state: LoopFilterState) -> None:
-    """Settled at 0, nothing fading."""
+    """Settle the filters at 0, with none fading."""
     state.fading = 0
     for loop in range(3):
         for gimbal in range(2):
@@ -81,7 +83,7 @@ def start_loop_filters(state: LoopFilterState) -> None:
 def keep_filter(
     state: LoopFilterState, loop: int, gimbal: int, sections: Array, n_sections: int, memory: Array
 ) -> None:
-    """The filter of the stage before, to fade out."""
+    """Keep the filter of the previous stage, to fade it out."""
     state.old_n_sections[loop, gimbal] = n_sections
     for k in range(n_sections):
         for i in range(5):
@@ -93,7 +95,7 @@ def keep_filter(
 def take_over_filter(
     before: LoopFilters, filters: LoopFilters, state: LoopFilterState, loop: int, gimbal: int, value: float
 ) -> None:
-    """A stage's own filter of a loop begins settled at `value`; that before is kept."""
+    """Start a stage's own filter of a loop settled at `value`, and keep the previous filter."""
     memory = state.memory[loop, gimbal]
     keep_filter(state, loop, gimbal, before.sections[loop], before.n_sections[loop], memory)
     settle_filter(filters.sections[loop], filters.n_sections[loop], memory, value)
@@ -101,7 +103,7 @@ def take_over_filter(
 
 @kernel
 def faded(filters: LoopFilters, state: LoopFilterState, loop: int, gimbal: int, given: float, out: float) -> float:
-    """Return the output of a filter, `out`, faded with the output of the previous stage's filter for the same input."""
+    """Return a filter's output `out`, blended with that of the previous stage's filter for the same input."""
     if state.fading == 0:
         return out
     n_old, memory = state.old_n_sections[loop, gimbal], state.old_memory[loop, gimbal]
@@ -111,6 +113,6 @@ def faded(filters: LoopFilters, state: LoopFilterState, loop: int, gimbal: int, 
 
 @kernel
 def filtered_input(filters: LoopFilters, state: LoopFilterState, loop: int, gimbal: int, value: float) -> float:
-    """Return the filtered measurement that the law uses."""
+    """Return the filtered input of the law in place of a measurement."""
     out = filter_sample(filters.sections[loop], filters.n_sections[loop], state.memory[loop, gimbal], value)
     return faded(filters, state, loop, gimbal, value, out)

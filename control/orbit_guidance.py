@@ -1,18 +1,19 @@
-"""Closed-loop guidance to an orbit outside the air, and the cutoff of the engine at it.
+"""Closed-loop guidance to an orbit outside the atmosphere, and the engine cutoff at it.
 
-The direction of thrust follows the linear tangent law in a frame that stands still in I,
+The direction of thrust follows the linear tangent law in a frame fixed in I,
 
     u(t) = unit(x + (a + b s) z + (c + d s) n),    s = t - t_0,
 
-which is optimal in uniform gravity where the place along x is free (Bryson & Ho, Applied Optimal Control, 2.7 and 4.6).
-n is the normal of the orbit's plane, z upwards and x along the motion where the burn is expected to end. Once a cycle
-the four numbers and the time to go are found again from the navigated position and velocity, by Newton's method on a
-numerical prediction of the burn: at its end radius, speed and vertical speed of the perigee, and no place or speed
-across the plane. Gravitation is that of a flattened Earth (J2); the thrust is constant, its acceleration as measured
-over the last cycle. In the last seconds, in which position can no longer be steered, the direction stays on its line,
-and the engine is cut off at the instant at which the orbit's energy is reached.
+which is optimal in uniform gravity where the position along x is free (Bryson & Ho, Applied Optimal Control, 2.7 and
+4.6). n is the normal of the orbital plane, z points upwards and x along the motion, at the predicted end of the burn.
+Once per cycle the four numbers and the time to go are computed from the navigated position and velocity, by Newton's
+method on a numerical prediction of the burn. The conditions at its end are radius, speed and vertical speed of the
+perigee, and zero position and speed across the plane. Gravitation is that of a flattened Earth (J2). The thrust is
+constant, with the acceleration measured over the last cycle. In the last seconds, when the position can no longer be
+steered, the direction continues linearly. The engine is cut off when the orbit's energy is reached.
 
-The navigated position and velocity are given (`OrbitGuidanceState`): here the simulator's own, without error.
+The caller supplies the navigated position and velocity (`OrbitGuidanceState`); the simulator supplies its own, without
+error.
 """
 
 from __future__ import annotations
@@ -26,26 +27,34 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 
 WAITING, SEARCHING, STEERING, ENDING, CUT_OFF = range(5)
-"""Phases: before `start_s`; no solution yet, the programme goes on; steering; on a line; engine cut off."""
-N = 5  # unknowns: a, b, c, d, time to go; and as many conditions
-STEPS = 24  # of the prediction
+"""The phases of the guidance.
+
+WAITING: before `start_s`. SEARCHING: no solution yet, on the programme. STEERING. ENDING: linear direction before
+cutoff. CUT_OFF: engine cut off.
+"""
+N = 5  # number of unknowns (a, b, c, d, time to go) and of conditions
+STEPS = 24  # steps of the prediction
 ENDING_s = 8.0
 TRIALS, FIRST_TRIALS = 3, 40
 THRUSTING_mps2 = 1.0
-STEADY = 0.1  # change of the acceleration in a cycle
+STEADY = 0.1  # largest relative change of a steady acceleration in a cycle
 SLOPE_s = 100.0  # unknowns are a, SLOPE_s b, c, SLOPE_s d, and time over SLOPE_s: all of order one
 LONGEST_STEP = 0.3
-CLOSE = 1e-3  # in km and m/s; what is accepted is FAIR
+CLOSE = 1e-3  # in km and m/s; residuals up to FAIR are accepted
 FAIR = 1.0
 
 
 @dataclass(frozen=True)
 class OrbitGuidance:
-    """`on`: 0 without it. `start_s`: vehicle clock. `rate_limit_radps`: of the commanded attitude.
+    """The parameters of the orbit guidance.
 
-    `radius_m`, `speed_mps`: wanted at the cutoff, where the vertical speed is 0. `semimajor_m`: of the orbit.
-    `cos_inclination`: beyond 1 for the plane in which the vehicle flies at the start. `exhaust_mps`: effective exhaust
-    speed of the engine that is cut off.
+    - `on`: 0 without it.
+    - `start_s`: vehicle clock.
+    - `rate_limit_radps`: limit of the commanded attitude rate.
+    - `radius_m`, `speed_mps`: targets at cutoff, where the vertical speed is 0.
+    - `semimajor_m`: semi-major axis of the orbit.
+    - `cos_inclination`: a magnitude above 1 selects the plane of flight at the start.
+    - `exhaust_mps`: effective exhaust speed of the engine that is cut off.
     """
 
     on: int = 0
@@ -64,11 +73,16 @@ class OrbitGuidance:
 
 @dataclass
 class OrbitGuidanceState:
-    """`position_m`, `velocity_mps`: navigated, in I, at the end of the sample. `start_q_BI`: attitude at the start.
+    """The state of the orbit guidance.
 
-    `acceleration_mps2`: of the thrust, at `last_s`; `last_*`: of the last cycle. `axes`: x, n, z in I. `unknowns`: as
-    in the module's text, scaled. `solved_s`, `begun_s`: when they were found last, and t_0. `cut_off_s`: when the
-    engine shall be cut off; inf as long as it is not known.
+    `position_m`, `velocity_mps`: navigated, in I, at the end of the sample. `start_q_BI`: attitude at the start.
+
+    - `acceleration_mps2`: thrust acceleration at `last_s`.
+    - `last_*`: values of the last cycle.
+    - `axes`: x, n, z in I.
+    - `unknowns`: scaled as in the module's text.
+    - `solved_s`, `begun_s`: time of the last solution, and t_0.
+    - `cut_off_s`: time of the engine cutoff; inf as long as it is unknown.
     """
 
     position_m: Annotated[Array, (3,)]
@@ -113,7 +127,7 @@ def gravitation(g: OrbitGuidance, r: vec.Vector) -> vec.Vector:
 
 @kernel
 def direction(state: OrbitGuidanceState, unknowns: Array, time_s: float) -> vec.Vector:
-    """Return the direction of the thrust in I."""
+    """Return the direction of thrust, in I."""
     s = (time_s - state.begun_s) / SLOPE_s
     up, aside = unknowns[0] + unknowns[1] * s, unknowns[2] + unknowns[3] * s
     x, n, z = vec.vector_at(state.axes, 0), vec.vector_at(state.axes, 3), vec.vector_at(state.axes, 6)
@@ -123,7 +137,7 @@ def direction(state: OrbitGuidanceState, unknowns: Array, time_s: float) -> vec.
 
 @kernel
 def thrust_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> float:
-    """Return the acceleration by constant thrust while the mass decreases, from the last measured one."""
+    """Return the acceleration from constant thrust and decreasing mass, from the last measured value."""
     left = 1.0 - state.acceleration_mps2 * (time_s - state.last_s) / g.exhaust_mps
     return state.acceleration_mps2 / max(left, 0.01)
 
@@ -138,8 +152,11 @@ def acceleration(
 
 @routine
 def predict(g: OrbitGuidance, state: OrbitGuidanceState, unknowns: Array, time_s: float) -> None:
-    """Position and velocity at the end of the burn into `state.end`, and what they miss into `state.missed` (km, m/s):
-    radius, vertical speed, speed, place and speed across the plane. Classical Runge-Kutta."""
+    """Predict position and velocity at the end of the burn, by the classical Runge-Kutta method.
+
+    Writes them into `state.end`, and the residuals (km, m/s) into `state.missed`: radius, vertical speed, speed,
+    position and speed across the plane.
+    """
     r, v = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0)
     h = SLOPE_s * unknowns[4] / STEPS
     for step in range(STEPS):
@@ -173,7 +190,10 @@ def largest_miss(state: OrbitGuidanceState) -> float:
 
 @routine
 def solve(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float, trials: int) -> float:
-    """Newton's method on `state.unknowns`; what is missed in the end. Steps are bounded, for a first guess far off."""
+    """Solve for `state.unknowns` by Newton's method and return the final residual.
+
+    Steps are bounded, because the first guess can be far off.
+    """
     x, rows = state.unknowns, state.rows
     for _ in range(trials):
         predict(g, state, x, time_s)
@@ -205,8 +225,10 @@ def solve(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float, trials: in
 
 @kernel
 def solve_rows(rows: Array) -> int:
-    """Gauss-Jordan elimination with row pivoting on N equations, the right-hand side last, which becomes the solution.
-    Returns 0 if they are singular."""
+    """Solve N equations by Gauss-Jordan elimination with row pivoting.
+
+    The last column holds the right-hand side and becomes the solution. Returns 0 if the equations are singular.
+    """
     w = N + 1
     for k in range(N):
         best = k
@@ -230,7 +252,7 @@ def solve_rows(rows: Array) -> int:
 
 @routine
 def choose_axes(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> None:
-    """Plane and frame, and a first guess: a level burn over the speed that is missing."""
+    """Choose the plane and the frame, and a first guess: a level burn over the missing speed."""
     r, v = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0)
     radius, momentum = vec.norm(r), vec.cross(r, v)
     n = vec.scaled(1.0 / vec.norm(momentum), momentum)
@@ -260,7 +282,10 @@ def choose_axes(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> N
 
 @routine
 def measure_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> int:
-    """From what the velocity has gained since the last cycle beyond gravitation; 1 if a steady thrust has given it."""
+    """Measure the thrust acceleration, and return 1 if the thrust was steady.
+
+    It follows from the velocity gained beyond gravitation since the last cycle.
+    """
     r, v, since_s = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0), time_s - state.last_s
     known = since_s < 2.5 * g.cycle_s
     steady = False
@@ -279,8 +304,10 @@ def measure_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: fl
 
 @routine
 def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float, sample_s: float) -> int:
-    """At the end of a sample: solve where a cycle is due, and see to the cutoff. 1 where `steer` shall turn, not the
-    programme."""
+    """Solve where a cycle is due at the end of a sample, and cut off the engine when its time has come.
+
+    Returns 1 where `steer` is to turn the commanded attitude instead of the programme.
+    """
     if time_s < g.start_s:
         return 0
     if state.phase < ENDING and time_s >= state.next_s:
@@ -315,7 +342,10 @@ def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: 
 def steer(
     g: OrbitGuidance, state: OrbitGuidanceState, q_BR: Array, time_s: float, sample_s: float
 ) -> tuple[float, float]:
-    """Turn of the commanded attitude `q_BR` about its y and z, rad, in this sample: towards the direction of thrust."""
+    """Return the turn of the commanded attitude `q_BR` about its y and z in this sample, rad.
+
+    The turn is towards the direction of thrust.
+    """
     if state.phase == CUT_OFF:
         return 0.0, 0.0
     u = direction(state, state.unknowns, time_s)

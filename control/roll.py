@@ -13,9 +13,10 @@ from maxq.control.kernel.jit import kernel
 
 @dataclass(frozen=True)
 class Roll:
-    """Thrusters switch on at |s| > dead_band_rad and off at |s| < dead_band_rad - hysteresis_rad.
+    """The parameters of roll control.
 
-    `k_rate_s`: weight of the rate, s. `minimum_on_ticks`: shortest firing, samples.
+    Thrusters switch on at |s| > dead_band_rad and off at |s| < dead_band_rad - hysteresis_rad. `k_rate_s`: weight of
+    the rate, s. `minimum_on_ticks`: shortest firing, samples.
     """
 
     k_rate_s: float
@@ -26,8 +27,12 @@ class Roll:
 
 @dataclass
 class RollState:
-    """`switching_rad`: s. `demand`: sign of the torque about body x, -1, 0 or +1. `ticks_on`: samples of the
-    present firing so far. `firings`: firings begun.
+    """The state of roll control.
+
+    - `switching_rad`: s.
+    - `demand`: sign of the torque about body x, -1, 0 or +1.
+    - `ticks_on`: samples of the current firing so far.
+    - `firings`: firings begun.
     """
 
     switching_rad: float
@@ -39,9 +44,9 @@ class RollState:
 def make_roll(
     sample_ns: int, k_rate_s: float, dead_band_rad: float, hysteresis_rad: float, minimum_on_s: float
 ) -> Roll:
-    """Roll parameters; the minimum on time is rounded up to whole samples.
+    """Return the roll parameters, with the minimum on time rounded up to whole samples.
 
-    Raises ValueError, naming key, value and what is allowed.
+    Raises ValueError that names key, value and allowed values.
     """
     for key, value, holds, allowed in (
         ("k_rate_s", k_rate_s, k_rate_s >= 0, "a finite number from 0"),
@@ -58,9 +63,10 @@ def make_roll(
 
 @kernel
 def update_roll(roll: Roll, state: RollState, phi_e_rad: float, p_radps: float) -> None:
-    """Demand for the coming sample from roll error and rate of the last one; a positive s demands a negative torque.
+    """Update the demand for the coming sample from roll error and rate of the last one.
 
-    A firing continues in its direction until its minimum on time has passed, whatever s is.
+    A positive s demands a negative torque. A firing continues in its direction until its minimum on time has passed,
+    for any s.
     """
     s = phi_e_rad + roll.k_rate_s * p_radps
     state.switching_rad = s
@@ -92,7 +98,7 @@ def silence_roll(state: RollState) -> None:
 
 @kernel
 def start_roll(state: RollState) -> None:
-    """Thrusters off, none fired."""
+    """Set the thrusters off, with no firings."""
     state.switching_rad = 0.0
     state.firings = 0
     silence_roll(state)

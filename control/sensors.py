@@ -2,8 +2,9 @@
 
     q_g = w_0 q_0 + sum of w_k q_k
 
-of the first gyro and of further rate gyros, pitch and yaw by themselves. The weights sum to 1: a rigid body turns alike
-everywhere, so that they change what the law sees of bending and nothing else. The attitude is that of the first gyro.
+q_g blends the first gyro and further rate gyros, in pitch and yaw separately. The weights sum to 1. A rigid body turns
+alike everywhere, so the weights change only the bending content of the law's input. The attitude is that of the first
+gyro.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ from maxq.control.kernel.records import Array, IntArray
 
 @dataclass(frozen=True)
 class Sensors:
-    """`accelerometer`: number of the last one, which is an accelerometer; -1 without.
+    """The parameters of the sensors. `accelerometer`: number of the last sensor if it is an accelerometer; -1 without.
 
-    `converter`: angle (rad) or velocity (m/s) per pulse. `latency`: samples. `blend` (2, sensors): weights w_0, w_1 and
-    so on in pitch and yaw.
+    - `converter`: angle (rad) or velocity (m/s) per pulse.
+    - `latency`: samples.
+    - `blend` (2, sensors): weights w_0, w_1 and so on in pitch and yaw.
     """
 
     count: int
@@ -37,10 +39,13 @@ class Sensors:
 
 @dataclass
 class SensorState:
-    """`increment` (sensors, 3): output over the sample, written by the caller, and `lost`: 1 where it did not arrive.
+    """The state of the sensors.
 
-    `past`: what was counted in the last samples, a ring; `delta` (sensors, 3): what the computer goes by, rad or m/s,
-    and `value` its mean over the sample, rad/s or m/s2.
+    `increment` (sensors, 3): output over the sample, written by the caller. `lost`: 1 where the output did not arrive.
+
+    - `past`: counts of the last samples, a ring.
+    - `delta` (sensors, 3): increments used by the computer, rad or m/s.
+    - `value`: their mean over the sample, rad/s or m/s2.
     """
 
     converter: Annotated[tuple[ConverterState, ...], (MAX_SENSORS,)]
@@ -57,9 +62,10 @@ def make_sensors(
     accelerometer: bool = False,
     blend: Sequence[Sequence[float]] = (),
 ) -> Sensors:
-    """`counts`: angle or velocity per pulse of each sensor. `blend`: weights in pitch and in yaw, default (1, 0, ...).
+    """Return the parameters of the sensors.
 
-    Raises ValueError for weights that do not sum to 1, for more of them than rate gyros, and as `make_converter`.
+    `counts`: angle or velocity per pulse of each sensor. `blend`: weights in pitch and in yaw, by default (1, 0, ...).
+    Raises ValueError for weights that do not sum to 1, for more weights than rate gyros, and as `make_converter` does.
     """
     n, gyros = len(counts), len(counts) - int(accelerometer) + 1
     late, weights = np.zeros(MAX_SENSORS, np.int64), np.zeros((2, MAX_SENSORS))
@@ -77,7 +83,7 @@ def make_sensors(
 
 @kernel
 def start_sensors(sensors: Sensors, state: SensorState) -> None:
-    """Nothing counted, all values 0."""
+    """Clear all counts, and set all values to 0."""
     for k in range(sensors.count):
         start_converter(state.converter[k])
         for axis in range(3):
@@ -88,9 +94,9 @@ def start_sensors(sensors: Sensors, state: SensorState) -> None:
 
 @routine
 def read_sensors(sensors: Sensors, state: SensorState, tick: int, sample_s: float, limit: float) -> int:
-    """Count the increments of a sample; returns how many were refused: not finite, or beyond `limit`.
+    """Count the increments of a sample, and return the number of rejected ones: not finite, or beyond `limit`.
 
-    A sample that is lost leaves the value before in force; what it counted is lost with it.
+    Where a sample is lost, the previous value stays in force, and the sample's counts are lost too.
     """
     refused, slots = 0, MAX_LATENCY + 1
     for k in range(sensors.count):
@@ -109,7 +115,7 @@ def read_sensors(sensors: Sensors, state: SensorState, tick: int, sample_s: floa
 
 @kernel
 def blended_rate(sensors: Sensors, state: SensorState, gimbal: int, first_radps: float) -> float:
-    """Rate of the law about the axis of a gimbal (0 pitch, 1 yaw), rad/s, from the first gyro's and further ones'."""
+    """Return the rate of the law about the axis of a gimbal (0 pitch, 1 yaw), rad/s, from all gyros."""
     rate_radps: float = sensors.blend[gimbal, 0] * first_radps
     for k in range(MAX_SENSORS - 1):
         if k < sensors.count and k != sensors.accelerometer:

@@ -1,11 +1,11 @@
-"""Names that a file may choose from: control laws, and structures of the bending filter (Lee, Ahn & Roh eqs 37-41)."""
+"""Names that a file may choose: control laws, and structures of the bending filter (Lee, Ahn & Roh eqs 37-41)."""
 
 from __future__ import annotations
 
 from typing import Literal, get_args
 
 Law = Literal["pd", "pid", "load-relief", "incidence-relief"]
-"""Modules of control/laws and design/laws."""
+"""The modules of control/laws and design/laws."""
 LAWS: tuple[Law, ...] = get_args(Law)
 
 GAINS: dict[Law, tuple[str, ...]] = {
@@ -16,19 +16,22 @@ GAINS: dict[Law, tuple[str, ...]] = {
 }
 GAIN_NAMES = tuple(dict.fromkeys(name for names in GAINS.values() for name in names))
 RELIEF: tuple[Law, ...] = ("load-relief", "incidence-relief")
-"""Laws that take an accelerometer through a lag."""
+"""The laws with an accelerometer behind a lag."""
 
 Over = Literal["time_s", "speed_mps", "mass_kg", "dynamic_pressure_Pa"]
-"""What gains may be scheduled over: vehicle clock; else as the navigation has it, here the simulator's own without
-error: speed relative to the rotating Earth, mass, and the dynamic pressure of that speed in the air of that altitude
-(it knows no wind)."""
+"""The variables of a gain schedule.
+
+`time_s` is the vehicle clock. The others come from navigation, here the simulator's own without error: speed relative
+to the rotating Earth, mass, and dynamic pressure. The dynamic pressure is that of this speed in the air at this
+altitude, without wind.
+"""
 OVER: tuple[Over, ...] = get_args(Over)
 
 Attitude = Literal["quaternion", "rate-integral"]
-"""What the computer takes for its attitude error (control/attitude.py)."""
+"""The definitions of the computer's attitude error (control/attitude.py)."""
 
 DesignedStructure = Literal["F2", "F3", "F4", "F5", "F6", "sections"]
-"""Filters to be optimised: `sections` has as many as one likes."""
+"""The filters to be optimised; `sections` has any number of sections."""
 
 Structure = Literal["none", DesignedStructure]
 
@@ -40,12 +43,12 @@ STRUCTURES: dict[str, tuple[int, int]] = {
     "F5": (2, 1),
     "F6": (2, 2),
 }
-"""Numbers of quadratic and of first-order sections; the structure `sections` is free in both."""
+"""The numbers of quadratic and of first-order sections; the structure `sections` is free in both."""
 
 MAX_SECTIONS = 8
-"""Sections that the flight computer runs on an axis, quadratic and first-order ones together."""
+"""The largest number of sections per axis in the flight computer, quadratic and first-order together."""
 
 
 def structure_of(quadratic: int, first_order: int) -> str:
-    """Name of the structure with these numbers of sections; `sections` where the paper has none."""
+    """Return the name of the structure with these numbers of sections; `sections` where the paper has none."""
     return next((name for name, known in STRUCTURES.items() if known == (quadratic, first_order)), "sections")

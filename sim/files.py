@@ -1,4 +1,4 @@
-"""Files on the disk: written whole or not at all, and one line that says why one cannot be written.
+"""File output: a file is written whole or not at all, and a failure is reported in one line.
 
 write_whole(folder / "summary.json", text)
 with whole_file(folder / "gains.svg") as part:
@@ -17,14 +17,14 @@ from pathlib import Path
 
 
 class FileError(Exception):
-    """A file cannot be written. The message is one line that names it and says why."""
+    """The error of a file that cannot be written, with a one-line message that names the file and the reason."""
 
 
 Raises = Callable[[str], Exception]
 
 
 def write_whole(path: Path, content: str | bytes, raises: Raises = FileError, *, durable: bool = False) -> Path:
-    """Write text (UTF-8, newlines as they are) or bytes, as `whole_file` does; returns `path`."""
+    """Write text (UTF-8, newlines unchanged) or bytes as `whole_file` does, and return `path`."""
     with whole_file(path, raises, durable=durable) as part:
         part.write_bytes(content.encode() if isinstance(content, str) else content)
     return path
@@ -32,10 +32,10 @@ def write_whole(path: Path, content: str | bytes, raises: Raises = FileError, *,
 
 @contextlib.contextmanager
 def whole_file(path: Path, raises: Raises = FileError, *, durable: bool = False) -> Iterator[Path]:
-    """Yield a hidden temporary path beside `path`, and rename it to `path` at the end; folders are made as needed.
+    """Yield a hidden temporary path in the folder of `path`, and rename it to `path` at the end.
 
-    Nothing is left of a file that fails. An OSError is raised as `raises(line)`. `durable`: the content is on the disk
-    before the rename, so that even a power failure leaves a whole file or none.
+    Missing folders are created. If writing fails, no file is left. An OSError is raised as `raises(line)`. `durable`:
+    flush the content to the disk before the rename, so that even a power failure leaves a whole file or none.
     """
     part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}")
     try:
@@ -55,12 +55,12 @@ def whole_file(path: Path, raises: Raises = FileError, *, durable: bool = False)
 
 
 def plain_name(name: str, otherwise: str) -> str:
-    """A name from a file or a person as one part of a path: no separators, no dots at its ends, not long."""
+    """Return a name from a file or a person as one part of a path: no separators, no dots at its ends, not long."""
     return re.sub(r"[^\w.-]+", "-", name)[:80].strip(".-") or otherwise
 
 
 def check_writable(folder: Path, raises: Raises = FileError) -> None:
-    """Raise `raises(line)` where files could not be written into `folder`, which need not exist. Makes nothing."""
+    """Raise `raises(line)` if files cannot be written into `folder`, which need not exist; create nothing."""
     try:
         there = next(path for path in (folder, *folder.parents) if path.exists())
         if not there.is_dir():
@@ -73,12 +73,12 @@ def check_writable(folder: Path, raises: Raises = FileError) -> None:
 
 
 def reason(error: OSError) -> str:
-    """Return the system's reason for an error, as the end of a line."""
+    """Return the system's reason, as the end of a line."""
     return (error.strerror or str(error)).lower()
 
 
 def cannot_write(path: Path, error: OSError) -> str:
-    """The line that says that a file cannot be written, why, and what to do."""
+    """Return the line that says that a file cannot be written, why, and what to do."""
     advice = ""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         advice = "; make room and start the same command again"

@@ -81,7 +81,7 @@ def test_soundings_keep_their_dates(tmp_path: Path) -> None:
         again = load_scenario_text(loaded.as_flown).scenario.wind.profile
         assert again is not None
         assert again.date == date
-    with pytest.raises(ScenarioError, match="is no date"):
+    with pytest.raises(ScenarioError, match="is not a date"):
         load_scenario("nominal", ["wind.profile={date='2002-13-01',altitude_m=[0],north_mps=[0],east_mps=[0]}"])
 
 
@@ -152,7 +152,7 @@ def test_winds_of_a_month_are_the_mean_and_the_deviations_times_its_factors(tmp_
         for axis in ("north_mps", "east_mps"):
             wanted = by_mean * mean[axis] + by_sigma * (plain.profile(one)[axis] - mean[axis])
             np.testing.assert_allclose(months.profile(other)[axis], wanted, atol=1e-12)
-    with pytest.raises(ScenarioError, match="is no month"):
+    with pytest.raises(ScenarioError, match="is not a month"):
         campaignkit.small(tmp_path, "bad", inputs=MONTHS.format(factors.replace("[1, 7]", "[1, 7.5]")))
 
 

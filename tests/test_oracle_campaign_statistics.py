@@ -288,7 +288,7 @@ def test_tails_say_why_there_is_no_fit_and_when_it_is_poor() -> None:
     rng = np.random.default_rng(6)
     assert tail_of(rng.normal(size=100), 3.0, 0.99, 0.9).problem == "100 runs; 120 are needed"
     assert "are equal, at 6" in tail_of(np.minimum(rng.normal(5.0, 1.0, 1000), 6.0), 6.3, 0.9973, 0.9).problem
-    assert tail_of(rng.normal(size=200), 3.0, 0.5, 0.9).problem == "50 % lies within what was flown"
+    assert tail_of(rng.normal(size=200), 3.0, 0.5, 0.9).problem == "50 % is within the values flown"
     steps = np.round(rng.exponential(1.0, 1000)) + 0.02 * rng.random(1000)  # comes in lumps, as no such tail does
     assert tail_of(steps, 20.0, 0.9973, 0.9).fit < 0.05
 

@@ -74,5 +74,5 @@ def test_refused_programmes() -> None:
         rate_programme([0.0, 1.0, 2.0], 0.0, yaw_radps=[0.0, 1.0])
     with pytest.raises(ValueError, match="finite"):
         rate_programme([0.0, 1.0], [0.0, np.nan])
-    with pytest.raises(ValueError, match="rise strictly"):
+    with pytest.raises(ValueError, match="increase strictly"):
         rate_programme([1.0, 1.0], [0.0, 0.0])

@@ -78,7 +78,7 @@ def test_a_run_has_its_draws_alone_and_by_its_scores(tmp_path: Path) -> None:
     ("old", "new", "said"),
     [
         (f'["{FORCE}", "{LENGTH}"]', '["aero force", "drag"]', "campaign.correlated.1.of"),
-        (f'["{FORCE}", "{LENGTH}"]', '["aero force", "aero force"]', "are no two draws"),
+        (f'["{FORCE}", "{LENGTH}"]', '["aero force", "aero force"]', "are not two draws"),
         ("coefficient = -0.5", "coefficient = -0.9", "positive semidefinite"),
         ('apply = "scale"\npower', 'apply = "set"\npower', "disperse.2.power"),
     ],

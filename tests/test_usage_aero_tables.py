@@ -36,8 +36,8 @@ def total(**columns: Any) -> Tree:
     [
         (SMALL | {"alpha_deg": [-5.0, 5.0, -5.0, 6.0]}, "has no row for mach = 0, alpha_deg = 6", "2 x 3 combinations"),
         (SMALL | {"mach": [0.0, 0.0, 1.0, 0.0]}, "appears twice", "one row for each combination"),
-        (SMALL | {"alpha_deg": [-5.0, 5.0, -5.0, 200.0]}, "lies outside -180 .. 180", "-180 .. 180"),
-        (SMALL | {"roll_deg": [0.0] * 4}, "roll_deg has no meaning without total_deg", "total_deg beside roll_deg"),
+        (SMALL | {"alpha_deg": [-5.0, 5.0, -5.0, 200.0]}, "is outside -180 .. 180", "-180 .. 180"),
+        (SMALL | {"roll_deg": [0.0] * 4}, "roll_deg has no meaning without total_deg", "total_deg with roll_deg"),
         (SMALL | {"total_deg": [0.0] * 4}, "cannot be combined with alpha_deg", "one or the other"),
         (SMALL | {"beta_deg": [0.0] * 4, "total_deg": [0.0] * 4}, "has 4 axes", "at most 3"),
         ({"CN": [1.0]}, "no column of an axis", "mach, total_deg, roll_deg"),

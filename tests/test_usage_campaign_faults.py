@@ -120,7 +120,7 @@ def test_a_part_that_stands_twice_is_counted_once(campaign: LoadedCampaign, undi
     overlapping = campaignkit.data_set(undisturbed).slice(4, 3)
     pq.write_table(overlapping, out / "runs" / "runs-0000000004-0000000006.parquet")
     done = run_campaign(campaign, out)
-    assert "another part holds already" in done.notes[0]
+    assert "another part already contains" in done.notes[0]
     assert campaignkit.data_set_of(out)["run"].to_pylist() == list(range(20))
 
 
@@ -291,7 +291,7 @@ def test_draws_out_of_bounds_are_drawn_again_and_counted(tmp_path: Path) -> None
 
 def test_draws_out_of_bounds_are_refused_where_the_file_says_so(tmp_path: Path) -> None:
     campaign = campaignkit.small(tmp_path, inputs=BOUNDED, campaign='outside = "refuse"')
-    with pytest.raises(CampaignError, match=r"run \d+: vehicle.stage.0.tank.0.damping_ratio = -0.0\d+ lies outside"):
+    with pytest.raises(CampaignError, match=r"run \d+: vehicle.stage.0.tank.0.damping_ratio = -0.0\d+ is outside"):
         run_campaign(campaign, tmp_path / "out")
 
 
@@ -310,7 +310,7 @@ def test_values_that_exclude_each_other_are_drawn_again(tmp_path: Path) -> None:
 
 def test_bounds_that_nothing_meets(tmp_path: Path) -> None:
     campaign = campaignkit.small(tmp_path, inputs=BOUNDED + "at_least = 2.0\n")
-    with pytest.raises(CampaignError, match=r"1000 draws of .* all lie outside its bounds"):
+    with pytest.raises(CampaignError, match=r"1000 draws of .* are all outside its bounds"):
         campaign.plan.draw(0, 1)
 
 
@@ -319,7 +319,7 @@ def test_as_many_draws_are_tried_as_the_message_says(tmp_path: Path, monkeypatch
     redraws = campaign.plan.draw(0, 60).redraws.tolist()
     monkeypatch.setattr("maxq.sim.campaign.plan.MOST_ATTEMPTS", 2)
     assert campaign.plan.draw(redraws.index(2), 1).redraws.tolist() == [2]
-    with pytest.raises(CampaignError, match=r"2 draws of .* all lie outside its bounds \(at least 0 and at most 1\)"):
+    with pytest.raises(CampaignError, match=r"2 draws of .* are all outside its bounds \(at least 0 and at most 1\)"):
         campaign.plan.draw(redraws.index(3), 1)
 
 
@@ -335,7 +335,7 @@ def test_as_many_draws_are_tried_as_the_message_says(tmp_path: Path, monkeypatch
         ('key = "switches.gyro"', "switches.gyro holds no number"),
         ('key = "wind.factor"\ndistribution = "normal"', "needs one of sigma, three_sigma"),
         ('key = "wind.factor"\ndistribution = "gauss"', "is not one of the choices"),
-        ('key = "wind.factor"\ndistribution = "uniform"\nlow = 2.0\nhigh = 1.0', "low lies above high"),
+        ('key = "wind.factor"\ndistribution = "uniform"\nlow = 2.0\nhigh = 1.0', "low is above high"),
         ('key = "wind.factor"\ndistribution = "normal"\nsigma = 1.0\nhigh = 1.0', "has no meaning here"),
         ('keys = ["wind.factor"]\ndistribution = "normal"\ncovariance = [[1.0, 0.0]]', "is not a matrix of 1 by 1"),
         ('distribution = "samples"\nkey = "wind.factor"\nfile = "none.csv"', "no such file"),

@@ -65,7 +65,7 @@ def test_each_engine_on_a_load_of_its_own_has_channels() -> None:
 @pytest.mark.parametrize(
     ("section", "entries", "said"),
     [
-        ("actuator", "[{group=''},{group=''}]", "has an entry already"),
+        ("actuator", "[{group=''},{group=''}]", "already has an entry"),
         ("actuator", "[{group=''}]", "no entry for group 'middle'"),
         (
             "actuator",
@@ -74,7 +74,7 @@ def test_each_engine_on_a_load_of_its_own_has_channels() -> None:
         ),
         ("actuator", "{group='middle'}", "one table moves all groups"),
         ("tvc_load", "[{group='outer'}]", "no gimballed engine is of this group"),
-        ("tvc_load", "[{group='middle'},{group='middle'}]", "has an entry already"),
+        ("tvc_load", "[{group='middle'},{group='middle'}]", "already has an entry"),
     ],
 )
 def test_lists_by_group_are_refused_by_their_place(section: str, entries: str, said: str) -> None:

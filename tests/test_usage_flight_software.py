@@ -181,7 +181,7 @@ def test_python_code_that_does_not_return_at_its_start_is_ended(
         ({"python": "my_fsw.py"}, "names no class"),
         ({"python": "none.py:A", "address": "tcp://127.0.0.1:1"}, "no such file"),
         ({"address": "tcp://10.0.0.1:5000"}, "is not on this machine"),
-        ({"address": "127.0.0.1"}, "is no address"),
+        ({"address": "127.0.0.1"}, "is not an address"),
         ({"address": "tcp://127.0.0.1:1"}, "connection refused"),
     ],
 )

@@ -136,8 +136,8 @@ def test_head_refuses_what_the_writer_sets_and_doubles() -> None:
         ({"other": FAST}, "no rate group 'other'"),
         ({"fast": SLOW}, "20 channels"),
         ({"fast": (FAST[0][1:], FAST[1])}, "324 times"),
-        ({"fast": (FAST[0][::-1].copy(), FAST[1])}, "must not fall"),
-        ({"fast": (FAST[0] - 1, FAST[1])}, "must not fall"),
+        ({"fast": (FAST[0][::-1].copy(), FAST[1])}, "must not decrease"),
+        ({"fast": (FAST[0] - 1, FAST[1])}, "must not decrease"),
         ({"fast": (FAST[0] / 1e9, FAST[1])}, "int64"),
     ],
 )
@@ -154,7 +154,7 @@ def test_arrays_that_do_not_fit_are_refused_before_anything_is_written(
 def test_time_does_not_fall_from_call_to_call(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "a.mcap", TABLE, HEAD) as log:
         log.write_block({"fast": FAST})
-        with pytest.raises(ValueError, match="must not fall"):
+        with pytest.raises(ValueError, match="must not decrease"):
             log.write_block({"fast": FAST})
         log.write_block({"slow": SLOW})
 

@@ -49,7 +49,7 @@ def test_the_sphere_of_the_check_cases_is_none() -> None:
 @pytest.mark.parametrize(
     ("overrides", "says"),
     [
-        (["reference.length_m=180.0"], "reference.length_m = 180 is implausible; usual: the hindmost station, 14"),
+        (["reference.length_m=180.0"], "reference.length_m = 180 is implausible; usual: the rearmost station, 14"),
         (["reference.length_m=1.4"], "vehicle.reference.length_m = 1.4 is"),
         (["reference.diameter_m=100.0"], "diameter_m = 100 is implausible; usual: less than the length"),
         (["reference.area_m2=78.5"], "area_m2 = 78.5 is implausible; usual: about that of the diameter"),
@@ -129,7 +129,7 @@ def test_tables_that_end_before_the_thrust_are_refused(key: str, change: dict[st
         ("vehicle.stage.0.engine.throttle=[{time_s=0.0,throttle=5.0}]", r"throttle\[?\.?0.* = 5.*is out of range"),
         (
             "fault=[{kind='engine-off',at_s=5.0,tail_off=[{time_s=0.0,share=2.0},{time_s=1.0,share=0.0}]}]",
-            "share.* = 2.*is more than there was",
+            "share.* = 2.*exceeds the thrust before the fault",
         ),
     ],
 )
@@ -241,7 +241,7 @@ def test_warnings_in_summary_and_report(here: Path, capsys: pytest.CaptureFixtur
     overrides = ["vehicle.reference.length_m=180.0", "run.duration_s=0.1", "requirement="]
     code = simrun.main(["ascent.toml", "--no-log", "--out", "out", *(x for o in overrides for x in ("--set", o))])
     assert code == 0
-    line = "vehicle.reference.length_m = 180 is implausible; usual: the hindmost station, 14 m, or a little more"
+    line = "vehicle.reference.length_m = 180 is implausible; usual: the rearmost station, 14 m, or a little more"
     assert f"warning: {line}\n" in capsys.readouterr().out
     assert line in json.loads((here / "out" / "summary.json").read_text())["warnings"]
     sign = 'distribution = "normal"\nthree_sigma = 1.2\n[run]\nduration_s = 0.1'

@@ -376,7 +376,7 @@ def test_a_copy_stands_on_its_own(shipped: Path, tmp_path: Path, monkeypatch: py
 def test_a_copy_overwrites_nothing(shipped: Path) -> None:
     Path("mine/winds").mkdir(parents=True)
     Path("mine/winds/west.csv").write_text("my own\n")
-    with pytest.raises(ScenarioError, match=r"^mine/winds/west.csv: is there already, and is not overwritten"):
+    with pytest.raises(ScenarioError, match=r"^mine/winds/west.csv: already exists, and is not overwritten"):
         copy_scenario("ascent", "mine")
     assert not Path("mine/ascent.toml").exists()
     assert Path("mine/winds/west.csv").read_text() == "my own\n"

@@ -86,7 +86,7 @@ def test_a_chunk_that_is_larger_than_is_read(tmp_path: Path, compression: str, m
         chunk(content, compression, PACKED[compression](content)),
     )
     log = maxq.read(path)
-    said = "chunk 1 of 2 was left out: it says that it decompresses to 5 MB; at most 1 MB are read"
+    said = "chunk 1 of 2 was left out: it declares a decompressed size of 5 MB; at most 1 MB are read"
     assert said in log.notes
     assert len(log.time_ns(TABLE.topics[0].name)) > 0  # the other one is there
 

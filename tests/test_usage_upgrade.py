@@ -232,7 +232,7 @@ MISTAKES = {
     "no TOML": ("[limits\n", "none.toml: is not valid TOML: "),
     "both keys": (
         CASE.replace("higher_modes_db = -11.0", "modes_from_3_db = -9.0\nhigher_modes_db = -11.0"),
-        "none.toml: limits.higher_modes_db: is given besides modes_from_3_db; allowed: one of them",
+        "none.toml: limits.higher_modes_db: is given in addition to modes_from_3_db; allowed: one of them",
     ),
     "later version": (
         DESIGN.replace("schema = 1", "schema = 3"),

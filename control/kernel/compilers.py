@@ -1,5 +1,7 @@
-"""Compile kernels with Numba: fewer passes, one link and optimisation of all functions that an entry calls, and
-separate processes for large functions.
+"""Changes to Numba's compilation of kernels.
+
+There are fewer passes, one linking and optimisation for each entry with all its callees, and parallel processes for
+large routines.
 """
 
 from __future__ import annotations
@@ -37,10 +39,10 @@ from maxq.control.kernel.machine import cores
 
 
 class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
-    """Code of one kernel as it was translated, for the entry that it ends up in; Python has no way to call it.
+    """The translated code of one kernel, for the entry that will contain it; Python cannot call it.
 
-    Numba would link each function with all that it calls, optimise that, and emit machine code, at every level of the
-    calls again.
+    Numba would link each function with all its callees, optimise the result and emit machine code, at every level of
+    the calls.
     """
 
     @property
@@ -48,7 +50,7 @@ class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
         return self
 
     def set_env(self, name: str, environment: object) -> None:
-        """Only a wrapper for Python reads a function's environment."""
+        """Do nothing: only a wrapper for Python reads a function's environment."""
 
     def get_pointer_to_function(self, name: str) -> int:
         return 0  # as Numba's own, where there is no such function
@@ -58,19 +60,20 @@ class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
         self._finalized = True
 
     def by_itself(self) -> Any:
-        """LLVM module of the kernel without what it calls."""
+        """Return the LLVM module of the kernel without its callees."""
         return super()._get_module_for_linking()
 
     def _get_module_for_linking(self) -> Any:
-        """The kernel with all that it calls: for functions that know of Numba only."""
+        """Return the LLVM module of the kernel with all its callees, for functions that only Numba knows."""
         whole = self.by_itself().clone()
         _link_into(whole, self._linking_libraries)
         return whole
 
 
 class _EntryCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
-    """Code of an entry with all that it calls, directly or not: linked and optimised once, but for routines whose
-    machine code is made in another process: `objects`, object files by the routines' names.
+    """The code of an entry with all its direct and indirect callees, linked and optimised once.
+
+    Routines compiled by another process are excluded: `objects` holds their object files by name.
     """
 
     objects: dict[str, bytes]
@@ -92,9 +95,9 @@ class _EntryCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
 
 
 def _link_into(module: Any, libraries: list[Any], apart: bool = False) -> list[_LateCode]:
-    """Link what a module calls into it, callers first: LLVM takes only what has been referred to by then.
+    """Link the callees of a module into it, callers first, because LLVM links only symbols that are already referenced.
 
-    `apart`: without routines that another process compiles; returns these.
+    `apart`: leave out the routines that another process compiles, and return them.
     """
     backwards: dict[int, Any] = {}
 
@@ -124,17 +127,17 @@ def _mangled(kind: str, name: str) -> tuple[str, tuple[int]]:
 
 
 class _AdaptedNumba:
-    """Changes to Numba that hold while a kernel compiles, under Numba's own lock of compilations.
+    """The changes to Numba that apply while a kernel compiles, under Numba's own compilation lock.
 
-    Nothing of them is left for the other code of the process.
+    They do not affect other code of the process.
 
-    - `SLP_VECTORIZE`: LLVM joins like operations that stand side by side into vector instructions. The results are
-      the same bit by bit; measured, it saves a twentieth of a flight's time.
+    - `SLP_VECTORIZE`: LLVM joins adjacent equal operations into vector instructions. The results are identical bit by
+      bit. Measured saving: one twentieth of a flight's time.
     - `get_call_type`: the type of a call is looked up once for the same arguments. Numba tries its templates again at
-      every addition; measured, that is a fifth of a compilation.
-    - `mangling_args`: names in machine code hold a hash of the layout of a record. Numba writes a number that counts
-      the records of a process, so that code for other layouts, kept by other processes, can have the same name; and for
-      a tuple with records it writes all their fields, 17,000 characters.
+      every addition. Measured saving: one fifth of a compilation.
+    - `mangling_args`: names in machine code contain a hash of a record's layout. Numba writes a number that counts the
+      records of a process, so that code for other layouts, kept by other processes, can have the same name. For a
+      tuple with records Numba writes all their fields, 17,000 characters.
     """
 
     def __init__(self) -> None:
@@ -143,7 +146,7 @@ class _AdaptedNumba:
 
     @staticmethod
     def _changes() -> tuple[tuple[Any, str, Any], ...]:
-        """Return owner, name and value of each change; calls are remembered until it is taken back."""
+        """Return owner, name and value of each change; lookups of calls are cached until the change is undone."""
         find_type, known = BaseFunction.get_call_type, dict[tuple[int, Any, Any], Any]()
 
         def known_type(function: Any, context: Any, args: Any, named: Any) -> Any:
@@ -193,12 +196,17 @@ _PASSES = (
     NativeLowering,
     NoPythonBackend,
 )
-"""Numba's, without those for what kernels have not: closures, `with`, exceptions, array expressions, parallel loops,
-inlining on this level."""
+"""The passes of Numba that kernels need.
+
+Left out are those for closures, `with`, exceptions, array expressions, parallel loops, and inlining on this level.
+"""
 
 
 class EntryCompiler(CompilerBase):  # type: ignore[misc]  # Numba has no types
-    """Numba's compiler into other code, without collecting garbage: a tenth of the time, and there is next to none."""
+    """The compiler of Numba for other target code, without garbage collection.
+
+    Garbage collection takes a tenth of the time, and there is almost no garbage.
+    """
 
     code: type[JITCodeLibrary] = _EntryCode
 
@@ -233,7 +241,7 @@ class DisjointCompiler(KernelCompiler):
 
 
 class _RareCode(_KernelCode):
-    """Code of a routine that LLVM inlines nowhere."""
+    """The code of a routine that LLVM never inlines."""
 
     def add_ir_module(self, module: Any) -> None:
         for function in module.functions:
@@ -247,7 +255,7 @@ class RareCompiler(DisjointCompiler):
 
 
 class _LateCode(_KernelCode):
-    """Code of a routine that a process of its own compiles: waited for when the entry is ready but for it."""
+    """The code of a routine that a separate process compiles; the entry waits for it last."""
 
     def __init__(self, compiler: BesideCompiler, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
@@ -256,7 +264,7 @@ class _LateCode(_KernelCode):
         if self._code:
             return
         pipe, write = os.pipe()
-        with warnings.catch_warnings():  # of Python 3.12, that another thread may hold a lock: none that is asked for
+        with warnings.catch_warnings():  # from Python 3.12, about locks of other threads: none is needed here
             warnings.simplefilter("ignore", DeprecationWarning)
             self._child = os.fork()
         if self._child == 0:
@@ -278,8 +286,9 @@ class _LateCode(_KernelCode):
 
 
 class BesideCompiler(DisjointCompiler):
-    """Compiles in a process beside this one, which goes on with the caller: nothing of a routine that returns nothing
-    has to be known before the entry is loaded.
+    """A compiler in a parallel process, while this process compiles the caller.
+
+    A routine that returns nothing is not needed before the entry is loaded.
     """
 
     allowed = sys.platform == "linux" and cores() > 1
@@ -331,10 +340,10 @@ class BesideCompiler(DisjointCompiler):
         return super()._compile_core()
 
     def module_here(self, name: str) -> Any:
-        """LLVM module of the routine as `name`, with all that it calls.
+        """Return the LLVM module of the routine, called `name`, with all its callees.
 
-        What else is in it has no name in machine code: the loader takes equal names of several objects, local ones
-        too, for one function, and that of another object may take other arguments by now.
+        All other symbols in the module are unnamed in the machine code. The loader takes equal names in several
+        objects, even local ones, for one function, and the function of another object may have other arguments.
         """
         result = self.here()
         module = result.library._get_module_for_linking()
@@ -355,7 +364,7 @@ class BesideCompiler(DisjointCompiler):
         return code
 
     def compile_and_leave(self, name: str, write: int) -> None:
-        """In the other process: write the routine's machine code, and end."""
+        """Write the routine's machine code in the other process, and end that process."""
         status = 1
         try:
             BesideCompiler.allowed = False

@@ -1,10 +1,10 @@
-"""Tables over up to three variables, in the pool beside those over one (tables.py).
+"""Tables over up to three variables, in the same pool as the tables over one variable (tables.py).
 
-Multilinear, or C1 by Hermite polynomials in every variable. The first is what wind-tunnel databases are specified with;
-its slope jumps at every breakpoint, so that a linear model at a breakpoint (a trim at zero angle of attack lies on one)
-is one-sided and a Runge-Kutta step across it loses its order. The second has slopes by the same monotone rule as the
-tables over one variable (Fritsch & Butland 1984), mixed derivatives by second-order differences of those. Outside the
-grid the values at its edge hold, in each variable by itself.
+Interpolation is multilinear, or C1 by Hermite polynomials in every variable. Wind-tunnel databases usually specify
+multilinear interpolation. Its slope jumps at every breakpoint. Hence a linear model at a breakpoint, such as a trim at
+zero angle of attack, is one-sided, and a Runge-Kutta step across a breakpoint loses its order. The C1 interpolation has
+slopes by the same monotone rule as the tables over one variable (Fritsch & Butland 1984), and mixed derivatives by
+second-order differences of these slopes. Outside the grid the values at its edge hold, separately in each variable.
 
 In the pool a grid is  breaks_1, breaks_2, breaks_3  then  nodes[n_1][n_2][n_3][term][column],  where the terms of a
 node are its value alone (multilinear), or value, d/d1, d/d2, d2/d1d2, d/d3, ... (C1; bit i of the term: variable i).
@@ -24,9 +24,9 @@ from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import monotone_slopes
 
-OFFSET, N_1, N_2, N_3, N_COLUMNS, N_TERMS = range(6)  # of a row of `GridRefs.at`
+OFFSET, N_1, N_2, N_3, N_COLUMNS, N_TERMS = range(6)  # columns of a row of `GridRefs.at`
 Extension = Literal["open", "mirror", "periodic"]
-"""How a variable goes on beyond its ends: not at all, to minus itself at zero and at pi, or round the circle."""
+"""The extension of a variable beyond its ends: none, mirrored at zero and at pi, or periodic."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,16 @@ class GridRefs:
 
 @dataclass(frozen=True)
 class Grid:
-    """`breaks`: three arrays, of one number where there is no variable; `nodes` (n_1, n_2, n_3, terms, columns)."""
+    """A grid.
+
+    `breaks`: three arrays, with a single number where there is no variable. `nodes` (n_1, n_2, n_3, terms, columns).
+    """
 
     breaks: tuple[Array, Array, Array]
     nodes: Array
 
     def __call__(self, x: Sequence[float], order: Sequence[int] = (0, 0, 0)) -> Array:
-        """All columns at `x` (3,), differentiated `order` times (0 or 1) with respect to each variable."""
+        """Return all columns at `x` (3,), differentiated `order` times (0 or 1) with respect to each variable."""
         weights, where = [], []
         for breaks, value, derivative in zip(self.breaks, x, order, strict=True):
             k, weight = self._weights(breaks, float(value), derivative)
@@ -61,7 +64,7 @@ class Grid:
         return total
 
     def _weights(self, breaks: Array, x: float, derivative: int) -> tuple[int, Array]:
-        """Interval, and what value (2) and slope (2) at its ends count."""
+        """Return the interval, and the weights of value (2) and slope (2) at its ends."""
         if len(breaks) == 1:
             return 0, np.array([0.0 if derivative else 1.0, 0.0, 0.0, 0.0])
         k = int(np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2))
@@ -81,9 +84,9 @@ class Grid:
 def fit_grid(
     breaks: Sequence[Array], values: Array, smooth: bool, extensions: Sequence[Extension], parity: Array
 ) -> Grid:
-    """The grid with `values` (n_1, n_2, n_3, columns) at three lists of breakpoints, which rise strictly.
+    """Return the grid with `values` (n_1, n_2, n_3, columns) at three strictly increasing lists of breakpoints.
 
-    `parity` (columns,): 1 where a mirrored variable leaves the value as it is, -1 where it changes its sign.
+    `parity` (columns,): 1 where a mirrored variable keeps the value, -1 where it changes the sign.
     """
     terms = [values]
     for axis in range(3) if smooth else ():
@@ -94,7 +97,7 @@ def fit_grid(
 
 
 def _slopes(x: Array, y: Array, axis: int, extension: Extension, parity: Array, *, monotone: bool) -> Array:
-    """Derivative of `y` (n_1, n_2, n_3, columns) along an axis, of the same form."""
+    """Return the derivative of `y` (n_1, n_2, n_3, columns) along an axis, in the same shape."""
     if len(x) == 1:
         return np.zeros_like(y)
     rows = np.moveaxis(y, axis, 0)
@@ -118,7 +121,7 @@ def _slopes(x: Array, y: Array, axis: int, extension: Extension, parity: Array, 
 
 
 def grid_in(pool: Array, ref: IntArray) -> Grid:
-    """The grid at a row of `GridRefs.at`: views of the pool."""
+    """Return the grid at a row of `GridRefs.at`, as views of the pool."""
     offset, *points, columns, terms = (int(number) for number in ref)
     ends = np.cumsum([offset, *points])
     breaks = [pool[low:high] for low, high in pairwise(ends)]
@@ -133,7 +136,7 @@ Weights = tuple[float, float, float, float]
 def interpolate_grid(
     pool: Array, refs: GridRefs, which: int, x_1: float, x_2: float, x_3: float, out: Array, at: int
 ) -> None:
-    """All columns of a grid at (x_1, x_2, x_3) into `out[at:]`."""
+    """Write all columns of a grid at (x_1, x_2, x_3) into `out[at:]`."""
     ref = refs.at
     offset, n_1, n_2, n_3 = ref[which, OFFSET], ref[which, N_1], ref[which, N_2], ref[which, N_3]
     columns, terms = ref[which, N_COLUMNS], ref[which, N_TERMS]
@@ -158,7 +161,10 @@ def interpolate_grid(
 
 @kernel
 def _located(pool: Array, first: int, n: int, terms: int, x: float) -> tuple[int, Weights]:
-    """Interval of `x`, and what value (2) and slope (2) at its ends count; zero for an end that does not exist."""
+    """Return the interval of `x`, and the weights of value (2) and slope (2) at its ends.
+
+    The weights are zero for an end that does not exist.
+    """
     if n == 1:
         return 0, (1.0, 0.0, 0.0, 0.0)
     low, high = 0, n - 1

@@ -1,7 +1,8 @@
-"""The one place that says what a kernel is.
+"""The definition of a kernel.
 
-A kernel is a plain Python function over floats, flat arrays and records. `@kernel` marks the small pieces,
-`@routine` the large ones, `@entry` the few that Python calls: their machine code is kept (kept_code.py).
+A kernel is a plain Python function over floats, flat arrays and records. `@kernel` marks the small functions,
+`@routine` the large ones, and `@entry` the few that Python calls. The machine code of entries is kept on disk
+(kept_code.py).
 
 `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
 """
@@ -32,51 +33,58 @@ Array = TypeVar("Array", NDArray[np.float64], NDArray[np.int64])
 def kernel(function: Function) -> Function:
     """Compile `function` into the kernel that calls it (nogil, IEEE arithmetic as written: no fastmath).
 
-    Division by zero gives inf or nan as in C (`error_model="numpy"`); the flight loop checks the state for it.
-    Not cached by itself: its machine code is part of the entry that calls it. LLVM is told to inline it; measured, a
-    fifth of a flight's time was spent on passing arguments.
+    Division by zero gives inf or nan as in C (`error_model="numpy"`), and the flight loop checks the state for them.
+    The kernel has no cache of its own, because its machine code is part of the entry that calls it. LLVM is instructed
+    to inline it: measured, passing arguments took a fifth of a flight's time.
     """
     return _for_kernels(function, forceinline=True)
 
 
 def formula(function: Function) -> Function:
-    """As `kernel`, for arithmetic of indices, sizes and single vectors: plain Python where Python calls it, which is
-    sooner done than machine code is loaded.
+    """Compile as `kernel` does, for index and size arithmetic and single vectors.
+
+    Python calls the plain function, which is faster than loading machine code.
     """
     return _for_kernels(function, kind=_Formula, forceinline=True)
 
 
 def routine(function: Function) -> Function:
-    """As `kernel`, for what is large and called from several places: compiled once and called.
+    """Compile as `kernel` does, once, for large functions called from several places.
 
-    `forceinline=False` is explicit: Numba passes `forceinline` on from a kernel to its callees.
+    `forceinline=False` is explicit, because Numba passes `forceinline` on from a kernel to its callees.
     """
     return _for_kernels(function, forceinline=False)
 
 
 def disjoint_routine(function: Function) -> Function:
-    """As `routine`, for arguments of which none is written where another one lies: what has been read of one need not
-    be read again after a write to another. Measured, a sixteenth of a flight's time.
+    """Compile as `routine` does, for arguments of which none overlaps a written one.
+
+    Values already read need not be read again after a write to another argument. Measured saving: one sixteenth of a
+    flight's time.
     """
     return _for_kernels(function, DisjointCompiler, forceinline=False)
 
 
 def routine_beside(function: Function) -> Function:
-    """As `disjoint_routine`, for what is large, has arguments without aliases and returns nothing: on Linux compiled by
-    a process beside this one. Measured, a third of the wait for a first flight.
+    """Compile as `disjoint_routine` does, on Linux in a parallel process.
+
+    The function must be large, have arguments without aliases and return nothing. Measured saving: a third of the wait
+    for a first flight.
     """
     return _for_kernels(function, BesideCompiler, forceinline=False)
 
 
 def rare_routine(function: Function) -> Function:
-    """As `disjoint_routine`, for code that few flights run: kept out of its callers, however few these are."""
+    """Compile as `disjoint_routine` does, for code that few flights run, and never inline it."""
     return _for_kernels(function, RareCompiler, forceinline=False)
 
 
 class _Kernel:
-    """A kernel as compiled callers and Python know it: compiled with its first caller, without the wrappers that Python
-    and C would call through, which are a quarter of the wait for a first flight, and a second time where Python calls
-    it. What loads kept machine code only makes no dispatcher for it.
+    """A kernel as seen by compiled callers and by Python.
+
+    It is compiled with its first caller, without the wrappers for calls from Python and C, which take a quarter of the
+    wait for a first flight. It is compiled a second time if Python calls it. A process that only loads kept machine
+    code creates no dispatcher.
     """
 
     def __init__(self, function: Callable[..., object], compiler: type[CompilerBase], options: dict[str, Any]) -> None:
@@ -93,7 +101,7 @@ class _Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """Return the Numba type of this object, which Numba requests of a global when it compiles a caller."""
+        """Return the type of the kernel, which Numba reads from a global when it compiles a caller."""
         return self._bare._numba_type_
 
     @functools.cached_property
@@ -122,8 +130,9 @@ def _for_kernels(
 
 
 def _compile_for_all_integers(compiled: Any) -> None:
-    """Compile once, whatever integers a caller writes out: Numba compiles again for each. Where the kernel is inlined,
-    LLVM knows them all the same. Measured, a quarter of the wait for a first flight.
+    """Compile once for all integer literals of callers, where Numba would compile for each.
+
+    Where the kernel is inlined, LLVM still uses the values. Measured saving: a quarter of the wait for a first flight.
     """
     template_for = compiled.get_call_template
 
@@ -137,28 +146,37 @@ def _compile_for_all_integers(compiled: Any) -> None:
 
 
 def _signed(function: Function) -> Function:
-    """With its signature written down: Numba asks for it three times, a tenth of a second for all kernels."""
+    """Attach the signature to a function.
+
+    Numba reads it three times, which takes a tenth of a second for all kernels.
+    """
     function.__dict__["__signature__"] = inspect.signature(function)
     return function
 
 
 def entry(function: Function) -> Function:
-    """As `kernel`, for the few that Python calls: the machine code is kept on disk, with all that it calls."""
+    """Compile as `kernel` does, for the few functions that Python calls.
+
+    The machine code is kept on disk, with all callees.
+    """
     compiled = numba.njit(_signed(function), nogil=True, error_model="numpy", pipeline_class=EntryCompiler)
     if not numba.config.DISABLE_JIT:
-        with contextlib.suppress(RuntimeError):  # of Numba, where nothing can be kept
+        with contextlib.suppress(RuntimeError):  # from Numba, where no cache can be written
             compiled._cache = EntryCache(compiled.py_func)
     return compiled  # type: ignore[no-any-return]  # Numba has no types
 
 
 def from_python(function: Function) -> Function:
-    """A kernel for callers in Python: an entry of its own. A bare kernel is compiled again in every process."""
+    """Compile a kernel for callers in Python, as an entry of its own.
+
+    A kernel without an entry is compiled again in every process.
+    """
     return entry(getattr(function, "py_func", function))
 
 
 @intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
 def _address(context: Any, array: Any) -> Any:
-    """Numba intrinsic: pointer to the first element of a contiguous array."""
+    """Numba intrinsic: return a pointer to the first element of a contiguous array."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -167,11 +185,11 @@ def _address(context: Any, array: Any) -> Any:
 
 
 def bare_pointer(array: Array) -> Array:
-    """The array's elements without the array, for use inside an entry only: its caller keeps the array alive.
+    """Return the array's elements without the array, for use inside an entry only; the caller keeps the array alive.
 
-    Numba counts references to an array, atomically, at every call it is passed to, and looks at the sign of every
-    index; measured, both were half of a flight's time. A bare pointer supports one non-negative
-    index and nothing else. In plain Python it is just the array.
+    Numba counts references to an array atomically, at every call with the array, and checks the sign of every index.
+    Measured, both together took half of a flight's time. A bare pointer supports only one non-negative index. In plain
+    Python it is the array itself.
     """
     return array
 
@@ -182,9 +200,9 @@ def _bare_pointer(array):  # type: ignore[no-untyped-def]  # Numba compares both
 
 
 def integer(record: Any, name: str) -> int:
-    """An integer of a record, for kernels: a constant to the compiler where the record's type tells it.
+    """Return an integer of a record, for kernels: a compile-time constant where the record's type contains it.
 
-    `records.with_constants` makes such types. `name` is written out where this is called.
+    `records.with_constants` makes such types. `name` must be a literal.
     """
     return int(record[name])
 
@@ -203,7 +221,7 @@ def _integer(record, name):  # type: ignore[no-untyped-def]  # Numba compares bo
 
 @intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
 def _record_at(context: Any, records: Any, index: Any) -> Any:
-    """Numba intrinsic: pointer to a record of a contiguous array."""
+    """Numba intrinsic: return a pointer to a record of a contiguous array."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -213,7 +231,7 @@ def _record_at(context: Any, records: Any, index: Any) -> Any:
 
 
 def record_at(records: Any, index: int) -> Any:
-    """A record of an array, at a non-negative index: Numba looks at the sign of every index."""
+    """Return a record of an array at a non-negative index, without Numba's check of the sign."""
     return records[index]
 
 

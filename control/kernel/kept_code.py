@@ -1,6 +1,7 @@
-"""Machine code of entries, kept on disk with all that they call, in a folder whose name holds a hash of all of maxq's
-sources: Numba itself looks only at the file of the function that is called, so that without this an edited callee would
-keep its old machine code.
+"""Machine code of entries, kept on disk with all their callees.
+
+The name of the folder contains a hash of all sources of maxq. Numba checks only the file of the called function, so an
+edited callee would otherwise keep its old machine code.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ if sys.platform != "win32":
     import fcntl
 
 _KERNEL_FREE = {"input", "scenario", "log", "packing", "run", "campaign", "section.py", "packing.py"}
-"""Folders and files of sim/ whose constants no kernel takes."""
+"""The folders and files of sim/ whose constants no kernel uses."""
 _COMPILED = re.compile(rb"^@(?:kernel|formula|\w*routine\w*|entry|from_python)\b", re.MULTILINE)
 
 
 def _source_files() -> dict[Path, bytes]:
-    """Return the sources that hold a kernel, or a constant that one uses, wherever they are installed.
+    """Return the sources that hold a kernel, or a constant that a kernel uses, wherever they are installed.
 
-    They are all of control/ and of what flies in sim/, and elsewhere below them and design/ each file that compiles
-    a function.
+    These are all of control/, the files of sim/ that run in flight, and any other file below them and design/ that
+    compiles a function.
     """
     layers, found = Path(__file__).resolve().parents[2], dict[Path, bytes]()
     for path in (path for layer in ("control", "sim", "design") for path in sorted((layers / layer).rglob("*.py"))):
@@ -45,7 +46,7 @@ def _source_files() -> dict[Path, bytes]:
 
 
 def _flies(parts: tuple[str, ...]) -> bool:
-    """Return True for a file of control/, and of sim/ outside of `_KERNEL_FREE`, by its path below the layers."""
+    """Return True for a file of control/, or of sim/ outside `_KERNEL_FREE`, by its path below the layers."""
     return parts[0] == "control" or (parts[0] == "sim" and not _KERNEL_FREE.intersection(parts))
 
 
@@ -72,18 +73,19 @@ _FOLDER, _SOURCES = _folder_and_sources()
 
 
 _loaded = set[str]()
-"""Names of the routines whose machine code this process has loaded: an equal name is equal code."""
+"""The names of the routines whose machine code this process has loaded; equal names mean equal code."""
 
 
 def is_own(path: str) -> bool:
-    """Return True for a source of maxq, whose machine code is good for as long as the folder of kernels is."""
+    """Return True for a source of maxq, whose machine code is valid as long as the folder of kernels is."""
     return os.path.realpath(path) in _SOURCES
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no types
-    """Numba's files of one function's machine code, each with its SHA-256 at the end: a damaged one is made again.
+    """The cache files of one function's machine code, each with its SHA-256 at the end.
 
-    Numba reads neither file to its end, and takes the index as empty and code as missing where that is returned here.
+    A damaged file is made again. Numba reads neither file to its end. It accepts an empty index and missing code, which
+    this class returns for a damaged file.
     """
 
     @contextlib.contextmanager
@@ -104,10 +106,10 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no ty
 
 
 class _Place:
-    """The place of an entry's stored machine code and the conditions of its validity, in the form that Numba requires.
+    """The place and validity of an entry's machine code, in the form that Numba requires.
 
-    That of maxq's own sources, whose hash is the folder's name, holds wherever they are installed and whenever they
-    were written; that of other files by their path, size and age.
+    Code of maxq's own sources is valid for any place and date of installation, because the folder's name is their hash.
+    Code of other files is valid for their path, size and date.
     """
 
     def __init__(self, function: Any, path: str) -> None:
@@ -119,7 +121,7 @@ class _Place:
 
     @classmethod
     def from_function(cls, function: Any, path: str) -> _Place | None:
-        """None where nothing can be kept."""
+        """Return the place, or None where nothing can be kept."""
         try:
             place = cls(function, path)
             place.ensure_cache_path()
@@ -143,7 +145,7 @@ class _Place:
 
 
 class _Kept(CompileResultCacheImpl):  # type: ignore[misc]  # Numba has no types
-    """The stored code of an entry: machine code without its LLVM code, which no other library links."""
+    """The kept form of an entry: machine code without its LLVM code, which is not linked again."""
 
     _locator_classes = (_Place,)
 
@@ -166,10 +168,10 @@ class EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
         self._cache_file.__class__ = _CheckedFile
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Machine code from disk, without Numba's implementations of NumPy, which load SciPy's linear algebra: a
-        compilation loads them; what has been compiled needs no more than the reference counts of arrays.
+        """Load machine code from disk, without Numba's implementations of NumPy, which load SciPy's linear algebra.
 
-        Where there is none, this process compiles: workers that start together wait for the first of them.
+        A compilation loads those implementations. Compiled code needs only the reference counts of arrays. If there is
+        no machine code, this process compiles it, and workers that start together wait for the first of them.
         """
         rtsys.initialize(target)
         for _ in range(2):
@@ -191,12 +193,12 @@ class EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
     def _await_turn(self, key: str) -> None:
         name = hashlib.sha256(f"{self._cache_file._index_path}{key}".encode()).hexdigest()[:16]
         if sys.platform != "win32":
-            with contextlib.suppress(OSError):  # where nothing can be kept or locked, each compiles for itself
+            with contextlib.suppress(OSError):  # without a cache or lock, each process compiles separately
                 self._turn = os.open(Path(_FOLDER, f"{name}.lock"), os.O_RDWR | os.O_CREAT, 0o600)
                 fcntl.flock(self._turn, fcntl.LOCK_EX)
 
     def _end_turn(self) -> None:
-        if self._turn is not None:  # nor may a process that was forked meanwhile keep others waiting
+        if self._turn is not None:  # a process forked meanwhile must not hold the lock
             with contextlib.suppress(OSError):
                 fcntl.flock(self._turn, fcntl.LOCK_UN)
             os.close(self._turn)
@@ -204,7 +206,7 @@ class EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
 
 
 def _whole_content(path: str | Path) -> bytes:
-    """Return the content of a file before its SHA-256, or nothing of a damaged or missing file."""
+    """Return the content of a file before its SHA-256, or nothing for a damaged or missing file."""
     try:
         content = Path(path).read_bytes()
     except OSError:
@@ -213,19 +215,19 @@ def _whole_content(path: str | Path) -> bytes:
 
 
 def load_objects(codegen: Any, objects: Mapping[str, bytes]) -> None:
-    """Load the machine code of routines, by their names in it."""
+    """Load the machine code of routines, by name."""
     for name in objects.keys() - _loaded:
         codegen._engine._ee.add_object_file(llvmlite.binding.ObjectFileRef.from_data(objects[name]))
         _loaded.add(name)
 
 
 def kept_routine(name: str) -> bytes:
-    """Return the object file of a routine that has been compiled before, or nothing."""
+    """Return the object file of a routine compiled before, or nothing."""
     return _whole_content(_routine_path(name))
 
 
 def keep_routine(name: str, code: bytes) -> None:
-    """Keep the object file of a routine, so that it is there although the compilation of its entry may be killed."""
+    """Keep the object file of a routine, so that it survives if the compilation of its entry is killed."""
     path = _routine_path(name)
     begun = path.with_suffix(f".{os.getpid()}")
     with contextlib.suppress(OSError):  # where nothing can be kept

@@ -1,7 +1,7 @@
-"""The largest numbers of parts that parameter records and kernels have room for.
+"""The largest numbers of parts in parameter records and kernels.
 
-The one definition: schemas refuse more, records hold arrays of these lengths. Imports nothing, so that reading it costs
-nothing.
+This is their only definition: schemas reject larger numbers, and records hold arrays of these lengths. The module
+imports nothing, so that importing it is fast.
 """
 
 MAX_STAGES = 8

@@ -1,4 +1,4 @@
-"""The resources of this machine: its cores, and a folder of the user for results that need not be computed again."""
+"""The resources of this machine: its cores, and a folder of the user's for cached results."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from pathlib import Path
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def own_cache(name: str) -> Path:
-    """A folder for machine code or results, made where it is missing: in `$MAXQ_CACHE`, else the user's cache folder.
+    """Return a folder for machine code or results, and create it if missing.
 
-    Raises PermissionError where another user owns it or may write to it: what lies there is run and believed.
+    It is in `$MAXQ_CACHE`, or in the user's cache folder. Raises PermissionError if another user owns the folder or may
+    write to it, because its content is executed and trusted.
     """
     base = os.environ.get("MAXQ_CACHE") or os.path.join(
         os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "maxq"

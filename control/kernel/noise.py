@@ -1,7 +1,7 @@
-"""Counter-based random numbers: a draw does not depend on what was drawn before.
+"""Counter-based random numbers: a draw does not depend on earlier draws.
 
-A draw is a function of (seed, stream, index): the seed belongs to the flight, the stream to the component that draws,
-the index counts the draws of that component. There is no generator state, so that a flight that skips, repeats or
+A draw is a function of (seed, stream, index). The seed belongs to the flight, the stream to the component that draws,
+and the index counts the draws of that component. There is no generator state. Hence a flight that skips, repeats or
 reorders components has the same noise, and run i of a campaign can be repeated on its own.
 
 The bits come from Philox4x32-10 (Salmon, Moraes, Dror & Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC11,
@@ -31,7 +31,10 @@ _ROUNDS = 10
 
 @kernel
 def philox(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, int, int, int]:
-    """Philox4x32-10: four 32-bit words from a counter of four and a key of two 32-bit words (all in 0..2^32-1)."""
+    """Return four 32-bit words of Philox4x32-10 from a counter of four and a key of two such words.
+
+    All words are integers in 0..2^32-1.
+    """
     for _ in range(_ROUNDS):
         product_0 = _MULTIPLIER_0 * c0
         product_1 = _MULTIPLIER_1 * c2
@@ -50,7 +53,7 @@ def philox(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, i
 
 @kernel
 def uniform_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
-    """Two independent numbers, uniform in the open interval (0, 1), on the centres of 2^52 equal cells.
+    """Return two independent numbers, uniform in the open interval (0, 1), on the centres of 2^52 equal cells.
 
     `seed`, `stream` and `index` are signed 64-bit integers of any value.
     """
@@ -68,15 +71,16 @@ def uniform_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
 
 @routine
 def standard_normal(seed: int, stream: int, index: int) -> float:
-    """Return one draw of the standard normal distribution; its magnitude is at most 8.21 (the last cells of the
-    uniform).
-    """
+    """Return one draw of the standard normal distribution; |value| is at most 8.21 (the last cells of the uniform)."""
     return normal_quantile(uniform_pair(seed, stream, index)[0])
 
 
 @routine
 def standard_normal_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
-    """Two independent standard normal draws at little more than the cost of one; the first is `standard_normal`."""
+    """Return two independent standard normal draws, the first of which is `standard_normal`.
+
+    They cost little more than one draw.
+    """
     first, second = uniform_pair(seed, stream, index)
     return normal_quantile(first), normal_quantile(second)
 
@@ -116,7 +120,7 @@ _FAR_TAIL = (
 
 @kernel
 def _ratio(coefficients: tuple[tuple[float, float], ...], r: float) -> float:
-    """Ratio of two polynomials by Horner's rule; rows (numerator, denominator), highest power first."""
+    """Return the ratio of two polynomials by Horner's rule; rows (numerator, denominator), highest power first."""
     above, below = 0.0, 0.0
     for a, b in coefficients:
         above = above * r + a
@@ -126,9 +130,9 @@ def _ratio(coefficients: tuple[tuple[float, float], ...], r: float) -> float:
 
 @kernel
 def normal_quantile(probability: float) -> float:
-    """x with P(X <= x) = `probability` for a standard normal X; relative accuracy 1e-15; needs 0 < probability < 1.
+    """Return x with P(X <= x) = `probability` for a standard normal X.
 
-    Source: Wichura, AS 241, routine PPND16.
+    The relative accuracy is 1e-15, for 0 < probability < 1. Source: Wichura, AS 241, routine PPND16.
     """
     q = probability - 0.5
     if abs(q) <= 0.425:  # 85 % of all draws: no library call

@@ -1,8 +1,8 @@
-"""Frozen dataclasses are the schema of a parameter set; a packed `np.record` is what a kernel reads.
+"""Parameter records: frozen dataclasses as schemas, and packed `np.record`s as the input of kernels.
 
-A kernel is handed `P[i]`, reads `P[i].engine.mass_kg`, and compiles once for every vehicle, because the layout
-holds no size that depends on the vehicle: arrays are bounded and come with a count. `with_constants` puts counts into
-the layout, where thousands of flights of one vehicle justify a compilation of their own.
+A kernel receives `P[i]` and reads `P[i].engine.mass_kg`. It compiles once for every vehicle, because no size in the
+layout depends on the vehicle: arrays are bounded and have a count. `with_constants` puts counts into the layout, where
+thousands of flights of one vehicle justify a separate compilation.
 """
 
 from __future__ import annotations
@@ -19,18 +19,23 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[Any]
-"""Rows of one record type (dtype_of a dataclass). A kernel annotates a single row, an np.record, with its dataclass."""
+"""The rows of one record type (dtype_of a dataclass).
+
+A kernel annotates a single row, an np.record, with its dataclass.
+"""
 
 Reader = tuple[Callable[[Any], tuple[Any, ...]], tuple[int, ...]]
-"""Reads all fields of a dataclass at once; which of them are dataclasses themselves."""
+"""The getter of all fields of a dataclass, and the indices of the fields that are dataclasses themselves."""
 
 _LAYOUTS: dict[type, np.dtype[Any]] = {}
 _READERS: dict[type, Reader] = {}
 
 
 def dtype_of(schema: type) -> np.dtype[Any]:
-    """Record layout of a dataclass of `float`, `int`, `Annotated[Array, shape]`, nested dataclasses and tuples of them
-    (`Annotated[tuple[X, ...], shape]`).
+    """Return the record layout of a dataclass.
+
+    Its fields are `float`, `int`, `Annotated[Array, shape]`, nested dataclasses and tuples of them (`Annotated[tuple[X,
+    ...], shape]`).
 
     Raises TypeError for any other field type, and for a name that np.record has itself.
     """
@@ -64,15 +69,16 @@ def _column(hint: Any) -> tuple[Any, ...]:
 
 
 def pack(instances: list[Any]) -> NDArray[Any]:
-    """A 1-D array of records, one row per instance (all of the same dataclass)."""
+    """Return a 1-D array of records, one row per instance (all of the same dataclass)."""
     rows = np.zeros(len(instances), dtype_of(type(instances[0])))
     rows[:] = [_values(instance) for instance in instances]
     return rows
 
 
 def _values(instance: Any) -> tuple[Any, ...]:
-    """Return nested tuples that NumPy converts to a record. It is fast because a campaign packs records for every
-    flight.
+    """Return the nested tuples from which NumPy makes a record.
+
+    One call does it, because a campaign packs for every flight.
     """
     schema = type(instance)
     if schema not in _READERS:
@@ -102,8 +108,10 @@ def blank(schema: type) -> NDArray[Any]:
 
 
 def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
-    """The same memory, with the integers of the nested record at `path` in its type as well: kernels that read
-    them by `jit.integer` are compiled for these values, and compute the same bits. Unlike rows stay as they are.
+    """Return the same memory, with the integers of the nested record at `path` in its type as well.
+
+    Kernels that read them by `jit.integer` are compiled for these values and compute the same bits. Rows with different
+    integers are returned unchanged.
     """
     nested = rows
     for name in path:
@@ -116,7 +124,7 @@ def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
 
 
 def constants_in(names: Iterable[str]) -> dict[str, int]:
-    """Constants encoded in the names of a record's fields, see `with_constants`."""
+    """Return the constants encoded in the names of a record's fields, see `with_constants`."""
     return {
         name: int(value)
         for encoded in names
@@ -127,10 +135,10 @@ def constants_in(names: Iterable[str]) -> dict[str, int]:
 
 @lru_cache(maxsize=64)
 def _with_constant_names(layout: np.dtype[Any], path: tuple[str, ...], encoded: str) -> np.dtype[Any]:
-    """`layout` with a further field, without size, before those of the record at `path`.
+    """Return `layout` with an additional field of zero size before those of the record at `path`.
 
-    Without size, since NumPy hands no buffer to a record whose fields overlap; before them, since Numba takes a record
-    with more fields behind for a subtype, and would call kernels of other constants with it.
+    The size is zero because NumPy gives no buffer for a record whose fields overlap. The field comes first because
+    Numba takes a record with more fields at its end for a subtype, and would call kernels of other constants with it.
     """
     of: dict[str, Any] = dict(layout.fields or {})
     names = list(layout.names or ())

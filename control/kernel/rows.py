@@ -1,4 +1,4 @@
-"""Rows of a log: how a component declares what is logged of it, and how a kernel writes that.
+"""Rows of a log: the declaration of a component's logged values, and the kernel that writes them.
 
 A declaration is a NamedTuple whose fields are annotated with a type, a unit and a description:
 
@@ -6,10 +6,10 @@ A declaration is a NamedTuple whose fields are annotated with a type, a unit and
         thrust_N: Annotated[float, "N", "thrust at ambient pressure"]
         mount_force_B_axis_N: Annotated[Xyz, "N", "force on the mount"]
 
-`sim/flight/channels.py` makes channels of it: here `thrust_N`, `mount_force_B_x_N`, `..._y_N`, `..._z_N`, as `axis` in
-a name stands for each component of the field's type. A field may be a row itself (`law: LawRow`). A kernel returns an
-instance of the class with values in the declared units, and `put` writes it into the log's row. So a field that is
-missing or unknown fails where the kernel is compiled, and no column has a number of its own.
+`sim/flight/channels.py` makes channels from it: here `thrust_N`, `mount_force_B_x_N`, `..._y_N`, `..._z_N`, because
+`axis` in a name represents each component of the field's type. A field may be a row itself (`law: LawRow`). A kernel
+returns an instance of the class with values in the declared units, and `put` writes it into the log's row. A missing or
+unknown field is an error when the kernel is compiled, and columns need no explicit numbers.
 """
 
 from __future__ import annotations
@@ -58,26 +58,26 @@ class PitchYaw(NamedTuple):
 
 @kernel
 def xyz(values: Array, first: int) -> Xyz:
-    """Three components that lie side by side."""
+    """Return three adjacent components."""
     return Xyz(values[first], values[first + 1], values[first + 2])
 
 
 @kernel
 def quaternion(values: Array) -> QuaternionRow:
-    """Four components, scalar first."""
+    """Return four adjacent components, scalar first."""
     return QuaternionRow(values[0], values[1], values[2], values[3])
 
 
 @kernel
 def degrees(rad: Array, first: int = 0) -> RollPitchYaw:
-    """Three angles or rates that lie side by side, from rad to deg."""
+    """Return three adjacent angles or rates, converted from rad to deg."""
     return RollPitchYaw(DEG * rad[first], DEG * rad[first + 1], DEG * rad[first + 2])
 
 
 def put(row: Array, column: int, values: Any) -> int:
-    """Write the numbers of a tuple, nested ones in order, into `row` from `column` on; returns the next column.
+    """Write the numbers of a tuple, nested ones in order, into `row` from `column` on, and return the next column.
 
-    For kernels; `row` is contiguous and long enough.
+    This is for kernels. `row` is contiguous and long enough.
     """
     if not isinstance(values, tuple):
         row[column] = values
@@ -89,7 +89,10 @@ def put(row: Array, column: int, values: Any) -> int:
 
 @intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
 def _store(context: Any, row: Any, column: Any, values: Any) -> Any:
-    """Numba intrinsic: `put` as one store for each number (Numba has no loop over tuples of unlike types)."""
+    """Numba intrinsic: implement `put` as one store per number.
+
+    Numba cannot loop over tuples of unlike types.
+    """
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data

@@ -1,7 +1,7 @@
 """Tables that kernels interpolate: piecewise cubics of many columns over one shared set of breakpoints.
 
-Every table of a flight (mass over time, coefficients over Mach number, wind over altitude, gains over time) lies in
-one flat array, the *pool*; a `TableRef` in the parameter record says where. In the pool a table is
+Every table of a flight is part of one flat array, the *pool*: mass over time, coefficients over Mach number, wind over
+altitude, gains over time. A `TableRef` in the parameter record gives its place. In the pool a table is
 
     breaks[n_breaks]  then  coefficients[n_breaks - 1][4][n_columns],
 
@@ -46,17 +46,17 @@ class Cubics:
         return int(self.coefficients.shape[2])
 
     def __call__(self, x: float) -> Array:
-        """All columns at `x`; outside the breakpoints the end values hold."""
+        """Return all columns at `x`; outside the breakpoints the end values hold."""
         return np.asarray(self.at(x)[0])
 
     def at(self, xs: ArrayLike) -> Array:
-        """Rows of all columns at each of `xs`."""
+        """Return rows of all columns at each of `xs`."""
         k, s = _located(self.breaks.tobytes(), np.atleast_1d(np.asarray(xs, float)).tobytes())
         c = self.coefficients[k]
         return np.asarray(c[:, 0] + s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3])))
 
     def slope(self, x: float) -> Array:
-        """Derivatives of all columns at `x`; outside the breakpoints zero."""
+        """Return derivatives of all columns at `x`, zero outside the breakpoints."""
         if not self.breaks[0] <= x <= self.breaks[-1]:
             return np.zeros(self.coefficients.shape[2])
         (k,), s = _located(self.breaks.tobytes(), np.array([x], float).tobytes())
@@ -66,17 +66,18 @@ class Cubics:
 
 @lru_cache(maxsize=128)  # a campaign's tables change in value, and hardly ever in breakpoints
 def _located(breaks: bytes, xs: bytes) -> tuple[IntArray, Array]:
-    """Interval (n,) of each of `xs`, and how far into it they lie (n, 1); clamped to the table."""
+    """Return the interval (n,) of each of `xs`, and the distances from its start (n, 1), clamped to the table."""
     b, x = np.frombuffer(breaks), np.frombuffer(xs)
     k = np.clip(np.searchsorted(b, x, side="right") - 1, 0, len(b) - 2)
     return k, (np.clip(x, b[0], b[-1]) - b[k])[:, None]
 
 
 def fit(x: ArrayLike, columns: ArrayLike, method: Method = "pchip") -> Cubics:
-    """Piecewise cubics through `columns` (n, m) at `x` (n,).
+    """Return piecewise cubics through `columns` (n, m) at `x` (n,).
 
     `pchip` is C1 and monotone between points (Fritsch & Carlson 1980), `linear` is C0, `step` holds each value up to
-    the next point. One point gives a constant. Raises ValueError unless `x` rises strictly and all is finite.
+    the next point. One point gives a constant. Raises ValueError unless `x` increases strictly and all values are
+    finite.
     """
     x = np.atleast_1d(np.asarray(x, float))
     y = np.asarray(columns, float).reshape(len(x), -1)
@@ -85,13 +86,13 @@ def fit(x: ArrayLike, columns: ArrayLike, method: Method = "pchip") -> Cubics:
 
 @lru_cache(maxsize=128)  # a campaign packs the same tables thousands of times: 2 MB or so for KSR-III
 def _fitted(x_bytes: bytes, y_bytes: bytes, columns: int, method: Method) -> Cubics:
-    """As `fit`; read-only, because it is shared."""
+    """Fit as `fit` does; the result is read-only, because it is shared."""
     x = np.frombuffer(x_bytes)
     y = np.frombuffer(y_bytes).reshape(len(x), columns)
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("a table must hold finite numbers only")
     if (np.diff(x) <= 0).any():
-        raise ValueError("a table's first column must rise strictly")
+        raise ValueError("a table's first column must increase strictly")
     if len(x) == 1:
         x, y = np.array([x[0], x[0] + 1.0]), np.repeat(y, 2, axis=0)
     if method == "pchip" and len(x) > 2:
@@ -106,10 +107,10 @@ def _fitted(x_bytes: bytes, y_bytes: bytes, columns: int, method: Method) -> Cub
 
 
 def hermite(x: Array, y: Array, slopes: Array) -> Cubics:
-    """Piecewise cubics with values `y` and derivatives `slopes`, both (n, m), at `x` (n,), which rises strictly.
+    """Return piecewise cubics with values `y` and derivatives `slopes`, both (n, m), at strictly increasing `x` (n,).
 
-    This and `monotone_slopes` do what SciPy's CubicHermiteSpline and PchipInterpolator do, in the same order of
-    operations: importing them takes longer than flying (0.5 s, measured by python -X importtime).
+    This function and `monotone_slopes` repeat SciPy's CubicHermiteSpline and PchipInterpolator, in the same order of
+    operations. Importing SciPy's classes takes longer than a flight (0.5 s, measured by python -X importtime).
     """
     h = np.diff(x)[:, None]
     secant = np.diff(y, axis=0) / h
@@ -118,14 +119,17 @@ def hermite(x: Array, y: Array, slopes: Array) -> Cubics:
 
 
 def monotone_slopes(x: Array, y: Array) -> Array:
-    """Derivatives (n, m) at three points or more with which the cubics do not overshoot (Fritsch & Butland 1984)."""
+    """Return derivatives (n, m) at three or more points for which the cubics do not overshoot.
+
+    Source: Fritsch & Butland 1984.
+    """
     slopes = np.empty(y.shape)
     _monotone_into(_shared(x), _shared(y), slopes)
     return slopes
 
 
 def _shared(array: Array) -> Array:
-    """A contiguous view that cannot be written: one type for compiled functions, whatever the array's own."""
+    """Return a contiguous read-only view: one type for compiled functions, for any array."""
     view = np.ascontiguousarray(array).view()
     view.flags.writeable = False
     return view
@@ -151,7 +155,10 @@ def _monotone_into(x: Array, y: Array, slopes: Array) -> None:
 
 @kernel
 def _end_slope(h_0: float, h_1: float, secant_0: float, secant_1: float) -> float:
-    """Derivative at an end from three points, changed where it would overshoot; counted inwards from the end."""
+    """Return the derivative at an end from three points, limited where it would overshoot.
+
+    Points are counted inwards from the end.
+    """
     slope = ((2.0 * h_0 + h_1) * secant_0 - h_0 * secant_1) / (h_0 + h_1)
     if not _both_rise_or_fall(slope, secant_0):
         return 0.0
@@ -166,7 +173,7 @@ def _both_rise_or_fall(a: float, b: float) -> bool:
 
 
 def merge(tables: Sequence[Cubics]) -> Cubics:
-    """The columns of several tables side by side on the union of their breakpoints: exact, nothing is resampled.
+    """Merge the columns of several tables on the union of their breakpoints, exactly and without resampling.
 
     Outside its own breakpoints a table holds its end values.
     """
@@ -188,7 +195,10 @@ def _merge_into(tables: Sequence[Cubics], breaks: Array, out: Array) -> None:
 
 @entry
 def _carry(breaks: Array, coefficients: Array, finer: Array, out: Array, first: int) -> None:
-    """Coefficients of a table re-centred on `finer` breakpoints, among which its own are, into columns from `first`."""
+    """Write the coefficients of a table, re-centred on the `finer` breakpoints, into columns from `first`.
+
+    The finer breakpoints include the table's own.
+    """
     k, last = 0, len(breaks) - 1
     for i in range(len(finer) - 1):
         x = finer[i]
@@ -206,7 +216,7 @@ def _carry(breaks: Array, coefficients: Array, finer: Array, out: Array, first: 
 
 
 def union(*tables: Cubics) -> Array:
-    """Breakpoints of all tables, rising; read-only."""
+    """Return the breakpoints of all tables in increasing order, read-only."""
     return _union(tuple(t.breaks.tobytes() for t in tables))
 
 
@@ -218,14 +228,17 @@ def _union(breaks: tuple[bytes, ...]) -> Array:
 
 
 class Pool:
-    """Collects tables into the flat array that kernels read."""
+    """The collector of tables into the flat array that kernels read."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[slice, Array | tuple[Cubics, ...]]] = []  # where each lies
         self._size = 0
 
     def add(self, *tables: Cubics) -> TableRef:
-        """Add one table, or several merged; they are joined in place, since a schedule takes most of a megabyte."""
+        """Add one table, or several merged, and return its place.
+
+        The tables are merged in the pool itself, because a schedule is most of a megabyte.
+        """
         breaks, columns = union(*tables), sum(table.n_columns for table in tables)
         offset = self.put(breaks)
         self._append(tables, 4 * (len(breaks) - 1) * columns)
@@ -236,7 +249,7 @@ class Pool:
         self._size += size
 
     def put(self, *parts: Array) -> int:
-        """Append arrays; returns where the first one begins."""
+        """Append arrays, and return the start of the first one."""
         offset = self._size
         for part in parts:
             self._append(part, part.size)
@@ -257,7 +270,7 @@ NO_TABLE = TableRef(0, 0, 0)
 
 
 def table_in(pool: Array, ref: TableRef) -> Cubics:
-    """The table at `ref`: views of the pool."""
+    """Return the table at `ref`, as views of the pool."""
     n, columns, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
     coefficients = pool[at + n : at + n + 4 * columns * (n - 1)]
     return Cubics(pool[at : at + n], coefficients.reshape(n - 1, 4, columns))
@@ -265,7 +278,7 @@ def table_in(pool: Array, ref: TableRef) -> Cubics:
 
 @kernel
 def find_interval(pool: Array, ref: TableRef, x: float) -> int:
-    """Index k of the interval with breaks[k] <= x < breaks[k+1], clamped to the table."""
+    """Return the index k of the interval with breaks[k] <= x < breaks[k+1], clamped to the table."""
     low, high = 0, ref.n_breaks - 1
     while high - low > 1:
         middle = (low + high) >> 1
@@ -278,7 +291,7 @@ def find_interval(pool: Array, ref: TableRef, x: float) -> int:
 
 @kernel
 def interpolate_into(pool: Array, ref: TableRef, k: int, x: float, out: Array, at: int) -> None:
-    """All columns at `x`, by the cubics of interval `k`, into `out[at:]`; end values hold outside the table."""
+    """Write all columns at `x`, by the cubics of interval `k`, into `out[at:]`; end values hold outside the table."""
     first, last = pool[ref.offset], pool[ref.offset + ref.n_breaks - 1]
     s = min(max(x, first), last) - pool[ref.offset + k]
     n = ref.n_columns
@@ -290,7 +303,7 @@ def interpolate_into(pool: Array, ref: TableRef, k: int, x: float, out: Array, a
 
 @kernel
 def interpolate(pool: Array, ref: TableRef, k: int, x: float, column: int) -> float:
-    """Return one column at `x` by the cubic of interval `k`; end values hold outside the table."""
+    """Return one column at `x`, by the cubic of interval `k`; end values hold outside the table."""
     first, last = pool[ref.offset], pool[ref.offset + ref.n_breaks - 1]
     s = min(max(x, first), last) - pool[ref.offset + k]
     n = ref.n_columns
@@ -301,5 +314,5 @@ def interpolate(pool: Array, ref: TableRef, k: int, x: float, column: int) -> fl
 
 @kernel
 def look_up(pool: Array, ref: TableRef, x: float, column: int) -> float:
-    """Search the interval of `x` and return one column there."""
+    """Return one column at `x`, searching the interval."""
     return interpolate(pool, ref, find_interval(pool, ref, x), x, column)

@@ -1,4 +1,4 @@
-"""Three-vectors and rotations as scalars and tuples: what a kernel can keep in registers."""
+"""Three-vectors and rotations as scalars and tuples, which a kernel can keep in registers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Matrix = tuple[float, float, float, float, float, float, float, float, float]
 
 @kernel
 def vector_at(values: Array, first: int) -> Vector:
-    """Three components that lie side by side in an array."""
+    """Return three adjacent components of an array."""
     return values[first], values[first + 1], values[first + 2]
 
 
@@ -54,7 +54,10 @@ _C = (-1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800, 1 / 479001600)
 
 @kernel
 def sine_cosine(x: float) -> tuple[float, float]:
-    """sin(x), cos(x), x in rad: Taylor series to rounding for |x| <= 0.25 (a gimbal's range), the library beyond."""
+    """Return sin(x), cos(x), x in rad.
+
+    For |x| <= 0.25 (a gimbal's range) they are Taylor series to rounding, and library functions beyond.
+    """
     if abs(x) > 0.25:
         return math.sin(x), math.cos(x)
     t = x * x
@@ -65,7 +68,7 @@ def sine_cosine(x: float) -> tuple[float, float]:
 
 @kernel
 def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> Matrix:
-    """Rows of the matrix that turns B components into I components; exact for any norm near one to first order."""
+    """Return the matrix that transforms B components into I components; exact to first order for norms near one."""
     return (
         1.0 - 2.0 * (y * y + z * z),
         2.0 * (x * y - w * z),
@@ -81,7 +84,7 @@ def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> Matrix:
 
 @kernel
 def rotate(m: Matrix, a: Vector) -> Vector:
-    """m a: with the matrix of an attitude, from B to I."""
+    """Return m a: with the matrix of an attitude, from B to I."""
     return (
         m[0] * a[0] + m[1] * a[1] + m[2] * a[2],
         m[3] * a[0] + m[4] * a[1] + m[5] * a[2],
@@ -91,7 +94,7 @@ def rotate(m: Matrix, a: Vector) -> Vector:
 
 @kernel
 def rotate_back(m: Matrix, a: Vector) -> Vector:
-    """m' a: with the matrix of an attitude, from I to B."""
+    """Return m' a: with the matrix of an attitude, from I to B."""
     return (
         m[0] * a[0] + m[3] * a[1] + m[6] * a[2],
         m[1] * a[0] + m[4] * a[1] + m[7] * a[2],
@@ -104,7 +107,7 @@ Quaternion = tuple[float, float, float, float]
 
 @kernel
 def quaternion_at(values: Array, first: int) -> Quaternion:
-    """Four components that lie side by side in an array, scalar first."""
+    """Return four adjacent components of an array, scalar first."""
     return values[first], values[first + 1], values[first + 2], values[first + 3]
 
 
@@ -125,7 +128,7 @@ def conjugate(q: Quaternion) -> Quaternion:
 
 @kernel
 def quaternion_of(rotation_vector: Vector) -> Quaternion:
-    """Unit quaternion of a rotation vector, rad."""
+    """Return the unit quaternion of a rotation vector, rad."""
     half = 0.5 * norm(rotation_vector)
     if half == 0.0:
         return (1.0, 0.0, 0.0, 0.0)
@@ -136,9 +139,10 @@ def quaternion_of(rotation_vector: Vector) -> Quaternion:
 
 @kernel
 def roll_and_tilt(q: Quaternion) -> Vector:
-    """Return roll and tilt of a unit quaternion from B to C: the roll about x, and the rotation vector in axes y and z
-    of B that takes x of C to x of B, rad. Both equal the rotation vector in B for small angles, and for turns about x
-    or perpendicular to it.
+    """Return roll and tilt of a unit quaternion from B to C, rad.
+
+    The roll is about x. The tilt is the rotation vector in axes y and z of B that turns x of C to x of B. The result
+    equals the rotation vector in B for small angles, and for turns about x or perpendicular to x.
     """
     w, x, y, z = q
     sine_y, sine_z = 2.0 * (x * z + w * y), 2.0 * (w * z - x * y)
@@ -155,14 +159,14 @@ Symmetric = tuple[float, float, float, float, float, float]  # xx, yy, zz, xy, x
 
 @kernel
 def symmetric_at(values: Array, first: int) -> Symmetric:
-    """Six components that lie side by side in an array."""
+    """Return six adjacent components of an array."""
     i = first
     return values[i], values[i + 1], values[i + 2], values[i + 3], values[i + 4], values[i + 5]
 
 
 @kernel
 def inertia_times(j: Symmetric, w: Vector) -> Vector:
-    """Inertia tensor times a vector; products enter the tensor with a minus sign."""
+    """Return the inertia tensor times a vector; products enter the tensor with a minus sign."""
     return (
         j[0] * w[0] - j[3] * w[1] - j[4] * w[2],
         -j[3] * w[0] + j[1] * w[1] - j[5] * w[2],
@@ -172,7 +176,10 @@ def inertia_times(j: Symmetric, w: Vector) -> Vector:
 
 @kernel
 def inverse_inertia(j: Symmetric) -> Symmetric:
-    """Inverse of the inertia tensor, as the six numbers of a symmetric matrix (xx, yy, zz, xy, xz, yz: no signs)."""
+    """Return the inverse of the inertia tensor, as the six numbers of a symmetric matrix.
+
+    They are xx, yy, zz, xy, xz, yz, without changes of sign.
+    """
     a, b, c, d, e, f = j[0], j[1], j[2], -j[3], -j[4], -j[5]
     xx, yy, zz = b * c - f * f, a * c - e * e, a * b - d * d
     xy, xz, yz = e * f - d * c, d * f - e * b, d * e - a * f

@@ -2,18 +2,20 @@
 
     k_T = k_0 + k_a,    k_a' = a (k_max - k_a) / k_max e_r^2 - alpha k_a y_s - beta (k_T - 1),    0 <= k_a <= k_max
 
-Three terms: an attitude error beyond that of a reference model, e_r, raises the gain; what the command holds above the
-band of control, y_s (the spectral damper: its high-passed square, low-passed), lowers it; leakage brings it back to
-1. The reference model is the rigid body under the law that was wanted, driven by the commanded rate q_c:
+The rate of k_a has three terms. An attitude error that exceeds that of a reference model, e_r, raises the gain. The
+content of the command above the control band, y_s, lowers the gain; y_s is the output of the spectral damper, the
+squared high-passed command after a low-pass. Leakage returns the gain to 1. The reference model is the rigid body under
+the desired law, driven by the commanded rate q_c:
 
     e' = q - q_c,    q' = -w^2 e - 2 zeta w q,    e_r = theta_e - e
 
-or with q - q_c in place of the last q for a law with an integral, which lets no steady rate leave an error.
+or with q - q_c in place of the last q for a law with an integral, whose error at a steady rate is zero.
 
-(Orr & VanZwieten, Robust, Practical Adaptive Control for Launch Vehicles, AIAA 2012-4549; flown on the Space Launch
-System). Here the gain is integrated by Euler's rule, the reference exactly for a rate that is constant over the sample;
-the high-pass is a Butterworth filter of second order, bilinear and exact at its corner, the low-pass a first-order lag.
-Held at any k_T the loop is that of the law with all gains scaled: so its margins at both limits are known.
+Source: Orr & VanZwieten, Robust, Practical Adaptive Control for Launch Vehicles, AIAA 2012-4549; flown on the Space
+Launch System. Here Euler's rule integrates the gain, and the reference is exact for a rate that is constant over the
+sample. The high-pass is a second-order Butterworth filter, bilinear and exact at its corner; the low-pass is a
+first-order lag. At a constant k_T the loop is that of the law with all gains scaled, so the margins at both limits can
+be computed.
 """
 
 from __future__ import annotations
@@ -34,10 +36,16 @@ from maxq.control.laws.load_relief import lag_share
 
 @dataclass(frozen=True)
 class Adaptive:
-    """`on`: 1 with adaptation. `least`: k_0; `span`: k_max. `error_gain`: a, `damper_gain`: alpha, 1/(rad2 s);
-    `leakage_ps`: beta.
+    """The parameters of adaptive augmenting control.
 
-    `reference` (2, 3): e and q a sample later, by e, q and q_c. `high_pass` (1, 5): b0, b1, b2, a1, a2.
+    - `on`: 1 with adaptation.
+    - `least`: k_0.
+    - `span`: k_max.
+    - `error_gain`: a.
+    - `damper_gain`: alpha, 1/(rad2 s).
+    - `leakage_ps`: beta.
+
+    `reference` (2, 3): e and q one sample later, from e, q and q_c. `high_pass` (1, 5): b0, b1, b2, a1, a2.
     """
 
     on: int = 0
@@ -53,8 +61,10 @@ class Adaptive:
 
 @dataclass
 class AdaptiveState:
-    """Per gimbal axis (pitch, yaw): `begun` 1 once the reference model has taken over error and rate; k_a; k_T; the
-    model's error (rad) and rate (rad/s); e_r; y_s (rad2) and the memory of its high-pass.
+    """The state of adaptive augmenting control, per gimbal axis (pitch, yaw).
+
+    `begun` is 1 once the reference model has taken over error and rate. The other fields are k_a, k_T, the model's
+    error (rad) and rate (rad/s), e_r, y_s (rad2) and the memory of its high-pass.
     """
 
     begun: Annotated[IntArray, (2,)]
@@ -80,9 +90,10 @@ def make_adaptive(
     low_pass_hz: float,
     with_integral: bool = False,
 ) -> Adaptive:
-    """`error_gain`, `damper_gain` in 1/(rad2 s); frequencies in Hz; `with_integral`: the law has one.
+    """Return the parameters of adaptive augmenting control.
 
-    Raises ValueError for a high-pass beyond half the sample rate.
+    `error_gain`, `damper_gain`: 1/(rad2 s). Frequencies: Hz. `with_integral`: True for a law with an integral. Raises
+    ValueError for a high-pass beyond half the sample rate.
     """
     if not 0.0 < high_pass_hz < 0.5 / sample_s:
         raise ValueError(f"high_pass_hz = {high_pass_hz:g}: allowed is above 0 and below {0.5 / sample_s:g}")
@@ -113,7 +124,7 @@ def _reference(omega: float, zeta: float, sample_s: float, with_integral: bool) 
 
 @kernel
 def start_adaptive(adaptive: Adaptive, state: AdaptiveState) -> None:
-    """k_T = 1, nothing in the filters; the reference model begins at the first sample's error and rate."""
+    """Set k_T to 1 and clear the filters; the reference model begins at the error and rate of the first sample."""
     for gimbal in range(2):
         state.begun[gimbal] = 0
         state.k_a[gimbal] = 1.0 - adaptive.least
@@ -134,7 +145,7 @@ def augmented(
     sample_s: float,
     law_rad: float,
 ) -> float:
-    """The law's command times the total gain of this sample; `commanded_radps` (3,): rate over the sample."""
+    """Return the law's command times the total gain of this sample; `commanded_radps` (3,): rate over the sample."""
     axis = gimbal + 1
     at, step = state.reference[gimbal], adaptive.reference
     if state.begun[gimbal] == 0:
@@ -158,7 +169,7 @@ def augmented(
 
 
 class AdaptiveRow(NamedTuple):
-    """The logged values of adaptive augmenting control."""
+    """The log row of adaptive augmenting control."""
 
     total_gain_axis: Annotated[PitchYaw, "1", "total gain of adaptive augmenting control"]
     reference_error_axis_deg: Annotated[PitchYaw, "deg", "attitude error minus that of the reference model"]

@@ -1,19 +1,20 @@
-"""Attitude control law with load relief: PD, and the lateral acceleration fed back, then PD's bending filter (pd.py).
+"""Attitude control laws with load relief: PD plus a feedback of lateral acceleration, then the bending filter (pd.py).
 
     delta = -k_p theta_e - k_d q_g + k_a a_f,      a_f = a_f + (1 - exp(-2 pi f T)) (a - a_f)
 
-Air from below pushes the body up (a_z < 0): a positive k_a then lowers the nose, into the wind, and the load q alpha
-falls, at the price of drift and of margin at low frequency (Greensite, Analysis and Design of Space Vehicle Flight
-Control Systems, NASA CR-820, 1967, ch. 3). In yaw the sign of a turns: a positive gimbal angle pushes to -y there. The
-accelerometer's own lag keeps bending out of it. Its linear side is design/laws/load_relief.py.
+Air from below accelerates the body upwards (a_z < 0). A positive k_a then lowers the nose into the wind and reduces the
+load q alpha, at the cost of drift and of margin at low frequency (Greensite, Analysis and Design of Space Vehicle
+Flight Control Systems, NASA CR-820, 1967, ch. 3). In yaw the sign of a is reversed, because a positive gimbal angle
+pushes to -y. The lag of the accelerometer attenuates bending. The linear model is design/laws/load_relief.py.
 
-Load relief by angle of attack ("incidence-relief") feeds back an estimate of the angle of attack:
+The law `incidence-relief` feeds back an estimate of the angle of attack:
 
     delta = -k_p theta_e - k_d q_g - k_alpha alpha,    alpha = lag(a - p q') / b,    q' = (q_g - q_g before) / T
 
-Thrust moves both the accelerometer and the rate, p = (da/d delta) / (dq'/d delta): a - p q' is the acceleration of the
-centre of percussion, which a gimbal angle does not move, b = da/d alpha - p dq'/d alpha. p (percussion_m) and b
-(accel_per_incidence_mps2, negative) are columns of the gains' table, what the rigid body in nominal air has.
+Thrust moves both the accelerometer and the rate, with the ratio p = (da/d delta) / (dq'/d delta). Hence a - p q' is the
+acceleration of the centre of percussion, which is independent of the gimbal angle, with b = da/d alpha - p dq'/d alpha.
+The parameters p (percussion_m) and b (accel_per_incidence_mps2, negative) are columns of the gain table, with the
+values of the rigid body in nominal air.
 """
 
 from __future__ import annotations
@@ -31,16 +32,18 @@ from maxq.control.laws.pd import LawInputs, PdRecord, PdState, filtered, proport
 
 @dataclass(frozen=True)
 class LoadRelief:
-    """Parameters beside the gains, of both laws of load relief."""
+    """The parameters of both load-relief laws in addition to the gains."""
 
-    share: float  # 1 - exp(-2 pi f T), by which a sample takes the filtered acceleration along
+    share: float  # 1 - exp(-2 pi f T), the weight of a new sample in the filtered acceleration
 
 
 @dataclass
 class LoadReliefState:
-    """Per gimbal axis (pitch, yaw): gain in use (k_a, or -k_alpha / b), filtered acceleration (of a_z and a_y; by angle
-    of attack that of the centre of percussion to +z and -y), its share of the command, estimated angle of attack, last
-    rate.
+    """The state of load relief, per gimbal axis (pitch, yaw).
+
+    The fields are the gain in use (k_a, or -k_alpha / b), the filtered acceleration, its share of the command, the
+    estimated angle of attack and the last rate. The acceleration is a_z and a_y, or with `incidence-relief` that of the
+    centre of percussion to +z and -y.
     """
 
     k_a_s2pm: Annotated[Array, (2,)]
@@ -51,9 +54,7 @@ class LoadReliefState:
 
 
 def lag_share(corner_hz: float, sample_s: float) -> float:
-    """Return the share of the new input in a first-order lag, sampled exactly for inputs that are constant over a
-    sample.
-    """
+    """Return the share of a first-order lag sampled exactly for inputs that are constant over a sample."""
     return -math.expm1(-2.0 * math.pi * corner_hz * sample_s)
 
 
@@ -68,7 +69,7 @@ def start_load_relief(state: LoadReliefState) -> None:
 def tick_load_relief(
     law: PdRecord, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
 ) -> float:
-    """As `tick_pd`, the gains' table with three columns an axis. The lag always runs."""
+    """Tick as `tick_pd` does, with three columns per axis in the gain table; the lag always runs."""
     law_rad, gimbal, sign = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal
     filters.accel_mps2[gimbal] += relief.share * (given.lateral_mps2 - filters.accel_mps2[gimbal])
     if given.on != 0 and law.gains.n_breaks != 0:
@@ -83,7 +84,7 @@ def tick_load_relief(
 def tick_incidence_relief(
     law: PdRecord, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
 ) -> float:
-    """As `tick_load_relief`, the gains' table with five columns an axis."""
+    """Tick as `tick_load_relief` does, with five columns per axis in the gain table."""
     law_rad, gimbal, sign, at = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal, given.at
     if law.gains.n_breaks != 0:
         percussion_m, slope = look_up(pool, law.gains, at, 5 * gimbal + 3), look_up(pool, law.gains, at, 5 * gimbal + 4)
@@ -102,7 +103,7 @@ def tick_incidence_relief(
 
 
 class LoadReliefRow(NamedTuple):
-    """The logged values of the load relief."""
+    """The log row of the load relief."""
 
     k_a_axis_s2pm: Annotated[PitchYaw, "s2/m", "gain of the lateral acceleration; 0 without load relief"]
     relief_axis_deg: Annotated[PitchYaw, "deg", "load relief's share of the law's output"]

@@ -2,8 +2,8 @@
 
     delta_pd = -k_p theta_e - k_d q_g,    theta_e = integral of (q_g - q_c)
 
-A positive error gives a negative command: a positive gimbal angle turns the body positively. Its linear side is
-design/laws/pd.py.
+A positive error gives a negative command, because a positive gimbal angle turns the body positively. The linear model
+is design/laws/pd.py.
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ from maxq.control.structures import GAIN_NAMES, MAX_SECTIONS, Over
 
 @dataclass(frozen=True)
 class GainSchedule:
-    """Gains of one axis: `k_p` (n,), `k_d_s` (n,) in s, with an integral `k_i_ps` (n,) in 1/s, with load relief
-    `k_a_s2pm` (n,) in s2/m, at values `at` (n,) of `over`; linear between, held outside.
+    """The gains of one axis at values `at` (n,) of `over`, linear between them and held outside.
 
-    With load relief by angle of attack `k_alpha` (n,) and what the angle of attack is estimated with
-    (laws/load_relief.py).
+    `k_p` (n,). `k_d_s` (n,), s. With an integral `k_i_ps` (n,), 1/s. With load relief `k_a_s2pm` (n,), s2/m. With
+    `incidence-relief` `k_alpha` (n,) and the parameters of the estimate of the angle of attack (laws/load_relief.py).
     """
 
     at: Sequence[float]
@@ -43,18 +42,18 @@ class GainSchedule:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the gains."""
+        """Return the names of the gains."""
         return tuple(name for name in GAIN_NAMES if len(getattr(self, name)) > 0)
 
     @property
     def table(self) -> dict[str, Sequence[float]]:
-        """Columns by name, what they are over first."""
+        """Return the columns by name, the variable of the schedule first."""
         return {self.over: self.at, **{name: getattr(self, name) for name in self.columns}}
 
 
 @dataclass(frozen=True)
 class PdRecord:
-    """Pairs are per gimbal axis (pitch, yaw).
+    """The parameters of PD; pairs are per gimbal axis (pitch, yaw).
 
     `gains`: table of k_p, k_d in pitch, then in yaw (`gains_table`); none means a law that gives 0.
     `sections` (2, MAX_SECTIONS, 5): b0, b1, b2, a1, a2 of each section of the bending filters; `n_sections` (2,).
@@ -67,10 +66,12 @@ class PdRecord:
 
 @dataclass
 class PdState:
-    """Pairs are per gimbal axis (pitch, yaw).
+    """The state of PD; pairs are per gimbal axis (pitch, yaw).
 
-    `k_p`, `k_d_s`: gains in use. `pd_rad`: delta_pd; `filtered_rad`: after the bending filter; `filter_memory`: of
-    each section.
+    - `k_p`, `k_d_s`: gains in use.
+    - `pd_rad`: delta_pd.
+    - `filtered_rad`: delta_pd after the bending filter.
+    - `filter_memory`: memory of each section.
     """
 
     k_p: Annotated[Array, (2,)]
@@ -81,9 +82,9 @@ class PdState:
 
 
 def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
-    """Table of the columns k_p, k_d_s, with an integral k_i_ps, in pitch, then in yaw, over what both are given over;
-    yaw is as pitch unless given.
+    """Return the table of the gains in pitch, then in yaw, over their common variable.
 
+    The columns of an axis are k_p, k_d_s and, with an integral, k_i_ps. Without `yaw` the gains of pitch are used.
     Raises ValueError for columns of different lengths, for axes over different quantities, and as `tables.fit` does.
     """
     if yaw is not None and yaw.over != pitch.over:
@@ -100,7 +101,10 @@ def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
 
 
 def make_pd(gains: TableRef, sample_ns: int, *filters: DiscreteFilter | None) -> PdRecord:
-    """`filters` in pitch and yaw, none passing its input on. Raises ValueError for one of another sample period."""
+    """Return the PD parameters with `filters` in pitch and yaw, where None passes the input unchanged.
+
+    Raises ValueError for a filter with another sample period.
+    """
     sections, n_sections = np.zeros((2, MAX_SECTIONS, 5)), np.zeros(2, np.int64)
     for gimbal, discrete in enumerate(filters):
         if discrete is None:
@@ -113,7 +117,7 @@ def make_pd(gains: TableRef, sample_ns: int, *filters: DiscreteFilter | None) ->
 
 @kernel
 def start_pd(law: PdRecord, state: PdState) -> None:
-    """Gains and outputs 0, filters settled at 0."""
+    """Set gains and outputs to 0, and settle the filters at 0."""
     for gimbal in range(2):
         state.k_p[gimbal] = 0.0
         state.k_d_s[gimbal] = 0.0
@@ -124,7 +128,7 @@ def start_pd(law: PdRecord, state: PdState) -> None:
 
 @kernel
 def settle_pd(law: PdRecord, state: PdState, gimbal: int) -> None:
-    """Filters as they are after a long time at the law's last output: what follows is no transient of theirs."""
+    """Settle the filters at the law's last output, so that they cause no transient."""
     settle_filter(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], state.pd_rad[gimbal])
 
 
@@ -132,21 +136,21 @@ class LawInputs(NamedTuple):
     """The inputs of a law for one axis at a sample."""
 
     gimbal: int  # 0 pitch, 1 yaw
-    at: float  # where the gains' table is read: flight time, or the variable of the schedule
+    at: float  # argument of the gain table: flight time, or the variable of the schedule
     error_rad: float  # attitude error
     rate_radps: float
     lateral_mps2: float  # a_z (pitch) or a_y (yaw); 0 without load relief
     sample_s: float
-    cut_rad: float  # the command before if the limit cut it, else 0
-    on: int  # 0: nothing is to be commanded
+    cut_rad: float  # the previous command if the limit cut it, else 0
+    on: int  # 0: the law commands nothing
 
 
 @kernel
 def tick_pd(law: PdRecord, pool: Array, state: PdState, given: LawInputs) -> float:
-    """Filtered command, rad, of an axis (eq 33).
+    """Return the filtered command of an axis, rad (eq 33).
 
-    With `on` = 0 the filter's input is 0. The filter runs on in any case, so that it is settled when the law takes
-    over again.
+    With `on` = 0 the input of the filter is 0. The filter always runs, so that it is settled when the law takes over
+    again.
     """
     pd_rad = 0.0
     if given.on != 0 and law.gains.n_breaks != 0:
@@ -156,7 +160,7 @@ def tick_pd(law: PdRecord, pool: Array, state: PdState, given: LawInputs) -> flo
 
 @kernel
 def proportional_derivative(law: PdRecord, pool: Array, state: PdState, given: LawInputs, columns: int) -> float:
-    """-k_p theta_e - k_d q_g, rad; k_p and k_d are the first of an axis's `columns` in the gains' table."""
+    """Return -k_p theta_e - k_d q_g, rad; k_p and k_d are the first of an axis's `columns` in the gain table."""
     gimbal, at = given.gimbal, given.at
     k_p = look_up(pool, law.gains, at, columns * gimbal)
     k_d_s = look_up(pool, law.gains, at, columns * gimbal + 1)
@@ -167,7 +171,7 @@ def proportional_derivative(law: PdRecord, pool: Array, state: PdState, given: L
 
 @kernel
 def filtered(law: PdRecord, state: PdState, gimbal: int, law_rad: float) -> float:
-    """The bending filter's output, rad, for a law's command."""
+    """Return the bending filter's output for a law's command, rad."""
     state.pd_rad[gimbal] = law_rad
     filtered_rad = filter_sample(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], law_rad)
     state.filtered_rad[gimbal] = filtered_rad
@@ -175,7 +179,7 @@ def filtered(law: PdRecord, state: PdState, gimbal: int, law_rad: float) -> floa
 
 
 class LawRow(NamedTuple):
-    """The logged values of the law."""
+    """The log row of the law."""
 
     k_p_axis: Annotated[PitchYaw, "1", "proportional gain"]
     k_d_axis_s: Annotated[PitchYaw, "s", "rate gain"]

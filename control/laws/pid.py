@@ -1,10 +1,10 @@
-"""Attitude control law: proportional, integral and derivative, then PD's bending filter (pd.py).
+"""Attitude control law: proportional, integral and derivative, then the bending filter of PD (pd.py).
 
     delta = -k_p theta_e - k_d q_g - i,      i_n = i_(n-1) + T k_i theta_e
 
-The gain stands inside the sum: a schedule moves no command by itself. Anti-windup: the sum stands still while the
-command that was issued last was cut at its limit and the error would drive it farther out, and it keeps to a limit of
-its own (Astrom & Hagglund, Advanced PID Control, 3.5: conditional integration). Its linear side is design/laws/pid.py.
+The gain is inside the sum, so a change of the scheduled gain does not step the command. The anti-windup is conditional
+integration (Astrom & Hagglund, Advanced PID Control, 3.5). The sum is held while the limit cut the last issued command
+and the error would drive it further out. The sum also has a limit of its own. The linear model is design/laws/pid.py.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from maxq.control.laws.pd import LawInputs, PdRecord, PdState, filtered, proport
 
 @dataclass(frozen=True)
 class Pid:
-    """Parameters beside the gains."""
+    """The parameters of PID in addition to the gains."""
 
-    limit_rad: float  # of the integral's share of the command
+    limit_rad: float  # limit of the integral term
 
 
 @dataclass
 class PidState:
-    """Per gimbal axis (pitch, yaw): gain in use, and the integral i."""
+    """The state of PID, per gimbal axis (pitch, yaw): the gain in use, and the integral i."""
 
     k_i_ps: Annotated[Array, (2,)]
     integral_rad: Annotated[Array, (2,)]
@@ -43,16 +43,14 @@ def start_pid(state: PidState) -> None:
 
 @kernel
 def tick_pid(law: PdRecord, pid: Pid, pool: Array, state: PdState, integral: PidState, given: LawInputs) -> float:
-    """As `tick_pd`, the gains' table with three columns an axis. With `on` = 0 the integral is 0."""
+    """Tick as `tick_pd` does, with three columns per axis in the gain table. With `on` = 0 the integral is 0."""
     pid_rad, gimbal = 0.0, given.gimbal
     if given.on == 0:
         integral.integral_rad[gimbal] = 0.0
     elif law.gains.n_breaks != 0:
         integral.k_i_ps[gimbal] = look_up(pool, law.gains, given.at, 3 * gimbal + 2)
         more_rad = given.sample_s * integral.k_i_ps[gimbal] * given.error_rad
-        if (
-            more_rad * given.cut_rad >= 0.0
-        ):  # a positive error lowers the command: one cut at the upper limit comes back
+        if more_rad * given.cut_rad >= 0.0:  # a positive error lowers the command, away from the upper limit
             whole_rad = integral.integral_rad[gimbal] + more_rad
             integral.integral_rad[gimbal] = min(max(whole_rad, -pid.limit_rad), pid.limit_rad)
         pd_rad = proportional_derivative(law, pool, state, given, 3)
@@ -61,7 +59,7 @@ def tick_pid(law: PdRecord, pid: Pid, pool: Array, state: PdState, integral: Pid
 
 
 class PidRow(NamedTuple):
-    """The logged values of the integral."""
+    """The log row of the integral."""
 
     k_i_axis_ps: Annotated[PitchYaw, "1/s", "integral gain; 0 without an integral"]
     integral_axis_deg: Annotated[PitchYaw, "deg", "integral's share of the law's output, with its sign reversed"]

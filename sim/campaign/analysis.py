@@ -1,16 +1,17 @@
 """The results in a campaign's data set: verdicts, quantiles, worst flights, percentiles over time, sensitivities.
 
-Read column by column, so that memory stays bounded however many runs there are. Global sensitivity of a metric to the
-dispersed inputs is estimated from the runs that were flown, without further runs:
+The data set is read column by column, so that memory stays bounded for any number of runs. The global sensitivity of a
+metric to the dispersed inputs is estimated from the runs flown, without further runs:
 
 - rank correlation (Spearman): sign and strength of a monotone influence;
 - first-order Sobol' index: the share of the metric's variance that the input explains, as the variance between classes
   of the input (Pearson's correlation ratio), corrected for the number of classes;
-- Borgonovo's delta: how far the metric's distribution moves, on average, when the input is known, as half the
-  difference between the histograms of a class and of all (Plischke, Borgonovo & Smith, EJOR 226, 2013), less what the
-  same number of runs gives for an independent input. It also detects an influence on the spread alone.
+- Borgonovo's delta: the mean shift of the metric's distribution when the input is known, as half the difference
+  between the histograms of a class and of all (Plischke, Borgonovo & Smith, EJOR 226, 2013). The value for an
+  independent input in the same number of runs is subtracted. Delta also detects an influence on the spread alone.
 
-All are of inputs one by one. Inputs that are correlated with each other (neighbouring winds) share their influence.
+Each index refers to a single input. Inputs that are correlated with each other (neighbouring winds) share their
+influence.
 """
 
 from __future__ import annotations
@@ -40,10 +41,10 @@ if TYPE_CHECKING:
 
 SUMMARY_SCHEMA = 1
 CONTROL_KEPT = "control kept"
-"""The requirement that every campaign has: no run diverges, loses control or is impossible."""
+"""The requirement of every campaign: no run diverges, loses control or is impossible."""
 _KEPT_RUNS = 100_000  # 80 MB or so with a hundred columns
 _WORST = 10  # flights that are named for each requirement
-_MOST_RUNS = 20_000  # of a sensitivity: more change nothing in the digits that are shown
+_MOST_RUNS = 20_000  # runs of a sensitivity: more do not change the digits shown
 _FEWEST_RUNS = 30
 _SHUFFLES = 8
 
@@ -66,14 +67,14 @@ class Judged:
     bound: float
     shown: Shown
     median: float
-    quantile: float  # of the share `success`, by the samples alone
-    tolerance: float  # bound of that quantile, as sure as the verdict; nan: too few runs
+    quantile: float  # quantile of the share `success`, from the samples alone
+    tolerance: float  # bound of that quantile with the verdict's confidence; nan: too few runs
     worst: tuple[Worst, ...]
 
 
 @dataclass(frozen=True)
 class Lost:
-    """A run without usable metrics, or that lost control."""
+    """A run without usable metrics, or one that lost control."""
 
     run: int
     outcome: str
@@ -96,7 +97,10 @@ class DataSet:
         )
 
     def to_pandas(self, *names: str) -> pd.DataFrame:
-        """Columns of all runs, a row for each, over the run's number; none named: all. pandas must be installed."""
+        """Return columns of all runs over the run's number, a row for each run.
+
+        Without names all columns are returned. pandas must be installed.
+        """
         known = schema_of(self.campaign).names
         if unknown := [name for name in names if name not in known]:
             raise KeyError(f"no column {unknown[0]}; columns: {', '.join(known)}")
@@ -107,7 +111,7 @@ class DataSet:
         return [p.path for p in parts_in(self.folder) if self.limit is None or p.first < self.limit]
 
     def _table(self, names: list[str]) -> pa.Table:
-        """Columns of all runs."""
+        """Return columns of all runs."""
         whole = schema_of(self.campaign)
         tables = [pa.schema([whole.field(name) for name in names]).empty_table()]
         tables += [read_part(path, names) for path in self.parts]
@@ -118,11 +122,11 @@ class DataSet:
         return self._table([name])[name]
 
     def numbers(self, name: str) -> Array:
-        """Return one column of numbers; nan where there is none."""
+        """Return one column of numbers, nan for missing ones."""
         return self._kept[name] if name in self._kept else _numbers(self.column(name))
 
     def read(self, names: Iterable[str]) -> None:
-        """Read columns of numbers together, which is faster, and keep them; not those of very many runs."""
+        """Read columns of numbers together, which is faster, and keep them, unless there are very many runs."""
         wanted = [name for name in dict.fromkeys(names) if name not in self._kept]
         if wanted and len(self.runs) <= _KEPT_RUNS:
             table = self._table(wanted)
@@ -136,14 +140,19 @@ class DataSet:
 
     @cached_property
     def in_order(self) -> int:
-        """Runs without a gap from the first one on: what verdicts are taken on. An interruption leaves gaps behind runs
-        that took long, and may have done so because they fail."""
+        """Return the number of runs without a gap from the first one on, the basis of verdicts.
+
+        An interruption leaves gaps for runs that took long, perhaps because they failed.
+        """
         gaps = np.flatnonzero(self.runs != np.arange(len(self.runs)))
         return int(gaps[0]) if len(gaps) else len(self.runs)
 
     @cached_property
     def planned(self) -> int | None:
-        """Runs after which the fixed test judges, as recorded before the first was flown; None: the any-time test."""
+        """Return the number of runs after which the fixed test judges, or None for the any-time test.
+
+        The number was recorded before the first run was flown.
+        """
         if self.campaign.campaign.test != "fixed":
             return None
         return int(read_manifest(self.folder)["campaign"]["runs"])
@@ -154,17 +163,17 @@ class DataSet:
 
     @cached_property
     def void(self) -> np.ndarray:
-        """Runs without usable metrics."""
+        """Return True for runs without usable metrics."""
         return np.array([outcome in VOID for outcome in self.outcomes], dtype=bool)
 
     @cached_property
     def kept(self) -> np.ndarray:
-        """Runs that kept control and came to their end."""
+        """Return True for runs that kept control and reached their end."""
         causes = np.array([bool(cause) for cause in self.column("cause").to_pylist()], dtype=bool)
         return np.asarray(~causes & ~self.void)
 
     def row(self, run: int) -> dict[str, Any] | None:
-        """All that is recorded of one run."""
+        """Return the complete record of one run."""
         for part in parts_in(self.folder):
             if part.first <= run <= part.last:
                 table = read_part(part.path)
@@ -173,17 +182,17 @@ class DataSet:
 
 
 def _numbers(column: Any) -> Array:
-    """A column of numbers as an array; null is nan."""
+    """Return a column of numbers as an array; null is nan."""
     return np.asarray(column.to_numpy(), dtype=float)
 
 
 def requirements_of(campaign: LoadedCampaign) -> list[tuple[str, RequirementSection | None]]:
-    """Name and requirement: first that control is kept (None), then those of the scenario."""
+    """Return name and requirement: first that control is kept (None), then those of the scenario."""
     return [(CONTROL_KEPT, None), *((r.name or r.metric, r) for r in campaign.base.scenario.requirement)]
 
 
 def judged(data: DataSet) -> list[Judged]:
-    """Every requirement of the campaign, the first one being that control is kept."""
+    """Return the verdicts on all requirements of the campaign, the first being that control is kept."""
     requirements = requirements_of(data.campaign)
     metrics = [requirement.metric for _, requirement in requirements if requirement]
     data.read(name for metric in metrics for name in (metric, TIME_OF.format(metric)))
@@ -224,7 +233,7 @@ def _judged(data: DataSet, name: str, requirement: RequirementSection | None) ->
 
 
 def lost(data: DataSet, most: int = 1000) -> list[Lost]:
-    """Runs without usable metrics or that lost control, in order."""
+    """Return the runs without usable metrics or that lost control, in order."""
     at = np.flatnonzero(~data.kept)[:most]
     if not len(at):
         return []
@@ -233,13 +242,13 @@ def lost(data: DataSet, most: int = 1000) -> list[Lost]:
 
 
 def failed_runs(data: DataSet) -> list[int]:
-    """Runs that missed a requirement, lost control or have no usable metrics."""
+    """Return the runs that missed a requirement, lost control or have no usable metrics."""
     passed = np.array(data.column("passed").to_pylist(), dtype=bool)
     return [int(run) for run in data.runs[~passed]]
 
 
 def redraws(data: DataSet) -> tuple[int, int]:
-    """Draws that were rejected, and the runs that had some."""
+    """Return the number of rejected draws, and the number of runs with such draws."""
     count = data.numbers("redraws")
     return int(count.sum()), int((count > 0).sum())
 
@@ -247,7 +256,7 @@ def redraws(data: DataSet) -> tuple[int, int]:
 def summary_of(
     data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], wanted: int, further: dict[str, Any]
 ) -> dict[str, Any]:
-    """The content of summary.json."""
+    """Return the content of summary.json."""
     campaign = data.campaign.campaign
     drawn, in_runs = redraws(data)
     return {
@@ -273,7 +282,7 @@ def summary_of(
 
 
 def selected(data: DataSet, keep: Sequence[str]) -> list[int]:
-    """Runs that `keep` names, without repetition: worst:5, worst:5:METRIC, failed, failed:20, or numbers."""
+    """Return the runs that `keep` names, without repetition: worst:5, worst:5:METRIC, failed, failed:20, or numbers."""
     out: list[int] = []
     for text in keep:
         head, *rest = text.split(":")
@@ -299,7 +308,7 @@ def selected(data: DataSet, keep: Sequence[str]) -> list[int]:
 
 @dataclass(frozen=True)
 class Band:
-    """A channel: `lines` (percentiles, n) over `time_s` (n,), of the `flying` (n,) runs that reach each time."""
+    """A channel: `lines` (percentiles, n) over `time_s` (n,), from the `flying` (n,) runs that reach each time."""
 
     channel: str
     runs: int
@@ -310,7 +319,7 @@ class Band:
 
 
 def bands(folder: Path, campaign: LoadedCampaign) -> list[Band]:
-    """An envelope for each channel; none where no histories were kept."""
+    """Return an envelope for each channel, or nothing if no histories were kept."""
     envelope = campaign.campaign.envelope
     files = sorted((folder / HISTORIES).glob("runs-*.parquet"))
     if not files:
@@ -343,7 +352,7 @@ def _lists(file: Path, column: str) -> list[Array]:
 
 @dataclass(frozen=True)
 class Driver:
-    """Influence of an input on a metric. `noise`: bound of |rank| for an input without influence (2 sigma)."""
+    """The influence of an input on a metric. `noise`: bound of |rank| for an input without influence (2 sigma)."""
 
     name: str
     rank: float
@@ -357,14 +366,14 @@ class Driver:
 
 
 def rank_correlation(x: Array, y: Array) -> float:
-    """Spearman's; 0 where one of them does not vary."""
+    """Return Spearman's rank correlation, 0 if one of the two does not vary."""
     from scipy.stats import spearmanr  # noqa: PLC0415  # lazy: a second to import, at a campaign's end only
 
     return float(spearmanr(x, y).statistic) if np.ptp(x) > 0.0 and np.ptp(y) > 0.0 else 0.0
 
 
 def first_order(x: Array, y: Array) -> float:
-    """First-order Sobol' index of x, 0 to 1."""
+    """Return the first-order Sobol' index of x, 0 to 1."""
     n, total = len(y), float(np.var(y))
     classes = _classes(x)
     count = np.bincount(classes)
@@ -378,11 +387,11 @@ def first_order(x: Array, y: Array) -> float:
 
 
 def borgonovo(x: Array, y: Array) -> float:
-    """Borgonovo's delta of x, 0 to 1."""
+    """Return Borgonovo's delta of x, 0 to 1."""
     classes, bins = _classes(x), _classes(y)
     if classes.max(initial=0) < 1 or bins.max(initial=0) < 1:
         return 0.0
-    rng = np.random.default_rng(20020412)  # the same noise is taken off every time
+    rng = np.random.default_rng(20020412)  # the same noise is subtracted every time
     by_chance = np.mean([_distance(rng.permutation(classes), bins) for _ in range(_SHUFFLES)])
     return float(np.clip((_distance(classes, bins) - by_chance) / (1.0 - by_chance), 0.0, 1.0))
 
@@ -397,7 +406,7 @@ def _distance(classes: IntArray, bins: IntArray) -> float:
 
 
 def _classes(x: Array) -> IntArray:
-    """Class of each value: about n^(1/3) classes of equally many."""
+    """Return the class of each value, for about n^(1/3) classes of equal size."""
     n = len(x)
     count = int(np.clip(round(n ** (1.0 / 3.0)), 2, 40))
     edges = np.quantile(x, np.linspace(0.0, 1.0, count + 1)[1:-1])
@@ -405,12 +414,12 @@ def _classes(x: Array) -> IntArray:
 
 
 def sample_of(data: DataSet) -> DataSet:
-    """The runs that the indices are estimated from."""
+    """Return the runs from which the indices are estimated."""
     return data if len(data.runs) <= _MOST_RUNS else DataSet(data.folder, data.campaign, limit=_MOST_RUNS)
 
 
 def inputs_of(sample: DataSet) -> dict[str, Array]:
-    """Numeric inputs of the runs with usable metrics, by name; those that do not vary are left out."""
+    """Return the numeric inputs of the runs with usable metrics, by name, without constant ones."""
     good = ~sample.void
     out = {}
     names = [n for n, kind in input_types(sample.campaign).items() if n != SEED_KEY and str(kind) != "string"]
@@ -423,7 +432,7 @@ def inputs_of(sample: DataSet) -> dict[str, Array]:
 
 
 def drivers(sample: DataSet, metric: str, inputs: dict[str, Array]) -> list[Driver]:
-    """All inputs by their influence on a metric, the strongest first; none with fewer than 30 runs."""
+    """Return all inputs by their influence on a metric, the strongest first; none with fewer than 30 runs."""
     y = sample.numbers(metric)[~sample.void]
     good = np.isfinite(y)
     n = int(good.sum())

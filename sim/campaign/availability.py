@@ -16,10 +16,10 @@ from maxq.sim.campaign.statistics import Shown, failure_lower, failure_upper, ju
 
 @dataclass(frozen=True)
 class Month:
-    """Flights in a month's winds, `missed` of which miss a requirement or lose control.
+    """The flights in a month's winds, of which `missed` miss a requirement or lose control.
 
-    `least` and `most` bound the availability with `confidence` together, each end with half of the rest (Clopper &
-    Pearson, Biometrika 26, 1934): of flights in winds of which these are a random sample.
+    `least` and `most` bound the availability with the joint `confidence`, each with half of the risk (Clopper &
+    Pearson, Biometrika 26, 1934). They refer to the population of winds of which these are a random sample.
     """
 
     month: int
@@ -44,10 +44,9 @@ class Month:
 
 
 def availability(data: DataSet) -> list[Month]:
-    """Return the availability of each month that has a run among the first runs without a gap; empty for a campaign
-    without months.
+    """Return the availability of each month that has a run among the first runs without a gap.
 
-    Runs whose wind has no date are left out.
+    The result is empty for a campaign without months. Runs whose wind has no date are left out.
     """
     if MONTH_KEY not in input_types(data.campaign):
         return []
@@ -65,7 +64,7 @@ def availability(data: DataSet) -> list[Month]:
 
 
 def clopper_pearson(successes: int, runs: int, confidence: float) -> tuple[float, float]:
-    """Both bounds of the probability of success, with `confidence` together."""
+    """Return both bounds of the probability of success, with the joint `confidence`."""
     if not runs:
         return math.nan, math.nan
     each = 0.5 * (1.0 + confidence)

@@ -1,17 +1,17 @@
-"""Random numbers of a campaign: each is a function of where it is used, never of what was drawn before.
+"""Random numbers of a campaign: each is a function of its place of use, independent of earlier draws.
 
-A draw depends on (campaign seed, key path, run index) alone: adding runs, keys or workers, another order or another
-machine changes no other draw. What else it depends on:
+A draw depends on (campaign seed, key path, run index) alone. Adding runs, keys or workers, another order or another
+machine changes no other draw. There are three further dependences:
 
-- `latin-hypercube`: on the stratum, the fixed number of runs that share one hypercube. Run i belongs to hypercube
-  i // stratum whatever the number of runs, so that a campaign can be extended.
-- `sobol`: on the position of the key among the dispersed ones, which is its dimension. Further keys at the end change
-  nothing; one in between shifts those behind it.
-- A draw that was rejected is replaced by a pseudo-random one (attempt 1, 2, ...), whatever the sampling.
+- `latin-hypercube` depends on the stratum, the fixed number of runs that share one hypercube. Run i belongs to
+  hypercube i // stratum for any number of runs, so that a campaign can be extended.
+- `sobol` depends on the position of the key among the dispersed ones, which is its dimension. Further keys at the end
+  change nothing; a key in between shifts those behind it.
+- A rejected draw is replaced by a pseudo-random one (attempt 1, 2, ...) with any sampling.
 
-The bits are Philox4x64-10 (Salmon et al., SC11, 2011) with the SHA-256 of seed and key as its key and run, attempt and
-component as its counter. NumPy promises that its bit generators keep their streams. Distributions are given by their
-quantile functions: a uniform number in, a draw out.
+The bits are those of Philox4x64-10 (Salmon et al., SC11, 2011). Its key is the SHA-256 of seed and key, and its counter
+consists of run, attempt and component. NumPy guarantees the streams of its bit generators. Distributions are given by
+their quantile functions, which convert a uniform number into a draw.
 """
 
 from __future__ import annotations
@@ -40,25 +40,25 @@ def _philox_key(seed: int, key: str) -> int:
 
 
 def words(seed: int, key: str, first: int, count: int, attempt: int = 0, component: int = 0) -> Words:
-    """Four random words for each of the runs `first` .. `first + count - 1`: (count, 4)."""
+    """Return four random words for each of the runs `first` .. `first + count - 1`: (count, 4)."""
     counter = first | attempt << 64 | component << 128
     return np.random.Philox(key=_philox_key(seed, key), counter=counter).random_raw(4 * count).reshape(count, 4)
 
 
 def uniforms(seed: int, key: str, first: int, count: int, attempt: int = 0, component: int = 0) -> Array:
-    """Numbers in the open interval (0, 1), one for each run, on the centres of 2^52 cells."""
+    """Return numbers in the open interval (0, 1), one for each run, on the centres of 2^52 cells."""
     high = words(seed, key, first, count, attempt, component)[:, 0] >> np.uint64(12)
     return np.asarray((high.astype(np.float64) + 0.5) * 2.0 * _CELL)
 
 
 def seeds(seed: int, key: str, first: int, count: int, attempt: int = 0) -> IntArray:
-    """Whole numbers 0 .. 2^63 - 1, one for each run: seeds of the flights' own noise."""
+    """Return whole numbers 0 .. 2^63 - 1, one for each run: seeds of the flights' own noise."""
     return np.asarray((words(seed, key, first, count, attempt)[:, 1] >> np.uint64(1)).astype(np.int64))
 
 
 @lru_cache(maxsize=512)
 def _permutation(seed: int, key: str, hypercube: int, stratum: int) -> IntArray:
-    """A random order of 0 .. stratum - 1 for one hypercube: the ranks of random words."""
+    """Return a random order of 0 .. stratum - 1 for one hypercube: the ranks of random words."""
     order = np.argsort(words(seed, f"{key}\0latin", 0, stratum, component=hypercube)[:, 0], kind="stable")
     ranks = np.empty(stratum, np.int64)
     ranks[order] = np.arange(stratum)
@@ -66,7 +66,10 @@ def _permutation(seed: int, key: str, hypercube: int, stratum: int) -> IntArray:
 
 
 def latin(seed: int, key: str, first: int, count: int, stratum: int) -> Array:
-    """As `uniforms`; each `stratum` runs from a multiple of it on fill as many equal cells once each."""
+    """Return Latin hypercube numbers in the form of `uniforms`.
+
+    Each `stratum` runs, from a multiple of it on, fill as many equal cells once each.
+    """
     runs = np.arange(first, first + count)
     cells = np.empty(count, np.int64)
     for hypercube in range(first // stratum, (first + count - 1) // stratum + 1):
@@ -79,9 +82,10 @@ def latin(seed: int, key: str, first: int, count: int, stratum: int) -> Array:
 class Sobol:
     """Sobol' points with Owen scrambling, dimension by dimension.
 
-    SciPy's sequence (Joe & Kuo's direction numbers), scrambled by a hash of the bits above each bit, as in Laine &
-    Karras (Comput. Graph. Forum 30, 2011) with the constants of Burley (J. Comput. Graph. Tech. 9(4), 2020): the
-    scrambling of a key depends on (campaign seed, key) alone, where SciPy's own depends on all dimensions.
+    The sequence is that of SciPy (Joe & Kuo's direction numbers). It is scrambled by a hash of the bits above each bit,
+    as in Laine & Karras (Comput. Graph. Forum 30, 2011) with the constants of Burley (J. Comput. Graph. Tech. 9(4),
+    2020). Hence the scrambling of a key depends on (campaign seed, key) alone, whereas SciPy's own depends on all
+    dimensions.
     """
 
     def __init__(self, seed: int, keys: tuple[str, ...], first: int, count: int) -> None:
@@ -111,7 +115,10 @@ def _reversed_bits(x: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def _scrambled(x: NDArray[np.uint32], seed: np.uint32) -> NDArray[np.uint32]:
-    """Nested uniform scrambling: each bit is flipped or not by a hash of the bits above it. Products wrap."""
+    """Return the nested uniform scrambling: a hash of the bits above a bit decides whether it is flipped.
+
+    Products wrap.
+    """
     x = _reversed_bits(x)
     x = x + seed
     for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):
@@ -120,9 +127,9 @@ def _scrambled(x: NDArray[np.uint32], seed: np.uint32) -> NDArray[np.uint32]:
 
 
 def quantile(spec: Disperse, u: Array, nominal: float) -> Array:
-    """Draws of a distribution over numbers. `nominal`: the centre where the file names none.
+    """Return draws of a distribution over numbers. `nominal`: the centre if the file names none.
 
-    Written out rather than by scipy.stats: its ppf rounds otherwise for the triangular and the truncated normal
+    The formulas are written out. The ppf of scipy.stats rounds differently for the triangular and the truncated normal
     distribution, is nan for a spread of zero, and takes a second to import.
     """
     centre, sigma, (low, high) = spec.centre(nominal), spec.sigma_of_normal, spec.ends
@@ -131,7 +138,7 @@ def quantile(spec: Disperse, u: Array, nominal: float) -> Array:
     if spec.distribution == "truncated-normal":
         return _truncated(centre, sigma, low, high, u)
     if spec.distribution == "log-normal":
-        with np.errstate(over="ignore"):  # what is infinite is out of range, and drawn again
+        with np.errstate(over="ignore"):  # infinite values are out of range, and drawn again
             return np.asarray((spec.median or centre) * np.exp(sigma * ndtri(u)))
     if spec.distribution == "uniform":
         return np.asarray(low + (high - low) * u)
@@ -140,7 +147,10 @@ def quantile(spec: Disperse, u: Array, nominal: float) -> Array:
 
 
 def box(spec: Disperse, nominal: float, sigmas: float = 3.0) -> tuple[float, float]:
-    """Least and greatest value of a search: the distribution's ends, or where `sigmas` of a normal one lie."""
+    """Return the least and greatest value of a search.
+
+    They are the distribution's ends, or `sigmas` of a normal one on either side.
+    """
     if spec.distribution in ("uniform", "triangular"):
         return spec.ends
     tail = float(ndtr(-sigmas))
@@ -149,7 +159,7 @@ def box(spec: Disperse, nominal: float, sigmas: float = 3.0) -> tuple[float, flo
 
 
 def chosen(spec: Disperse, u: Array) -> IntArray:
-    """Indices of `values`, as often as their weights say."""
+    """Return indices of `values`, with frequencies by their weights."""
     assert spec.values is not None
     weights = np.array(spec.weights or (1.0,) * len(spec.values), dtype=float)
     edges = np.cumsum(weights / weights.sum())
@@ -157,7 +167,7 @@ def chosen(spec: Disperse, u: Array) -> IntArray:
 
 
 def correlated(matrix: tuple[tuple[float, ...], ...], scores: list[Array]) -> list[Array]:
-    """Zero-mean normal draws with a covariance from independent scores, one array for each key.
+    """Return zero-mean normal draws with a covariance from independent scores, one array for each key.
 
     Draw j depends on the scores of keys 0 .. j. Sums are written out, so that they do not depend on the processor.
     """
@@ -167,7 +177,7 @@ def correlated(matrix: tuple[tuple[float, ...], ...], scores: list[Array]) -> li
 
 
 def cholesky(matrix: Array) -> Array:
-    """Lower factor of a covariance, which may be singular."""
+    """Return the lower factor of a covariance, which may be singular."""
     n = len(matrix)
     factor = np.zeros((n, n))
     for j in range(n):
@@ -180,7 +190,10 @@ def cholesky(matrix: Array) -> Array:
 
 
 def _truncated(mean: float, sigma: float, low: float, high: float, u: Array) -> Array:
-    """Normal between `low` and `high`; drawn in the lower tail, where probabilities keep their digits."""
+    """Return draws of a normal distribution between `low` and `high`.
+
+    They are computed in the lower tail, where probabilities keep their digits.
+    """
     if sigma == 0.0:
         return np.clip(np.full_like(u, mean), low, high)
     a, b = (low - mean) / sigma, (high - mean) / sigma

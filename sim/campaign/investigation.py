@@ -1,4 +1,4 @@
-"""Investigate a campaign: fly one run again, reduce a failure to its causes, search for the worst flight."""
+"""Investigation of a campaign: fly one run again, reduce a failure to its causes, search for the worst flight."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from maxq.sim.run.record import record
 from maxq.sim.scenario.loader import LoadedScenario
 
 SIGMAS = 3.0
-_SEED = 1  # of the search
+_SEED = 1  # seed of the search
 
 
 @dataclass(frozen=True)
 class Reflown:
-    """A flight and how it compares with the data set; `same` is None where there is nothing to compare."""
+    """A repeated flight and its comparison with the data set; `same` is None if there is nothing to compare."""
 
     flight: Flight
     folder: Path
@@ -55,10 +55,10 @@ def refly(
     watch: Callable[[FlightRun], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Reflown:
-    """Fly run `run` of the campaign in `folder` again, alone and with a full log, into `out` (default:
-    DIR/flights/run-000417), and compare it with the data set bit by bit.
+    """Fly run `run` of the campaign in `folder` again with a full log, and compare it with the data set bit by bit.
 
-    Raises CampaignError where the draws make no possible scenario, LogError where a file cannot be written.
+    `out`: folder of the flight (default: DIR/flights/run-000417). Raises CampaignError if the draws make no possible
+    scenario, LogError if a file cannot be written.
     """
     campaign = campaign or campaign_in(folder)
     if run < 0:
@@ -79,7 +79,7 @@ def refly(
 
 
 def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Columns that are not equal bit by bit, in words."""
+    """Return the columns that are not equal bit by bit, in words."""
 
     def bits(value: Any) -> Any:
         if not isinstance(value, float):
@@ -94,8 +94,9 @@ def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 @dataclass(frozen=True)
 class Shrunk:
-    """A reduced failure: its remaining inputs by name, the scenario with them alone, its flight, and the number of
-    flights.
+    """A reduced failure.
+
+    The fields are its remaining inputs by name, the scenario with only these, its flight, and the flights flown.
     """
 
     failure: str
@@ -106,8 +107,9 @@ class Shrunk:
 
 
 def failures_of(flight: Flight) -> list[str]:
-    """Return the reasons for which a flight fails: its outcome if it has no usable metrics, loss of control, missed
-    requirements.
+    """Return the reasons for which a flight fails.
+
+    These are its outcome if it has no usable metrics, loss of control, and missed requirements.
     """
     found = [flight.outcome] if flight.outcome in VOID else []
     found += ["control lost"] if any(e.name == "control_lost" for e in flight.events) else []
@@ -121,12 +123,12 @@ def shrink_run(
     workers: int = 1,
     watch: Callable[[int, int], None] = lambda left, flights: None,
 ) -> Shrunk | None:
-    """The smallest set of inputs of `run` that still gives `failure` (default: the first thing that it fails in).
+    """Return the smallest set of inputs of `run` that still causes `failure` (default: its first failure).
 
-    Delta debugging (Zeller & Hildebrandt, IEEE TSE 28, 2002); all other inputs go back to their nominal values. The
-    result is minimal in the sense that no single one of the remaining inputs can go back without the failure going
-    away; there may be another set of the same size. None where the run does not fail so. `watch` gets the inputs left
-    and the flights flown. Raises Refused.
+    Method: delta debugging (Zeller & Hildebrandt, IEEE TSE 28, 2002), with all other inputs at their nominal values.
+    The result is minimal in the sense that returning any single remaining input to nominal removes the failure. Another
+    set of the same size may exist. The result is None if the run does not have this failure. `watch` gets the inputs
+    left and the flights flown. Raises Refused.
     """
     drawn = campaign.plan.draw(run, 1)
     found = failures_of(fly_scenario(campaign.scenario_of(run)))
@@ -155,8 +157,10 @@ def _minimal(
     pool: ThreadPoolExecutor,
     watch: Callable[[list[str]], None],
 ) -> list[str]:
-    """ddmin: try parts, then what is left without each part, of ever finer divisions. Independent of the threads:
-    of all trials of a round the first one in order that fails is taken."""
+    """Reduce a failing set (ddmin): try parts, then the remainder without each part, with increasingly fine divisions.
+
+    The result does not depend on the threads: the first failing trial of a round, in order, is taken.
+    """
     if fails([]):
         return []  # it fails without any dispersion
     pieces = 2
@@ -205,11 +209,11 @@ def search_worst(
 ) -> WorstFlight:
     """Search about `flights` flights within the 3-sigma box for the largest (or smallest) value of `metric`.
 
-    SciPy's differential_evolution (Storn & Price, J. Global Optimization 11, 1997), generation by generation, so that
-    all flights of one are in the air together and the result does not depend on the threads. What is searched are the
-    numbers of [[disperse]]. `start`: the run whose wind and noise are flown instead of the nominal ones, and whose
-    draws, cut to the box, the search begins with. A flight without usable metrics counts as infinitely bad. Raises
-    CampaignError where nothing can be searched.
+    The search uses SciPy's differential_evolution (Storn & Price, J. Global Optimization 11, 1997), generation by
+    generation. All flights of a generation run in parallel, and the result does not depend on the threads. The
+    variables are the numbers of [[disperse]]. `start`: the run whose wind and noise are flown instead of the nominal
+    ones, and whose draws, cut to the box, begin the search. A flight without usable metrics counts as infinitely bad.
+    Raises CampaignError if there is nothing to search.
     """
     from scipy.optimize import differential_evolution  # noqa: PLC0415  # lazy: half a second, for the search only
 
@@ -273,7 +277,7 @@ def search_worst(
 
 
 def _first(bounds: Array, population: int) -> Array:
-    """The first generation: a Latin hypercube over the box."""
+    """Return the first generation, a Latin hypercube over the box."""
     rng = np.random.default_rng(_SEED)
     cells = np.stack([rng.permutation(population) for _ in bounds], axis=1)
     u = (cells + rng.random(cells.shape)) / population

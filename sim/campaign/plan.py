@@ -1,7 +1,7 @@
 """The draws of each run of a campaign, as a function of seed, run and key alone (draws.py).
 
-Vector-wind model: at each altitude the two components deviate from the mean by a bivariate normal distribution
-(standard deviations and correlation from a table), and the standardised deviations of two altitudes are correlated by
+In the vector-wind model the two components at each altitude deviate from the mean by a bivariate normal distribution,
+with standard deviations and correlation from a table. The standardised deviations of two altitudes are correlated by
 exp(-|difference| / correlation length). This is the form of Adelfang's vector wind profile model (NASA/CR-1999-209759)
 with an analytic correlation in place of its tables of monthly statistics.
 """
@@ -26,16 +26,16 @@ from maxq.sim.world.wind import wind_components
 
 SEED_KEY, WIND_KEY, MONTH_KEY, DATE_KEY = "run.seed", "wind.profile", "wind.month", "wind.date"
 MOST_ATTEMPTS = 1000
-_INSIDE = 1e-300, 1.0 - 1e-16  # of (0, 1), for a distribution's quantiles
+_INSIDE = 1e-300, 1.0 - 1e-16  # limits within (0, 1), for a distribution's quantiles
 
 
 @dataclass(frozen=True)
 class Draw:
     """A random number of a run, and the places of the scenario to which it goes."""
 
-    name: str  # of the column in the data set: the key path, or the first of several
+    name: str  # name of the column in the data set: the key path, or the first of several
     label: str
-    entry: int  # of [[disperse]]
+    entry: int  # index in [[disperse]]
     spec: Disperse
     targets: tuple[Target, ...]
     group: tuple[int, int] | None = None  # (entry, position) where it is correlated with others of the entry
@@ -56,11 +56,11 @@ class Draw:
 
     @property
     def stream(self) -> str:
-        """Name of its random numbers: cases draw a row, the same for all columns."""
+        """Return the name of its random numbers: cases draw a row, the same for all columns."""
         return f"cases\0{self.entry}" if self.spec.distribution == "cases" else self.name
 
     def results(self, values: np.ndarray) -> list[Array]:
-        """Return what becomes of draws at each target; nothing of texts and tables."""
+        """Return the results of draws at each target, none for texts and tables."""
         if self.is_text:
             return []
         values = values if self.spec.power is None else np.power(values, self.spec.power)
@@ -77,20 +77,20 @@ class Draw:
 
 @dataclass
 class Drawn:
-    """The draws of consecutive runs; `flown` and `recorded` hold Python's own numbers, texts and tables."""
+    """The draws of consecutive runs; `flown` and `recorded` hold Python numbers, texts and tables."""
 
     first: int
     redraws: np.ndarray
     seeds: np.ndarray | None = None
     wind: np.ndarray | None = None
-    draws: dict[str, np.ndarray] = field(default_factory=dict)  # by name; of texts and tables the index
-    flown: dict[tuple[str, int], list[Any]] = field(default_factory=dict)  # what the scenario has, by name and target
-    recorded: dict[str, list[Any]] = field(default_factory=dict)  # what the data set has, by column; without the wind
+    draws: dict[str, np.ndarray] = field(default_factory=dict)  # by name; for texts and tables the index
+    flown: dict[tuple[str, int], list[Any]] = field(default_factory=dict)  # values in the scenario, by name and target
+    recorded: dict[str, list[Any]] = field(default_factory=dict)  # values in the data set, by column; without the wind
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The rules by which the draws of a run come about. Nothing here is drawn in an order: see draws.py."""
+    """The rules for the draws of a run. Draws do not depend on an order: see draws.py."""
 
     campaign: Campaign
     draws: tuple[Draw, ...]
@@ -101,9 +101,9 @@ class Plan:
         return self.campaign.noise == "each-run"
 
     def draw(self, first: int, count: int, attempt: int = 0) -> Drawn:
-        """Draws of the runs `first` .. `first + count - 1`; single values out of their bounds are drawn again.
+        """Return the draws of `count` runs from `first` on; single values outside their bounds are drawn again.
 
-        Raises CampaignError where the file says that such a draw is refused, or no draw is ever allowed.
+        Raises CampaignError if the file rejects such a draw, or if no draw is ever allowed.
         """
         seed = self.campaign.seed
         use_sobol = self.campaign.sampling == "sobol" and attempt == 0 and bool(self.draws)
@@ -121,7 +121,7 @@ class Plan:
 
     @cached_property
     def pairs(self) -> list[tuple[str, str, float]]:
-        """Names of the draws of each correlated pair, and its coefficient, where both are among `draws`."""
+        """Return the names of the draws of each correlated pair, and its coefficient, if both are among `draws`."""
         found = []
         for pair in self.campaign.correlated:
             i, j = ([d.name for d in self.draws if name in (d.name, d.label)] for name in pair.of)
@@ -131,7 +131,7 @@ class Plan:
 
     @cached_property
     def correlation(self) -> tuple[list[str], Array]:
-        """Names of the correlated draws, and the matrix of their coefficients."""
+        """Return the names of the correlated draws, and the matrix of their coefficients."""
         names = list(dict.fromkeys(name for i, j, _ in self.pairs for name in (i, j)))
         matrix = np.eye(len(names))
         for i, j, coefficient in self.pairs:
@@ -141,9 +141,10 @@ class Plan:
 
     @cached_property
     def _root(self) -> Array:
-        """Symmetric root of `correlation`: spheres of independent scores stay spheres of scores that are as likely.
+        """Return the symmetric root of `correlation`.
 
-        It is rounded, so that draws do not depend on the processor that decomposes the matrix.
+        It maps a sphere of independent scores to a set of equally likely correlated scores. The root is rounded, so
+        that draws do not depend on the processor that decomposes the matrix.
         """
         sizes, vectors = np.linalg.eigh(self.correlation[1])
         return np.asarray(np.round((vectors * np.sqrt(np.maximum(sizes, 0.0))) @ vectors.T, 12))
@@ -159,9 +160,7 @@ class Plan:
 
     @cached_property
     def score_names(self) -> list[str]:
-        """Return the names of the standard normal numbers that make up a run, in addition to its noise: a draw, or the
-        wind.
-        """
+        """Return the names of a run's standard normal numbers: its draws and its wind, without its noise."""
         return self._streams + [f"{WIND_KEY} {k + 1}" for k in range(self.wind.size if self.wind is not None else 0)]
 
     @cached_property
@@ -169,9 +168,10 @@ class Plan:
         return list(dict.fromkeys(d.stream for d in self.draws))
 
     def of_scores(self, z: Array, noise: np.ndarray) -> tuple[Drawn, np.ndarray]:
-        """Runs 0, 1, ... made of standard normal numbers (runs, scores) and seeds, and which lie within all bounds.
+        """Return runs 0, 1, ... from standard normal numbers (runs, scores) and seeds, and their validity.
 
-        Samples, cases and profiles that are taken in turn are taken at random here.
+        The second result is True for runs within all bounds. Samples, cases and profiles that are otherwise taken in
+        turn are taken at random here.
         """
         good, groups = np.ones(len(z), bool), dict[int, list[Array]]()
         u = dict(zip(self._streams, np.clip(ndtr(z.T), *_INSIDE), strict=False))
@@ -188,7 +188,7 @@ class Plan:
         return drawn, good
 
     def _enter(self, drawn: Drawn, d: Draw, values: np.ndarray, results: list[Array]) -> None:
-        """Enter draws, and what becomes of them at each target."""
+        """Enter draws, and their results at each target."""
         drawn.draws[d.name] = values
         lists: list[list[Any]] = [result.tolist() for result in results]
         if d.is_text:
@@ -212,7 +212,10 @@ class Plan:
         return uniforms(self.campaign.seed, d.stream, first, count, attempt)
 
     def _values(self, d: Draw, first: int, raw: Mapping[str, Array], groups: dict[int, list[Array]]) -> np.ndarray:
-        """Draws of consecutive runs from uniform numbers by name; `groups`: correlated ones by entry, once made."""
+        """Return the values of consecutive runs from uniform numbers by name.
+
+        `groups`: cache of correlated values by entry.
+        """
         spec, u = d.spec, raw[d.name]
         if d.group is not None:
             entry, position = d.group
@@ -237,7 +240,7 @@ class Plan:
         if (d.spec.outside or self.campaign.outside) == "refuse":
             at = int(np.argmin(good))
             raise CampaignError(
-                f"run {drawn.first + at}: {d.name} = {results[0][at]:g} lies outside its bounds"
+                f"run {drawn.first + at}: {d.name} = {results[0][at]:g} is outside its bounds"
                 f"{_bounds_text(d)}; outside = 'resample' draws again, at_least and at_most cut the distribution"
             )
         for at in np.flatnonzero(~good).tolist():
@@ -249,7 +252,7 @@ class Plan:
                     break
             else:
                 raise CampaignError(
-                    f"run {run}: {MOST_ATTEMPTS} draws of {d.name} all lie outside its bounds{_bounds_text(d)}; "
+                    f"run {run}: {MOST_ATTEMPTS} draws of {d.name} are all outside its bounds{_bounds_text(d)}; "
                     "change the distribution or the bounds"
                 )
             values[at] = new[0]
@@ -280,29 +283,29 @@ def _bounds_text(d: Draw) -> str:
 
 
 def _rows(order: str, available: int, u: Array, first: int = 0) -> np.ndarray:
-    """Rows or profiles: i for run i, again from the first after the last, or at random."""
+    """Return rows or profiles: i for run i, starting again after the last, or at random."""
     if order == "in-turn":
         return np.arange(first, first + len(u)) % available
     return np.minimum((u * available).astype(np.int64), available - 1)
 
 
 class Ensemble:
-    """Wind out of given profiles."""
+    """The wind from given profiles."""
 
     def __init__(self, model: WindModel) -> None:
         self._profiles, self._order, self.size = model.profiles or (), model.order, 1
 
     def of_scores(self, z: Array) -> np.ndarray:
-        """`scores` of standard normal numbers (runs, size)."""
+        """Return `scores` from standard normal numbers (runs, size)."""
         return _rows("random", len(self._profiles), ndtr(z[:, 0]))[:, None]
 
     def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:
-        """(count, 1): numbers of the profiles."""
+        """Return (count, 1): numbers of the profiles."""
         u = uniforms(seed, WIND_KEY, first, count, attempt)
         return _rows(self._order, len(self._profiles), u, first)[:, None]
 
     def profile(self, scores: np.ndarray) -> CsvTable:
-        """The profile that follows from the scores of a run."""
+        """Return the profile that follows from the scores of a run."""
         return self._profiles[int(scores[0])]
 
     def recorded(self, scores: np.ndarray) -> dict[str, Any]:
@@ -315,7 +318,7 @@ class Ensemble:
 
 
 class VectorWind:
-    """Correlated normal deviations from a mean profile; methods as those of `Ensemble`."""
+    """Correlated normal deviations from a mean profile; its methods are those of `Ensemble`."""
 
     def __init__(self, model: WindModel, mean: CsvTable) -> None:
         assert model.table is not None
@@ -337,9 +340,12 @@ class VectorWind:
         self.size = 2 * len(self._altitude_m) + (model.months is not None)
 
     def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:
-        """(count, altitudes, 2): deviations north and east, m/s; with months one row more, that of the month."""
+        """Return (count, altitudes, 2): deviations north and east, m/s.
+
+        With months there is one more row, that of the month.
+        """
         parts = [uniforms(seed, WIND_KEY, first, count, attempt, component=k) for k in range(self.size)]
-        if self._months is not None:  # in turn: as many runs of each
+        if self._months is not None:  # in turn: the same number of runs of each
             parts[-1] = (np.arange(first, first + count) % len(self._months) + 0.5) / len(self._months)
         return self.of_scores(ndtri(np.array(parts)).T)
 

@@ -1,10 +1,10 @@
-"""A campaign that can be flown: read from its file and checked against its scenario; the scenario of each run.
+"""Campaigns ready to fly: read from a file and checked against the scenario; the scenario of each run.
 
     campaign = load_campaign("campaigns/ksr3")
     campaign.inputs(417).recorded                       # what was drawn, by column
     campaign.scenario_of(417).scenario                  # what is flown
 
-What a campaign file disperses must be in its scenario, be dispersed once, and fit its bounds.
+Each dispersed value must be in the scenario, be dispersed once, and satisfy its bounds.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from maxq.sim.scenario.messages import explain, field_at
 from maxq.sim.scenario.schema_scenario import Scenario
 
 DrawPlace = tuple[str, int]
-"""Name of a draw, and number of its target."""
+"""The name of a draw, and the number of its target."""
 ACCURACY = 0.05
-"""run.accuracy of campaigns that give neither it nor a step (docs/performance.md)."""
+"""The run.accuracy of campaigns that give neither it nor a step (docs/performance.md)."""
 _PLAUSIBLE_SIGMAS = 3.0
 _JOINT = 1 << 20  # attempts of a run whose values exclude each other begin here, apart from those of single keys
 
@@ -72,7 +72,7 @@ class LoadedCampaign:
         return f"<LoadedCampaign {self.name} ({self.base.label}): {self.campaign.runs} runs>"
 
     def with_campaign(self, **changes: Any) -> LoadedCampaign:
-        """The same with other values in [campaign]: runs, seed, keep. The stratum stays as it was."""
+        """Return the campaign with other values in [campaign]: runs, seed, keep. The stratum is unchanged."""
         before = self.campaign
         if before.sampling == "latin-hypercube" and before.stratum is None and "stratum" not in changes:
             changes["stratum"] = max(before.runs, 1)
@@ -81,10 +81,10 @@ class LoadedCampaign:
         return LoadedCampaign(self.base, file, Plan(campaign, self.plan.draws, self.plan.wind))
 
     def inputs(self, run: int, drawn: Drawn | None = None) -> Inputs:
-        """Draws and scenario of one run, out of a batch where one is given; from several threads, too.
+        """Return draws and scenario of one run, from a batch if one is given. Threads may call it in parallel.
 
-        While its values exclude each other it is drawn again as a whole. Raises CampaignError where the file refuses
-        that, Refused where it does not help.
+        A run whose values exclude each other is drawn again as a whole. Raises CampaignError if the file rejects such a
+        run, Refused if repeated draws do not help.
         """
         redraws = 0
         drawn = drawn or self.plan.draw(run, 1)
@@ -110,16 +110,16 @@ class LoadedCampaign:
         return self.inputs(run).loaded
 
     def mixed(self, drawn: Drawn, run: int, kept: Iterable[str] | None = None) -> LoadedScenario:
-        """The scenario of a run; with only the inputs `kept` dispersed and all others nominal, if given.
+        """Return the scenario of a run, or if given with only the inputs `kept` dispersed and all others nominal.
 
         Raises Refused.
         """
         return self._loaded(self.values_of(drawn, run, kept))
 
     def changed(self, draws: Mapping[str, float], further: Mapping[DrawPlace, Any] | None = None) -> LoadedScenario:
-        """The scenario in which these draws, by name, act, and all else is nominal. Raises Refused.
+        """Return the scenario with these draws, by name, and all other values nominal. Raises Refused.
 
-        `further`: what `values_of` gave of a run.
+        `further`: values of a run from `values_of`.
         """
         values: dict[DrawPlace, Any] = dict(further or {})
         for d in self.plan.draws:
@@ -129,8 +129,9 @@ class LoadedCampaign:
         return self._loaded(values)
 
     def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[DrawPlace, Any]:
-        """Return the values that a run flies for the named inputs (None: all), e.g. its wind and its noise, for
-        `changed`.
+        """Return the values that a run flies for the named inputs (None: all), for `changed`.
+
+        Its wind and its noise are examples of inputs.
         """
         at = run - drawn.first
         values = {place: values[at] for place, values in drawn.flown.items()}
@@ -158,11 +159,11 @@ class LoadedCampaign:
 
     @cached_property
     def input_names(self) -> tuple[str, ...]:
-        """All that is drawn for a run: names that `mixed` takes."""
+        """Return the names of all inputs drawn for a run, as used by `mixed`."""
         return (*(d.name for d in self.plan.draws), *self._extra)
 
     def boxes(self, sigmas: float = 3.0) -> dict[str, tuple[float, float]]:
-        """Least and greatest draw of every numeric input: what a search may use."""
+        """Return the least and greatest draw of every numeric input, the range of a search."""
         out = {}
         for d in self.plan.draws:
             if d.is_text or d.spec.distribution in ("choice", "samples", "cases"):
@@ -197,7 +198,10 @@ class LoadedCampaign:
 
 
 def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCampaign:
-    """The campaign in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError."""
+    """Return the campaign in a file, or the built-in one of that name, with `key=value` overrides.
+
+    Raises ScenarioError.
+    """
     loaded, tree, reading = load_with_sections(path, CAMPAIGN_SECTIONS, overrides)
     run = loaded.scenario.run
     if run.accuracy is None and "step_s" not in run.model_fields_set:
@@ -215,13 +219,13 @@ def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCamp
 
 
 def description_of(campaign: LoadedCampaign) -> dict[str, Any]:
-    """A campaign as JSON has it, files included: `campaign_from` makes the same one of it."""
+    """Return a campaign as JSON, files included, from which `campaign_from` makes the same campaign."""
     tables = {d.name: told(d.tables) for d in campaign.plan.draws if d.tables}
     return {"scenario": campaign.base.as_flown, "wind_model": None, **told(campaign.file), "tables": tables}
 
 
 def campaign_from(description: Mapping[str, Any], label: str = "campaign") -> LoadedCampaign:
-    """The campaign of a description. Raises ScenarioError or ValidationError where it was tampered with."""
+    """Return the campaign of a description. Raises ScenarioError or ValidationError if the description is corrupt."""
     loaded = load_scenario_text(description["scenario"], (), label)
     parts = {name: description[name] for name in CAMPAIGN_SECTIONS if description.get(name) is not None}
     file = CampaignFile.model_validate(plain(parts))
@@ -234,9 +238,10 @@ def made_of(
     reading: Reading | None = None,
     given: Mapping[str, tuple[Any, ...]] | None = None,
 ) -> LoadedCampaign:
-    """The campaign that disperses `loaded` as `file` says. Raises what `load_campaign` puts into words.
+    """Return the campaign that disperses `loaded` as specified in `file`.
 
-    `given`: by name of a draw the tables among which it chooses, where no files can be read.
+    Raises the errors that `load_campaign` reports. `given`: by name of a draw, the tables among which it chooses, for
+    use without files.
     """
     found = [d for n, spec in enumerate(file.disperse) for d in _draws(loaded, spec, n, reading, given or {})]
     _check_overlaps(file, found)
@@ -256,7 +261,7 @@ def made_of(
     for n, channel in enumerate(file.campaign.envelope.channels):
         if channel not in known:
             path = ("campaign", "envelope", "channels", n)
-            raise refuse("is no log channel (docs/telemetry.md)", key=path, value=channel)
+            raise refuse("is not a log channel (docs/telemetry.md)", key=path, value=channel)
     plan = Plan(file.campaign, tuple(found), wind)
     _check_correlated(plan)
     return LoadedCampaign(loaded, file, plan)
@@ -266,20 +271,23 @@ _CONTINUOUS = ("normal", "truncated-normal", "uniform", "log-normal", "triangula
 
 
 def _check_correlated(plan: Plan) -> None:
-    """Raise what `refuse` makes for a pair that is no two such draws, and for coefficients that exclude each other."""
+    """Raise the exception of `refuse` for invalid pairs.
+
+    A pair is invalid without two such draws, or with coefficients that exclude each other.
+    """
     free = [d for d in plan.draws if d.spec.distribution in _CONTINUOUS and d.group is None]
     for n, pair in enumerate(plan.campaign.correlated):
         found = [[d.name for d in free if name in (d.name, d.label)] for name in pair.of]
         if [len(names) for names in found] != [1, 1] or found[0] == found[1]:
             allowed = f"two of {', '.join(d.label for d in free) or 'no draws'}"
-            raise refuse("are no two draws", allowed, ("campaign", "correlated", n, "of"), value=pair.of)
+            raise refuse("are not two draws", allowed, ("campaign", "correlated", n, "of"), value=pair.of)
     if plan.pairs and np.linalg.eigvalsh(plan.correlation[1])[0] < -1e-9:
-        problem, allowed = "no draws have all of these coefficients together", "those of a positive semidefinite matrix"
+        problem, allowed = "these coefficients exclude each other", "those of a positive semidefinite matrix"
         raise refuse(problem, allowed, ("campaign", "correlated"), value=len(plan.campaign.correlated))
 
 
 def _check_overlaps(file: CampaignFile, found: list[Draw]) -> None:
-    """No value of the scenario is drawn twice."""
+    """Check that no value of the scenario is drawn twice."""
     taken = set()
     for d in found:
         key: KeyPath = ("disperse", d.entry, "key")
@@ -291,14 +299,14 @@ def _check_overlaps(file: CampaignFile, found: list[Draw]) -> None:
                 raise refuse("is dispersed twice", allowed, key, value=target.key)
             taken.add(place)
             if target.key == WIND_KEY and file.wind_model is not None:
-                raise refuse("is drawn by [wind_model] already", key=key, value=target.key)
+                raise refuse("is already drawn by [wind_model]", key=key, value=target.key)
             if target.key == SEED_KEY and file.campaign.noise == "each-run":
                 allowed = "'as-scenario' with such a draw"
                 raise refuse("run.seed is dispersed", allowed, ("campaign", "noise"))
 
 
 def channel_units(loaded: LoadedScenario) -> dict[str, str]:
-    """Log channels that an envelope may ask for, with their units."""
+    """Return the log channels that an envelope may contain, with their units."""
     from maxq.sim.flight.telemetry import FAST, SLOW  # noqa: PLC0415  # lazy: loads the kernels' modules
     from maxq.sim.packing.schedule import stage_sizes  # noqa: PLC0415  # lazy: as above
     from maxq.sim.run.fly import logged_channels  # noqa: PLC0415  # lazy: as above
@@ -310,7 +318,7 @@ def channel_units(loaded: LoadedScenario) -> dict[str, str]:
 
 
 def _elements(scenario: Scenario, key: str, where: KeyPath) -> list[Target]:
-    """The places that a key path with `*` for some of its parts names: all elements of those lists."""
+    """Return the places that a key path with `*` for some of its parts names: all elements of those lists."""
     head, _, tail = key.partition(".*")
     found: list[Target] = []
     for n in itertools.count():
@@ -328,7 +336,7 @@ def _elements(scenario: Scenario, key: str, where: KeyPath) -> list[Target]:
 def _draws(
     loaded: LoadedScenario, spec: Disperse, entry: int, reading: Reading | None, given: Mapping[str, tuple[Any, ...]]
 ) -> Iterator[Draw]:
-    """The draws of an entry of [[disperse]]."""
+    """Yield the draws of an entry of [[disperse]]."""
     here: KeyPath = ("disperse", entry)
 
     def target_of(key: str, where: KeyPath) -> Target:
@@ -341,7 +349,7 @@ def _draws(
         return target
 
     def named(key: str) -> str:
-        """Name of the column in the data set: the key, which rows of a table, and the tag."""
+        """Return the name of the column in the data set: the key, the rows of a table, and the tag."""
         marks = [f"{name}={value:g}" for name, value in (spec.where or {}).items()] + [spec.tag] * bool(spec.tag)
         return f"{key}[{','.join(marks)}]" if marks else key
 
@@ -371,7 +379,7 @@ def _draws(
 
 
 def _check_fits(spec: Disperse, target: Target, at: KeyPath) -> None:
-    """A distribution and the value it is for, one against the other."""
+    """Check a distribution against the value to which it applies."""
     if target.kind in ("text", "table"):
         if spec.distribution != "choice" or spec.apply != "set":
             raise refuse(f"{target.key} holds no number", "'choice'", (*at, "distribution"), value=spec.distribution)
@@ -381,7 +389,7 @@ def _check_fits(spec: Disperse, target: Target, at: KeyPath) -> None:
     if any(isinstance(value, str) for value in spec.values or ()):
         raise refuse(f"{target.key} holds a number", "numbers", (*at, "values"))
     if spec.where is not None and target.kind != "column":
-        raise refuse(f"{target.key} is no column of a table", key=(*at, "where"))
+        raise refuse(f"{target.key} is not a column of a table", key=(*at, "where"))
     for name, value in (spec.where or {}).items():
         if name not in target.columns:
             raise refuse("the table has no such column", ", ".join(target.columns), (*at, "where", name), value=value)
@@ -396,7 +404,7 @@ def _check_fits(spec: Disperse, target: Target, at: KeyPath) -> None:
 def _tables(
     spec: Disperse, target: Target, here: KeyPath, reading: Reading | None, given: tuple[Any, ...] | None
 ) -> tuple[CsvTable, ...]:
-    """The tables among which a draw chooses."""
+    """Return the tables among which a draw chooses."""
     _, metadata = field_at(Scenario, target.path)
     columns = next(mark for mark in metadata if isinstance(mark, Columns))
     out = []
@@ -405,6 +413,6 @@ def _tables(
             out.append(TypeAdapter(Annotated[CsvTable, columns]).validate_python(value, context=reading))
         except ValidationError as error:
             context = error.errors(include_url=False)[0].get("ctx", {})
-            problem, allowed = context.get("problem", "is no such table"), context.get("allowed", "")
+            problem, allowed = context.get("problem", "is not such a table"), context.get("allowed", "")
             raise refuse(problem, allowed, (*here, "values", n), value=str(value)) from None
     return tuple(out)

@@ -1,10 +1,12 @@
-"""Flies a campaign: on threads over the compiled kernel, which releases the interpreter's lock, or a Dask cluster.
+"""The runner of a campaign, on threads or on a Dask cluster.
+
+Threads run in parallel, because the compiled kernel releases the interpreter's lock.
 
     result = run_campaign(load_campaign("campaigns/first"), Path("runs/first"), workers=2)
     result = run_campaign(load_campaign("campaigns/ksr3"), Path("runs/ksr3"), cluster=Client("tcp://head:8786"))
 
-Runs are submitted in order, over several batches; a batch is written, here, as soon as its last run has landed. So
-memory holds the batches under way, however many runs there are, and no worker waits for another.
+Runs are submitted in order, over several batches. This process writes a batch as soon as its last run is complete.
+Hence memory holds only the batches in progress for any number of runs, and no worker waits for another.
 """
 
 from __future__ import annotations
@@ -39,25 +41,28 @@ from maxq.sim.scenario.schema_scenario import RequirementSection
 CHUNK = 8  # runs that a thread prepares, flies and judges together; fewer towards the end, so that all end together
 AHEAD = 2  # tasks for each worker that are submitted before they are needed
 _POLL_S = 0.2  # interval of progress reports and of queries whether to stop
-_TRIES = 5  # of a batch whose workers die; Dask itself tries each one several times
+_TRIES = 5  # attempts at a batch whose workers die; Dask itself tries each one several times
 _SHARES = 4  # batches for each thread of a cluster, at least
 
 Gap = tuple[int, int]
-"""Runs to be flown and written together: the first, and how many."""
+"""The runs to be flown and written together: the first run, and their number."""
 
 
 @dataclass
 class Tally:
-    """A requirement so far (None: that control is kept). `worst` is nan while no run has a value."""
+    """The tally of a requirement (None: that control is kept). `worst` is nan while no run has a value."""
 
     name: str
     requirement: RequirementSection | None
     failures: int = 0
-    failures_in_order: int = 0  # of the runs without a gap from the first one on
+    failures_in_order: int = 0  # failures in the runs without a gap from the first one on
     worst: float = math.nan
 
     def add(self, outcome: str, cause: str, metrics: Mapping[str, Any]) -> bool:
-        """Count a run; whether it misses the requirement. A run without usable metrics misses all of them."""
+        """Count a run, and return True if it misses the requirement.
+
+        A run without usable metrics misses all of them.
+        """
         void = outcome in VOID
         if self.requirement is None:
             missed = void or bool(cause)
@@ -71,10 +76,10 @@ class Tally:
 
 
 class Interim:
-    """Tallies of all runs, and of the runs without a gap from the first one on, which verdicts under way are taken on.
+    """The tallies of all runs, and of the runs without a gap from the first one on, the basis of interim verdicts.
 
-    Runs land in an order that depends on how long they take, and so on whether they fail: a verdict on whatever has
-    landed would be biased.
+    The order in which runs are completed depends on their duration, and so on their failures. A verdict on all
+    completed runs would be biased.
     """
 
     def __init__(self, campaign: LoadedCampaign) -> None:
@@ -85,7 +90,7 @@ class Interim:
         self._ahead: dict[int, list[bool]] = {}
 
     def read(self, folder: Path, runs: int) -> None:
-        """Count what a folder holds of the first `runs` runs."""
+        """Count the first `runs` runs in a folder."""
         metrics = dict.fromkeys(t.requirement.metric for t in self.tallies if t.requirement)
         wanted = ["run", "outcome", "passed", "cause", *metrics]
         for part in parts_in(folder):
@@ -112,12 +117,12 @@ class Interim:
 
 @dataclass
 class CampaignProgress:
-    """The state of a campaign; `watch` gets it a few times a second."""
+    """The state of a campaign, passed to `watch` a few times a second."""
 
     total: int
-    before: int  # runs that were there when this began
+    before: int  # runs that existed at the beginning
     interim: Interim
-    flown: int = 0  # since then
+    flown: int = 0  # runs flown since then
     started_s: float = field(default_factory=time.monotonic)
 
     @property
@@ -130,7 +135,7 @@ class CampaignProgress:
 
     @property
     def rate(self) -> float:
-        """Flights a second."""
+        """Return the flights per second."""
         return self.flown / self.elapsed_s if self.flown else 0.0
 
     @property
@@ -140,7 +145,7 @@ class CampaignProgress:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a call: `stopped` by the caller, `settled` before all runs were needed, or all flown."""
+    """The result of a call: `stopped` by the caller, `settled` before all runs were needed, or all runs flown."""
 
     flown: int
     total: int
@@ -161,11 +166,11 @@ def run_campaign(
     until_settled: bool = False,
     elsewhere: str = "give another --out",
 ) -> Outcome:
-    """Fly what is missing of a campaign into its folder, on `workers` threads (default: one for each core).
+    """Fly the missing runs of a campaign into its folder, on `workers` threads (default: one for each core).
 
-    `cluster`: the address of a Dask scheduler, or a dask Client, whose workers fly instead (maxq[dask]).
-    `watch` is called with the progress a few times a second; when `stop` then says True, whole runs of the batch under
-    way are written and it ends. `elsewhere`: what helps where the folder is in use or holds something else. Raises
+    `cluster`: the address of a Dask scheduler, or a dask Client, whose workers fly instead (maxq[dask]). `watch` is
+    called with the progress a few times a second. If `stop` then returns True, whole runs of the current batch are
+    written and the call ends. `elsewhere`: advice for a folder that is in use or holds other data. Raises
     CampaignError.
     """
     if until_settled and campaign.campaign.test == "fixed":
@@ -201,14 +206,14 @@ def _fly(
     stop: Callable[[], bool],
     until_settled: bool,
 ) -> tuple[bool, bool]:
-    """Fly the tasks; whether it was stopped, and whether it ended because every verdict was settled."""
+    """Fly the tasks, and return True if stopped, and True if it ended because every verdict was settled."""
     stopped, settled = False, until_settled and progress.interim.settled()
     flying: set[Future[Any]] = set()
     landed: SimpleQueue[Future[Any]] = SimpleQueue()
 
     def begun(task: Future[Any]) -> None:
         flying.add(task)
-        task.add_done_callback(landed.put)  # to look through all of a large cluster's tasks would take longer
+        task.add_done_callback(landed.put)  # searching all of a large cluster's tasks would take longer
 
     watch(progress)
     try:
@@ -241,7 +246,7 @@ def _fly(
 
 
 class _Batches:
-    """Rows that have landed, until their batch is whole and written."""
+    """The completed rows of batches that are not yet whole and written."""
 
     def __init__(self, store: Store, gaps: list[Gap], progress: CampaignProgress) -> None:
         self._store, self._gaps, self._progress = store, gaps, progress
@@ -259,7 +264,7 @@ class _Batches:
                 del self._rows[first]
 
     def write_begun(self) -> None:
-        """Write the batches under way as far as they have no gap."""
+        """Write the batches in progress up to their first gap."""
         for first, batch in self._rows.items():
             whole = [batch[run] for run in takewhile(batch.__contains__, count(first))]
             if whole:
@@ -267,7 +272,7 @@ class _Batches:
 
 
 class Threads:
-    """Threads of this process."""
+    """The threads of this process."""
 
     def __init__(self, campaign: LoadedCampaign, workers: int) -> None:
         self._campaign, self._workers = campaign, workers
@@ -279,7 +284,7 @@ class Threads:
         return usual
 
     def begin(self, gaps: list[Gap]) -> Iterator[Future[list[Row]]]:
-        """Load the kernels; an iterator that submits the next task."""
+        """Load the kernels, and return an iterator that submits the next task."""
         if gaps:
             load_kernels(self._campaign)
         return self._tasks(gaps)
@@ -296,18 +301,18 @@ class Threads:
         return task.result()
 
     def end(self) -> None:
-        """Cancel the tasks that have not begun, abandon those under way."""
+        """Cancel the tasks that have not begun, and abandon those in progress."""
         self._stop.set()
         self._pool.shutdown(cancel_futures=True)
 
 
 def load_kernels(campaign: LoadedCampaign) -> None:
-    """Load the compiled kernels, or compile them, before the clock starts and threads wait for each other."""
+    """Load or compile the kernels before the timing starts, so that threads do not wait for each other."""
     FlightRun(campaign.base, packer(campaign)(campaign.base.scenario), log=False).result()
 
 
 def _connected(address: str) -> Any:
-    """A client of the scheduler at an address. Raises CampaignError."""
+    """Return a client of the scheduler at an address. Raises CampaignError."""
     try:
         from distributed import Client  # noqa: PLC0415  # an extra
 
@@ -319,8 +324,11 @@ def _connected(address: str) -> Any:
 
 
 class DaskCluster:
-    """The workers of a Dask client. A task gets the whole campaign and flies a batch: any worker can repeat it at any
-    time, workers may come and go, and its rows are bit for bit those of threads on this machine."""
+    """The workers of a Dask client.
+
+    A task receives the whole campaign and flies a batch. Any worker can repeat it at any time, and workers may join and
+    leave. Its rows are bit for bit those of threads on this machine.
+    """
 
     def __init__(self, campaign: LoadedCampaign, client: Any) -> None:
         self._given = campaign.campaign.batch is not None
@@ -337,7 +345,7 @@ class DaskCluster:
         return max(AHEAD * self._threads, 2)
 
     def batch(self, usual: int, runs: int) -> int:
-        """Small enough that no thread of a large cluster is left without one."""
+        """Return a batch size small enough that every thread of a large cluster has work."""
         return usual if self._given else min(usual, max(runs // (_SHARES * max(self._threads, 1)), 1))
 
     def begin(self, gaps: list[Gap]) -> Iterator[Future[Any]]:
@@ -349,13 +357,13 @@ class DaskCluster:
         return task
 
     def collect(self, task: Future[Any]) -> list[Row] | Future[Any]:
-        """Rows of a task that is done, or the task that is to be waited for instead. Raises CampaignError."""
+        """Return the rows of a completed task, or the task to wait for instead. Raises CampaignError."""
         first, size, tries = self._out.pop(task)
         try:
             rows, theirs = task.result()
         except CampaignError:
             raise
-        except Exception as error:  # of Dask: its workers died, or it lost the task
+        except Exception as error:  # from Dask: its workers died, or it lost the task
             if tries < _TRIES:
                 return self._submit(first, size, tries + 1)
             raise CampaignError(
@@ -373,7 +381,7 @@ class DaskCluster:
 
 
 def fly_batch(packed: bytes, first: int, size: int) -> tuple[list[Row], dict[str, str]]:
-    """The task: fly runs `first` .. `first + size - 1`. Returns their rows, and what flew them."""
+    """Fly the runs `first` .. `first + size - 1` of a task, and return their rows and the versions that flew them."""
     campaign = _unpacked(packed)
     drawn = campaign.plan.draw(first, size)
     orders = [(drawn, run) for run in range(first, first + size)]
@@ -382,5 +390,5 @@ def fly_batch(packed: bytes, first: int, size: int) -> tuple[list[Row], dict[str
 
 @lru_cache(maxsize=2)
 def _unpacked(packed: bytes) -> LoadedCampaign:
-    """The campaign of a task; a worker makes it once."""
+    """Return the campaign of a task; a worker makes it once."""
     return campaign_from(json.loads(zlib.decompress(packed)))

@@ -1,4 +1,4 @@
-"""Runs of a campaign: their scenarios are flown, and each becomes a row of the data set, whatever happens in it."""
+"""Runs of a campaign: their scenarios are flown, and each run becomes a row of the data set, even after an error."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
 
 REFUSED, ERROR = "refused", "error"
-"""Outcomes beside those of a flight: the draws make no possible scenario; an error of this program."""
+"""The outcomes in addition to those of a flight: the draws make no possible scenario; an error of this program."""
 VOID = (DIVERGED_NAME, SOFTWARE_NAME, REFUSED, ERROR)
-"""Outcomes without usable metrics: such a run misses every requirement."""
+"""The outcomes without usable metrics: such a run misses every requirement."""
 OWN_KERNELS_FROM = 500  # runs
 TIME_OF = "{}.time_s"
-"""Column with the time of a metric."""
+"""The name of the column with the time of a metric."""
 
 RunOrder = tuple[Drawn, int]
-"""A run, and the draws of its batch."""
+"""The draws of a run's batch, and the run."""
 Packing = Callable[[Scenario], Packed]
 
-_SEGMENT_NS = 100 * NS_PER_S  # of a flight, a tenth of a second's work: between two of them it can be cancelled
+_SEGMENT_NS = 100 * NS_PER_S  # segment of a flight, a tenth of a second's work: the flight can be cancelled between two
 
 
 @dataclass
@@ -61,12 +61,12 @@ class Row:
 
 
 def fly_rows(loaded: LoadedCampaign, orders: Iterable[RunOrder], stop: Callable[[], bool] = lambda: False) -> list[Row]:
-    """Fly these runs, one after the other; the rows of those that were flown before `stop` said so, in their order.
+    """Fly these runs one after the other, and return the rows of those flown before `stop` returned True, in order.
 
-    An error in a run becomes its row. All are prepared before the first is flown, and judged after the last: a flight
-    drives Python's code and data out of the processor's caches, and to fetch them again for each run costs as much as
-    the preparation itself. Only flight code from outside is started in its turn: it flies in a process of its own, one
-    a thread. Raises CampaignError where the file refuses the draws.
+    An error in a run becomes its row. All runs are prepared before the first is flown, and judged after the last. A
+    flight displaces Python's code and data from the processor's caches, and reloading them for each run costs as much
+    as the preparation. Only external flight code is started in turn, because it flies in a separate process, one per
+    thread. Raises CampaignError if the file rejects the draws.
     """
     pack, computer = packer(loaded), loaded.base.scenario.vehicle.computer
     runs = [_Run(loaded, drawn, run) for drawn, run in orders]
@@ -80,7 +80,7 @@ def fly_rows(loaded: LoadedCampaign, orders: Iterable[RunOrder], stop: Callable[
 
 
 class _Run:
-    """A run that is drawn, packed, flown and recorded. Where it cannot be, `row` is there at once, and says why."""
+    """A run that is drawn, packed, flown and recorded. If this fails, `row` is set at once and holds the reason."""
 
     def __init__(self, loaded: LoadedCampaign, drawn: Drawn, run: int) -> None:
         wanted = loaded.campaign.envelope
@@ -99,15 +99,16 @@ class _Run:
                 self.packed = pack(self.made.loaded.scenario)
 
     def begin(self) -> None:
-        """Bring it to its start, where flight code from outside begins to run."""
+        """Bring the run to its start, where external flight code begins to run."""
         if self.row is None and self.flight is None:
             with self._errors_recorded():
                 self.flight = _begun_flight(self.made.loaded, self.envelope, self.packed)
 
     @contextmanager
     def _errors_recorded(self) -> Iterator[None]:
-        """Record the error of a run, since one run in ten thousand must not end a campaign. A lack of memory concerns
-        the machine and is raised again.
+        """Record the error of a run, since one run in ten thousand must not end a campaign.
+
+        A lack of memory concerns the machine and is raised again.
         """
         try:
             yield
@@ -118,7 +119,7 @@ class _Run:
             self.row.inputs, self.row.redraws = self.made.recorded, self.made.redraws
 
     def fly(self, stop: Callable[[], bool]) -> bool:
-        """Fly it to its end; False where `stop` said so before."""
+        """Fly the run to its end; return False if `stop` returned True before."""
         self.begin()
         if self.flight is None:
             return True
@@ -134,7 +135,7 @@ class _Run:
         return True
 
     def recorded(self) -> Row:
-        """The row of a run that has been flown."""
+        """Return the row of a completed run."""
         if self.row is None and self.flight is not None:
             with self._errors_recorded():
                 row = recorded_row(self.made, self.flight.result())
@@ -147,19 +148,23 @@ class _Run:
 
 
 def _on_grid(rows: LoggedRows, columns: Sequence[tuple[str, int]], rate_hz: float) -> tuple[Array, Array]:
-    """Times (n,) and values (channels, n) of the segment; the flight's last instant falls outside the grid."""
+    """Return times (n,) and values (channels, n) of the segment; the flight's last instant is not on the grid."""
     times = rows[SLOW][0] / NS_PER_S
     on_grid = np.flatnonzero(np.abs(times * rate_hz - np.rint(times * rate_hz)) < 1e-6)
     return times[on_grid], np.array([rows[group][1][on_grid, column] for group, column in columns])
 
 
 def packer(loaded: LoadedCampaign) -> Packing:
-    """Many runs are worth kernels of their own; few are flown by the common ones. Their results are the same bits."""
+    """Return the packing of a campaign's flights.
+
+    Many runs justify compiling kernels of their own, and few runs use the common kernels. Their results are the same
+    bits.
+    """
     return pack_for_one_vehicle if loaded.campaign.runs >= OWN_KERNELS_FROM else pack_flight
 
 
 def fly_scenario(loaded: LoadedScenario) -> Flight:
-    """Fly without a log."""
+    """Fly a scenario without a log."""
     flight = _begun_flight(loaded, None, pack_flight(loaded.scenario))
     while not flight.finished:
         flight.fly_segment()
@@ -167,9 +172,9 @@ def fly_scenario(loaded: LoadedScenario) -> Flight:
 
 
 def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, packed: Packed) -> FlightRun:
-    """A flight at its start, without a log; with the channels of an envelope where one is given."""
+    """Return a flight at its start, without a log, with the channels of an envelope if one is given."""
     timeline = packed.parameters[0].timeline
-    step_ns = 1 if timeline.even == 1 else int(timeline.step_ns)  # of the grid on which rows lie
+    step_ns = 1 if timeline.even == 1 else int(timeline.step_ns)  # step of the grid of the rows
     if envelope is not None:
         period_ns = max(round(NS_PER_S / envelope.rate_hz / step_ns), 1) * step_ns
         packed.parameters["timeline"]["fast_ns"] = period_ns
@@ -218,7 +223,7 @@ _NUMBERS = {pa.float64(): "f8", pa.int64(): "i8", pa.int32(): "i4", pa.bool_(): 
 
 
 def input_types(campaign: LoadedCampaign) -> dict[str, pa.DataType]:
-    """Columns of what was drawn, in the order of the file."""
+    """Return the columns of the draws, in the order of the file."""
     plan = campaign.plan
     out = {d.name: pa.string() if d.is_text else pa.float64() for d in plan.draws}
     if plan.own_noise:
@@ -230,8 +235,9 @@ def input_types(campaign: LoadedCampaign) -> dict[str, pa.DataType]:
 
 
 def schema_of(campaign: LoadedCampaign) -> pa.Schema:
-    """Return the schema of a row for each run: its outcome, its draws (null where nothing could be drawn), metrics and
-    their times.
+    """Return the schema of a row for each run.
+
+    Its columns are the outcome, the draws (null where nothing could be drawn), the metrics and their times.
     """
     inputs = [pa.field(name, kind) for name, kind in input_types(campaign).items()]
     metrics = [pa.field(name, pa.float64()) for name in (*METRIC_NAMES, *map(TIME_OF.format, METRIC_NAMES))]
@@ -239,7 +245,7 @@ def schema_of(campaign: LoadedCampaign) -> pa.Schema:
 
 
 def table_of(rows: Sequence[Row], schema: pa.Schema) -> pa.Table:
-    """The rows in order of their runs."""
+    """Return the rows in order of their runs."""
     rows = sorted(rows, key=lambda row: row.run)
     known = {column.name: [getattr(row, column.name) for row in rows] for column in _COLUMNS}
     for name in METRIC_NAMES:
@@ -250,7 +256,7 @@ def table_of(rows: Sequence[Row], schema: pa.Schema) -> pa.Table:
 
 
 def history_table(rows: Sequence[Row], channels: Sequence[str]) -> pa.Table:
-    """Histories of the rows that have one: a list of numbers for each channel, over `time_s`."""
+    """Return the histories of the rows that have one: a list of numbers for each channel, over `time_s`."""
     lists = [pa.field(name, pa.list_(pa.float32())) for name in ("time_s", *channels)]
     schema = pa.schema([pa.field("run", pa.int64(), False), *lists])
     kept = sorted(((r.run, r.history) for r in rows if r.history is not None), key=lambda item: item[0])
@@ -263,9 +269,9 @@ def _table(columns: Sequence[Sequence[Any]], schema: pa.Schema) -> pa.Table:
 
 
 def array_of(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """Numbers, flags, texts (None: null), or lists of single-precision numbers, as Arrow holds them.
+    """Return numbers, flags, texts (None: null), or lists of single-precision numbers as an Arrow array.
 
-    pa.array gives the same, but where pandas is installed it imports it first: 0.3 s of every campaign.
+    pa.array gives the same result, but first imports pandas if it is installed, which takes 0.3 s in every campaign.
     """
     if pa.types.is_list(kind):
         ends = np.cumsum([0, *map(len, values)], dtype=np.int32)

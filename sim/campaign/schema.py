@@ -32,7 +32,10 @@ Probability = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
 def _as_read(value: Any, usual: ValidatorFunctionWrapHandler) -> Any:
-    """A text stays as it was read: it may name a file, which is looked for beside the file that names it."""
+    """Keep a text as it was read.
+
+    It may name a file, which is searched for in the folder of the naming file.
+    """
     return value if isinstance(value, Text) else usual(value)
 
 
@@ -48,7 +51,7 @@ Samples = Annotated[CsvTable, Columns("")]
 
 
 class Envelope(Section):
-    """Histories at a reduced rate, for percentiles over time."""
+    """The histories at a reduced rate, for percentiles over time."""
 
     channels: tuple[str, ...] = optional(
         "names of log channels (docs/telemetry.md)",
@@ -120,7 +123,7 @@ _MEANINGFUL: dict[str, tuple[str, ...]] = {
     "samples": ("file", "column"),
     "cases": ("file",),
 }
-"""Keys that have a meaning with each distribution only."""
+"""The keys that have a meaning only with certain distributions."""
 _REQUIRED = {
     "low": "a number",
     "high": "a number",
@@ -128,7 +131,10 @@ _REQUIRED = {
     "values": "a list of values",
     "file": "a CSV file",
 }
-"""Keys that are required where they have a meaning; low and high are optional in a truncated normal distribution."""
+"""The keys that are required where they have a meaning.
+
+low and high are optional in a truncated normal distribution.
+"""
 
 
 class Disperse(Section):
@@ -172,22 +178,25 @@ class Disperse(Section):
 
     @property
     def sigma_of_normal(self) -> float:
-        """Standard deviation of a normal distribution, of ln(x) of a log-normal one."""
+        """Return the standard deviation of a normal distribution, or of ln(x) of a log-normal one."""
         return self.sigma if self.sigma is not None else (self.three_sigma or 0.0) / 3.0
 
     @property
     def ends(self) -> tuple[float, float]:
-        """`low` and `high`, infinite where they are not given."""
+        """Return `low` and `high`, infinite if they are not given."""
         return -math.inf if self.low is None else self.low, math.inf if self.high is None else self.high
 
     @property
     def sample_column(self) -> str:
-        """The column that samples are drawn from; empty where it is not given and there are several."""
+        """Return the column from which samples are drawn.
+
+        It is empty if it is not given and there are several.
+        """
         names = list(self.file.columns) if self.file is not None else []
         return self.column or (names[0] if len(names) == 1 else "")
 
     def centre(self, nominal: float) -> float:
-        """The mean of a normal draw; without one the draw that changes nothing."""
+        """Return the mean of a normal draw; without a mean, the draw that changes nothing."""
         if self.mean is not None:
             return self.mean
         return {"set": nominal, "scale": 1.0, "add": 0.0}[self.apply]
@@ -216,9 +225,9 @@ class Disperse(Section):
         if self.distribution == "truncated-normal" and low == -high == -math.inf:
             raise refuse("needs low, high or both", "a number", "low")
         if low > high or (low == high and self.distribution == "truncated-normal"):
-            raise refuse("low lies above high", f"at most {high:g}", "low")
+            raise refuse("low is above high", f"at most {high:g}", "low")
         if self.mode is not None and not low <= self.mode <= high:
-            raise refuse("lies outside low .. high", f"{low:g} .. {high:g}", "mode")
+            raise refuse("is outside low .. high", f"{low:g} .. {high:g}", "mode")
         if self.values is not None:
             if not self.values:
                 raise refuse("is empty", "one value or more", "values")
@@ -236,11 +245,11 @@ class Disperse(Section):
         if n == 0 or len(c) != n or len(matrix) != n:
             raise refuse(f"is not a matrix of {n} by {n}", "a row of numbers for each of keys", "covariance")
         if (c != c.T).any() or np.linalg.eigvalsh(c).min() < -1e-12 * np.abs(c).max():
-            raise refuse("is no covariance", "a symmetric matrix without negative eigenvalues", "covariance")
+            raise refuse("is not a covariance", "a symmetric matrix without negative eigenvalues", "covariance")
 
 
 class WindModel(Section):
-    """Wind profiles that differ from run to run."""
+    """The wind profiles that differ from run to run."""
 
     model: Literal["vector", "ensemble"] = Field(
         description="vector: normal deviations from wind.profile, correlated over altitude; ensemble: given profiles"
@@ -267,10 +276,10 @@ class WindModel(Section):
             table: CsvTable = self.needs("table", "model is 'vector'", WIND_MODEL_COLUMNS.allowed())
             self.needs("correlation_length_m", "model is 'vector'", "a number > 0")
             if (np.abs(table.get("correlation")) > 1.0).any():
-                raise table.refusal("is no correlation", "numbers -1 .. 1", "correlation", at=("table",))
+                raise table.refusal("is not a correlation", "numbers -1 .. 1", "correlation", at=("table",))
             if self.months is not None:
                 odd = ~np.isin(self.months["month"], np.arange(1, 13))
-                self.months.refuse_where(odd, "month", "is no month", "whole numbers 1 .. 12", at=("months",))
+                self.months.refuse_where(odd, "month", "is not a month", "whole numbers 1 .. 12", at=("months",))
         elif not self.needs("profiles", "model is 'ensemble'", "a list of CSV files"):
             raise refuse("is empty", "one profile or more", "profiles")
 
@@ -285,7 +294,7 @@ class CampaignFile(Section):
     def _check(self) -> None:
         for n, text in enumerate(self.campaign.keep):
             if not keep_is_known(text):
-                raise refuse("is no selection", KEEP_ALLOWED, ("campaign", "keep", n))
+                raise refuse("is not a selection", KEEP_ALLOWED, ("campaign", "keep", n))
 
 
 def keep_is_known(text: str) -> bool:

@@ -1,20 +1,21 @@
 """Verdicts from a number of flights: tests that allow looking at any time, binomial bounds, order statistics.
 
-A requirement asks that a share `success` of all flights meets a limit, shown with `confidence`: of all campaigns of a
-vehicle that fails with probability p0 = 1 - success or more, a share of at most 1 - confidence may ever be called met
-(consumer's risk: Hanson & Beard, NASA/TP-2010-216447), and as few of a vehicle that fails less often not met. All
-bounds are one-sided.
+A requirement states that a share `success` of all flights meets a limit, shown with `confidence`. Consider all
+campaigns of a vehicle that fails with probability p0 = 1 - success or more. At most a share 1 - confidence of them may
+ever be judged met (consumer's risk: Hanson & Beard, NASA/TP-2010-216447). For a vehicle that fails less often, at most
+the same share may be judged not met. All bounds are one-sided.
 
-*Any-time test*, the usual one. An e-value is the likelihood of what was seen under a mixture of failure probabilities
-on one side of p0, over that at p0. For a vehicle on the other side it is a supermartingale, so it ever exceeds 1/risk
-with probability at most `risk` (Ville's inequality; Robbins, Ann. Math. Statist. 41, 1970; Howard et al., Ann. Statist.
-49, 2021). So the verdict holds whenever one looks, stops or goes on.
+The *any-time test* is the default. An e-value is the likelihood of the data under a mixture of failure probabilities on
+one side of p0, divided by that at p0. For a vehicle on the other side it is a supermartingale, so it ever exceeds
+1/risk with probability at most `risk` (Ville's inequality; Robbins, Ann. Math. Statist. 41, 1970; Howard et al., Ann.
+Statist. 49, 2021). Hence the verdict is valid under any rule for looking, stopping or continuing.
 
-*Fixed test*: exact binomial, at a number of runs recorded before the first is flown. It has a size below the risk, as
-failures are counted in whole numbers. A campaign that is flown on is judged by the any-time test with the risk that is
-left, so that both together stay within it (union bound).
+The *fixed test* is the exact binomial test at a number of runs recorded before the first is flown. Its size is below
+the risk, because failures are whole numbers. A campaign that is continued is judged by the any-time test with the
+remaining risk, so that both together stay within the risk (union bound).
 
-The functions are those of scipy.special: scipy.stats takes a second to import, and a campaign needs these at its start.
+The functions are those of scipy.special. scipy.stats takes a second to import, and a campaign needs these functions at
+its start.
 """
 
 from __future__ import annotations
@@ -35,22 +36,25 @@ MET: Judgement = "met"
 NOT_MET: Judgement = "not met"
 OPEN: Judgement = "not yet enough runs"
 _MOST_RUNS = 1 << 50
-_POWER = 0.5  # of the density of failure probabilities below p0, p^(_POWER - 1): few runs where none or few fail
+_POWER = 0.5  # exponent in the density of failure probabilities below p0, p^(_POWER - 1): few runs if few fail
 
 
 def failure_upper(failures: int, runs: int, confidence: float) -> float:
-    """Upper bound of the probability of failure (Clopper & Pearson, Biometrika 26, 1934)."""
+    """Return the upper bound of the probability of failure (Clopper & Pearson, Biometrika 26, 1934)."""
     return 1.0 if failures >= runs else float(betaincinv(failures + 1, runs - failures, confidence))
 
 
 def failure_lower(failures: int, runs: int, confidence: float) -> float:
-    """Lower bound of the probability of failure."""
+    """Return the lower bound of the probability of failure."""
     return 0.0 if failures == 0 else float(betaincinv(failures, runs - failures + 1, 1.0 - confidence))
 
 
 @lru_cache(maxsize=1024)
 def allowed_failures(runs: int, success: float, confidence: float) -> int:
-    """Most failures with which a fixed test of `runs` shows the requirement to be met; -1: not even with none."""
+    """Return the most failures with which a fixed test of `runs` shows the requirement to be met.
+
+    It is -1 if not even zero failures do.
+    """
     p, risk = 1.0 - success, 1.0 - confidence
     return _least(lambda k: k > runs or bool(bdtr(k, runs, p) > risk), 0) - 1
 
@@ -65,9 +69,9 @@ class Shown:
     success: float  # estimate
     success_least: float  # lower confidence bound, by the test that judges
     success_most: float  # upper confidence bound
-    allowed: int  # failures with which it would be met after so many runs; -1: too few runs for any
-    more: int  # further runs needed, all of them without failure; 0 where it is settled
-    test: str  # by which test, in words
+    allowed: int  # failures with which it would be met after these runs; -1: too few runs even for none
+    more: int  # further runs needed, all of them without failure; 0 if settled
+    test: str  # name of the test
 
 
 ANY_TIME = "any-time test"
@@ -75,20 +79,23 @@ ANY_TIME = "any-time test"
 
 @lru_cache(maxsize=4096)
 def judge_failures(failures: int, runs: int, success: float, confidence: float, planned: int | None = None) -> Shown:
-    """Verdict on a requirement; the runs are the first ones in order, without a gap.
+    """Return the verdict on a requirement; the runs are the first ones in order, without a gap.
 
-    `planned`: the number of runs recorded beforehand, at which the fixed test judges; None: the any-time test.
+    `planned`: the number of runs recorded beforehand, at which the fixed test judges. None selects the any-time test.
     """
     p, risk = 1.0 - success, 1.0 - confidence
     judgement, test, risk_met, risk_missed = OPEN, ANY_TIME, risk, risk
     if planned is not None:
         test, allowed = f"fixed test of {planned} runs", allowed_failures(planned, success, confidence)
         refused = _least(lambda k: k > planned or bool(bdtrc(k - 1, planned, p) <= risk), 1)
-        risk_met = max(risk - (float(bdtr(allowed, planned, p)) if allowed >= 0 else 0.0), 1e-300)  # what is left
+        risk_met = max(risk - (float(bdtr(allowed, planned, p)) if allowed >= 0 else 0.0), 1e-300)  # the remaining risk
         risk_missed = max(risk - float(bdtrc(refused - 1, planned, p)), 1e-300)
 
     def more(least: int) -> int:
-        """Further runs, `least` or more, with which so many failures are shown to be few enough at any time."""
+        """Return the further runs, `least` or more, after which these failures show the requirement to be met.
+
+        The proof is valid at any time.
+        """
         needed = -math.log(risk_met)
         return _least(lambda n: evidence_met(failures, n, p) >= needed, max(runs + least, failures, 1)) - runs
 
@@ -112,7 +119,7 @@ def judge_failures(failures: int, runs: int, success: float, confidence: float, 
 
 
 def _least(holds: Callable[[int], bool], first: int) -> int:
-    """Least whole number from `first` on for which a monotone condition holds."""
+    """Return the least whole number from `first` on for which a monotone condition holds."""
     step = 1
     while not holds(first + step - 1) and step < _MOST_RUNS:
         step *= 2
@@ -132,7 +139,10 @@ def last(holds: Callable[[float], bool], low: float, high: float, halvings: int)
 
 
 def confidence_sequence(failures: int, runs: int, confidence: float) -> tuple[float, float]:
-    """Bounds of the probability of failure, each with `confidence` at all times together: what the tests let stand."""
+    """Return bounds of the probability of failure, each with `confidence` at all times together.
+
+    The values between the bounds are those that no test rejects.
+    """
     needed = -math.log(1.0 - confidence)
     share = failures / runs if runs else 0.0
 
@@ -146,10 +156,11 @@ def confidence_sequence(failures: int, runs: int, confidence: float) -> tuple[fl
 
 
 def tolerance_bound(values: Array, allowed: int, largest: bool = True) -> float:
-    """The (allowed + 1)-th largest of `values`, an order statistic; nan where none is allowed.
+    """Return the (allowed + 1)-th largest of `values`, an order statistic; nan if no failure is allowed.
 
-    With the failures that a test allows (`Shown.allowed`), the share `success` of all flights does not exceed it, with
-    that test's confidence. `largest` False: the value that they do not fall short of. nan counts as worst.
+    With the failures that a test allows (`Shown.allowed`), the share `success` of all flights does not exceed this
+    value, with the test's confidence. `largest` False: the value below which this share does not fall. nan counts as
+    worst.
     """
     if allowed < 0:
         return math.nan
@@ -159,7 +170,10 @@ def tolerance_bound(values: Array, allowed: int, largest: bool = True) -> float:
 
 
 def evidence_met(failures: int, runs: int, p: float) -> float:
-    """log of the e-value against "fails with probability p or more"; the mixture has the density q^-0.5 below p."""
+    """Return the log of the e-value against "fails with probability p or more".
+
+    The mixture has the density q^-0.5 below p.
+    """
     k, n = failures, runs
     inside = float(betainc(k + _POWER, n - k + 1, p))
     if inside <= 0.0:
@@ -169,7 +183,7 @@ def evidence_met(failures: int, runs: int, p: float) -> float:
 
 
 def evidence_missed(failures: int, runs: int, p: float) -> float:
-    """log of the e-value against "fails with probability p or less"; the mixture is log-uniform above p."""
+    """Return the log of the e-value against "fails with probability p or less"; the mixture is log-uniform above p."""
     k, n = failures, runs
     outside = float(betaincc(k, n - k + 1, p)) if k else 0.0
     if outside <= 0.0:

@@ -1,4 +1,4 @@
-"""A campaign's folder: what it is, its data set part by part, and who may write.
+"""A campaign's folder: its description, its data set in parts, and its lock.
 
     DIR/campaign.json        what was flown: scenario, dispersions, versions. A folder holds one campaign
     DIR/runs/*.parquet       one row for each run; a part for each batch, named after its runs
@@ -35,12 +35,12 @@ from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.record import versions
 
 MOST_BYTES = 1 << 32
-"""Of a file of the data set in memory: a thousand runs take a megabyte."""
+"""The largest size of a file of the data set in memory: a thousand runs take a megabyte."""
 MANIFEST, RUNS, HISTORIES, LOCK = "campaign.json", "runs", "histories", "lock"
 LAYOUT = 1
 _NOT_IDENTITY = tuple(f"campaign.{key}" for key in ("runs", "batch", "keep", "success", "confidence"))
 _WORDS = ("name", "description", "source", "file")
-"""Keys that change nothing in a flight."""
+"""The keys that change nothing in a flight."""
 
 
 @dataclass(frozen=True)
@@ -53,17 +53,17 @@ class StoredPart:
 
 
 class Store:
-    """Opened with `open_store`; one process at a time writes."""
+    """A campaign's folder, opened with `open_store`; one process at a time writes."""
 
     def __init__(self, folder: Path, campaign: LoadedCampaign) -> None:
         self.folder = folder
         self.schema = schema_of(campaign)
-        self.notes: list[str] = []  # what was found and repaired
+        self.notes: list[str] = []  # findings and repairs
         self._channels = campaign.campaign.envelope.channels
         self._lock = filelock.FileLock(folder / LOCK)
 
     def missing(self, runs: int, batch: int) -> Iterator[tuple[int, int]]:
-        """Runs below `runs` that are in no part, as (first, count), cut at multiples of `batch`."""
+        """Yield the runs below `runs` that are in no part, as (first, count), cut at multiples of `batch`."""
         at = 0
         for part in [*parts_in(self.folder), StoredPart(self.folder, runs, runs)]:
             while at < min(part.first, runs):
@@ -73,8 +73,9 @@ class Store:
             at = max(at, part.last + 1)
 
     def write(self, rows: Sequence[Row]) -> None:
-        """Write one part of consecutive runs. Raises CampaignError if it cannot be written; then no part of it is
-        left.
+        """Write one part of consecutive runs.
+
+        Raises CampaignError if it cannot be written; then no part of it is left.
         """
         table, histories = table_of(rows, self.schema), history_table(rows, self._channels)
         first, last = table["run"][0].as_py(), table["run"][-1].as_py()
@@ -86,7 +87,7 @@ class Store:
         _write_table(table, self.folder / RUNS / name)
 
     def lock(self, elsewhere: str) -> None:
-        """Take the lock, or raise CampaignError: another process writes here. It ends with the process."""
+        """Take the lock, or raise CampaignError if another process writes here. The lock ends with the process."""
         path = self.folder / LOCK
         try:
             self._lock.acquire(blocking=False)
@@ -105,7 +106,7 @@ class Store:
         self._lock.release()
 
     def sweep(self) -> None:
-        """Remove what an interrupted process left; set aside parts that are not whole."""
+        """Remove the files left by an interrupted process, and set aside damaged parts."""
         for folder in (self.folder / RUNS, self.folder / HISTORIES):
             for stray in folder.glob(".*.parquet.*"):
                 stray.unlink(missing_ok=True)
@@ -113,7 +114,7 @@ class Store:
         for part in parts_in(self.folder):
             problem = self._problem(part)
             if not problem and part.first <= reach:
-                problem = f"it holds run {part.first}, which another part holds already"
+                problem = f"it contains run {part.first}, which another part already contains"
             if problem:
                 aside = part.path.with_name(part.path.name + ".corrupt")
                 os.replace(part.path, aside)
@@ -136,8 +137,9 @@ class Store:
 
 
 def read_part(path: Path, columns: list[str] | None = None, schema: pa.Schema | None = None) -> pa.Table:
-    """A file of the data set, or some of its columns. Raises CampaignError where it cannot be read, would take more
-    than MOST_BYTES of memory, or has not the columns of `schema`.
+    """Read a file of the data set, or some of its columns.
+
+    Raises CampaignError if it cannot be read, would take more than MOST_BYTES of memory, or lacks columns of `schema`.
     """
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
@@ -145,7 +147,7 @@ def read_part(path: Path, columns: list[str] | None = None, schema: pa.Schema | 
                 raise CampaignError(f"{path}: its columns are not those of this campaign")
             about = file.metadata
             size = sum(about.row_group(n).total_byte_size for n in range(about.num_row_groups))
-            size = max(size, 8 * about.num_rows * about.num_columns)  # runs of equal values take next to nothing
+            size = max(size, 8 * about.num_rows * about.num_columns)  # runs of equal values take almost no space
             if size > MOST_BYTES:
                 most = f"{MOST_BYTES / 1e9:.1f} GB"
                 raise CampaignError(f"{path}: decompresses to {size / 1e9:.1f} GB; {most} is the most that is read")
@@ -155,15 +157,15 @@ def read_part(path: Path, columns: list[str] | None = None, schema: pa.Schema | 
 
 
 def _write_table(table: pa.Table, path: Path) -> None:
-    texts = [f.name for f in table.schema if pa.types.is_string(f.type)]  # numbers hardly ever repeat
+    texts = [f.name for f in table.schema if pa.types.is_string(f.type)]  # numbers rarely repeat
     with whole_file(path, CampaignError, durable=True) as part, open(part, "wb") as file:
         pq.write_table(table, file, compression="snappy", use_dictionary=texts, write_page_checksum=True)
 
 
 def open_store(folder: Path, campaign: LoadedCampaign, elsewhere: str = "give another --out") -> tuple[Store, int]:
-    """The folder of a campaign, made and locked, and the size of its batches.
+    """Create and lock the folder of a campaign, and return it with the size of its batches.
 
-    Raises CampaignError where it cannot be written, holds something else or another campaign, or is in use.
+    Raises CampaignError if it cannot be written, holds other data or another campaign, or is in use.
     """
     try:
         there = sorted(os.listdir(folder)) if folder.is_dir() else []
@@ -187,9 +189,9 @@ def open_store(folder: Path, campaign: LoadedCampaign, elsewhere: str = "give an
 
 
 def _same_campaign(folder: Path, campaign: LoadedCampaign, elsewhere: str) -> int:
-    """Write what is flown here, or check that it is the same. Returns the size of batches.
+    """Write the description of the campaign, or check that it is the same, and return the size of batches.
 
-    Where the file does not give one: a 32nd of the runs, rounded down to a power of two from 64 to 1024.
+    If the file gives no size, it is a 32nd of the runs, rounded down to a power of two from 64 to 1024.
     """
     identity = description_of(campaign) | {"simulator": simulator()}
     if campaign.campaign.sampling == "latin-hypercube":
@@ -218,19 +220,19 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     except OSError as error:
         raise CampaignError(f"{path}: cannot be read: {reason(error)}") from None
     except ValueError:
-        raise CampaignError(f"{path}: is damaged; remove it, and the runs beside it") from None
+        raise CampaignError(f"{path}: is damaged; remove it and the runs in the same folder") from None
     if content.get("layout") != LAYOUT:
         raise CampaignError(f"{path}: has layout {content.get('layout')}, this maxq knows {LAYOUT}")
     return content
 
 
 def simulator() -> dict[str, str]:
-    """Versions that the bits of a flight depend on."""
+    """Return the versions on which the bits of a flight depend."""
     return {"kernels": source_hash(), **versions()}
 
 
 def campaign_in(folder: Path) -> LoadedCampaign:
-    """The campaign that was flown in a folder, from the folder alone. Raises CampaignError."""
+    """Return the campaign that was flown in a folder, from the folder alone. Raises CampaignError."""
     manifest = read_manifest(folder)
     try:
         return campaign_from(manifest, str(folder / MANIFEST))
@@ -256,7 +258,7 @@ def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
 
 
 def _flat(value: Any, key: str = "") -> dict[str, Any]:
-    """The values of nested tables by their key paths."""
+    """Return the values of nested tables by their key paths."""
     if isinstance(value, list) and any(isinstance(item, dict) for item in value):
         value = {str(n): item for n, item in enumerate(value)}
     if not isinstance(value, dict):
@@ -270,7 +272,7 @@ def _short(value: Any) -> str:
 
 
 def parts_in(folder: Path) -> list[StoredPart]:
-    """Parts of a folder by their names, in order of runs."""
+    """Return the parts of a folder by name, in order of runs."""
     out = []
     for path in (folder / RUNS).glob("runs-*.parquet"):
         first, _, last = path.stem.removeprefix("runs-").partition("-")
@@ -280,5 +282,5 @@ def parts_in(folder: Path) -> list[StoredPart]:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write whole or not at all; nan and infinity become null, dataclasses tables. Raises CampaignError."""
+    """Write a JSON file whole or not at all; nan and infinity become null, dataclasses tables. Raises CampaignError."""
     write_whole(path, to_json(content, indent=1, inf_nan_mode="null") + b"\n", CampaignError, durable=True)

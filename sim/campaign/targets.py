@@ -1,7 +1,7 @@
-"""Key paths of a scenario: what a dispersion changes, and the changed scenario.
+"""Key paths of a scenario: the places that a dispersion changes, and the changed scenario.
 
-A key path is that of `--set`: vehicle.stage.0.engine.thrust_factor, a list's element by its number, a table's column by
-its name (vehicle.stage.0.mass.table.x_cg_m).
+A key path is that of `--set`: vehicle.stage.0.engine.thrust_factor. It names a list's element by its number, and a
+table's column by its name (vehicle.stage.0.mass.table.x_cg_m).
 """
 
 from __future__ import annotations
@@ -31,26 +31,27 @@ BOUNDS: dict[str, tuple[Callable[..., Any], str]] = {
     "lt": (np.less, "below"),
     "le": (np.less_equal, "at most"),
 }
-"""Marks of pydantic that bound a number."""
+"""The constraints of pydantic that bound a number."""
 
 
 class Refused(Exception):
-    """Draws that make no possible scenario: why, with the key."""
+    """The error of draws that make no possible scenario: the reason, with the key."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """A place of the scenario. `nominal` is nan where the place holds no number; `kind` is the type of its
-    content.
+    """A place of the scenario.
+
+    `nominal` is nan where the place holds no number; `kind` is the type of its content.
     """
 
     key: str
     path: tuple[str | int, ...]
     kind: Literal["number", "integer", "text", "column", "table"]
     nominal: float
-    bounds: tuple[tuple[str, float], ...] = ()  # what the schema allows: ("gt", 0.0)
+    bounds: tuple[tuple[str, float], ...] = ()  # bounds of the schema: ("gt", 0.0)
     whole_ns: bool = False
-    columns: tuple[str, ...] = ()  # of the table that holds a column
+    columns: tuple[str, ...] = ()  # columns of the table that contains the column
 
     @property
     def is_angle(self) -> bool:
@@ -81,7 +82,7 @@ def _applied(apply: Apply, value: Any, draw: Any) -> Any:
 
 
 def find_target(scenario: Scenario, key: str) -> Target:
-    """The place that a key path names. Raises PydanticCustomError, see `refuse`."""
+    """Return the place that a key path names. Raises PydanticCustomError, see `refuse`."""
     path: list[str | int] = []
     at: Any = scenario
     parts = key.split(".")
@@ -90,7 +91,7 @@ def find_target(scenario: Scenario, key: str) -> Target:
         if isinstance(at, Section):
             names = _names(type(at))
             if part not in names:
-                raise refuse("is no key of the scenario" + _hint(part, names, parts[:n]))
+                raise refuse("is not a key of the scenario" + _hint(part, names, parts[:n]))
             at = getattr(at, names[part])
             path.append(part)
         elif isinstance(at, tuple):
@@ -163,7 +164,7 @@ class TargetChange:
 
 
 class Dispersed:
-    """Makes the scenario of a run: the same as loading a file with the changed values would give."""
+    """The maker of the scenario of a run, which equals the one loaded from a file with the changed values."""
 
     def __init__(self, scenario: Scenario, changes: Iterable[TargetChange]) -> None:
         self._scenario = scenario
@@ -176,9 +177,9 @@ class Dispersed:
             node.setdefault(last, []).append(change)
 
     def __call__(self, values: Mapping[Any, Any]) -> Scenario:
-        """The scenario with the results of draws, by name, in place; where there is none, the value stays.
+        """Return the scenario with the results of draws, by name, in place; values without a result are unchanged.
 
-        Raises Refused where such a scenario is not possible.
+        Raises Refused if such a scenario is not possible.
         """
         if not self._tree:
             return self._scenario
@@ -193,8 +194,11 @@ class Dispersed:
 
 
 def _rebuilt(at: Any, node: Any, values: Mapping[Any, Any]) -> Any:
-    """The value with all changes below it: sections that change as their fields, to be checked once, together; what
-    does not change is shared with the original."""
+    """Return the value with all changes below it.
+
+    Changed sections are given as their fields, to be checked once, together. Unchanged parts are shared with the
+    original.
+    """
     if isinstance(node, list):
         change = node[0]
         value = values.get(change.draw, at)
@@ -210,10 +214,10 @@ def _rebuilt(at: Any, node: Any, values: Mapping[Any, Any]) -> Any:
 
 
 def _absent(node: Any, values: Mapping[Any, Any]) -> None:
-    """Accept that a scenario lacks an optional section, such as the wind, if no draw changes it.
+    """Check that an optional section missing in a scenario, such as the wind, is not changed by a draw.
 
     The scenario is not always the campaign's own: the vehicle of a draw also flies in the calm air of its design.
-    Raises Refused for a result that has nowhere to go.
+    Raises Refused for a result without a place.
     """
     if isinstance(node, list):
         if any(change.draw in values for change in node):

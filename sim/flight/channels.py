@@ -1,4 +1,4 @@
-"""The channel table: what is logged, in which unit and frame, on which topic and at which rate.
+"""The channel table: name, unit, frame, topic and rate of each logged number.
 
 Channels are declared by the NamedTuples that kernels fill (control/kernel/rows.py). Columns of the kernel's rows,
 protobuf schemas, plots and docs/telemetry.md are all derived from one `ChannelTable`.
@@ -29,9 +29,9 @@ def unit_suffix(unit: str) -> str:
 class Channel:
     """A logged number.
 
-    `name` ends with the suffix of `unit` (see `unit_suffix`; upper or lower case) unless `unit` is "1", and
-    holds `frame` as one of its parts unless `frame` is "": `w_BI_B_y_radps` has unit rad/s and frame B. It
-    becomes the name of a protobuf field. Raises ValueError where the name breaks these rules.
+    `name` ends with the suffix of `unit` (see `unit_suffix`; upper or lower case) unless `unit` is "1". It contains
+    `frame` as one of its parts unless `frame` is "": `w_BI_B_y_radps` has unit rad/s and frame B. The name becomes that
+    of a protobuf field. Raises ValueError if the name breaks these rules.
     """
 
     name: str
@@ -52,10 +52,10 @@ class Channel:
 
 
 def declared_channels(row: type, part: str = "", label: str = "", suffix: str = "") -> tuple[Channel, ...]:
-    """Channels of the NamedTuple that declares them (control/kernel/rows.py), in the order in which it is written.
+    """Return the channels of the NamedTuple that declares them (control/kernel/rows.py), in the order of writing.
 
-    For what a vehicle has several of, `label` replaces the word `part` in the names (`eta_mode_m` -> `eta_pitch_1_m`)
-    and `suffix` ends the descriptions.
+    For parts of which a vehicle has several, `label` replaces the word `part` in the names (`eta_mode_m` ->
+    `eta_pitch_1_m`), and `suffix` ends the descriptions.
     """
     channels: list[Channel] = []
     for name, hint in get_type_hints(row, include_extras=True).items():
@@ -74,10 +74,10 @@ def declared_channels(row: type, part: str = "", label: str = "", suffix: str = 
 
 @dataclass(frozen=True)
 class Topic:
-    """Channels that are logged in one message.
+    """The channels that are logged in one message.
 
-    `name` as `/truth`; `group` is the rate group whose times its messages have ("fast", "slow", ...).
-    Raises ValueError for a bad name, for no channels at all, and for the topics that every log has anyway.
+    `name` is of the form `/truth`. `group` is the rate group with the times of its messages ("fast", "slow", ...).
+    Raises ValueError for an invalid name, for no channels at all, and for the topics that every log contains.
     """
 
     name: str
@@ -97,12 +97,12 @@ class Topic:
 
     @property
     def message_name(self) -> str:
-        """Name of the protobuf message: `/truth/bending_modes` -> `TruthBendingModes`."""
+        """Return the name of the protobuf message: `/truth/bending_modes` -> `TruthBendingModes`."""
         return "".join(word.capitalize() for word in re.split("[/_]", self.name))
 
 
 def declared_topics(group: str, rows: type) -> list[Topic]:
-    """Topics of a NamedTuple whose fields are rows: `air: Annotated[AirRow, "air data"]` -> `/air`."""
+    """Return the topics of a NamedTuple whose fields are rows: `air: Annotated[AirRow, "air data"]` -> `/air`."""
     topics = []
     for name, hint in get_type_hints(rows, include_extras=True).items():
         row, description = get_args(hint)
@@ -114,8 +114,8 @@ def declared_topics(group: str, rows: type) -> list[Topic]:
 class ChannelTable:
     """All topics of a log, in order.
 
-    The columns of a rate group are the channels of its topics side by side, in the order of the table.
-    Raises ValueError where a topic, a message or a channel name occurs twice.
+    The columns of a rate group are the channels of its topics, in the order of the table. Raises ValueError if a topic,
+    a message or a channel name occurs twice.
     """
 
     topics: tuple[Topic, ...]
@@ -127,31 +127,31 @@ class ChannelTable:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Rate groups in order of first use."""
+        """Return the rate groups in order of first use."""
         return tuple(self._columns)
 
     def columns(self, group: str) -> tuple[Channel, ...]:
-        """Channels of a rate group in the order of its columns; none for an unknown group."""
+        """Return the channels of a rate group in the order of its columns, none for an unknown group."""
         return self._columns.get(group, ())
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all channels, topic by topic."""
+        """Return the names of all channels, topic by topic."""
         return tuple(self._places)
 
     def __contains__(self, name: str) -> bool:
         return name in self._places
 
     def channel(self, name: str) -> Channel:
-        """The channel of that name; KeyError if there is none."""
+        """Return the channel of that name; raise KeyError if there is none."""
         return self._places[name][2]
 
     def topic(self, name: str) -> Topic:
-        """The topic that holds the channel of that name; KeyError if there is none."""
+        """Return the topic that holds the channel of that name; raise KeyError if there is none."""
         return self._places[name][0]
 
     def index(self, name: str) -> int:
-        """Column of a channel within its rate group; KeyError if there is no such channel."""
+        """Return the column of a channel within its rate group; raise KeyError if there is no such channel."""
         return self._places[name][1]
 
     @cached_property
@@ -163,7 +163,7 @@ class ChannelTable:
 
     @cached_property
     def _places(self) -> dict[str, tuple[Topic, int, Channel]]:
-        """Topic, column within the rate group, and channel, by name of the channel."""
+        """Return topic, column within the rate group, and channel, by name of the channel."""
         column = {channel.name: i for channels in self._columns.values() for i, channel in enumerate(channels)}
         return {c.name: (topic, column[c.name], c) for topic in self.topics for c in topic.channels}
 

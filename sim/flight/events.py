@@ -1,7 +1,8 @@
 """Events: commands that take effect, ignition, burnout, separation, and events that depend on the state.
 
-Instants known beforehand are met exactly, because no step reaches over them. Liftoff, apogee and impact depend on
-the state: a step that crosses one is repeated with ever better lengths until the crossing is known to the nanosecond.
+Instants known in advance are met exactly, because no step extends beyond them. Liftoff, apogee and impact depend on the
+state. A step that crosses such an event is repeated with adjusted lengths until the crossing is known to the
+nanosecond.
 """
 
 from __future__ import annotations
@@ -49,14 +50,14 @@ def record_event(p: Parameters, memory: Memory, event: int, now_ns: int) -> None
     if memory.clock.event_ns[event] < 0:
         memory.clock.event_ns[event] = now_ns
         if event == LIFTOFF and p.faults.count > 0:
-            memory.faults.next_ns = now_ns  # what counts from liftoff has its instants now
+            memory.faults.next_ns = now_ns  # the instants of faults timed from liftoff are known now
     if (p.timeline.stop_mask >> event) & 1 == 1:
         memory.clock.finished = 1
 
 
 @routine
 def burn_out(p: Parameters, memory: Memory) -> None:
-    """The thrust of a stage ends now."""
+    """End the thrust of a stage now."""
     clock = memory.clock
     memory.held.burning = 0
     clock.stage_burnout_ns[clock.stage] = clock.now_ns
@@ -66,7 +67,7 @@ def burn_out(p: Parameters, memory: Memory) -> None:
 
 @routine
 def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Aux, properties: Array) -> int:
-    """Process all events that are due now. Returns 1 if the engine has been ignited or cut off."""
+    """Process all events that are due now, and return 1 if the engine has been ignited or cut off."""
     clock, held = memory.clock, memory.held
     now = clock.now_ns
     advance_schedule(p, pool, memory)
@@ -94,21 +95,22 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
             if p.environment.penetration == 1:
                 way_m = air.airspeed_mps * 1e-9 * turbulence.tick_ns
                 history_tick(memory.history, memory.gusts, way_m, p.environment.reach_m)
-    apply_due_command(p, memory)  # before the sample: its command replaces what is pending
+    apply_due_command(p, memory)  # before the sample, whose command replaces the pending one
     if now >= clock.next_sample_ns:
         if p.computer.over != 0 or p.computer.external != 0:
             navigate(p.environment, pool, y, properties[TOTAL_MASS], memory.computer.navigation)
         sample_computer(p, pool, memory, y)
         clock.next_sample_ns = now + p.computer.sample_ns
-        apply_due_command(p, memory)  # and after it: without a delay its command is due at once
+        apply_due_command(p, memory)  # and after it, because without a delay its command is due at once
     return changed
 
 
 @kernel
 def apply_due_command(p: Parameters, memory: Memory) -> None:
-    """Hand a command that is due to the actuators and thrusters, which hold it.
+    """Pass a command that is due to the actuators and thrusters, which hold it.
 
-    From burnout on the engine is sent to its middle: without thrust the law could only drive it into its stops.
+    After burnout the engine is commanded to its centre, because without thrust the law could only drive it against its
+    stops.
     """
     clock, held = memory.clock, memory.held
     if clock.now_ns >= clock.command_due_ns:
@@ -122,9 +124,7 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
 
 @routine
 def navigate(environment: Environment, pool: Array, y: Array, mass_kg: float, navigation: Array) -> None:
-    """Compute the quantities other than time over which gains may be scheduled (`OVER` of control/structures.py),
-    without error.
-    """
+    """Compute the variables of gain schedules other than time, without error (`OVER` of control/structures.py)."""
     earth = environment.earth
     vx, vy, vz = velocity_over_ground(earth, y)
     squares = vx * vx + vy * vy + vz * vz
@@ -190,9 +190,7 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
 
 @routine
 def sample_sensors(p: Parameters, memory: Memory, y: Array) -> None:
-    """Compute the outputs of the sensors beyond the gyro since the last sample, with noise, and the samples that are
-    lost.
-    """
+    """Compute the outputs of the sensors beyond the gyro since the last sample, with noise, and mark lost samples."""
     sample, seed, root_s = memory.clock.samples, p.timeline.seed, math.sqrt(1e-9 * p.computer.sample_ns)
     read, faults = memory.computer.sensors, memory.held.faults
     for k in range(p.vehicle.sizes.sensors):
@@ -214,7 +212,7 @@ def sample_sensors(p: Parameters, memory: Memory, y: Array) -> None:
 
 @kernel
 def move_sensors(before: Parameters, after: Parameters, y: Array) -> None:
-    """At a separation the sensors keep their states, which have another place in the state vector then."""
+    """Move the states of the sensors to their new place in the state vector at a separation."""
     old, new = states.sensor_index(before.vehicle.sizes, 0), states.sensor_index(after.vehicle.sizes, 0)
     n = states.N_SENSOR * after.vehicle.sizes.sensors
     for i in range(n):
@@ -224,7 +222,7 @@ def move_sensors(before: Parameters, after: Parameters, y: Array) -> None:
 
 @kernel
 def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> int:
-    """Nanoseconds to the next instant at which a step must end."""
+    """Return the nanoseconds to the next instant at which a step must end."""
     clock, timeline = memory.clock, p.timeline
     now = clock.now_ns
     end = NEVER
@@ -254,7 +252,7 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
 
 @kernel
 def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
-    """Advance to the interval of the schedule that begins at or before now: rates may jump there."""
+    """Advance to the interval of the schedule that begins at or before now, because rates may jump there."""
     schedule, clock = p.vehicle.schedule, memory.clock
     if clock.now_ns < clock.next_break_ns:
         return
@@ -273,7 +271,7 @@ def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
 
 @routine
 def event_function(p: Parameters, event: int, y: Array, properties: Array, aux: Aux) -> float:
-    """A number that turns positive as `event` happens; `aux` is that of the start of the step."""
+    """Return a number that becomes positive when `event` happens; `aux` is that of the start of the step."""
     if event == LIFTOFF:
         thrust_N = total_thrust(p.vehicle.engine, counts(p.vehicle.sizes), properties, aux.air.pressure_Pa)
         surplus_N: float = thrust_N - properties[TOTAL_MASS] * aux.axial_load_mps2
@@ -286,7 +284,7 @@ def event_function(p: Parameters, event: int, y: Array, properties: Array, aux: 
 
 @routine
 def detect_loss_of_control(p: Parameters, memory: Memory, aux: Aux) -> None:
-    """Events that are detected at the start of a step: loss of control, tumbling."""
+    """Record the events detected at the start of a step: loss of control, tumbling."""
     if memory.held.on_pad == 1:
         return
     clock, timeline, error_rad = memory.clock, p.timeline, memory.truth.error_rad
@@ -302,12 +300,12 @@ def detect_loss_of_control(p: Parameters, memory: Memory, aux: Aux) -> None:
 def transfer_state(
     before: Parameters, after: Parameters, pool: Array, memory: Memory, old: Array, new: Array, whole: Array, y: Array
 ) -> None:
-    """Separation: the upper stage flies on from its own core CG with the motion that the whole had there.
+    """Separate a stage: the upper stage continues with the motion of the whole vehicle at its own core CG.
 
-    Its modes take over what they hold of the bent axis' motion, and the rigid motion the rest (docs/model.md, 4.10).
-    Engine and bobs start at rest, but where the stage continues. An impulse and springs push it forward: springs
-    of energy E give both parts the momentum sqrt(2 E m_1 m_2 / (m_1 + m_2)). Tip-off rates are added. `old` and `new`
-    are the properties before and after; `whole` is overwritten. Stations are measured from the nose, which stays.
+    Its modes take their part of the motion of the bent axis, and the rigid motion takes the rest (docs/model.md, 4.10).
+    Engine and bobs start at rest, unless the stage continues. An impulse and springs push the stage forward: springs of
+    energy E give both parts the momentum sqrt(2 E m_1 m_2 / (m_1 + m_2)). Tip-off rates are added. `old` and `new` are
+    the properties before and after; `whole` is overwritten. Stations are measured from the nose, which is unchanged.
     """
     size, handed_on = counts(before.vehicle.sizes), after.timeline.handed_on
     rate = vec.vector_at(y, W_BI_B)
@@ -361,9 +359,7 @@ def transfer_state(
 def bent_motion(
     sizes: Counts, pool: Array, at: int, rates: int, place: vec.Vector, y: Array
 ) -> tuple[vec.Vector, vec.Vector]:
-    """Return the modal displacement of a place from the nose and the rotation of the part that flies on, or their
-    rates.
-    """
+    """Return the modal displacement of a place from the nose and the rotation of the remaining part, or their rates."""
     moved = (
         handed(sizes, pool, at, 0, rates, y),
         handed(sizes, pool, at, 1, rates, y),
@@ -379,13 +375,13 @@ def bent_motion(
 
 @kernel
 def carried(rate: vec.Vector, moved: vec.Vector) -> vec.Vector:
-    """w x moved, but for the roll rate's share along y and z, which quasi-velocities hold already."""
+    """Return w x moved without the roll rate's contribution along y and z, which quasi-velocities already include."""
     return (rate[1] * moved[2] - rate[2] * moved[1], rate[2] * moved[0], -rate[1] * moved[0])
 
 
 @routine
 def handed(sizes: Counts, pool: Array, at: int, row: int, rates: int, y: Array) -> float:
-    """A row of the matrix at `at` of the pool times the coordinates of all modes, or their quasi-velocities."""
+    """Return a row of the matrix at `at` of the pool times the coordinates of all modes, or their quasi-velocities."""
     total, column = 0.0, at + row * (sizes.pitch_modes + sizes.yaw_modes + sizes.spatial_modes)
     for k in range(3):
         first, modes = modes_in(sizes, k)
@@ -397,7 +393,10 @@ def handed(sizes: Counts, pool: Array, at: int, row: int, rates: int, y: Array) 
 
 @kernel
 def modes_in(sizes: Counts, kind: int) -> tuple[int, int]:
-    """First state and number of the modes in pitch (0), in yaw (1), and in space (2); their rates follow."""
+    """Return the first state and the number of the modes in pitch (0), in yaw (1), or in space (2).
+
+    The rates of the modes follow.
+    """
     if kind == 0:
         return states.eta_index(sizes), sizes.pitch_modes
     if kind == 1:

@@ -1,6 +1,6 @@
-"""Faults of the scenario: what they write into the array that the components read, and when.
+"""The faults of the scenario in flight: values and times of their writes into the array that the components read.
 
-Their instants are known beforehand, or once the vehicle has lifted off, so that no step reaches over one.
+The instants are known in advance, or once the vehicle has lifted off, so that no step extends beyond one.
 """
 
 from __future__ import annotations
@@ -16,10 +16,13 @@ from maxq.sim.vehicle.faults import ANY_FAULT, N_FAULT_SLOTS
 
 @dataclass(frozen=True)
 class Faults:
-    """Writes into slots (sim/vehicle/faults.py), a row each; of two into one slot the later row holds."""
+    """The writes into slots (sim/vehicle/faults.py), one per row.
+
+    Of two writes to one slot the later row is in force.
+    """
 
     count: int
-    stage: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # -1: whichever flies
+    stage: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # -1: the current stage
     start_ns: Annotated[IntArray, (MAX_FAULT_WRITES,)]
     stop_ns: Annotated[IntArray, (MAX_FAULT_WRITES,)]
     since_liftoff: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # 1: both count from liftoff
@@ -32,7 +35,7 @@ class Faults:
 
 @dataclass
 class FaultMemory:
-    """By row: whether it holds at present, and what it writes."""
+    """The state of the faults by row: 1 if the fault is active, and its value."""
 
     next_ns: int  # when a fault begins or ends; the first instant of the flight is one
     on: Annotated[IntArray, (MAX_FAULT_WRITES,)]
@@ -41,7 +44,7 @@ class FaultMemory:
 
 @kernel
 def fault_instant(instant_ns: int, since_liftoff: int, liftoff_ns: int, never_ns: int) -> int:
-    """Flight time of an instant that may count from liftoff, which may not have come (negative)."""
+    """Return the flight time of an instant, which may count from liftoff; `liftoff_ns` is negative before liftoff."""
     if since_liftoff == 0 or instant_ns == never_ns:
         return instant_ns
     return never_ns if liftoff_ns < 0 else liftoff_ns + instant_ns
@@ -59,9 +62,9 @@ def switch_faults(
     y: Array,
     slots: Array,
 ) -> None:
-    """Write into `slots` what holds from now on, and into the memory when that changes next.
+    """Write the current values into `slots`, and the instant of the next change into the memory.
 
-    `sensors`: where the states of the sensors beyond the gyro begin.
+    `sensors`: index of the first state of the sensors beyond the gyro.
     """
     for slot in range(N_FAULT_SLOTS):
         slots[slot] = 0.0

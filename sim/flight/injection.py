@@ -1,7 +1,7 @@
 """Signals that a scenario injects: into the gimbal or rate command (at the computer's samples), or as body loads.
 
-A signal switches on and off only at step boundaries (the flight loop splits its steps there); in between it is
-evaluated at every stage of a step, so that a smooth signal keeps the integrator's order.
+A signal switches on and off only at step boundaries, because the flight loop splits its steps there. In between it is
+evaluated at every stage of a step, so that a smooth signal preserves the integrator's order.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate
 
-GIMBAL_COMMAND, RATE_COMMAND, BODY_FORCE, BODY_TORQUE = range(4)  # where a signal enters
-STEP, DOUBLET, SINE, CHIRP, MULTISINE, TABLE = range(6)  # its form
+GIMBAL_COMMAND, RATE_COMMAND, BODY_FORCE, BODY_TORQUE = range(4)  # place of a signal
+STEP, DOUBLET, SINE, CHIRP, MULTISINE, TABLE = range(6)  # form of a signal
 
 
 @dataclass(frozen=True)
 class Injections:
-    """Axis: 0 roll or x, 1 pitch or y, 2 yaw or z. Amplitudes in SI (rad, rad/s, N, N m)."""
+    """The injected signals. Axis: 0 roll or x, 1 pitch or y, 2 yaw or z. Amplitudes in SI (rad, rad/s, N, N m)."""
 
     count: int
     where: Annotated[IntArray, (MAX_INJECTIONS,)]
@@ -36,13 +36,13 @@ class Injections:
     tones: Annotated[IntArray, (MAX_INJECTIONS,)]
     tone_hz: Annotated[Array, (MAX_INJECTIONS, MAX_TONES)]
     tone_phase: Annotated[Array, (MAX_INJECTIONS, MAX_TONES)]
-    column: Annotated[IntArray, (MAX_INJECTIONS,)]  # of `table`, for the form TABLE
+    column: Annotated[IntArray, (MAX_INJECTIONS,)]  # column of `table`, for the form TABLE
     table: TableRef
 
 
 @routine
 def signal(inj: Injections, pool: Array, i: int, step_start_ns: int, elapsed_s: float) -> float:
-    """Value of signal `i`, `elapsed_s` after the start of a step: zero unless it is on during that step."""
+    """Return the value of signal `i`, `elapsed_s` after the start of a step: zero unless it is on during that step."""
     if step_start_ns < inj.start_ns[i] or step_start_ns >= inj.stop_ns[i]:
         return 0.0
     form, amplitude = inj.form[i], float(inj.amplitude[i])
@@ -69,7 +69,7 @@ def signal(inj: Injections, pool: Array, i: int, step_start_ns: int, elapsed_s: 
 
 @routine
 def total_signal(inj: Injections, pool: Array, where: int, axis: int, step_start_ns: int, elapsed_s: float) -> float:
-    """Sum of the signals that enter at one place on one axis."""
+    """Return the sum of the signals at one place on one axis."""
     total = 0.0
     for i in range(inj.count):
         if inj.where[i] == where and inj.axis[i] == axis:
@@ -79,7 +79,7 @@ def total_signal(inj: Injections, pool: Array, where: int, axis: int, step_start
 
 @kernel
 def replaced(inj: Injections, where: int, axis: int, now_ns: int) -> int:
-    """1 while a signal takes the place of what it is injected into."""
+    """Return 1 while a signal replaces the value at its place."""
     for i in range(inj.count):
         if inj.where[i] == where and inj.axis[i] == axis and inj.replaces[i] == 1:
             if inj.start_ns[i] <= now_ns < inj.stop_ns[i]:
@@ -89,7 +89,7 @@ def replaced(inj: Injections, where: int, axis: int, now_ns: int) -> int:
 
 @routine
 def next_switch(inj: Injections, pool: Array, now_ns: int, latest_ns: int) -> int:
-    """First instant after `now_ns`, at most `latest_ns`, at which a signal has a kink."""
+    """Return the first instant after `now_ns`, at most `latest_ns`, at which a signal has a kink."""
     best = latest_ns
     for i in range(inj.count):
         middle = (inj.start_ns[i] + inj.stop_ns[i]) // 2

@@ -35,7 +35,7 @@ class LogRows(NamedTuple):
 
 @entry
 def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
-    """Set the memory of a flight to its start; `y` holds the initial state of the first stage already."""
+    """Set the memory of a flight to its start; `y` already holds the initial state of the first stage."""
     p, memory = P[0], state[0]
     clock = memory.clock
     clock.started = 1
@@ -67,7 +67,7 @@ def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
 
 @routine
 def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
-    """Schedule and engine at the start of a stage."""
+    """Set the schedule and the engine to the start of a stage."""
     clock = memory.clock
     now = clock.now_ns
     clock.interval = find_interval(pool, p.vehicle.schedule, step.schedule_clock(p, memory.clock, now, 0.0))
@@ -94,8 +94,8 @@ def advance(
     """Fly until `until_ns` or the end of the flight, whichever comes first.
 
     `P` (stages,) of Parameters, `state` (1,) of Memory, `arena` (1,) of Arena, `log_of` (1,) of Logged. Log rows go to
-    `fast`, `slow` with their times (ns) and counts `rows` (2,). Where a call ends changes nothing in the flight, as
-    long as `until_ns` is a multiple of the step; with steps of equal length it ends with the first step that reaches
+    `fast`, `slow` with their times (ns) and counts `rows` (2,). The end of a call does not change the flight if
+    `until_ns` is a multiple of the step. With steps of equal length the call ends with the first step that reaches
     `until_ns`.
     """
     memory, logged = state[0], log_of[0]
@@ -118,7 +118,7 @@ def advance(
     now_at, log_rows = space.start, LogRows(fast_ns, fast, slow_ns, slow, rows)
     while clock.finished == 0 and clock.now_ns < until_ns:
         p = P[clock.stage]
-        if clock.now_ns < p.timeline.separation_ns or clock.stage + 1 == len(P):  # what is long to compile comes first
+        if clock.now_ns < p.timeline.separation_ns or clock.stage + 1 == len(P):  # slow to compile, so first
             fly_step(p, pool, memory, logged, until_ns, space, log_rows)
         else:
             separate(P, pool, memory, now_at.y, now_at.properties, space.end.properties, space.y_end)
@@ -139,7 +139,7 @@ def advance(
 def fly_step(
     p: Parameters, pool: Array, memory: Memory, logged: Logged, until_ns: int, space: step.Workspace, log_rows: LogRows
 ) -> None:
-    """Do what is due at this instant, log a row, and step to the next instant or event, whichever comes first."""
+    """Process the events due at this instant, log a row, and step to the next instant or event."""
     clock, now_at, now = memory.clock, space.start, memory.clock.now_ns
     if events.process_due_events(p, pool, memory, now_at.y, now_at.aux, now_at.properties) == 1 or clock.fresh == 1:
         step.read_schedule(p, pool, memory, now, 0.0, now_at.properties)
@@ -187,7 +187,7 @@ def fly_step(
 
 @kernel
 def evaluate_exactly(p: Parameters, pool: Array, memory: Memory, space: step.Workspace) -> None:
-    """Derivative at the start of a step. Its position becomes the anchor from which the later stages are near."""
+    """Evaluate the derivative at the start of a step, whose position becomes the anchor for the later stages."""
     space.work.anchor.state = ANCHOR_DUE
     step.evaluate(p, pool, memory, memory.clock.now_ns, 0.0, space.start, space.work)
     for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
@@ -196,7 +196,7 @@ def evaluate_exactly(p: Parameters, pool: Array, memory: Memory, space: step.Wor
 
 @routine
 def track_sections(p: Parameters, pool: Array, memory: Memory, space: step.Workspace, logged: int, last: int) -> None:
-    """Section loads where they are due, for the extremes or for a log row; right after `evaluate_exactly`."""
+    """Evaluate section loads when they are due, for the extremes or for a log row, right after `evaluate_exactly`."""
     now, sections, at = memory.clock.now_ns, memory.sections, space.start
     due = now >= sections.due_ns
     if not due and (logged == 0 or (now % p.timeline.slow_ns != 0 and last == 0)):
@@ -216,7 +216,7 @@ def track_sections(p: Parameters, pool: Array, memory: Memory, space: step.Works
 def separate(
     P: Records, pool: Array, memory: Memory, y: Array, properties: Array, properties_after: Array, whole: Array
 ) -> None:
-    """Separate the stage that has burned out and continue with the next. `whole`: room for a state."""
+    """Separate the stage that has burned out and continue with the next. `whole`: buffer for a state."""
     clock = memory.clock
     before, after = P[clock.stage], P[clock.stage + 1]
     ends = after.timeline.continues == 0 and clock.now_ns >= before.timeline.burnout_ns
@@ -241,7 +241,7 @@ def separate(
 
 @kernel
 def detect_crossing(p: Parameters, memory: Memory, space: step.Workspace) -> int:
-    """The event that the step has passed, or -1."""
+    """Return the event that the step has passed, or -1."""
     clock, aux, y, properties = memory.clock, space.start.aux, space.y_end, space.end.properties
     if memory.held.on_pad == 1:
         if p.timeline.release_ns == NEVER and events.event_function(p, LIFTOFF, y, properties, aux) >= 0.0:
@@ -262,7 +262,7 @@ def detect_crossing(p: Parameters, memory: Memory, space: step.Workspace) -> int
 
 @kernel
 def apply_event(p: Parameters, memory: Memory, event: int) -> None:
-    """Effects of liftoff, apogee or impact at the present instant."""
+    """Apply the effects of liftoff, apogee or impact at the current instant."""
     if event == LIFTOFF:
         memory.held.on_pad = 0
     if event == APOGEE:
@@ -272,9 +272,9 @@ def apply_event(p: Parameters, memory: Memory, event: int) -> None:
 
 @routine
 def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns: int, space: step.Workspace) -> int:
-    """Shortest step, in whole ns, after which `event` has happened; leaves the state there in `space.y_end`.
+    """Return the shortest step, in whole ns, after which `event` has happened, and leave its state in `space.y_end`.
 
-    Regula falsi with bisection every other time, on the step length; each trial repeats the step from its start.
+    Method: regula falsi alternating with bisection, on the step length. Each trial repeats the step from its start.
     """
     now = memory.clock.now_ns
     low, high = 0, step_ns
@@ -301,7 +301,7 @@ def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns
 
 @routine_beside
 def log(p: Parameters, memory: Memory, logged: Logged, at: Evaluation, out: LogRows, now: int, last: int) -> None:
-    """Write the rows that are due at this instant; at the flight's end both, whether due or not."""
+    """Write the rows that are due at this instant; at the end of the flight always write both."""
     rows = out.counts
     if rows[0] > 0 and out.fast_ns[rows[0] - 1] == now and last == 1:
         return  # the flight ended at an instant that has been logged already
@@ -319,7 +319,7 @@ def log(p: Parameters, memory: Memory, logged: Logged, at: Evaluation, out: LogR
 def log_between(
     p: Parameters, pool: Array, memory: Memory, logged: Logged, space: step.Workspace, out: LogRows, step_ns: int
 ) -> None:
-    """Write the rows that are due within the step that has just been taken."""
+    """Write the rows that are due within the last step."""
     clock, fast_ns, slow_ns = memory.clock, p.timeline.fast_ns, p.timeline.slow_ns
     began = clock.now_ns
     due = began
@@ -328,7 +328,7 @@ def log_between(
         if due >= began + step_ns:
             break
         step.evaluate_between(p, pool, memory, began, step_ns, due - began, space)
-        clock.now_ns = due  # rows tell the Earth's rotation by it
+        clock.now_ns = due  # rows compute the Earth's rotation from it
         if p.loads.stations > 0 and due % slow_ns == 0:
             clock_s = step.schedule_clock(p, memory.clock, due, 0.0)
             at = space.between

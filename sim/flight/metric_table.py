@@ -1,8 +1,8 @@
-"""Metrics of a flight: names, units and meanings.
+"""The metrics of a flight: names, units and meanings.
 
-A metric is declared once: as a field of `MetricIndex` where the kernel gathers it (sim/flight/metrics.py), or of one of
-the others where it follows from the extremes of sections and waves, the integration, or the flight's last instant
-(sim/run/metrics.py).
+A metric is declared once. It is a field of `MetricIndex` if the kernel gathers it (sim/flight/metrics.py). It is a
+field of another class if it follows from the extremes of sections and waves, the integration, or the flight's last
+instant (sim/run/metrics.py).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ N_METRICS = len(MetricIndex._fields)
 
 
 class EndMetrics(NamedTuple):
-    """On a flat Earth latitude and longitude are nan; the site is its origin."""
+    """The metrics of the flight's end. On a flat Earth latitude and longitude are nan, and the site is the origin."""
 
     flight_time_s: Annotated[float, "s", "time from liftoff to the end, or from the start without hold-down"]
     range_m: Annotated[float, "m", "distance along the ground from the launch site to the end of the flight"]
@@ -77,16 +77,17 @@ class SectionMetrics(NamedTuple):
 
 
 class WaveMetrics(NamedTuple):
-    """Over all tanks; nan for a vehicle that says nothing about the shape of any."""
+    """The metrics of waves over all tanks; nan for a vehicle without the shape of any tank."""
 
     max_wave_share: Annotated[float, "1", "peak wave height / breaking height, largest of all tanks under thrust"]
 
 
 class StepMetrics(NamedTuple):
-    """Estimated errors of the integration: those of single steps every half second, as often as there are steps, added
-    as if they never cancelled or died away (as their squares where an engine starts or stops within the step); that of
-    the position holds what those of attitude and speed become, none what becomes of it in the control loop. nan with
-    steps of a fixed length.
+    """The estimated errors of the integration; nan with steps of a fixed length.
+
+    Errors of single steps are estimated every half second, multiplied by the number of steps, and added as if they
+    never cancelled or decayed. Errors of steps in which an engine starts or stops are added as squares. The position
+    error includes the effects of attitude and speed errors. None includes the effects through the control loop.
     """
 
     step_error_attitude_deg: Annotated[float, "deg", "estimated integration error of the attitude"]
@@ -96,7 +97,7 @@ class StepMetrics(NamedTuple):
 
 
 class OrbitMetrics(NamedTuple):
-    """Kepler's orbit that the flight is on at its end (osculating); nan without gravitation towards a centre."""
+    """The osculating Kepler orbit at the flight's end; nan without gravitation towards a centre."""
 
     perigee_altitude_m: Annotated[float, "m", "lowest point above the equatorial radius, at the end"]
     apogee_altitude_m: Annotated[float, "m", "highest point above the equatorial radius, at the end; inf: escapes"]
@@ -114,7 +115,7 @@ METRICS = {
     for metric in declared_channels(kind)
 }
 METRIC_NAMES = tuple(METRICS)
-"""Names that a requirement may use."""
+"""The names that a requirement may use."""
 
 
 _SHORT = {  # where a name without its unit says less than it should
@@ -134,8 +135,8 @@ _SHORT = {  # where a name without its unit says less than it should
 
 
 def title_of(metric: str) -> str:
-    """A metric's name for people, without its unit: "largest gimbal rate" for max_gimbal_rate_degps. A name that is no
-    metric's is returned as it is.
+    """Return a metric's title without its unit: "largest gimbal rate" for max_gimbal_rate_degps. Return any other name
+    unchanged.
     """
     if metric in _SHORT or metric not in METRICS:
         return _SHORT.get(metric, metric)
@@ -144,7 +145,9 @@ def title_of(metric: str) -> str:
 
 
 def figures(value: float, digits: int = 4) -> str:
-    """A value with so many significant digits, without exponent from 1e-4 to 1e7; what is below 1e-6 is 0."""
+    """Return a value with this number of significant digits, without exponent from 1e-4 to 1e7; values below 1e-6 are
+    0.
+    """
     if not math.isfinite(value):
         return "-" if math.isnan(value) else f"{value}"
     if abs(value) < 1e-6:
@@ -156,5 +159,5 @@ def figures(value: float, digits: int = 4) -> str:
 
 
 def unit_of(metric: str) -> str:
-    """Unit of a metric; KeyError for an unknown name."""
+    """Return the unit of a metric; raise KeyError for an unknown name."""
     return METRICS[metric].unit

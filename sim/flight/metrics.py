@@ -1,6 +1,6 @@
 """Flight metrics: maxima and totals gathered in the kernel at every step.
 
-A metric is declared as a field of `MetricIndex` (sim/flight/metric_table.py) and updated in `gather`; `Extremes` holds
+A metric is declared as a field of `MetricIndex` (sim/flight/metric_table.py) and updated in `gather`. `Extremes` holds
 the value and the time of each.
 """
 
@@ -42,7 +42,7 @@ def largest_error(error_rad: Array) -> tuple[float, float]:
 
 @routine
 def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evaluation) -> None:
-    """Update all metrics at an evaluation, from which a step of `step_s` begins."""
+    """Update all metrics at an evaluation, which begins a step of `step_s`."""
     props, y, aux, extremes = at.properties, at.y, at.aux, memory.extremes
     turning = p.environment.earth.rate_radps
     vx, vy, vz = y[V_I] + turning * y[R_I + 1], y[V_I + 1] - turning * y[R_I], y[V_I + 2]
@@ -84,7 +84,10 @@ def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evalua
 
 @kernel
 def angle_above(lateral: float, axial: float, floor_deg: float) -> float:
-    """Angle atan2(lateral, axial), deg, where it exceeds `floor_deg`, else 0: an angle is never above its tangent."""
+    """Return the angle atan2(lateral, axial), deg, or 0 if its tangent is not above `floor_deg`.
+
+    An angle never exceeds its tangent, so that small angles need no arc tangent.
+    """
     if axial > 0.0 and math.degrees(lateral) <= floor_deg * axial:
         return 0.0
     return math.degrees(math.atan2(lateral, axial))

@@ -1,13 +1,13 @@
-"""The fast linear parts of a vehicle, whose motion under a known force is worked out exactly: modes, actuators, gyros.
+"""The fast linear parts of a vehicle, whose motion under a known force is computed exactly: modes, actuators, gyros.
 
-Each is a block of up to six states with its own matrix D; what else acts on it is slow or comes from outside. A step of
+Each part is a block of up to six states with its own matrix D. All other effects on it are slow or external. A step of
 length h (step.exponential_runge_kutta) needs seven matrices of each block: D, and of the functions
 
     phi_1(Z) = (exp(Z) - 1) / Z,   phi_2(Z) = (phi_1(Z) - 1) / Z,   phi_3(Z) = (phi_2(Z) - 1/2) / Z,   Z = h D,
 
-those that stand below. They are kept for the few lengths of steps that alternate. D may be any matrix near the present
-one as long as it is the same within a step, so that the modes, which change with the propellant, are looked at again
-every quarter of a second only; actuators and gyros are what they are until the stage ends.
+those listed below. They are stored for the few step lengths that alternate. D may be any matrix near the current one
+that is constant within a step. Hence the modes, which change with the propellant, are updated only every quarter of a
+second. Actuators and gyros are constant until the stage ends.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from maxq.sim.vehicle.derivative import StageRecord
 from maxq.sim.vehicle.state import ACTUATOR, GYRO, N_ACTUATOR, actuator_index, eta_index, spatial_index, xi_index
 from maxq.sim.vehicle.workspace import Evaluation
 
-D = 0  # matrices of a block, row by row, one behind the other
+D = 0  # matrices of a block, row by row, one after the other
 FORCED_HALF = 1  # h/2 phi_1(Z/2): motion by half a step under a constant force
 TURNED_HALF = 2  # h phi_2(Z/2)
 FORCED = 3  # h phi_1(Z)
@@ -33,8 +33,9 @@ _MATRICES = 7
 LARGEST = N_ACTUATOR
 _BLOCKS = 3 * MAX_MODES + 2 * MAX_ENGINES + 3
 
-# of a kept length: its step and until when its modes hold (ns), its stage from 1, how many blocks it has; then of each
-# block its first state, the distance to the next, how many there are, where its matrices stand; then the matrices
+# layout of a kept length: its step and the end of validity of its modes (ns), its stage from 1, its number of blocks;
+# then for each block its first state, the distance to the next state, the number of states, the place of its matrices;
+# then the matrices
 STEP_NS, UNTIL_NS, STAGE, COUNT = 0, 1, 2, 3
 HEAD = 4
 BLOCK_WIDTH = 4
@@ -43,8 +44,8 @@ _SCRATCH = 2 * LARGEST * LARGEST
 LENGTH_WIDTH = (
     _NUMBERS + _MATRICES * (4 * (3 * MAX_MODES + 1) + LARGEST * LARGEST * 2 * MAX_ENGINES) + _SCRATCH
 )  # fmt: skip  # one sum
-LENGTHS = 6  # that are kept
-KEPT_SIZE = LENGTHS * LENGTH_WIDTH + 1  # and which goes next
+LENGTHS = 6  # number of kept lengths
+KEPT_SIZE = LENGTHS * LENGTH_WIDTH + 1  # and the one to be replaced next
 MOVED_WIDTH = 5 * LARGEST
 MOVED_SIZE = MOVED_WIDTH * _BLOCKS
 _KEPT_NS = 250_000_000
@@ -53,10 +54,10 @@ _LEAST_TERM = 1e-18
 
 @routine
 def blocks_for(kept: Array, vehicle: StageRecord, stage: int, now_ns: int, step_ns: int, at: Evaluation) -> int:
-    """Return the index at which `kept` (KEPT_SIZE,) holds the blocks for this step; compute them from the evaluation at
-    its start if needed.
+    """Return the index at which `kept` (KEPT_SIZE,) holds the blocks for this step.
 
-    Times are whole numbers of ns, which a float64 holds for a hundred days.
+    The blocks are computed from the evaluation at the start of the step if needed. Times are whole numbers of ns, which
+    a float64 represents exactly for a hundred days.
     """
     for k in range(LENGTHS):
         slot = k * LENGTH_WIDTH
@@ -90,7 +91,7 @@ def blocks_for(kept: Array, vehicle: StageRecord, stage: int, now_ns: int, step_
 
 @kernel
 def _further_blocks(vehicle: StageRecord) -> int:
-    """Blocks behind the modes."""
+    """Return the number of blocks behind the modes."""
     blocks = (1 - vehicle.actuator_pitch.ideal) + (1 - vehicle.actuator_yaw.ideal)
     for channel in range(2 * vehicle.sizes.further_groups):
         blocks += 1 - vehicle.further_actuators[channel].ideal
@@ -106,7 +107,7 @@ def _add_block(kept: Array, slot: int, first: int, stride: int, states: int, mat
 
 @routine
 def _add_modes(kept: Array, slot: int, vehicle: StageRecord, sizes: Counts, h: float, at: Evaluation) -> int:
-    """All modes, with the present stiffness under the axial load; returns where the matrices of what follows begin."""
+    """Add all modes, with the current stiffness under the axial load, and return the index of the next matrices."""
     p, end = at.properties, slot + _NUMBERS
     soft = vehicle.bending.softening_factor * at.aux.axial_load_mps2
     for plane in (sch.PITCH, sch.YAW):
@@ -137,7 +138,7 @@ def _add_modes(kept: Array, slot: int, vehicle: StageRecord, sizes: Counts, h: f
 def _add_actuator(
     kept: Array, slot: int, end: int, a: Actuator, before: Actuator, channel: int, first: int, h: float
 ) -> int:
-    """All sections of an actuator together, or those of the actuator `before` it where it has the same."""
+    """Add all sections of an actuator together, or reuse those of the actuator `before` it if they are equal."""
     if a.ideal == 1:
         return end
     n = a.order
@@ -157,7 +158,7 @@ def _add_actuator(
 
 @kernel
 def put_oscillator(kept: Array, i: int, a: float, b: float, h: float) -> None:
-    """Matrices at kept[i:] of x' = v, v' = -a x - b v.
+    """Write the matrices of x' = v, v' = -a x - b v at kept[i:].
 
     Every function of D is p + q D, and D^2 = -a - b D.
     """
@@ -165,7 +166,7 @@ def put_oscillator(kept: Array, i: int, a: float, b: float, h: float) -> None:
     for half in range(2):
         t = h if half == 0 else 0.5 * h
         p, q, factor, p_2, q_2, p_3, q_3 = 1.0, 0.0, 0.5, 0.5, 0.0, 1.0 / 6.0, 0.0
-        for j in range(1, 60):  # of t D to the power j: p + q D
+        for j in range(1, 60):  # t D to the power j is p + q D
             p, q = -a * t * q, t * (p - b * q)
             factor /= j + 2
             p_2, q_2 = p_2 + factor * p, q_2 + factor * q
@@ -185,13 +186,13 @@ def put_oscillator(kept: Array, i: int, a: float, b: float, h: float) -> None:
 
 @kernel
 def _put_two(kept: Array, i: int, a: float, b: float, p: float, q: float) -> None:
-    """The matrix p + q D."""
+    """Write the matrix p + q D."""
     kept[i], kept[i + 1], kept[i + 2], kept[i + 3] = p, q, -a * q, p - b * q
 
 
 @routine
 def put_functions(kept: Array, i: int, n: int, h: float, scratch: int) -> None:
-    """Matrices at kept[i:] for the D (n, n) that stands there already, by their power series."""
+    """Write the matrices at kept[i:] for the D (n, n) already there, by their power series."""
     size = n * n
     for half in range(2):
         t = h if half == 0 else 0.5 * h
@@ -230,7 +231,7 @@ def put_functions(kept: Array, i: int, n: int, h: float, scratch: int) -> None:
 
 @kernel
 def _times(kept: Array, matrix: int, other: int, out: int, n: int, t: float) -> None:
-    """t D times another matrix; D has few entries."""
+    """Multiply t D by another matrix; D has few nonzero entries."""
     for row in range(n):
         for column in range(n):
             kept[out + n * row + column] = 0.0
@@ -243,7 +244,7 @@ def _times(kept: Array, matrix: int, other: int, out: int, n: int, t: float) -> 
 
 @kernel
 def row_times(kept: Array, matrix: int, row: int, n: int, vector: Array, at: int) -> float:
-    """A row of a block's matrix times the vector at vector[at:]."""
+    """Return a row of a block's matrix times the vector at vector[at:]."""
     i, total = matrix + n * row, 0.0
     for j in range(n):
         total += kept[i + j] * vector[at + j]

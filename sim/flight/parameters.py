@@ -1,4 +1,4 @@
-"""All that one stage's flight depends on, as one record; a flight is an array of them, one row per stage."""
+"""The parameters of one stage's flight, as one record; a flight is an array of them, one row per stage."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from maxq.sim.vehicle.loads.kernel import Loads, SectionLoads
 from maxq.sim.world.gust_history import GustHistory
 from maxq.sim.world.turbulence import TurbulenceState
 
-NEVER = 2**62  # ns: an instant that does not come
+NEVER = 2**62  # ns: an instant that never occurs
 NONE = -1  # no place in the pool
 
 # events, in the order of the events' table; BURNOUT is that of the last stage that burned
@@ -34,7 +34,7 @@ class StageTimeline:
     even: int  # 1: pieces of equal length, none above `step_ns`, fill the time between two instants
     stage_start_ns: int  # zero of this stage's clock
     burn_start_ns: int  # ignition
-    frozen: int  # 1: the schedule stands still at `frozen_s`
+    frozen: int  # 1: the schedule is stopped at `frozen_s`
     frozen_s: float
     burn_rate: float  # seconds of schedule per second of flight
     burnout_ns: int
@@ -42,13 +42,13 @@ class StageTimeline:
     separation_impulse_Ns: float  # forward on the next stage
     separation_spring_J: float
     tip_off_radps: Annotated[Array, (3,)]  # added to the rates of the next stage
-    continues: int  # 1: engines, liquid and modes keep the state that they had in the stage before
-    handed_on: int  # where the pool has what the modes before hand on to this stage (packing/separation.py), or NONE
+    continues: int  # 1: engines, liquid and modes keep their state from the previous stage
+    handed_on: int  # place of the transfer matrix from the previous modes (packing/separation.py), or NONE
     release_ns: int  # NEVER: when thrust exceeds weight
     stop_ns: int
     ground_altitude_m: float
     stop_mask: int  # bit i: the flight ends with event i
-    control_lost_rad: float  # attitude error under thrust at which control counts as lost; inf: nothing controls
+    control_lost_rad: float  # attitude error under thrust at which control counts as lost; inf: no control
     tumble_rad: (
         float  # total angle of attack that counts as tumbling while dynamic pressure exceeds `tumble_pressure_Pa`
     )
@@ -77,14 +77,14 @@ class Clock:
     stage: int
     started: int
     finished: int
-    cause: int  # of divergence, see state.CAUSES
+    cause: int  # cause of divergence, see state.CAUSES
     steps: int
     interval: int  # of the schedule
     fresh: int  # 1: the schedule has to be read again
     next_break_ns: int  # of the schedule
     next_sample_ns: int
     command_due_ns: int  # when the pending command takes effect
-    cut_off_ns: int  # when the guidance cuts off the engine, from when on the schedule stands still; 0: never
+    cut_off_ns: int  # engine cutoff by the guidance, after which the schedule is stopped; 0: never
     pending_rad: Annotated[Array, (2 * MAX_ENGINES,)]
     pending_roll: int
     next_gust_ns: int
@@ -98,7 +98,7 @@ class Clock:
 
 @dataclass
 class Extremes:
-    """Value and time of each metric so far."""
+    """The value and time of each metric so far."""
 
     value: Annotated[Array, (N_METRICS,)]
     time_ns: Annotated[IntArray, (N_METRICS,)]
@@ -106,8 +106,10 @@ class Extremes:
 
 @dataclass
 class Waves:
-    """The waves of each pendulum, stage by stage with space for MAX_PENDULUMS each: the peak wave height under thrust
-    over the breaking height, its time, and the first time at which a wave breaks (-1: none).
+    """The waves of each pendulum, stage by stage with space for MAX_PENDULUMS each.
+
+    Each has the peak wave height under thrust divided by the breaking height, its time, and the first time at which a
+    wave breaks (-1: none).
     """
 
     largest: Annotated[Array, (MAX_STAGES * MAX_PENDULUMS,)]
@@ -117,8 +119,10 @@ class Waves:
 
 @dataclass
 class Truth:
-    """`start_q_BI`: attitude at the start, which the computer knows exactly. `error_rad`: roll, and tilt
-    about body axes, from the commanded to the true attitude, at the computer's last sample.
+    """The true attitude in relation to the computer's.
+
+    `start_q_BI`: attitude at the start, which the computer knows exactly. `error_rad`: roll, and tilt about body axes,
+    from the commanded to the true attitude, at the computer's last sample.
     """
 
     start_q_BI: Annotated[Array, (4,)]
@@ -130,7 +134,7 @@ ERRORS_SQUARED = 5
 
 @dataclass
 class Memory:
-    """Everything of a flight that changes, besides the state vector."""
+    """The complete state of a flight except the state vector."""
 
     clock: Clock
     held: Held
@@ -144,8 +148,10 @@ class Memory:
     sections: SectionLoads
     waves: Waves
     errors: Annotated[Array, (8,)]
-    """Of the integration: attitude, deg; bending, m; slosh, deg; position, m; speed, m/s; from ERRORS_SQUARED on the
-    sums of the squares of the first three in steps within which an engine started or stopped.
+    """The errors of the integration: attitude, deg; bending, m; slosh, deg; position, m; speed, m/s.
+
+    From ERRORS_SQUARED on follow the sums of the squares of the first three, in steps within which an engine started or
+    stopped.
     """
 
     increment_rad: Annotated[Array, (3,)]

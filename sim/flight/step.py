@@ -44,21 +44,21 @@ from maxq.sim.world.turbulence import turbulence_at
 
 
 class Workspace(NamedTuple):
-    """The arrays that a step works with, besides the flight's own state."""
+    """The arrays of a step in addition to the flight's own state."""
 
     start: Evaluation  # at the start of the step, with the state of the flight
-    middle: Evaluation  # at its later stages; `middle` and `end` have properties of their own, and share the rest
+    middle: Evaluation  # at its later stages; `middle` and `end` have separate properties, and share the rest
     end: Evaluation
     y_end: Array  # state at the end of the step
     work: Work  # scratch memory of the derivative
     columns: Array  # of the section loads
-    moved: Array  # of each block of oscillators: what its stages need of each other
+    moved: Array  # for each block of oscillators, values passed between its stages
     kept: Array  # the blocks' matrices, see oscillators.py
     between: Evaluation  # at an instant within the step
 
 
 ERRORS_NS = 500_000_000
-"""Between two estimates of a flight's errors."""
+"""The time between two estimates of a flight's errors."""
 
 
 @dataclass
@@ -84,7 +84,7 @@ class Arena:
 
 @kernel
 def schedule_clock(p: Parameters, clock: Clock, now_ns: int, elapsed_s: float) -> float:
-    """Schedule time, s, `elapsed_s` after the instant `now_ns`. It stands still from a cutoff on."""
+    """Return the schedule time, s, `elapsed_s` after the instant `now_ns`. It is constant after a cutoff."""
     if 0 < clock.cut_off_ns <= now_ns:
         now_ns, elapsed_s = clock.cut_off_ns, 0.0
     if p.timeline.frozen == 1:
@@ -94,7 +94,7 @@ def schedule_clock(p: Parameters, clock: Clock, now_ns: int, elapsed_s: float) -
 
 @disjoint_routine
 def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, properties: Array) -> None:
-    """Properties of the vehicle `elapsed_s` after `now_ns`; no thrust from an engine that does not burn."""
+    """Write the properties of the vehicle `elapsed_s` after `now_ns`; an engine that does not burn has no thrust."""
     clock_s = schedule_clock(p, memory.clock, now_ns, elapsed_s)
     interpolate_into(pool, p.vehicle.schedule, memory.clock.interval, clock_s, properties, 0)
     if 0 < memory.clock.cut_off_ns <= now_ns:
@@ -108,7 +108,7 @@ def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elaps
 
 @kernel
 def stop_flow(sizes: Counts, properties: Array) -> None:
-    """Nothing leaves the vehicle any more: rates of its properties are zero."""
+    """Set the rates of the vehicle's properties to zero, because no propellant leaves any more."""
     for column in range(sch.CG_RATE, sch.TOTAL_MASS):
         properties[column] = 0.0
     properties[sch.MASS_FLOW] = 0.0
@@ -121,7 +121,7 @@ def stop_flow(sizes: Counts, properties: Array) -> None:
 def evaluate(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, at: Evaluation, work: Work
 ) -> None:
-    """Derivative `elapsed_s` into the step that starts at `now_ns`."""
+    """Evaluate the derivative `elapsed_s` into the step that starts at `now_ns`."""
     inputs = memory.inputs
     if p.injections.count > 0:
         inputs.force_x_N = total_signal(p.injections, pool, BODY_FORCE, 0, now_ns, elapsed_s)
@@ -142,7 +142,10 @@ def evaluate(
 
 @kernel
 def gusts_along_body(p: Parameters, memory: Memory, fraction: float, cg_m: float, wind_B_mps: Array) -> Vector:
-    """Turbulence at the core CG; at each part, less that, into `wind_B_mps`. The nose meets it first."""
+    """Return the turbulence at the core CG, and write its difference at each part to `wind_B_mps`.
+
+    The nose meets it first.
+    """
     here = gust_behind(memory.history, memory.gusts, fraction, max(cg_m, 0.0))
     parts = counts(p.vehicle.sizes).surfaces
     for k in range(parts + 1):
@@ -156,9 +159,10 @@ def gusts_along_body(p: Parameters, memory: Memory, fraction: float, cg_m: float
 
 @routine
 def runge_kutta(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, space: Workspace) -> None:
-    """State `step_ns` after `now_ns` into `space.y_end`, given state, properties and derivative at its start.
+    """Write the state `step_ns` after `now_ns` to `space.y_end`, given state, properties and derivative at its start.
 
-    Classical method of order four (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, table 1.2).
+    Method: the classical method of order four (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I,
+    table 1.2).
     """
     n = states.state_size(counts(p.vehicle.sizes))
     h = 1e-9 * step_ns
@@ -186,10 +190,10 @@ def runge_kutta(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns
 def exponential_runge_kutta(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, space: Workspace
 ) -> None:
-    """As `runge_kutta`, with the motion of the fast linear parts under a constant force worked out exactly.
+    """Step as `runge_kutta` does, with the exact motion of the fast linear parts under a constant force.
 
-    Exponential method of order four, B4 of S. Krogstad, Generalized integrating factor methods for stiff PDEs, J.
-    Comput. Phys. 203 (2005), 72, written for the difference r of the derivative from that at the start and from D times
+    Method: the exponential method of order four, B4 of S. Krogstad, Generalized integrating factor methods for stiff
+    PDEs, J. Comput. Phys. 203 (2005), 72. It is written for r, the derivative minus that at the start and minus D times
     the motion since then. Where D = 0 it is the classical method.
     """
     n = states.state_size(counts(p.vehicle.sizes))
@@ -230,13 +234,14 @@ def exponential_runge_kutta(
 def _block_stage(
     kept: Array, block: int, moved: Array, at: int, stage: int, y: Array, k_1: Array, k: Array, out: Array
 ) -> None:
-    """States of one block at stage 2, 3, 4, or at the end (5), into `out`, given the derivative `k` one stage before.
+    """Write the states of one block at stage 2, 3, 4, or at the end (5), to `out`.
 
-    `moved[at:]` holds the block's derivative at the start, its motion since then at the stage before and, under the
-    constant force, at the end, r, and the sum of r over the middle stages.
+    `k` is the derivative of the previous stage. `moved[at:]` holds the block's derivative at the start, its motion
+    since then at the previous stage and, under the constant force, at the end, r, and the sum of r over the middle
+    stages.
     """
     first, stride, n, matrices = int(kept[block]), int(kept[block + 1]), int(kept[block + 2]), int(kept[block + 3])
-    if n == 2:  # told as numbers: the compiler unrolls them
+    if n == 2:  # literal numbers, so that the compiler unrolls the loops
         _block_of(2, first, stride, matrices, kept, moved, at, stage, y, k_1, k, out)
     elif n == 6:
         _block_of(6, first, stride, matrices, kept, moved, at, stage, y, k_1, k, out)
@@ -286,7 +291,7 @@ def _block_of(
 
 @routine
 def take_step(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, space: Workspace) -> None:
-    """State `step_ns` after `now_ns` into `space.y_end`, by the method that this flight is integrated with."""
+    """Write the state `step_ns` after `now_ns` to `space.y_end`, by the integration method of this flight."""
     if p.timeline.even == 1:
         exponential_runge_kutta(p, pool, memory, now_ns, step_ns, space)
     else:
@@ -295,15 +300,15 @@ def take_step(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: 
 
 @routine
 def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, space: Workspace) -> None:
-    """Take the step once more as two halves, and add what it errs by to the flight's error, as often as it goes into
-    the time between two estimates. An error of attitude turns the specific force, one of speed is one of position in
-    time. Leaves the end of the step as it was, its start not.
+    """Repeat the step as two halves, and add its estimated error to the flight's error.
 
-    Errors of smooth steps are added as if they never cancelled. Where an engine meets or leaves an edge of its play or
-    a stop within the step, the instant lies anywhere in the step and the error has either sign: those add as their
-    squares.
+    The error is multiplied by the number of such steps between two estimates. An attitude error turns the specific
+    force, and a speed error becomes a position error in time. The end of the step is left unchanged, its start is not.
 
-    Method of order four: the difference is 15/16 of the error (Hairer, Norsett & Wanner I, section II.4).
+    Errors of smooth steps are added as if they never cancelled. If an engine reaches or leaves an edge of its play or a
+    stop within the step, the instant is arbitrary and the error has either sign. Such errors are added as squares.
+
+    For a method of order four the difference is 15/16 of the error (Hairer, Norsett & Wanner I, section II.4).
     """
     sizes, errors, whole, y_end = counts(p.vehicle.sizes), memory.errors, space.between.y, space.y_end
     n, half_ns = states.state_size(sizes), step_ns // 2
@@ -333,7 +338,7 @@ def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, ste
         for i in range(first, first + modes):
             bent = max(bent, abs(whole[i] - y_end[i]))
     for tank in range(sizes.pendulums):
-        if bob_mass(space.end.properties, tank) <= 0.0:  # it stopped where its tank ran empty, within the step
+        if bob_mass(space.end.properties, tank) <= 0.0:  # it stopped when its tank became empty, within the step
             continue
         i = states.pendulum_index(sizes, tank)
         for j in range(i, i + 3):
@@ -364,9 +369,9 @@ def starts_or_stops(further_groups: int, before: EngineOutputs, after: EngineOut
 def evaluate_between(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, elapsed_ns: int, space: Workspace
 ) -> None:
-    """State and derivative `elapsed_ns` into a step that has been taken, into `space.between`.
+    """Write state and derivative `elapsed_ns` into the last step to `space.between`.
 
-    The state by the cubic that goes with the method (Hairer, Norsett & Wanner I, section II.6): through both ends, with
+    The state follows from the cubic of the method (Hairer, Norsett & Wanner I, section II.6): through both ends, with
     the derivatives of the first and of the last stage.
     """
     n, h, x = states.state_size(counts(p.vehicle.sizes)), 1e-9 * step_ns, elapsed_ns / step_ns

@@ -1,7 +1,7 @@
 """The log of a flight: rows that declare their channels, and the kernels that fill them.
 
-The fast group holds what oscillates (actuator, gyro, control, bending, slosh), the slow group the rest. Values are
-in the units of the log. See control/kernel/rows.py for how a row is declared.
+The fast group holds oscillating quantities (actuator, gyro, control, bending, slosh), the slow group the rest. Values
+are in the units of the log. control/kernel/rows.py describes the declaration of a row.
 """
 
 from __future__ import annotations
@@ -58,8 +58,9 @@ FAST, SLOW = "fast", "slow"
 
 @dataclass(frozen=True)
 class Logged:
-    """The widths of a log's rows of bending, slosh and section loads, those of the widest stage; `on` = 0 for no
-    log.
+    """The widths of a log's rows of bending, slosh and section loads.
+
+    They are those of the widest stage. `on` = 0 means no log.
     """
 
     on: int
@@ -67,7 +68,7 @@ class Logged:
     stations: int  # of section loads
     waves: int  # 1: with the height of the waves
     engines: int  # 0 for vehicles of one engine
-    external: int  # 1: with the monitors of flight code from outside
+    external: int  # 1: with the monitors of external flight code
     adaptive: int  # 1: with the total gain of adaptive augmenting control
 
 
@@ -75,7 +76,7 @@ class Logged:
 
 
 class FastRow(NamedTuple):
-    """Topics of the fast group that every vehicle has."""
+    """The topics of the fast group that every vehicle has."""
 
     actuator: Annotated[ActuatorRow, "gimbal command and gimbal motion"]
     gyro: Annotated[GyroRow, "rate gyro"]
@@ -278,7 +279,7 @@ def vehicle_row(memory: Memory, props: Array, aux: Aux) -> VehicleRow:
 
 
 class SlowRow(NamedTuple):
-    """Topics of the slow group."""
+    """The topics of the slow group."""
 
     truth: Annotated[MotionRow, "motion"]
     air: Annotated[AirRow, "air data"]
@@ -314,11 +315,13 @@ def channel_table(
     accelerometer: bool = False,
     adaptive: bool = False,
 ) -> ChannelTable:
-    """Channels of a vehicle with so many modes, these pendulums and sections, in the order of the kernels' columns.
+    """Return the channels of a vehicle with these numbers of parts, in the order of the kernels' columns.
 
-    `stations`: what is said of each station of the section loads; in names they go by their numbers, from 1. `waves`:
-    with the height of the pendulums' waves. `external`: with what flight code from outside monitors. `accelerometer`:
-    the last of the sensors is one. `adaptive`: with the total gain.
+    - `stations`: description of each station of the section loads; names contain their numbers, from 1.
+    - `waves`: include the height of the pendulums' waves.
+    - `external`: include the monitored values of external flight code.
+    - `accelerometer`: the last sensor is an accelerometer.
+    - `adaptive`: include the total gain.
     """
     topics = declared_topics(FAST, FastRow)
     kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))

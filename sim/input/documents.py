@@ -1,7 +1,7 @@
-"""TOML documents that remember which file each value came from, and `--set KEY=VALUE`.
+"""TOML documents that record the source file of each value, and `--set KEY=VALUE`.
 
-A scenario is put together from several files and overrides. Errors must name the right one, and a file that a
-value names is looked for beside the file that says so; therefore tables, lists and texts carry their source.
+A scenario is assembled from several files and overrides. Error messages must name the right file, and a file named by a
+value is searched for in the folder of the naming file. Therefore tables, lists and texts carry their source.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _USAGE = "--set KEY=VALUE, e.g. --set run.step_s=0.0005 or --set vehicle.stage.0
 
 @dataclass(frozen=True)
 class Source:
-    """The source of values: `label` for people, and the `folders` in which the files that they name are searched.
+    """The source of values: `label` is its name in messages, `folders` are searched for the files that the values name.
 
-    `within` is where the document is put into the scenario (a vehicle file: under `vehicle`), `shown_as` how
-    that beginning of a key is written in the document itself.
+    `within` is the place of the document in the scenario (`vehicle` for a vehicle file). `shown_as` is the same
+    beginning of a key as written in the document itself.
     """
 
     label: str
@@ -34,14 +34,14 @@ class Source:
     shown_as: KeyPath = ()
 
     def error(self, path: KeyPath, problem: str, **details: Any) -> ScenarioError:
-        """The error about the value at `path` of the scenario, with the key as it is written in this document."""
+        """Return the error about the value at `path` of the scenario, with the key as written in this document."""
         if path[: len(self.within)] == self.within:
             path = self.shown_as + path[len(self.within) :]
         return ScenarioError(self.label, problem, ".".join(map(str, path)), **details)
 
 
 class Text(str):
-    """A text value that knows its source."""
+    """A text value with its source."""
 
     source: Source
 
@@ -52,12 +52,12 @@ class Text(str):
         return out
 
     def like(self, text: str) -> Text:
-        """Another of the same source."""
+        """Return another text of the same source."""
         return Text.of(text, self.source)
 
 
 class _Sourced:
-    """`sources` holds the source of each key, or element, that is not the table's or array's own."""
+    """A table or array with sources. `sources` holds the source of each key or element that differs from its own."""
 
     def __init__(self, source: Source) -> None:
         super().__init__()
@@ -74,7 +74,7 @@ class TomlArray(_Sourced, list[Any]):
 
 
 def adopt(value: Any, source: Source) -> Any:
-    """`value` as tomllib gives it, with its source noted throughout."""
+    """Return `value`, as read by tomllib, with its source attached throughout."""
     if isinstance(value, dict):
         table = TomlTable(source)
         table.update((key, adopt(item, source)) for key, item in value.items())
@@ -89,7 +89,10 @@ def adopt(value: Any, source: Source) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """A tree of TOML or JSON as dicts, tuples and values (texts keep their source): what schemas validate strictly."""
+    """Return a tree of TOML or JSON as dicts, tuples and values, for strict validation by schemas.
+
+    Texts keep their source.
+    """
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -98,7 +101,7 @@ def plain(value: Any) -> Any:
 
 
 def parse(text: str, source: Source) -> TomlTable:
-    """The document that `text` holds; ScenarioError with line and column where it is not TOML."""
+    """Return the document in `text`; raise ScenarioError with line and column if it is not TOML."""
     try:
         table: TomlTable = adopt(tomllib.loads(text), source)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, or a number with thousands of digits
@@ -108,7 +111,7 @@ def parse(text: str, source: Source) -> TomlTable:
 
 
 def _quoted(text: str, reason: str) -> str:
-    """The line of `text` that tomllib's `reason` names, to be put behind it."""
+    """Return the line of `text` that tomllib's `reason` names, to be appended to the reason."""
     at = re.search(r"\(at line (\d+), column \d+\)$", reason)
     lines = text.split("\n")
     line = lines[int(at[1]) - 1].strip() if at and int(at[1]) <= len(lines) else ""
@@ -116,7 +119,7 @@ def _quoted(text: str, reason: str) -> str:
 
 
 def merge(base: TomlTable, over: TomlTable) -> None:
-    """Put `over` on top of `base`: tables key by key, everything else (arrays of tables too) as a whole."""
+    """Merge `over` into `base`: tables key by key, everything else (including arrays of tables) as a whole."""
     for key, value in over.items():
         below = base.get(key)
         if isinstance(below, TomlTable) and isinstance(value, TomlTable):
@@ -127,7 +130,7 @@ def merge(base: TomlTable, over: TomlTable) -> None:
 
 
 def _step(tree: TomlTable | TomlArray, part: str | int, path: KeyPath, source: Source) -> Any:
-    """The key or index that `part` of a path means in `tree`."""
+    """Return the key or index that `part` of a path denotes in `tree`."""
     if isinstance(tree, TomlTable):
         return str(part)
     allowed = f"an index 0 .. {len(tree) - 1}" if tree else "nothing: the list is empty"
@@ -137,14 +140,14 @@ def _step(tree: TomlTable | TomlArray, part: str | int, path: KeyPath, source: S
 
 
 def index_in(text: str, length: int) -> int | None:
-    """The index that `text` means in a list of `length`; None where it means none."""
+    """Return the index that `text` denotes in a list of `length`, or None if it denotes none."""
     return int(text) if text.isdecimal() and len(text) < 10 and int(text) < length else None
 
 
 def put(tree: TomlTable, path: KeyPath, value: Any, source: Source) -> None:
-    """Set the value at `path`, e.g. ("run", "step_s"); tables on the way are made.
+    """Set the value at `path`, e.g. ("run", "step_s"), and create the tables on the way.
 
-    ScenarioError when the path leads through a value that is neither table nor list, or beyond a list's end.
+    Raises ScenarioError if the path leads through a value that is neither table nor list, or beyond a list's end.
     """
     at: Any = tree
     for n, part in enumerate(path[:-1]):
@@ -162,7 +165,7 @@ def put(tree: TomlTable, path: KeyPath, value: Any, source: Source) -> None:
 
 
 def drop(tree: TomlTable, path: KeyPath, source: Source, shift: KeyPath = ()) -> None:
-    """Remove the key at `path` of `tree`; ScenarioError where there is none, about the key `shift` + `path`."""
+    """Remove the key at `path` of `tree`; raise ScenarioError about the key `shift` + `path` if there is none."""
     at: Any = tree
     for n, part in enumerate(path):
         place = (*shift, *path[: n + 1])
@@ -177,7 +180,7 @@ def drop(tree: TomlTable, path: KeyPath, source: Source, shift: KeyPath = ()) ->
 
 
 def leaves(table: TomlTable) -> Iterator[tuple[KeyPath, Any, Source]]:
-    """Every value below `table` that is not a table, with path and source; keys such as "stage.0.name" are split."""
+    """Yield every value below `table` that is not a table, with path and source; split keys such as "stage.0.name"."""
     for key, value in table.items():
         head: KeyPath = tuple(key.split("."))
         if isinstance(value, TomlTable) and value:
@@ -188,7 +191,7 @@ def leaves(table: TomlTable) -> Iterator[tuple[KeyPath, Any, Source]]:
 
 
 def walk(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
-    """Every value below that is neither table nor list, with its path."""
+    """Yield every value below that is neither table nor list, with its path."""
     if isinstance(value, TomlTable | TomlArray):
         for key, item in value.items() if isinstance(value, TomlTable) else enumerate(value):
             yield from walk(item, (*path, key))
@@ -197,7 +200,7 @@ def walk(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
 
 
 def source_of(tree: TomlTable, path: KeyPath) -> Source:
-    """The source of the value at `path`, or of what comes closest to it."""
+    """Return the source of the value at `path`, or of its nearest existing parent."""
     at: Any = tree
     source = tree.source
     for part in path:
@@ -212,13 +215,14 @@ def source_of(tree: TomlTable, path: KeyPath) -> Source:
 
 
 Override = tuple[KeyPath, Any]
-"""Path and value of one override, as TOML would give it; None takes the key away."""
+"""The path and value of one override, as in TOML; None removes the key."""
 
 
 def parse_override(text: str) -> Override:
-    """`a.b.0.c=value`. The right side is a TOML value; what is none (a bare word) is a text; empty: remove the key.
+    """Parse `a.b.0.c=value`.
 
-    Raises ScenarioError when there is no `=` or the path has an empty part.
+    The right side is a TOML value; anything else (a bare word) is a text. An empty right side removes the key. Raises
+    ScenarioError if there is no `=` or the path has an empty part.
     """
     left, equals, right = text.partition("=")
     path = tuple(part.strip() for part in left.split("."))

@@ -1,4 +1,4 @@
-"""The errors of a scenario: one line that names file, key, value, fault and allowed values."""
+"""Errors of a scenario: one line with file, key, value, problem and allowed values."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 from pydantic_core import PydanticCustomError
 
 Path = tuple[str | int, ...]
-"""Where a value stands: names of tables and keys, indices of lists."""
+"""The place of a value: names of tables and keys, indices of lists."""
 
 
 NOTHING: Any = object()
-"""Marks that there is no value to show (a key that is missing)."""
+"""The marker of a missing value (of a missing key)."""
 
 _LONGEST_VALUE = 60
 _LONGEST_FILE = 240
@@ -22,10 +22,10 @@ _LONGEST_WORDS = 1000
 
 
 class ScenarioError(Exception):
-    """Wrong input. `str()` is one line: `file: key = value: problem; allowed: ... (and N more)`.
+    """The error of wrong input. `str()` is one line: `file: key = value: problem; allowed: ... (and N more)`.
 
-    `file` is how the person named the file, `--set` for an override; `key` is empty when the file as a whole
-    is meant; `more` counts the further mistakes found at the same time.
+    `file` is the file as named by the user, or `--set` for an override. `key` is empty if the error concerns the whole
+    file. `more` counts the further errors found at the same time.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class ScenarioError(Exception):
 
 
 def show_value(value: Any) -> str:
-    """A value as TOML would roughly have it, cut to a length that fits a line."""
+    """Return a value in a form close to TOML, cut to fit into a line."""
     if isinstance(value, bool):
         text = str(value).lower()
     elif isinstance(value, datetime.date | datetime.time):  # a datetime is a date, too
@@ -68,7 +68,7 @@ def show_value(value: Any) -> str:
 
 
 def _printable(text: str, longest: int) -> str:
-    """`text` without line ends and other control characters, cut to a length."""
+    """Return `text` without line ends and other control characters, cut to a length."""
     text = text if text.isprintable() else text.encode("unicode_escape").decode()
     return text if len(text) <= longest else text[: longest - 4] + " ..."
 
@@ -76,10 +76,10 @@ def _printable(text: str, longest: int) -> str:
 def refuse(
     problem: str, allowed: str = "", key: str | Path = (), *, value: Any = NOTHING, file: str = "", place: str = ""
 ) -> PydanticCustomError:
-    """The exception that a validator of the schema raises.
+    """Return the exception that a validator of the schema raises.
 
-    `key` is relative to the section that is being validated; its value is looked up unless given. A mistake
-    inside a CSV file names that `file` and the `place` in it instead.
+    `key` is relative to the section being validated. Its value is looked up unless given. For an error inside a CSV
+    file, `file` and the `place` in it are given instead.
     """
     key = (key,) if isinstance(key, str) else key
     return PydanticCustomError(
@@ -90,8 +90,9 @@ def refuse(
 
 
 def suggestion(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """`did you mean x?`, or an empty string. A key that differs in its unit only (`_km` for `_m`) comes
-    first. `cutoff`: how alike they must be, from 0 to 1 (difflib).
+    """Return `did you mean x?`, or an empty string.
+
+    A key that differs only in its unit (`_km` for `_m`) comes first. `cutoff`: least similarity, from 0 to 1 (difflib).
     """
     choices = list(known)
     stem = word.rpartition("_")[0]

@@ -1,17 +1,17 @@
-"""Finding and reading the files that a scenario, a case or a suite is made of; those that come with maxq.
+"""The search and reading of the files of a scenario, a case or a suite, including maxq's built-in files.
 
-These lie in the folder scenarios/, which is package data (`maxq.scenarios`).
+Built-in files are in the folder scenarios/, which is package data (`maxq.scenarios`).
 
-A name means the same file in every working folder (`locate`, `find`):
+A name denotes the same file in every working folder (`locate`, `find`):
 
-- A built-in name as --list prints it (standard, nominal, campaigns/ksr3) is the shipped file. So is, in an override, a
+- A built-in name as printed by --list (standard, nominal, campaigns/ksr3) is the shipped file. So is, in an override, a
   path below scenarios/ (winds/anheung-november.csv, vehicles/ksr3, designs/ksr3-robust.toml).
-- Any other name is a path. `./standard`, `standard.toml` and an absolute path name a file of the user; a name with
-  .toml of which there is no file is the shipped one.
-- A path in a file is looked for in the folder of that file, then below scenarios/. Where cases, suites and layouts
+- Any other name is a path. `./standard`, `standard.toml` and an absolute path name a file of the user. A name with
+  .toml without such a file is the shipped one.
+- A path in a file is searched for in the folder of that file, then below scenarios/. Where cases, suites and layouts
   name other such files, scenarios and campaigns, a built-in name is the shipped file, as above.
 
-A file of the working folder that has a built-in name is reported by a `NameNote`.
+A `NameNote` reports a file of the working folder that has a built-in name.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from maxq.sim.input.documents import COMMAND_LINE, Source, Text, TomlArray, Toml
 from maxq.sim.input.errors import ScenarioError, refuse, suggestion
 
 DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns", "suites", "layouts")
-"""Folders of data that scenarios name; their files are no scenarios."""
+"""The folders of data that scenarios name; their files are not scenarios."""
 
 FOLDERS = {
     "scenario": "", "campaign": "campaigns", "design": "designs", "case": "designs/cases", "suite": "suites",
     "layout": "layouts",
 }  # fmt: skip  # a table
-"""Below scenarios/, by the kind of file."""
+"""The folders below scenarios/, by the kind of file."""
 
 VEHICLE_FILE = "vehicle.toml"
 TABLE_VARIANTS = ("{}",)
@@ -50,10 +50,10 @@ WANTED = {
     "suite": "a suite (.toml)",
     "layout": "a layout file (.toml)",
 }
-"""What is allowed where a file of this kind is named."""
+"""The allowed forms of a name, by the kind of file."""
 
 PARTS = ("vehicle", "design")
-"""What a scenario names by file, besides tables."""
+"""The parts of a scenario that may be named by file instead of given as tables."""
 
 _LISTED_ALONE = ("case", "suite", "layout")
 """Kinds of which a file names another by its built-in name alone."""
@@ -66,7 +66,7 @@ class NameNote(UserWarning):
 
 
 def scenarios_folder() -> Path:
-    """The folder of the package maxq.scenarios, which is the same in a checkout, a wheel and an editable installation.
+    """Return the folder of the package maxq.scenarios, the same in a checkout, a wheel and an editable installation.
 
     (importlib.resources cannot open a folder without __init__.py in an editable installation.)
     """
@@ -74,7 +74,7 @@ def scenarios_folder() -> Path:
 
 
 def builtin_files(kind: str) -> dict[str, Path]:
-    """The built-in files of a kind of FOLDERS by their names, such as `nominal`, `campaigns/ksr3`; sorted."""
+    """Return the built-in files of a kind of FOLDERS by name, such as `nominal`, `campaigns/ksr3`, sorted."""
     root = scenarios_folder()
     if kind not in ("scenario", "campaign"):
         return {path.stem: path for path in sorted((root / FOLDERS[kind]).glob("*.toml"))}
@@ -84,13 +84,13 @@ def builtin_files(kind: str) -> dict[str, Path]:
 
 
 def builtin_names() -> list[str]:
-    """Names of the built-in scenarios, such as `nominal` or `checkcases/nesc-01`, sorted."""
+    """Return the names of the built-in scenarios, such as `nominal` or `checkcases/nesc-01`, sorted."""
     return list(builtin_files("scenario"))
 
 
 @dataclass(frozen=True)
 class ReadFile:
-    """A file that was read: where, how it is shown to people, and its bytes."""
+    """A file that was read: its path, its name in messages, and its bytes."""
 
     path: Path
     shown: str
@@ -98,13 +98,13 @@ class ReadFile:
 
 
 def shown(path: Path) -> str:
-    """A path for people: relative to the working folder when it lies below it."""
+    """Return a path for messages: relative to the working folder if it is inside that folder."""
     here = Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
 
 def kind(path: Path) -> str:
-    """`file`, `folder`, `other` (a device, a pipe), or empty when there is nothing."""
+    """Return `file`, `folder`, `other` (a device, a pipe), or an empty string if nothing exists."""
     try:
         if path.is_file():
             return "file"
@@ -112,15 +112,15 @@ def kind(path: Path) -> str:
             return "folder"
         return "other" if path.exists() else ""
     except PermissionError:
-        return "file"  # reading it will say what is wrong
+        return "file"  # reading it reports the error
     except (OSError, ValueError):  # a name that is too long, or holds a zero byte
         return ""
 
 
 def find(name: Text, variants: Iterable[str] = TABLE_VARIANTS) -> Path | None:
-    """Return the first file there is: `name` with each of `variants` ("{}.toml") in each folder of its source.
+    """Return the first existing file: `name` with each of `variants` ("{}.toml") in each folder of its source.
 
-    An override means a shipped file wherever there is one of that path.
+    An override denotes a shipped file if there is one of that path.
     """
     folders, shipped = name.source.folders, scenarios_folder()
     overriding = name.source.label == COMMAND_LINE and shipped in folders and not names_a_path(name)
@@ -155,7 +155,7 @@ def note_here(name: str, shipped: Path, variants: Iterable[str] = ("{}", "{}.tom
 
 
 def not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, str]:
-    """Return the fault of a name for which `find` found none of the `variants`, and the allowed names."""
+    """Return the problem and the allowed forms for a name with which `find` found none of the `variants`."""
     if not name.source.folders:
         return "names a file, which a scenario given as text cannot do", "the content itself"
     for folder in name.source.folders:
@@ -168,7 +168,7 @@ def not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, st
 
 
 def _nearest(name: Text, variants: Iterable[str]) -> str:
-    """`did you mean x?` for a built-in file of this name in another folder, or one like it beside the place meant."""
+    """Return `did you mean x?` for a built-in file in another folder, or a similar name in the intended folder."""
     asked, root = Path(name), scenarios_folder()
     table = tuple(variants) == TABLE_VARIANTS
 
@@ -192,7 +192,10 @@ def _nearest(name: Text, variants: Iterable[str]) -> str:
 
 
 def _below(path: Path) -> str:
-    """`did you mean x?` for a file of this name one or two folders below: --copy keeps the folders of its files."""
+    """Return `did you mean x?` for a file of this name one or two folders below.
+
+    simrun --copy keeps the folders of its files.
+    """
     with contextlib.suppress(OSError, ValueError):
         for pattern in ("*/", "*/*/"):
             for found in sorted(path.parent.glob(pattern + glob.escape(path.name))) if path.parent != Path() else ():
@@ -201,9 +204,9 @@ def _below(path: Path) -> str:
 
 
 def locate(name: str, role: str) -> tuple[Path, str]:
-    """Return the built-in file of that name, or the file at that path, and how it is shown.
+    """Return the built-in file of that name, or the file at that path, and its name in messages.
 
-    `role` is a kind of WANTED. Raises ScenarioError where there is neither.
+    `role` is a kind of WANTED. Raises ScenarioError if there is neither.
     """
     known = builtin_files(role) | (builtin_files("campaign") if role == "scenario" else {})
     if name in known:
@@ -216,7 +219,7 @@ def locate(name: str, role: str) -> tuple[Path, str]:
     if stem in known:
         return known[stem], shown(known[stem])
     hint = _below(Path(f"{stem}.toml")) or suggestion(stem, known)
-    as_a_file = not name.isidentifier() or hint  # a bare word may have been meant as one of ours
+    as_a_file = not name.isidentifier() or hint  # a bare word may denote a built-in file
     missing = "no such file" if as_a_file else f"neither a file nor a built-in {role}"
     problem = {"folder": "is a folder", "other": "is not an ordinary file"}.get(there, missing)
     listed = "" if hint else f", or a built-in {role} ({_LISTED_BY[role]} --list names them)"
@@ -245,13 +248,13 @@ def named_in_file(name: Text, file: Path) -> str:
 
 @dataclass
 class Reading:
-    """Files read so far; also the validation context, through which the schema reads its tables."""
+    """The files read so far; also the validation context through which the schema reads its tables."""
 
     files: dict[Path, ReadFile] = field(default_factory=dict)
-    soundings: dict[str, Any] = field(default_factory=dict)  # of wind files that hold them, see soundings.py
+    soundings: dict[str, Any] = field(default_factory=dict)  # soundings by wind file, see soundings.py
 
     def content(self, path: Path, label: str) -> bytes:
-        """Content of a file; noted among `files`."""
+        """Return the content of a file, and record it among `files`."""
         if path not in self.files:
             try:
                 self.files[path] = ReadFile(path, label, path.read_bytes())
@@ -261,7 +264,7 @@ class Reading:
         return self.files[path].content
 
     def text(self, path: Path, label: str, what: str) -> str:
-        """Content of a file as text; noted among `files`. `what` names what was expected."""
+        """Return the content of a file as text, and record it among `files`. `what` names the expected content."""
         content = self.content(path, label)
         try:
             text = content.decode("utf-8-sig")
@@ -273,7 +276,7 @@ class Reading:
         return text
 
     def read_table(self, name: Text) -> tuple[str, str]:
-        """Return the displayed name of the CSV file `name`, and its text (for the schema)."""
+        """Return the name in messages of the CSV file `name`, and its text (for the schema)."""
         path = find(name)
         if path is None:
             raise refuse(*not_found(name, "a CSV file", TABLE_VARIANTS))
@@ -281,7 +284,7 @@ class Reading:
         return label, self.text(path, label, "a CSV file")
 
     def files_in(self, name: Text) -> list[Text]:
-        """The files in a folder, in the order of their names; `name` itself where it is no folder."""
+        """Return the files in a folder in the order of their names, or `name` itself if it is not a folder."""
         for folder in name.source.folders:
             if kind(folder / name) == "folder":
                 return [name.like(f"{name}/{p.name}") for p in sorted((folder / name).iterdir()) if kind(p) == "file"]
@@ -305,7 +308,7 @@ class Reading:
     def named(
         self, name: Text, where: Source, key: tuple[str, ...], role: str, chain: tuple[Path, ...] = ()
     ) -> TomlTable:
-        """The document in the file that the value `name` of `key` names."""
+        """Return the document in the file that the value `name` of `key` names."""
         variants = _VARIANTS.get(role, _FILE_VARIANTS)
         shipped = builtin_files(role) if role in _LISTED_ALONE else {}
         path = shipped[name] if name in shipped else find(name, variants)
@@ -320,7 +323,7 @@ class Reading:
         return self.document(path, shown(path), role, chain)
 
     def extended(self, table: TomlTable, role: str, chain: tuple[Path, ...] = ()) -> TomlTable:
-        """`table` on top of the file that its key `extends` names, less the keys that `unset` takes away."""
+        """Return `table` merged over the file that its key `extends` names, without the keys in `unset`."""
         source, within = table.source, (role,) if role in PARTS else ()
         name, unset = table.pop("extends", None), table.pop("unset", None)
         if name is None:
@@ -331,7 +334,7 @@ class Reading:
         if not isinstance(name, Text):
             raise source.error(where, "has the wrong type", value=name, allowed=f"the name of {WANTED[role]}")
         base = self.named(name, source, where, role, chain)
-        base.pop("name", None)  # a file is named after itself unless it says otherwise
+        base.pop("name", None)  # the default name is that of the file itself
         if unset is not None and not (isinstance(unset, TomlArray) and all(isinstance(item, str) for item in unset)):
             allowed = "a list of keys, e.g. ['wind.profile']"
             raise source.error((*within, "unset"), "has the wrong type", value=unset, allowed=allowed)

@@ -1,12 +1,12 @@
-"""Tables in other programs' text formats, where a vehicle file or a layout names a table: read as if they were CSV.
+"""Tables in text formats of other programs, read as CSV where a vehicle file or a layout names a table.
 
-RASP's engine files (.eng): comments with a semicolon, a header (name, diameter mm, length mm, delays, propellant kg,
-total kg, manufacturer), then times in s and thrusts in N, the first point (0, 0) implied, the last thrust 0. The thrust
-is as it was measured, mostly on the ground; the first motor of a file counts.
+RASP engine files (.eng) have comments after a semicolon and a header: name, diameter mm, length mm, delays, propellant
+kg, total kg, manufacturer. Times in s and thrusts in N follow. The first point (0, 0) is implied, and the last thrust
+is 0. The thrust is as measured, mostly on the ground. Only the first motor of a file is read.
 
-Missile DATCOM's output (for006.dat; W. B. Blake, AFRL-VA-WP-TR-1998-3009): pages "STATIC AERODYNAMICS FOR ..." with
-MACH NO and columns ALPHA, CN, CM, CA, CY, CLN, CLL; of one Mach number the last page counts, that of the whole
-configuration. Area, lengths and moment centre of that run must be those of the vehicle file.
+Missile DATCOM output (for006.dat; W. B. Blake, AFRL-VA-WP-TR-1998-3009) has pages "STATIC AERODYNAMICS FOR ..." with
+MACH NO and columns ALPHA, CN, CM, CA, CY, CLN, CLL. For each Mach number the last page is read, that of the whole
+configuration. Area, lengths and moment centre of the run must be those of the vehicle file.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ _NAMES = ("CN", "Cm", "CA", "CY", "Cn", "Cl")  # as grids.py calls them
 
 
 def read_rasp(text: str, name: str, shown: str) -> CsvTable:
-    """Thrust and, in proportion, the flow of the header's propellant. Raises the schema's refusal."""
+    """Read the thrust, and in proportion to it the flow of the header's propellant.
+
+    Raises the refusal of the schema.
+    """
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip() and line.strip()[0] != ";"]
     if not lines:
         raise refuse("the file is empty", "a RASP engine file", file=shown)
@@ -43,7 +46,7 @@ def read_rasp(text: str, name: str, shown: str) -> CsvTable:
             t, thrust = (float(cell) for cell in line.split())
         except ValueError:
             raise refuse("is not a time and a thrust", "two numbers", file=shown, place=f"line {place}") from None
-        if t > 0.0:  # some files write the implied point
+        if t > 0.0:  # some files contain the implied point
             points.append((t, thrust))
             places.append(place)
         if thrust == 0.0 and t > 0.0:
@@ -65,9 +68,9 @@ def read_rasp(text: str, name: str, shown: str) -> CsvTable:
 
 
 def read_datcom(text: str, name: str, shown: str) -> CsvTable:
-    """Coefficients over Mach number and total angle of attack, or over alpha where the vehicle is not symmetric.
+    """Read the coefficients over Mach number and total angle of attack, or over alpha if the vehicle is not symmetric.
 
-    Raises the schema's refusal for a file without such a page, and for one with sideslip.
+    Raises the refusal of the schema for a file without such a page, and for a file with sideslip.
     """
     pages: dict[float, dict[float, tuple[list[float], int]]] = {}
     mach, page, reads = None, dict[float, tuple[list[float], int]](), False

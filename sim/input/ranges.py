@@ -1,7 +1,7 @@
-"""The range of each number, by the name of its key or column: one table for all files.
+"""The range of a number by the name of its key or column: one table for all files.
 
-Names carry their units, and so a bound from physics belongs to a unit, or to a name where that says more. Beyond a
-range lies what no vehicle, flight or flight computer can have, and what the arithmetic of a flight cannot hold.
+Names carry their units. Hence a physical bound belongs to a unit, or to a name where the name is more specific. No
+vehicle, flight or flight computer has values outside a range, and some of them overflow the arithmetic of a flight.
 """
 
 from __future__ import annotations
@@ -15,19 +15,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 LONGEST_S = 1.0e8
-"""About three years. The times of eight stages add up to less than the 292 years that 64 bits of ns can hold."""
+"""The longest time, about three years.
+
+The times of eight stages sum to less than the 292 years that 64 bits of ns can hold.
+"""
 
 LARGEST_NUMBER = 1e30
-"""Where a name says nothing: products of a few such numbers are still finite."""
+"""The bound where a name implies none: products of a few such numbers are still finite."""
 
 MOST_RUNS, MOST_TOGETHER = 10**9, 10**6
 
 
 @dataclass(frozen=True)
 class Range:
-    """Magnitudes from `least` to `most`, either sign, and zero; what a key allows itself may be less.
+    """The magnitudes from `least` to `most`, of either sign, and zero; a key may allow less.
 
-    `names`: whole names, or ends of names with their unit ("_kg"). `why`: the bound's reason, for people.
+    `names`: whole names, or ends of names with their unit ("_kg"). `why`: reason for the bound, used in messages.
     """
 
     names: tuple[str, ...]
@@ -41,7 +44,7 @@ class Range:
         return np.asarray((size <= self.most) & ((size >= self.least) | (size == 0.0)))
 
     def allowed(self) -> str:
-        """In words."""
+        """Return the range in words."""
         most = f"{self.most:g}" if abs(self.most) < 2**53 else f"2^{math.ceil(math.log2(self.most))} - 1"
         return (f"magnitudes {self.least:g} .. {most}" if self.least else f"magnitudes up to {most}") + f" ({self.why})"
 
@@ -127,7 +130,7 @@ _ANY = Range((), 0.0, LARGEST_NUMBER, "what the arithmetic of a flight can hold"
 
 @cache
 def range_of(name: str) -> Range:
-    """The range of a key or column of this name; that of its unit where the name is not in the table."""
+    """Return the range of a key or column of this name, or of its unit if the name is not in the table."""
     ends = [r for r in RANGES if any(end[0] == "_" and name.endswith(end) for end in r.names)]
     whole = [r for r in RANGES if name in r.names]
     longest = max(ends, key=lambda r: max(len(end) for end in r.names if name.endswith(end)), default=_ANY)
@@ -135,7 +138,7 @@ def range_of(name: str) -> Range:
 
 
 def first_beyond(name: str, value: Any) -> tuple[tuple[int, ...], float] | None:
-    """Place and value of the first number, in lists as deep as they are, that is beyond the range of `name`."""
+    """Return place and value of the first number outside the range of `name`, in lists of any depth, or None."""
     if isinstance(value, tuple):
         for n, item in enumerate(value):
             if found := first_beyond(name, item):

@@ -1,4 +1,4 @@
-"""Answers kept for arguments that are the same objects: runs of a campaign share whatever none of them changes."""
+"""Cached results for identical argument objects: runs of a campaign share the objects that no run changes."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _BY_VALUE = frozenset({int, float, bool, str, type(None)})
 
 
 def cached_by_identity(function: Callable[..., Answer]) -> Callable[..., Answer]:
-    """Remember answers by the identity of the arguments, which must not be changed, nor must the answers.
+    """Cache results by the identity of the arguments; neither arguments nor results may be changed.
 
-    Numbers and texts are told by their value, tuples by what is in them. Comparing sections of a scenario by value
-    would take longer than most answers.
+    Numbers and texts are compared by value, tuples by their elements. Comparing sections of a scenario by value would
+    take longer than most computations.
     """
     kept: dict[Hashable, tuple[tuple[Any, ...], Answer]] = {}
 
@@ -26,7 +26,7 @@ def cached_by_identity(function: Callable[..., Answer]) -> Callable[..., Answer]
         known = kept.get(key)
         if known is None:
             known = arguments, function(*arguments)  # arguments stay alive, or another could get their identity
-            if len(kept) >= _MOST:  # another thread may be here, too: what it asks for again is worked out again
+            if len(kept) >= _MOST:  # another thread may be here too; its results are then computed again
                 kept.clear()
             kept[key] = known
         return known[1]

@@ -1,8 +1,8 @@
-"""Tables of numbers: read from a CSV file or written out in the TOML file, and checked.
+"""Tables of numbers, read from a CSV file or written out in the TOML file, and their checks.
 
-A CSV file has one line of column names, then one line per row, separated by commas; empty lines and lines
-that begin with # are skipped. In a TOML file the same table is `{time_s = [0.0, 1.0], mass_kg = [10.0, 9.0]}`
-or a list of rows `[{time_s = 0.0, mass_kg = 10.0}, ...]`.
+A CSV file has one line of column names, then one line per row, separated by commas. Empty lines and lines that begin
+with # are skipped. In a TOML file the same table is `{time_s = [0.0, 1.0], mass_kg = [10.0, 9.0]}` or a list of rows
+`[{time_s = 0.0, mass_kg = 10.0}, ...]`.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 Column = NDArray[np.float64]
 
 LEAST_STEP = 1e-9
-"""From row to row of what a table is given over, in its unit: slopes between rows must stay finite."""
+"""The least step of the axis from row to row, in its unit: slopes between rows must stay finite."""
 
 FILE_KEY, DATE_KEY = "file", "date"
-"""In a table that is written out: the file it once came from, for people only; and `CsvTable.date`."""
+"""The further keys of a table that is written out: the original file, for information only, and `CsvTable.date`."""
 DATE = r"\d{4}-(?:0[1-9]|1[0-2])-\d\d(?:[T ]\d\d)?"
 
 
@@ -38,9 +38,9 @@ DATE = r"\d{4}-(?:0[1-9]|1[0-2])-\d\d(?:[T ]\d\d)?"
 class CsvTable:
     """Columns of numbers of equal length, by name, read-only, in the order of the file.
 
-    `file` is the file's name as the scenario gives it, empty when the table stands in the scenario itself; `date` that
-    of a wind profile, YYYY-MM-DD with or without Thh, empty where none is known.
-    Two tables are equal when their columns hold the same bits.
+    `file` is the file's name as given in the scenario, or empty if the scenario itself contains the table. `date` is
+    the date of a wind profile, YYYY-MM-DD with or without Thh, or empty if unknown. Two tables are equal if their
+    columns hold the same bits.
     """
 
     file: str
@@ -49,14 +49,14 @@ class CsvTable:
     lines: tuple[int, ...] = field(default=(), repr=False)
     date: str = ""
     checked_as: Columns | None = field(default=None, init=False, repr=False)
-    derived: Any = field(default=None, init=False, repr=False)  # what the columns were turned into, kept for later
+    derived: Any = field(default=None, init=False, repr=False)  # cached results derived from the columns
 
     def __post_init__(self) -> None:
         for column in self.columns.values():
             column.flags.writeable = False
 
     def keep(self, derived: Any) -> None:
-        """Keep something that follows from the columns alone: they never change."""
+        """Keep a result derived from the columns alone, which never change."""
         object.__setattr__(self, "derived", derived)
 
     def __getitem__(self, name: str) -> Column:
@@ -69,12 +69,12 @@ class CsvTable:
         return len(next(iter(self.columns.values())))
 
     def told(self) -> dict[str, Any]:
-        """As JSON and TOML have it."""
+        """Return the table in the form of JSON and TOML."""
         label = {FILE_KEY: self.file, DATE_KEY: self.date}
         return {key: text for key, text in label.items() if text} | {k: v.tolist() for k, v in self.columns.items()}
 
     def get(self, name: str, default: float = 0.0) -> Column:
-        """The column, or a constant one where it is absent."""
+        """Return the column, or a constant one if it is absent."""
         return self.columns[name] if name in self.columns else np.full(len(self), default)
 
     def __eq__(self, other: object) -> bool:
@@ -89,9 +89,9 @@ class CsvTable:
     def refusal(
         self, problem: str, allowed: str = "", column: str = "", row: int = -1, *, value: Any = NOTHING, at: Path = ()
     ) -> PydanticCustomError:
-        """The exception for a mistake in this table, naming file, line and column (or key and index).
+        """Return the exception for an error in this table, naming file, line and column (or key and index).
 
-        `at` is the table's key relative to the section that is being validated.
+        `at` is the table's key relative to the section being validated.
         """
         if column and row >= 0 and value is NOTHING:
             value = float(self.columns[column][row])
@@ -103,7 +103,7 @@ class CsvTable:
         return refuse(problem, allowed, (*key, row) if column and row >= 0 else key, value=value)
 
     def refuse_where(self, wrong: NDArray[np.bool_], column: str, problem: str, allowed: str, *, at: Path = ()) -> None:
-        """Refuse the first row of `column` that is `wrong`, and say in how many more rows it is."""
+        """Reject the first row of `column` that is `wrong`, and count the other wrong rows."""
         if wrong.any():
             more = int(wrong.sum()) - 1
             problem += f" (and in {more} more {'row' if more == 1 else 'rows'})" if more else ""
@@ -111,8 +111,9 @@ class CsvTable:
 
 
 class Foreign(NamedTuple):
-    """Another program's format that a file may have instead: its words for people, and what reads it. `read` gives None
-    where the file is CSV of ours, and raises the schema's refusal.
+    """The format of another program that a file may have instead: its name in messages, and its reader.
+
+    `read` returns None if the file is CSV, and raises the refusal of the schema.
     """
 
     words: str
@@ -121,13 +122,17 @@ class Foreign(NamedTuple):
 
 @dataclass(frozen=True)
 class Columns:
-    """The required form of a table; annotates a field: `Annotated[CsvTable, Columns("time_s", ...)]`.
+    """The required form of a table, which annotates a field: `Annotated[CsvTable, Columns("time_s", ...)]`.
 
-    `axis`: the column over which the others are given, or one of `other_axes` in its place. It must increase strictly
-    (`repeats`: may stand still; `falling`: axes that decrease) and, if it is `axis`, begin at or before `begins_by`.
-    `sets`: alternative sets of required columns, exactly one of which must be there in full. `positive`,
-    `not_negative`: columns so bounded. Without an axis (empty) a table of samples: any columns. `grid`: instead of one
-    axis any of these, at least one, and the others at each combination of their values (grids.py).
+    - `axis`: the independent column, or one of `other_axes` in its place. It must increase strictly, with two
+      exceptions: `repeats` allows equal values, and `falling` names axes that decrease. If it is `axis`, it must begin
+      at or before `begins_by`.
+    - `sets`: alternative sets of required columns, of which exactly one must be complete.
+    - `positive`, `not_negative`: columns with these bounds.
+    - `grid`: instead of one axis at least one of these, with the other columns at each combination of their values
+      (grids.py).
+
+    Without an axis (empty) the table consists of samples, with any columns.
     """
 
     axis: str
@@ -143,21 +148,21 @@ class Columns:
     foreign: Foreign | None = None
 
     def axis_of(self, table: CsvTable) -> str:
-        """The column that a table is given over; `axis` where it has none."""
+        """Return the independent column of a table, or `axis` if it has none."""
         return next((name for name in self.other_axes if name in table), self.axis)
 
     @property
     def named(self) -> bool:
-        """Return True if only certain columns are known."""
+        """Return True if only certain columns are allowed."""
         return bool(self.axis or self.grid)
 
     def known(self) -> list[str]:
-        """All names that a column may have."""
+        """Return all names that a column may have."""
         axes = [self.axis, *self.other_axes] if self.axis else [*self.grid]
         return list(dict.fromkeys([*axes, *(name for names in self.sets for name in names), *self.optional]))
 
     def allowed(self) -> str:
-        """The columns in words."""
+        """Return the allowed columns in words."""
         instead = f"; or {self.foreign.words}" if self.foreign else ""
         if self.grid:
             return f"columns {', '.join(self.grid)} (one or more), {', '.join(self.optional)} (one or more){instead}"
@@ -168,7 +173,7 @@ class Columns:
         others = f", or over {', '.join(self.other_axes)} in place of {self.axis}" if self.other_axes else ""
         return f"columns {either}{more}{others}{instead}"
 
-    # pydantic's hooks: how such a field is validated, and its JSON Schema
+    # hooks of pydantic: validation of such a field, and its JSON Schema
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self._validate)
@@ -213,7 +218,7 @@ class Columns:
 
     def _from_file(self, name: str, context: Any) -> CsvTable:
         if not isinstance(name, Text) or context is None:
-            raise refuse("a file is named where none can be read", "the table itself")
+            raise refuse("names a file, but no files can be read here", "the table itself")
         reading: Reading = context
         if self.foreign and (made := self.foreign.read(name, reading, self)):
             return made
@@ -226,7 +231,7 @@ class Columns:
             if not isinstance(given, str):
                 raise refuse("must be a text", key=key)
         if date and not re.fullmatch(DATE, date):
-            raise refuse("is no date", "YYYY-MM-DD, or YYYY-MM-DDThh", (DATE_KEY,), value=date)
+            raise refuse("is not a date", "YYYY-MM-DD, or YYYY-MM-DDThh", (DATE_KEY,), value=date)
         columns: dict[str, Column] = {}
         for name, numbers in value.items():
             if name in (FILE_KEY, DATE_KEY):
@@ -250,7 +255,7 @@ class Columns:
 
     def _check_name(self, name: str, key: Path = (), file: str = "", place: str = "") -> None:
         if self.named and name not in self.known():
-            hint = suggestion(name, self.known(), cutoff=0.75)  # else the list says more
+            hint = suggestion(name, self.known(), cutoff=0.75)  # otherwise the list is more helpful
             problem = f"unknown column {show_value(name)}" + (f"; {hint}" if hint else "")
             raise refuse(problem, self.allowed(), key, file=file, place=place)
 
@@ -318,11 +323,11 @@ class Columns:
 
 
 _ABOVE_ZERO = 5e-324  # the least number
-_ALSO = 4  # mistakes of a table that are named beside the first
+_ALSO = 4  # further errors of a table in the message of the first
 
 
 def raise_together(refusals: list[PydanticCustomError]) -> None:
-    """Raise the first of these, if there is one; it names the others, too."""
+    """Raise the first of these refusals, if any; its message includes the others."""
     if not refusals:
         return
     first, *others = (dict(refusal.context or {}) for refusal in refusals)
@@ -347,7 +352,7 @@ def _number(value: Any, key: Path) -> float:
 
 
 def read_csv(text: str, name: str, shown: str, columns: Columns) -> CsvTable:
-    """The table in the `text` of the CSV file `name`, shown to people as `shown`."""
+    """Return the table in the `text` of the CSV file `name`, called `shown` in messages."""
     header: list[str] = []
     lines: list[int] = []
     rows: list[list[float]] = []

@@ -1,4 +1,4 @@
-"""The common rules of all sections of a scenario: strictness, kinds of numbers with their bounds, time in whole ns."""
+"""Common parts of all sections of a scenario: strictness, kinds of numbers with their bounds, time in whole ns."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ from maxq.sim.input.ranges import LONGEST_S, first_beyond, range_of
 NS_PER_S = 1_000_000_000
 _LONGEST_NAME, _LONGEST_TEXT = 200, 20_000
 _ACTS = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-"""Control characters but for tabs and line ends, and those that turn the direction of writing."""
+"""Control characters except tabs and line ends, and characters that change the direction of writing."""
 
 
 def is_whole_ns(seconds: float) -> bool:
-    """Return True if `seconds` is a whole number of nanoseconds, but for the rounding of the written decimal."""
+    """Return True if `seconds` is a whole number of nanoseconds, apart from the rounding of its decimal notation."""
     ns = seconds * NS_PER_S
     return abs(seconds) <= LONGEST_S and abs(ns - round(ns)) <= 4.0 * math.ulp(ns)
 
 
 def to_ns(seconds: float) -> int:
-    """`seconds` in nanoseconds; ValueError unless that is a whole number."""
+    """Return `seconds` in nanoseconds; raise ValueError unless that is a whole number."""
     if not is_whole_ns(seconds):
         raise ValueError(f"{seconds!r} s is not a whole number of nanoseconds")
     return round(seconds * NS_PER_S)
 
 
 def period_ns(rate_hz: float) -> int:
-    """Period of `rate_hz` in nanoseconds; ValueError unless that is a whole number."""
+    """Return the period of `rate_hz` in nanoseconds; raise ValueError unless that is a whole number."""
     if not is_whole_period(rate_hz):
         raise ValueError(f"the period of {rate_hz!r} Hz is not a whole number of nanoseconds")
     return round(NS_PER_S / rate_hz)
@@ -57,19 +57,21 @@ def is_whole_period(rate_hz: float) -> bool:
 
 
 TABLE_FORM, LIST_FORM = "<table>", "<list>"
-"""Tags of a key that holds one table or a list of such; no part of a key path."""
+"""The tags of a key that holds one table or a list of tables; they are not part of a key path."""
 
 
 class Section(BaseModel):
-    """A table of a TOML file. Unknown keys, numbers as text, NaN, infinity, what is beyond the range of a key
-    (`ranges.py`), and texts that would do something to a terminal are refused; nothing can be changed.
+    """A table of a TOML file, immutable.
+
+    It rejects unknown keys, numbers as text, NaN, infinity, values outside the range of a key (`ranges.py`), and texts
+    that would control a terminal.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
     renamed: ClassVar[dict[str, str]] = {}
-    """The present names of keys by their earlier names; "" of a key that is obsolete."""
+    """The present names of keys by their earlier names; "" for an obsolete key."""
     earlier: ClassVar[dict[str, str]] = {}
-    """Values of keys that the version before had by default, where the present default is another one."""
+    """The values of keys that were the defaults in the previous version, where the present default differs."""
 
     @field_validator("*")
     @classmethod
@@ -91,23 +93,23 @@ class Section(BaseModel):
         return self
 
     def _check(self) -> None:
-        """Refuse what the keys cannot be to each other; each has been found right by itself."""
+        """Check the keys against each other, after each has been validated separately."""
 
     def at_most_one(self, *keys: str) -> None:
-        """Refuse two of `keys` that exclude each other."""
+        """Reject two of `keys` that exclude each other."""
         given = [key for key in keys if getattr(self, key) is not None]
         if len(given) > 1:
             raise refuse(f"cannot be combined with {given[0]}", f"one of {', '.join(keys)}", given[1])
 
     def needs(self, key: str, because: str, allowed: str = "") -> Any:
-        """The value of an optional key that another one makes necessary."""
+        """Return the value of an optional key that another key makes necessary."""
         value = getattr(self, key)
         if value is None:
             raise refuse(f"required key is missing: {because}", allowed, key)
         return value
 
     def only_with(self, keys: tuple[str, ...], condition: bool, when: str) -> None:
-        """Refuse `keys` that mean nothing unless `condition`, which `when` says in words."""
+        """Reject `keys` that have no meaning unless `condition` holds, which `when` expresses in words."""
         for key in keys:
             if not condition and getattr(self, key) is not None:
                 raise refuse("has no meaning here", f"this key with {when} only", key)
@@ -115,7 +117,7 @@ class Section(BaseModel):
 
 def _whole_ns(seconds: float) -> float:
     if abs(seconds) > LONGEST_S:
-        raise refuse("is longer than a flight can be", f"times up to {LONGEST_S:g} s, which are three years")
+        raise refuse("is longer than any flight", f"times up to {LONGEST_S:g} s, which are three years")
     if not is_whole_ns(seconds):
         raise refuse("is not a whole number of nanoseconds", "multiples of 1e-9 s")
     return seconds
@@ -123,7 +125,7 @@ def _whole_ns(seconds: float) -> float:
 
 def _whole_period(rate_hz: float) -> float:
     if rate_hz * LONGEST_S < 1.0:
-        raise refuse("is slower than a flight can be long", f"a period of at most {LONGEST_S:g} s")
+        raise refuse("has a period longer than any flight", f"a period of at most {LONGEST_S:g} s")
     if not is_whole_period(rate_hz):
         raise refuse("its period is not a whole number of nanoseconds", "rates that divide 1e9, e.g. 50, 100, 1000")
     return rate_hz
@@ -136,7 +138,7 @@ def _channel_part(name: str) -> str:
 
 
 ChannelPart = Annotated[str, AfterValidator(_channel_part)]
-"""A name that becomes a part of the names of log channels."""
+"""A name that becomes part of the names of log channels."""
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -150,7 +152,7 @@ Rate = Annotated[float, Field(gt=0.0), AfterValidator(_whole_period)]
 
 
 class OverTime(Section):
-    """A number over the vehicle clock, linear between the times; its ends hold beyond them."""
+    """A number over the vehicle clock, linear between the times, with the end values held outside."""
 
     time_s: tuple[float, ...] = Field(min_length=1, description="rising, s")
     value: tuple[Positive, ...] = Field(description="one at each time")
@@ -166,11 +168,11 @@ PositiveOverTime = Annotated[
     Annotated[Positive, Tag(LIST_FORM)] | Annotated[OverTime, Tag(TABLE_FORM)],
     Discriminator(lambda value: TABLE_FORM if isinstance(value, dict | OverTime) else LIST_FORM),
 ]
-"""One number, or a table of them over time."""
+"""A single number, or a table of numbers over time."""
 
 
 def at_time(value: float | OverTime, time_s: Any) -> NDArray[np.float64]:
-    """A number, or a table's, at vehicle times (s)."""
+    """Return the value of a number or a table at vehicle times (s)."""
     if isinstance(value, OverTime):
         return np.asarray(np.interp(time_s, value.time_s, value.value))
     return np.full(np.shape(time_s), value)
@@ -183,5 +185,5 @@ ThreeRows = tuple[Triple, Triple, Triple]
 
 
 def optional(description: str, default: Any = None, **constraints: Any) -> Any:
-    """A key that may be absent."""
+    """Return a key that may be absent."""
     return Field(default=default, description=description, **constraints)

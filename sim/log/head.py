@@ -1,4 +1,4 @@
-"""The head of a log: enough to fly the same flight again; the error that says that a log cannot be used."""
+"""The head of a log, which suffices to repeat the flight, and the error of a log that cannot be used."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from importlib.metadata import version
 
 SCHEMA_VERSION = "2"
 NAMES_OF_SCHEMA_1 = {"felt_B": "specific_force_B", "counted_deg": "measured_deg", "held_down": "on_pad"}
-"""Parts of channel names in schema 1, and what they are called now."""
-PROFILE = "maxq"  # MCAP header: by this a reader knows the file for a maxq log
+"""Parts of channel names in schema 1, with their present names."""
+PROFILE = "maxq"  # MCAP header that identifies a maxq log
 RUN_METADATA = "run"
 HEAD_METADATA = "head"  # the head's last record: CRC-32 of all bytes before it
 END_METADATA = "end"  # the last record of a log that was closed: how the run ended
@@ -20,7 +20,7 @@ COMPLETE, ABORTED = "complete", "aborted"
 
 
 class LogError(Exception):
-    """A log file cannot be used. The message names the file and says what is wrong with it."""
+    """The error of a log file that cannot be used; the message names the file and the problem."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class Attachment:
 
 @dataclass(frozen=True)
 class RunHead:
-    """Facts and files of one run.
+    """The facts and files of one run.
 
-    `metadata` as text: seed, run index, commit, launch site, T0, ...; the writer adds `schema` and `maxq`
-    (versions of the log and of maxq), which are therefore refused here with ValueError. Attachment names
-    differ.
+    `metadata` as text: seed, run index, commit, launch site, T0 and so on. The writer adds `schema` and `maxq`
+    (versions of the log and of maxq), so these two keys are rejected here with ValueError. The names of attachments
+    must differ.
     """
 
     metadata: Mapping[str, str] = field(default_factory=dict)
@@ -53,7 +53,7 @@ class RunHead:
             raise ValueError(f"attachment named twice: {', '.join(sorted(names))}")
 
     def full_metadata(self) -> dict[str, str]:
-        """Metadata with versions, sorted by key so that equal content gives equal bytes."""
+        """Return the metadata with versions, sorted by key so that equal content gives equal bytes."""
         own = {SCHEMA_KEY: SCHEMA_VERSION, VERSION_KEY: maxq_version()}
         return dict(sorted({**self.metadata, **own}.items()))
 

@@ -1,13 +1,12 @@
 """Messages of a log as protobuf without protoc: schemas built at run time, numbers encoded as NumPy arrays.
 
-A message of a topic holds one `double` per channel, numbered 1, 2, ... in the order of the table. Every
-field is written, zeros too, so all messages of a topic have one size and a block of them is a structured
-array whose columns are tag bytes and values (protobuf wire format: tag = field number << 3 | 1 as varint,
-then 8 bytes little-endian). Unit, frame and description of a channel stand in the metadata of the MCAP channel, where
-viewers show them.
+A message of a topic holds one `double` per channel, numbered 1, 2, ... in the order of the table. Every field is
+written, including zeros. Hence all messages of a topic have one size, and a block of messages is a structured array
+whose columns are tag bytes and values. The protobuf wire format is tag = field number << 3 | 1 as varint, then 8 bytes
+little-endian. The metadata of the MCAP channel contain unit, frame and description of a channel, which viewers display.
 
-Events and frames are messages that viewers know by name: `foxglove.Log`, `foxglove.FrameTransforms`. Names and field
-numbers are those of Foxglove's published protobuf schemas.
+Events and frames use messages that viewers support: `foxglove.Log`, `foxglove.FrameTransforms`. Names and field numbers
+are those of Foxglove's published protobuf schemas.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ def message_type(topic: Topic) -> str:
 
 
 def schema_of(topic: Topic) -> bytes:
-    """Serialised FileDescriptorSet of the topic's message, with one double per channel."""
+    """Return the serialised FileDescriptorSet of the topic's message, with one double per channel."""
     name = topic.message_name
     file = descriptor_pb2.FileDescriptorProto(name=f"{PACKAGE}/{name}.proto", package=PACKAGE, syntax="proto3")
     message = file.message_type.add(name=name)
@@ -53,7 +52,7 @@ def schema_of(topic: Topic) -> bytes:
 
 
 def metadata_of(topic: Topic) -> dict[str, str]:
-    """Rate group and description; for each field a JSON object of unit, frame and description."""
+    """Return rate group and description, and for each field a JSON object of unit, frame and description."""
     metadata = {_GROUP: topic.group, _DESCRIPTION: topic.description}
     for channel in topic.channels:
         about = {"unit": channel.unit, "frame": channel.frame, "description": channel.description}
@@ -62,9 +61,9 @@ def metadata_of(topic: Topic) -> dict[str, str]:
 
 
 def topic_from(name: str, schema: bytes, metadata: Mapping[str, str], renamed: Mapping[str, str]) -> Topic:
-    """The topic that an MCAP channel was made from; `renamed`: parts of channel names, and what replaces them.
+    """Return the topic from which an MCAP channel was made.
 
-    Raises ValueError where the parts do not fit.
+    `renamed`: parts of channel names, and their replacements. Raises ValueError if the parts are inconsistent.
     """
     try:
         channels = []
@@ -78,19 +77,19 @@ def topic_from(name: str, schema: bytes, metadata: Mapping[str, str], renamed: M
 
 
 def serialise(files: Iterable[descriptor_pb2.FileDescriptorProto]) -> bytes:
-    """Bytes of a FileDescriptorSet; the files stand in the order of their imports."""
+    """Return the bytes of a FileDescriptorSet, with the files in the order of their imports."""
     return descriptor_pb2.FileDescriptorSet(file=files).SerializeToString(deterministic=True)
 
 
 def _field_names(schema: bytes) -> list[str]:
-    """Names of the fields of a `schema_of` a topic, in the order of their numbers.
+    """Return the names of the fields of a topic's `schema_of`, in the order of their numbers.
 
     Raises ValueError unless the schema is such a flat message of doubles.
     """
     try:
         files = descriptor_pb2.FileDescriptorSet.FromString(schema).file
     except DecodeError as error:
-        raise ValueError("the schema is no protobuf schema") from error
+        raise ValueError("the schema is not a protobuf schema") from error
     if len(files) != 1 or len(files[0].message_type) != 1:
         raise ValueError("the schema does not hold exactly one message")
     fields = files[0].message_type[0].field
@@ -100,7 +99,7 @@ def _field_names(schema: bytes) -> list[str]:
 
 
 def message_class(schema: bytes, full_name: str) -> type[Message]:
-    """A class for messages of one type of a serialised FileDescriptorSet."""
+    """Return a class for messages of one type of a serialised FileDescriptorSet."""
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(schema).file:
         pool.Add(file)
@@ -108,9 +107,9 @@ def message_class(schema: bytes, full_name: str) -> type[Message]:
 
 
 def doubles_template(n_fields: int) -> NDArray[np.void]:
-    """Return a message of `n_fields` doubles as a structured array of length 1: tags are set, values are to be filled.
+    """Return one message of `n_fields` doubles as a structured array of length 1.
 
-    Raises ValueError outside 1..MOST_FIELDS.
+    Tags are set, and values are to be filled. Raises ValueError outside 1..MOST_FIELDS.
     """
     if not 1 <= n_fields <= MOST_FIELDS:
         raise ValueError(f"a message holds 1 to {MOST_FIELDS} channels, not {n_fields}")
@@ -124,7 +123,7 @@ def doubles_template(n_fields: int) -> NDArray[np.void]:
 
 
 def message_dtype(payload: np.dtype[np.void]) -> np.dtype[np.void]:
-    """Layout of a message record around a payload of fixed size."""
+    """Return the layout of a message record around a payload of fixed size."""
     head = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
     return np.dtype([*head, ("log_time", "<u8"), ("publish_time", "<u8"), ("payload", payload)])
 
@@ -149,12 +148,12 @@ NS_PER_S = 1_000_000_000
 
 
 Level = IntEnum("Level", "UNKNOWN DEBUG INFO WARNING ERROR FATAL", start=0)
-"""Severity of an event, numbered as foxglove.LogLevel."""
+"""The severity of an event, numbered as in foxglove.LogLevel."""
 
 
 @dataclass(frozen=True)
 class EventMessage:
-    """Something that happened at one instant; `source` is the component that reports it."""
+    """An event at one instant; `source` is the component that reports it."""
 
     time_ns: int
     level: Level
@@ -164,7 +163,7 @@ class EventMessage:
 
 @dataclass(frozen=True)
 class FramePath:
-    """Motion of the frame `child` relative to `parent`.
+    """The motion of the frame `child` relative to `parent`.
 
     `times_ns` (n,); `translation_m` (n, 3): origin of the child in parent components; `rotation` (n, 4): unit
     quaternion, scalar first, that turns child components into parent components (q_BI for parent I, child B).
@@ -177,7 +176,7 @@ class FramePath:
     rotation: Array
 
 
-_TIMESTAMP = "google.protobuf.Timestamp"  # written here so that a log does not vary with the protobuf release
+_TIMESTAMP = "google.protobuf.Timestamp"  # defined here, so that a log does not vary with the protobuf release
 _MESSAGES: dict[str, dict[str, str | _Field.Type.ValueType]] = {
     _TIMESTAMP: {"seconds": _Field.TYPE_INT64, "nanos": _Field.TYPE_INT32},
     LOG_TYPE: {
@@ -199,11 +198,11 @@ _MESSAGES: dict[str, dict[str, str | _Field.Type.ValueType]] = {
     },
     FRAMES_TYPE: {"transforms": "foxglove.FrameTransform"},
 }
-"""Fields 1, 2, ... of each message by type: a scalar, or the name of a message or of the enumeration LogLevel."""
+"""The fields 1, 2, ... of each message by type: a scalar, or the name of a message or of the enumeration LogLevel."""
 
 
 def _files_of(full_name: str) -> dict[str, descriptor_pb2.FileDescriptorProto]:
-    """The file of a message or enumeration after those that it imports, by type."""
+    """Return the file of a message or enumeration after the files that it imports, by type."""
     package, _, name = full_name.rpartition(".")
     fields = _MESSAGES.get(full_name, {})
     files: dict[str, descriptor_pb2.FileDescriptorProto] = {}
@@ -237,7 +236,7 @@ _FramesMessage: Any = message_class(FRAMES_SCHEMA, FRAMES_TYPE)
 
 
 def encode_event(event: EventMessage) -> NDArray[np.void]:
-    """Return a message as an array of length 1."""
+    """Return one message, as an array of length 1."""
     message = _LogMessage(level=int(event.level), message=event.text, name=event.source)
     message.timestamp.seconds, message.timestamp.nanos = divmod(event.time_ns, NS_PER_S)
     data = bytes(message.SerializeToString(deterministic=True))
@@ -245,7 +244,7 @@ def encode_event(event: EventMessage) -> NDArray[np.void]:
 
 
 def decode_event(payload: bytes) -> EventMessage:
-    """Raises ValueError if the bytes are no foxglove.Log with a known level."""
+    """Return the event; raise ValueError if the bytes are not a foxglove.Log with a known level."""
     try:
         message = _LogMessage.FromString(payload)
     except DecodeError as error:
@@ -255,15 +254,14 @@ def decode_event(payload: bytes) -> EventMessage:
 
 
 def frames_template(parent: str, child: str) -> NDArray[np.void]:
-    """Return a FrameTransforms message of one transform as a structured array of length 1, whose numbers are to be
-    filled.
+    """Return one FrameTransforms message of one transform as a structured array of length 1, with numbers to be filled.
 
-    Times are varints of five bytes, which every protobuf parser reads for smaller numbers too: so all messages of a
-    pair of frames have one size.
+    Times are varints of five bytes, which every protobuf parser accepts for smaller numbers too. Hence all messages of
+    a pair of frames have one size.
     """
     message = _FramesMessage()
     transform = message.transforms.add(parent_frame_id=parent, child_frame_id=child)
-    transform.timestamp.seconds, transform.timestamp.nanos = 2**35 - 1, 2**31 - 1  # the largest of five bytes
+    transform.timestamp.seconds, transform.timestamp.nanos = 2**35 - 1, 2**31 - 1  # the largest varints of five bytes
     transform.translation.x = transform.translation.y = transform.translation.z = 1.0  # zeros would not be written
     transform.rotation.x = transform.rotation.y = transform.rotation.z = transform.rotation.w = 1.0
     data: bytes = message.SerializeToString(deterministic=True)
@@ -282,7 +280,7 @@ def frames_template(parent: str, child: str) -> NDArray[np.void]:
 
 
 def put_frames(messages: NDArray[np.void], times_ns: IntArray, translation_m: Array, rotation: Array) -> None:
-    """Fill n messages of a `frames_template`; `rotation` comes scalar first and is stored scalar last."""
+    """Fill n messages of a `frames_template`; `rotation` is scalar first and is stored scalar last."""
     messages["seconds"] = _five_byte_varints(times_ns // NS_PER_S)
     messages["nanos"] = _five_byte_varints(times_ns % NS_PER_S)
     messages["translation"]["value"] = translation_m
@@ -290,7 +288,7 @@ def put_frames(messages: NDArray[np.void], times_ns: IntArray, translation_m: Ar
 
 
 def _five_byte_varints(numbers: IntArray) -> NDArray[np.uint8]:
-    """(n, 5) bytes; five groups of seven bits hold any second of an int64 time in nanoseconds."""
+    """Return (n, 5) bytes; five groups of seven bits hold any second of an int64 time in nanoseconds."""
     groups: NDArray[np.uint8] = ((numbers[:, None] >> np.array([0, 7, 14, 21, 28])) & 0x7F).astype(np.uint8)
     groups[:, :4] |= 0x80
     return groups

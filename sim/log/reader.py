@@ -1,9 +1,9 @@
-"""Reads the log of a flight back into arrays, also when the file is cut off or damaged.
+"""The reader of a flight's log into arrays, including truncated and damaged files.
 
-Records are parsed by the `mcap` package. Its readers stop at the first flaw of a file and give messages one by one:
-finding records in a damaged file, and the messages of a chunk as arrays, is done here. Our writer lays the messages of
-a topic side by side, so that a chunk is a few runs of equally long records; other tools may reorder them: a run may be
-as short as one message. Format: MCAP specification, https://mcap.dev/spec.
+The `mcap` package parses records. Its readers stop at the first flaw of a file and return messages one by one. This
+module finds the records in a damaged file, and reads the messages of a chunk as arrays. The writer of maxq keeps the
+messages of a topic together, so a chunk consists of a few runs of equally long records. Other tools may reorder the
+messages, so a run may be as short as one message. Format: MCAP specification, https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -51,23 +51,23 @@ _UNREADABLE = (
     UnicodeDecodeError,
     OverflowError,
     MemoryError,
-    RuntimeError,  # of lz4
+    RuntimeError,  # from lz4
 )
 MOST_CHUNK_BYTES = 1 << 28
-"""Of a chunk's content: ours hold a second of flight, a megabyte or so."""
+"""The largest size of a chunk's content; maxq's chunks hold a second of flight, about a megabyte."""
 MOST_LOG_BYTES = 1 << 34
-"""Of the content of all chunks: a thousand times a flight of 400 s."""
+"""The largest size of the content of all chunks: a thousand times a flight of 400 s."""
 
 
 class DamagedError(ValueError):
-    """A record's bytes do not make sense."""
+    """The error of a record whose bytes are invalid."""
 
 
 @dataclass(frozen=True)
 class LoggedRun:
-    """The information of a log about its run, apart from the flight itself.
+    """The facts about a run in its log, without the flight itself.
 
-    `end`: status, reason and result of the run (see `LogWriter.close`); empty where the file was cut off.
+    `end`: status, reason and result of the run (see `LogWriter.close`), or empty if the file is truncated.
     """
 
     path: Path
@@ -80,9 +80,8 @@ class LoggedRun:
 class Log(LoggedRun, Tabular):
     """The log of one flight.
 
-    `log["alpha_deg"]` is a channel's values (n,), `log.time_s("alpha_deg")` their times. `complete` is
-    False where the run or the file ended early or something in it is damaged; `notes` then say what, one
-    sentence each.
+    `log["alpha_deg"]` returns a channel's values (n,), `log.time_s("alpha_deg")` their times. `complete` is False if
+    the run or the file ended early or a part of the file is damaged. `notes` then give the reasons, one sentence each.
     """
 
     table: ChannelTable
@@ -93,7 +92,7 @@ class Log(LoggedRun, Tabular):
     _values: Mapping[str, Mapping[str, Array]]
 
     def __getitem__(self, name: str) -> Array:
-        """Values (n,) of a channel; KeyError, with the name that comes closest, if there is none."""
+        """Return the values (n,) of a channel; raise KeyError with the closest name if there is none."""
         return self._values[self._topic(name)][name]
 
     def __contains__(self, name: str) -> bool:
@@ -106,20 +105,20 @@ class Log(LoggedRun, Tabular):
         return f"<Log {self.path}: {scenario}, {end:.3f} s, {len(self.table.names)} channels, {whole}>"
 
     def channel(self, name: str) -> Channel:
-        """Unit, frame and description of a channel; KeyError as above."""
+        """Return unit, frame and description of a channel; raise KeyError as above."""
         self._topic(name)
         return self.table.channel(name)
 
     def time_ns(self, name: str) -> IntArray:
-        """Times (n,) of a channel or topic, in ns since the start of the simulation; KeyError as above."""
+        """Return the times (n,) of a channel or topic, in ns since the start; raise KeyError as above."""
         return self._times_ns[self._topic(name)]
 
     def time_s(self, name: str) -> Array:
-        """Times (n,) of a channel or topic, in s since the start of the simulation; KeyError as above."""
+        """Return the times (n,) of a channel or topic, in s since the start; raise KeyError as above."""
         return self.time_ns(name) / 1e9
 
     def _topic(self, name: str) -> str:
-        """Name of the topic of this name, or of the topic that holds the channel of this name."""
+        """Return the name of the topic of this name, or of the topic that holds the channel of this name."""
         if name in self._times_ns:
             return name
         if name in self.table:
@@ -128,10 +127,10 @@ class Log(LoggedRun, Tabular):
 
 
 def read_log(path: str | Path) -> Log:
-    """Read a log whole. All chunks that are whole are read, wherever the file is cut or damaged.
+    """Read a whole log, including all intact chunks of a truncated or damaged file.
 
-    Raises LogError where the file cannot be read, is not a log of maxq, was written by a later maxq, or is
-    damaged or cut within its head, so that its content is unknown.
+    Raises LogError if the file cannot be read, is not a log of maxq, or was written by a later maxq. Also raises
+    LogError if the file is damaged or truncated within its head, because its content is then unknown.
     """
     file = _LogFile(Path(path))
     if not file.intact:
@@ -154,8 +153,9 @@ def read_log(path: str | Path) -> Log:
 
 
 def read_run(path: str | Path) -> LoggedRun:
-    """Read the information of a log about its run, without the flight. Raises LogError as `read_log` does, and if the
-    head is damaged.
+    """Read the facts about a run from its log, without the flight.
+
+    Raises LogError as `read_log` does, and if the head is damaged.
     """
     file = _LogFile(Path(path))
     if not file.intact:
@@ -166,8 +166,8 @@ def read_run(path: str | Path) -> LoggedRun:
 class _LogFile:
     """The bytes of a log, its head, the places of its chunks, and the record of the run's end.
 
-    `intact`: the head's checksum matches. `end` is empty where it is missing. `notes` say what is damaged.
-    Raises LogError.
+    `intact`: True if the head's checksum matches. `end` is empty if it is missing. `notes` list the damage. Raises
+    LogError.
     """
 
     def __init__(self, path: Path) -> None:
@@ -191,7 +191,10 @@ class _LogFile:
             self._chunks = self._chunks_from(head_end)
 
     def _read_head(self) -> int:
-        """Read the head; returns the offset behind it. Raises ValueError, with a message to follow the file's name."""
+        """Read the head, and return the offset behind it.
+
+        Raises ValueError, with a message to follow the file's name.
+        """
         data = self._data
         if not data.startswith(MAGIC):
             raise ValueError("this is not a log: it does not begin like an MCAP file")
@@ -230,7 +233,7 @@ class _LogFile:
         if not end:
             raise ValueError("the log is cut off or damaged within its head: nothing of the flight can be read")
         renamed = keys.NAMES_OF_SCHEMA_1 if schema == "1" else {}
-        self._topics: dict[int, Topic | str] = {}  # by MCAP channel; the name only of /events and /tf
+        self._topics: dict[int, Topic | str] = {}  # by MCAP channel; only the name for /events and /tf
         try:
             for c in channels:
                 self._topics[c.id] = c.topic
@@ -244,9 +247,9 @@ class _LogFile:
         return end
 
     def _indexed_chunks(self) -> list[tuple[int, int]]:
-        """Start and end of all chunks by the index at the end of the file, where the record of the run's end is too.
+        """Return start and end of all chunks from the index at the end of the file.
 
-        Raises DamagedError where the index is missing or damaged.
+        The record of the run's end is read too. Raises DamagedError where the index is missing or damaged.
         """
         summary, size = _summary(self._data), len(self._data)
         places = [(i.chunk_start_offset, i.chunk_start_offset + i.chunk_length) for i in summary.chunk_indexes]
@@ -264,7 +267,7 @@ class _LogFile:
         return places
 
     def _chunks_from(self, start: int) -> list[tuple[int, int]]:
-        """Start and end of the chunks that are whole, record by record from byte `start` on."""
+        """Return start and end of the intact chunks, record by record from byte `start` on."""
         chunks, last = [], start
         for opcode, begin, end in _frames(self._data, start):
             if opcode == Opcode.DATA_END:
@@ -276,9 +279,9 @@ class _LogFile:
         return chunks
 
     def columns(self) -> tuple[list[m.EventMessage], dict[str, IntArray], dict[str, dict[str, Array]]]:
-        """Events, times (n,) by topic, and values (n,) by topic and channel, each contiguous.
+        """Return the events, the times (n,) by topic, and the values (n,) by topic and channel, each contiguous.
 
-        Damaged chunks are left out and noted. The numbers of a chunk are copied at once, while they are in the cache.
+        Damaged chunks are omitted and noted. The numbers of a chunk are copied at once, while they are in the cache.
         """
         events: list[m.EventMessage] = []
         parts: dict[str, list[tuple[IntArray, Array]]] = {topic.name: [] for topic in self.table.topics}
@@ -308,7 +311,7 @@ class _LogFile:
         return events, times_ns, values
 
     def _chunk_columns(self, content: bytes) -> tuple[list[m.EventMessage], list[tuple[str, tuple[IntArray, Array]]]]:
-        """Events of a chunk, and by topic times (n,) and values (channels, n). Raises ValueError."""
+        """Return the events of a chunk, and by topic times (n,) and values (channels, n). Raises ValueError."""
         events: list[m.EventMessage] = []
         parts = []
         for channel_id, runs in _message_runs(content).items():
@@ -327,7 +330,7 @@ class _LogFile:
 
 
 def _frames(data: bytes, start: int) -> Iterator[tuple[int, int, int]]:
-    """Opcode, start and end of whole records; ends before the first that is cut off or has an impossible opcode."""
+    """Yield opcode, start and end of whole records, up to the first that is truncated or has an impossible opcode."""
     while start + RECORD_PREFIX.size <= len(data):
         opcode, length = RECORD_PREFIX.unpack_from(data, start)
         end = start + RECORD_PREFIX.size + length
@@ -338,7 +341,7 @@ def _frames(data: bytes, start: int) -> Iterator[tuple[int, int, int]]:
 
 
 class _Content(BytesIO):
-    """Bytes that end: reading beyond them is an error, where mcap takes what is left."""
+    """A stream with a strict end: reading beyond it is an error, where mcap would return the remaining bytes."""
 
     def read(self, size: int | None = -1) -> bytes:
         data = super().read(size)
@@ -348,7 +351,7 @@ class _Content(BytesIO):
 
 
 def _parse(data: bytes, start: int, end: int) -> McapRecord:
-    """The record between two bytes. Raises DamagedError where there is none."""
+    """Return the record between two bytes. Raises DamagedError if there is none."""
     try:
         if RECORD_PREFIX.unpack_from(data, start)[1] != end - start - RECORD_PREFIX.size:
             raise DamagedError("its length is wrong")
@@ -358,7 +361,7 @@ def _parse(data: bytes, start: int, end: int) -> McapRecord:
 
 
 def _summary(data: bytes) -> Summary:
-    """The summary section. Raises DamagedError where it is missing or fails its checksum."""
+    """Return the summary section. Raises DamagedError if it is missing or fails its checksum."""
     end = len(data) - len(MAGIC) - _FOOTER_SIZE
     try:
         footer = Footer.read(ReadDataStream(_Content(data[max(end, 0) + RECORD_PREFIX.size :])))
@@ -373,13 +376,15 @@ def _summary(data: bytes) -> Summary:
 
 
 def _chunk_content(data: bytes, start: int, end: int) -> bytes:
-    """Decompressed and checked content of the chunk between two bytes. Raises DamagedError."""
+    """Return the decompressed and checked content of the chunk between two bytes. Raises DamagedError."""
     chunk = _parse(data, start, end)
     if not isinstance(chunk, Chunk):
         raise DamagedError("its first byte is wrong")
     if chunk.uncompressed_size > MOST_CHUNK_BYTES:
         size = f"{chunk.uncompressed_size / 1e6:.0f} MB"
-        raise DamagedError(f"it says that it decompresses to {size}; at most {MOST_CHUNK_BYTES / 1e6:.0f} MB are read")
+        raise DamagedError(
+            f"it declares a decompressed size of {size}; at most {MOST_CHUNK_BYTES / 1e6:.0f} MB are read"
+        )
     try:
         content = _decompressed(chunk)
     except _UNREADABLE as error:
@@ -392,7 +397,7 @@ def _chunk_content(data: bytes, start: int, end: int) -> bytes:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    """The content of a chunk; of one that is longer than it says no more than that comes into memory."""
+    """Return the content of a chunk, limited to the size that the chunk declares."""
     size = chunk.uncompressed_size
     if chunk.compression == "":
         return bytes(chunk.data)
@@ -408,8 +413,9 @@ def _decompressed(chunk: Chunk) -> bytes:
 
 
 def _message_runs(content: bytes) -> dict[int, list[range]]:
-    """Return the places of each channel's messages in the content of a chunk, in runs of equal size: the starts of the
-    messages of a run. Raises DamagedError.
+    """Return the places of the messages of each channel in a chunk's content.
+
+    They are runs of equal size, each given by the starts of its messages. Raises DamagedError.
     """
     runs: dict[int, list[range]] = {}
     position, end = 0, len(content)
@@ -432,9 +438,9 @@ def _message_runs(content: bytes) -> dict[int, list[range]]:
 
 
 def _run_length(content: bytes, start: int, size: int) -> int:
-    """Return the number of records from `start` on that have the same opcode, length and channel.
+    """Return the number of records from `start` on with the same opcode, length and channel.
 
-    Compares ever larger blocks: short runs are common in files that other tools have rewritten.
+    The function compares blocks of increasing size, because short runs are common in files rewritten by other tools.
     """
     prefix = content[start : start + _RUN_PREFIX.size]
     count, block = 1, _FIRST_BLOCK
@@ -451,7 +457,7 @@ def _run_length(content: bytes, start: int, size: int) -> int:
 
 
 def _gather(content: bytes, runs: list[range], layout: np.dtype[np.void]) -> NDArray[np.void]:
-    """The messages of one channel as an array of `layout`. Raises DamagedError if one has another size."""
+    """Return the messages of one channel as an array of `layout`. Raises DamagedError if one has another size."""
     if any(run.step != layout.itemsize for run in runs):
         raise DamagedError("a message does not have the size of its schema")
     if len(runs) == 1:

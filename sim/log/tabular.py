@@ -1,4 +1,4 @@
-"""Channels as tables: the part that a flight and its log have in common."""
+"""Channels as tables: the common part of a flight and its log."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class Tabular(ABC):
     """A source of channels by name, a flight or its log, with exports to tables and files.
 
-    `names` are channels or topics ("/truth"); none: all. Raises KeyError for an unknown one.
+    `names` are channels or topics ("/truth"); without names all are exported. Raises KeyError for an unknown name.
     """
 
     table: ChannelTable
@@ -35,22 +35,22 @@ class Tabular(ABC):
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Names of the topics, such as "/truth"."""
+        """Return the names of the topics, such as "/truth"."""
         return tuple(topic.name for topic in self.table.topics)
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of all channels, topic by topic."""
+        """Return the names of all channels, topic by topic."""
         return self.table.names
 
     def topic(self, name: str) -> Mapping[str, Array]:
-        """All channels of a topic by name; KeyError, with the names there are, if there is none."""
+        """Return all channels of a topic by name; raise KeyError with the existing names if there is none."""
         return {channel: self[channel] for channel in self.channels_in((name,))}
 
     def to_pandas(self, *names: str) -> pd.DataFrame:
-        """A column for each channel over `time_s`. Channels of the slower rate are NaN between their times.
+        """Return a data frame with a column for each channel over `time_s`.
 
-        pandas must be installed.
+        Channels of the slower rate are NaN between their times. pandas must be installed.
         """
         import pandas as pd  # noqa: PLC0415  # optional: nothing here needs it
 
@@ -61,7 +61,10 @@ class Tabular(ABC):
         return frames[0] if len(frames) == 1 else pd.concat(frames, axis=1)
 
     def to_xarray(self, *names: str) -> Any:
-        """As `to_pandas`, an `xarray.Dataset` with unit and description of each channel. xarray must be installed."""
+        """Return the table of `to_pandas` as an `xarray.Dataset`, with unit and description of each channel.
+
+        xarray must be installed.
+        """
         data = self.to_pandas(*names).to_xarray()
         for name in data:
             channel = self.table.channel(str(name))
@@ -69,9 +72,9 @@ class Tabular(ABC):
         return data
 
     def to_csv(self, path: str | Path, *names: str) -> Path:
-        """A CSV file: `time_s`, then a column for each channel; empty where a slower channel has no value. All digits.
+        """Write a CSV file of `time_s` and a column for each channel, with all digits.
 
-        Raises FileError where it cannot be written.
+        A column is empty where a slower channel has no value. Raises FileError if the file cannot be written.
         """
         groups = self._groups(names)
         times = np.unique(np.concatenate([self.time_s(group[0]) for group in groups]))
@@ -101,7 +104,7 @@ class Tabular(ABC):
         return KeyError(f"no channel or topic {name}; {hint}")
 
     def _groups(self, names: Sequence[str]) -> list[list[str]]:
-        """Channels of one rate each."""
+        """Return the channels in groups of one rate."""
         wanted, groups = self.channels_in(names) if names else list(self.table.names), dict[str, list[str]]()
         for name in wanted:
             groups.setdefault(self.table.topic(name).group, []).append(name)
@@ -109,7 +112,7 @@ class Tabular(ABC):
 
 
 def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table for a notebook."""
+    """Return a table for a notebook."""
     cells = [[html.escape(cell) for cell in row] for row in (head, *rows)]
     lines = [
         "".join(f"<{tag}>{cell}</{tag}>" for cell in row)

@@ -1,8 +1,8 @@
-"""Writes the log of a flight: an MCAP file that Rerun, Foxglove and PlotJuggler open.
+"""The writer of a flight's log, an MCAP file for Rerun, Foxglove and PlotJuggler.
 
-Equal input gives equal bytes (with the same releases of maxq and of the zstd library): a log's hash is a
-regression test. Head first, so that a file cut off anywhere behind it can still be read and flown again;
-then a chunk for each second of simulated time, or for each call where calls come more often; then the
+Equal input gives equal bytes with the same releases of maxq and of the zstd library, so a log's hash serves as a
+regression test. The head comes first, so that a file truncated anywhere behind it can still be read and its flight
+repeated. Then follow a chunk for each second of simulated time, or for each call if calls are more frequent, and the
 summary.
 """
 
@@ -31,7 +31,7 @@ from maxq.sim.log import head as keys
 from maxq.sim.log import messages as m
 from maxq.sim.log.head import LogError, RunHead, maxq_version
 
-_LEVEL = 1  # of zstd: noisy numbers hardly compress: higher levels cost more time than they save space
+_LEVEL = 1  # zstd level: noisy numbers hardly compress, so higher levels cost time and save little space
 _SUMMARY_ORDER = (
     Opcode.SCHEMA,
     Opcode.CHANNEL,
@@ -43,14 +43,14 @@ _SUMMARY_ORDER = (
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 
 Put = Callable[..., None]
-"""Writes columns of numbers, a row for each message, into the payloads of messages."""
+"""The writer of columns of numbers, a row for each message, into the payloads of messages."""
 
 
 class LogWriter:
-    """A log that is being written; use it as a context manager.
+    """The writer of one log, a context manager.
 
-    When the block ends with an exception, the log is closed properly all the same and says that the run was
-    aborted and why. Raises LogError where the file cannot be written.
+    If the block ends with an exception, the log is still closed properly and records that the run was aborted and why.
+    Raises LogError if the file cannot be written.
     """
 
     def __init__(self, path: str | Path, table: ChannelTable, head: RunHead) -> None:
@@ -88,13 +88,13 @@ class LogWriter:
             self.close(error)
         except LogError:
             if error is None:
-                raise  # else the first error is what matters, and the chunks written so far can be read
+                raise  # else the first error matters, and the chunks written so far can be read
 
     def close(self, error: BaseException | None = None, result: Mapping[str, str] | None = None) -> None:
-        """Write the end of the log, with the reason if the run was aborted; a second call does nothing.
+        """Write the end of the log, with the reason if the run was aborted; a second call has no effect.
 
-        `result`: what the run says about its end (outcome, state hash, ...); kept beside the status. Its keys
-        are its own: `status` and `reason` are refused with ValueError.
+        `result`: the run's final results (outcome, state hash, ...), stored in addition to the status. The keys
+        `status` and `reason` are rejected with ValueError.
         """
         taken = {keys.STATUS_KEY, keys.REASON_KEY}.intersection(result or {})
         if taken:
@@ -113,13 +113,13 @@ class LogWriter:
         events: Sequence[m.EventMessage] = (),
         frames: Sequence[m.FramePath] = (),
     ) -> None:
-        """Append samples, events and frames, in one chunk for each second of simulated time that occurs.
+        """Append samples, events and frames, in one chunk for each second of simulated time.
 
-        `groups`: for each rate group its times (n,) in ns and its values (n, columns of the group), both in
-        the order of the table. Times start at or after 0 and do not fall, within a call and from call to call.
-        `frames` go to /tf, `events` to /events.
+        `groups`: for each rate group its times (n,) in ns and its values (n, columns of the group), both in the order
+        of the table. Times start at or after 0 and do not decrease, within a call and from call to call. `frames` go to
+        /tf, `events` to /events.
 
-        Raises ValueError for arrays that do not fit the table, LogError where the file cannot be written.
+        Raises ValueError for arrays that do not fit the table, LogError if the file cannot be written.
         """
         if not self._container.usable:
             raise LogError(f"{self.path}: the log is closed")
@@ -164,7 +164,7 @@ class LogWriter:
 
 @contextmanager
 def _log_errors(path: Path) -> Iterator[None]:
-    """Raise the system's errors as LogError."""
+    """Convert errors of the system into LogError."""
     try:
         yield
     except OSError as error:
@@ -175,13 +175,13 @@ def _check_times(what: str, times_ns: IntArray, earliest: int = 0) -> None:
     if times_ns.dtype != np.int64 or times_ns.ndim != 1:
         raise ValueError(f"{what}: times must be a one-dimensional array of int64")
     if len(times_ns) and (int(times_ns[0]) < earliest or bool((times_ns[1:] < times_ns[:-1]).any())):
-        raise ValueError(f"{what}: times must not fall and must start at or after {earliest} ns")
+        raise ValueError(f"{what}: times must not decrease and must start at or after {earliest} ns")
 
 
 def message_block(channel_id: int, template: NDArray[np.void], times_ns: IntArray) -> NDArray[np.void]:
-    """Records (n,) of messages of a channel at these times, ready for a chunk, which numbers them.
+    """Return records (n,) of messages of a channel at these times, ready for a chunk, which numbers them.
 
-    Their payloads differ from `template` in numbers only, which the caller fills.
+    Their payloads differ from `template` only in numbers, which the caller fills.
     """
     n, layout = len(times_ns), m.message_dtype(template.dtype)
     length = layout.itemsize - m.RECORD_PREFIX.size
@@ -199,25 +199,25 @@ def encode(*records: mcap_records.McapRecord) -> bytes:
 
 
 class Container:
-    """Writes records in order, keeps what the summary needs, and writes every chunk through to the system.
+    """The writer of records in order, which collects the summary and passes every chunk on to the system.
 
-    Nothing in the file comes from the clock or the machine. `usable` is False once it is closed, and after an error in
-    the middle of a chunk: a reader could not find what follows it, so nothing more must be written.
+    The file contains nothing from the clock or the machine. `usable` is False after closing, and after an error in the
+    middle of a chunk. A reader could not find records written after such an error.
     """
 
     def __init__(self, path: Path, profile: str, library: str) -> None:
-        self._file = io.FileIO(path, "w")  # not buffered: what is written survives the end of this process
+        self._file = io.FileIO(path, "w")  # not buffered: written data survive the end of this process
         self.usable = True
         self.size = 0
-        self.crc = 0  # of all bytes so far; the data section ends with it
+        self.crc = 0  # CRC of all bytes so far; the data section ends with it
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._summary: dict[Opcode, list[mcap_records.McapRecord]] = {opcode: [] for opcode in _SUMMARY_ORDER}
-        self._counts: dict[int, int] = {}  # of messages by channel
+        self._counts: dict[int, int] = {}  # number of messages by channel
         self._first_ns, self._last_ns = 1 << 63, 0
         self._write(MAGIC + encode(mcap_records.Header(profile, library)))
 
     def add_channel(self, topic: str, message_type: str, schema: bytes, metadata: dict[str, str]) -> int:
-        """Add a channel of protobuf messages with its schema; returns its id."""
+        """Add a channel of protobuf messages with its schema, and return its id."""
         number = len(self._counts) + 1
         records = (
             mcap_records.Schema(id=number, name=message_type, encoding="protobuf", data=schema),
@@ -243,7 +243,7 @@ class Container:
         self._write(record)
 
     def add_chunk(self, blocks: Sequence[NDArray[np.void]]) -> None:
-        """Add one chunk of messages (`message_block`), numbered on by channel, and its message indexes."""
+        """Add one chunk of messages (`message_block`), numbered consecutively by channel, and its message indexes."""
         self.usable = False
         for block in blocks:
             channel_id = int(block["channel"][0])
@@ -288,7 +288,7 @@ class Container:
             summary += group
         offsets_start = start + len(summary)
         summary += encode(*offsets)
-        beginning = encode(mcap_records.Footer(start, offsets_start, 0))[:-4]  # what the checksum covers of the footer
+        beginning = encode(mcap_records.Footer(start, offsets_start, 0))[:-4]  # part of the footer under the checksum
         footer = mcap_records.Footer(start, offsets_start, zlib.crc32(beginning, zlib.crc32(summary)))
         self._write(summary + encode(footer) + MAGIC)
 
@@ -318,7 +318,7 @@ class Container:
 
 
 def _message_indexes(blocks: Sequence[NDArray[np.void]]) -> dict[int, bytes]:
-    """A message index record per channel: time and place in the chunk of each message, in order of time."""
+    """Return a message index record per channel: time and place in the chunk of each message, in order of time."""
     entries: dict[int, list[NDArray[np.uint64]]] = {}
     position = 0
     for block in blocks:

@@ -1,4 +1,4 @@
-"""Flight computer, design, guidance and injected signals of a scenario as records."""
+"""The flight computer, design, guidance and injected signals of a scenario as records."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from maxq.sim.scenario.schema_design import AdaptiveSection, Design, FilterSecti
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.world.earth import J2, STANDARD_GRAVITY_mps2
 
-SETTLING_s = 3.0  # from ignition until the thrust is taken as constant
+SETTLING_s = 3.0  # time from ignition to constant thrust
 _WHERE = {
     "gimbal_command": signals.GIMBAL_COMMAND,
     "rate_command": signals.RATE_COMMAND,
@@ -51,7 +51,7 @@ _IN_RADIANS = ("gimbal_command", "rate_command")
 
 
 def pack_computers(scenario: Scenario, pool: Pool) -> list[Computer]:
-    """The computer of each stage; one that has nothing of its own flies on with that of the stage before."""
+    """Return the computer of each stage; a stage without one of its own continues with that of the previous stage."""
     out: list[Computer] = []
     for n, stage in enumerate(scenario.vehicle.stage):
         goes_on = scenario.design is None or not scenario.design.stage
@@ -63,9 +63,9 @@ def pack_computers(scenario: Scenario, pool: Pool) -> list[Computer]:
 
 
 def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
-    """The computer of a stage under the scenario's switches.
+    """Return the computer of a stage under the scenario's switches.
 
-    Without a computer or a design the gimbal command is zero, but for what is injected; it is then sampled every step.
+    Without a computer or a design the gimbal command is zero, except for injected signals, and is sampled every step.
     """
     computer, switches = scenario.vehicle.computer_of(stage), scenario.switches
     design = scenario.design.of_stage(stage) if scenario.design is not None else None
@@ -138,7 +138,7 @@ def _gains(gains: GainsSection) -> Cubics:
 
 
 def gain_schedules(gains: GainsSection) -> tuple[GainSchedule, GainSchedule]:
-    """Gains in pitch and in yaw; the same object where yaw is as pitch."""
+    """Return the gains in pitch and in yaw; the same object if yaw uses the gains of pitch."""
     pitch, yaw = gains.axes
     names = [name for name in GainSchedule.__dataclass_fields__ if name in pitch]
 
@@ -155,7 +155,7 @@ def _filter(given: FilterSection, sample_s: float) -> DiscreteFilter:
 
 
 def bending_filter(design: Design) -> BendingFilter:
-    """The design's continuous filter."""
+    """Return the design's continuous filter."""
     return design.filter.continuous()
 
 
@@ -176,7 +176,7 @@ def _programme(table: CsvTable | None, method: Method) -> Cubics | None:
 
 
 def pack_orbit_guidance(scenario: Scenario, ignition_ns: int) -> OrbitGuidance:
-    """Pack the guidance to orbit for the stages of the last engine, which ignites at this time of flight."""
+    """Return the guidance of the stages of the last engine, which is ignited at this time of flight."""
     target, earth = scenario.guidance.orbit, pack_earth(scenario.earth)
     if target is None or ignition_ns >= NEVER:
         return OrbitGuidance()

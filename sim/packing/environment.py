@@ -1,4 +1,4 @@
-"""Earth, atmosphere, wind and turbulence of a scenario as records."""
+"""The Earth, atmosphere, wind and turbulence of a scenario as records."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def pack_environment(scenario: Scenario, pool: Pool) -> Environment:
 
 
 def pack_earth(earth: schema.EarthSection) -> globe.Earth:
-    """The figure's defaults with what the scenario gives in their place."""
+    """Return the figure's defaults, replaced by the values that the scenario gives."""
     default = {"flat": globe.flat, "sphere": globe.sphere, "wgs84": globe.wgs84}[earth.shape]()
     names = ("flattening", "rate_radps", "mu_m3ps2", "j2", "gravity_radius_m", "uniform_mps2")
     given = _given(earth, *names, "equatorial_radius_m")
@@ -51,7 +51,7 @@ def pack_earth(earth: schema.EarthSection) -> globe.Earth:
 
 
 def _given(section: Section, *names: str) -> dict[str, Any]:
-    """Those of the optional keys `names` that have a value."""
+    """Return those of the optional keys `names` that have a value."""
     return {name: value for name in names if (value := getattr(section, name)) is not None}
 
 
@@ -104,7 +104,7 @@ _SHEAR_ROWS = np.concatenate([[0.0, 0.002, 0.005], np.geomspace(0.01, 1.0, 21)])
 def _to_the_ground(
     shear: schema.GroundShear, altitude_m: Array, columns: Array, ground_m: float
 ) -> tuple[Array, Array]:
-    """The profile with rows of a shear law below its lowest level, or below the wind measured near the ground."""
+    """Return the profile with rows of a shear law below its lowest level or below the measured ground wind."""
     height, lowest = altitude_m - ground_m, shear.height_m
     if shear.speed_mps is not None and shear.from_deg is not None:
         kept = height > lowest

@@ -1,4 +1,4 @@
-"""Faults of the scenario as writes into the array that the components read: one entry for each part."""
+"""The faults of the scenario as writes into the array that the components read, with one entry for each part."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _AXIS = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
 
 
 class Write(NamedTuple):
-    """`value`, or that of `state` as the fault begins, into a slot."""
+    """A write of `value`, or of the value of `state` when the fault begins, into a slot."""
 
     slot: int
     value: float = 1.0
@@ -40,7 +40,7 @@ class Write(NamedTuple):
 
 
 def _sensor(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
-    """Return the writes of a sensor's fault: lost share of an axis's output, added bias, noise."""
+    """Return the loss of output, the added signal and the noise of a sensor's axis."""
     # beyond the first gyro sensors are counted from 0 on, the accelerometer behind the gyros
     number = (fault.gyro or 1) - 2 if KINDS[fault.kind].part == "gyro" else gyros - 1
     first = GYRO_LOST if number < 0 else SENSOR_FAULT + SENSOR_SLOTS * number
@@ -63,12 +63,15 @@ def _actuator(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
 
 
 WRITES: dict[str, Callable[[Fault, int, int], tuple[Write, ...]]] = {
-    "engine": lambda *_: (),  # what it does over time is known beforehand: packing/schedule.py
+    "engine": lambda *_: (),  # its effect over time is known in advance: packing/schedule.py
     "gyro": _sensor,
     "accelerometer": _sensor,
     "actuator": _actuator,
 }
-"""What a fault of a part does on an axis (0 roll, 1 pitch, 2 yaw; 0 where the kind has no axes); of so many gyros."""
+"""The effect of a fault of a part on an axis, for this number of gyros.
+
+Axes are 0 roll, 1 pitch, 2 yaw; a part without axes has 0.
+"""
 
 
 def pack_faults(scenario: Scenario) -> Faults:
@@ -82,7 +85,7 @@ def pack_faults(scenario: Scenario) -> Faults:
 
 
 def _rows(fault: Fault, gyros: int) -> Iterator[tuple[float, ...]]:
-    """Columns of `Faults` in their order."""
+    """Yield the columns of `Faults` in their order."""
     start_ns, stop_ns = to_ns(fault.at_s), NEVER if fault.until_s is None else to_ns(fault.until_s)
     stage, since_liftoff = -1 if fault.stage is None else fault.stage, int(fault.since == "liftoff")
     for axis in fault.axes or ("roll",):

@@ -1,4 +1,4 @@
-"""A validated scenario as what the kernel flies: parameter rows, table pool, initial state and memory."""
+"""A validated scenario in the form that the kernel flies: parameter rows, table pool, initial state and memory."""
 
 from __future__ import annotations
 
@@ -40,7 +40,10 @@ _start_states = from_python(start_states)
 
 @dataclass(frozen=True)
 class Packed:
-    """`parameters` (stages,) of Parameters, `pool` of tables, `memory` (1,) of Memory, `state` (MAX_STATE,)."""
+    """The packed flight.
+
+    `parameters` (stages,) of Parameters, `pool` of tables, `memory` (1,) of Memory, `state` (MAX_STATE,).
+    """
 
     parameters: NDArray[Any]
     pool: Array
@@ -53,7 +56,7 @@ _counts = attrgetter(*(f.name for f in fields(Sizes) if f.init))
 
 
 def pack_flight(scenario: Scenario) -> Packed:
-    """Everything the kernel needs; the scenario is not looked at again. Every vehicle flies by the same kernels."""
+    """Pack everything that the kernel needs; the scenario is not read again. All vehicles fly with the same kernels."""
     pool = Pool()
     environment, computers = pack_environment(scenario, pool), pack_computers(scenario, pool)
     injections, faults = pack_injections(scenario, pool), pack_faults(scenario)
@@ -91,16 +94,17 @@ def pack_flight(scenario: Scenario) -> Packed:
 
 
 def pack_for_one_vehicle(scenario: Scenario) -> Packed:
-    """As `pack_flight`, for kernels compiled for its counts of modes, tanks, engines and sensors: the same bits sooner.
+    """Pack as `pack_flight` does, for kernels compiled for this vehicle's counts of modes, tanks, engines and sensors.
 
-    Compiling them takes as long as some two hundred flights, once. Stages of unlike sizes stay with the common kernels.
+    They compute the same bits faster. Compiling them takes as long as some two hundred flights, once. Stages of
+    different sizes keep the common kernels.
     """
     packed = pack_flight(scenario)
     return replace(packed, parameters=with_constants(packed.parameters, "vehicle", "sizes"))
 
 
 def _liftoff_s(scenario: Scenario) -> float:
-    """When the vehicle lifts off, on its clock, if engines fail in relation to it; else infinite."""
+    """Return the time of liftoff on the vehicle clock if engines fail in relation to it, else infinity."""
     counted = [fault for fault in scenario.fault if fault.of_engines and fault.since == "liftoff"]
     if not counted:
         return math.inf
@@ -112,14 +116,14 @@ def _liftoff_s(scenario: Scenario) -> float:
 
 
 def _handed_on(stages: Sequence[Stage], burns: Sequence[Burn], sizes: Sequence[Sizes], n: int, pool: Pool) -> int:
-    """Return the pool index of the motion that the modes before stage n hand on to it."""
+    """Return the place in the pool of the transfer matrix from the modes of the previous stage to those of stage n."""
     if stages[n].continues:
         return NONE
     before = part_at(stages[n - 1], burns[n - 1], sizes[n - 1], burns[n - 1].end_s)
     if not any(before.sets):
         return NONE
     after, (mass_kg, *_, roll_kgm2) = part_at(stages[n], burns[n], sizes[n], 0.0), mass_table(stages[n])[1][0, :5]
-    known, twist = any(after.sets), before.spatial or after.spatial  # a campaign disperses masses: only where needed
+    known, twist = any(after.sets), before.spatial or after.spatial  # computed only if needed by a campaign
     transfer = modal_transfer(before, after, 0.0 if known else mass_kg, roll_kgm2 / mass_kg if twist else 0.0)
     return pool.put(transfer)
 
@@ -168,7 +172,10 @@ def _timeline(
 
 
 def _burn(stage: Stage, burn: Burn, stage_start_ns: int) -> tuple[int, int]:
-    """Ignition and burnout; a single row of thrust burns for ever, no engine never."""
+    """Return the times of ignition and burnout.
+
+    A single row of thrust burns for ever, and a stage without an engine never.
+    """
     ignition_ns = stage_start_ns + round(NS_PER_S * stage.ignition_s)
     if not stage.engines:
         return NEVER, NEVER

@@ -1,4 +1,4 @@
-"""State at the start of a flight, from any of the frames a scenario may use."""
+"""The state at the start of a flight, from any of the frames that a scenario may use."""
 
 from __future__ import annotations
 
@@ -68,7 +68,10 @@ def _motion(
 
 
 def product(a: Array, b: Array) -> Array:
-    """The matrix `a` (3, 3) times a matrix or vector `b` (3, ...), rounded alike on every processor, as BLAS is not."""
+    """Multiply the matrix `a` (3, 3) by a matrix or vector `b` (3, ...).
+
+    Unlike with BLAS, the rounding is the same on every processor.
+    """
     return np.asarray(
         np.multiply.outer(a[:, 0], b[0]) + np.multiply.outer(a[:, 1], b[1]) + np.multiply.outer(a[:, 2], b[2])
     )
@@ -86,7 +89,7 @@ def _position(given: Initial, site: schema.Site, earth: Earth, to_inertial: Arra
 
 
 def _attitude(given: Initial, site: schema.Site, ned_to_inertial: Array) -> Array:
-    """Matrix that turns B components into I components."""
+    """Return the matrix that turns B components into I components."""
     if given.q_BI is not None:
         return rotation(np.array(given.q_BI))
     if given.dcm_BI is not None:
@@ -100,7 +103,7 @@ def _attitude(given: Initial, site: schema.Site, ned_to_inertial: Array) -> Arra
 
 
 def euler_to_ned(yaw: float, pitch: float, roll: float) -> Array:
-    """Matrix that turns B components into N components, 3-2-1 sequence (rad)."""
+    """Return the matrix that turns B components into N components, 3-2-1 sequence (rad)."""
     cy, sy, cp, sp = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
     cr, sr = math.cos(roll), math.sin(roll)
     return np.array(
@@ -113,7 +116,7 @@ def euler_to_ned(yaw: float, pitch: float, roll: float) -> Array:
 
 
 def rotation(q: Array) -> Array:
-    """Matrix of a quaternion, scalar first, of any norm."""
+    """Return the matrix of a quaternion, scalar first, of any norm."""
     w, x, y, z = q / math.hypot(*q)
     return np.array(
         [
@@ -125,9 +128,9 @@ def rotation(q: Array) -> Array:
 
 
 def quaternion(matrix: Array) -> Array:
-    """Unit quaternion of a rotation matrix, scalar first and not negative; exact to rounding at any angle.
+    """Return the unit quaternion of a rotation matrix, scalar first and not negative; exact to rounding at any angle.
 
-    The largest of the four squared components is taken as divisor (Shepperd 1978).
+    The largest of the four squared components is the divisor (Shepperd 1978).
     """
     m = matrix
     trace = float(np.trace(m))
@@ -147,10 +150,10 @@ def quaternion(matrix: Array) -> Array:
 
 
 def thrust_exceeds_weight_s(p: Any, pool: Array, y: Array) -> float:
-    """When a vehicle that is held down lifts off, on its clock; infinite if it does not. `p`: packed first stage.
+    """Return the time of liftoff of a held vehicle on its clock, or infinity if it does not lift off.
 
-    Till then it stands still in air that does not change, so that thrust and mass over time tell: to the nanosecond
-    where the flight finds it, but for rounding.
+    `p`: packed first stage. Until then the vehicle is at rest in constant air, so that thrust and mass over time
+    determine the time. It equals the time found in flight to the nanosecond, apart from rounding.
     """
     pressure_Pa, load_mps2 = _on_the_pad(p.environment, pool, y, blank(Anchor), blank(AirData))
     table, timeline = table_in(pool, p.vehicle.schedule), p.timeline
@@ -174,7 +177,7 @@ def thrust_exceeds_weight_s(p: Any, pool: Array, y: Array) -> float:
 
 @entry
 def _on_the_pad(environment: Environment, pool: Array, y: Array, anchor: Records, out: Records) -> tuple[float, float]:
-    """Pressure, Pa, and axial specific force, m/s2, of a vehicle that the Earth carries along."""
+    """Return the pressure, Pa, and the axial specific force, m/s2, of a vehicle that moves with the Earth."""
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
     gravity = air_data(environment, pool, (0.0, 0.0, 0.0), rotation, y, anchor[0], out[0])
     return out[0].pressure_Pa, pad_acceleration(environment.earth, rotation, gravity, y)[0]

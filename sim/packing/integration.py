@@ -1,8 +1,8 @@
-"""The damping and frequency errors that the Runge-Kutta method adds to the vehicle's fast oscillations.
+"""The damping and frequency errors of the Runge-Kutta method for the vehicle's fast oscillations.
 
-An oscillation exp(s t) becomes R(s h) a step, R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24, that is exp(s' t) with
-s' = ln R(s h) / h. For an undamped one of w rad/s the damping ratio grows by (w h)^5 / 144 and the frequency falls by
-(w h)^4 / 120 of itself, to leading order; from w h = 2.83 on it grows without bound.
+An oscillation exp(s t) becomes R(s h) per step, with R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24. This is exp(s' t) with s' =
+ln R(s h) / h. For an undamped oscillation of w rad/s, to leading order, the damping ratio grows by (w h)^5 / 144, and
+the frequency falls by a fraction (w h)^4 / 120. From w h = 2.83 on the oscillation grows without bound.
 """
 
 from __future__ import annotations
@@ -20,15 +20,18 @@ from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 
 SHARE = 0.1
-"""Of an oscillation's own damping ratio: what the method may add before it is said."""
+"""The share of an oscillation's own damping ratio that the method may add without a warning."""
 LONGEST_S = 0.01
-"""The longest step that follows from run.accuracy: air, slosh and the rigid body change within tenths of a second."""
+"""The longest step that run.accuracy may give: air, slosh and the rigid body change within tenths of a second."""
 TVC_LOAD, SENSOR = "TVC load", "further sensor"
-_LEAST = 1e-5  # damping ratio that is not worth saying, whatever its share
+_LEAST = 1e-5  # smaller added damping ratios cause no warning, whatever their share
 
 
 class Oscillation(NamedTuple):
-    """A pair of poles as the files give it: uncoupled, unsoftened, at its highest frequency of the flight."""
+    """The pair of poles of an oscillation as given in the files.
+
+    It is uncoupled, without softening, at its highest frequency of the flight.
+    """
 
     name: str
     frequency_hz: float
@@ -37,7 +40,7 @@ class Oscillation(NamedTuple):
 
 @dataclass(frozen=True)
 class MethodError:
-    """The effect of a step of `step_s` on an oscillation; `frequency_error` is relative."""
+    """The error of a step of `step_s` for an oscillation; `frequency_error` is relative."""
 
     oscillation: Oscillation
     step_s: float
@@ -46,15 +49,13 @@ class MethodError:
 
     @property
     def share(self) -> float:
-        """Return the added damping ratio as a share of the oscillation's own; negative where the method removes
-        damping.
-        """
+        """Return the ratio of the added to the own damping ratio; negative if the method reduces damping."""
         own = self.oscillation.damping_ratio
         return self.added_damping_ratio / own if own > 0.0 else math.copysign(math.inf, self.added_damping_ratio)
 
     @property
     def text(self) -> str:
-        """A sentence for people where more than SHARE is added; else empty."""
+        """Return a sentence if more than SHARE is added, else an empty string."""
         if abs(self.added_damping_ratio) <= max(SHARE * self.oscillation.damping_ratio, _LEAST):
             return ""
         o, added = self.oscillation, self.added_damping_ratio
@@ -66,8 +67,9 @@ class MethodError:
 
 
 def method_error(oscillation: Oscillation, step_s: float) -> MethodError:
-    """Return the error of the classical Runge-Kutta method for a damping ratio below 1. Source: Hairer & Wanner,
-    Solving Ordinary Differential Equations II, section IV.2 (stability function).
+    """Return the error of the classical Runge-Kutta method, for a damping ratio below 1.
+
+    Source: Hairer & Wanner, Solving Ordinary Differential Equations II, section IV.2 (stability function).
     """
     w, zeta = 2.0 * math.pi * oscillation.frequency_hz, oscillation.damping_ratio
     z = complex(-zeta, math.sqrt(1.0 - zeta * zeta)) * w * step_s
@@ -76,7 +78,7 @@ def method_error(oscillation: Oscillation, step_s: float) -> MethodError:
 
 
 def worst_error(scenario: Scenario) -> MethodError | None:
-    """The oscillation of which the method changes the damping by the largest share; None where nothing oscillates."""
+    """Return the error with the largest share in an oscillation's damping, or None if nothing oscillates."""
     stages, step_s, found = scenario.vehicle.stage, scenario.run.step_s, list(oscillations(scenario))
     if scenario.run.accuracy is not None:  # the others are propagated exactly
         step_s = max(step_ns(scenario, stage) for stage in stages) / NS_PER_S
@@ -86,11 +88,11 @@ def worst_error(scenario: Scenario) -> MethodError | None:
 
 
 def step_ns(scenario: Scenario, stage: Stage) -> int:
-    """The longest step of a stage, ns: run.step_s, or the longest for which run.accuracy holds.
+    """Return the longest step of a stage, ns: run.step_s, or the longest that satisfies run.accuracy.
 
-    Modes, actuators and the first gyro are propagated exactly (sim/flight/step.py). What drives them is integrated by
-    Simpson's rule, which errs by (w h)^4 / 2880 of a force of w rad/s; what is not propagated exactly, by (w h)^4 / 120
-    of its frequency: further sensors, a TVC load, and the modes that it changes.
+    Modes, actuators and the first gyro are propagated exactly (sim/flight/step.py). Simpson's rule integrates their
+    inputs, with a relative error (w h)^4 / 2880 for a force of w rad/s. Further sensors, a TVC load, and the modes that
+    it changes are not propagated exactly. Their frequencies have the relative error (w h)^4 / 120.
     """
     accuracy = scenario.run.accuracy
     if accuracy is None:
@@ -107,7 +109,7 @@ def step_ns(scenario: Scenario, stage: Stage) -> int:
 
 
 def oscillations(scenario: Scenario) -> Iterator[Oscillation]:
-    """Modes, actuators and gyro of all stages, as far as they are switched on."""
+    """Yield the modes, actuators and gyro of all stages that are switched on."""
     several = len(scenario.vehicle.stage) > 1
     for number, stage in enumerate(scenario.vehicle.stage, start=1):
         for name, frequency_hz, zeta in _of_stage(scenario, stage):
@@ -124,7 +126,7 @@ def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, fl
     for given in stage.actuators[: 1 if not isinstance(stage.actuator, tuple) else None]:
         group = "" if given.group is None else f" of group {given.group!r}"
         for plane, axis in zip(("pitch", "yaw"), given.axes if switches.actuator != "ideal" else (), strict=False):
-            last = 3 if axis.exchange_a3_a4 else 2  # of a3 and a4 one is a pair of zeros
+            last = 3 if axis.exchange_a3_a4 else 2  # one of a3 and a4 is a pair of zeros
             for k in (0, 1, last)[: len(axis.omega_hz)]:
                 yield f"{plane} actuator{group}, a{k + 1}", axis.omega_hz[k], axis.zeta[k]
     loads = stage.tvc_loads if switches.tvc_load and switches.engine_inertia else {}
@@ -144,7 +146,7 @@ def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, fl
 def _modes(
     name: str, given: BendingSection | SpatialModesSection, table: ModeTable | SpatialModeTable | None
 ) -> Iterator[tuple[str, float, float]]:
-    """At each mode's highest frequency."""
+    """Yield each mode at its highest frequency."""
     highest = [] if table is None else table.frequency_hz.max(axis=0).tolist()
     factors = zip(highest, given.frequency_factor, given.damping_ratio, strict=False)
     for number, (frequency_hz, factor, zeta) in enumerate(factors, start=1):

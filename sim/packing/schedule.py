@@ -1,8 +1,8 @@
 """The vehicle over time, as one table: mass, thrust, pendulums and modes of a stage on common breakpoints.
 
-Sloshing masses are taken out of the core here: mass, CG and inertia of what stays are computed at every breakpoint
-and then joined. Rates are the exact derivatives of the joined curves, so that what the engine expels is what the mass
-loses (docs/model.md, section 8).
+Sloshing masses are subtracted from the core here. Mass, CG and inertia of the remainder are computed at every
+breakpoint and then interpolated. Rates are the exact derivatives of the interpolated curves, so that the engine expels
+exactly the mass that the vehicle loses (docs/model.md, section 8).
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
 
 
 def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches, frozen: bool) -> list[Cubics]:
-    """All columns of vehicle/schedule.py, tables side by side, over the clock of the stage's tables or, where they
-    differ, the stage's own.
+    """Return all columns of vehicle/schedule.py as adjacent tables.
 
-    `frozen`: the CG does not wander (the schedule stands still).
+    Their argument is the clock of the stage's tables or, where they differ, the stage's own clock. `frozen`: the CG
+    does not move, because the schedule is stopped.
     """
     method: Method = stage.interpolation
     hanging = pendulums(stage)[: sizes.pendulums]
@@ -81,7 +81,7 @@ def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches,
 
 
 def mass_table(stage: Stage) -> tuple[Array, Array]:
-    """Times and rows of total mass, CG (3) and inertia integrals (6)."""
+    """Return times, and rows of total mass, CG (3) and inertia integrals (6)."""
     mass = stage.mass
     if mass.table is not None:
         table = mass.table
@@ -107,7 +107,7 @@ def mass_table(stage: Stage) -> tuple[Array, Array]:
 
 
 def _core(stage: Stage, burn: Burn, tanks: Sequence[Cubics], method: Method, moving_cg: bool) -> Cubics:
-    """Columns CORE_MASS to MASS_FLOW."""
+    """Return the columns CORE_MASS to MASS_FLOW."""
     total = fit(*mass_table(stage), method)
     core = merge([total])
     if tanks:
@@ -125,9 +125,9 @@ def _core(stage: Stage, burn: Burn, tanks: Sequence[Cubics], method: Method, mov
 
 
 def without_bobs(total: Array, bobs: list[Array]) -> Array:
-    """Rows (n, 10) of mass, CG and inertia of the vehicle less its bobs, each at rest below its hinge.
+    """Return rows (n, 10) of mass, CG and inertia of the vehicle without its bobs, each at rest below its hinge.
 
-    Sums are written out: a linear-algebra library adds in an order that depends on the processor.
+    Sums are written out, because a linear-algebra library adds in an order that depends on the processor.
     """
     mass, station, y, z = total[:, :4].T
     nothing = np.zeros_like(mass)
@@ -146,7 +146,7 @@ def without_bobs(total: Array, bobs: list[Array]) -> Array:
 
 
 def _tank_rates(tank: Cubics, pace: float, shrinks: bool, travels: bool) -> Cubics:
-    """Rates of a bob's mass and of its station."""
+    """Return the rates of a bob's mass and of its station."""
     derivative = _derivative(tank, pace)
     rates = derivative.coefficients
     out = np.zeros((*rates.shape[:2], 2))
@@ -158,12 +158,15 @@ def _tank_rates(tank: Cubics, pace: float, shrinks: bool, travels: bool) -> Cubi
 
 
 def _pace(stage: Stage, burn: Burn) -> float:
-    """Seconds of the schedule's clock per second of flight."""
+    """Return the seconds of the schedule's clock per second of flight."""
     return burn_rate(stage) if burn.clock is None else 1.0
 
 
 def _derivative(table: Cubics, pace: float) -> Cubics:
-    """Exact derivative by the time of flight; zero outside the table, where its end values hold."""
+    """Return the exact derivative with respect to the time of flight.
+
+    It is zero outside the table, where the end values hold.
+    """
     n, _, columns = table.coefficients.shape
     breaks = np.concatenate([[table.breaks[0] - 1.0], table.breaks, [table.breaks[-1] + 1.0]])
     out = np.zeros((n + 2, 4, columns))
@@ -179,7 +182,7 @@ def _columns(table: Cubics, columns: list[int]) -> Cubics:
 def _modes(
     stage: Stage, burn: Burn, table: ModeTable | None, sizes: Sizes, tanks: Sequence[Cubics], method: Method
 ) -> Cubics:
-    """Columns of all modes of one plane; zeros without a table."""
+    """Return the columns of all modes of one plane, or zeros without a table."""
     rows, padded_modes = columns_of.mode_rows(sizes), columns_of.padded_modes(sizes)
     if table is None or rows * padded_modes == 0:
         return fit([0.0], np.zeros((1, rows * padded_modes)))
@@ -206,7 +209,7 @@ def _places(stage: Stage, burn: Burn, table: ModeTable | SpatialModeTable, tanks
 
 
 def _spatial_modes(stage: Stage, burn: Burn, sizes: Sizes, tanks: Sequence[Cubics], method: Method) -> Cubics:
-    """Columns of all spatial modes."""
+    """Return the columns of all spatial modes."""
     given = stage.spatial_modes
     assert given is not None
     table, n = given.modes, sizes.spatial_modes

@@ -1,7 +1,7 @@
-"""The motion that a stage's modes hand on at its separation to the part that flies on.
+"""The transfer of modal motion at a separation to the part that flies on.
 
-Displacements and velocities of the bent axis of the part that stays are those of a rigid motion and of its own modes,
-by least squares under its masses (docs/model.md, section 4). Nothing of it depends on how far the modes have moved, so
+A rigid motion and the modes of the remaining part approximate displacements and velocities of its bent axis, by least
+squares weighted with its masses (docs/model.md, section 4). The transfer does not depend on the modal displacements, so
 it is one matrix for each separation.
 """
 
@@ -25,7 +25,7 @@ RIGID = 6  # rows of the matrix before those of the modes: displacement along x,
 
 
 class StageModes(NamedTuple):
-    """A stage's modes as they are flown, and the instant of the tables' clock."""
+    """The modes of a stage as flown, and an instant of the tables' clock."""
 
     pitch: ModeTable | None
     yaw: ModeTable | None
@@ -35,12 +35,12 @@ class StageModes(NamedTuple):
 
     @property
     def sets(self) -> tuple[ModeTable | SpatialModeTable | None, ...]:
-        """In the order of the state vector."""
+        """Return the mode tables in the order of the state vector."""
         return self.pitch, self.yaw, self.spatial
 
 
 def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> StageModes:
-    """At an instant of the stage's clock."""
+    """Return the modes at an instant of the stage's clock."""
     bending, spatial = stage.bending, stage.spatial_modes
     sets = (
         bending.pitch_modes if bending is not None and sizes.pitch_modes > 0 else None,
@@ -53,10 +53,10 @@ def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> StageModes
 
 @cached_by_identity
 def modal_transfer(before: StageModes, after: StageModes, mass_kg: float, gyration_m2: float) -> Array:
-    """(RIGID + modes after, modes before): what each mode before gives of rigid motion, and to each mode after.
+    """Return the matrix (RIGID + modes after, modes before) from old modes to rigid motion and new modes.
 
-    The masses are those between the stations of the modes after, or without any, of the modes before up to where the
-    mass forward is `mass_kg`; `gyration_m2`: roll inertia per mass.
+    The masses are those between the stations of the new modes. Without new modes they are those of the old modes up to
+    the station where the mass forward is `mass_kg`. `gyration_m2`: roll inertia per mass.
     """
     points, mass = _masses(before, after, mass_kg)
     old, new = _shapes(before, points), _shapes(after, points)
@@ -70,7 +70,7 @@ def modal_transfer(before: StageModes, after: StageModes, mass_kg: float, gyrati
 
 
 def _masses(before: StageModes, after: StageModes, mass_kg: float) -> tuple[Array, Array]:
-    """Points along the part that flies on, and the masses that they stand for."""
+    """Return points along the part that flies on, and the masses that they represent."""
     own = next((modes for modes in after.sets if modes is not None), None)
     modes = own or next(modes for modes in before.sets if modes is not None)
     x, at_s = modes.station_m, (after if own else before).time_s
@@ -80,7 +80,7 @@ def _masses(before: StageModes, after: StageModes, mass_kg: float) -> tuple[Arra
         x, forward = np.append(x[x < cut_m], cut_m), np.append(forward[x < cut_m], mass_kg)
     points, weights = gauss(x)
     lengths, between = np.diff(x), np.maximum(np.diff(forward), 0.0)
-    density = between / lengths if between.any() else np.ones(len(lengths))  # nothing is known of the masses
+    density = between / lengths if between.any() else np.ones(len(lengths))  # the masses are unknown
     return points, weights * np.tile(density, len(points) // len(lengths))
 
 
@@ -101,7 +101,7 @@ def _shapes(part: StageModes, points: Array) -> Array:
 
 
 def _then(modes: ModeTable | SpatialModeTable, part: StageModes) -> ModeTable | SpatialModeTable:
-    """A table's shapes at the part's instant."""
+    """Return a table's shapes at the part's instant."""
     names = ("phi", "slope_pm") if isinstance(modes, ModeTable) else ("displacement", "rotation_pm")
     shapes: dict[str, Any] = {}
     for name in names:

@@ -29,14 +29,14 @@ from maxq.sim.vehicle.tvc_load.packing import _tvc_loads
 def pack_vehicle(
     scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, schedule: Sequence[Cubics], pool: Pool
 ) -> StageRecord:
-    """Parameters of one stage under the scenario's switches; its tables go into `pool`."""
+    """Return the parameters of one stage under the scenario's switches, and add its tables to `pool`."""
     switches = scenario.switches
     given = stage.actuators or (None,) * len(stage.engine_groups)
     actuators = [axis for each in given for axis in pack_actuators(each, switches.actuator)]
     engine = pack_engines(stage, burn, switches)
     load = _tvc_loads(stage, engine, sizes, actuators)
     for group, name in enumerate(stage.engine_groups):
-        if sizes.tvc_loads > 0 and name in stage.tvc_loads:  # the stop is the engines', not the actuators'
+        if sizes.tvc_loads > 0 and name in stage.tvc_loads:  # the stop belongs to the engines, not to the actuators
             for k in (2 * group, 2 * group + 1):
                 actuators[k] = replace(actuators[k], stop_rad=math.inf, backlash_rad=0.0)
     pitch, yaw, *further = actuators

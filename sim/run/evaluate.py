@@ -1,4 +1,4 @@
-"""The simulator's derivative and its by-products at a given state and time, apart from a flight."""
+"""The simulator's derivative and its by-products at a given state and time, without a flight."""
 
 from __future__ import annotations
 
@@ -28,8 +28,10 @@ class Space:
 
 
 class Instant(NamedTuple):
-    """An evaluation of the simulator: derivative (MAX_STATE,), auxiliary outputs and section loads (stations, 5):
-    axial force, shear along y and z (N), bending moment about y and z (N m), as sim/vehicle/loads/kernel.py signs them.
+    """An evaluation of the simulator: derivative (MAX_STATE,), auxiliary outputs and section loads (stations, 5).
+
+    The section loads are axial force, shear along y and z (N), bending moment about y and z (N m), with the signs of
+    sim/vehicle/loads/kernel.py.
     """
 
     rate: Array
@@ -38,10 +40,10 @@ class Instant(NamedTuple):
 
 
 def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
-    """The simulator's derivative and loads at a state (MAX_STATE,) and flight time, gimbal commands as held.
+    """Return the simulator's derivative and loads at a state (MAX_STATE,) and flight time.
 
-    `packed` may be at its start or in mid-flight (its stage, and whether it burns or is held down, count); it is not
-    changed.
+    Gimbal commands are those held. `packed` may be at its start or in mid-flight. Its stage, and whether it burns or is
+    held down, are used. It is not changed.
     """
     memory = packed.memory.copy()
     if memory[0].clock.started == 0:
@@ -56,13 +58,14 @@ def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
 def evaluate_into(
     P: Records, pool: Array, state: Records, y: Array, now_ns: int, elapsed_s: float, space: Records
 ) -> None:
-    """Derivative of `y` and its by-products `elapsed_s` into a step that starts at the instant `now_ns`, with section
-    loads where there are stations; `P` of Parameters, `state` of Memory, `space` of Space.
+    """Evaluate the derivative of `y` and its by-products `elapsed_s` into a step that starts at the instant `now_ns`.
+
+    Section loads are included if there are stations. `P` of Parameters, `state` of Memory, `space` of Space.
     """
     memory, room = state[0], space[0]
     p = P[memory.clock.stage]
     pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(room.properties)
-    # a step lies in one interval of the schedule; breakpoints are met to the nanosecond
+    # a step is within one interval of the schedule; breakpoints are met to the nanosecond
     within_s = schedule_clock(p, memory.clock, now_ns, 1e-9)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, within_s)
     read_schedule(p, pool, memory, now_ns, elapsed_s, properties)

@@ -1,4 +1,4 @@
-"""A flight that has been flown: channels by name, events, metrics and verdicts."""
+"""A completed flight: channels by name, events, metrics and verdicts."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ WAVE_BREAKING_NAME = "wave_breaking"
 _FIRST_ROOM = 400_000  # rows
 
 LoggedRows = dict[str, tuple[IntArray, Array]]
-"""By rate group: times (n,) in ns and values (n, columns of the group) in logged units."""
+"""The rows by rate group: times (n,) in ns and values (n, columns of the group) in logged units."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """`stage` counts from 1 on a vehicle of several stages; 0 for an event of the whole vehicle. `detail`: what has
-    failed, or why the flight did.
+    """An event of a flight.
+
+    `stage` counts from 1 on a vehicle of several stages; 0 is an event of the whole vehicle. `detail`: the failed part,
+    or the cause of the flight's failure.
     """
 
     name: str
@@ -38,23 +40,25 @@ class Event:
 
     @property
     def title(self) -> str:
-        """Name and stage, for people."""
+        """Return name and stage, for messages."""
         return self.name + (f" (stage {self.stage})" if self.stage else "")
 
     @property
     def text(self) -> str:
-        """Name, stage and detail, for people."""
+        """Return name, stage and detail, for messages."""
         return self.title + (f": {self.detail}" if self.detail else "")
 
 
 @dataclass(frozen=True, repr=False)
 class Flight(Tabular):
-    """A flight that has been flown.
+    """A completed flight.
 
-    `flight["alpha_deg"]` is a channel, `flight.time_s("alpha_deg")` its times; `metrics` and `metric_times_s`
-    go by metric name (nan: no time, the metric was never updated). `outcome`: "impact" or another event of
-    run.stop_at that ended it, "duration", "diverged", "interrupted". `cause`: why it diverged. `final` holds
-    every channel at the last instant, with or without a log.
+    `flight["alpha_deg"]` is a channel, and `flight.time_s("alpha_deg")` its times.
+
+    - `metrics`, `metric_times_s`: by metric name (nan: no time, because the metric was never updated).
+    - `outcome`: "impact" or another event of run.stop_at that ended it, "duration", "diverged", "interrupted".
+    - `cause`: reason for a divergence.
+    - `final`: every channel at the last instant, with or without a log.
     """
 
     scenario: LoadedScenario
@@ -65,7 +69,7 @@ class Flight(Tabular):
     metric_times_s: dict[str, float]
     verdicts: tuple[Verdict, ...]
     section_extremes: tuple[SectionExtreme, ...]
-    failures: tuple[str, ...]  # what went wrong and when: control lost, diverged, above the wind profile
+    failures: tuple[str, ...]  # failures and their times: control lost, diverged, above the wind profile
     outcome: str
     cause: str
     end_s: float
@@ -77,11 +81,11 @@ class Flight(Tabular):
     wall_s: float
 
     def __getitem__(self, channel: str) -> Array:
-        """Values of a channel; KeyError for an unknown name or a flight that was flown without a log."""
+        """Return the values of a channel; raise KeyError for an unknown name or a flight without a log."""
         return self._rows(channel)[1][:, self.table.index(channel)]
 
     def time_s(self, channel: str) -> Array:
-        """Times of a channel's values, s."""
+        """Return the times of a channel's values, s."""
         return self._rows(channel)[0] / 1e9
 
     def _rows(self, channel: str) -> tuple[IntArray, Array]:
@@ -97,7 +101,7 @@ class Flight(Tabular):
         return f"<Flight {self.scenario.name}: {self.outcome} at {self.end_s:.3f} s, {met}{failed}>"
 
     def _repr_html_(self) -> str:
-        """Requirements and metrics, for notebooks."""
+        """Return requirements and metrics as HTML, for notebooks."""
         rows = [
             (v.name, "met" if v.met else "MISSED", figures(v.value, 4 if v.met else 7), v.wanted) for v in self.verdicts
         ]
@@ -107,8 +111,10 @@ class Flight(Tabular):
 
     @property
     def telling_metrics(self) -> tuple[str, ...]:
-        """Names of those that say something of this flight: none of what it does not have, none of an orbit that ends
-        below the ground, no apogee ahead where it has ended by impact.
+        """Return the names of the metrics that apply to this flight.
+
+        Left out are metrics of missing parts, of an orbit that ends below the ground, and of the next apogee if the
+        flight ended by impact.
         """
         orbits = self.metrics["perigee_altitude_m"] >= 0.0
         return tuple(
@@ -120,13 +126,14 @@ class Flight(Tabular):
         )
 
     def event_s(self, name: str) -> float:
-        """Time of an event, the last one of several stages; nan if it has not happened."""
+        """Return the time of an event, the last one of several stages; nan if it has not happened."""
         return max((e.time_s for e in self.events if e.name == name), default=math.nan)
 
     @property
     def beyond_model(self) -> tuple[str, ...]:
-        """Return a line for each departure of the flight from the limits of its model, such as breaking waves, with its
-        first time.
+        """Return a line with its first time for each departure from the limits of the model.
+
+        A breaking wave is such a departure.
         """
         return tuple(
             f"wave breaks at {e.time_s:.3f} s in {e.detail.split(':')[0]}"
@@ -136,19 +143,19 @@ class Flight(Tabular):
 
     @property
     def passed(self) -> bool:
-        """Flown to its end without a failure, all requirements met."""
+        """Return True if the flight reached its end without a failure, with all requirements met."""
         return self.outcome != "interrupted" and not self.failures and all(v.met for v in self.verdicts)
 
 
 def copied(rows: LoggedRows) -> LoggedRows:
-    """Rows that the next segment does not overwrite."""
+    """Return a copy of rows, which the next segment does not overwrite."""
     return {group: (times.copy(), values.copy()) for group, (times, values) in rows.items()}
 
 
 class GrowingRows:
-    """Rows of all segments so far, in arrays larger than needed: a long log is never in memory twice.
+    """The rows of all segments so far, in arrays larger than needed, so that a long log is never in memory twice.
 
-    What is not used of them takes address space only.
+    The unused part of them takes address space only.
     """
 
     def __init__(self) -> None:

@@ -1,8 +1,8 @@
-"""Flight code from outside at work: found as the scenario names it, started, and called by the compiled flight.
+"""External flight code in a flight: found as the scenario names it, started, and called by the compiled flight.
 
-What is started is in instances.py. A guarded flight is flown by another process (guard.py), the only one that loads or
-imports the code: where the code crashes or does not return, that process ends the flight, and log and summary are
-closed as always. Flights on several threads so run Python code on several processors. Without `os.fork` nothing is
+instances.py defines the running code. Another process flies a guarded flight (guard.py), and only that process loads or
+imports the code. If the code crashes or does not return, that process ends the flight, and log and summary are closed
+as always. In this way flights on several threads run Python code on several processors. Without `os.fork` no flight is
 guarded.
 """
 
@@ -31,14 +31,14 @@ _COMMANDS = ("gimbal_rad[0], pitch", "gimbal_rad[1], yaw", "roll_gimbal_rad")
 
 
 def title(computer: ComputerSection) -> str:
-    """The flight code, for people."""
+    """Return a title of the flight code, for messages."""
     found = computer.library or computer.python
     return found.title if found is not None else computer.address or ""
 
 
 @lru_cache(maxsize=64)
 def _announce(code: str, sha256: str) -> None:
-    """Say, once a process, that code from outside is run: a log or a scenario of others may name some."""
+    """Report, once per process, that external code is run, because a log or a scenario of others may name some."""
     mark = f" (sha256 {sha256[:16]})" if sha256 else ""
     logging.getLogger("maxq").warning("maxq: flies flight code from outside: %s%s", code, mark)
 
@@ -50,7 +50,7 @@ def guards(loaded: LoadedScenario) -> bool:
 
 
 def checked(loaded: LoadedScenario) -> ComputerSection:
-    """Return the computer, once its code is there and is what the scenario says; runs none of it.
+    """Return the computer, after checking that its code exists and is as specified, without running it.
 
     Raises ScenarioError.
     """
@@ -101,8 +101,10 @@ class FlightSoftware:
         self._end: Callable[[], object] = lambda: None
 
     def start(self, arrays: Arrays) -> Arrays:
-        """Start the code on a flight that is at its start; the arrays that it flies on, in shared memory where it is
-        guarded. Raises ScenarioError where it cannot be started."""
+        """Start the code on a flight at its start, and return the arrays of the flight.
+
+        They are in shared memory if the flight is guarded. Raises ScenarioError if the code cannot be started.
+        """
         memory = arrays[MEMORY][0]
         setup = setup_of(self._computer, arrays[0][0].computer, int(memory.clock.now_ns))
         state = memory.computer.external
@@ -127,7 +129,7 @@ class FlightSoftware:
         return self._arrays
 
     def advance(self, until_ns: int) -> None:
-        """Fly until `until_ns` or the end of the flight. Where the code's process ends, so does the flight."""
+        """Fly until `until_ns` or the end of the flight. If the code's process ends, the flight ends too."""
         if self._worker is None:
             advance_to(until_ns, self._arrays)
             self._said = self._instance.error if self._instance is not None else ""
@@ -137,11 +139,11 @@ class FlightSoftware:
             self._arrays[MEMORY][0].clock.finished = 1
 
     def close(self) -> None:
-        """End of the flight, after which the arrays may be another flight's; a second call does nothing."""
+        """End the flight, after which another flight may use the arrays; a second call has no effect."""
         self._end()
 
     def complaint(self, state: Any) -> str:
-        """Why the flight code ended the flight, from its ExternalState; empty as long as it has not."""
+        """Return the reason for which the flight code ended the flight, from its ExternalState; empty if it has not."""
         fault, code = int(state.fault), int(state.code)
         if fault == 0:
             return self._said

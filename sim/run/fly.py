@@ -1,4 +1,4 @@
-"""Flying a scenario from Python: one call, or segment by segment."""
+"""The flight of a scenario from Python: in one call, or segment by segment."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ if TYPE_CHECKING:
 
 _SEGMENT_NS = 1_000_000_000  # one log chunk
 _UNSEEN_NS = 60_000_000_000  # a tenth of a second's work
-_MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # of a segment: tens of milliseconds of work, 10 MB of rows
+_MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # limits of a segment: tens of milliseconds of work, 10 MB of rows
 _FEW = 1_000  # steps and rows: a segment with fewer may be longer
 
 IGNITION_NAME, FAULT_NAME, FAULT_END_NAME = "ignition", "fault", "fault_end"
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
-SOFTWARE_NAME = "flight_software"  # the flight code from outside has ended the flight
-ATTITUDE_METRICS = (  # of vehicles that something steers
+SOFTWARE_NAME = "flight_software"  # external flight code has ended the flight
+ATTITUDE_METRICS = (  # metrics of controlled vehicles
     "max_attitude_error_deg",
     "max_roll_error_deg",
     "max_computer_attitude_error_deg",
@@ -74,8 +74,8 @@ class FlightRun:
     """A flight in progress: `fly_segment` until `finished`, then `result`.
 
     The constructor loads the compiled kernels, or compiles them (about half a minute, once). `segment_ns`: length of a
-    segment, a multiple of the step (default: 1 s, less where that is many steps or log rows, more where it is few;
-    4 s of a flight that another process flies, which has to be woken for each).
+    segment, a multiple of the step. The default is 1 s, less if that is many steps or log rows, and more if it is few.
+    It is 4 s for a flight in another process, which must be woken for each segment.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class FlightRun:
         )
 
     def _hold(self, arrays: tuple[Any, ...]) -> None:
-        """Fly on in these arrays."""
+        """Continue the flight in these arrays."""
         _, _, memory, state, self._arena, _, fast_ns, fast, slow_ns, slow, self._counts = arrays
         self.packed = replace(self.packed, memory=memory, state=state)
         self._rows = {FAST: (fast_ns, fast), SLOW: (slow_ns, slow)}
@@ -161,7 +161,10 @@ class FlightRun:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """All events so far in order of time: an ignition, burnout and separation for each stage that had it."""
+        """Return all events so far in order of time.
+
+        Each stage has its ignition, burnout and separation, if they occurred.
+        """
         clock, timelines = self.clock, self.packed.parameters["timeline"]
         start_ns = to_ns(self.loaded.scenario.run.start_s)
         found = []
@@ -184,7 +187,7 @@ class FlightRun:
         return tuple(sorted(found, key=lambda event: event.time_ns))
 
     def _broken_waves(self, clock: Clock) -> list[Event]:
-        """The first time at which a wave breaks in each tank, of the stages so far."""
+        """Return the first time at which a wave breaks in each tank, for the stages so far."""
         found = []
         broken_ns = self.packed.memory["waves"]["broke_ns"][0].tolist()
         for index, stage in enumerate(self.loaded.vehicle.stage[: clock.stage + 1]):
@@ -196,7 +199,7 @@ class FlightRun:
         return found
 
     def _largest_wave(self) -> tuple[float, float]:
-        """Metric `max_wave_share` and its time, s."""
+        """Return the metric `max_wave_share` and its time, s."""
         if all(tank.radius_m is None for stage in self.loaded.vehicle.stage for tank in stage.tank):
             return math.nan, math.nan
         waves = self.packed.memory["waves"]
@@ -206,7 +209,7 @@ class FlightRun:
 
     @property
     def outcome(self) -> str:
-        """`diverged`, the event of run.stop_at that ended the flight, `duration`, or `interrupted`."""
+        """Return `diverged`, the event of run.stop_at that ended the flight, `duration`, or `interrupted`."""
         clock, memory = self.clock, self.packed.memory
         if memory["computer"]["external"]["fault"][0] != 0:
             return SOFTWARE_NAME
@@ -221,7 +224,7 @@ class FlightRun:
         return "duration"
 
     def _faults(self, clock: Clock, start_ns: int) -> Iterator[Event]:
-        """Begin and end of the faults that have shown so far: of a stage's while that stage flies."""
+        """Yield begin and end of the faults so far; faults of a stage appear only while that stage flies."""
         stages = len(self.packed.parameters)
         left_ns = [int(t) if t >= 0 else NEVER for t in clock.stage_separation_ns[:stages]]
         for fault in self.loaded.scenario.fault:
@@ -238,9 +241,9 @@ class FlightRun:
                 yield Event(FAULT_END_NAME, end_ns, number, fault.text)
 
     def fly_segment(self, length_ns: int | None = None) -> LoggedRows:
-        """Fly on to the next multiple of `length_ns`, itself a multiple of the step (default: `segment_ns`).
+        """Fly to the next multiple of `length_ns`, itself a multiple of the step (default: `segment_ns`).
 
-        Returns the log rows on the way: views that the next segment overwrites, in logged units.
+        Returns the log rows of the segment, in logged units. They are views that the next segment overwrites.
         """
         length_ns = length_ns or self.segment_ns
         until = (self._now_ns // length_ns + 1) * length_ns
@@ -249,14 +252,14 @@ class FlightRun:
         if self._software is not None and self.finished:
             rows = copied(rows)
             for own, flown in zip(self._own[2:5], self._arrays(self._logged, self._rows)[2:5], strict=True):
-                own[:] = flown  # memory, state and arena: shared ones may be another flight's from now on
+                own[:] = flown  # memory, state and arena: another flight may use the shared ones from now on
             self._hold(self._own)
             self._software.close()
         self.wall_s += time.perf_counter() - start
         return rows
 
     def present(self) -> dict[str, float]:
-        """Every channel at this instant, in logged units. The flight is left unchanged."""
+        """Return every channel at this instant, in logged units, without changing the flight."""
         kept, room = self.packed, {group: self._blank(group, 1) for group in self._rows}
         self.packed = replace(kept, memory=kept.memory.copy(), state=kept.state.copy())
         clock = self.packed.memory["clock"]
@@ -272,7 +275,7 @@ class FlightRun:
         }
 
     def result(self, rows: LoggedRows | None = None) -> Flight:
-        """The flight so far; `rows` are the log rows that the caller has kept."""
+        """Return the flight so far; `rows` are the log rows that the caller has kept."""
         clock, memory, scenario = self.clock, self.packed.memory, self.loaded.scenario
         events, final, outcome = self.events, self.present(), self.outcome
         times_s = [t / 1e9 if t >= 0 else math.nan for t in memory["extremes"]["time_ns"][0].tolist()]
@@ -294,7 +297,7 @@ class FlightRun:
         metrics |= orbit_metrics(earth, r_I_m, v_I_mps)._asdict()
         metric_times_s |= section_times._asdict()
         judged = scenario.requirement
-        if scenario.design is None or scenario.vehicle.computer is None:  # nothing steers: there is no attitude to miss
+        if scenario.design is None or scenario.vehicle.computer is None:  # no control: there is no attitude error
             metrics |= dict.fromkeys(ATTITUDE_METRICS, math.nan)
             judged = tuple(r for r in judged if r.metric not in ATTITUDE_METRICS)
         inexact = step_failure(accuracy, metrics, judged) if accuracy is not None else ""
@@ -326,7 +329,7 @@ class FlightRun:
         )
 
     def _missed_orbit(self) -> tuple[str, ...]:
-        """A failure if the last engine burned out before the closed-loop guidance cut it off."""
+        """Return a failure if the last engine burned out before the closed-loop guidance cut it off."""
         computers, memory = self.packed.parameters["computer"], self.packed.memory
         burned_out = memory["clock"]["stage_burnout_ns"][0, len(computers) - 1] >= 0
         phase = memory["computer"]["orbit"]["phase"][0]
@@ -337,9 +340,9 @@ class FlightRun:
         return ("the engine burned out before closed-loop guidance reached the orbit",)
 
     def state_hash(self) -> str:
-        """SHA-256 over the last state, time and events: equal for equal flights, bit by bit."""
+        """Return the SHA-256 over the last state, time and events, which is equal for bit-identical flights."""
         clock = self.clock
-        flown = self.packed.state[: len(_state_names(self.packed.sizes))]  # not the room for what it does not have
+        flown = self.packed.state[: len(_state_names(self.packed.sizes))]  # without the unused entries
         digest = hashlib.sha256(flown.tobytes())
         digest.update(np.array([clock.now_ns, clock.steps, clock.stage]).tobytes())
         digest.update(np.asarray(clock.event_ns).tobytes())
@@ -351,7 +354,7 @@ class FlightRun:
     def _advance(
         self, until_ns: int, logged: Any, room: LoggedRows, software: FlightSoftware | None = None
     ) -> LoggedRows:
-        """Fly until `until_ns`; the log rows as views of `room`."""
+        """Fly until `until_ns`, and return the log rows as views of `room`."""
         self._counts[:] = 0
         if software is not None:
             software.advance(until_ns)
@@ -368,11 +371,11 @@ def fly(
 ) -> Flight:
     """Fly a scenario to its end. `log=False` keeps no channels and is fastest.
 
-    `watch` is called after every segment (1 s of simulated time, or about a thousand steps) with the run and its rows.
+    `watch` is called with the run and its rows after every segment (1 s of simulated time, or about a thousand steps).
     A flight that diverges is a result (`outcome`, `cause`), not an exception.
     """
     run = FlightRun(loaded, log=log)
-    if not log and watch is None:  # nobody looks in between
+    if not log and watch is None:  # no observer between segments
         run.segment_ns *= max(_UNSEEN_NS // run.segment_ns, 1)
     kept = GrowingRows()
     while not run.finished:
@@ -385,8 +388,10 @@ def fly(
 
 
 def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
-    """Channels of a scenario's flights; `sizes`: of the widest stage. A tank without a name goes by its number; where
-    the tanks of the stages have different names, by all of them (lox_or_hydrogen).
+    """Return the channels of a scenario's flights; `sizes`: those of the widest stage.
+
+    A tank without a name is called by its number. Tanks with different names in the stages are called by all of them
+    (lox_or_hydrogen).
     """
     of_stages = zip_longest(*(stage.pendulum_names for stage in scenario.vehicle.stage), fillvalue="")
     names = tuple("_or_".join(dict.fromkeys(filter(None, each))) for each in of_stages)
@@ -418,8 +423,9 @@ def _adapts(scenario: Scenario) -> bool:
 
 
 def engine_names(scenario: Scenario) -> tuple[str, ...]:
-    """Return a name or number for each engine of the stage with the most engines; empty for a vehicle of single
-    engines.
+    """Return a name or number for each engine of the stage with the most engines.
+
+    The result is empty for a vehicle of single engines.
     """
     engines = max((stage.engines for stage in scenario.vehicle.stage), key=len)
     return tuple(e.name or str(i + 1) for i, e in enumerate(engines)) if len(engines) > 1 else ()
@@ -439,7 +445,7 @@ def _logs_waves(scenario: Scenario, sizes: Sizes) -> bool:
 
 
 def _above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:
-    """A failure if the flight rose above a wind profile that has to cover it (wind.outside = "error")."""
+    """Return a failure if the flight rose above a wind profile that must cover it (wind.outside = "error")."""
     wind = scenario.wind
     if wind.outside == "hold" or wind.profile is None:
         return ()
@@ -450,10 +456,10 @@ def _above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:
 
 
 def _segment_ns(step_ns: int, shortest_log_ns: int, longest_ns: int) -> int:
-    """Length of a segment: `longest_ns`, less where that is many steps or rows, more where it is few of both; a
-    multiple of the step.
+    """Return the length of a segment: a multiple of the step, near `longest_ns`.
 
-    Only between two segments can a flight be interrupted and are its rows written.
+    It is less than `longest_ns` if that is many steps or rows, and more if it is few of both. A flight can be
+    interrupted, and its rows are written, only between two segments.
     """
     usual_ns = max(longest_ns, _FEW * min(step_ns, shortest_log_ns))
     longest = min(usual_ns, _MOST_STEPS * step_ns, _MOST_ROWS * shortest_log_ns)

@@ -1,9 +1,9 @@
-"""Processes that fly flight code from outside, so that a crash or an endless loop ends one flight and nothing else.
+"""Processes that fly external flight code, so that a crash or an endless loop ends only one flight.
 
-A worker is forked on memory that both processes share and flies what lies there. One that is done with a flight waits
-for the next of the same code: a fork costs as much as a third of a flight. So that each flight begins as in a fresh
-process, a library is unloaded in between; a worker of which something would be left (Python modules, a library that
-cannot be unloaded or that has started threads) ends with its flight.
+A worker is forked with memory that both processes share, and flies the flight in it. After a flight the worker waits
+for the next one with the same code, because a fork costs as much as a third of a flight. A library is unloaded in
+between, so that each flight begins as in a fresh process. If a part of the code would remain (Python modules, a library
+that cannot be unloaded or that has started threads), the worker ends with its flight.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from maxq.sim.run.instances import Instance, Setup, Unusable, started
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 Arrays = tuple[NDArray[Any], ...]
-"""What `loop.advance` takes, in its order without `until_ns`."""
+"""The arguments of `loop.advance`, in its order without `until_ns`."""
 MEMORY = 2  # index of the flight's memory in Arrays
 
 STARTING = 2  # of `inside`: while an instance is made
-_SMALLEST = 1 << 24  # shared bytes of a worker; what is not used of them takes no memory
-IMPORT_S = 30.0  # that Python code may take longer to start: each of its processes imports it
-_SOCKET_S = 5.0  # likewise a socket, which has a time limit of its own
+_SMALLEST = 1 << 24  # shared bytes of a worker; the unused part takes no memory
+IMPORT_S = 30.0  # additional time for the start of Python code, which each of its processes imports
+_SOCKET_S = 5.0  # additional time for a socket, which has a separate time limit
 _POLL_S = 0.05
-_FORK = threading.RLock()  # again by the same thread where garbage is collected in it
+_FORK = threading.RLock()  # reentrant, because garbage may be collected while it is held
 _idle: list[Worker] = []
 _lines: set[Any] = set()  # this process's ends
-_leaving: set[int] = set()  # processes that have been told to end
+_leaving: set[int] = set()  # processes asked to end
 
 
 class Worker:
-    """A process that flies `computer`'s code on arrays of the types `kinds`."""
+    """A process that flies the code of `computer` on arrays of the types `kinds`."""
 
     def __init__(self, computer: ComputerSection, kinds: list[np.dtype[Any]], size: int) -> None:
         self.computer, self.kinds, self.size = computer, kinds, size
@@ -56,7 +56,7 @@ class Worker:
         with _FORK:
             self._line, theirs = Pipe()
             _lines.add(self._line)
-            for stream in (sys.stdout, sys.stderr):  # or both processes would write what waits there
+            for stream in (sys.stdout, sys.stderr):  # or both processes would write the buffered output
                 with contextlib.suppress(OSError, ValueError, AttributeError):
                     stream.flush()
             self._pid = os.fork()
@@ -67,7 +67,7 @@ class Worker:
         self._answers.register(self._line.fileno(), select.POLLIN)
 
     def start(self, arrays: Arrays, setup: Setup) -> tuple[Arrays, bool, str]:
-        """The arrays in shared memory; whether the code was started on them, and what it says."""
+        """Start a flight: return the arrays in shared memory, True if the code was started, and its message."""
         shapes = [array.shape for array in arrays]
         placed = _placed(self._room, self.kinds, shapes)
         for room, array in zip(placed, arrays, strict=True):
@@ -82,8 +82,8 @@ class Worker:
         return self._done(b"A" + until_ns.to_bytes(8, sys.byteorder, signed=True))
 
     def release(self) -> None:
-        """End of the flight: let it close the code, and keep it for the next where nothing of the code is left."""
-        self._seen["inside"][0] = 1  # or it could take as long as it likes
+        """End the flight: close the code, and keep the worker for the next flight if no part of the code remains."""
+        self._seen["inside"][0] = 1  # or it could take any time
         clean = self._pid > 0 and self._done(b"C")[0]
         self._seen.clear()
         if not clean:
@@ -96,7 +96,7 @@ class Worker:
             oldest.end()
 
     def end(self) -> None:
-        """Let the process end."""
+        """End the process."""
         _lines.discard(self._line)
         self._line.close()
         if self._pid > 0:
@@ -104,7 +104,7 @@ class Worker:
         _reap()
 
     def _done(self, order: bytes) -> tuple[bool, str]:
-        """Its answer; where there is none, the fault, and the process has ended."""
+        """Return the process's answer to an order, or the fault if there is none and the process has ended."""
         calls = int(self._seen["calls"][0])
         limit_s = time_limit_s(self.computer, int(self._seen["inside"][0])) + _SOCKET_S * bool(self.computer.address)
         with contextlib.suppress(OSError):
@@ -137,7 +137,7 @@ def time_limit_s(computer: ComputerSection, inside: int) -> float:
 
 
 def worker_for(computer: ComputerSection, arrays: Arrays) -> Worker:
-    """A worker that waits, or a new one."""
+    """Return a waiting worker, or a new one."""
     kinds, size = [array.dtype for array in arrays], _places([array.nbytes for array in arrays])[-1]
     _reap()
     with _FORK:
@@ -168,7 +168,7 @@ def _end_idle() -> None:
 
 
 def _forget() -> None:
-    """In a process that has been forked: the workers are not its own."""
+    """Forget the workers in a forked process, because they belong to its parent."""
     for line in _lines:
         line.close()
     _lines.clear()
@@ -199,7 +199,7 @@ def _placed(room: mmap.mmap, kinds: Sequence[np.dtype[Any]], shapes: Sequence[tu
 
 
 class _Flying:
-    """The worker's own side."""
+    """The worker's side of the connection."""
 
     def __init__(self, line: Any, room: mmap.mmap, computer: ComputerSection, kinds: list[np.dtype[Any]]) -> None:
         self._line, self._room, self._computer, self._kinds = line, room, computer, kinds
@@ -207,10 +207,10 @@ class _Flying:
         self._instance: Instance | None = None
 
     def serve(self) -> NoReturn:
-        """Do what is asked until there is nobody to ask."""
+        """Carry out orders until the connection ends."""
         code = 1
         try:
-            for number in (signal.SIGINT, signal.SIGTERM):  # the process that asks sees to these
+            for number in (signal.SIGINT, signal.SIGTERM):  # the parent process handles these
                 signal.signal(number, signal.SIG_IGN)
         except ValueError:
             pass  # forked by a thread, which is now the main thread

@@ -1,4 +1,6 @@
-"""Flight code from outside, started: whatever it is, the flight calls a C function with the records of external.py.
+"""Running instances of external flight code.
+
+For all kinds of code the flight calls a C function with the records of external.py:
 
 | key | function | where an error shows |
 |---|---|---|
@@ -37,7 +39,7 @@ _StepFunction = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p,
 
 
 def _structure(name: str, schema: type) -> Any:
-    """The record as a ctypes.Structure, for Python code."""
+    """Return the record as a ctypes.Structure, for Python code."""
     kinds = {"f": ctypes.c_double, "i": ctypes.c_int64}
     fields: list[tuple[str, Any]] = []
     for field, (kind, _) in (dtype_of(schema).fields or {}).items():  # type: ignore[misc]  # a triple only with a title
@@ -52,7 +54,7 @@ Inputs, Outputs = _structure("Inputs", FswInputs), _structure("Outputs", FswOutp
 
 
 class Setup(ctypes.Structure):
-    """`maxq_fsw_setup` of maxq_fsw.h."""
+    """The struct `maxq_fsw_setup` of maxq_fsw.h."""
 
     _fields_ = [
         *((name, ctypes.c_int64) for name in ("bytes", "abi", "sample_ns", "delay_ns", "start_ns", "groups")),
@@ -65,11 +67,11 @@ class Setup(ctypes.Structure):
 
 
 class Unusable(Exception):
-    """Why flight code cannot be started."""
+    """The error of flight code that cannot be started."""
 
 
 class Instance(ABC):
-    """Flight code that has been started: what the flight calls, and what else there is to say of the last call."""
+    """Running flight code: the function that the flight calls, and the message of the last call."""
 
     step: int
     address = 0
@@ -77,15 +79,18 @@ class Instance(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """End of the flight."""
+        """End the flight."""
 
     def unload(self) -> bool:
-        """After `close`: whether nothing of the code is left in this process, so that the next flight begins again."""
+        """Return True if, after `close`, no part of the code remains in this process.
+
+        The next flight then begins afresh.
+        """
         return False
 
 
 class _Library(Instance):
-    """An instance of a shared library, in memory of ours."""
+    """An instance of a shared library, in memory of the simulator."""
 
     def __init__(self, code: CodeFile, setup: Setup) -> None:
         self._file, self._threads = code.file, _threads()
@@ -117,7 +122,7 @@ class _Library(Instance):
         self._library.maxq_fsw_close(ctypes.c_void_p(self.address))
 
     def unload(self) -> bool:
-        if not _threads() or _threads() > self._threads:  # one of its own may run on in it
+        if not _threads() or _threads() > self._threads:  # a thread of the library may still run in it
             return False
         _ctypes.dlclose(self._library._handle)
         try:
@@ -128,7 +133,7 @@ class _Library(Instance):
 
 
 def _threads() -> int:
-    """Return the number of threads of this process; 0 if it is not known."""
+    """Return the number of threads of this process, or 0 if it is unknown."""
     try:
         return len(os.listdir("/proc/self/task"))
     except OSError:
@@ -136,7 +141,7 @@ def _threads() -> int:
 
 
 class _InPython(Instance):
-    """Flight code in Python behind a C function: a subclass answers inputs with outputs."""
+    """The base class of Python flight code behind a C function: a subclass answers inputs with outputs."""
 
     def __init__(self) -> None:
         self._function = _StepFunction(self._called)
@@ -144,7 +149,7 @@ class _InPython(Instance):
 
     @abstractmethod
     def answer(self, inputs: Any, outputs: Any) -> int:
-        """Code of the step: 0, or what ends the flight."""
+        """Return the code of the step: 0, or the reason that ends the flight."""
 
     def _called(self, _: Any, inputs: Any, outputs: Any) -> int:
         try:
@@ -187,7 +192,7 @@ class _PythonClass(_InPython):
 
 @lru_cache(maxsize=8)
 def module_of(file: str, sha256: str) -> ModuleType:
-    """The module in a Python file, which may import what lies beside it."""
+    """Return the module in a Python file, which may import other files of its folder."""
     spec = importlib.util.spec_from_file_location(f"maxq_flight_code_{sha256[:12]}", file)
     if spec is None or spec.loader is None:
         raise Unusable("is no Python file")
@@ -206,7 +211,10 @@ def module_of(file: str, sha256: str) -> ModuleType:
 
 
 HEADER = struct.Struct("=4sIq")
-"""Of a message, in the order of bytes of this machine: MAGIC, kind, number of the message, which the answer repeats."""
+"""The header of a message, in the byte order of this machine.
+
+It consists of MAGIC, kind, and the number of the message, which the answer repeats.
+"""
 MAGIC, SETUP, STEP, CLOSE = b"MAXQ", 1, 2, 3
 _CODE = struct.Struct("=q")
 
@@ -214,7 +222,7 @@ _CODE = struct.Struct("=q")
 class _Remote(_InPython):
     """A computer behind a socket, in lock-step: a message with a struct, an answer with a code and a struct.
 
-    Over UDP a message is a datagram; answers to earlier messages are passed over, lost ones are not sent again.
+    Over UDP a message is a datagram. Answers to earlier messages are ignored, and lost messages are not sent again.
     """
 
     def __init__(self, address: str, timeout_s: float, setup: Setup) -> None:
@@ -256,7 +264,7 @@ class _Remote(_InPython):
         return error.strerror.lower() if error.strerror else str(error)
 
     def _ask(self, kind: int, content: bytes, expected: int) -> tuple[int, bytes]:
-        """Code and content of the answer."""
+        """Return code and content of the answer."""
         self._number += 1
         until = time.monotonic() + self._timeout_s
         self._socket.settimeout(self._timeout_s)
@@ -290,7 +298,7 @@ class _Remote(_InPython):
 
 
 def described(error: BaseException) -> str:
-    """An exception of flight code on one line, with the place in it."""
+    """Return an exception of flight code on one line, with its place in the code."""
     trace, at = error.__traceback__, ""
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename
@@ -301,7 +309,7 @@ def described(error: BaseException) -> str:
 
 
 def started(computer: ComputerSection, setup: Setup) -> Instance:
-    """An instance of the flight code. Raises Unusable."""
+    """Return an instance of the flight code. Raises Unusable."""
     if computer.library is not None:
         return _Library(computer.library, setup)
     if computer.python is not None:

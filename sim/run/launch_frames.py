@@ -1,4 +1,4 @@
-"""The launch site's local-level frame, and the vehicle's motion in it as 3-D viewers want it.
+"""The launch site's local-level frame, and the vehicle's motion in it for 3-D viewers.
 
 `launch_site` has x east, y north, z up (the N of the flight is north, east, down) and is fixed relative to the Earth.
 `body` is B (x forward, y right, z down) with its origin at the core CG.
@@ -38,10 +38,10 @@ class LaunchSite:
 
 
 class LaunchFrames:
-    """Poses of the body at a site, taken from the slow rows: the first row in each period of `transform_ns`.
+    """The poses of the body at a site, taken from the slow rows: the first row in each period of `transform_ns`.
 
-    So transforms are at most as frequent as slow rows. Positions are differences to the site in double
-    precision: rounding is a few nanometres.
+    Transforms are therefore at most as frequent as slow rows. Positions are differences from the site in double
+    precision, with a rounding error of a few nanometres.
     """
 
     def __init__(self, table: ChannelTable, site: LaunchSite, transform_ns: int) -> None:
@@ -53,7 +53,7 @@ class LaunchFrames:
         self._q_enu_E = quaternion(site.enu_E)
 
     def path(self, times_ns: IntArray, rows: Array) -> FramePath:
-        """The next poses from slow rows (n, columns) that follow those of the last call."""
+        """Return the next poses from slow rows (n, columns) that follow those of the last call."""
         periods = times_ns // self._period_ns
         first = np.diff(periods, prepend=self._last_period) > 0
         if len(periods):
@@ -68,7 +68,7 @@ class LaunchFrames:
 
 
 def _product(p: Array, q: Array) -> Array:
-    """Quaternion products (n, 4), scalar first."""
+    """Return quaternion products (n, 4), scalar first."""
     pw, px, py, pz = p.T
     qw, qx, qy, qz = q.T
     return np.stack(
@@ -83,5 +83,8 @@ def _product(p: Array, q: Array) -> Array:
 
 
 def plain(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The Python function of a kernel that calls no other kernel: a single call does not justify compiling it."""
+    """Return the Python function of a kernel that calls no other kernel.
+
+    A single call does not justify compiling it.
+    """
     return getattr(function, "py_func", function)

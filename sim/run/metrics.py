@@ -23,12 +23,13 @@ _OF_ERRORS = {
     "step_error_bending_m": "max_bending_m",
     "step_error_slosh_deg": "max_slosh_deg",
 }
-"""What an estimated error is a share of."""
+"""The metric of which each estimated error is a share."""
 
 
 def step_failure(accuracy: float, metrics: Mapping[str, float], requirements: Sequence[RequirementSection]) -> str:
-    """Return a message if an estimated error exceeds `accuracy` of a required value, or of the reached one where
-    nothing is required; else an empty text.
+    """Return a message if an estimated error exceeds the `accuracy`, else an empty text.
+
+    The accuracy is relative to a required value, or to the reached one where nothing is required.
     """
     for name, of in _OF_ERRORS.items():
         limits = [r.limit for r in requirements if r.metric == of and r.limit is not None]
@@ -43,7 +44,7 @@ def step_failure(accuracy: float, metrics: Mapping[str, float], requirements: Se
 
 
 def end_metrics(final: Mapping[str, float], earth: Earth, site: Site, flight_time_s: float) -> EndMetrics:
-    """From the channels at the flight's last instant."""
+    """Return the end metrics from the channels at the flight's last instant."""
     if earth.figure == FLAT:
         latitude_deg, longitude_deg = math.nan, math.nan
         range_m = math.hypot(final["r_E_x_m"], final["r_E_y_m"])
@@ -66,9 +67,10 @@ def end_metrics(final: Mapping[str, float], earth: Earth, site: Site, flight_tim
 
 
 def orbit_metrics(earth: Earth, r_I_m: Vector, v_I_mps: Vector) -> OrbitMetrics:
-    """From position and velocity in I (Vallado, Fundamentals of Astrodynamics and Applications, algorithm 9).
+    """Return the orbit metrics from position and velocity in I.
 
-    Where the orbit lies in the equator the node counts as I's x axis, where it is a circle the perigee as the node.
+    Source: Vallado, Fundamentals of Astrodynamics and Applications, algorithm 9. For an equatorial orbit I's x axis
+    replaces the node, and for a circular orbit the node replaces the perigee.
     """
     if earth.figure == FLAT or earth.gravity not in (INVERSE_SQUARE, J2):
         return OrbitMetrics(*[math.nan] * len(OrbitMetrics._fields))
@@ -83,7 +85,7 @@ def orbit_metrics(earth: Earth, r_I_m: Vector, v_I_mps: Vector) -> OrbitMetrics:
     perigee = scaled(1.0 / eccentricity, towards_perigee) if eccentricity > 1e-12 else node
 
     def angle_deg(start: Vector, end: Vector) -> float:
-        """In the plane of the orbit, 0 .. 360."""
+        """Return the angle between two vectors in the plane of the orbit, 0 to 360."""
         return math.degrees(math.atan2(dot(cross(start, end), up), dot(start, end))) % 360.0
 
     return OrbitMetrics(
@@ -102,7 +104,7 @@ def orbit_metrics(earth: Earth, r_I_m: Vector, v_I_mps: Vector) -> OrbitMetrics:
 class SectionExtreme:
     """The largest load of a kind (sim/vehicle/loads/kernel.py, KINDS) at a station, and the largest ratio to its limit.
 
-    Zero where the load never was positive, and a ratio of 0 where there is no limit; times are nan then.
+    The load is zero if it never was positive, and the ratio is 0 without a limit. Their times are then nan.
     """
 
     stage: int  # from 1
@@ -115,7 +117,10 @@ class SectionExtreme:
 
 
 def section_extremes(parameters: Records, sections: SectionLoads) -> tuple[SectionExtreme, ...]:
-    """All extremes of a flight's section loads, stage by stage, station by station; `parameters` of every stage."""
+    """Return all extremes of a flight's section loads, stage by stage, station by station.
+
+    `parameters`: those of every stage.
+    """
     out = []
     for stage, p in enumerate(parameters):
         for n in range(int(p.loads.stations)):
@@ -132,7 +137,7 @@ def section_extremes(parameters: Records, sections: SectionLoads) -> tuple[Secti
 def section_metrics(
     extremes: tuple[SectionExtreme, ...], sections: SectionLoads
 ) -> tuple[SectionMetrics, SectionMetrics]:
-    """The metrics of these extremes, and their times, s."""
+    """Return the metrics of these extremes, and their times, s."""
     if not extremes:
         nothing = SectionMetrics(*[math.nan] * len(SectionMetrics._fields))
         return nothing, nothing
@@ -157,7 +162,7 @@ def _time_s(time_ns: int) -> float:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A requirement and the metric it bounds; `time_s`: when the flight had that value, nan if unknown."""
+    """A requirement and the metric that it bounds; `time_s`: time of this value in flight, nan if unknown."""
 
     requirement: RequirementSection
     value: float
@@ -174,23 +179,26 @@ class Verdict:
 
     @property
     def wanted(self) -> str:
-        """The bound in words: "<= 5 deg"."""
+        """Return the bound in words: "<= 5 deg"."""
         (kind, bound), unit = self.bound, unit_of(self.requirement.metric)
         return f"{'<=' if kind == 'limit' else '>='} {bound:.6g} {'' if unit == '1' else unit}".rstrip()
 
 
 def judge(requirement: RequirementSection, values: Mapping[str, float], times_s: Mapping[str, float]) -> Verdict:
-    """A value that is not a number meets no requirement. Raises KeyError for an unknown metric."""
+    """Return the verdict on a requirement; a value that is not a number meets none.
+
+    Raises KeyError for an unknown metric.
+    """
     value, (kind, bound) = values[requirement.metric], requirement.bound
     met = value <= bound if kind == "limit" else value >= bound
     return Verdict(requirement, value, times_s[requirement.metric], met)
 
 
 def geodesic_m(radius_m: float, flattening: float, start: tuple[float, float], end: tuple[float, float]) -> float:
-    """Geodesic distance on an ellipsoid between two places (geodetic latitude, longitude), rad.
+    """Return the geodesic distance on an ellipsoid between two places (geodetic latitude, longitude), rad.
 
-    Vincenty's inverse formula (Survey Review 23, 1975), good to 0.1 mm on the Earth. It does not converge for
-    nearly antipodal places: then, and for coordinates that are not numbers, nan.
+    Method: Vincenty's inverse formula (Survey Review 23, 1975), accurate to 0.1 mm on the Earth. It does not converge
+    for nearly antipodal places. For these, and for coordinates that are not numbers, the result is nan.
     """
     (latitude_1, longitude_1), (latitude_2, longitude_2) = start, end
     if not math.isfinite(latitude_2 + longitude_2):

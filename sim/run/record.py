@@ -1,9 +1,9 @@
-"""A flight as files: DIR/flight.mcap while it is flown, DIR/summary.json at its end.
+"""A flight as files: DIR/flight.mcap during the flight, DIR/summary.json at its end.
 
     flight = record(FlightRun(load_scenario("nominal")), "runs/nominal")
 
-The log is written by a thread of its own, a segment behind the flight: kernel and compression both release the
-interpreter's lock, so that they overlap. Memory holds a few segments, never the whole flight.
+A separate thread writes the log, one segment behind the flight. Kernel and compression both release the interpreter's
+lock and run in parallel. Memory holds a few segments, never the whole flight.
 """
 
 from __future__ import annotations
@@ -61,13 +61,14 @@ def record(
     timing: Callable[[], dict[str, float]] = dict,
     number: int = 0,
 ) -> Flight:
-    """Fly `run` to its end and leave log and summary in `folder`, which is made. `number`: of the run in a campaign.
+    """Fly `run` to its end, and write log and summary into `folder`, which is created.
 
-    Files of the same names are replaced. `watch` is called after every segment (1 s of simulated time, or about
-    a thousand steps); when `stop` then says True, the flight ends there with outcome "interrupted". `timing`: further
-    entries for the summary's timing. The `Flight` that is returned has no rows: read the log.
+    `number`: number of the run in a campaign. Files of the same names are replaced. `watch` is called after every
+    segment (1 s of simulated time, or about a thousand steps). If `stop` then returns True, the flight ends there with
+    outcome "interrupted". `timing`: further entries for the summary's timing. The returned `Flight` has no rows, which
+    are in the log.
 
-    Raises LogError where a file cannot be written; folders made for it are then removed again.
+    Raises LogError if a file cannot be written; folders created for it are then removed again.
     """
     run = FlightRun(run) if isinstance(run, LoadedScenario) else run
     folder = Path(folder)
@@ -107,7 +108,7 @@ def run_head(loaded: LoadedScenario, number: int = 0) -> RunHead:
 
 
 def result_record(flight: Flight) -> dict[str, str]:
-    """The end record of the log: enough to compare a second flight with this one, bit by bit."""
+    """Return the end record of the log, which suffices to compare a second flight with this one bit by bit."""
     return {
         OUTCOME_KEY: flight.outcome,
         END_KEY: str(flight.end_ns),
@@ -117,7 +118,7 @@ def result_record(flight: Flight) -> dict[str, str]:
 
 
 def _make(folder: Path) -> list[Path]:
-    """Make a folder; returns those that were missing, the innermost first."""
+    """Create a folder, and return the folders that were missing, the innermost first."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -136,7 +137,7 @@ def fly_to_end(
     watch: Callable[[FlightRun], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Flight:
-    """Fly without keeping rows; `watch` and `stop` as for `record`."""
+    """Fly to the end without keeping rows; `watch` and `stop` as for `record`."""
     try:
         while not run.finished and not stop():
             rows = run.fly_segment()
@@ -156,7 +157,7 @@ def fly_to_end(
 
 
 class _LogThread:
-    """Writes segments while the flight goes on. An error comes out of a later `put`, or of `close`."""
+    """The writer of segments in parallel with the flight. A later `put`, or `close`, raises its errors."""
 
     def __init__(self, writer: LogWriter, run: FlightRun) -> None:
         scenario, earth = run.loaded.scenario, run.packed.parameters[0].environment.earth
@@ -176,7 +177,7 @@ class _LogThread:
         self._waiting.append(self._pool.submit(self._write, copied(rows), [self._message(event) for event in new]))
 
     def close(self, error: BaseException | None, flight: Flight | None) -> None:
-        """Write what is waiting, then the end of the log."""
+        """Write the waiting segments, then the end of the log."""
         try:
             while self._waiting:
                 self._waiting.popleft().result()
@@ -197,7 +198,7 @@ class _LogThread:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what the bits of a flight depend on."""
+    """Return the versions on which the bits of a flight depend."""
     return {"python": platform.python_version()} | {name: version(name) for name in _PACKAGES}
 
 

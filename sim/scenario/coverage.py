@@ -13,10 +13,10 @@ from maxq.sim.vehicle.engine.burn import burn_rate, stage_end_s, thrust_end_s
 
 
 def check_stages(stages: Sequence[Stage], flight_end_s: float, thrust_must_end: bool) -> float:
-    """Refuse tables that end before the thrust of their stage; return the end of the powered flight, s.
+    """Reject tables that end before the thrust of their stage, and return the end of the powered flight, s.
 
-    Both times are on the vehicle clock; the end is 0 without thrust. `thrust_must_end`: refuse thrust tables that do
-    not end at zero where the flight goes on.
+    Both times are on the vehicle clock; the end is 0 without thrust. `thrust_must_end`: reject thrust tables that do
+    not end at zero if the flight continues.
     """
     stage_start_s, powered_end_s = 0.0, 0.0
     for n, stage in enumerate(stages):
@@ -32,7 +32,7 @@ def check_stages(stages: Sequence[Stage], flight_end_s: float, thrust_must_end: 
 
 
 def _check_stage_tables(stage: Stage, key: Path) -> None:
-    """Refuse tables of a stage that end before its thrust does, and an ignition after the end of thrust."""
+    """Reject tables of a stage that end before its thrust does, and an ignition after the end of thrust."""
     end = min(thrust_end_s(stage), stage_end_s(stage) * burn_rate(stage))
     tables: list[tuple[Path, CsvTable | None]] = [(("mass", "table"), stage.mass.table)]
     tables += [(("tank", n, "table"), tank.table) for n, tank in enumerate(stage.tank)]
@@ -58,7 +58,7 @@ def _ends_too_early(table: CsvTable, problem: str, end_s: float, key: Path) -> P
 
 
 def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
-    """Refuse a thrust table that does not end at zero where the stage flies on to `ends_s` on its clock."""
+    """Reject a thrust table that does not end at zero if the stage flies on to `ends_s` on its clock."""
     column = "thrust_vacuum_N"
     for n, table in enumerate(engine.table for engine in stage.engines):
         last = float(table["time_s"][-1]) / burn_rate(stage)
@@ -69,19 +69,19 @@ def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
 
 
 def check_programme(table: CsvTable, start: float, end: float) -> None:
-    """Refuse a guidance programme that does not cover the powered flight from `start` to `end` (s)."""
+    """Reject a guidance programme that does not cover the powered flight from `start` to `end` (s)."""
     key: Path = ("guidance", "programme")
     if len(table) == 1:
         return
     if table["time_s"][0] > start:
         raise table.refusal("the programme begins too late", f"a first time_s <= {start:g}", "time_s", 0, at=key)
     commands_nothing = all(column[-1] == 0.0 for name, column in table.columns.items() if name != "time_s")
-    if table["time_s"][-1] < end and not commands_nothing:  # its last row holds: a rate that goes on is a mistake
+    if table["time_s"][-1] < end and not commands_nothing:  # its last row holds, and a rate that continues is an error
         raise _ends_too_early(table, "the programme ends before the thrust does", end, key)
 
 
 def check_gains(table: CsvTable, key: Path, end: float) -> None:
-    """Refuse a gain table that is wholly outside the powered flight; gains are held beyond its ends."""
+    """Reject a gain table that is wholly outside the powered flight; gains are held beyond its ends."""
     if len(table) == 1:
         return
     for wrong, problem, allowed in (

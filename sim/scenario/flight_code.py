@@ -1,7 +1,7 @@
 """Flight code that a vehicle file names: a shared library, a Python class, or a computer behind a socket.
 
-Reading a scenario runs none of it: a file is only found and hashed. What was flown is in the log with its SHA-256, and
-other content under the same name is refused when the log is flown again (sim/run/flight_software.py).
+Reading a scenario does not run the code: its file is only found and hashed. The log contains the SHA-256 of the code
+flown. When the log is flown again, other content under the same name is rejected (sim/run/flight_software.py).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _ADDRESS = re.compile(r"(tcp|udp)://(\[[0-9a-f:]+\]|[0-9a-z.]+):([0-9]{1,5})")
 
 
 def flight_code_key(name: str) -> str:
-    """The key of [computer] for what a person means by `name`; empty where that is no flight code."""
+    """Return the key of [computer] that `name` denotes, or an empty string if it denotes no flight code."""
     if ".py:" in name:
         return "python"
     if name.startswith(("tcp://", "udp://")):
@@ -45,7 +45,7 @@ class CodeFile(Section):
         if not isinstance(value, str):
             return value
         if not isinstance(value, Text) or not isinstance(info.context, Reading):
-            raise refuse("a file is named where none can be read", "a table with file and sha256")
+            raise refuse("names a file, but no files can be read here", "a table with file and sha256")
         is_python = ".py" in value
         name, _, member = value.rpartition(":") if is_python else (str(value), "", "")
         if is_python and not (name.endswith(".py") and member.isidentifier()):
@@ -59,7 +59,7 @@ class CodeFile(Section):
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Return a title for messages."""
         return shown(Path(self.file)) + (f":{self.member}" if self.member else "")
 
 
@@ -67,7 +67,7 @@ def _loopback(text: str) -> str:
     found = _ADDRESS.fullmatch(text)
     allowed = "tcp://127.0.0.1:PORT or udp://127.0.0.1:PORT, of this machine"
     if not found or not 0 < int(found[3]) < 65536:
-        raise refuse("is no address", allowed)
+        raise refuse("is not an address", allowed)
     host = found[2].strip("[]")
     try:
         local = host == "localhost" or ipaddress.ip_address(host).is_loopback

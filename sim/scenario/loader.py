@@ -1,9 +1,9 @@
-"""Loads a scenario: finds its files, puts them together, applies overrides, validates.
+"""Loading of a scenario: find its files, merge them, apply overrides, validate.
 
     loaded = load_scenario("scenarios/nominal.toml", ["run.step_s=0.0005"])
     loaded.scenario.vehicle.stage[0].mass.table["mass_kg"]
 
-Every mistake is a ScenarioError of one line. Nothing here knows kernels: loading compiles nothing.
+Every error is a ScenarioError of one line. This module uses no kernels, so loading compiles nothing.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ from maxq.sim.scenario.upgrade import upgraded
 
 AS_FLOWN = "scenario as flown"
 CAMPAIGN_SECTIONS = ("campaign", "disperse", "wind_model")
-"""Top-level keys that a campaign file has beside those of a scenario (sim/campaign/schema.py)."""
+"""The top-level keys of a campaign file in addition to those of a scenario (sim/campaign/schema.py)."""
 
 _TOLD = 70  # characters of an override in a description
 Model = TypeVar("Model", bound=Section)
@@ -67,7 +67,7 @@ Model = TypeVar("Model", bound=Section)
 
 @dataclass(frozen=True, repr=False)
 class LoadedScenario:
-    """A scenario that can be flown. Two are equal when they hold the same values and tables, bit by bit."""
+    """A scenario that can be flown. Two are equal if they hold the same values and tables, bit by bit."""
 
     scenario: Scenario
     label: str = field(compare=False)
@@ -96,11 +96,14 @@ class LoadedScenario:
 
     @cached_property
     def as_flown(self) -> str:
-        """The scenario as one self-contained TOML text: `load_scenario_text` reads back an equal one."""
+        """Return the scenario as one self-contained TOML text, from which `load_scenario_text` reads an equal one."""
         return to_toml(self.scenario)
 
     def telling(self, overrides: Iterable[str]) -> LoadedScenario:
-        """The same, its description with the overrides that a person has given, since it does not hold without them."""
+        """Return the scenario with the user's overrides added to its description.
+
+        The description would be incorrect without them.
+        """
         about, told = self.scenario.description.rstrip(), [*overrides]
         if not about or not told or any(text.startswith("description=") for text in told):
             return self
@@ -110,7 +113,7 @@ class LoadedScenario:
 
 
 def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> LoadedScenario:
-    """The scenario in the file `path`, or the built-in one of that name, with `key=value` overrides applied.
+    """Return the scenario in the file `path`, or the built-in one of that name, with `key=value` overrides applied.
 
     Raises ScenarioError.
     """
@@ -128,9 +131,9 @@ def is_campaign(path: str | Path) -> bool:
 def load_with_sections(
     path: str | Path, sections: tuple[str, ...], overrides: Iterable[str] = ()
 ) -> tuple[LoadedScenario, TomlTable, Reading]:
-    """As `load_scenario`, for a file with further top-level keys: those of `sections` that it has, unchecked.
+    """Load as `load_scenario` does, for a file with further top-level keys: those of `sections` that it has, unchecked.
 
-    Also returns what has read the files, so that the sections can name some. Raises ScenarioError.
+    Also returns the reader of the files, because the sections may name files. Raises ScenarioError.
     """
     parsed = [parse_override(text) for text in overrides]
     file, label = locate(str(path), "scenario")
@@ -148,16 +151,16 @@ def load_with_sections(
 
 
 def load_scenario_text(text: str, overrides: Iterable[str] = (), label: str = AS_FLOWN) -> LoadedScenario:
-    """The scenario that a self-contained TOML `text` holds, e.g. one from a log. Raises ScenarioError.
+    """Return the scenario in a self-contained TOML `text`, e.g. one from a log. Raises ScenarioError.
 
-    `label` names it in errors. Files that the text names are not read; overrides may name some.
+    `label` is its name in errors. Files that the text names are not read; overrides may name files.
     """
     parsed = [parse_override(item) for item in overrides]
     tree = parse(text, Source(label))
     for key in ("extends", "unset"):
         if key in tree:
             raise ScenarioError(label, "a scenario given as text must be self-contained", key, value=tree[key])
-    if isinstance(tree.get("design"), dict):  # of an earlier version of maxq
+    if isinstance(tree.get("design"), dict):  # from an earlier version of maxq
         tree["design"] = adopt(upgraded(tree["design"], Design, tree.source)[0], tree.source)
     reading = Reading()
     _assemble(reading, tree, parsed, ())
@@ -169,8 +172,8 @@ def load_file(
 ) -> tuple[Model, TomlTable, Path, str, tuple[Path, ...]]:
     """Return a case or suite (`role`) in a file, or the built-in one of that name, with `key=value` overrides.
 
-    With it its document, its file, how that is shown, and all files read, from that one down to what it extends. Raises
-    ScenarioError.
+    Also returns its document, its file, the file's name in messages, and all files read, from that one down to the one
+    that it extends. Raises ScenarioError.
     """
     parsed = [parse_override(text) for text in overrides]
     file, label = locate(str(name), role)
@@ -197,7 +200,7 @@ def _scenario(reading: Reading, tree: TomlTable, label: str, name: str) -> Loade
 
 
 def _refuse_foreign_design(tree: TomlTable) -> None:
-    """A design that names another vehicle than the one that flies, which nobody has asked for."""
+    """Reject a design for another vehicle than the one that flies, unless the command line sets the vehicle."""
     design, vehicle = tree.get("design"), tree.get("vehicle")
     if not isinstance(design, TomlTable) or not isinstance(vehicle, TomlTable):
         return
@@ -206,12 +209,12 @@ def _refuse_foreign_design(tree: TomlTable) -> None:
         return
     if tree.sources.get("vehicle", tree.source).label != COMMAND_LINE:
         problem = f'the design was made for "{made_for}", and the scenario flies "{flies}"'
-        allowed = "a scenario of the design's vehicle (--scenario); or ask for it: --vehicle, --set vehicle=..."
+        allowed = "a scenario of the design's vehicle (--scenario); or set the vehicle: --vehicle, --set vehicle=..."
         raise tree.sources.get("design", tree.source).error(("design",), problem, allowed=allowed)
 
 
 def _assemble(reading: Reading, tree: TomlTable, overrides: list[Override], folders: tuple[Path, ...]) -> None:
-    """Apply overrides and bring in vehicle and design: an override may name them, or change a key inside them."""
+    """Apply overrides and insert vehicle and design; an override may name these, or change a key inside them."""
     command_line = Source(COMMAND_LINE, (Path.cwd(), *folders, scenarios_folder()))
     inside = [(path, value) for path, value in overrides if path[0] in PARTS and len(path) > 1]
     apply([override for override in overrides if override not in inside], tree, command_line)
@@ -246,7 +249,7 @@ def _bring_in(reading: Reading, tree: TomlTable, part: str) -> None:
 
 
 def _refuse_huge_numbers(tree: TomlTable) -> None:
-    """Refuse numbers with which the checks of the schema could overflow."""
+    """Reject numbers with which the checks of the schema could overflow."""
     for path, value in walk(tree):
         if isinstance(value, int | float) and LARGEST_NUMBER < abs(value) < math.inf:
             allowed = f"numbers up to {LARGEST_NUMBER:g}"
@@ -254,10 +257,10 @@ def _refuse_huge_numbers(tree: TomlTable) -> None:
 
 
 def copy_scenario(name: str, folder: str | Path) -> Path:
-    """Copy the built-in scenario or campaign `name` with all it refers to into `folder`; returns the copied file.
+    """Copy the built-in scenario or campaign `name` with all its files into `folder`, and return the copied file.
 
-    The copies lie to each other as the originals do, so that what they name is found beside them. Raises ScenarioError
-    when there is no such scenario, or a file would be overwritten (then nothing is copied).
+    The copies keep their relative paths, so that the files that they name are found. Raises ScenarioError if there is
+    no such scenario, or if a file would be overwritten (then nothing is copied).
     """
     known = builtin_files("scenario") | builtin_files("campaign")
     if name not in known:
@@ -271,7 +274,7 @@ def copy_scenario(name: str, folder: str | Path) -> Path:
     targets = {file: Path(folder) / file.relative_to(scenarios_folder()) for file in sorted(files)}
     for target in targets.values():
         if target.exists():
-            raise ScenarioError(str(target), "is there already, and is not overwritten", allowed="a new folder")
+            raise ScenarioError(str(target), "already exists, and is not overwritten", allowed="a new folder")
     try:
         for file, target in targets.items():
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -283,17 +286,17 @@ def copy_scenario(name: str, folder: str | Path) -> Path:
 
 
 def to_toml(section: Section) -> str:
-    """The section with every key that has a value, defaults included; it reads back to the same bits.
+    """Return the section as TOML with every key that has a value, defaults included; it reads back to the same bits.
 
-    Floats are written by `repr`, the shortest decimal that gives the same double again; a column of a table takes one
-    line. (tomli-w gives each number of a list a line of its own: 56,000 lines for the nominal scenario instead of 330,
-    in three times the time.)
+    Floats are written by `repr`, the shortest decimal that gives the same double. A column of a table is one line.
+    tomli-w writes each number of a list on its own line: 56,000 lines for the nominal scenario instead of 330, in three
+    times the time.
     """
     return "\n".join(_toml_lines(told(section), ())) + "\n"
 
 
 def told(value: Any) -> Any:
-    """A section as TOML and JSON have it; keys without a value are left out."""
+    """Return a section in the form of TOML and JSON; keys without a value are omitted."""
     if isinstance(value, Section):
         fields = {(f.alias or n): getattr(value, n) for n, f in type(value).model_fields.items()}
         return {key: told(item) for key, item in fields.items() if item is not None}
@@ -305,7 +308,7 @@ def told(value: Any) -> Any:
 
 
 def _toml_lines(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
-    """Values first, then tables and lists of tables: below a header TOML has no way back."""
+    """Yield values first, then tables and lists of tables, because TOML cannot return to the values after a header."""
     below: list[tuple[str, str, dict[str, Any]]] = []
     for key, value in table.items():
         name = key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else _toml_value(key)
@@ -321,5 +324,8 @@ def _toml_lines(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
 
 
 def _toml_value(value: Any) -> str:
-    """JSON's texts, finite numbers, booleans and lists are TOML's, but for DEL, which TOML wants escaped."""
+    """Return a value as TOML.
+
+    JSON texts, finite numbers, booleans and lists are valid TOML, except DEL, which TOML requires escaped.
+    """
     return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("\x7f", "\\u007F")

@@ -1,4 +1,4 @@
-"""From what pydantic reports to the one line that a person reads; what a field of the schema allows, in words."""
+"""One-line messages from the reports of pydantic, and descriptions of the allowed values of a field."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from maxq.sim.input.values import LIST_FORM, TABLE_FORM, Section
 
 _DOCUMENT_KEYS = ("extends", "unset")
 _SCENARIO_KEYS = (*_DOCUMENT_KEYS, *(f"{part}_overrides" for part in PARTS))
-"""Keys that the loader uses up before the schema sees the document."""
+"""The keys that the loader consumes before the schema reads the document."""
 
 _PROBLEMS = {
     "greater_than": "is out of range",
@@ -30,7 +30,7 @@ _PROBLEMS = {
 }
 _MANY_KEYS = 24
 _NOW, OBSOLETE = "is now ", "is obsolete"
-"""Problems of keys of an earlier version: with a present name, and without one."""
+"""The problems of keys of an earlier version: with a present name, and without one."""
 _IN_FILES_ONLY = {
     "extends": 'a file of your own that begins with, e.g., extends = "nominal"',
     "unset": "--set KEY= to remove a key, or a file of your own with extends and unset",
@@ -38,7 +38,10 @@ _IN_FILES_ONLY = {
 
 
 def explain(error: ValidationError, tree: TomlTable, model: type[Section]) -> ScenarioError:
-    """The first mistake (unknown keys first: they explain missing ones), and how many more there are."""
+    """Return the first error, and the number of further errors.
+
+    Unknown keys come first, because they explain missing ones.
+    """
     order = {"extra_forbidden": 0, "missing": 2}
     found = [{**detail, "loc": _without_forms(detail["loc"])} for detail in error.errors(include_url=False)]
     details = sorted(_causes(found), key=lambda detail: order.get(detail["type"], 1))
@@ -52,7 +55,7 @@ def explain(error: ValidationError, tree: TomlTable, model: type[Section]) -> Sc
     if first["type"] == "extra_forbidden":
         problem, allowed = _unknown_key(path, model)
     elif first["type"] == "missing" and path and isinstance(path[-1], int):
-        path = path[:-1]  # a list that is too short: say so of the list
+        path = path[:-1]  # a list that is too short: report the list
         problem, value, allowed = ("has too few elements", value_at(tree, path), describe(*field_at(model, path)))
     elif first["type"] == "missing":
         problem, value = "required key is missing", NOTHING
@@ -78,7 +81,7 @@ def _without_forms(path: Path) -> Path:
 
 
 def _causes(found: list[Any]) -> list[Any]:
-    """Without complaints of a list being too short because an element of it is wrong."""
+    """Return the errors without complaints about a list that is too short because one of its elements is wrong."""
     paths = [detail["loc"] for detail in found]
     return [
         detail
@@ -100,7 +103,7 @@ def _refused(path: Path, context: dict[str, Any], tree: TomlTable, more: int) ->
 
 
 def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
-    """Problem and allowed keys for the key at the end of `path`."""
+    """Return problem and allowed keys for the key at the end of `path`."""
     annotation, _ = field_at(model, path[:-1], table=True)
     section = section_of(unwrap(annotation)[0]) or model
     known = keys_of(section)
@@ -122,7 +125,7 @@ def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
 
 
 def _elsewhere(key: str, model: type[Section]) -> str:
-    """A hint when another section of the scenario has this key."""
+    """Return a hint if another section of the scenario has this key."""
     for name, field in model.model_fields.items():
         section = section_of(field.annotation)
         if section is not None and key in keys_of(section):
@@ -131,7 +134,7 @@ def _elsewhere(key: str, model: type[Section]) -> str:
 
 
 def value_at(tree: Any, path: Path) -> Any:
-    """The value at `path`, or NOTHING."""
+    """Return the value at `path`, or NOTHING."""
     for part in path:
         try:
             tree = tree[part]
@@ -140,7 +143,7 @@ def value_at(tree: Any, path: Path) -> Any:
     return tree
 
 
-# what a field allows, in words: for errors and for docs/scenario.md
+# allowed values of a field in words, for errors and docs/scenario.md
 
 _BOUNDS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 _LONG_INTEGER = 2**62
@@ -148,8 +151,10 @@ _PLURALS = {"a number": "numbers", "a whole number": "whole numbers", "a text": 
 
 
 def unwrap(annotation: Any, table: bool = False) -> tuple[Any, list[Any]]:
-    """The bare type below Optional and Annotated, and all metadata on the way; of several forms the first, or `table`:
-    the one with keys."""
+    """Return the bare type below Optional and Annotated, and all metadata on the way.
+
+    If there are several forms, the first is returned, or with `table` the one with keys.
+    """
     metadata: list[Any] = []
     while True:
         origin = get_origin(annotation)
@@ -165,7 +170,7 @@ def unwrap(annotation: Any, table: bool = False) -> tuple[Any, list[Any]]:
 
 
 def section_of(annotation: Any) -> type[Section] | None:
-    """The section that a field of this type holds, by itself or in a list."""
+    """Return the section that a field of this type holds, directly or in a list."""
     bare, _ = unwrap(annotation)
     if get_origin(bare) is tuple:
         bare, _ = unwrap(get_args(bare)[0])
@@ -173,8 +178,10 @@ def section_of(annotation: Any) -> type[Section] | None:
 
 
 def field_at(model: type[Section], path: Path, *, table: bool = False) -> tuple[Any, list[Any]]:
-    """Type and metadata of what `path` names, a `table` where it has several forms; (None, []) when the schema has no
-    such place."""
+    """Return type and metadata of the place that `path` names, with `table` as a table if it has several forms.
+
+    The result is (None, []) if the schema has no such place.
+    """
     annotation: Any = model
     metadata: list[Any] = []
     for n, part in enumerate(path, 1):
@@ -195,12 +202,12 @@ def field_at(model: type[Section], path: Path, *, table: bool = False) -> tuple[
 
 
 def keys_of(section: type[Section]) -> list[str]:
-    """The keys of a section as TOML has them."""
+    """Return the keys of a section as in TOML."""
     return [field.alias or name for name, field in section.model_fields.items()]
 
 
 def describe(annotation: Any, metadata: list[Any]) -> str:
-    """The allowed values in a few words; empty for a type that is not known."""
+    """Return the allowed values in a few words, or an empty string for an unknown type."""
     annotation, more = unwrap(annotation)
     metadata = [*metadata, *more]
     for mark in metadata:

@@ -1,7 +1,6 @@
-"""Values of a scenario that are possible but implausible: they are flown, with a warning.
+"""Possible but implausible values of a scenario, which are flown with a warning.
 
-The bounds are those of launch vehicles that exist, with a margin. Values that no
-vehicle can have are refused (`sim/input/ranges.py`).
+The bounds are those of existing launch vehicles, with a margin. Impossible values are rejected (`sim/input/ranges.py`).
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from maxq.sim.vehicle.slosh.section import Tank
 
 Array = NDArray[np.float64]
 Implausible = tuple[str, float, str]
-"""Key, value, and what it should be like."""
+"""A key, its value, and the plausible values."""
 
 _LONG_RUN = 1e9  # steps or log rows: hours, and hundreds of gigabytes
 _WEATHER_M, _WEATHER_MPS = 30e3, 150.0  # the strongest jet streams have 110 m/s
@@ -28,12 +27,12 @@ _G = 9.8
 _LEAST_GYRATION = 0.03  # of the length: a rod has 0.29, a sphere 0.32 of its diameter
 _MOST_MARGIN = 0.6  # static margin, of the length
 _INCIDENCE_deg, _HELD_Pa = 5.0, 8e3  # launchers pass 15 to 80 kPa
-_DAMPED = 0.01  # damping ratio of what baffles damp
+_DAMPED = 0.01  # damping ratio of a liquid with baffles
 _ROOT = 1.8412  # first zero of J1'
 
 
 def warnings(scenario: Scenario) -> tuple[str, ...]:
-    """A line for each: key, value and what is usual, or what is odd about a mode table."""
+    """Return a line for each implausible value: key, value and usual values, or the defect of a mode table."""
     found: list[Implausible] = [*_run(scenario), *_surroundings(scenario)]
     reference = scenario.vehicle.reference
     for n, stage in enumerate(scenario.vehicle.stage):
@@ -59,10 +58,10 @@ def warnings(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _reference(reference: Reference, tail_m: float) -> Iterator[Implausible]:
-    """Lengths against each other; `tail_m`: the hindmost station that the files name, 0 where there is none."""
+    """Yield implausible lengths; `tail_m`: rearmost station that the files name, 0 if there is none."""
     length, diameter, area = reference.length_m, reference.diameter_m, reference.area_m2
     if tail_m > 0.0 and not 0.9 * tail_m <= length <= 2.0 * tail_m:
-        yield "length_m", length, f"the hindmost station, {tail_m:g} m, or a little more"
+        yield "length_m", length, f"the rearmost station, {tail_m:g} m, or a little more"
     if diameter > 1.5 * length:
         yield "diameter_m", diameter, f"less than the length of {length:g} m"
     across = 0.25 * math.pi * diameter**2
@@ -75,7 +74,7 @@ def _reference(reference: Reference, tail_m: float) -> Iterator[Implausible]:
 
 
 def _tails(stage: Stage) -> Iterator[float]:
-    """Stations of what sits at the tail."""
+    """Yield the stations of parts at the tail."""
     for engine in stage.engines:
         yield max(engine.exit_station_m, engine.gimbal_station_m)
     if stage.bending is not None:
@@ -99,7 +98,7 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Implausible]:
             key = ".".join(map(str, (*stage.engine_key(n), "table.thrust_vacuum_N")))
             yield key, thrust, f"less than 100 g on {float(kg.min()):g} kg"
     if stage.aero is None:
-        return  # nobody needs the reference lengths: they may be anything
+        return  # the reference lengths are not used and may have any value
     volume = 0.25 * math.pi * reference.diameter_m**2 * length
     heaviest = float(kg.max())
     if not 1.0 <= heaviest / volume <= 2e4:
@@ -125,7 +124,11 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Implausible]:
 
 
 def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Implausible]:
-    """Gimbals against CG, centre of pressure against body and CG, and what angle of attack the first stage can hold."""
+    """Yield implausible gimbals, centres of pressure and angles of attack.
+
+    Gimbals are checked against the CG, the centre of pressure against body and CG, and the first stage against the
+    angle of attack that it can control.
+    """
     mass, engines = stage.mass.table, [e for e in stage.engines if e.gimbal != "fixed"]
     if mass is None or stage.aero is None:
         return
@@ -144,7 +147,7 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Imp
         return
     slope, centre_m = lift
     length, diameter = reference.length_m, reference.diameter_m
-    outside = np.abs(centre_m - 0.5 * length) > 0.75 * length  # behind a wide nose it may lie ahead of it
+    outside = np.abs(centre_m - 0.5 * length) > 0.75 * length  # with a wide nose it may be ahead of it
     if outside.any():
         yield (
             "aero.surface",
@@ -170,7 +173,10 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Imp
 
 
 def _lift(stage: Stage) -> tuple[Array, Array] | None:
-    """Slope of the normal force, 1/rad, and its station, m aft of the nose, over Mach; None where tables hold it."""
+    """Return the slope of the normal force, 1/rad, and its station, m aft of the nose, over Mach number.
+
+    The result is None if other tables hold it.
+    """
     aero = stage.aero
     if aero is None or aero.coefficients:
         return None
@@ -191,10 +197,10 @@ def _lift(stage: Stage) -> tuple[Array, Array] | None:
 
 
 def _liquids(stage: Stage) -> Iterator[Implausible]:
-    """Hardly damped liquid between CG and centre of percussion, where a loop about the attitude excites it.
+    """Yield lightly damped liquids between CG and centre of percussion, where an attitude loop excites them.
 
-    (Greensite, Analysis and Design of Space Vehicle Flight Control Systems, vol. 1, section 3: of a body turned at its
-    gimbal the centre of percussion lies I / (m l) ahead of the CG.)
+    Source: Greensite, Analysis and Design of Space Vehicle Flight Control Systems, vol. 1, section 3. The centre of
+    percussion of a body turned at its gimbal is I / (m l) ahead of the CG.
     """
     mass, gimbals = stage.mass.table, [e.gimbal_station_m for e in stage.engines if e.gimbal != "fixed"]
     if mass is None or not gimbals or (mass["x_cg_m"] >= min(gimbals)).any():
@@ -213,7 +219,10 @@ def _liquids(stage: Stage) -> Iterator[Implausible]:
 
 
 def _bob(tank: Tank) -> tuple[Array, Array, Array]:
-    """Times, station and mass of the first slosh mode; of a shape as of a cylinder with its depth (NASA SP-106)."""
+    """Return times, station and mass of the first slosh mode.
+
+    A shape counts as a cylinder of its depth (NASA SP-106).
+    """
     table = tank.table
     if "slosh_mass_kg" in table:
         return table["time_s"], table["hinge_station_m"] + table["pendulum_length_m"], table["slosh_mass_kg"]
@@ -225,7 +234,7 @@ def _bob(tank: Tank) -> tuple[Array, Array, Array]:
 
 
 def _sampling(scenario: Scenario) -> Iterator[Implausible]:
-    """The first bending mode against the computer's sample rate."""
+    """Check the first bending mode against the computer's sample rate."""
     computer = scenario.vehicle.computer
     if computer is None:
         return
@@ -240,11 +249,11 @@ def _sampling(scenario: Scenario) -> Iterator[Implausible]:
 
 
 def _lift_off(stage: Stage) -> Iterator[Implausible]:
-    """A vehicle that is held down until thrust exceeds weight, and never is let go."""
+    """Yield a vehicle that is held down until thrust exceeds weight, and never released."""
     thrust = sum(engine.thrust_factor * float(engine.table["thrust_vacuum_N"].max()) for engine in stage.engines)
     kg = stage.mass.mass_kg if stage.mass.table is None else float(stage.mass.table["mass_kg"].min())
     if stage.engines and thrust < _G * (kg or 0.0):
-        usual = f"more than the weight of {_G * (kg or 0.0):.4g} N, or it is never let go"
+        usual = f"more than the weight of {_G * (kg or 0.0):.4g} N, or it is never released"
         yield "vehicle.stage.0.engine", thrust, usual
 
 

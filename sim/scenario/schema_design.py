@@ -22,7 +22,7 @@ GAIN_COLUMNS = Columns(
 
 
 class GainsSection(Section):
-    """Gains of the law (PD: paper, eq. 33), linear between rows; outside the table the end values hold."""
+    """The gains of the law (PD: paper, eq. 33), linear between rows; outside the table the end values hold."""
 
     table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
         description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s), for load-relief k_a_s2pm (rad per m/s2), for "
@@ -50,12 +50,12 @@ class GainsSection(Section):
 
     @property
     def axes(self) -> tuple[CsvTable, CsvTable]:
-        """Tables of the pitch and the yaw axis."""
+        """Return the tables of the pitch and the yaw axis."""
         return self.table, self.yaw_table or self.table
 
 
 class Quadratic(Section):
-    """(s^2/wz^2 + 2 zz s/wz + 1) / (s^2/wp^2 + 2 zp s/wp + 1)."""
+    """The quadratic section (s^2/wz^2 + 2 zz s/wz + 1) / (s^2/wp^2 + 2 zp s/wp + 1)."""
 
     zero_hz: Positive = Field(description="frequency of the zeros, Hz")
     zero_zeta: float = Field(description="damping ratio of the zeros (negative: right half plane)")
@@ -69,7 +69,7 @@ class Quadratic(Section):
 
 
 class FirstOrder(Section):
-    """(s/z + 1) / (s/p + 1) with z = 2 pi zero_hz, p = 2 pi pole_hz."""
+    """The first-order section (s/z + 1) / (s/p + 1) with z = 2 pi zero_hz, p = 2 pi pole_hz."""
 
     zero_hz: float = Field(description="frequency of the zero, Hz (negative: right half plane)")
     pole_hz: float = Field(description="frequency of the pole, Hz")
@@ -82,7 +82,7 @@ class FirstOrder(Section):
 
 
 class FilterSection(Section):
-    """Bending filter."""
+    """The bending filter."""
 
     structure: Structure = optional(f"F2 to F6: of the paper; sections: 1 to {MAX_SECTIONS} of any kind; none", "none")
     quadratic: tuple[Quadratic, ...] = optional("second-order sections: F2, F3: 1; F4, F5, F6: 2", ())
@@ -108,7 +108,7 @@ class FilterSection(Section):
             self.needs("prewarp_hz", "discretization is prewarped", "a number > 0, Hz")
 
     def continuous(self) -> BendingFilter:
-        """The filter before it is discretised."""
+        """Return the filter before discretisation."""
         from maxq.control import filters  # noqa: PLC0415  # lazy: imports Numba, which reading a file does not need
 
         return filters.BendingFilter(
@@ -118,7 +118,7 @@ class FilterSection(Section):
 
     @lru_cache(maxsize=64)  # a campaign asks for every flight  # noqa: B019  # frozen, and few at a time
     def unfit(self, sample_s: float) -> str:
-        """Why no computer of this period can run the filter; empty where one can."""
+        """Return the reason why no computer of this period can run the filter, or an empty string if one can."""
         if self.structure == "none":
             return ""
         try:
@@ -129,7 +129,7 @@ class FilterSection(Section):
 
 
 class RollSection(Section):
-    """Roll control by on/off thrusters from roll angle + k_rate_s * roll rate."""
+    """The roll control by on/off thrusters from roll angle + k_rate_s * roll rate."""
 
     k_rate_s: NotNegative = Field(description="weight of the rate, s")
     dead_band_deg: Positive = Field(description="half width of the dead band, deg")
@@ -142,7 +142,7 @@ class RollSection(Section):
 
 
 class RollGimbal(Section):
-    """Roll control by the gimbals of two or more groups of engines: -k_p times roll angle, -k_d_s times roll rate."""
+    """The roll control by two or more groups of engines: -k_p times roll angle, -k_d_s times roll rate."""
 
     k_p: NotNegative = Field(description="rad of deflection per rad of roll error")
     k_d_s: NotNegative = Field(description="rad of deflection per rad/s of roll rate, s")
@@ -153,7 +153,7 @@ BlendWeights = Annotated[tuple[float, ...], Field(min_length=1, max_length=MAX_S
 
 
 class Blend(Section):
-    """Rate of the law: weights of all rate gyros, with sum 1."""
+    """The rate of the law: weights of all rate gyros, with sum 1."""
 
     pitch: BlendWeights = Field(description="weights in pitch")
     yaw: BlendWeights | None = optional("weights in yaw (default: as in pitch)")
@@ -165,12 +165,12 @@ class Blend(Section):
 
     @property
     def axes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Weights in pitch and in yaw."""
+        """Return the weights in pitch and in yaw."""
         return self.pitch, self.yaw or self.pitch
 
 
 class LoopFiltersSection(Section):
-    """Filters of the inputs of the law, by loop, in addition to the bending filter at its output."""
+    """The filters of the inputs of the law, by loop, in addition to the bending filter at its output."""
 
     attitude: FilterSection | None = optional("filter of the attitude error")
     rate: FilterSection | None = optional("filter of the (blended) rate")
@@ -180,18 +180,18 @@ class LoopFiltersSection(Section):
 
     @property
     def each(self) -> tuple[FilterSection | None, ...]:
-        """In the order of control/loop_filters.py."""
+        """Return the filters in the order of control/loop_filters.py."""
         return self.attitude, self.rate, self.acceleration
 
 
 class LoadReliefSection(Section):
-    """Feedback of the lateral acceleration, or of an angle of attack estimated from it, by a column of the gains."""
+    """The feedback of lateral acceleration, or of an estimated angle of attack; its gain is in the gain table."""
 
     corner_hz: Positive = Field(description="corner of the accelerometer's first-order lag in the computer, Hz")
 
 
 class AdaptiveSection(Section):
-    """Adaptive augmenting control: a total gain on the commands of pitch and yaw, 1 in nominal conditions."""
+    """The adaptive augmenting control: a total gain on the commands of pitch and yaw, 1 in nominal conditions."""
 
     least_gain: Annotated[float, Field(gt=0.0, lt=1.0)] = optional("lower limit of the total gain", 0.5)
     most_gain: Annotated[float, Field(gt=1.0)] = optional("upper limit of the total gain", 2.0)
@@ -235,7 +235,7 @@ class StageLaw(Section):
 
 
 class Design(Section):
-    """A file in designs/."""
+    """The control design, a file in designs/."""
 
     renamed: ClassVar[dict[str, str]] = RENAMED
 
@@ -293,12 +293,12 @@ class Design(Section):
 
     @property
     def gain_names(self) -> tuple[str, ...]:
-        """Columns of the gains' tables."""
+        """Return the columns of the gain tables."""
         return GAINS[self.law]
 
     @property
     def at_unit_gain(self) -> Design:
-        """The same without adaptation: what its linear loops are at a total gain of 1."""
+        """Return the design without adaptation: its linear loops are those at a total gain of 1."""
         still = tuple(own.model_copy(update={"adaptive": None}) for own in self.stage)
         return self.model_copy(update={"adaptive": None, "stage": still})
 

@@ -33,7 +33,7 @@ SPECTRUM_COLUMNS = Columns("wave_number_pm", sets=(("density_m3ps2",),), positiv
 
 
 class Site(Section):
-    """Launch site."""
+    """The launch site."""
 
     latitude_deg: Latitude = optional("geodetic latitude, deg, north positive", 0.0)
     longitude_deg: Longitude = optional("longitude, deg, east positive", 0.0)
@@ -43,7 +43,7 @@ class Site(Section):
 
 
 class EarthSection(Section):
-    """Shape, rotation and gravity."""
+    """The shape, rotation and gravity of the Earth."""
 
     shape: Literal["wgs84", "sphere", "flat"] = optional("figure; flat: uniform and not rotating", "wgs84")
     rotating: bool = optional("rotation of the Earth", True)
@@ -72,7 +72,7 @@ class EarthSection(Section):
 
 
 class AtmosphereSection(Section):
-    """Air at rest relative to the Earth."""
+    """The air at rest relative to the Earth."""
 
     model: Literal["us1976", "table", "constant", "vacuum"] = optional(
         "us1976: US Standard Atmosphere 1976, -5 to 1000 km (no air above); vacuum: no air", "us1976"
@@ -116,7 +116,7 @@ class Gust(Section):
 
 
 class TurbulenceSection(Section):
-    """Random wind."""
+    """The random wind."""
 
     model: Literal["dryden", "von-karman", "spectrum"] = optional(
         "dryden, von-karman: spectra of MIL-F-8785C along the path; spectrum: of the horizontal wind over altitude",
@@ -154,7 +154,7 @@ class TurbulenceSection(Section):
 
 
 class GroundShear(Section):
-    """Wind between the ground and the lowest level of the profile, in the direction of that level."""
+    """The wind between the ground and the lowest level of the profile, in the direction of that level."""
 
     law: Literal["power", "log"] = Field(
         description="speed over the height h above the site; power: h^exponent; log: ln(1 + h / roughness_m)"
@@ -178,7 +178,7 @@ class GroundShear(Section):
 
 
 class WindSection(Section):
-    """Motion of the air relative to the Earth."""
+    """The motion of the air relative to the Earth."""
 
     profile: Annotated[CsvTable, WIND_COLUMNS] | None = optional("wind over altitude")
     ground: GroundShear | None = optional("absent: the lowest level of the profile holds down to the ground")

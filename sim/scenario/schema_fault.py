@@ -1,7 +1,7 @@
-"""Faults: what fails, when, and for how long.
+"""Faults: the failed part, the time of the failure, and its duration.
 
-A kind of fault is an entry of KINDS (which keys it has) and its name in FaultKind; what faults of its part do stands in
-sim/packing/faults.py. Keys that no kind had before are fields of Fault.
+A kind of fault is an entry of KINDS (its keys) and its name in FaultKind. sim/packing/faults.py defines the effects of
+faults of a part. A key that no kind has yet becomes a field of Fault.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class FaultAbout(NamedTuple):
     """The subject of a kind of fault: `part` is the key that the stage's section must have."""
 
     part: str
-    axes: tuple[str, ...] = ()  # that `axis` may name
-    targets: tuple[str, ...] = ()  # optional keys that name what fails
+    axes: tuple[str, ...] = ()  # allowed values of `axis`
+    targets: tuple[str, ...] = ()  # optional keys that name the failed part
     values: tuple[str, ...] = ()  # required keys
     options: tuple[str, ...] = ()  # other optional keys
 
@@ -115,7 +115,7 @@ class Fault(Section):
             raise refuse(f"{self.kind} has no such axis", ", ".join(kind.axes), "axis")
         if self.tail_off is not None:
             more = self.tail_off["share"] > 1.0
-            self.tail_off.refuse_where(more, "share", "is more than there was", "0 .. 1", at=("tail_off",))
+            self.tail_off.refuse_where(more, "share", "exceeds the thrust before the fault", "0 .. 1", at=("tail_off",))
         if self.until_s is not None and self.until_s <= self.at_s:
             raise refuse("ends before it begins", f"more than at_s = {self.at_s:g}", "until_s")
 
@@ -126,12 +126,12 @@ class Fault(Section):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Those that fail."""
+        """Return the axes that fail."""
         return KINDS[self.kind].axes if self.axis is None else (self.axis,)
 
     @property
     def text(self) -> str:
-        """Kind and target, for people."""
+        """Return kind and target, for messages."""
         targets = [(key, getattr(self, key)) for key in KINDS[self.kind].targets]
         named = [value if isinstance(value, str) else f"{key} {value}" for key, value in targets if value is not None]
         return " ".join((self.kind, *named))

@@ -1,4 +1,4 @@
-"""The scenario: what is flown, from which initial state, with which injected signals."""
+"""The scenario: vehicle and design, initial state, injected signals and requirements of a flight."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Geodetic(Section):
 
 
 class Initial(Section):
-    """State at the start, with at most one key each for position, velocity, attitude and rates."""
+    """The state at the start, with at most one key each for position, velocity, attitude and rates."""
 
     held: bool = optional("hold-down until release", False)
     geodetic: Geodetic | None = optional("position (default: the site)")
@@ -158,13 +158,16 @@ class Injection(Section):
 
     @property
     def amplitude(self) -> float:
-        """In the unit of the target; 1 for a table."""
+        """Return the amplitude in the unit of the target; 1 for a table."""
         value: float | None = getattr(self, AMPLITUDES[self.at])
         return 1.0 if value is None else value
 
     @property
     def highest_hz(self) -> tuple[float, ...]:
-        """Frequencies that it reaches; none for steps and tables, at whose kinks the integrator begins again."""
+        """Return the highest frequencies of the signal.
+
+        Steps and tables have none: the integrator restarts at their kinks.
+        """
         return (*(self.frequencies_hz or ()), self.frequency_hz or 0.0, self.stop_frequency_hz or 0.0)
 
 
@@ -197,11 +200,11 @@ class Run(Section):
         if self.step_s > self.duration_s:
             raise refuse("is longer than the flight", f"at most duration_s = {self.duration_s:g}", "step_s")
         if len(set(self.stop_at)) != len(self.stop_at):
-            raise refuse("names an event twice", "each event once", "stop_at")
+            raise refuse("contains an event twice", "each event once", "stop_at")
 
 
 class Guidance(Section):
-    """Commanded body rates over time."""
+    """The commanded body rates over time."""
 
     programme: Annotated[CsvTable, PROGRAMME_COLUMNS] | None = optional(
         "commanded rates over the vehicle clock (default: zero)"
@@ -214,7 +217,7 @@ class Guidance(Section):
 
 
 class OrbitTarget(Section):
-    """Closed-loop guidance of the last engine's stages to an orbit, with cutoff at perigee; outside the atmosphere."""
+    """The closed-loop guidance of the last engine to an orbit outside the atmosphere, with cutoff at perigee."""
 
     perigee_altitude_m: float = Field(description="height above the equatorial radius, m")
     apogee_altitude_m: float = Field(description="height above the equatorial radius, m")
@@ -234,7 +237,7 @@ class OrbitTarget(Section):
 
 
 class HoldDown(Section):
-    """Release of a vehicle that is held down."""
+    """The release of a vehicle that is held down."""
 
     release: Literal["thrust", "time"] = optional("when thrust exceeds weight, or at release_s", "thrust")
     release_s: Seconds | None = optional('vehicle clock of the release, s, for release = "time"')
@@ -246,7 +249,7 @@ class HoldDown(Section):
 
 
 class Switches(Section):
-    """Switches that remove parts of the model or make them ideal."""
+    """The switches that remove parts of the model or make them ideal."""
 
     aerodynamics: bool = optional("all aerodynamic forces", True)
     thrust: bool = optional("thrust", True)
@@ -293,7 +296,7 @@ class RequirementSection(Section):
 
     @property
     def bound(self) -> tuple[str, float]:
-        """`limit` or `minimum`, and its value."""
+        """Return `limit` or `minimum`, and its value."""
         return ("limit", self.limit) if self.limit is not None else ("minimum", self.minimum or 0.0)
 
     @model_validator(mode="after")
@@ -389,7 +392,7 @@ class Scenario(Section):
         key, flown = ("design", *(("stage", stage) if own else ()), "filter"), design.of_stage(stage).filter
         nyquist = 0.5 / computer.sample_s
         if flown.prewarp_hz is not None and flown.prewarp_hz >= nyquist:
-            raise refuse("lies above half the sample rate", f"less than {nyquist:g}", (*key, "prewarp_hz"))
+            raise refuse("is above half the sample rate", f"less than {nyquist:g}", (*key, "prewarp_hz"))
         if unfit := flown.unfit(computer.sample_s):
             problem = f"cannot be run every {computer.sample_s:g} s: {unfit}"
             raise refuse(problem, key=(*key, "structure"), value=flown.structure)
@@ -482,7 +485,7 @@ class Scenario(Section):
             )
 
     def _check_coverage(self) -> None:
-        """Refuse tables of vehicle, design and guidance that end before the powered flight does."""
+        """Reject tables of vehicle, design and guidance that end before the powered flight does."""
         on, start_s, end_s = self.switches.thrust, self.run.start_s, self.run.start_s + self.run.duration_s
         powered_end_s = check_stages(self.vehicle.stage, end_s, on and self.run.freeze_vehicle_at_s is None)
         if powered_end_s == 0.0 or not on:

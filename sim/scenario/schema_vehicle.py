@@ -44,7 +44,7 @@ _CODE = ("library", "python", "address")
 
 
 class ComputerSection(Section):
-    """Flight computer: converter, sampling, delay and output."""
+    """The flight computer: converter, sampling, delay and output."""
 
     sample_s: Period = Field(description="sample period, s, whole ns")
     delay_s: Seconds = Field(description="from sample to output, s, whole ns, at most sample_s")
@@ -69,7 +69,7 @@ class ComputerSection(Section):
 
     @property
     def code_keys(self) -> tuple[str, ...]:
-        """Which of the keys that name flight code are given."""
+        """Return the given keys that name flight code."""
         return tuple(key for key in _CODE if getattr(self, key) is not None)
 
     def _check(self) -> None:
@@ -82,7 +82,7 @@ class ComputerSection(Section):
 
 
 class StageComputer(Section):
-    """Keys of the flight computer that differ during a stage."""
+    """The keys of the flight computer that differ during a stage."""
 
     sample_s: Period | None = optional("sample period, s, whole ns")
     delay_s: Seconds | None = optional("from sample to output, s, whole ns, at most sample_s")
@@ -156,13 +156,14 @@ class Stage(Section):
 
     @property
     def sensors(self) -> tuple[RateGyro | Accelerometer, ...]:
-        """Rate gyros beyond the first, then the accelerometer."""
+        """Return the rate gyros beyond the first, then the accelerometer."""
         return (*self.rate_gyro, *((self.accelerometer,) if self.accelerometer is not None else ()))
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Return the numbers of parts that keep their state where a stage continues: groups of engines, pendulums,
-        modes, TVC loads.
+        """Return the numbers of parts that keep their state where a stage continues.
+
+        The parts are groups of engines, pendulums, modes and TVC loads.
         """
         bending, spatial = self.bending, self.spatial_modes
         planes = (bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None)
@@ -172,12 +173,15 @@ class Stage(Section):
 
     @property
     def engines(self) -> tuple[EngineSection, ...]:
-        """All engines, none where there is no thrust."""
+        """Return all engines, none without thrust."""
         return (self.engine,) if isinstance(self.engine, EngineSection) else self.engine or ()
 
     @property
     def engine_groups(self) -> tuple[str, ...]:
-        """Groups of engines that move together, in the order in which the engines name them; one at least."""
+        """Return the groups of engines that move together, at least one.
+
+        Their order is that in which the engines name them.
+        """
         return tuple(dict.fromkeys(e.group for e in self.engines if e.gimbal != "fixed")) or ("",)
 
     @property
@@ -190,7 +194,7 @@ class Stage(Section):
 
     @property
     def tvc_loads(self) -> dict[str, TvcLoadSection]:
-        """By group of engines."""
+        """Return the TVC loads by group of engines."""
         if isinstance(self.tvc_load, tuple):
             return {load.group or "": load for load in self.tvc_load}
         return {} if self.tvc_load is None else dict.fromkeys(self.engine_groups, self.tvc_load)
@@ -201,7 +205,7 @@ class Stage(Section):
 
     @model_validator(mode="after")
     def _modes_over_time(self) -> Stage:
-        """Tables of modes over mass become tables over time, by the stage's mass."""
+        """Convert tables of modes over mass to tables over time, by the stage's mass."""
         changed: dict[str, Any] = {}
         for section, keys, arrays in (
             ("bending", ("pitch", "yaw"), mode_table),
@@ -230,7 +234,7 @@ class Stage(Section):
         names = [tank.name or str(n + 1) for n, tank in enumerate(self.tank)]
         for n, name in enumerate(names):
             if name in names[:n]:
-                raise refuse("is the name of another tank already", "each name once", ("tank", n, "name"), value=name)
+                raise refuse("is already the name of another tank", "each name once", ("tank", n, "name"), value=name)
         self._check_engines()
         self._check_groups("actuator", self.actuator, all_of_them=True)
         if len(self.pendulum_names) > MAX_PENDULUMS:
@@ -244,7 +248,7 @@ class Stage(Section):
             check_loads(self.loads, gimbal_station_m, names)
 
     def mode_tables(self) -> list[tuple[str, ModeTable | SpatialModeTable]]:
-        """Tables of modes and their keys; one that serves both planes once."""
+        """Return the tables of modes and their keys; a table for both planes appears once."""
         out: list[tuple[str, ModeTable | SpatialModeTable]] = []
         bending = self.bending
         if bending is not None:
@@ -268,7 +272,7 @@ class Stage(Section):
                 )
 
     def _check_groups(self, key: str, given: Any, *, all_of_them: bool) -> None:
-        """A list has an entry for each group of engines, a table serves all."""
+        """Check that a list has an entry for each group of engines; a single table serves all groups."""
         groups = self.engine_groups
         allowed = ", ".join(repr(group) for group in groups)
         if not isinstance(given, tuple):
@@ -280,7 +284,7 @@ class Stage(Section):
             if group not in groups:
                 raise refuse("no gimballed engine is of this group", allowed, (key, n, "group"), value=group)
             if group in named[:n]:
-                raise refuse("has an entry already", "each group once", (key, n, "group"), value=group)
+                raise refuse("already has an entry", "each group once", (key, n, "group"), value=group)
         missing = [group for group in groups if group not in named]
         if missing and all_of_them:
             raise refuse(f"no entry for group {missing[0]!r}", f"one for each of {allowed}", (key,), value=len(given))
@@ -313,7 +317,7 @@ class Stage(Section):
             total = (self.mass.mass_kg or 0.0) - flow * np.clip(times, 0.0, burn)
         moving = np.zeros(len(times))
         for factor, table in zip((tank.mass_factor for tank in self.tank), tables, strict=True):
-            of_liquid = "liquid_mass_kg" in table  # of a shape all of it, which is more than what sloshes
+            of_liquid = "liquid_mass_kg" in table  # with a shape the whole liquid, which is more than the sloshing mass
             mass = table["liquid_mass_kg"] if of_liquid else table["slosh_mass_kg"] + table.get(SECOND_MODE[0])
             moving += factor * np.interp(times, table["time_s"], mass)
         if (moving >= total).any():
@@ -331,7 +335,7 @@ class Stage(Section):
             )
 
     def _check_stations(self) -> None:
-        """The mode shapes must reach every station at which something acts or measures."""
+        """Check that the mode shapes reach every station at which loads or sensors act."""
         needed: list[tuple[tuple[str | int, ...], float]] = []
         for n, engine in enumerate(self.engines):
             needed.append(((*self.engine_key(n), "gimbal_station_m"), engine.gimbal_station_m))
@@ -365,7 +369,7 @@ class Stage(Section):
 
 
 class Vehicle(Section):
-    """vehicle.toml."""
+    """The vehicle, a file vehicle.toml."""
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("name of the vehicle", "")
@@ -417,7 +421,7 @@ class Vehicle(Section):
             raise refuse(problem, allowed, ("stage", n, "computer", "delay_s"), value=own.delay_s)
 
     def computer_of(self, number: int) -> ComputerSection | None:
-        """The computer while a stage flies, from 0."""
+        """Return the computer while a stage flies, counted from 0."""
         own = self.stage[number].computer
         if self.computer is None or own is None:
             return self.computer

@@ -1,16 +1,17 @@
-"""Wind soundings as weather services give them, read where a wind profile is named.
+"""Wind soundings in the formats of weather services, read where a wind profile is named.
 
-The format is told by the content:
+The format is detected from the content:
 - University of Wyoming: the text list (also within its HTML page) and the CSV file;
-- IGRA version 2 (NOAA/NCEI), the station files of fixed-width records, one sounding or thousands;
-- CSV whose column names carry other units than ours: `height_ft`, `pressure_hPa`, `speed_kt`, `wind direction_degree`,
-  `u_mps` ...; columns that are not wanted are passed over.
+- IGRA version 2 (NOAA/NCEI): the station files of fixed-width records, with one sounding or thousands;
+- CSV whose column names carry other units than those of maxq: `height_ft`, `pressure_hPa`, `speed_kt`,
+  `wind direction_degree`, `u_mps` ...; further columns are ignored.
 
-What comes of it are columns altitude_m, north_mps, east_mps, and the date: of IGRA's and Wyoming's heads, or in CSV of
-a line `# date: 2002-11-28` or the first row. Rows may stand in any order; levels without wind are left out, of several
-at one altitude the first is kept. Geopotential heights become geometric ones (r0 = 6356.766 km). A
-level without height gets it from its pressure, linearly in ln p between levels that have both; where none has a height,
-from the pressures of the US Standard Atmosphere 1976, which in real air may be some hundreds of metres off.
+The result has the columns altitude_m, north_mps, east_mps, and the date. The date comes from the heads of IGRA and
+Wyoming files, or in CSV from a line `# date: 2002-11-28` or the first row. Rows may be in any order. Levels without
+wind are omitted, and the first of several levels at one altitude is kept. Geopotential heights are converted to
+geometric ones (r0 = 6356.766 km). The height of a level without one follows from its pressure, linearly in ln p between
+levels that have both. If no level has a height, the pressures of the US Standard Atmosphere 1976 are used, which in
+real air may be wrong by some hundreds of metres.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from maxq.sim.input.errors import refuse
 from maxq.sim.input.files import Reading
 from maxq.sim.input.tables_csv import DATE, Columns, CsvTable, Foreign, read_csv
 
-_RADIUS_m = 6356766.0  # of geopotential heights, as in the standard atmosphere
+_RADIUS_m = 6356766.0  # Earth radius of geopotential heights, as in the standard atmosphere
 NUMBER_MARK = "#"  # "station.txt#12": the twelfth sounding of a file
 
 
@@ -72,9 +73,9 @@ _WYOMING = re.compile(r"\bPRES\b.*\bHGHT\b.*\bDRCT\b.*\b(SKNT|SPED)\b")
 
 
 def quantity(name: str, shown: str = "") -> tuple[str, float] | None:
-    """The field of `Level` that a column of the file `shown` holds, and the factor to its unit.
+    """Return the field of `SoundingLevel` that a column of the file `shown` holds, and the factor to its unit.
 
-    Raises PydanticCustomError where the column is known and its unit is not.
+    Raises PydanticCustomError if the column is known and its unit is not.
     """
     whole = name.strip().lower()
     found = re.fullmatch(r"(.+?)[ _]?[_(\[]([^_()\[\]]+)[)\]]?", whole)
@@ -95,7 +96,10 @@ class Sounding(NamedTuple):
 
 
 def soundings(text: str, native: Iterable[str] = (), shown: str = "") -> list[Sounding]:
-    """All soundings in the text of the file `shown`; none in a file of another kind, or of `native` columns alone."""
+    """Return all soundings in the text of the file `shown`.
+
+    A file of another kind, or with `native` columns only, has none.
+    """
     lines = text.splitlines()
     first = next((line for line in lines if line.strip()), "")
     if _IGRA.match(first):
@@ -106,13 +110,13 @@ def soundings(text: str, native: Iterable[str] = (), shown: str = "") -> list[So
 
 
 def date_of(text: str) -> str:
-    """The date that a comment of a CSV file states; empty without one."""
+    """Return the date that a comment of a CSV file states, or an empty string without one."""
     found = re.search(rf"^#\s*date\s*[:=]?\s*({DATE})", text, re.MULTILINE | re.IGNORECASE)
     return found[1] if found else ""
 
 
 def _igra(lines: Sequence[str]) -> Iterator[Sounding]:
-    """Fixed columns of IGRA's version 2: pressure Pa, geopotential height m, direction deg, speed 0.1 m/s."""
+    """Read the fixed columns of IGRA version 2: pressure Pa, geopotential height m, direction deg, speed 0.1 m/s."""
     levels, date = list[SoundingLevel](), ""
     for number, line in enumerate(lines, start=1):
         if line.startswith("#"):
@@ -128,7 +132,7 @@ def _igra(lines: Sequence[str]) -> Iterator[Sounding]:
 
 
 def _wyoming(lines: Sequence[str]) -> Iterator[Sounding]:
-    """Cells end where the words of the head end: an empty one is missing."""
+    """Read the columns of Wyoming, whose cells end where the words of the head end: an empty cell is missing."""
     levels, date, coming = list[SoundingLevel](), "", ""
     cells: list[tuple[str, float, int, int]] = []
     for number, line in enumerate(re.sub(r"<[^>]*>", "", line).rstrip() for line in lines):
@@ -157,7 +161,7 @@ def _wyoming(lines: Sequence[str]) -> Iterator[Sounding]:
 
 
 def _csv(lines: Sequence[str], native: frozenset[str], shown: str) -> list[Sounding]:
-    """A table with a line of names; empty where no column holds wind, or all columns are ours."""
+    """Read a table with a line of names; return nothing if no column holds wind, or if all columns are native ones."""
     rows = [(n, line.split(",")) for n, line in enumerate(lines, start=1) if line.strip() and not line.startswith("#")]
     if not rows:
         return []
@@ -186,7 +190,7 @@ def _csv(lines: Sequence[str], native: frozenset[str], shown: str) -> list[Sound
 
 
 def _value(cell: str) -> float:
-    """A number, or nan where it is missing: empty, no number, or one of the codes -999, -8888, -9999, 99999."""
+    """Return a number, or nan if it is missing: empty, not a number, or one of the codes -999, -8888, -9999, 99999."""
     try:
         value = float(cell)
     except ValueError:
@@ -195,7 +199,7 @@ def _value(cell: str) -> float:
 
 
 def wind_table(levels: Iterable[SoundingLevel], name: str, shown: str, date: str = "") -> CsvTable:
-    """The wind profile of a sounding. Raises PydanticCustomError where no level has height and wind."""
+    """Return the wind profile of a sounding. Raises PydanticCustomError if no level has height and wind."""
     rows = np.array(list(levels), dtype=float).reshape(-1, len(SoundingLevel._fields))
     line, geopotential, altitude, pressure, direction, speed, north, east = rows.T
     altitude = np.where(np.isnan(altitude), _geometric(geopotential), altitude)
@@ -218,7 +222,11 @@ def _geometric(geopotential_m: np.ndarray) -> np.ndarray:
 
 
 def _from_pressure(altitude_m: np.ndarray, pressure_hPa: np.ndarray) -> np.ndarray:
-    """Altitude by pressure: between the levels that have both; by the standard atmosphere where fewer than two do."""
+    """Return the altitude by pressure.
+
+    It is interpolated between the levels with both, or follows from the standard atmosphere if fewer than two have
+    both.
+    """
     both = np.isfinite(altitude_m) & (pressure_hPa > 0.0)
     pressed = np.where(pressure_hPa > 0.0, pressure_hPa, math.nan)
     if both.sum() < 2:
@@ -248,8 +256,9 @@ SOUNDING = Foreign("a sounding", _profile)
 
 
 def each_sounding(value: Any, context: Any, columns: Columns) -> Any:
-    """The profiles that a list means: a folder stands for the files in it in the order of their names, a file for each
-    of the soundings in it.
+    """Return the profiles that a list denotes.
+
+    A folder denotes its files in the order of their names, and a file denotes each of its soundings.
     """
     if not isinstance(value, Sequence) or not isinstance(context, Reading):
         return value
@@ -275,7 +284,7 @@ def _read(file: Text, reading: Reading, columns: Columns) -> tuple[str, str, lis
 
 
 def _parted(name: Text) -> tuple[Text, int | None]:
-    """File and number of "file#12"."""
+    """Return file and number of "file#12"."""
     file, mark, number = name.rpartition(NUMBER_MARK)
     if not mark or not number.isdecimal():
         return name, None

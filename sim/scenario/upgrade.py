@@ -1,4 +1,4 @@
-"""Files of an earlier version of their format, brought to the present one: sections name the keys that have changed.
+"""The upgrade of files from an earlier version of their format to the present one; sections name the changed keys.
 
 text, changes = upgraded_text(Path("old.toml").read_text(), Design, Source("old.toml"))
 """
@@ -22,7 +22,7 @@ VERSION = "schema_version"
 def upgraded(given: dict[str, Any], section: type[Section], source: Source) -> tuple[dict[str, Any], list[str]]:
     """Return a document of a section with the present names of its keys, and a line on each change.
 
-    Raises ScenarioError, about `source`, where an old key and the present one are both there.
+    Raises ScenarioError, about `source`, if an old key and the present one both exist.
     """
     changes: list[str] = []
     out = _upgraded(given, section, source, (), changes)
@@ -61,13 +61,13 @@ def _upgraded(
         for table in tables:
             at = at.setdefault(table, {})
         if last in at or (key in section.renamed and section.renamed[key] in given):
-            raise source.error(here, f"is given besides {section.renamed.get(key, key)}", allowed="one of them")
+            raise source.error(here, f"is given in addition to {section.renamed.get(key, key)}", allowed="one of them")
         at[last] = value
     return out
 
 
 def _below(section: type[Section] | None, key: str) -> type[Section] | None:
-    """Return the section that a key holds, also the key of the changes of a part; None where it holds none."""
+    """Return the section that a key holds, also for the key of the changes of a part; None if it holds none."""
     if section is None:
         return None
     fields = {field.alias or name: field for name, field in section.model_fields.items()}
@@ -87,7 +87,7 @@ def _present_paths(old: list[Any], section: type[Section], where: str, changes: 
 
 
 def _present_path(path: str, section: type[Section]) -> str:
-    """Return the present form of a path of keys, e.g. "limits.higher_modes_db"; empty where a key is obsolete."""
+    """Return the present form of a path of keys, e.g. "limits.higher_modes_db"; empty if a key is obsolete."""
     parts, at = list[str](), section or None
     for part in path.split("."):
         new = part if at is None else at.renamed.get(part, part)
@@ -106,8 +106,8 @@ def newest_version(section: type[Section]) -> int:
 def upgraded_text(text: str, section: type[Section], source: Source) -> tuple[str, list[str]]:
     """Return the text of a file in the present version of its format, and a line on each change.
 
-    Comments and layout stay, unless keys are written in a way that a search for their names does not find: then the
-    document is written again, without its comments, and the last line says so. Raises ScenarioError.
+    Comments and layout are kept, unless a search for the names of keys does not find them. Then the document is written
+    again without its comments, and the last line reports this. Raises ScenarioError.
     """
     old = parse(text, source)
     wanted, changes = upgraded(old, section, source)

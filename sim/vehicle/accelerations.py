@@ -1,9 +1,10 @@
-"""Accelerations of the body and its modes, and tensions of the pendulums' rods, solved for together.
+"""Accelerations of the body and its modes, and tensions of the pendulums' rods, from one coupled system.
 
-Without its pendulums the vehicle's mass matrix is block-diagonal: six rigid coordinates (whose CG the deflected engine
-displaces a little) and the modes, each alone. Every pendulum couples them through one number, the tension of its rod,
-every engine on a compliant mount through its angular acceleration. Eliminating the other accelerations leaves one small
-linear system for these (docs/model.md, section 7): exact, and no larger than the number of tanks and of such engines.
+Without its pendulums the vehicle's mass matrix is block-diagonal: six rigid coordinates, whose CG the deflected engine
+displaces slightly, and each mode alone. Every pendulum couples them through one number, the tension of its rod. Every
+engine on a compliant mount couples them through its angular acceleration. Eliminating the other accelerations leaves
+one small linear system for these unknowns (docs/model.md, section 7). The system is exact, and its size is the number
+of tanks and of such engines.
 """
 
 from __future__ import annotations
@@ -42,19 +43,19 @@ def accelerate(
     first: int,
     work: Work,
 ) -> tuple[vec.Vector, vec.Vector]:
-    """Specific force at the core CG and angular acceleration, in B; modal accelerations and tensions (N) in `work`.
+    """Return the specific force at the core CG and the angular acceleration, in B.
 
-    `force` and `moment` (about the core CG) are those without the rods' tensions, `balanced` CG and inertia with the
-    engines deflected. The pendulums' states begin at y[first]. On the pad the body has the accelerations of the pad,
-    and only modes and bobs respond.
+    Modal accelerations and tensions (N) are written to `work`. `force` and `moment` (about the core CG) exclude the
+    rods' tensions. `balanced`: CG and inertia with the engines deflected. The pendulums' states begin at y[first]. On
+    the pad the body has the accelerations of the pad, and only modes and bobs respond.
     """
     offset, inverse, modes = balanced.offset, balanced.inverse_inertia, work.modes
     planar, spatial, system, unknown = modes.planar, modes.spatial, work.system, bare_pointer(work.system.unknown)
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_CORE_MASS]
-    accel = vec.scaled(inverse_mass, force)  # of the CG with the engine deflected, without tensions
+    accel = vec.scaled(inverse_mass, force)  # acceleration of the deflected CG without tensions
     if on_pad == 1:
         inverse_mass, accel, inverse = 0.0, pad_accel, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    rolls_modes = balanced.given_way_kgm2 > 0.0  # else no deflected mass couples roll and modes
+    rolls_modes = balanced.given_way_kgm2 > 0.0  # otherwise no deflected mass couples roll and modes
     for k in range(sizes.pendulums):
         tank = record_at(work.tank, k)
         _add_damper_to_modes(sizes, k, tank, properties, modes)
@@ -103,7 +104,7 @@ def accelerate(
 def _arm_through_modes(
     sizes: Counts, k: int, u: vec.Vector, properties: Array, modes: Modes, tank: slosh.TankWork
 ) -> None:
-    """Add to the roll arm of tank k what its tension moves of deflected engines through the modes (7.3)."""
+    """Add to the roll arm of tank k the effect of its tension through modes and deflected engines (7.3)."""
     y, z = _bending_acceleration(sizes, k, properties, modes.planar.roll_m)
     tank.roll_bend_y_m, tank.roll_bend_z_m = y, z
     roll = u[1] * y + u[2] * z
@@ -156,10 +157,11 @@ def _solve_tensions(
     first: int,
     work: Work,
 ) -> None:
-    """Solve  (1/m_k) T_k + sum_l G_kl T_l = demand_k - (hinge acceleration along the rod without tensions).
+    """Solve (1/m_k) T_k + sum_l G_kl T_l = demand_k - (hinge acceleration along the rod without tensions).
 
-    G is symmetric: how much the hinge of k accelerates along its rod per newton of tension in l. With arms about the CG
-    of the deflected vehicle the rigid part of it is u_k.u_l / m + arm_k.(J^-1 arm_l). Both sides are multiplied by m_k.
+    G is symmetric: G_kl is the acceleration of the hinge of k along its rod per newton of tension in l. With arms about
+    the CG of the deflected vehicle its rigid part is u_k.u_l / m + arm_k.(J^-1 arm_l). Both sides are multiplied by
+    m_k.
     """
     n, planar, spatial, system = sizes.pendulums, work.modes.planar, work.modes.spatial, work.system
     matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
@@ -188,13 +190,13 @@ def _solve_tensions(
     if sizes.tvc_loads > 0:
         _add_loads(sizes, accel, alpha, properties, y, first, work)
     _eliminate(n + 2 * sizes.tvc_loads, system)
-    for k in range(n):  # the tensions accelerate the hinges, too
+    for k in range(n):  # the tensions also accelerate the hinges
         u, tension = vec.vector_at(y, first + slosh.N_PENDULUM * k), unknown[k]
         for j in range(n):
             bending = record_at(work.tank, j).bending_accel_mps2
             bending[1] += properties[in_yaw + k * n + j] * (tension * u[1])
             bending[2] += properties[in_pitch + k * n + j] * (tension * u[2])
-    for k in range(2 * sizes.tvc_loads):  # and so does the engine's swing
+    for k in range(2 * sizes.tvc_loads):  # as does the engine's swing
         for j in range(n):
             bending, turn = record_at(work.tank, j).bending_accel_mps2, unknown[n + k]
             bend_y, bend_z = _bending_acceleration(sizes, j, properties, record_at(system.swing, k).planar_accel_mps2)
@@ -204,7 +206,7 @@ def _solve_tensions(
 
 @kernel
 def _bending_acceleration(sizes: Counts, k: int, properties: Array, accel_mps2: Array) -> tuple[float, float]:
-    """Acceleration of the hinge of tank k along y and z, from the modal accelerations."""
+    """Return the acceleration of the hinge of tank k along y and z, from the modal accelerations."""
     bend_z = modal_sum(
         sizes, properties, sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + k), accel_mps2, of_plane(sch.PITCH)
     )
@@ -218,11 +220,13 @@ def _bending_acceleration(sizes: Counts, k: int, properties: Array, accel_mps2: 
 def _add_loads(
     sizes: Counts, accel: vec.Vector, alpha: vec.Vector, properties: Array, y: Array, first: int, work: Work
 ) -> None:
-    """Rows and columns of the engine's angular accelerations s in the system of the tensions (docs/model.md, 14.4):
+    """Add the rows and columns of the engine's angular accelerations s to the system of the tensions.
+
+    The equations are (docs/model.md, 14.4)
 
         I_i s_i - sum_j (b_i . Y_j) s_j - sum_k h_ki T_k = known_i + b_i . X,
 
-    and m_k h_ki s_i in the row of tank k, h_ki the acceleration of its hinge along the rod per unit of s_i.
+    and m_k h_ki s_i in the row of tank k, where h_ki is the acceleration of its hinge along the rod per unit of s_i.
     """
     n, system, modes = sizes.pendulums, work.system, work.modes
     matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
@@ -251,9 +255,9 @@ def _add_loads(
 
 @kernel
 def _eliminate(n: int, system: System) -> None:
-    """Solve the system in place, right-hand side in, tensions out.
+    """Solve the system in place: right-hand side in, tensions out.
 
-    No pivoting is needed: brought to symmetric form, tensions first, the matrix is definite in every pivot.
+    No pivoting is needed, because the matrix in symmetric form, with the tensions first, is definite in every pivot.
     """
     matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
     if n == 2:

@@ -1,9 +1,9 @@
-"""State blocks: how a component declares what is integrated of it.
+"""State blocks: the declaration of a component's integrated states.
 
 A component's module declares its states as a `StateBlock` and has kernels for their derivatives and initial values,
-which get the index of the first state as an argument. `state.py` holds the list of blocks and composes from it the
-state vector, its size, initial values, names and the bounds beyond which a flight counts as diverged. The log rows that
-show the states are declared in the same module (control/kernel/rows.py).
+whose argument is the index of the first state. `state.py` holds the list of blocks and composes from it the state
+vector, its size, initial values and names. It also holds the bounds beyond which a flight counts as diverged. The log
+rows of the states are declared in the component's module (control/kernel/rows.py).
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ class Sizes:
     yaw_modes: int
     pendulums: int  # slosh modes of all tanks
     surfaces: int  # places at which the air acts on the bent body: lifting surfaces, then tables of coefficients
-    tables: int = 0  # of these, tables of coefficients over angle of attack
+    tables: int = 0  # number of these that are tables over angle of attack
     spatial_modes: int = 0
-    further_groups: int = 0  # of engines that move together, beyond the first
+    further_groups: int = 0  # groups of engines that move together, beyond the first
     engines: int = 1  # alike engines of a group count once (engine/kernel.py); 1 without one
     gimbals: int = 1  # stations of gimbals, at which the engines meet the mode shapes, and behind them of sensors
     thrust_curves: int = 1  # columns of the schedule
     tvc_loads: int = 0  # engines on the compliance of their mount
     sensors: int = 0  # rate gyros beyond the first, and an accelerometer
-    mode_groups: int = field(init=False)  # how many times four modes a plane has, rounded up
+    mode_groups: int = field(init=False)  # number of groups of four modes in a plane, rounded up
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mode_groups", (max(self.pitch_modes, self.yaw_modes) + 3) // 4)
@@ -56,10 +56,10 @@ LARGEST = Sizes(
 
 
 class Counts(NamedTuple):
-    """Sizes as plain numbers: those of a record are read again after every write to an array.
+    """Sizes as plain numbers, because those of a record are read again after every write to an array.
 
-    In a kernel compiled for one vehicle (`records.with_constants`) they are constants, which takes the arithmetic of
-    indices and the ends of loops out of it: measured, a seventh of a flight's time.
+    In a kernel compiled for one vehicle (`records.with_constants`) they are constants. This removes the arithmetic of
+    indices and the ends of loops. Measured saving: a seventh of a flight's time.
     """
 
     pitch_modes: int
@@ -107,8 +107,8 @@ def are_usual(sizes: Counts) -> bool:
 def usual_counts(sizes: Counts) -> Counts:
     """Return counts that `are_usual` of a vehicle with modes, as constants where these are all equal.
 
-    Code that is inlined for them holds no loop over groups of modes, and nothing of parts that few vehicles have:
-    measured, a quarter of a flight's time.
+    Code inlined for them contains no loop over groups of modes, and none of the parts that few vehicles have. Measured
+    saving: a quarter of a flight's time.
     """
     return Counts(sizes.pitch_modes, sizes.yaw_modes, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 1)
 
@@ -121,11 +121,12 @@ def rigid_counts(sizes: Counts) -> Counts:
 
 @dataclass(frozen=True)
 class StateBlock:
-    """States of one kind of part, all states of the first part, then those of the next.
+    """The states of one kind of part: all states of the first part, then those of the next.
 
-    `states`: name and unit of the states of a part, `{}` in a name standing for the part. `parts`: names of the parts,
-    or the field of `Sizes` that counts them. `bound`: the flight has diverged, for the cause `excess`, when the sum of
-    the magnitudes of a part's states exceeds it.
+    - `states`: name and unit of the states of a part, where `{}` in a name represents the part.
+    - `parts`: names of the parts, or the field of `Sizes` that counts them.
+    - `bound`: if the sum of the magnitudes of a part's states exceeds it, the flight has diverged, with the cause
+      `excess`.
     """
 
     states: Mapping[str, str]
@@ -135,7 +136,7 @@ class StateBlock:
 
     @property
     def counted_by(self) -> str:
-        """The field of `Sizes` that counts the parts, or "" for a fixed number of them."""
+        """Return the field of `Sizes` that counts the parts, or "" for a fixed number of them."""
         return self.parts if isinstance(self.parts, str) else ""
 
     @property
@@ -143,7 +144,7 @@ class StateBlock:
         return 0 if isinstance(self.parts, str) else len(self.parts)
 
     def names(self, sizes: Sizes) -> Iterator[str]:
-        """Names of the states in their order; counted parts are numbered from 1."""
+        """Yield the names of the states in their order; counted parts are numbered from 1."""
         parts = range(1, int(getattr(sizes, self.parts)) + 1) if isinstance(self.parts, str) else self.parts
         return (name.format(part) for part in parts for name in self.states)
 

@@ -1,6 +1,6 @@
-"""Time derivative of the state, and the records it reads.
+"""The time derivative of the state, and the records that it reads.
 
-Every line of `derivative` is one part of the model; docs/model.md derives them in the same order.
+Every line of `derivative` is one part of the model, in the order in which docs/model.md derives them.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ from maxq.sim.world.earth import gravity_gradient_torque
 
 @dataclass(frozen=True)
 class StageRecord:
-    """A stage as the kernel reads it."""
+    """A stage in the form that the kernel reads."""
 
     sizes: Sizes
     schedule: TableRef
@@ -114,8 +114,8 @@ class Held:
 
     on_pad: int  # 1: held down
     burning: int
-    command_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # to the actuators: pitch, yaw of each group of engines
-    engine_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # angles at the start of the step, likewise: what a play remembers
+    command_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # command to the actuators: pitch, yaw of each group
+    engine_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # angles at the start of the step: the memory of a play
     roll_torque_Nm: float
     faults: Annotated[Array, (N_FAULT_SLOTS,)]  # see faults.py
 
@@ -124,13 +124,13 @@ class Held:
 class StageInputs:
     """External inputs that vary within a step, evaluated at every stage of the Runge-Kutta method."""
 
-    force_x_N: float  # injected, in B, at the core CG
+    force_x_N: float  # injected force, in B, at the core CG
     force_y_N: float
     force_z_N: float
     torque_x_Nm: float
     torque_y_Nm: float
     torque_z_Nm: float
-    gust_x_mps: float  # of the turbulence, in its frame: B, or north, east, down
+    gust_x_mps: float  # gust in the turbulence's frame: B, or north, east, down
     gust_y_mps: float
     gust_z_mps: float
 
@@ -180,7 +180,10 @@ def derivative(
     at: Evaluation,
     work: Work,
 ) -> None:
-    """Derivative of `at.y` into `at.dy`, auxiliary outputs into `at.aux`, with the properties of this instant."""
+    """Write the derivative of `at.y` to `at.dy` and auxiliary outputs to `at.aux`.
+
+    The properties are those of this instant.
+    """
     sizes = counts(vehicle.sizes)
     if not are_usual(sizes):
         _unusual_derivative(vehicle, environment, pool, held, inputs, at, work)
@@ -387,9 +390,9 @@ def _derivative(
 def engine_motion(
     vehicle: StageRecord, sizes: Counts, held: Held, properties: Array, y: Array, work: Work, aux: Aux
 ) -> tuple[Deflected, rigid.Balance]:
-    """The first engine, deflected by its actuators, further ones into `work`; CG and inertia with all of them.
+    """Return the first engine, deflected by its actuators, and CG and inertia with all engines.
 
-    Angles, rates and accelerations of each group go into `aux`.
+    Further engines are written to `work`, and angles, rates and accelerations of each group to `aux`.
     """
     i, command, before, faults = states.ACTUATOR, held.command_rad, held.engine_rad, held.faults
     channel = aux.engines.channel
@@ -415,7 +418,7 @@ def engine_motion(
 
 @routine
 def further_motion(e: Engine, of: Sizes, properties: Array, work: Work, aux: Aux) -> None:
-    """The engines beyond the first, deflected, into `work`."""
+    """Write the deflected engines beyond the first to `work`."""
     for k in range(1, of.engines):
         pitch, yaw = aux.engines.channel[2 * e.group[k]], aux.engines.channel[2 * e.group[k] + 1]
         if of.tvc_loads > 0 and e.swings[k] >= 0:
@@ -438,7 +441,7 @@ def aerodynamics(
     work: Work,
     air: AirData,
 ) -> tuple[Vector, Vector]:
-    """Force and moment about the core CG in B; adds to the generalised forces of the modes in `work`."""
+    """Return force and moment about the core CG in B, and add to the generalised forces of the modes in `work`."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if air_acts(vehicle.aero, air):
         flow = vector_at(air.flow_B_mps, 0)
@@ -488,10 +491,11 @@ def aerodynamics(
 def thrust_loads(
     vehicle: StageRecord, sizes: Counts, engine: Deflected, properties: Array, work: Work, aux: Aux
 ) -> tuple[Vector, Vector, Load]:
-    """Thrust along the deflected engines on the bent body: force, moment about the core CG, load on the modes.
+    """Return the loads of the thrust along the deflected engines on the bent body.
 
-    The load is that at the first station of gimbals; loads at others have gone to the modes. The moment on what spatial
-    modes displace is left to `outer_spatial_load`.
+    They are the force, the moment about the core CG, and the load on the modes. The load is that at the first station
+    of gimbals; loads at other stations are added to the modes directly. `outer_spatial_load` adds the moment due to the
+    displacement by spatial modes.
     """
     strength = thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux.air.pressure_Pa)
     aux.engines.thrust_N[0], aux.engines.axial_thrust_N = strength, vehicle.engine.rest_x[0] * strength
@@ -509,11 +513,11 @@ def thrust_loads(
 
 
 class Bend(NamedTuple):
-    """Motion of a gimbal's station by bending: displacement (m) and rotation (rad) in B."""
+    """The motion of a gimbal's station by bending: displacement (m) and rotation (rad) in B."""
 
-    shift_y: float  # of planar modes
+    shift_y: float  # displacement by planar modes
     shift_z: float
-    moved_y: float  # of all modes
+    moved_y: float  # displacement by all modes
     moved_z: float
     twist: float
     slope_y: float
@@ -535,7 +539,7 @@ def gimbal_bend(sizes: Counts, properties: Array, gimbal: int, modes: Modes) -> 
 def thrust_load(
     e: Engine, k: int, engine: Deflected, strength: float, follower: int, bend: Bend
 ) -> tuple[Vector, Vector, Load]:
-    """As `thrust_loads`, of engine k, whose gimbal is displaced by `bend`."""
+    """Return the loads of `thrust_loads` for engine k, whose gimbal is displaced by `bend`."""
     if strength <= 0.0:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     axis = engine.axis
@@ -553,7 +557,10 @@ def thrust_load(
 def further_thrusts(
     e: Engine, of: Sizes, follower: int, load: Load, first_bend: Bend, properties: Array, work: Work, aux: Aux
 ) -> tuple[Vector, Vector, Load]:
-    """Force and moment of the engines beyond the first, and `load` with theirs at the first station of gimbals."""
+    """Return force and moment of the engines beyond the first, and `load` plus their load.
+
+    The loads refer to the first station of gimbals.
+    """
     sizes, modes = counts(of), work.modes
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(1, sizes.engines):
@@ -587,9 +594,10 @@ def further_reactions(
     properties: Array,
     work: Work,
 ) -> tuple[Vector, Vector, Load, Load]:
-    """Reaction of the engines beyond the first: force, moment; `load` and `momentum` with theirs at the first station.
+    """Return force and moment of the reaction of the engines beyond the first, and `load` and `momentum` with theirs.
 
-    What acts at other stations goes to the modes at once, and their gyroscopic moment into the moment.
+    Both refer to the first station. Loads at other stations are added to the modes directly, and their gyroscopic
+    moment to the moment.
     """
     sizes, modes = counts(of), work.modes
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -617,7 +625,7 @@ def further_reactions(
 
 @kernel
 def gravity_gradient_moment(environment: Environment, j: Symmetric, rotation: tuple[float, ...], y: Array) -> Vector:
-    """Gravity-gradient moment on the core."""
+    """Return the gravity-gradient moment on the core."""
     r = (
         rotation[0] * y[0] + rotation[3] * y[1] + rotation[6] * y[2],
         rotation[1] * y[0] + rotation[4] * y[1] + rotation[7] * y[2],

@@ -1,14 +1,15 @@
 """The environment at the vehicle's position: gravitation, air, wind and turbulence.
 
-The local frame on the ellipsoid and the standard atmosphere are long chains of roots, divisions and powers. The four
-stages of a Runge-Kutta step lie within metres of each other: the first is evaluated exactly and stored as the anchor
-(`ANCHOR_DUE` becomes `ANCHOR_SET`), the others follow from it by short series. An anchor of zeros (`NO_ANCHOR`)
-stores nothing: each evaluation is then independent, as numerical differentiation requires.
+The local frame on the ellipsoid and the standard atmosphere need many roots, divisions and powers. The four stages of a
+Runge-Kutta step are within metres of each other. The first is evaluated exactly and stored as the anchor (`ANCHOR_DUE`
+becomes `ANCHOR_SET`), and the others follow from it by short series. An anchor of zeros (`NO_ANCHOR`) stores nothing:
+each evaluation is then independent, as numerical differentiation requires.
 
-Within `NEAR_m`, and at that distance: altitude to 3e-11 m (third powers omitted), pressure to 3e-13 relative, the
-directions of north and east to 1e-10 rad (squares omitted; near the poles, where they are not small, no anchor is set).
-A step of 1 ms at 1 km/s covers a tenth of it: 1e-13 m, 1e-16 and 1e-12 rad. Farther away, in another layer of the
-atmosphere, above 86 km, over a flat Earth and in other atmospheres than US 1976 the exact formulas are used.
+The series are used within `NEAR_m`. At that distance the altitude is accurate to 3e-11 m (third powers omitted),
+pressure to 3e-13 relative, and the directions of north and east to 1e-10 rad (squares omitted). Near the poles the
+squares are not small, and no anchor is set. A step of 1 ms at 1 km/s covers a tenth of `NEAR_m`, with errors of 1e-13
+m, 1e-16 and 1e-12 rad. The exact formulas are used farther away, in another layer of the atmosphere, above 86 km, over
+a flat Earth and in other atmospheres than US 1976.
 """
 
 from __future__ import annotations
@@ -43,13 +44,13 @@ class Environment:
     atmosphere: Atmosphere
     wind: Wind
     turbulence: Turbulence
-    penetration: int  # 1: each part of the vehicle meets the wind at its own place
-    reach_m: float  # how far behind the nose parts lie
+    penetration: int  # 1: each part of the vehicle has the wind at its own place
+    reach_m: float  # distance of the last part behind the nose
 
 
 @dataclass
 class AirData:
-    """Air and gravitation at the core CG."""
+    """The air and the gravitation at the core CG."""
 
     altitude_m: float  # above the ellipsoid, sphere or plane
     density_kgpm3: float
@@ -75,13 +76,13 @@ class Anchor:
     cos_lat: float
     sin_lon: float
     cos_lon: float
-    curvature_north_1pm: float  # of the surface at this altitude
+    curvature_north_1pm: float  # curvature of the surface at this altitude
     curvature_east_1pm: float
     longitude_1pm: float  # turn of the longitude per metre to the east
     pressure_Pa: float
     temperature_K: float
     inverse_temperature_1pK: float
-    scale: float  # of the geopotential altitude, with the next two: see `us1976_about`
+    scale: float  # scale of geopotential altitude; for this and the next two see `us1976_about`
     curvature_1pm: float
     lapse_Kpm: float
     reach_down_m: float
@@ -89,14 +90,17 @@ class Anchor:
 
 
 CROSSFLOW_PART = MAX_SURFACES + 1  # the last part that has a wind of its own: the cross-flow's station
-PartWinds = Annotated[Array, (3 * (CROSSFLOW_PART + 1),)]  # of each surface and the cross-flow, less that at the CG
+PartWinds = Annotated[Array, (3 * (CROSSFLOW_PART + 1),)]  # wind of each surface and cross-flow, minus that at the CG
 
 
 @kernel
 def air_data(
     environment: Environment, pool: Array, gust: Vector, rotation: Matrix, y: Array, anchor: Anchor, out: AirData
 ) -> Vector:
-    """Air data into `out`; returns the gravitation in I, m/s2. `gust`: of the turbulence, in its frame, m/s."""
+    """Write the air data to `out`, and return the gravitation in I, m/s2.
+
+    `gust`: velocity of the turbulence, in its frame, m/s.
+    """
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     gravity = gravitation(environment.earth, x, yy, z)
     if environment.earth.gravity == ALONG_BODY:
@@ -135,13 +139,14 @@ def winds_along_body(
     air_at_cg: AirData,
     wind_B_mps: Array,
 ) -> None:
-    """Air's velocity at each part less that at the core CG, in B, into `wind_B_mps`.
+    """Add the air's velocity at each part minus that at the core CG, in B, to `wind_B_mps`.
 
-    Profile and gusts at the part's own altitude, along the straight axis. The turbulence's difference is there already.
+    Profile and gusts are taken at the part's own altitude, along the straight axis. The difference of the turbulence is
+    already included.
     """
     frame, _ = frame_and_air(environment.earth, environment.atmosphere, pool, y[R_I], y[R_I + 1], y[R_I + 2], anchor)
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = frame
-    upward = cos_lat * (cos_lon * rotation[0] + sin_lon * rotation[3]) + sin_lat * rotation[6]  # of the x axis
+    upward = cos_lat * (cos_lon * rotation[0] + sin_lon * rotation[3]) + sin_lat * rotation[6]  # x axis, upward part
     here = vector_at(air_at_cg.wind_N_mps, 0)
     for k in range(parts + 1):
         station, at = (crossflow_m, CROSSFLOW_PART) if k == parts else (stations_m[k], k)
@@ -157,7 +162,7 @@ def winds_along_body(
 
 @kernel
 def pad_acceleration(earth: Earth, rotation: Matrix, gravity: Vector, y: Array) -> Vector:
-    """Specific force that the pad exerts on a vehicle it carries along, in B, m/s2."""
+    """Return the specific force of the pad on a vehicle that moves with it, in B, m/s2."""
     spin = (0.0, 0.0, earth.rate_radps)
     carried = cross(spin, cross(spin, vector_at(y, R_I)))
     return rotate_back(rotation, add(carried, scaled(-1.0, gravity)))
@@ -165,16 +170,17 @@ def pad_acceleration(earth: Earth, rotation: Matrix, gravity: Vector, y: Array) 
 
 @kernel
 def velocity_over_ground(earth: Earth, y: Array) -> Vector:
-    """Velocity relative to the rotating Earth, in I, m/s."""
+    """Return the velocity relative to the rotating Earth, in I, m/s."""
     ground = ground_velocity(earth, y[R_I], y[R_I + 1])
     return y[V_I] - ground[0], y[V_I + 1] - ground[1], y[V_I + 2] - ground[2]
 
 
 @kernel
 def climbs_certainly(earth: Earth, y: Array) -> bool:
-    """Return True if the altitude rises for any figure of the Earth: the velocity is 1 degree above the horizontal of a
-    sphere, and no normal of the ellipsoid is inclined by more than 0.2 degrees to the radius. Always False for a flat
-    Earth.
+    """Return True if the altitude increases for any figure of the Earth; always False for a flat Earth.
+
+    The velocity must be 1 degree above the horizontal of a sphere, and no normal of the ellipsoid is inclined by more
+    than 0.2 degrees to the radius.
     """
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     ground = ground_velocity(earth, x, yy)
@@ -186,7 +192,7 @@ def climbs_certainly(earth: Earth, y: Array) -> bool:
 
 @routine
 def climb_rate(earth: Earth, y: Array) -> tuple[float, float]:
-    """Altitude (m) and its rate (m/s) relative to the rotating Earth."""
+    """Return the altitude (m) and its rate (m/s) relative to the rotating Earth."""
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, y[R_I], y[R_I + 1], y[R_I + 2])
     vx, vy, vz = velocity_over_ground(earth, y)
     return altitude, cos_lat * (cos_lon * vx + sin_lon * vy) + sin_lat * vz
@@ -194,8 +200,10 @@ def climb_rate(earth: Earth, y: Array) -> tuple[float, float]:
 
 @routine
 def flight_direction(environment: Environment, pool: Array, y: Array) -> Vector:
-    """Unit vector of the velocity relative to the air, north, east, down; up where there is none. In the frame BODY of
-    the turbulence, which does without it: up."""
+    """Return the unit vector of the velocity relative to the air, north, east, down.
+
+    The result is up if there is no such velocity, and in the frame BODY of the turbulence, which does not use it.
+    """
     if environment.turbulence.frame != HORIZONTAL:
         return 0.0, 0.0, -1.0
     earth = environment.earth
@@ -223,7 +231,7 @@ Gas = tuple[float, float, float, float]  # as `atmosphere.air` returns it
 def frame_and_air(
     earth: Earth, atmosphere: Atmosphere, pool: Array, x: float, y: float, z: float, anchor: Anchor
 ) -> tuple[Frame, Gas]:
-    """`local_frame` and `air` at a position (I, m)."""
+    """Return `local_frame` and `air` at a position (I, m)."""
     dx, dy, dz = x - anchor.place_I_m[0], y - anchor.place_I_m[1], z - anchor.place_I_m[2]
     if anchor.state == ANCHOR_SET and dx * dx + dy * dy + dz * dz < NEAR_m * NEAR_m:
         frame = _frame_nearby(dx, dy, dz, anchor)
@@ -242,7 +250,7 @@ def frame_and_air(
 def _set_anchor(
     earth: Earth, atmosphere: Atmosphere, x: float, y: float, z: float, frame: Frame, gas: Gas, anchor: Anchor
 ) -> None:
-    """Remember a place, unless there is no ellipsoid or a pole is so near that meridians converge within metres."""
+    """Store a place, unless there is no ellipsoid or a pole is so near that meridians converge within metres."""
     altitude, sin_lat, cos_lat, _, _ = frame
     if earth.figure == FLAT or cos_lat < 0.1 or altitude < -1e5:
         anchor.state = NO_ANCHOR
@@ -267,7 +275,7 @@ def _set_anchor(
 
 @kernel
 def _frame_nearby(dx: float, dy: float, dz: float, anchor: Anchor) -> Frame:
-    """The local frame `dx`, `dy`, `dz` from the anchor: the surface curves away beneath."""
+    """Return the local frame at `dx`, `dy`, `dz` from the anchor, including the curvature of the surface."""
     sin_lat, cos_lat, sin_lon, cos_lon = anchor.sin_lat, anchor.cos_lat, anchor.sin_lon, anchor.cos_lon
     outward = cos_lon * dx + sin_lon * dy
     north = cos_lat * dz - sin_lat * outward
@@ -287,7 +295,7 @@ def _frame_nearby(dx: float, dy: float, dz: float, anchor: Anchor) -> Frame:
 
 @kernel
 def _air_nearby(atmosphere: Atmosphere, rise: float, anchor: Anchor) -> Gas:
-    """The standard atmosphere `rise` metres above the anchor, in the same layer."""
+    """Return the standard atmosphere `rise` metres above the anchor, in the same layer."""
     geopotential = anchor.scale * rise * (1.0 - rise * anchor.curvature_1pm)
     pressure, warmer = us1976_nearby(anchor.pressure_Pa, anchor.inverse_temperature_1pK, anchor.lapse_Kpm, geopotential)
     temperature = warmer * anchor.temperature_K

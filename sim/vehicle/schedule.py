@@ -1,15 +1,16 @@
-"""The properties of a vehicle over time: columns of one table per stage, and how they are laid out.
+"""The properties of a vehicle over time: columns of one table per stage, and their layout.
 
-Mass, thrust, tanks and modes change as propellant leaves. All of it is one table over the stage's burn clock, so
-that a kernel finds the interval once and evaluates every column in one sweep; its values at an instant are the array
-`properties` of the kernels. Fixed columns first, then eight per tank, then the modes: row by row for all modes of a
-plane side by side (pitch plane, then yaw plane). A row has room for a multiple of four modes, with zeros where there is
-no mode, so that kernels take four modes at a time. Last the spatial modes, row by row for all of them side by side:
-frequency and mass, six rows for each place at which a mode acts or is sensed (displacement along x, y, z, rotation
-about x, y, z), softening and turning. Behind them further curves of thrust.
+Mass, thrust, tanks and modes change as propellant leaves. All are columns of one table over the stage's burn clock, so
+that a kernel finds the interval once and evaluates every column in one sweep. The values at an instant are the array
+`properties` of the kernels.
 
-Behind the table's columns lie properties that are derived from them; `complete_modes` and `rigid.prepare_outflow`
-compute them.
+Fixed columns come first, then eight per tank, then the planar modes: row by row for all modes of a plane (pitch plane,
+then yaw plane). A row has a multiple of four modes, with unused ones zero, so that kernels process four modes at a
+time. Then follow the spatial modes, row by row for all modes: frequency and mass, six rows for each place, softening
+and turning. A place is a station at which loads or sensors act, and its rows are displacement along and rotation about
+x, y, z. Further thrust curves follow last.
+
+Behind the table's columns are properties derived from them, computed by `complete_modes` and `rigid.prepare_outflow`.
 """
 
 from __future__ import annotations
@@ -73,31 +74,31 @@ def tank_column(tank: int) -> int:
 
 @formula
 def padded_modes(sizes: Sizes | Counts) -> int:
-    """Columns of a row of modal quantities: the modes of a plane and zeros up to a multiple of four."""
+    """Return the columns of a row of modal quantities: the modes of a plane and zeros up to a multiple of four."""
     return 4 * sizes.mode_groups
 
 
 @formula
 def mode_rows(sizes: Sizes | Counts) -> int:
-    """Rows of a plane."""
+    """Return the number of rows of a plane."""
     return softening_row(sizes, 0) + padded_modes(sizes)
 
 
 @formula
 def mode_column(sizes: Sizes | Counts, plane: int, row: int) -> int:
-    """First mode's column of a row of a plane (PITCH, YAW); the other modes follow."""
+    """Return the first mode's column of a row of a plane (PITCH, YAW); the other modes follow."""
     return N_CONSTANT + TANK_WIDTH * sizes.pendulums + (plane * mode_rows(sizes) + row) * padded_modes(sizes)
 
 
 @formula
 def softening_row(sizes: Sizes | Counts, mode: int) -> int:
-    """Row of what `mode`'s displacement takes from the stiffness of each mode under axial load."""
+    """Return the row of the softening of each mode under axial load per displacement of `mode`."""
     return gimbal_row(sizes, sizes.gimbals) + mode
 
 
 @formula
 def surface_row(sizes: Sizes | Counts, surface: int) -> int:
-    """Row of the shapes at a lifting surface; that of the slopes is the next."""
+    """Return the row of the shapes at a lifting surface; the row of the slopes follows."""
     return MODE_FIRST + sizes.pendulums + 2 * surface
 
 
@@ -118,37 +119,37 @@ def gimbal_place(sizes: Sizes | Counts, gimbal: int) -> int:
 
 @formula
 def spatial_column(sizes: Sizes | Counts, row: int) -> int:
-    """First spatial mode's column of a row; the other modes follow."""
+    """Return the first spatial mode's column of a row; the other modes follow."""
     return mode_column(sizes, 2, 0) + row * sizes.spatial_modes
 
 
 @formula
 def place_column(sizes: Sizes | Counts, place: int, component: int) -> int:
-    """As `spatial_column`, of a component of the shapes at a place: 0 to 2 displacement, 3 to 5 rotation (1/m), B."""
+    """Return the column of a component of the shapes at a place: 0 to 2 displacement, 3 to 5 rotation (1/m), B."""
     return spatial_column(sizes, SPATIAL_FIRST + 6 * place + component)
 
 
 @formula
 def spatial_softening_row(sizes: Sizes | Counts, mode: int) -> int:
-    """Row of what `mode`'s displacement takes from the stiffness of each spatial mode under axial load."""
+    """Return the row of the softening of each spatial mode under axial load per displacement of `mode`."""
     return SPATIAL_FIRST + 6 * gimbal_place(sizes, sizes.gimbals) + mode
 
 
 @formula
 def turning_row(sizes: Sizes | Counts, mode: int) -> int:
-    """Row of the share of each spatial mode in the shape of `mode` turned by a right angle about x."""
+    """Return the row of the share of each spatial mode in the shape of `mode` turned by a right angle about x."""
     return spatial_softening_row(sizes, sizes.spatial_modes) + mode
 
 
 @formula
 def gimbal_row(sizes: Sizes | Counts, gimbal: int) -> int:
-    """Row of the shapes at a station of gimbals; that of the slopes is the next."""
+    """Return the row of the shapes at a station of gimbals; the row of the slopes follows."""
     return MODE_PHI_GIMBAL if gimbal == 0 else surface_row(sizes, sizes.surfaces) + 2 * (gimbal - 1)
 
 
 @formula
 def thrust_column(sizes: Sizes | Counts, curve: int) -> int:
-    """Column of a curve of vacuum thrust: further ones stand behind the modes."""
+    """Return the column of a curve of vacuum thrust; further curves are behind the modes."""
     return THRUST_VACUUM if curve == 0 else spatial_column(sizes, turning_row(sizes, sizes.spatial_modes)) + curve - 1
 
 
@@ -159,7 +160,7 @@ def schedule_width(sizes: Sizes | Counts) -> int:
 
 @formula
 def derived_column(sizes: Sizes | Counts, plane: int, row: int) -> int:
-    """As `mode_column`, of the derived rows behind the table."""
+    """Return the column in the derived rows behind the table, as `mode_column` does for the table."""
     return (
         schedule_width(sizes)
         + N_DERIVED
@@ -175,13 +176,13 @@ def compliance_column(sizes: Sizes | Counts, plane: int) -> int:
 
 @formula
 def spatial_derived(sizes: Sizes | Counts, row: int) -> int:
-    """As `spatial_column`, of the derived rows behind the table."""
+    """Return the column in the derived rows behind the table, as `spatial_column` does for the table."""
     return compliance_column(sizes, 2) + row * sizes.spatial_modes
 
 
 @formula
 def properties_size(sizes: Sizes | Counts) -> int:
-    """Columns of the table and what is derived from them."""
+    """Return the number of columns of the table and its derived properties."""
     return spatial_derived(sizes, MODE_TANK_COMPLIANCE)
 
 
@@ -189,7 +190,7 @@ def properties_size(sizes: Sizes | Counts) -> int:
 def complete_modes(
     sizes: Counts, plane: int, modes: int, zeta: Array, frequency_factor: Array, properties: Array
 ) -> None:
-    """Derived properties of one plane: inverse mass, stiffness, damping, compliance."""
+    """Compute the derived properties of one plane: inverse mass, stiffness, damping, compliance."""
     omega_at, mass_at = mode_column(sizes, plane, MODE_OMEGA), mode_column(sizes, plane, MODE_MASS)
     inverse = derived_column(sizes, plane, MODE_INVERSE_MASS)
     stiffness, damping = derived_column(sizes, plane, MODE_STIFFNESS), derived_column(sizes, plane, MODE_DAMPING)
@@ -218,7 +219,7 @@ def complete_modes(
 
 @kernel
 def complete_spatial_modes(sizes: Counts, zeta: Array, frequency_factor: Array, properties: Array) -> None:
-    """Derived properties of the spatial modes: inverse mass, stiffness, damping."""
+    """Compute the derived properties of the spatial modes: inverse mass, stiffness, damping."""
     omega_at, mass_at = spatial_column(sizes, SPATIAL_OMEGA), spatial_column(sizes, SPATIAL_MASS)
     inverse = spatial_derived(sizes, MODE_INVERSE_MASS)
     stiffness, damping = spatial_derived(sizes, MODE_STIFFNESS), spatial_derived(sizes, MODE_DAMPING)

@@ -1,6 +1,6 @@
-"""Memory of the derivative: a kernel allocates nothing, so its caller provides these records.
+"""The memory of the derivative: kernels allocate nothing, so their caller provides these records.
 
-Each part declares its own in its module.
+Each part declares its own records in its module.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Work:
 
 @dataclass
 class Aux:
-    """Auxiliary outputs of an evaluation, which metrics, events and logs read."""
+    """The auxiliary outputs of an evaluation, which metrics, events and logs read."""
 
     air: AirData
     engines: EngineOutputs
@@ -52,7 +52,7 @@ class Aux:
 
 
 class Evaluation(NamedTuple):
-    """Arguments and results of one evaluation of the derivative."""
+    """The arguments and results of one evaluation of the derivative."""
 
     properties: Array  # of the vehicle at this instant, see schedule.py
     y: Array

@@ -3,11 +3,11 @@
 US Standard Atmosphere 1976 (NOAA-S/T 76-1562), with its own constants (R* = 8314.32 N m/(kmol K), M = 28.9644
 kg/kmol, gamma = 1.4, r0 = 6356.766 km):
 - to 86 km by its closed formulas. Temperature is the molecular-scale temperature, which exceeds the kinetic one by up
-  to 0.08 K between 80 and 86 km; below sea level the first layer's equations extend to -5 km, the lower end of the
-  standard's tables; below it the values at -5 km hold;
-- from 86 to 1000 km by cubics through what its equations give (`thermosphere.upper_air`), with the kinetic temperature.
-  Where the two meet, density and pressure step by 1e-5. The standard gives no speed of sound there: sqrt(gamma p / rho)
-  is carried on, so that a Mach number exists;
+  to 0.08 K between 80 and 86 km. Below sea level the first layer's equations extend to -5 km, the lower end of the
+  standard's tables. Below -5 km the values at -5 km hold;
+- from 86 to 1000 km by cubics through the solution of its equations (`thermosphere.upper_air`), with the kinetic
+  temperature. At 86 km density and pressure step by 1e-5. The standard gives no speed of sound above 86 km. It is
+  sqrt(gamma p / rho) there too, so that a Mach number exists;
 - above 1000 km, where the standard ends, there is no air.
 """
 
@@ -25,21 +25,23 @@ from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, TableRef, find_
 
 VACUUM, US1976, TABLE, CONSTANT = 0, 1, 2, 3  # Atmosphere.model
 
-GAS_CONSTANT_Jpkg_K = 8314.32 / 28.9644  # of air
+GAS_CONSTANT_Jpkg_K = 8314.32 / 28.9644  # air
 HEAT_RATIO = 1.4
 SEA_LEVEL_PRESSURE_Pa = 101325.0
 SEA_LEVEL_TEMPERATURE_K = 288.15
 SEA_LEVEL_DENSITY_kgpm3 = SEA_LEVEL_PRESSURE_Pa / (GAS_CONSTANT_Jpkg_K * SEA_LEVEL_TEMPERATURE_K)
 GEOPOTENTIAL_RADIUS_m = 6356766.0
 LOWEST_m = -5000.0  # geometric
-TOP_m = 86000.0  # geometric: of the closed formulas
+TOP_m = 86000.0  # geometric top of the closed formulas
 
 _G0_OVER_R_Kpm = 9.80665 / GAS_CONSTANT_Jpkg_K  # [K/m] pressure falls by exp(-g0 dH / (R T))
 
 
 def _layers() -> tuple[Array, Array, Array, Array]:
-    """Bases of the standard's layers: geopotential altitude [m], lapse rate [K/m], temperature [K], pressure [Pa];
-    the last two follow from the first, layer by layer, so that all is continuous.
+    """Return the bases of the standard's layers.
+
+    The arrays are geopotential altitude [m], lapse rate [K/m], temperature [K] and pressure [Pa]. Temperature and
+    pressure follow from the other two, layer by layer, so that all are continuous.
     """
     base = np.array([0.0, 11e3, 20e3, 32e3, 47e3, 51e3, 71e3])
     lapse = np.array([-6.5e-3, 0.0, 1.0e-3, 2.8e-3, 0.0, -2.8e-3, -2.0e-3])
@@ -75,10 +77,10 @@ _CEILING_m = (*_FLOOR_m[1:], TOP_m)
 
 @dataclass(frozen=True)
 class Atmosphere:
-    """Parameter record. `model`: VACUUM, US1976 (`table`: `thermosphere.upper_air`), TABLE (`table`, see `air_table`),
-    CONSTANT (the three values).
+    """The parameter record of the atmosphere.
 
-    `density_factor` multiplies the density of every model and nothing else: a dispersion, not a gas law.
+    `model`: VACUUM, US1976 (`table`: `thermosphere.upper_air`), TABLE (`table`, see `air_table`), CONSTANT (the three
+    values). `density_factor` multiplies only the density of any model: it is a dispersion, not a gas law.
     """
 
     model: int = US1976
@@ -90,7 +92,10 @@ class Atmosphere:
 
 
 def pressure_altitude(pressure_Pa: Array) -> Array:
-    """Geometric altitude (n,), m, at which the standard atmosphere has these pressures, to its 71 km; nan stays nan."""
+    """Return the geometric altitudes (n,), m, of these pressures in the standard atmosphere.
+
+    The limit is its 71 km. nan stays nan.
+    """
     i = np.clip(np.searchsorted(-_pressure, -pressure_Pa, side="right") - 1, 0, len(_pressure) - 1)
     lapse, fall = _lapse[i], pressure_Pa / _pressure[i]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -107,12 +112,12 @@ def air_table(
     temperature_K: ArrayLike,
     method: Method = "pchip",
 ) -> Cubics:
-    """Table for `Atmosphere.table`: columns ln(density), ln(pressure), temperature over geometric altitude.
+    """Return the table for `Atmosphere.table`: columns ln(density), ln(pressure), temperature over geometric altitude.
 
-    The logarithms are interpolated because density and pressure fall almost exponentially. Rows every 2 km
-    then meet the standard atmosphere within 0.3 % half-way between them (1 % where a row steps over the
-    tropopause), and no interpolated value can be negative. Raises ValueError for fewer than two rows, values
-    that are not positive, or altitudes that do not rise.
+    The logarithms are interpolated because density and pressure fall almost exponentially. Rows every 2 km then agree
+    with the standard atmosphere within 0.3 % half-way between them, or 1 % if a row steps over the tropopause. No
+    interpolated value can be negative. Raises ValueError for fewer than two rows, values that are not positive, or
+    altitudes that do not increase.
     """
     columns = [np.atleast_1d(np.asarray(c, float)) for c in (density_kgpm3, pressure_Pa, temperature_K)]
     if len(columns[0]) < 2:
@@ -125,10 +130,10 @@ def air_table(
 
 @kernel
 def air(atmosphere: Atmosphere, pool: Array, altitude_m: float) -> tuple[float, float, float, float]:
-    """(density [kg/m3], pressure [Pa], temperature [K], speed of sound [m/s]) at a geometric altitude [m].
+    """Return (density [kg/m3], pressure [Pa], temperature [K], speed of sound [m/s]) at a geometric altitude [m].
 
-    Temperature and speed of sound are positive everywhere, in a vacuum too (those of sea level), so that a Mach number
-    always exists. A table holds its first row below itself and continues isothermally above its last.
+    Temperature and speed of sound are positive everywhere, so that a Mach number always exists; a vacuum has those of
+    sea level. Below a table its first row holds, and above it the air is isothermal.
     """
     if atmosphere.model == US1976:
         if altitude_m >= TOP_m:
@@ -153,7 +158,10 @@ def speed_of_sound(temperature_K: float) -> float:
 
 @kernel
 def us1976(altitude_m: float) -> tuple[float, float]:
-    """(pressure [Pa], temperature [K]) of the standard below 86 km: one power or one exponential a call."""
+    """Return (pressure [Pa], temperature [K]) of the standard below 86 km.
+
+    A call needs one power or one exponential.
+    """
     h = max(altitude_m, LOWEST_m)
     geopotential = GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m + h)
     i = _layer(geopotential)
@@ -174,9 +182,10 @@ def _layer(geopotential_m: float) -> int:
 
 @kernel
 def us1976_about(altitude_m: float, temperature_K: float) -> tuple[float, float, float, float, float]:
-    """Return the local coefficients with which `us1976_nearby` continues from this temperature of `us1976`:
-    geopotential metres per metre, curvature of that [1/m], lapse rate [K/m], and the distance [m] to the layer's lower
-    (negative) and upper boundary.
+    """Return the arguments of `us1976_nearby` at an altitude with this temperature from `us1976`.
+
+    These are geopotential metres per metre, curvature of that [1/m], lapse rate [K/m], and the distances [m] to the
+    ends of the layer, down (negative) and up.
     """
     h = max(altitude_m, LOWEST_m)
     inverse = 1.0 / (GEOPOTENTIAL_RADIUS_m + h)
@@ -189,10 +198,10 @@ def us1976_about(altitude_m: float, temperature_K: float) -> tuple[float, float,
 def us1976_nearby(
     pressure_Pa: float, inverse_temperature: float, lapse_Kpm: float, geopotential_rise_m: float
 ) -> tuple[float, float]:
-    """Pressure [Pa] and the ratio of temperatures after a rise of some ten geopotential metres within a layer.
+    """Return pressure [Pa] and ratio of temperatures after a rise within a layer.
 
-    The power series of both formulas of the standard, which have the same terms: p'/p = -g0/(R T), T' = lapse.
-    Left out is the fourth power: relatively 3e-13 at 10 m.
+    The rise may be some ten geopotential metres. The power series of both formulas of the standard have the same terms:
+    p'/p = -g0/(R T), T' = lapse. They are cut before the fourth power, with a relative error of 3e-13 at 10 m.
     """
     lapse = lapse_Kpm * inverse_temperature
     first = -_G0_OVER_R_Kpm * inverse_temperature
@@ -204,7 +213,10 @@ def us1976_nearby(
 
 @kernel
 def _upper_air(pool: Array, table: TableRef, altitude_m: float) -> tuple[float, float, float, float]:
-    """(density, pressure, temperature, speed of sound) of the standard above 86 km; none of the air above its end."""
+    """Return (density, pressure, temperature, speed of sound) of the standard above 86 km.
+
+    The density is zero above its end.
+    """
     k = find_interval(pool, table, altitude_m)
     log_density = interpolate(pool, table, k, altitude_m, 0)
     log_pressure = interpolate(pool, table, k, altitude_m, 1)
@@ -217,7 +229,7 @@ def _upper_air(pool: Array, table: TableRef, altitude_m: float) -> tuple[float, 
 
 @kernel
 def _table_air(pool: Array, table: TableRef, altitude_m: float) -> tuple[float, float, float]:
-    """(density, pressure, temperature) of an `air_table`."""
+    """Return (density, pressure, temperature) of an `air_table`."""
     k = find_interval(pool, table, altitude_m)
     log_density = interpolate(pool, table, k, altitude_m, 0)
     log_pressure = interpolate(pool, table, k, altitude_m, 1)

@@ -3,9 +3,9 @@
 Frames: I inertial and E Earth-fixed, both Earth-centred with z to the north pole, E = I at t = 0; N local
 North-East-Down on the geodetic normal. On a flat Earth I = E = N at the site (x north, y east, z down).
 
-Altitude and local axes do not change under a rotation about the pole. A kernel that has a position in I therefore gets
-altitude and the NED axes *in I* from it directly, without the Earth's rotation angle; only a longitude needs the
-position in E. The hot path (`local_frame`, `ned_to_earth`, ...) calls no trigonometric function.
+A rotation about the pole changes neither altitude nor local axes. Hence a kernel with a position in I computes altitude
+and the NED axes *in I* directly, without the Earth's rotation angle. Only a longitude needs the position in E. The hot
+path (`local_frame`, `ned_to_earth`, ...) calls no trigonometric function.
 
 Constants are those of the NESC check cases (NASA/TM-2015-218675): WGS-84 with the J2 of EGM.
 """
@@ -27,20 +27,20 @@ WGS84_FLATTENING = 1.0 / 298.257223563
 WGS84_MU_m3ps2 = 3.986004418e14
 WGS84_J2 = 1.08262982e-3
 WGS84_RATE_radps = 7.292115e-5
-MEAN_RADIUS_m = 6371007.1809  # sphere of the same surface (authalic)
+MEAN_RADIUS_m = 6371007.1809  # sphere of equal surface area (authalic)
 STANDARD_GRAVITY_mps2 = 9.80665
 
-_NOWHERE_m = 1e-100  # nearer than this to the axis or the centre counts as on it: the squares lose their digits
+_NOWHERE_m = 1e-100  # a point nearer to the axis or the centre counts as on it, because the squares underflow
 
 
 @dataclass(frozen=True)
 class Earth:
-    """Parameter record of the Earth. Make one with `wgs84`, `sphere` or `flat`.
+    """The parameter record of the Earth, made with `wgs84`, `sphere` or `flat`.
 
-    `gravity`: UNIFORM is `uniform_mps2` along +z (flat) or towards the centre (round); INVERSE_SQUARE and
-    J2 are the gravitation of `mu_m3ps2` (no centrifugal part); ALONG_BODY, of no scenario, is `uniform_mps2` aft along
-    the vehicle's axis (design/certificate/held_flight.py). `gravity_radius_m` is the reference radius of `j2`.
-    Raises ValueError for a combination that has no meaning.
+    `gravity`: UNIFORM is `uniform_mps2` along +z (flat) or towards the centre (round). INVERSE_SQUARE and J2 are the
+    gravitation of `mu_m3ps2` (no centrifugal part). ALONG_BODY, used by no scenario, is `uniform_mps2` aft along the
+    vehicle's axis (design/certificate/held_flight.py). `gravity_radius_m` is the reference radius of `j2`. Raises
+    ValueError for an invalid combination.
     """
 
     figure: int = ELLIPSOID  # not "shape": on an uncompiled np.record that is the shape of an array
@@ -71,27 +71,28 @@ class Earth:
 
 
 def wgs84(**replaced: Any) -> Earth:
-    """The rotating WGS-84 ellipsoid with J2; `replaced` are fields of `Earth`."""
+    """Return the rotating WGS-84 ellipsoid with J2; `replaced` are fields of `Earth`."""
     return Earth(**replaced)
 
 
 def sphere(**replaced: Any) -> Earth:
-    """A rotating sphere with inverse-square gravitation (NESC cases 4, 5)."""
+    """Return a rotating sphere with inverse-square gravitation (NESC cases 4, 5)."""
     default = {"equatorial_radius_m": MEAN_RADIUS_m, "flattening": 0.0, "gravity": INVERSE_SQUARE}
     return Earth(SPHERE, **(default | replaced))
 
 
 def flat(**replaced: Any) -> Earth:
-    """A flat Earth at rest: I = E = NED at the site, altitude = -z."""
+    """Return a flat Earth at rest: I = E = NED at the site, altitude = -z."""
     return Earth(FLAT, **({"flattening": 0.0, "rate_radps": 0.0, "gravity": UNIFORM} | replaced))
 
 
 @kernel
 def gravitation(earth: Earth, x: float, y: float, z: float) -> Vector:
-    """Gravitational acceleration (gx, gy, gz) [m/s2] at (x, y, z) [m], in the frame of the position: I or E.
+    """Return the gravitational acceleration (gx, gy, gz) [m/s2] at (x, y, z) [m], in the frame of the position: I or E.
 
-    Flat: (0, 0, +g), because I is NED there. J2: Vallado, Fundamentals of Astrodynamics, 4th ed., sec. 8.6.1, the
-    gradient of mu/r (1 - J2 (R/r)^2 (3 sin^2 - 1)/2). Finite within a metre of the centre, but without meaning.
+    On a flat Earth it is (0, 0, +g), because I is NED there. J2: Vallado, Fundamentals of Astrodynamics, 4th ed., sec.
+    8.6.1, the gradient of mu/r (1 - J2 (R/r)^2 (3 sin^2 - 1)/2). Within a metre of the centre the value is finite but
+    meaningless.
     """
     if earth.gravity == NO_GRAVITY:
         return 0.0, 0.0, 0.0
@@ -114,12 +115,12 @@ def gravitation(earth: Earth, x: float, y: float, z: float) -> Vector:
 
 @kernel
 def gravity_gradient_torque(earth: Earth, r_B: Vector, inertia: Symmetric) -> Vector:
-    """Torque [N m] of the gravity gradient about the centre of mass, in B: 3 mu / r^5 (r x J r).
+    """Return the torque [N m] of the gravity gradient about the centre of mass, in B: 3 mu / r^5 (r x J r).
 
-    `r_B` [m]: position of the centre of mass relative to the Earth's centre, in B. `inertia` [kg m2]:
-    elements (J_xx, J_yy, J_zz, J_xy, J_xz, J_yz) of the tensor about the centre of mass, so J_xy =
-    -integral(x y dm). Spherical part of the field only (J2's gradient is a thousandth of it); zero in a
-    uniform field and in none. Source: Hughes, Spacecraft Attitude Dynamics, sec. 8.1.
+    `r_B` [m]: position of the centre of mass relative to the Earth's centre, in B. `inertia` [kg m2]: elements (J_xx,
+    J_yy, J_zz, J_xy, J_xz, J_yz) of the tensor about the centre of mass, so J_xy = -integral(x y dm). Only the
+    spherical part of the field is included (J2's gradient is a thousandth of it). The torque is zero in a uniform field
+    and without gravity. Source: Hughes, Spacecraft Attitude Dynamics, sec. 8.1.
     """
     if earth.gravity not in (INVERSE_SQUARE, J2):
         return 0.0, 0.0, 0.0
@@ -135,18 +136,18 @@ def gravity_gradient_torque(earth: Earth, r_B: Vector, inertia: Symmetric) -> Ve
 
 @kernel
 def local_frame(earth: Earth, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
-    """Altitude [m] and (sin latitude, cos latitude, sin longitude, cos longitude) at (x, y, z) [m].
+    """Return the altitude [m] and (sin latitude, cos latitude, sin longitude, cos longitude) at (x, y, z) [m].
 
-    From a position in E the longitude is the longitude; from one in I it is the inertial azimuth of the meridian, and
-    the axes that `ned_axes`, `ned_to_earth`, `earth_to_ned` make of the four numbers are NED in I.
+    For a position in E the longitude is the true longitude. For a position in I it is the inertial azimuth of the
+    meridian, and `ned_axes`, `ned_to_earth`, `earth_to_ned` then use the NED axes in I.
 
-    Method: Bowring's formula once (Survey Review 28, 1985), started from his corrected parametric latitude; then h = p
-    cos + z sin - a sqrt(1 - e^2 sin^2), in which an error of the latitude enters squared. From -10 km up the altitude
-    is right to rounding (2.5e-9 m up to 1000 km, 2e-8 m at 40 000 km) and the latitude to 2.5e-13 rad.
+    Method: one pass of Bowring's formula (Survey Review 28, 1985), started from his corrected parametric latitude. Then
+    h = p cos + z sin - a sqrt(1 - e^2 sin^2), in which an error of the latitude enters squared. From -10 km up the
+    altitude is exact to rounding (2.5e-9 m up to 1000 km, 2e-8 m at 40 000 km) and the latitude to 2.5e-13 rad.
 
-    On the polar axis the longitude is 0. Within 8 e^2 a = 340 km of the centre, where the geodetic normal is not
-    unique, latitude and altitude are geocentric. Flat: altitude -z and the four numbers (-1, 0, 0, 1), with which the
-    NED axes are the identity.
+    On the polar axis the longitude is 0. Within 8 e^2 a = 340 km of the centre the geodetic normal is not unique, so
+    latitude and altitude are geocentric there. On a flat Earth the altitude is -z and the four numbers are (-1, 0, 0,
+    1), which make the NED axes the identity.
     """
     if earth.figure == FLAT:
         return -z, -1.0, 0.0, 0.0, 1.0
@@ -173,7 +174,7 @@ def local_frame(earth: Earth, x: float, y: float, z: float) -> tuple[float, floa
 
 @kernel
 def _bowring(ratio: float, e2a: float, p: float, z: float, s: float, c: float) -> tuple[float, float]:
-    """Sine and cosine of the geodetic latitude from (s, c) along those of the parametric latitude.
+    """Return sine and cosine of the geodetic latitude from (s, c) along those of the parametric latitude.
 
     `ratio` b/a, `e2a` e^2 a [m], `p` distance from the axis [m]. Numerator and denominator of Bowring's
     tan(latitude) are both multiplied by b/a, which saves a division.
@@ -187,10 +188,11 @@ def _bowring(ratio: float, e2a: float, p: float, z: float, s: float, c: float) -
 
 @routine
 def geodetic(earth: Earth, x: float, y: float, z: float) -> Vector:
-    """(latitude [rad], longitude [rad] in -pi..pi, altitude [m]) of the Earth-fixed position (x, y, z) [m].
+    """Return (latitude [rad], longitude [rad] in -pi..pi, altitude [m]) of the Earth-fixed position (x, y, z) [m].
 
-    A second pass of Bowring's formula brings the latitude to rounding (3e-16 rad) from -10 km up. Poles, axis and
-    centre as in `local_frame`. Flat: (0, 0, -z). For logs and set-up; the hot path is `local_frame`.
+    A second pass of Bowring's formula makes the latitude exact to rounding (3e-16 rad) from -10 km up. Poles, axis and
+    centre are treated as in `local_frame`. On a flat Earth the result is (0, 0, -z). Use this function for logs and
+    set-up, and `local_frame` in the hot path.
     """
     if earth.figure == FLAT:
         return 0.0, 0.0, -z
@@ -209,7 +211,10 @@ def geodetic(earth: Earth, x: float, y: float, z: float) -> Vector:
 
 @kernel
 def earth_position(earth: Earth, latitude_rad: float, longitude_rad: float, altitude_m: float) -> Vector:
-    """Earth-fixed position (x, y, z) [m] of a geodetic one. Flat: (0, 0, -altitude), at the site."""
+    """Return the Earth-fixed position (x, y, z) [m] of a geodetic position.
+
+    On a flat Earth it is (0, 0, -altitude), at the site.
+    """
     if earth.figure == FLAT:
         return 0.0, 0.0, -altitude_m
     sin_lat, cos_lat = math.sin(latitude_rad), math.cos(latitude_rad)
@@ -221,9 +226,9 @@ def earth_position(earth: Earth, latitude_rad: float, longitude_rad: float, alti
 
 @kernel
 def ned_axes(sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float) -> Matrix:
-    """The unit vectors north, east, down (three numbers each) in E, or in I if `local_frame` was given I.
+    """Return the unit vectors north, east, down (three numbers each) in E.
 
-    Read as rows they are the rotation matrix from E to N.
+    They are in I for the output of `local_frame` in I. Read as rows they are the rotation matrix from E to N.
     """
     return (
         -sin_lat * cos_lon,
@@ -242,7 +247,7 @@ def ned_axes(sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float) -> 
 def ned_to_earth(
     sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float, n: float, e: float, d: float
 ) -> Vector:
-    """Components in E (or I, see `local_frame`) of a vector with components (n, e, d) in N."""
+    """Return the components in E (or I, see `local_frame`) of a vector with components (n, e, d) in N."""
     outward = -sin_lat * n - cos_lat * d
     return cos_lon * outward - sin_lon * e, sin_lon * outward + cos_lon * e, cos_lat * n - sin_lat * d
 
@@ -251,14 +256,14 @@ def ned_to_earth(
 def earth_to_ned(
     sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float, x: float, y: float, z: float
 ) -> Vector:
-    """Components (n, e, d) in N of a vector with components (x, y, z) in E (or I, see `local_frame`)."""
+    """Return the components (n, e, d) in N of a vector with components (x, y, z) in E (or I, see `local_frame`)."""
     outward = cos_lon * x + sin_lon * y
     return cos_lat * z - sin_lat * outward, cos_lon * y - sin_lon * x, -cos_lat * outward - sin_lat * z
 
 
 @kernel
 def earth_rotation(earth: Earth, time_s: float) -> tuple[float, float]:
-    """(cos, sin) of the angle by which E has turned about z relative to I at `time_s` after E = I."""
+    """Return (cos, sin) of the angle by which E has turned about z relative to I at `time_s` after E = I."""
     if earth.rate_radps == 0.0:
         return 1.0, 0.0
     angle = earth.rate_radps * time_s
@@ -267,11 +272,14 @@ def earth_rotation(earth: Earth, time_s: float) -> tuple[float, float]:
 
 @kernel
 def inertial_to_earth(cos: float, sin: float, x: float, y: float, z: float) -> Vector:
-    """Components in E of a vector (x, y, z) in I; (cos, sin) from `earth_rotation`."""
+    """Return the components in E of a vector (x, y, z) in I; (cos, sin) from `earth_rotation`."""
     return cos * x + sin * y, cos * y - sin * x, z
 
 
 @kernel
 def ground_velocity(earth: Earth, x: float, y: float) -> Vector:
-    """Velocity relative to I [m/s] of the Earth-fixed point at (x, y, any z) [m], in the position's frame."""
+    """Return the velocity relative to I [m/s] of the Earth-fixed point at (x, y, any z) [m].
+
+    Components are in the position's frame.
+    """
     return -earth.rate_radps * y, earth.rate_radps * x, 0.0

@@ -1,9 +1,9 @@
-"""Turbulence at places behind the nose: the frozen field that the nose has flown through (Taylor's hypothesis).
+"""Turbulence at places behind the nose: the frozen field through which the nose has flown (Taylor's hypothesis).
 
-The nose meets the turbulence first; what it met at the travelled distance s - x is at x metres behind it now (flight
-along the body axis; s is the integral of the airspeed). The history keeps the gusts of the last ticks over that
-distance, as far back as the vehicle is long; slow ticks that lie nearer to each other than a sixtieth of that
-share a place. Before the first tick the field is the first gust everywhere.
+The nose meets the turbulence first. The gust that it met at the travelled distance s - x is now x metres behind it, for
+flight along the body axis, where s is the integral of the airspeed. The history keeps the gusts of the last ticks over
+the vehicle's length. Slow ticks closer together than a sixtieth of this length share a place. Before the first tick the
+field is the first gust everywhere.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ _LONG_AGO_m = -1e30
 
 @dataclass
 class GustHistory:
-    """State record. `before_m`, `now_m`: travelled distance at the last tick but one and at the last tick."""
+    """The state record of the gust history.
+
+    `before_m`, `now_m`: travelled distance at the last tick but one and at the last tick.
+    """
 
     last: int  # newest place in the ring: the last tick but one
     before_m: float
@@ -32,7 +35,7 @@ class GustHistory:
 
 @routine
 def history_start(history: GustHistory, gusts: TurbulenceState) -> None:
-    """From `turbulence_start`."""
+    """Start the history from the state after `turbulence_start`."""
     history.last, history.before_m, history.now_m = 0, 0.0, 0.0
     for i in range(N_PLACES):
         history.place_m[i] = _LONG_AGO_m
@@ -43,7 +46,7 @@ def history_start(history: GustHistory, gusts: TurbulenceState) -> None:
 
 @routine
 def history_tick(history: GustHistory, gusts: TurbulenceState, way_m: float, reach_m: float) -> None:
-    """After a `turbulence_tick` over `way_m`; the history is to reach `reach_m` back."""
+    """Advance the history after a `turbulence_tick` over `way_m`; it reaches `reach_m` back."""
     previous = (history.last + N_PLACES - 1) % N_PLACES
     if history.place_m[history.last] - history.place_m[previous] >= reach_m / (N_PLACES - 4):
         history.last = (history.last + 1) % N_PLACES
@@ -58,7 +61,7 @@ def history_tick(history: GustHistory, gusts: TurbulenceState, way_m: float, rea
 def gust_behind(
     history: GustHistory, gusts: TurbulenceState, fraction: float, behind_m: float
 ) -> tuple[float, float, float]:
-    """As `turbulence_at`, `behind_m` >= 0 metres behind the nose."""
+    """Return the gust of `turbulence_at` at `behind_m` >= 0 metres behind the nose."""
     target = history.before_m + fraction * (history.now_m - history.before_m) - behind_m
     if target >= history.before_m:
         return turbulence_at(gusts, fraction - behind_m / max(history.now_m - history.before_m, 1e-12))

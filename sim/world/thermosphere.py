@@ -1,15 +1,15 @@
 """US Standard Atmosphere 1976 from 86 to 1000 km: the equations that the standard integrates there.
 
-NOAA-S/T 76-1562 (NASA TM-X-74335), part 1, section 1.2.4 and 1.3, with its constants (tables 3 to 8). From the number
-densities at 86 km each species follows its own balance of gravity, molecular diffusion against eddies, thermal
-diffusion and vertical transport; atomic hydrogen, which escapes, is integrated from 500 km both ways:
+Source: NOAA-S/T 76-1562 (NASA TM-X-74335), part 1, section 1.2.4 and 1.3, with its constants (tables 3 to 8). From the
+number densities at 86 km each species follows its own balance of gravity, molecular diffusion against eddies, thermal
+diffusion and vertical transport. Atomic hydrogen, which escapes, is integrated from 500 km both ways:
 
     n_i = n_i,7 (T_7 / T) exp(-integral of (f + v_i / (D_i + K)) dz)                              (equations 31 to 38)
     f   = g / (R* T) (D_i M_i + K M + alpha_i D_i R* T' / g) / (D_i + K),    D_i = a_i / N (T / 273.15)^b_i
     n_H = (n_H,11 - integral of phi / D_H (T / T_11)^(1 + alpha) exp(tau) dz) (T_11 / T)^(1 + alpha) exp(-tau)   (39)
 
-N and M in f and D_i are those of the heavier species reckoned before (nitrogen for O and O2, these three for Ar and
-He, all five for H), M that of sea level to 100 km, and N2 follows M g / (R* T) alone.
+N and M in f and D_i are those of the heavier species computed before: nitrogen for O and O2, these three for Ar and He,
+all five for H. Up to 100 km, M is that of sea level. N2 follows M g / (R* T) alone.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics, hermite
 
 BOTTOM_m, TOP_m = 86e3, 1000e3  # geometric
-_STEP_m = 50.0  # of the midpoint rule: 2e-6 of density
+_STEP_m = 50.0  # step of the midpoint rule: relative error 2e-6 of density
 _KINKS_m = (100e3, 150e3)  # M changes its definition; hydrogen begins
 _NODES_m = np.setdiff1d(
     np.concatenate(
@@ -40,7 +40,10 @@ _HYDROGEN_500_pm3, _HYDROGEN_FLUX, _HYDROGEN_FROM_m, _HYDROGEN_AT_m = 8.0e10, 7.
 
 
 class _Species(NamedTuple):
-    """Molar mass, kg/kmol; number density at 86 km, 1/m3; thermal diffusion; a, b of D_i; Q, U, W of the flux (km)."""
+    """A species of the air.
+
+    Molar mass, kg/kmol; number density at 86 km, 1/m3; thermal diffusion; a, b of D_i; Q, U, W of the flux (km).
+    """
 
     mass: float
     number: float
@@ -62,7 +65,7 @@ _O_BELOW_97_km = -3.416248e-3, 97.0, 5.008765e-4  # q, u, w: the flux of O chang
 
 
 def temperature(z_m: Array) -> tuple[Array, Array]:
-    """Kinetic temperature, K, and its gradient, K/m (equations 25, 27, 29, 31)."""
+    """Return the kinetic temperature, K, and its gradient, K/m (equations 25, 27, 29, 31)."""
     rise = np.clip((z_m - 91e3) / 19942.9, 0.0, 0.99)
     ellipse = np.sqrt(1.0 - rise * rise)
     shrink = (_R0_m + 120e3) / (_R0_m + z_m)
@@ -78,13 +81,13 @@ def temperature(z_m: Array) -> tuple[Array, Array]:
 
 
 def _eddies(z_m: Array) -> Array:
-    """Eddy diffusion, m2/s: to 95 km, falling to 115 km, none above (equation 7)."""
+    """Return the eddy diffusion, m2/s: constant to 95 km, falling to 115 km, zero above (equation 7)."""
     x = np.clip((z_m - 95e3) / 20e3, 0.0, 1.0 - 1e-9)
     return 120.0 * np.exp(1.0 - 1.0 / (1.0 - x * x))
 
 
 def _flux(s: _Species, z_m: Array) -> Array:
-    """Vertical transport v_i / (D_i + K), 1/m (equation 37)."""
+    """Return the vertical transport v_i / (D_i + K), 1/m (equation 37)."""
     above = 1e-3 * z_m - s.u
     flux = s.q * above**2 * np.exp(-s.w * above**3)
     if s is _O:
@@ -95,7 +98,7 @@ def _flux(s: _Species, z_m: Array) -> Array:
 
 
 def number_densities(z_m: Array) -> tuple[list[Array], list[_Species]]:
-    """1/m3 of N2, O, O2, Ar, He, H at altitudes that rise from 86 km by the same step."""
+    """Return 1/m3 of N2, O, O2, Ar, He, H at altitudes that increase from 86 km in equal steps."""
     step, middle = z_m[1] - z_m[0], 0.5 * (z_m[1:] + z_m[:-1])
     edge_K, (t, slope) = temperature(z_m)[0], temperature(middle)
     scale = _G0 * (_R0_m / (_R0_m + middle)) ** 2 / (_GAS_CONSTANT * t)  # g / (R* T)
@@ -135,10 +138,11 @@ def number_densities(z_m: Array) -> tuple[list[Array], list[_Species]]:
 
 @lru_cache(maxsize=1)
 def upper_air() -> Cubics:
-    """ln(density), ln(pressure), kinetic temperature over geometric altitude: the layout of `atmosphere.air_table`.
+    """Return ln(density), ln(pressure), kinetic temperature over geometric altitude.
 
-    Between the nodes the cubics meet density and pressure within 7e-5. The standard's tables are met within a unit of
-    the last digit that they print (four of density, five of pressure).
+    The layout is that of `atmosphere.air_table`. Between the nodes the cubics agree with density and pressure within
+    7e-5. They agree with the standard's tables within a unit of the last printed digit (four digits of density, five of
+    pressure).
     """
     z_m = np.arange(BOTTOM_m, TOP_m + _STEP_m, _STEP_m, dtype=np.float64)
     numbers, species = number_densities(z_m)

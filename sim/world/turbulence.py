@@ -1,38 +1,39 @@
-"""Continuous turbulence: the Dryden and von Karman models of MIL-F-8785C (1980), section 3.7, and a spectrum over
-altitude.
+"""Continuous turbulence by the Dryden and von Karman models, or by a spectrum over altitude.
 
-The vehicle flies through a frozen field of gusts whose spectra over the circular frequency w, one-sided, are in the
-Dryden model
+Source: MIL-F-8785C (1980), section 3.7. The vehicle flies through a frozen field of gusts whose spectra over the
+circular frequency w, one-sided, are in the Dryden model
 
     longitudinal     S_u = sigma^2 2 L / (pi V) / (1 + (L w / V)^2)
     lateral, normal  S_v = sigma^2 L / (pi V) (1 + 3 (L w / V)^2) / (1 + (L w / V)^2)^2
 
 with airspeed V, intensity sigma and scale length L. They are scaled white noise through 1/(1 + p) and (1 + sqrt(3)
 p)/(1 + p)^2, p the Laplace variable of the dimensionless time theta = V t / L. In theta the filters have constant
-coefficients and an output of unit variance, so airspeed, scale length and intensity may vary over the flight, and each
-tick is an exact discretisation whatever its length. With V -> 0 the gust is constant.
+coefficients and an output of unit variance. Hence airspeed, scale length and intensity may vary over the flight, and
+each tick is an exact discretisation for any length of the tick. With V -> 0 the gust is constant.
 
 The von Karman spectra, with x = 1.339 L w / V,
 
     S_u = sigma^2 2 L / (pi V) (1 + x^2)^(-5/6),   S_v = sigma^2 L / (pi V) (1 + 8/3 x^2) (1 + x^2)^(-11/6)
 
-are sums of Dryden fields of several scale lengths: (1 + x^2)^(-5/6) is a Stieltjes function of x^2, so that it is a
-mixture of 1 / (k^2 + x^2) with positive weights, and the lateral spectrum follows from the longitudinal one in both
-models by S_v = (S_u - w dS_u/dw) / 2. Six lengths meet both spectra within 0.8 % up to x = 1500 (VON_KARMAN).
+are sums of Dryden fields of several scale lengths. (1 + x^2)^(-5/6) is a Stieltjes function of x^2, and hence a mixture
+of 1 / (k^2 + x^2) with positive weights. In both models the lateral spectrum follows from the longitudinal one by S_v =
+(S_u - w dS_u/dw) / 2. Six lengths approximate both spectra within 0.8 % up to x = 1500 (VON_KARMAN).
 
-In the frame BODY the components lie along the body axes x (u), y (v), z (w), as of an aircraft whose nose points where
-it flies. In the frame HORIZONTAL intensities and lengths belong to the horizon and spectra to the direction of flight e
-(relative to the air): three independent components of unit variance, the longitudinal one along e, are turned into
-north, east, down by the shortest rotation from up to e, and multiplied by sigma_u, sigma_v, sigma_w. The variances are
-then those of the horizon's axes in any attitude. A component's length is that of its direction: L_w by the square of
-its vertical part, L_u or L_v by the rest. A vehicle that rises has the longitudinal spectrum vertically and lateral
-ones in both horizontal axes, all with the horizon's intensities; high up, where these are equal, both frames mean the
-same but for roll and incidence. In vertical descent the rotation is not defined (half a turn about north is taken).
+In the frame BODY the components are along the body axes x (u), y (v), z (w), as for an aircraft that flies in the
+direction of its nose. In the frame HORIZONTAL intensities and lengths refer to the horizon, and spectra to the
+direction of flight e (relative to the air). Three independent components of unit variance, the longitudinal one along
+e, are turned into north, east, down by the shortest rotation from up to e. They are then multiplied by sigma_u,
+sigma_v, sigma_w. The variances are those of the horizon's axes in any attitude. A component's length is that of its
+direction: L_w by the square of its vertical part, L_u or L_v by the rest. A rising vehicle meets the longitudinal
+spectrum vertically and lateral spectra in both horizontal axes, all with the horizon's intensities. At high altitude
+these are equal, and both frames are equivalent except for roll and angle
+of attack. In vertical descent the rotation is not
+defined (half a turn about north is taken).
 
 A spectrum over altitude is a fixed field of horizontal wind, the sum of SPECTRAL_LINES cosines of altitude with random
-phases, the form in which handbooks (NASA-HDBK-1001) give the small-scale wind that a rising launch vehicle meets.
+phases. Handbooks (NASA-HDBK-1001) specify the small-scale wind on a rising launch vehicle in this form.
 
-Rotary gusts are left out, because their share is of the order of the span over the scale length.
+Rotary gusts are omitted, because their share is of the order of the span over the scale length.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ VON_KARMAN = (
     (0.0083847, 278.99),
     (0.0035554, 1365.5),
 )
-"""Share of the variance, and 1.339 L over the Dryden length: least largest error of both spectra, x = 0 .. 1500."""
+"""The share of the variance, and 1.339 L over the Dryden length: a minimax fit of both spectra, x = 0 .. 1500."""
 _VON_KARMAN_LENGTH = math.gamma(1 / 3) / (math.sqrt(math.pi) * math.gamma(5 / 6))  # 1.339: makes the variance 1
 FOOT_m = 0.3048
 KNOT_mps = 1852.0 / 3600.0
@@ -72,10 +73,10 @@ Exceedance = Literal["light", "moderate", "severe"]
 
 @dataclass(frozen=True)
 class Turbulence:
-    """Parameter record. `intensity`: see `intensity_table`; `tick_ns`: period of `turbulence_tick`.
+    """The parameter record of turbulence. `intensity`: see `intensity_table`. `tick_ns`: period of `turbulence_tick`.
 
-    `scales` Dryden fields make up the gust, each with its `amplitude` and a scale length divided by `shorter`; or,
-    where `lines` is not 0, so many cosines of altitude.
+    The gust is the sum of `scales` Dryden fields, each with its `amplitude` and a scale length divided by `shorter`. If
+    `lines` is not 0, it is the sum of this number of cosines of altitude instead.
     """
 
     on: int = 0
@@ -95,8 +96,10 @@ class Turbulence:
 
 @dataclass
 class TurbulenceState:
-    """State record, changed in place: number of ticks, filter states of u (1), v (2), w (2) of each scale, the last two
-    gusts."""
+    """The state record of turbulence, changed in place.
+
+    It holds the number of ticks, the filter states of u (1), v (2), w (2) of each scale, and the last two gusts.
+    """
 
     ticks: int
     filters: Annotated[Array, (5 * MOST_SCALES,)]
@@ -105,11 +108,12 @@ class TurbulenceState:
 
 
 def intensity_table(altitude_m: ArrayLike, sigma_mps: ArrayLike, scale_length_m: ArrayLike) -> Cubics:
-    """Table for `Turbulence.intensity`: columns sigma_u, sigma_v, sigma_w [m/s], L_u, L_v, L_w [m], linear in altitude.
+    """Return the table for `Turbulence.intensity`, linear in altitude.
 
-    `sigma_mps` and `scale_length_m` are (n, 3) for n altitudes, or anything that broadcasts to it: one number is a
-    constant. L is the length in the spectra above (MIL-HDBK-1797 writes 2 L for L_v and L_w). Outside the altitudes the
-    end values hold. Raises ValueError unless sigma >= 0 and L > 0.
+    Its columns are sigma_u, sigma_v, sigma_w [m/s], L_u, L_v, L_w [m]. `sigma_mps` and `scale_length_m` are (n, 3) for
+    n altitudes, or anything that broadcasts to this shape: a single number is a constant. L is the length in the
+    spectra above (MIL-HDBK-1797 writes 2 L for L_v and L_w). Outside the altitudes the end values hold. Raises
+    ValueError unless sigma >= 0 and L > 0.
     """
     altitude = np.atleast_1d(np.asarray(altitude_m, float))
     shape = (len(altitude), 3)
@@ -133,12 +137,12 @@ _WIND_AT_20_FT_kt = {"light": 15.0, "moderate": 30.0, "severe": 45.0}  # figure 
 
 @lru_cache(maxsize=8)
 def exceedance_table(level: Exceedance, ground_altitude_m: float = 0.0) -> Cubics:
-    """The standard's intensities and scale lengths over altitude, for `Turbulence.intensity`.
+    """Return the standard's intensities and scale lengths over altitude, for `Turbulence.intensity`.
 
-    To 1000 ft above the ground (3.7.3, figures 10 and 11, never below 10 ft): sigma_w = 0.1 of the wind at
-    20 ft, L_w = h, sigma_u = sigma_v = sigma_w / k^0.4, L_u = L_v = h / k^1.2 with k = 0.177 + 0.000823
-    h/ft. From 2000 ft up (3.7.2, figure 7): all equal, L = 1750 ft. Linear in between. `ground_altitude_m`
-    shifts the lower part only. Raises KeyError for another level.
+    To 1000 ft above the ground (3.7.3, figures 10 and 11, never below 10 ft): sigma_w = 0.1 of the wind at 20 ft, L_w =
+    h, sigma_u = sigma_v = sigma_w / k^0.4, L_u = L_v = h / k^1.2 with k = 0.177 + 0.000823 h/ft. From 2000 ft up
+    (3.7.2, figure 7): all intensities equal, L = 1750 ft. The values are linear in between. `ground_altitude_m` shifts
+    the lower part only. Raises KeyError for another level.
     """
     low = np.array([10.0, 20.0, 40.0, 70.0, 100.0, 150.0, 200.0, 300.0, 400.0, 600.0, 800.0, 1000.0])
     k = 0.177 + 0.000823 * low
@@ -161,7 +165,7 @@ _ROOT_3 = math.sqrt(3.0)
 
 
 def scale_mixture(mixture: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    """Fields of `Turbulence` for DRYDEN or VON_KARMAN."""
+    """Return the fields of `Turbulence` for DRYDEN or VON_KARMAN."""
     amplitude, shorter = np.ones(MOST_SCALES), np.ones(MOST_SCALES)
     total = sum(share for share, _ in mixture)
     for k, (share, pole) in enumerate(mixture):
@@ -171,11 +175,12 @@ def scale_mixture(mixture: Sequence[tuple[float, float]]) -> dict[str, Any]:
 
 
 def spectral_lines(wave_number_pm: Array, density_m3ps2: Array, seed: int) -> dict[str, Any]:
-    """Fields of `Turbulence` for a one-sided power spectrum of each horizontal component over the vertical wave number.
+    """Return the fields of `Turbulence` for a power spectrum over the vertical wave number.
 
-    `wave_number_pm` (n,) in cycles per m, rising; `density_m3ps2` (n,) in (m/s)^2 per (cycle per m), both > 0. Between
-    the rows the logarithms are interpolated; there is nothing outside them. The range is cut into as many cells of
-    equal ratio as there are lines; each has the variance of its cell, at a random place in it, with random phases.
+    The spectrum is one-sided and that of each horizontal component. `wave_number_pm` (n,): cycles per m, increasing.
+    `density_m3ps2` (n,): (m/s)^2 per (cycle per m). Both are > 0. The logarithms are interpolated between the rows, and
+    the spectrum is zero outside them. The range is divided into as many cells of equal ratio as there are lines. Each
+    line has the variance of its cell, at a random place in the cell, with random phases.
     """
     ends = np.geomspace(wave_number_pm[0], wave_number_pm[-1], SPECTRAL_LINES + 1)
     inside = np.geomspace(ends[:-1], ends[1:], 33)
@@ -198,9 +203,9 @@ def spectral_lines(wave_number_pm: Array, density_m3ps2: Array, seed: int) -> di
 def turbulence_start(
     turbulence: Turbulence, pool: Array, state: TurbulenceState, altitude_m: float, along_N: Vector
 ) -> None:
-    """Draw the filters' states from their stationary distribution and set the gust: there is no spin-up.
+    """Draw the filters' states from their stationary distribution, which needs no spin-up, and set the gust.
 
-    `along_N`: direction of flight relative to the air, north, east, down; counts in the frame HORIZONTAL only.
+    `along_N`: direction of flight relative to the air, north, east, down; used only in the frame HORIZONTAL.
     """
     if turbulence.on == 0:
         return
@@ -223,9 +228,9 @@ def turbulence_start(
 def turbulence_tick(
     turbulence: Turbulence, pool: Array, state: TurbulenceState, airspeed_mps: float, altitude_m: float, along_N: Vector
 ) -> None:
-    """Advance the gust by one tick at the present airspeed [m/s] and altitude [m]; called every `tick_ns`.
+    """Advance the gust by one tick at the current airspeed [m/s] and altitude [m]; called every `tick_ns`.
 
-    `along_N` as for `turbulence_start`.
+    `along_N` is as for `turbulence_start`.
     """
     if turbulence.on == 0:
         return
@@ -243,7 +248,7 @@ def turbulence_tick(
 
 @kernel
 def _lengths(turbulence: Turbulence, pool: Array, altitude_m: float, along_N: Vector) -> Vector:
-    """Scale length of each component, m."""
+    """Return the scale length of each component, m."""
     k = find_interval(pool, turbulence.intensity, altitude_m)
     u = interpolate(pool, turbulence.intensity, k, altitude_m, 3)
     v = interpolate(pool, turbulence.intensity, k, altitude_m, 4)
@@ -256,7 +261,7 @@ def _lengths(turbulence: Turbulence, pool: Array, altitude_m: float, along_N: Ve
 
 @kernel
 def _advance(way: float, lengths: Vector, seed: int, index: int, f: int, state: TurbulenceState) -> None:
-    """Advance one scale's filters, from state.filters[f] on, by `way` metres."""
+    """Advance the filters of one scale, from state.filters[f] on, by `way` metres."""
     theta = way / lengths[0]
     state.filters[f] = math.exp(-theta) * state.filters[f] + math.sqrt(-math.expm1(-2.0 * theta)) * standard_normal(
         seed, TURBULENCE_STREAM, index
@@ -272,12 +277,12 @@ def _advance(way: float, lengths: Vector, seed: int, index: int, f: int, state: 
 
 @kernel
 def turbulence_at(state: TurbulenceState, fraction: float) -> tuple[float, float, float]:
-    """Velocity of the air [m/s] in the turbulence's frame (body x, y, z, or north, east, down), at `fraction` (0..1) of
-    the way to the next tick.
+    """Return the velocity of the air [m/s] in the turbulence's frame, at `fraction` (0..1) of the way to the next tick.
 
-    Linear between the last two ticks: continuous for the integrator, and one tick late, because the line ends at the
-    gust that the last tick drew. The delay is that of a field `airspeed * tick` further on and changes no statistics;
-    the line takes a little of the variance above a quarter of the tick rate. Zero before `turbulence_start`.
+    The frame is body x, y, z, or north, east, down. The velocity is linear between the last two ticks: continuous for
+    the integrator, and one tick late, because the line ends at the last gust drawn. The delay is equivalent to a field
+    shifted by `airspeed * tick` and changes no statistics. Interpolation reduces the variance slightly above a quarter
+    of the tick rate. The result is zero before `turbulence_start`.
     """
     u, v, w = state.before_mps[0], state.before_mps[1], state.before_mps[2]
     return (
@@ -289,10 +294,10 @@ def turbulence_at(state: TurbulenceState, fraction: float) -> tuple[float, float
 
 @kernel
 def second_order_step(theta: float) -> tuple[float, float, float, float]:
-    """Exact step of z_1' = -z_1 + white noise, z_2' = -z_2 + z_1 over the dimensionless time `theta` >= 0.
+    """Return the exact step of z_1' = -z_1 + white noise, z_2' = -z_2 + z_1 over the dimensionless time `theta` >= 0.
 
-    Returns (decay, l_11, l_21, l_22): z_1 -> decay z_1 + l_11 a, z_2 -> decay (z_2 + theta z_1) + l_21 a + l_22 b with
-    independent unit normals a, b; the l are the Cholesky factor of integral(exp(-2 s) [[1, s], [s, s^2]] ds).
+    The result is (decay, l_11, l_21, l_22): z_1 -> decay z_1 + l_11 a, z_2 -> decay (z_2 + theta z_1) + l_21 a + l_22 b
+    with independent unit normals a, b. The l are the Cholesky factor of integral(exp(-2 s) [[1, s], [s, s^2]] ds).
     """
     decay = math.exp(-theta)
     q_11 = -0.5 * math.expm1(-2.0 * theta)
@@ -313,7 +318,7 @@ def second_order_step(theta: float) -> tuple[float, float, float, float]:
 
 @kernel
 def _set_gust(turbulence: Turbulence, pool: Array, state: TurbulenceState, altitude_m: float, along_N: Vector) -> None:
-    """The gust of the filters' present states: outputs of unit variance times the intensities; or that of the lines."""
+    """Set the gust to the filters' outputs of unit variance times the intensities, or to that of the spectral lines."""
     if turbulence.lines > 0:
         state.now_mps[0], state.now_mps[1], state.now_mps[2] = 0.0, 0.0, 0.0
         for line in range(turbulence.lines):
@@ -337,9 +342,10 @@ def _set_gust(turbulence: Turbulence, pool: Array, state: TurbulenceState, altit
 
 @kernel
 def turned_from_up(along_N: Vector, vector: Vector) -> Vector:
-    """`vector` (north, east, down) turned by the shortest rotation from up to the unit vector `along_N`.
+    """Return `vector` (north, east, down) turned by the shortest rotation from up to the unit vector `along_N`.
 
-    v + a x v + a x (a x v) / (1 + c) with a = up x e, c = up . e (Rodrigues); from up to down half a turn about north.
+    v + a x v + a x (a x v) / (1 + c) with a = up x e, c = up . e (Rodrigues); from up to down it is half a turn about
+    north.
     """
     north, east, down = along_N
     if 1.0 - down < 1e-9:

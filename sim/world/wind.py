@@ -1,4 +1,7 @@
-"""Motion of the air relative to the Earth, in local North-East-Down, over altitude: a profile plus discrete gusts."""
+"""The motion of the air relative to the Earth over altitude: a profile plus discrete gusts.
+
+Components are in local North-East-Down.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,11 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import NO_TABLE, TableRef, find_interval, interpolate
 
 ONE_MINUS_COSINE, SHEAR = 0, 1
-"""Kinds of gust layers, which begin at an altitude and have a thickness, m.
+"""The kinds of gust layers, which begin at an altitude and have a thickness, m.
 
-ONE_MINUS_COSINE rises over its edge as (1 - cos)/2, holds for thickness - 2 edge, falls over its edge (NASA-HDBK-1001,
-sec. 2; with 2 edge = thickness the classical 1-cosine). SHEAR rises linearly over its thickness and holds at all
-altitudes above.
+ONE_MINUS_COSINE rises over its edge as (1 - cos)/2, holds for thickness - 2 edge, and falls over its edge
+(NASA-HDBK-1001, sec. 2; with 2 edge = thickness the classical 1-cosine). SHEAR rises linearly over its thickness and
+holds at all altitudes above.
 """
 
 
@@ -29,10 +32,10 @@ def _gust_values() -> Array:
 
 @dataclass(frozen=True)
 class Wind:
-    """Parameter record.
+    """The parameter record of wind.
 
-    `profile`: columns north, east, down [m/s] over altitude [m], end values held outside it; no columns:
-    calm. `factor` multiplies the profile and not the gusts, whose strength is given on its own.
+    `profile`: columns north, east, down [m/s] over altitude [m], with the end values held outside; no columns is calm.
+    `factor` multiplies only the profile; gusts have a strength of their own.
     """
 
     profile: TableRef = NO_TABLE
@@ -47,11 +50,12 @@ class Wind:
 
 
 def wind_components(speed_mps: ArrayLike, from_deg: ArrayLike) -> Array:
-    """Columns north, east, down [m/s], (n, 3), of the air's motion, from its speed and where it blows from.
+    """Return columns north, east, down [m/s], (n, 3), of the air's motion.
 
-    `from_deg` is meteorological: clockwise from north, 270 = a westerly, air moving to the east.
-    Interpolate these components, not speed and direction: a direction jumps by 360 degrees at north and
-    means nothing in a calm, while the mean of two wind vectors is the wind half-way between them.
+    They follow from its speed and the direction from which it blows. `from_deg` is meteorological: clockwise from
+    north, 270 is a westerly, air moving to the east. Interpolate these components, not speed and direction: a direction
+    jumps by 360 degrees at north and is undefined in a calm. The mean of two wind vectors is the wind half-way between
+    them.
     """
     speed = np.atleast_1d(np.asarray(speed_mps, float))
     direction = np.deg2rad(np.atleast_1d(np.asarray(from_deg, float)))
@@ -60,7 +64,7 @@ def wind_components(speed_mps: ArrayLike, from_deg: ArrayLike) -> Array:
 
 @kernel
 def wind_ned(wind: Wind, pool: Array, altitude_m: float) -> tuple[float, float, float]:
-    """(north, east, down) [m/s] of the air's motion relative to the Earth at a geometric altitude [m]."""
+    """Return (north, east, down) [m/s] of the air's motion relative to the Earth at a geometric altitude [m]."""
     north, east, down = 0.0, 0.0, 0.0
     profile = wind.profile
     if profile.n_columns > 0:
@@ -79,7 +83,7 @@ def wind_ned(wind: Wind, pool: Array, altitude_m: float) -> tuple[float, float, 
 
 @kernel
 def _gust_share(kind: int, above: float, thickness: float, edge: float) -> float:
-    """Share (0..1) of a gust's full speed at `above` > 0 metres over its lower end."""
+    """Return the share (0..1) of a gust's full speed at `above` > 0 metres over its lower end."""
     if kind == SHEAR:
         return min(above / thickness, 1.0)
     from_end = min(above, thickness - above)  # the shape is the same from both ends

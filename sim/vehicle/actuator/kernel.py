@@ -3,17 +3,17 @@
     delta / command = H1, H1 H2 or H1 H2 H3,   H_i = w_i^2 / (s^2 + 2 z_i w_i s + w_i^2) for i = 1, 2,
     H3 = (w_3^2 / w_4^2) (s^2 + 2 z_4 w_4 s + w_4^2) / (s^2 + 2 z_3 w_3 s + w_3^2);
 
-order six is the paper's (28), w_4 its zero. H1 is the servo: position error -> rate command -> rate. Written as a loop,
-the rate *command* saturates and so does the rate, with no wind-up; in its linear range the loop is H1 exactly. The
-position command is limited before it.
+Order six is the paper's (28), with the zero w_4. H1 is the servo: position error -> rate command -> rate. In this loop
+the rate *command* saturates, and hence the rate, without wind-up. In its linear range the loop equals H1. The position
+command is limited before the servo.
 
-Where the limits act: on the servo, with H2 and H3 behind it as linear sections whose resonances may carry the engine
-past both limits (as 36 deg/s against 30); or on the engine, with H2 and H3 ahead of it, so that the servo's rate is the
-engine's. Linear sections in series may be exchanged: below the limits both are the same actuator. Behind all of them
-lies a play: the engine rests until the actuator has gone through it, and then takes on its rate (with a TVC load it is
-a gap of the load's spring instead). A hard stop holds the engine's own angle: it rests there, without rate and
-acceleration, as long as the sections would carry it on.
-States: servo position, servo rate; H2 position, rate; w_3^2-scaled states of H3 and its rate.
+The limits act on the servo or on the engine. If they act on the servo, H2 and H3 follow as linear sections, whose
+resonances may carry the engine past both limits (for example 36 deg/s with a limit of 30). If they act on the engine,
+H2 and H3 precede the servo, whose rate is that of the engine. Linear sections in series may be exchanged, so below the
+limits both are the same actuator. A play follows all sections: the engine rests until the actuator has crossed the
+play, and then takes on its rate. With a TVC load the play is a gap of the load's spring instead. A hard stop limits the
+engine's own angle: the engine rests there, without rate and acceleration, as long as the sections would carry it
+further. States: servo position, servo rate; H2 position, rate; w_3^2-scaled states of H3 and its rate.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ACTUATORS = StateBlock(
     {f"actuator_{{}}_{k}": "rad" if k % 2 else "rad/s" for k in range(1, 7)},  # positions and rates
     parts=("pitch", "yaw"),
 )
-FURTHER_ACTUATORS = StateBlock(  # of every further group of engines: pitch, then yaw
+FURTHER_ACTUATORS = StateBlock(  # actuators of every further group: pitch, then yaw
     {f"group_{{}}_{name.format(axis)}": unit for axis in ("pitch", "yaw") for name, unit in ACTUATORS.states.items()},
     "further_groups",
 )
@@ -47,7 +47,7 @@ ORDERS = {"second-order": 2, "fourth-order": 4, "sixth-order": 6}
 
 @dataclass(frozen=True)
 class Actuator:
-    """Sections 1, 2, 3 (pole), 4 (zero) as far as the order goes; limits in rad and rad/s."""
+    """The parameters of one actuator: sections 1, 2, 3 (pole), 4 (zero) up to the order; limits in rad and rad/s."""
 
     omega_1_radps: float
     omega_2_radps: float
@@ -68,7 +68,10 @@ class Actuator:
 
 
 def pack_actuators(given: ActuatorSection | None, kind: str) -> tuple[Actuator, Actuator]:
-    """Pitch and yaw from the stage's section `actuator` (or None) and the scenario's switch of that name."""
+    """Return the pitch and yaw actuators of a stage.
+
+    `given`: the stage's section `actuator`, or None. `kind`: the scenario's switch of that name.
+    """
     bias_deg = given.bias_deg if given else (0.0, 0.0)
     if given is None or kind == "ideal":
         pitch, yaw = (
@@ -111,12 +114,11 @@ def _pack_axis(given: ActuatorAxis, bias_deg: float, linear: bool) -> Actuator:
 
 @kernel
 def actuator_output(a: Actuator, y: Array, i: int, command: float, before: float) -> tuple[float, float, float]:
-    """Engine angle, rate and acceleration (rad, rad/s, rad/s2) from the states at y[i:i+6].
+    """Return engine angle, rate and acceleration (rad, rad/s, rad/s2) from the states at y[i:i+6].
 
-    `before`: the angle at the start of the step, which the play remembers: exact while the actuator does not turn back
-    within the step, else late by less than it moves in one.
-    Between command and angle lie two orders of differentiation at least, so that no derivative of the command is
-    needed.
+    `before`: angle at the start of the step, the memory of the play. It is exact unless the actuator reverses within
+    the step; then the error is less than the motion in one step. There are at least two integrations between command
+    and angle, so that no derivative of the command is needed.
     """
     if a.ideal == 1:
         angle, rate, accel = command, 0.0, 0.0
@@ -147,7 +149,7 @@ def _section_acceleration(omega: float, zeta: float, drive: float, x: float, x_r
 
 @kernel
 def _third_section(a: Actuator, y: Array, i: int, into_second: float) -> tuple[float, float, float]:
-    """Output of H3 with two time derivatives, H2 before it driven by `into_second`."""
+    """Return the output of H3 with two time derivatives, where `into_second` drives the preceding H2."""
     w3, w4 = a.omega_3_radps, a.omega_4_radps
     x, x_rate, z, z_rate = y[i + 2], y[i + 3], y[i + 4], y[i + 5]
     x_accel = _section_acceleration(a.omega_2_radps, a.zeta_2, into_second, x, x_rate)
@@ -161,7 +163,7 @@ def _third_section(a: Actuator, y: Array, i: int, into_second: float) -> tuple[f
 
 @kernel
 def _servo_target(a: Actuator, y: Array, i: int, command: float) -> float:
-    """Position that the servo is sent to, within its limit."""
+    """Return the position commanded to the servo, within its limit."""
     if a.limits_on_engine == 1 and a.order == 6:
         command = _third_section(a, y, i, command)[0]
     elif a.limits_on_engine == 1 and a.order == 4:
@@ -182,7 +184,7 @@ def _servo_acceleration(a: Actuator, target: float, angle: float, rate: float) -
 
 @kernel
 def actuator_derivative(a: Actuator, y: Array, i: int, command: float, dy: Array) -> None:
-    """Time derivative of the states at y[i:i+6] under a held command (rad)."""
+    """Write the time derivative of the states at y[i:i+6] under a held command (rad)."""
     if a.ideal == 1:
         for j in range(6):
             dy[i + j] = 0.0
@@ -202,11 +204,11 @@ def actuator_derivative(a: Actuator, y: Array, i: int, command: float, dy: Array
 
 @kernel
 def linear_sections(a: Actuator, out: Array, at: int) -> None:
-    """Matrix of the states' derivatives below all limits, row by row into out[at:]: (order, order)."""
+    """Write the matrix of the states' derivatives below all limits, row by row into out[at:]: (order, order)."""
     n = a.order
     for i in range(n * n):
         out[at + i] = 0.0
-    drives = (0, 0, 2)  # of each section the position that drives it; none: the command
+    drives = (0, 0, 2)  # index of the position that drives each section; none: the command
     for section in range(n >> 1):
         w, zeta = a.omega_1_radps, a.zeta_1
         if section == 1:
@@ -232,9 +234,9 @@ def linear_sections(a: Actuator, out: Array, at: int) -> None:
 def actuator_motion(
     a: Actuator, faults: Array, channel: int, y: Array, i: int, command: Array, before: Array
 ) -> tuple[float, float, float]:
-    """`actuator_output` with the faults of this actuator; `channel` is twice its group, one more in yaw.
+    """Return `actuator_output` with the faults of this actuator.
 
-    `command`, `before`: of all channels.
+    `channel` is twice its group, plus one in yaw. `command`, `before`: of all channels.
     """
     if faults[ANY_FAULT] == 0.0:
         return actuator_output(a, y, i, command[channel], before[channel])
@@ -247,7 +249,10 @@ def actuator_motion(
 
 @kernel
 def actuator_rates(a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float, dy: Array) -> None:
-    """`actuator_derivative` with the faults of this actuator. A stuck servo stands; its rate state dies away."""
+    """Write `actuator_derivative` with the faults of this actuator.
+
+    A stuck servo stays in place, and its rate state decays.
+    """
     if faults[ANY_FAULT] == 0.0:
         actuator_derivative(a, y, i, command, dy)
         return

@@ -1,4 +1,4 @@
-"""Actuators of a stage's gimbals, as the vehicle's file gives them."""
+"""The actuators of a stage's gimbals, as in the vehicle file."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ GimbalAngle = Annotated[float, Field(ge=0.0, le=45.0)]
 
 
 SECTIONS = {"second-order": 1, "fourth-order": 2, "sixth-order": 4}
-"""Frequencies and damping ratios of an actuator by its model; the fourth of the sixth order is the zero."""
+"""The numbers of frequencies and damping ratios of each actuator model; the fourth of the sixth order is the zero."""
 
 
 class ActuatorAxis(Section):
-    """Actuator of one axis."""
+    """The actuator of one axis."""
 
     model: Literal["second-order", "fourth-order", "sixth-order"] = optional(
         "poles: servo; servo and a second pair; servo and two pairs with a pair of zeros (paper, eq. 28)", "sixth-order"
@@ -60,7 +60,7 @@ class YawActuator(Section):
 
 
 class ActuatorSection(ActuatorAxis):
-    """Actuators of both axes, equal unless `yaw` differs: of all groups of engines, or in a list by group."""
+    """The actuators of both axes, equal unless `yaw` differs: of all groups of engines, or in a list by group."""
 
     group: ChannelPart | None = optional("in a list: name of the group of engines that it moves")
     bias_deg: Pair = optional("constant error of the angle, pitch and yaw, deg", (0.0, 0.0))
@@ -76,7 +76,7 @@ class ActuatorSection(ActuatorAxis):
 
     @property
     def axes(self) -> tuple[ActuatorAxis, ActuatorAxis]:
-        """Pitch and yaw axis in full."""
+        """Return the pitch and the yaw axis in full."""
         if self.yaw is None:
             return self, self
         shared = {name: getattr(self, name) for name in ActuatorAxis.model_fields}

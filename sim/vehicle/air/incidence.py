@@ -1,10 +1,10 @@
-"""Aerodynamic coefficients over Mach number and angle of attack: forces and moments of the whole vehicle or of parts of
-it.
+"""Aerodynamic forces and moments by coefficients over Mach number and angle of attack.
 
-Coefficients of a table are referred to body axes (CX, CY, CZ and Cl, Cm, Cn about x, y, z), or to the aeroballistic
-ones: x, and z' in the plane of total angle of attack, on the side to which the vehicle moves through the air, y'
-across. Lift and drag (-CZ and -CX) are turned by the angle of attack in that plane. All tables are summed, each with
-the flow at its own station. Derivatives by the body rates are in body axes (docs/model.md, section 6).
+They belong to the whole vehicle or to its parts. The coefficients of a table refer to body axes (CX, CY, CZ and Cl, Cm,
+Cn about x, y, z) or to aeroballistic axes. The latter are x, z' in the plane of total angle of attack, on the side to
+which the vehicle moves through the air, and y' across. Lift and drag (-CZ and -CX) are turned by the angle of attack in
+that plane. The loads of all tables are summed, each with the flow at its own station. Derivatives by the body rates are
+in body axes (docs/model.md, section 6).
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.vectors import Vector
 
-NO_AXIS, MACH_AXIS, TOTAL, ROLL, ALPHA, BETA = range(6)  # what a grid's variables are
+NO_AXIS, MACH_AXIS, TOTAL, ROLL, ALPHA, BETA = range(6)  # variables of a grid
 BODY_AXES, AEROBALLISTIC = 0, 1
 ALWAYS, POWER_ON, POWER_OFF = range(3)
-# What the columns of a table are. Forces and moments first; then derivatives by p span / 2V, q chord / 2V and
+# Roles of the columns of a table. Forces and moments first, then derivatives by p span / 2V, q chord / 2V and
 # r yaw chord / 2V.
 ROLES = ("CX", "CY", "CZ", "Cl", "Cm", "Cn", "Clp", "Clr", "Cmq", "Cnr", "Cnp", "CYp", "CYr", "CNq")
 CX, CY, CZ, CL, CM, CN, CLP, CLR, CMQ, CNR, CNP, CYP, CYR, CNQ = range(len(ROLES))
@@ -31,21 +31,21 @@ N_ROLES = len(ROLES)
 
 @dataclass(frozen=True)
 class IncidenceTables:
-    """The tables over the angle of attack; `Sizes.tables` gives their number."""
+    """The tables over the angle of attack; `Sizes.tables` is their number."""
 
     grid: GridRefs
     axis: Annotated[IntArray, (MAX_SURFACES, 3)]  # NO_AXIS ... BETA
-    role: Annotated[IntArray, (MAX_SURFACES, N_ROLES)]  # of each column
+    role: Annotated[IntArray, (MAX_SURFACES, N_ROLES)]  # role of each column
     axes: Annotated[IntArray, (MAX_SURFACES,)]  # BODY_AXES, AEROBALLISTIC
     along_wind: Annotated[IntArray, (MAX_SURFACES,)]  # 1: CX and CZ are minus drag and minus lift
     power: Annotated[IntArray, (MAX_SURFACES,)]
-    first_roll_rad: Annotated[Array, (MAX_SURFACES,)]  # where the roll angle's circle begins
+    first_roll_rad: Annotated[Array, (MAX_SURFACES,)]  # start of the roll angle's circle
     any_rates: Annotated[IntArray, (MAX_SURFACES,)]  # 1: has derivatives by the body rates
 
 
 @dataclass
 class IncidenceWork:
-    """A table's coefficients in an evaluation of the derivative."""
+    """The coefficients of a table in one evaluation of the derivative."""
 
     grid_row: Annotated[Array, (N_ROLES,)]  # by its columns
     coefficient: Annotated[Array, (N_ROLES,)]  # by their roles
@@ -53,7 +53,7 @@ class IncidenceWork:
 
 @kernel
 def _angle(kind: int, mach: float, flow: Vector, lateral: float, first_roll: float) -> float:
-    """The variable of a grid, rad; `lateral` is the speed across the axis."""
+    """Return the variable of a grid, rad; `lateral` is the speed across the axis."""
     u, v, w = flow
     if kind == MACH_AXIS:
         return mach
@@ -73,7 +73,7 @@ def _angle(kind: int, mach: float, flow: Vector, lateral: float, first_roll: flo
 def table_coefficients(
     tables: IncidenceTables, pool: Array, j: int, mach: float, flow: Vector, work: IncidenceWork
 ) -> None:
-    """Coefficients of table `j` in the local flow (B, m/s) into `work`, those it does not have as zero."""
+    """Write the coefficients of table `j` in the local flow (B, m/s) to `work`, and zero for missing ones."""
     lateral = math.sqrt(flow[1] * flow[1] + flow[2] * flow[2])
     first_roll = float(tables.first_roll_rad[j])
     interpolate_grid(
@@ -102,15 +102,15 @@ def static_loads(
     force_factor: float,
     work: IncidenceWork,
 ) -> tuple[Vector, Vector, Vector]:
-    """From `work`, per dynamic pressure and area: axial force (B), lateral force (B), moment (B, m).
+    """Return, from `work` and per dynamic pressure and area, axial force (B), lateral force (B) and moment (B, m).
 
-    `lengths`: references of roll, pitch and yaw moment, m. Along the wind the axial force includes drag and lift.
+    `lengths`: reference lengths of roll, pitch and yaw moment, m. In wind axes the axial force includes drag and lift.
     """
     (u, v, w), c = flow, work.coefficient
     lateral, across_y, across_z = 0.0, 0.0, 1.0  # unit vector of z'
     if tables.axes[j] == AEROBALLISTIC:
         lateral = math.sqrt(v * v + w * w)
-        across_z = 0.0  # along the axis all that depends on the plane is zero
+        across_z = 0.0  # along the axis all terms that depend on the plane are zero
         if lateral > 0.0:
             across_y, across_z = v / lateral, w / lateral
     x = axial_factor * c[CX]
@@ -134,7 +134,10 @@ def static_loads(
 
 @routine
 def rate_loads(rate: Vector, lengths: Vector, work: IncidenceWork) -> tuple[Vector, Vector]:
-    """From `work`, per air density, speed and area over four: lateral force (B, m2/s), moment (B, m3/s)."""
+    """Return the lateral force (B, m2/s) and the moment (B, m3/s) due to body rates, from `work`.
+
+    Both are per air density times speed times area over four.
+    """
     p, q, r = lengths[0] * rate[0], lengths[1] * rate[1], lengths[2] * rate[2]
     c = work.coefficient
     return (

@@ -1,10 +1,11 @@
 """Aerodynamic forces and moments over the full circle of angle of attack, by slopes over Mach number.
 
-With the velocity relative to the air (U, V, W) in B and rho S / 2 in front, the normal force of a lifting surface is
--CN_alpha |U| W_k, the cross-flow drag -C_c |(V, W)| W, the axial force -CA U |U|: for small angle of attack these are
-q S CN_alpha alpha and q S CA, at 90 degrees only the cross-flow is left, and nothing is undefined at rest
-(docs/model.md, section 6). W_k is the local cross flow: bending turns the surface (slope) and moves it (rate).
-Beside the slopes, or in their place, stand tables over Mach number and angle of attack (incidence.py).
+The velocity relative to the air is (U, V, W) in B, and all forces have the factor rho S / 2. The normal force of a
+lifting surface is -CN_alpha |U| W_k, the cross-flow drag is -C_c |(V, W)| W, and the axial force is -CA U |U|. For
+small angles of attack these are q S CN_alpha alpha and q S CA. At 90 degrees only the cross-flow remains, and no term
+is undefined at rest (docs/model.md, section 6). W_k is the local cross flow: bending turns the surface (slope) and
+moves it (rate). Tables over Mach number and angle of attack may be used in addition to the slopes or instead of them
+(incidence.py).
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ from maxq.sim.vehicle.environment import CROSSFLOW_PART, AirData, PartWinds
 from maxq.sim.vehicle.modes.planar import Modes, add_to_modes, modal_sum, of_plane
 from maxq.sim.vehicle.modes.spatial import apply_spatial_load, outer_spatial_load, spatial_motion
 
-# Columns of the Mach table; CD is the drag along the relative wind, whatever the attitude. From FIRST_SURFACE on, per
+# Columns of the Mach table; CD is the drag along the relative wind at any attitude. From FIRST_SURFACE on, per
 # surface, CN_alpha and CN_alpha times its station.
 CA, CA_COAST, CD, CMQ, CNR, CLP, CROSSFLOW, CM0, FIRST_SURFACE = range(9)
 
-FIXED, OVER_TIME, OVER_MASS = range(3)  # how the moment reference moves
+FIXED, OVER_TIME, OVER_MASS = range(3)  # motion of the moment reference
 
 
 @dataclass(frozen=True)
@@ -51,22 +52,22 @@ class Aero:
     crossflow_station_m: float
     earth_rates: int  # 1: damping acts on rates relative to the Earth, 0: on inertial ones
     local_incidence: int  # 1: bending changes the angle of attack of the surfaces
-    penetration: int  # 1: each part has the wind of its own place
+    penetration: int  # 1: each part has the wind at its own place
     force_factor: float  # on CN_alpha and cross-flow
     axial_factor: float  # on CA and CD
     damping_factor: float
     centre_shift_m: float  # moves every surface aft
     airspeed_floor_mps: float  # no aerodynamic force below it
     tables: IncidenceTables
-    station_m: Annotated[Array, (MAX_SURFACES + 1,)]  # of each surface and table: where it meets modes and wind
+    station_m: Annotated[Array, (MAX_SURFACES + 1,)]  # station of each surface and table for modes and wind
     reference: TableRef  # station about which moments of tables, and of the slopes of `remainder`, are given
     reference_moves: int  # FIXED, OVER_TIME, OVER_MASS
-    remainder: int  # the surface whose moment goes by a reference that moves, or -1
+    remainder: int  # the surface whose moment uses a moving reference, or -1
 
 
 @dataclass
 class SurfaceLoad:
-    """Load of a lifting surface or table."""
+    """The load of a lifting surface or table."""
 
     force_y_N: float
     force_z_N: float
@@ -76,7 +77,7 @@ class SurfaceLoad:
 
 @dataclass
 class AeroWork:
-    """Aerodynamics in an evaluation of the derivative."""
+    """The aerodynamics in one evaluation of the derivative."""
 
     mach_row: Annotated[Array, (FIRST_SURFACE + 2 * (MAX_SURFACES + 1),)]  # columns of the Mach table
     surface: Annotated[tuple[SurfaceLoad, ...], (MAX_SURFACES + 1,)]
@@ -98,7 +99,7 @@ def air_acts(aero: Aero, air: AirData) -> bool:
 
 @kernel
 def moment_reference(aero: Aero, sizes: Counts, pool: Array, clock_s: float, properties: Array) -> None:
-    """Station of the moment reference at this instant into the derived properties."""
+    """Write the station of the moment reference at this instant to the derived properties."""
     if sizes.tables > 0 or aero.reference_moves != FIXED:
         x = properties[sch.TOTAL_MASS] if aero.reference_moves == OVER_MASS else clock_s
         properties[sch.schedule_width(sizes) + sch.MOMENT_REFERENCE] = look_up(pool, aero.reference, x, 0)
@@ -115,7 +116,7 @@ def coefficients(aero: Aero, pool: Array, mach: float, mach_row: Array) -> None:
 def body_loads(
     aero: Aero, density: float, flow: Vector, rate: Vector, burning: int, cg: Vector, work: AeroWork
 ) -> tuple[Vector, Vector]:
-    """Axial force, drag, cross-flow and rate damping: force and moment about the core CG in B."""
+    """Return the force and moment about the core CG in B of axial force, drag, cross-flow and rate damping."""
     (u, v, w), row = flow, bare_pointer(work.mach_row)
     half = 0.5 * density * aero.area_m2
     speed = math.sqrt(u * u + v * v + w * w)
@@ -136,7 +137,7 @@ def body_loads(
     mz = damping * aero.yaw_chord_m * aero.yaw_chord_m * row[CNR] * rate[2]
     my += half * speed * speed * aero.chord_m * row[CM0] - arm * fz_cross
     mz += arm * fy_cross
-    # the aerodynamic axis is the body axis, which misses a CG that lies beside it
+    # the aerodynamic axis is the body axis, which misses an offset CG
     mx += -cg[1] * fz_cross + cg[2] * fy_cross
     my += -cg[2] * fx
     mz += cg[1] * fx
@@ -147,7 +148,10 @@ def body_loads(
 def surface_loads(
     aero: Aero, sizes: Counts, density: float, flow: Vector, properties: Array, modes: Modes, work: AeroWork
 ) -> tuple[Vector, Vector]:
-    """Normal force of the lifting surfaces with their local angle of attack; adds to the modes' generalised forces."""
+    """Return the normal force of the lifting surfaces at their local angles of attack.
+
+    It is added to the modes' generalised forces.
+    """
     whole, row = 0.5 * density * aero.area_m2 * aero.force_factor, bare_pointer(work.mach_row)
     x_cg, y_cg, z_cg = properties[sch.CORE_CG], properties[sch.CORE_CG + 1], properties[sch.CORE_CG + 2]
     fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -180,7 +184,7 @@ def surface_loads(
 def local_flow(
     aero: Aero, sizes: Counts, s: int, flow: Vector, properties: Array, modes: Modes, work: AeroWork
 ) -> Vector:
-    """Flow at surface or table `s` of the bent body, B, m/s."""
+    """Return the flow at surface or table `s` of the bent body, B, m/s."""
     u, v, w = flow
     if aero.penetration == 1:
         u, v, w = add(flow, scaled(-1.0, vector_at(work.wind_B_mps, 3 * s)))
@@ -213,8 +217,9 @@ def table_loads(
     modes: Modes,
     work: AeroWork,
 ) -> tuple[Vector, Vector]:
-    """Forces and moments of the tables over angle of attack about the core CG in B; adds to the modes' generalised
-    forces.
+    """Return force and moment of the tables over angle of attack about the core CG in B.
+
+    They are added to the modes' generalised forces.
     """
     lengths = (aero.span_m, aero.chord_m, aero.yaw_chord_m)
     reference_m = properties[sch.schedule_width(sizes) + sch.MOMENT_REFERENCE]
@@ -247,7 +252,7 @@ def table_loads(
             moment = add(couple, add(cross(arm, axial), cross((arm[0] - aero.centre_shift_m, arm[1], arm[2]), lateral)))
             total_force = add(total_force, add(axial, lateral))
             total_moment = add(total_moment, moment)
-            # on the modes: the force at the table's station, and its moment about that
+            # load on the modes: the force at the table's station, and the moment about it
             forward = aero.station_m[s] - reference_m - aero.centre_shift_m
             put_surface(kept, lateral[1], lateral[2], 1.0, aero.station_m[s])
             couple_y, couple_z = couple[1] - forward * lateral[2], couple[2] + forward * lateral[1]

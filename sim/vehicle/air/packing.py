@@ -1,4 +1,4 @@
-"""Aerodynamics of a stage as the record that the derivative reads."""
+"""The aerodynamics of a stage as the record that the derivative reads."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _ACROSS = (incidence.CY, incidence.CZ, incidence.CM, incidence.CN)
 
 
 def pack_aero(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Aero:
-    """The stage's aerodynamics under the scenario's switches; its tables go into `pool`."""
+    """Return the stage's aerodynamics under the scenario's switches, and add its tables to `pool`."""
     reference: Reference = scenario.vehicle.reference
     aero = stage.aero or schema.AeroSection.model_construct()  # its defaults, without a table
     on = stage.aero is not None and scenario.switches.aerodynamics
@@ -105,7 +105,10 @@ def _incidence_tables(aero: schema.AeroSection, pool: Pool) -> IncidenceTables:
 
 @cached_by_identity
 def _fitted(table: CsvTable, aeroballistic: bool, method: str) -> tuple[Grid, tuple[str, ...]]:
-    """Columns of vehicle/air/incidence.py over the variables of a table, angles in rad, and which columns they are."""
+    """Return the columns of vehicle/air/incidence.py over the variables of a table, and the column names.
+
+    Angles are in rad.
+    """
     given = grid_table(table)
     missing = 3 - len(given.axes)
     breaks = [b if name == "mach" else np.radians(b) for name, b in zip(given.axes, given.breaks, strict=True)]
@@ -127,10 +130,10 @@ def _fitted(table: CsvTable, aeroballistic: bool, method: str) -> tuple[Grid, tu
 def _mach_table(
     table: CsvTable, surfaces: tuple[schema.AeroSurface, ...], method: Method, reference_m: float, chord_m: float
 ) -> Cubics:
-    """Columns of vehicle/air/kernel.py over Mach number.
+    """Return the columns of vehicle/air/kernel.py over Mach number.
 
-    Normal force enters as slope and slope times station, so that a moment about a fixed reference is carried over
-    exactly to a CG that moves, even where the slope is zero.
+    The normal force is stored as slope and slope times station. Hence a moment about a fixed reference is transferred
+    exactly to a moving CG, even where the slope is zero.
     """
     coast = table["CA_coast"] if "CA_coast" in table else table.get("CA")
     columns = [table.get("CA"), coast, table.get("CD"), table.get("Cmq")]
@@ -147,7 +150,7 @@ def _mach_table(
 
 
 def _remainder(table: CsvTable, surfaces: list[Cubics], method: Method, reference_m: float, chord_m: float) -> Cubics:
-    """Normal force that the table of coefficients has beyond the surfaces' sum."""
+    """Return the difference between the normal force in the table of coefficients and the sum over the surfaces."""
     slope = table.get("CN_alpha_pr")
     if "x_cp_m" in table:
         moment = slope * table["x_cp_m"]
@@ -164,10 +167,10 @@ def _remainder(table: CsvTable, surfaces: list[Cubics], method: Method, referenc
 
 
 def surface_stations(stage: Stage) -> tuple[float, ...]:
-    """Station of each lifting surface at which it meets mode shapes and wind: the mean over its Mach table, m.
+    """Return the station, m, at which each lifting surface meets mode shapes and wind: the mean over its Mach table.
 
-    Behind the surfaces one for the normal force that the table of coefficients has beyond their sum, then those of the
-    tables over incidence.
+    Two groups follow: one station for the normal force in excess of the surfaces' sum, then those of the tables over
+    angle of attack.
     """
     aero = stage.aero
     if aero is None:

@@ -1,4 +1,4 @@
-"""Aerodynamics of a stage, as the vehicle's file gives them."""
+"""The aerodynamics of a stage, as in the vehicle file."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ REFERENCE_OVER_MASS = Columns("mass_kg", sets=(("station_m",),), positive=("mass
 
 
 def _nothing() -> CsvTable:
-    """A table without coefficients."""
+    """Return a table without coefficients."""
     return CsvTable("", {"mach": np.zeros(1)})
 
 
@@ -79,7 +79,7 @@ class Coefficients(Section):
 
     @property
     def grid(self) -> GridTable:
-        """The table as arrays."""
+        """Return the table as arrays."""
         return grid_table(self.table, ("table",))
 
     @property
@@ -99,14 +99,15 @@ class Coefficients(Section):
             self._check_axis(grid)
 
     def _check_axis(self, grid: GridTable) -> None:
-        """Check that nothing depends on the plane of incidence where the flow is along the axis and that plane is
-        undefined.
+        """Check the coefficients where the flow is along the axis.
+
+        Lateral ones must be zero, and none may depend on the roll angle.
         """
         k = grid.axes.index("total_deg")
         total = grid.breaks[k]
         if total[0] > 0.0:
             raise self.table.refusal(
-                f"total_deg begins at {total[0]:g}: forces in the plane of incidence must vanish with it",
+                f"total_deg begins at {total[0]:g}: forces in the plane of total angle of attack must vanish with it",
                 "a first total_deg = 0",
                 at=("table",),
             )
@@ -128,7 +129,7 @@ class Coefficients(Section):
 
 
 class AeroSection(Section):
-    """Coefficients over Mach number and angle of attack; outside the table the end values hold."""
+    """The coefficients over Mach number and angle of attack; outside the table the end values hold."""
 
     table: Annotated[CsvTable, AERO_COLUMNS] = Field(
         default_factory=_nothing,
@@ -179,12 +180,12 @@ class AeroSection(Section):
             raise refuse("cannot be combined with a moment reference that moves", "one of them", "moment_reference_m")
         if "x_cp_m" in table and "Cm_alpha_pr" in table:
             raise table.refusal(
-                "column Cm_alpha_pr cannot stand beside x_cp_m", "one of x_cp_m, Cm_alpha_pr", at=("table",)
+                "column Cm_alpha_pr cannot be combined with x_cp_m", "one of x_cp_m, Cm_alpha_pr", at=("table",)
             )
         if "x_cp_m" in table and "CN_alpha_pr" not in table:
             raise table.refusal("column x_cp_m needs a column CN_alpha_pr", at=("table",))
         placed = "x_cp_m" in table or "Cm_alpha_pr" in table or self.surface
         if "CN_alpha_pr" in table and not placed:
             raise table.refusal(
-                "the normal force has no place to act at", "x_cp_m or Cm_alpha_pr beside CN_alpha_pr", at=("table",)
+                "the normal force has no point of application", "x_cp_m or Cm_alpha_pr with CN_alpha_pr", at=("table",)
             )

@@ -18,7 +18,7 @@ AXES = {
     "alpha_deg": (-180.0, 180.0),
     "beta_deg": (-90.0, 90.0),
 }
-"""Variables of a table and their bounds."""
+"""The variables of a table and their bounds."""
 FORCES = ("CA", "CX", "CD", "CY", "CN", "CZ", "CL")
 MOMENTS = ("Cl", "Cm", "Cn")
 RATES = ("Clp", "Clr", "Cmq", "Cnr", "Cnp", "CYp", "CYr", "CNq")
@@ -31,17 +31,17 @@ class GridTable:
     """Coefficients over one to three variables, each at every combination of their values."""
 
     axes: tuple[str, ...]  # in the order of AXES
-    breaks: tuple[NDArray[np.float64], ...]  # of each variable, rising; angles in deg
+    breaks: tuple[NDArray[np.float64], ...]  # breakpoints of each variable, increasing; angles in deg
     names: tuple[str, ...]
     values: NDArray[np.float64]  # (points of each variable ..., names)
 
 
 def grid_table(table: CsvTable, at: Path = ()) -> GridTable:
-    """The grid of a table whose columns have been checked; `at` is its key.
+    """Return the grid of a table whose columns have been checked; `at` is its key.
 
-    Rows may stand in any order. Raises the schema's refusal unless each combination of the variables' values has
-    exactly one row and the values are possible ones. A roll angle goes round: a table over less than 360 deg is
-    closed by its first value, and over 360 deg its ends must be equal.
+    Rows may be in any order. Raises the refusal of the schema unless each combination of the variables' values has
+    exactly one row and the values are possible. A roll angle is periodic: a table over less than 360 deg is closed by
+    its first value, and over 360 deg its ends must be equal.
     """
     made = table.derived
     if not isinstance(made, GridTable):
@@ -80,11 +80,11 @@ def _check_axes(table: CsvTable, axes: tuple[str, ...], at: Path) -> None:
     if "total_deg" in axes and ("alpha_deg" in axes or "beta_deg" in axes):
         raise table.refusal("total_deg cannot be combined with alpha_deg or beta_deg", "one or the other", at=at)
     if "roll_deg" in axes and "total_deg" not in axes:
-        raise table.refusal("roll_deg has no meaning without total_deg", "total_deg beside roll_deg", at=at)
+        raise table.refusal("roll_deg has no meaning without total_deg", "total_deg with roll_deg", at=at)
     for name in axes:
         low, high = AXES[name]
         outside = (table[name] < low) | (table[name] > high)
-        table.refuse_where(outside, name, f"lies outside {low:g} .. {high:g}", f"{low:g} .. {high:g}", at=at)
+        table.refuse_where(outside, name, f"is outside {low:g} .. {high:g}", f"{low:g} .. {high:g}", at=at)
 
 
 def _closed(
@@ -94,7 +94,7 @@ def _closed(
     values: NDArray[np.float64],
     at: Path,
 ) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
-    """With the roll angle's first value at its end as well."""
+    """Return the table with the roll angle's first value repeated at its end."""
     k = axes.index("roll_deg")
     roll = breaks[k]
     turn = roll[-1] - roll[0]

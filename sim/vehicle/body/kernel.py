@@ -1,4 +1,4 @@
-"""Rigid part: mass properties with the engine deflected, its inertial reaction, outflow, and kinematics."""
+"""The rigid body: mass properties with the engine deflected, its inertial reaction, outflow, and kinematics."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ from maxq.sim.world.earth import Earth
 
 
 class Balance(NamedTuple):
-    """CG and inertia with all engines deflected, in B (m, kg m2)."""
+    """The CG and the inertia with all engines deflected, in B (m, kg m2)."""
 
-    offset: Vector  # of the CG from the core CG
+    offset: Vector  # vector from the core CG to the CG
     inertia: Symmetric  # about the core CG
-    inverse_inertia: Symmetric  # inverse of the tensor about that CG, the modes giving way to roll
-    given_way_kgm2: float  # roll inertia that the modes take from the body, see engine_modes.py
+    inverse_inertia: Symmetric  # inverse of the tensor about that CG, with the compliance of the modes in roll
+    given_way_kgm2: float  # reduction of the roll inertia by the modes, see engine/modes.py
 
 
 @kernel
 def _at_rest(e: Engine, k: int, gimbal: Vector) -> Vector:
-    """CG of engine k at rest relative to the core CG."""
+    """Return the CG of engine k at rest relative to the core CG."""
     arm = e.cg_from_gimbal_m[k]
     return gimbal[0] - arm * e.rest_x[k], gimbal[1] - arm * e.rest_y[k], gimbal[2] - arm * e.rest_z[k]
 
 
 @kernel
 def displaced_inertia(e: Engine, k: int, engine: Deflected, inertia: Symmetric) -> Symmetric:
-    """`inertia` about the core CG after engine k has moved from its place at rest."""
+    """Return `inertia` about the core CG after engine k has moved from its rest position."""
     mass, rest = e.gimballed_mass_kg[k], _at_rest(e, k, engine.gimbal)
     return _plus_point(_plus_point(inertia, mass, add(rest, engine.delta)), -mass, rest)
 
@@ -56,7 +56,7 @@ def displaced_inertia(e: Engine, k: int, engine: Deflected, inertia: Symmetric) 
 def balance(
     e: Engine, sizes: Counts, first: Deflected, given_way_kgm2: float, properties: Array, engines: KeptEngines
 ) -> Balance:
-    """Return CG and inertia with the first engine as it is, and further ones as `engines` holds them."""
+    """Return CG and inertia with the given first engine, and further engines from `engines`."""
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_CORE_MASS]
     inertia = displaced_inertia(e, 0, first, symmetric_at(properties, sch.CORE_INERTIA))
     offset = scaled(e.gimballed_mass_kg[0] * inverse_mass, first.delta)
@@ -70,7 +70,7 @@ def balance(
 
 @kernel
 def _plus_point(j: Symmetric, mass: float, at: Vector) -> Symmetric:
-    """Inertia integrals with a point mass added."""
+    """Return the inertia integrals with a point mass added."""
     xx, yy, zz = at[0] * at[0], at[1] * at[1], at[2] * at[2]
     return (
         j[0] + mass * (yy + zz),
@@ -86,13 +86,13 @@ def _plus_point(j: Symmetric, mass: float, at: Vector) -> Symmetric:
 def engine_reaction(
     e: Engine, k: int, engine: Deflected, rate: Vector, axial_load: float, bending: Vector
 ) -> tuple[Vector, Vector, Load]:
-    """Force and moment (about the core CG) of the moving engine k on the vehicle, in B ("tail wags dog").
+    """Return force and moment (about the core CG) of the moving engine k on the vehicle, in B ("tail wags dog").
 
-    The third result is the load at the gimbal that excites the modes. `bending`: velocity that the modes give the
-    engine's CG at rest (`engine_velocity`), m/s.
+    The third result is the load at the gimbal that excites the modes. `bending`: velocity of the engine's CG at rest
+    due to the modes (`engine_velocity`), m/s.
 
-    Terms in the unknown accelerations are in the mass matrix (`Balance`). The axial load on the displaced engine bends
-    the body as well: a first-order effect of the deflection.
+    Terms in the unknown accelerations are in the mass matrix (`Balance`). The axial load on the displaced engine also
+    bends the body, a first-order effect of the deflection.
     """
     mass, inertia = e.gimballed_mass_kg[k], e.inertia_kgm2[k]
     relative = add(engine.delta_accel, scaled(2.0, cross(rate, engine.delta_rate)))
@@ -124,11 +124,11 @@ def engine_momentum(e: Engine, k: int, engine: Deflected, roll_rate: float) -> L
 
 @kernel
 def prepare_outflow(e: Engine, sizes: Counts, properties: Array) -> None:
-    """Derived properties of the flowing propellant (momentum, jet damping), and the inverse masses.
+    """Compute the derived properties of the flowing propellant (momentum, jet damping), and the inverse masses.
 
-    The relative momentum of the inner flow is d(m c)/dt + mdot r_exit (mass conservation), the moment is
-    -(dJ/dt) w - mdot r_exit x (w x r_exit) about the core CG (docs/model.md, section 8; Eke 1998, Meirovitch 1970):
-    that of a point of "mass" mdot at the exit. What a bob loses flows into the core at the bob's position.
+    The relative momentum of the inner flow is d(m c)/dt + mdot r_exit (mass conservation). The moment about the core CG
+    is -(dJ/dt) w - mdot r_exit x (w x r_exit) (docs/model.md, section 8; Eke 1998, Meirovitch 1970). It is that of a
+    point of "mass" mdot at the exit. The mass that a bob loses flows into the core at the bob's position.
     """
     mass = properties[sch.CORE_MASS]
     inner = scaled(mass, (-properties[sch.CG_RATE], properties[sch.CG_RATE + 1], properties[sch.CG_RATE + 2]))
@@ -164,7 +164,7 @@ def prepare_outflow(e: Engine, sizes: Counts, properties: Array) -> None:
 
 @kernel
 def coriolis_of_outflow(sizes: Counts, rate: Vector, properties: Array) -> tuple[Vector, Vector]:
-    """Force and moment of the propellant that flows through a turning vehicle: jet damping."""
+    """Return force and moment of the propellant that flows through a turning vehicle: jet damping."""
     behind = sch.schedule_width(sizes)
     force = scaled(-2.0, cross(rate, vector_at(properties, behind + sch.INNER_FLOW)))
     damping = symmetric_at(properties, behind + sch.JET_DAMPING)
@@ -184,9 +184,9 @@ def kinematics(
     y: Array,
     dy: Array,
 ) -> None:
-    """Position, velocity, attitude and rate. The core CG moves through the body as propellant leaves.
+    """Write the derivatives of position, velocity, attitude and rate.
 
-    On the pad, position and attitude rotate with the Earth.
+    The core CG moves through the body as propellant leaves. On the pad, position and attitude rotate with the Earth.
     """
     if on_pad == 1:
         turning = earth.rate_radps

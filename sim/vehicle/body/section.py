@@ -1,4 +1,4 @@
-"""Mass, inertia and reference lengths of a vehicle, as its file gives them."""
+"""The mass, inertia and reference lengths of a vehicle, as in its file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SYMMETRY = 1e-9
 
 
 class Mass(Section):
-    """Mass properties of the whole vehicle while this stage flies: a table, or constants."""
+    """The mass properties of the whole vehicle while this stage flies: a table, or constants."""
 
     table: Annotated[CsvTable, MASS_COLUMNS] | None = optional(
         "whole vehicle with frozen liquid, inertia about its CG, over the stage clock; x_cg_m is the station aft of "
@@ -69,7 +69,7 @@ class Mass(Section):
     def finely(
         self, ignition_s: float, interpolation: Literal["pchip", "linear"]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times of the stage clock (s) and the mass at them (kg), as it is joined in flight."""
+        """Return times of the stage clock (s) and the mass at them (kg), as interpolated in flight."""
         from maxq.control.kernel.tables import fit  # noqa: PLC0415  # lazy: it imports the compiler
 
         if self.table is None:
@@ -98,11 +98,11 @@ class Mass(Section):
 
 
 _SLACK = 1e-9
-"""Rounding that is forgiven, relative to the largest principal moment."""
+"""The tolerance for rounding, relative to the largest principal moment."""
 
 
 def first_impossible(inertia: NDArray[np.float64]) -> tuple[int, str] | None:
-    """Row of the first tensor of (n, 3, 3) that no body can have, and why; None when all are possible.
+    """Return the row of the first impossible tensor of (n, 3, 3) and the reason, or None if all are possible.
 
     A body's principal moments are positive, and none is larger than the sum of the other two.
     """
@@ -124,7 +124,7 @@ def first_impossible(inertia: NDArray[np.float64]) -> tuple[int, str] | None:
 
 
 def _first(*keys: str) -> Any:
-    """Default of a field: the value of the first of `keys`, fields that stand before it."""
+    """Return the default of a field: the value of the first of `keys`, which are fields before it."""
 
     def default(data: dict[str, Any]) -> float:
         return float(next((data[key] for key in keys if key in data), 1.0))
@@ -133,7 +133,7 @@ def _first(*keys: str) -> Any:
 
 
 class Reference(Section):
-    """Reference lengths of the aerodynamic coefficients."""
+    """The reference lengths of the aerodynamic coefficients."""
 
     length_m: Positive = Field(description="length of the vehicle, m")
     diameter_m: Positive = Field(description="diameter of the vehicle, m")

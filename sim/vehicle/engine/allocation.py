@@ -1,4 +1,7 @@
-"""Allocation of a stage's commands to its groups of engines, from their places and thrusts (control/allocation.py)."""
+"""The allocation of a stage's commands to its groups of engines.
+
+It follows from their positions and thrusts (control/allocation.py).
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,9 @@ if TYPE_CHECKING:
 def pack_allocation(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Allocation:
     """Pack the allocation of a stage; a single group receives the law's commands unchanged.
 
-    Moments are those about the CG at half of the burn, of the largest nominal thrusts in vacuum: a cluster's shares
-    of each axis depend on little else. A fault counts from `reallocate_after_s` on.
+    Moments are those of the largest nominal vacuum thrusts about the CG at half of the burn, because the shares of a
+    cluster in each axis depend on little else. The allocation accounts for a fault `reallocate_after_s` after it
+    occurs.
     """
     if len(stage.engine_groups) == 1:
         return ONE_GROUP
@@ -48,8 +52,9 @@ def pack_allocation(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) ->
 
 
 def channel_scales_rad(stage: Stage) -> list[float]:
-    """Return the scales of pitch and yaw of each group: the limit over the root of the number of engines, since each
-    engine's effort counts.
+    """Return the scales of pitch and yaw of each group.
+
+    A scale is the limit over the root of the number of engines, since each engine's effort counts.
     """
     limits = limits_rad(stage) or [1.0] * (2 * len(stage.engine_groups))
     sizes = [sum(e.group == group and e.gimbal != "fixed" for e in stage.engines) for group in stage.engine_groups]
@@ -62,14 +67,14 @@ def limits_rad(stage: Stage) -> list[float]:
 
 
 def moments(stage: Stage, lost: tuple[EngineFault, ...]) -> Array:
-    """Moments in pitch, yaw and roll (3, channels) per radian of each channel, N m/rad."""
+    """Return the moments in pitch, yaw and roll (3, channels) per radian of each channel, N m/rad."""
     groups = stage.engine_groups
     out = np.zeros((3, 2 * len(groups)))
     cg_m, y_m, z_m = cg_at_half_burn(stage)
     for number, engine in enumerate(stage.engines):
         if engine.gimbal == "fixed":
             continue
-        strength = float(engine.table["thrust_vacuum_N"].max())  # the computer knows of no factor by which one deviates
+        strength = float(engine.table["thrust_vacuum_N"].max())  # the computer has no deviations of engines
         for fault in lost:
             if fault.affects(number):
                 strength *= 0.0 if fault.fault.loss is None else 1.0 - fault.fault.loss
@@ -83,7 +88,7 @@ def moments(stage: Stage, lost: tuple[EngineFault, ...]) -> Array:
 
 
 def cg_at_half_burn(stage: Stage) -> tuple[float, float, float]:
-    """Station, y and z of the whole vehicle's CG when half of the mass that it loses is gone, m."""
+    """Return station, y and z of the whole vehicle's CG when half of its propellant is spent, m."""
     mass, table = stage.mass, stage.mass.table
     if table is None:
         return mass.x_cg_m or 0.0, mass.y_cg_m or 0.0, mass.z_cg_m or 0.0

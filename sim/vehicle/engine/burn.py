@@ -1,15 +1,17 @@
 """The burn of a stage: its begin and end, the share of thrust of each engine, and the propellant spent over time.
 
-Tables over the stage clock are tables over the propellant spent: mass, tanks, modes and thrust belong to what is left.
-An engine that is throttled, off or weak spends less, and the clock s of the tables runs slower than the stage clock t:
+Tables over the stage clock are tables over the propellant spent, because mass, tanks, modes and thrust depend on the
+remaining propellant. An engine that is throttled, off or weak spends less, and the clock s of the tables runs slower
+than the stage clock t:
 
     ds/dt = sum_i w_i(s) m_i(t),   w_i = share of engine i in the nominal mass flow, m_i = its throttle times faults
 
-With shares that do not change (engines of one table) and m_i constant, s(t) is exact; ramps of m_i are followed in
-steps of `_RAMP_S`, changing shares in steps of `_SHARES_S` by the classical Runge-Kutta method. It is assumed that all
-engines are fed alike: what the vehicle has left, and where, depends on how much was spent and not on who spent it.
+If the shares are constant (engines of one table) and m_i is constant, s(t) is exact. Ramps of m_i are followed in steps
+of `_RAMP_S`, and changing shares in steps of `_SHARES_S` by the classical Runge-Kutta method. All engines are assumed
+to draw from the same tanks. Hence the remaining propellant and its distribution depend on the amount spent, not on the
+engine that spent it.
 
-A table with one row is constant and covers everything. `mass_flow_factor` makes the tables' clock run faster.
+A table with one row is constant and covers all times. `mass_flow_factor` makes the tables' clock run faster.
 """
 
 from __future__ import annotations
@@ -36,10 +38,9 @@ _RAMP_S, _SHARES_S, _BUILD_UP_S = 0.1, 0.5, 2.0
 
 
 def thrust_end_s(stage: Stage) -> float:
-    """Time of the stage's tables from which on there is no thrust; 0 without an engine or with constant
-    thrust.
+    """Return the time of the stage's tables from which on there is no thrust.
 
-    When the thrust table does not end at zero, its last time.
+    It is 0 without an engine or with constant thrust, and the last time of a thrust table that does not end at zero.
     """
     if any(len(engine.table) == 1 for engine in stage.engines):
         return 0.0
@@ -54,7 +55,7 @@ def _table_end_s(table: CsvTable) -> float:
 
 
 def burn_rate(stage: Stage) -> float:
-    """Seconds of the tables' clock per second of the stage clock."""
+    """Return the seconds of the tables' clock per second of the stage clock."""
     rates = {engine.mass_flow_factor for engine in stage.engines}
     if len(rates) < 2:
         return rates.pop() if rates else 1.0
@@ -64,7 +65,7 @@ def burn_rate(stage: Stage) -> float:
 
 
 def stage_end_s(stage: Stage) -> float:
-    """When the stage separates, on its clock; infinite for the last one."""
+    """Return the time of the stage's separation on its clock, or infinity for the last stage."""
     if stage.separation_s is not None:
         return stage.separation_s
     if stage.separation_after_burnout_s is not None:
@@ -74,7 +75,10 @@ def stage_end_s(stage: Stage) -> float:
 
 @dataclass(frozen=True)
 class EngineFault:
-    """On the stage clock. `loss`: share of the thrust that is lost at once; a tail-off gives what is left instead."""
+    """A fault of engines, on the stage clock.
+
+    `loss`: share of the thrust that is lost at once; a tail-off gives the remaining share instead.
+    """
 
     fault: Fault
     at_s: float
@@ -85,7 +89,7 @@ class EngineFault:
         return self.fault.engine in (None, number)
 
     def left(self, time_s: float, before: bool) -> float:
-        """Share of thrust and flow that is left at an instant, or just before it."""
+        """Return the remaining share of thrust and flow at an instant, or just before it."""
         on = self.at_s < time_s <= self.until_s if before else self.at_s <= time_s < self.until_s
         if not on:
             return 1.0
@@ -101,10 +105,11 @@ class EngineFault:
 
 @dataclass(frozen=True)
 class TableClock:
-    """The clock of the stage's tables over the stage clock: from each of `time_s` to the next a parabola.
+    """The clock of the stage's tables over the stage clock: a parabola from each of `time_s` to the next.
 
-    `table_s` (n,); `rate` (n, 2): ds/dt after an instant, and just before the next; the last goes on for ever. `share`
-    (engines, n, 2): throttle and faults of each engine, linear between.
+    - `table_s` (n,).
+    - `rate` (n, 2): ds/dt after an instant, and just before the next; the last rate holds for ever.
+    - `share` (engines, n, 2): throttle and faults of each engine, linear between.
     """
 
     time_s: BurnNumbers
@@ -113,14 +118,17 @@ class TableClock:
     share: BurnNumbers
 
     def at(self, time_s: BurnNumbers) -> tuple[NDArray[np.int64], BurnNumbers, BurnNumbers]:
-        """Interval, clock of the tables and its rate at instants of the stage clock."""
+        """Return the interval, the clock of the tables and its rate at instants of the stage clock."""
         k = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.time_s) - 1)
         into = time_s - self.time_s[k]
         slope = self.slopes()[k]
         return k, self.table_s[k] + into * (self.rate[k, 0] + 0.5 * slope * into), self.rate[k, 0] + slope * into
 
     def when(self, table_s: BurnNumbers) -> BurnNumbers:
-        """First instants at which the tables' clock stands at `table_s`; infinite for what is never reached."""
+        """Return the first instants at which the tables' clock reads `table_s`.
+
+        They are infinite for values never reached.
+        """
         out = np.full(len(table_s), np.inf)
         slopes = self.slopes()
         ends = np.append(self.table_s[1:], np.inf if self.rate[-1, 0] > 0.0 else self.table_s[-1])
@@ -143,8 +151,9 @@ class TableClock:
 
 @dataclass(frozen=True)
 class Burn:
-    """A stage's burn: its zero on the vehicle clock; burnout and end on its own clock; None where the tables' clock is
-    the stage clock times `burn_rate`.
+    """A stage's burn: its zero on the vehicle clock, and burnout and end on its own clock.
+
+    `clock` is None if the tables' clock is the stage clock times `burn_rate`.
     """
 
     start_s: float
@@ -155,13 +164,13 @@ class Burn:
 
 
 NOMINAL = Burn(0.0, 0.0, math.inf, None, ())
-"""A stage by itself: all engines burn by their tables."""
+"""The burn of a stage without faults: all engines burn by their tables."""
 
 
 def stage_burns(stages: Sequence[Stage], faults: Sequence[Fault], liftoff_s: float = math.inf) -> tuple[Burn, ...]:
     """Return the burn of each stage, with the faults of its engines.
 
-    `liftoff_s`: on the vehicle clock; faults timed from liftoff occur only where it is finite.
+    `liftoff_s`: time of liftoff on the vehicle clock; faults timed from liftoff occur only if it is finite.
     """
     out: list[Burn] = []
     start_s = 0.0
@@ -190,12 +199,15 @@ def table_time_s(stage: Stage, burn: Burn, time_s: float) -> float:
 
 
 def when_spent_s(stage: Stage, burn: Burn, table_s: float) -> float:
-    """Return the instant of a stage's clock at which that of its tables is `table_s`; infinite if it never is."""
+    """Return the instant of a stage's clock at which its tables' clock reads `table_s`.
+
+    It is infinite if that never happens.
+    """
     return table_s / burn_rate(stage) if burn.clock is None else float(burn.clock.when(np.array([table_s]))[0])
 
 
 def _burnout_s(stage: Stage, clock: TableClock) -> float:
-    """When the last thrust ends: 0 with constant thrust, as `thrust_end_s`."""
+    """Return the end of the last thrust: 0 with constant thrust, as in `thrust_end_s`."""
     end_s = thrust_end_s(stage)
     spent_s = float(clock.when(np.array([end_s]))[0]) if end_s > 0.0 else math.inf
     working = np.flatnonzero(clock.share.max(axis=(0, 2)) > 0.0)
@@ -205,7 +217,7 @@ def _burnout_s(stage: Stage, clock: TableClock) -> float:
 
 
 def table_clock(stage: Stage, faults: Sequence[EngineFault]) -> TableClock:
-    """The clock of the tables of a stage whose engines are throttled, or fail."""
+    """Return the clock of the tables of a stage whose engines are throttled, or fail."""
     engines = stage.engines
     instants = {0.0, *(t for fault in faults for t in fault.instants())}
     instants |= {float(t) for e in engines if e.throttle is not None for t in e.throttle["time_s"]}
@@ -220,7 +232,7 @@ def table_clock(stage: Stage, faults: Sequence[EngineFault]) -> TableClock:
         step = _RAMP_S if ramps else math.inf if alike else _SHARES_S
         pieces = max(1, math.ceil((end - begin) / step)) if math.isfinite(step) else 1
         times += [begin + (end - begin) * j / pieces for j in range(pieces)]
-    if not alike:  # to the end of the tables, slowly as they may be read
+    if not alike:  # to the end of the tables, even at the slowest rate
         last = max(float(e.table["time_s"][-1]) for e in engines)
         times += list(np.arange(times[-1] + _SHARES_S, 4.0 * last, _SHARES_S))
     time = np.array(times)
@@ -235,7 +247,7 @@ def table_clock(stage: Stage, faults: Sequence[EngineFault]) -> TableClock:
 
 
 def _share(engine: EngineSection, number: int, faults: Sequence[EngineFault], time_s: float, before: bool) -> float:
-    """Throttle times faults of an engine."""
+    """Return throttle times faults of an engine."""
     out = 1.0
     if engine.throttle is not None:
         out = float(np.interp(time_s, engine.throttle["time_s"], engine.throttle["throttle"]))
@@ -246,13 +258,13 @@ def _share(engine: EngineSection, number: int, faults: Sequence[EngineFault], ti
 
 
 def _integrated(stage: Stage, time: BurnNumbers, share: BurnNumbers) -> TableClock:
-    """ds/dt = 1 - sum of w_i (1 - m_i f_i), which is exactly 1 while all engines burn as they should."""
+    """Integrate ds/dt = 1 - sum of w_i (1 - m_i f_i), which is exactly 1 while all engines burn nominally."""
     factor = np.array([e.mass_flow_factor for e in stage.engines])
     missing = 1.0 - share * factor[:, None, None]
     table, rate = np.zeros(len(time)), np.zeros((len(time), 2))
 
     def slope(k: int, s: float, part: float) -> float:
-        """Within interval k, `part` of the way."""
+        """Return the slope within interval k, `part` of the way."""
         lost = missing[:, k, 0] + part * (missing[:, k, 1] - missing[:, k, 0])
         return 1.0 - float(np.sum(flow_shares(stage, s) * lost))
 
@@ -270,7 +282,7 @@ def _integrated(stage: Stage, time: BurnNumbers, share: BurnNumbers) -> TableClo
 
 
 def flow_shares(stage: Stage, table_s: float) -> BurnNumbers:
-    """Share of each engine in the nominal mass flow; that at the largest thrust where nothing flows."""
+    """Return the share of each engine in the nominal mass flow, or the share at the largest thrust if nothing flows."""
     flows = np.array([_flow(e, table_s) for e in stage.engines])
     if flows.sum() == 0.0:
         flows = np.array([float(_column(e).max()) for e in stage.engines])

@@ -4,9 +4,9 @@ An engine is mounted on a gimbal behind the vehicle and follows the actuators of
 one, or not at all. At rest its mass is part of the core; `rigid.engine_reaction` adds the effects of a deflection
 ("tail wags dog").
 
-Engines that are alike in all but their lateral position and move together are one engine here, of n-fold thrust, mass
-and inertia at the mean of their positions: that is exact (docs/model.md, section 3), and nine of them cost as much as
-one.
+Engines that move together and differ only in their lateral position are combined into one, with n times the thrust,
+mass and inertia at the mean of their positions. This is exact (docs/model.md, section 3), and nine such engines cost as
+much as one.
 """
 
 from __future__ import annotations
@@ -30,21 +30,22 @@ Indices = Annotated[IntArray, _PER_ENGINE]
 
 @dataclass(frozen=True)
 class Engine:
-    """All engines of a stage; `Sizes.engines` of them count.
+    """All engines of a stage; `Sizes.engines` is their number.
 
-    `turned_*_rad`: cant and misalignment, which add to the gimbal's angles. `rest_*`: thrust axis canted, neither
-    deflected nor misaligned, B. `lever_*_m`: from the body axis at the gimbal's station to the engine's CG at rest
-    (aft, y, z), as the modes see it; y and z count for canted engines only, without cant they are of second order.
-    `exit_*`: centre and second moments of the nozzle exits about it, for jet damping.
+    - `turned_*_rad`: cant and misalignment, which add to the gimbal's angles.
+    - `rest_*`: thrust axis with cant, but neither deflected nor misaligned, B.
+    - `lever_*_m`: vector from the body axis at the gimbal's station to the engine's CG at rest (aft, y, z), for the
+      modes. y and z are used for canted engines only; without cant they are of second order.
+    - `exit_*`: centre and second moments of the nozzle exits about it, for jet damping.
     """
 
     exit_area_m2: Numbers
     thrust_factor: Numbers
-    curve: Indices  # of vacuum thrust
+    curve: Indices  # curve of vacuum thrust
     group: Indices
     follows_pitch: Numbers  # 1 where the engine follows its group in that plane, else 0
     follows_yaw: Numbers
-    gimbal: Indices  # station of gimbals, as the mode shapes know them
+    gimbal: Indices  # station of gimbals, numbered as in the mode shapes
     gimbal_station_m: Numbers
     gimbal_offset_y_m: Numbers
     gimbal_offset_z_m: Numbers
@@ -59,7 +60,7 @@ class Engine:
     lever_x_m: Numbers
     lever_y_m: Numbers
     lever_z_m: Numbers
-    swings: Indices  # which TVC load the engine swings on; -1: it follows its actuators
+    swings: Indices  # number of the engine's TVC load; -1: it follows its actuators
     exit_station_m: Numbers
     exit_y_m: Numbers
     exit_z_m: Numbers
@@ -67,13 +68,13 @@ class Engine:
     exit_zz_m2: Numbers
     exit_yz_m2: Numbers
     flow_weight: Numbers  # mass flow per newton of the curve, relative to the other engines'
-    taken_as: Indices  # of each engine of the vehicle: which of these it is part of
-    parts: Numbers  # and how many those are
+    taken_as: Indices  # for each engine of the vehicle, the index of the engine here that includes it
+    parts: Numbers  # number of engines combined
 
 
 @dataclass
 class GimbalMotion:
-    """Gimbal angle in one plane with its derivatives."""
+    """The gimbal angle in one plane with its derivatives."""
 
     angle_rad: float
     rate_radps: float
@@ -82,11 +83,11 @@ class GimbalMotion:
 
 @dataclass
 class EngineOutputs:
-    """Auxiliary outputs of the engines."""
+    """The auxiliary outputs of the engines."""
 
     channel: Annotated[tuple[GimbalMotion, ...], (2 * MAX_ENGINES,)]  # pitch, yaw of each group
     thrust_N: Annotated[Array, _PER_ENGINE]
-    axial_thrust_N: float  # of all engines at rest
+    axial_thrust_N: float  # thrust of all engines at rest
 
 
 @kernel
@@ -96,7 +97,7 @@ def set_motion(channel: GimbalMotion, motion: Vector) -> None:
 
 @kernel
 def engine_axis_motion(e: Engine, k: int, pitch: GimbalMotion, yaw: GimbalMotion) -> tuple[Vector, Vector, Vector]:
-    """`thrust_axis_motion` of engine k, from the motion of its group."""
+    """Return `thrust_axis_motion` of engine k, from the motion of its group."""
     in_pitch, in_yaw = e.follows_pitch[k], e.follows_yaw[k]
     return thrust_axis_motion(
         in_pitch * pitch.angle_rad + e.turned_pitch_rad[k],
@@ -112,7 +113,7 @@ def engine_axis_motion(e: Engine, k: int, pitch: GimbalMotion, yaw: GimbalMotion
 def thrust_axis_motion(
     pitch: float, pitch_rate: float, pitch_accel: float, yaw: float, yaw_rate: float, yaw_accel: float
 ) -> tuple[Vector, Vector, Vector]:
-    """Unit vector of the thrust in B with its first and second time derivative.
+    """Return the unit vector of the thrust in B with its first and second time derivative.
 
     Positive angles (rad) give positive pitch and yaw moments.
     """
@@ -134,7 +135,7 @@ class Deflected(NamedTuple):
 
     axis: Vector  # unit vector of the thrust
     gimbal: Vector  # gimbal point relative to the core CG
-    delta: Vector  # engine CG relative to where it is at rest, and derivatives
+    delta: Vector  # engine CG relative to its rest position, and derivatives
     delta_rate: Vector
     delta_accel: Vector
     relative_rate: Vector  # angular velocity of the engine relative to the body, and derivative
@@ -175,7 +176,7 @@ def deflected_engine(
 
 @kernel
 def gimbal_point(e: Engine, k: int, properties: Array) -> Vector:
-    """Gimbal of engine k relative to the core CG, B, m."""
+    """Return the gimbal of engine k relative to the core CG, B, m."""
     return (
         properties[CORE_CG] - e.gimbal_station_m[k],
         e.gimbal_offset_y_m[k] - properties[CORE_CG + 1],
@@ -210,21 +211,24 @@ def deflected_at(kept: KeptEngine) -> Deflected:
 
 @kernel
 def beside_axis(e: Engine, k: int) -> tuple[float, float]:
-    """CG of engine k at rest from the body axis along y and z, m."""
+    """Return the offset of engine k's CG at rest from the body axis along y and z, m."""
     arm = e.cg_from_gimbal_m[k]
     return e.gimbal_offset_y_m[k] - arm * e.rest_y[k], e.gimbal_offset_z_m[k] - arm * e.rest_z[k]
 
 
 @kernel
 def thrust(e: Engine, k: int, vacuum_thrust_N: float, ambient_pressure_Pa: float) -> float:
-    """Thrust of engine k against the ambient pressure, N; never negative: so weak a flow separates from the nozzle."""
+    """Return the thrust of engine k against the ambient pressure, N.
+
+    It is never negative, because so weak a flow separates from the nozzle.
+    """
     strength: float = max(e.thrust_factor[k] * vacuum_thrust_N - ambient_pressure_Pa * e.exit_area_m2[k], 0.0)
     return strength
 
 
 @kernel
 def total_thrust(e: Engine, sizes: Counts, properties: Array, ambient_pressure_Pa: float) -> float:
-    """Thrust of all engines at rest, along the body axis, N."""
+    """Return the thrust of all engines at rest along the body axis, N."""
     total: float = e.rest_x[0] * thrust(e, 0, properties[THRUST_VACUUM], ambient_pressure_Pa)
     for k in range(1, sizes.engines):
         vacuum_N = properties[thrust_column(sizes, e.curve[k])]
@@ -234,7 +238,7 @@ def total_thrust(e: Engine, sizes: Counts, properties: Array, ambient_pressure_P
 
 @kernel
 def flow_share(e: Engine, sizes: Counts, k: int, properties: Array) -> float:
-    """Engine k's share of the mass flow."""
+    """Return engine k's share of the mass flow."""
     if sizes.engines == 1:
         return 1.0
     own, total = 0.0, 0.0
@@ -255,7 +259,7 @@ class GroupRow(NamedTuple):
 
 @kernel
 def group_row(further_groups: int, group: int, command_rad: Array, engines: EngineOutputs) -> GroupRow:
-    """Nan throughout for a group that the stage does not have."""
+    """Return the row of a group, nan throughout for a group that the stage does not have."""
     if group > further_groups:
         none = PitchYaw(math.nan, math.nan)
         return GroupRow(none, none, none)
@@ -275,7 +279,7 @@ class EngineRow(NamedTuple):
 
 @kernel
 def engine_row(e: Engine, number: int, engines: EngineOutputs) -> EngineRow:
-    """Nan for an engine that the stage does not have."""
+    """Return the row of an engine, nan for an engine that the stage does not have."""
     if e.parts[number] == 0.0:
         return EngineRow(math.nan)
     return EngineRow(thrust_engine_N=engines.thrust_N[e.taken_as[number]] / e.parts[number])

@@ -1,8 +1,8 @@
 """Coupling of deflected engines with the modes of a bent body (docs/model.md, sections 3, 4 and 7).
 
 An engine's momentum relative to the body acts on the modes at its gimbal, and the modes move the engine. While the body
-rolls, the momentum includes the mass displaced by the deflection, m_E p x cross Delta, so that roll acceleration drives
-the modes of a vehicle with deflected engines and modal accelerations drive its roll.
+rolls, the momentum includes the displaced mass of the deflected engine, m_E p x cross Delta. Hence, with deflected
+engines, roll acceleration drives the modes, and modal accelerations drive the roll.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def load_at_gimbal(e: Engine, k: int, force: Vector, couple: Vector) -> Load:
     return force[0], force[1], force[2], about_x, about_y, couple[2] - aft * force[1] - to_y * force[0]
 
 
-Rates = tuple[Vector, Vector]  # velocity (m/s) and angular rate (rad/s) that the modes give a station, B
+Rates = tuple[Vector, Vector]  # velocity (m/s) and angular rate (rad/s) of a station due to the modes, B
 
 
 @kernel
 def gimbal_rates(sizes: Counts, properties: Array, gimbal: int, modes: Modes) -> Rates:
-    """Return velocity (m/s) and angular rate (rad/s) that the modes give a station of gimbals, in B.
+    """Return velocity (m/s) and angular rate (rad/s) of a station of gimbals due to the modes, in B.
 
     Both are sums over the quasi-velocities, which include the roll rate's share.
     """
@@ -55,9 +55,9 @@ def gimbal_rates(sizes: Counts, properties: Array, gimbal: int, modes: Modes) ->
 
 @kernel
 def engine_velocity(e: Engine, k: int, rates: Rates) -> Vector:
-    """Return the velocity that the modes give the CG of engine k at rest (B, m/s), from the rates of its gimbal.
+    """Return the velocity of the CG of engine k at rest due to the modes (B, m/s), from the rates of its gimbal.
 
-    The transpose of `load_at_gimbal`.
+    This is the transpose of `load_at_gimbal`.
     """
     velocity, turning = rates
     aft, to_y, to_z = e.lever_x_m[k], e.lever_y_m[k], e.lever_z_m[k]
@@ -75,9 +75,9 @@ def modal_roll_response(
 ) -> float:
     """Set the accelerations of the modes per unit of roll acceleration (`roll_m`) with the engines deflected.
 
-    `first`: displacement of the first engine's CG by its deflection (B, m); `engines` holds those of further ones.
-    Returns the roll inertia (kg m2) that the body lacks because the modes give way (docs/model.md, 7.3). `accel_mps2`
-    holds the forces meanwhile.
+    `first`: displacement of the first engine's CG by its deflection (B, m). `engines` holds those of further ones.
+    Returns the reduction of the roll inertia (kg m2) by the compliance of the modes (docs/model.md, 7.3). `accel_mps2`
+    serves as a buffer for the forces.
     """
     sizes = counts(of)
     if are_usual(sizes):

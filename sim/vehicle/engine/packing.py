@@ -1,4 +1,4 @@
-"""The engines of a stage as the kernels see them: alike ones of a group together, and their curves of thrust."""
+"""The engines of a stage in the form of the kernels: equal engines of a group combined, with their thrust curves."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ _thrust_axis_motion = from_python(thrust_axis_motion)
 
 @dataclass(frozen=True)
 class Alike:
-    """Engines that differ in their lateral position only and move together: numbers in the stage, and one of them."""
+    """Engines that move together and differ only in their lateral position.
+
+    The fields are their numbers in the stage, one of them, and its faults.
+    """
 
     numbers: tuple[int, ...]
     one: Given
@@ -46,7 +49,7 @@ class Cluster:
     alike: tuple[Alike, ...]
     groups: tuple[str, ...]
     gimbals_m: tuple[float, ...]  # stations
-    curves: tuple[Alike, ...]  # those whose curves of thrust differ
+    curves: tuple[Alike, ...]  # engines with different thrust curves
 
 
 @cached_by_identity
@@ -70,7 +73,7 @@ def cluster_of(stage: Stage, faults: tuple[EngineFault, ...]) -> Cluster:
 
 
 def thrust_curves(stage: Stage, burn: Burn, method: Method) -> list[Cubics]:
-    """Vacuum thrust over the clock of the schedule, N; zero without an engine."""
+    """Return the vacuum thrust over the clock of the schedule, N; zero without an engine."""
     curves = []
     for each in cluster_of(stage, burn.faults).curves:
         nominal = fit(each.one.table["time_s"], each.one.table["thrust_vacuum_N"], method)
@@ -79,11 +82,11 @@ def thrust_curves(stage: Stage, burn: Burn, method: Method) -> list[Cubics]:
 
 
 def on_clock(table: Cubics, burn: Burn, engine: int | None = None) -> Cubics:
-    """A table over the tables' clock as one over the schedule's, times what an engine gives, if one is named.
+    """Convert a table over the tables' clock to the schedule's clock, times the thrust share of an engine if given.
 
-    The two differ where engines are throttled or fail. On each interval the cubic with the values and slopes at both
-    ends: exact where the rate of the clock and the share are constant, else good to the fourth order of the interval's
-    length (`burn.table_clock`).
+    The two clocks differ if engines are throttled or fail. Each interval has the cubic with the values and slopes at
+    both ends. It is exact where the rate of the clock and the share are constant, and otherwise accurate to the fourth
+    order of the interval's length (`burn.table_clock`).
     """
     clock = burn.clock
     if clock is None:
@@ -118,7 +121,7 @@ def on_clock(table: Cubics, burn: Burn, engine: int | None = None) -> Cubics:
 
 
 class Mount(NamedTuple):
-    """A station of gimbals: the share of the thrust that it carries, and the moment of the mass that hangs on it."""
+    """A station of gimbals: its share of the thrust, and the moment of the mass that hangs on it."""
 
     station_m: float
     thrust_share: float
@@ -126,7 +129,7 @@ class Mount(NamedTuple):
 
 
 def engine_mounts(stage: Stage, burn: Burn) -> tuple[Mount, ...]:
-    """By station, in the order of `Cluster.gimbals_m`; shares are those of the largest thrusts."""
+    """Return the mounts by station, in the order of `Cluster.gimbals_m`; shares are those of the largest thrusts."""
     alike, out = cluster_of(stage, burn.faults).alike, []
     strengths = [len(a.numbers) * a.one.thrust_factor * float(a.one.table["thrust_vacuum_N"].max()) for a in alike]
     for station_m in cluster_of(stage, burn.faults).gimbals_m:
@@ -145,7 +148,7 @@ def _hanging_kgm(e: Given) -> float:
 
 
 def swinging(stage: Stage, cluster: Cluster, switches: Switches) -> tuple[int, ...]:
-    """Which of `Cluster.alike` swing on a TVC load."""
+    """Return the indices of the `Cluster.alike` that swing on a TVC load."""
     if not (switches.tvc_load and switches.engine_inertia):
         return ()
     loads = stage.tvc_loads
@@ -153,7 +156,7 @@ def swinging(stage: Stage, cluster: Cluster, switches: Switches) -> tuple[int, .
 
 
 def pack_engines(stage: Stage, burn: Burn, switches: Switches) -> Engine:
-    """The record of all engines; without one it is zero, but for an axis."""
+    """Return the record of all engines; without an engine it is zero except for an axis."""
     columns: dict[str, Any] = {f.name: np.zeros(MAX_ENGINES) for f in fields(Engine)}
     for name in ("curve", "group", "gimbal", "taken_as", "swings"):
         columns[name] = np.zeros(MAX_ENGINES, np.int64)
@@ -179,7 +182,7 @@ def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -
     on = 1.0 if switches.thrust else 0.0
     mass, arm = e.gimballed_mass_kg, e.cg_from_gimbal_m
     exits = np.zeros((n, 2))
-    if isinstance(stage.engine, tuple):  # a single engine's gas leaves on the body axis
+    if isinstance(stage.engine, tuple):  # the exhaust of a single engine is on the body axis
         behind = e.exit_station_m - e.gimbal_station_m
         exits = places - behind / rest[0] * np.array(rest[1:])
     centre = exits.mean(axis=0)
@@ -218,7 +221,7 @@ def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -
 
 
 def thrust_slopes(e: Given) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Change of the thrust's direction (B) per radian of the pitch and the yaw angle, about the engine at rest."""
+    """Return the change of the thrust's direction (B) per radian of pitch and yaw angle, about the engine at rest."""
     pitch, yaw = (math.radians(angle) for angle in e.cant_deg)
     return _thrust_axis_motion(pitch, 1.0, 0.0, yaw, 0.0, 0.0)[1], _thrust_axis_motion(pitch, 0.0, 0.0, yaw, 1.0, 0.0)[
         1
@@ -226,8 +229,9 @@ def thrust_slopes(e: Given) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 def _flow_per_newton(e: Given) -> float:
-    """Return the mass flow per newton of the mean thrust; 1 where the engine's table has no flow, which then follows
-    the thrust.
+    """Return the mass flow per newton of the mean thrust.
+
+    It is 1 if the engine's table has no flow, which then follows the thrust.
     """
     thrust: Array = e.table["thrust_vacuum_N"]
     if "mass_flow_kgps" not in e.table or not thrust.any():

@@ -1,4 +1,4 @@
-"""Engines and roll thrusters of a stage, as the vehicle's file gives them."""
+"""The engines and roll thrusters of a stage, as in the vehicle file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ GimbalPlanes = Literal["both", "pitch", "yaw", "fixed"]
 
 
 class EngineSection(Section):
-    """Gimballed engine: one table for a single engine, or a list, one table for each engine."""
+    """A gimballed engine: one table for a single engine, or a list with one table for each engine."""
 
     name: ChannelPart = optional("name of the engine in logs and faults (default: its number)", "")
     table: Annotated[CsvTable, THRUST_COLUMNS] = Field(
@@ -69,6 +69,6 @@ class EngineSection(Section):
 
 
 class RollThrusters(Section):
-    """Cold-gas thrusters about the roll axis, on or off."""
+    """The on/off cold-gas thrusters about the roll axis."""
 
     torque_Nm: Positive = Field(description="torque of one direction while on, N m")

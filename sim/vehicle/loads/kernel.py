@@ -1,13 +1,14 @@
 """Section loads: axial force, shear and bending moment at stations of the body axis, by summation of forces.
 
-At a station is added up what acts forward of it: aerodynamic forces, the pendulums' forces, injected ones, and the
-inertial forces of the line mass under the accelerations that the simulator has found, those of the modes included
-(docs/model.md, section 13). Nothing here acts back on the flight: it is evaluated between steps, at a rate of its own,
-from what the derivative has left in `aux` and `work`. Without stations it costs one comparison a step.
+The load at a station is the sum of all forces forward of it: aerodynamic, pendulum, injected and inertial forces. The
+inertial forces are those of the line mass under the computed accelerations, including those of the modes
+(docs/model.md, section 13). Section loads do not influence the flight. They are evaluated between steps, at a separate
+rate, from the contents of `aux` and `work` after the derivative. Without stations they cost one comparison per step.
 
-Signs, loads of the part forward of the cut: axial force positive in tension; shear along +y, +z; bending moment about
-+y positive where it turns the nose up, so that it compresses the -z side (a beam with x forward and z down sags);
-about +z where it turns the nose to the right: it compresses the +y side.
+Signs are those of the loads on the part forward of the cut. Axial force is positive in tension, and shear along +y, +z.
+The bending moment about +y is positive where it turns the nose up, so that it compresses the -z side (a beam with x
+forward and z down sags). The moment about +z is positive where it turns the nose to the right, so that it compresses
+the +y side.
 """
 
 from __future__ import annotations
@@ -32,37 +33,37 @@ from maxq.sim.vehicle.slosh.kernel import bob_mass, pendulum_length
 from maxq.sim.vehicle.state import N_PENDULUM, pendulum_index
 from maxq.sim.vehicle.workspace import Aux, Evaluation, Work
 
-# What is compared with limits, in the order of the extremes and of a station's limits; forces and moments are
-# magnitudes of both planes together.
+# Quantities with limits, in the order of the extremes and of a station's limits. Forces and moments are magnitudes
+# over both planes.
 KINDS = ("compression", "tension", "shear", "bending_moment", "equivalent_compression", "equivalent_tension")
 COMPRESSION, TENSILE, SHEAR, BENDING, EQUIVALENT_COMPRESSION, EQUIVALENT_TENSION = range(6)
 N_KINDS = len(KINDS)
 
 # Columns of the table over time: those of the whole line mass, then for every station
-TOTAL_MASS, TOTAL_FIRST, TOTAL_SECOND = 0, 1, 2  # of the line mass: kg, kg m, kg m2 about the nose
+TOTAL_MASS, TOTAL_FIRST, TOTAL_SECOND = 0, 1, 2  # the line mass: kg, kg m, kg m2 about the nose
 STATIONS = 3
-MASS, FIRST, SECOND = 0, 1, 2  # of what lies forward of the station
-AXIAL_MASS = 3  # of what hangs on the body forward of the station: liquid hangs on its tank's bottom
+MASS, FIRST, SECOND = 0, 1, 2  # parts forward of the station
+AXIAL_MASS = 3  # mass supported by the body forward of the station: liquid is supported by its tank's bottom
 AXIAL_FIRST = 4
-RADIUS = 5  # of the equivalent axial load, m; 0: none
-LIMITS = 6  # of each kind; 0: none
+RADIUS = 5  # radius of the equivalent axial load, m; 0: none
+LIMITS = 6  # limit of each kind; 0: none
 STATION_MODES = LIMITS + N_KINDS
-# then for each plane (once for both where they are alike) rows of so many modes:
+# then for each plane (once if both are alike) rows of `modes_of_planes` modes:
 INERTIA, INERTIA_MOMENT, AXIAL_MOMENT, DISPLACEMENT = 0, 1, 2, 3
 MODE_ROWS = 4
-# then of the spatial modes these rows for what they move along z, for what along y, and the inertia along x
+# then for the spatial modes these rows for the motion along z and along y, and the inertia along x
 SPATIAL_ROWS = 2 * MODE_ROWS + 1
 MAX_LOAD_COLUMNS = STATIONS + MAX_LOAD_STATIONS * (STATION_MODES + (2 * MODE_ROWS + SPATIAL_ROWS) * MAX_MODES)
 
 # A section's loads, side by side
 AXIAL, SHEAR_Y, SHEAR_Z, MOMENT_Y, MOMENT_Z = range(5)
 SECTION_WIDTH = 5
-_EXTREMES = N_KINDS * MAX_LOAD_STATIONS  # of a stage
+_EXTREMES = N_KINDS * MAX_LOAD_STATIONS  # number of extremes of a stage
 
 
 @dataclass(frozen=True)
 class Loads:
-    """The stations of a stage, and what its forces are distributed by."""
+    """The stations of a stage, and the data for distributing its forces."""
 
     stations: int  # 0: nothing is evaluated
     period_ns: int
@@ -73,39 +74,39 @@ class Loads:
     tail_m: float
     station_m: Annotated[Array, (MAX_LOAD_STATIONS,)]
     bottom_m: Annotated[Array, (MAX_PENDULUMS,)]  # station at which a tank's liquid hangs on the body
-    axial_points: int  # of the axial aerodynamic force
+    axial_points: int  # points of the axial aerodynamic force
     axial_m: Annotated[Array, (MAX_SURFACES,)]
     axial_share: Annotated[Array, (MAX_SURFACES,)]
 
 
 @dataclass
 class SectionLoads:
-    """Loads at the stations at the last evaluation, and their extremes so far."""
+    """The loads at the stations at the last evaluation, and their extremes so far."""
 
-    at_ns: int  # of `section`
+    at_ns: int  # time of `section`
     due_ns: int  # next evaluation for the extremes
     mismatch: float  # largest relative difference between line mass and core so far
     mismatch_ns: int
     section: Annotated[Array, (SECTION_WIDTH * MAX_LOAD_STATIONS,)]
     value: Annotated[Array, (MAX_STAGES * _EXTREMES,)]  # stage by stage, kind by kind, station by station
     value_ns: Annotated[IntArray, (MAX_STAGES * _EXTREMES,)]
-    ratio: Annotated[Array, (MAX_STAGES * _EXTREMES,)]  # to the limit
+    ratio: Annotated[Array, (MAX_STAGES * _EXTREMES,)]  # ratio to the limit
     ratio_ns: Annotated[IntArray, (MAX_STAGES * _EXTREMES,)]
 
 
 class Drivers(NamedTuple):
     """The inertial forces on the line mass at an instant: forces per kilogram (minus the acceleration), in B.
 
-    Along a station x they are (x, y, z) + (x_per_m, y_per_m, z_per_m) (x_cg - x), the moments y, z a kilogram.
+    At a station x they are (x, y, z) + (x_per_m, y_per_m, z_per_m) (x_cg - x). The moments y, z are per kilogram.
     """
 
-    scale: float  # of the line mass: the core's mass over its sum
+    scale: float  # factor of the line mass: the core's mass over its sum
     cg: Vector  # station, y, z of the core's CG
     force: Vector
     per_m: Vector
     moment: tuple[float, float]
-    surfaces: int  # lifting parts that the air acts on
-    spread: tuple[float, float, float, float]  # lateral force a metre: constant and slope along the body, y and z
+    surfaces: int  # number of lifting parts with aerodynamic loads
+    spread: tuple[float, float, float, float]  # lateral force per metre: constant and slope along the body, y and z
 
 
 @formula
@@ -115,13 +116,13 @@ def extreme_index(stage: int, kind: int, station: int) -> int:
 
 @kernel
 def modes_of_planes(sizes: Counts) -> int:
-    """Modes in each row of a station's columns."""
+    """Return the number of modes in each row of a station's columns."""
     return max(sizes.pitch_modes, sizes.yaw_modes)
 
 
 @kernel
 def station_width(sizes: Counts, alike: int) -> int:
-    """Columns of a station."""
+    """Return the number of columns of a station."""
     return STATION_MODES + (2 - alike) * MODE_ROWS * modes_of_planes(sizes) + SPATIAL_ROWS * sizes.spatial_modes
 
 
@@ -137,7 +138,10 @@ def evaluate_sections(
     columns: Array,
     out: SectionLoads,
 ) -> None:
-    """Loads at all stations into `out.section`, right after the derivative at `at`; `columns` is scratch memory."""
+    """Write the loads at all stations to `out.section`, right after the derivative at `at`.
+
+    `columns` is scratch memory.
+    """
     sizes = counts(vehicle.sizes)
     interpolate_into(pool, loads.table, find_interval(pool, loads.table, clock_s), clock_s, columns, 0)
     drivers = _drivers(loads, vehicle, sizes, at, work, columns)
@@ -174,22 +178,24 @@ def _add(a: SectionLoad, b: SectionLoad) -> SectionLoad:
 
 @kernel
 def _of_point(station: float, x: float, force: Vector, y: float, z: float) -> SectionLoad:
-    """A force forward of the cut, at the station x; (y, z) leads from the cut's centre to it."""
+    """Return the load of a force forward of the cut, at the station x; (y, z) leads from the cut's centre to it."""
     ahead = station - x
     return force[0], force[1], force[2], z * force[0] - ahead * force[2], ahead * force[1] - y * force[0]
 
 
 @kernel
 def _drivers(loads: Loads, vehicle: StageRecord, sizes: Counts, at: Evaluation, work: Work, columns: Array) -> Drivers:
-    """The line mass carries the momentum of the core: scaled to its mass, and what of the rate of the angular momentum
-    its transverse motion does not hold (sections turn as well) is a moment a kilogram, the same everywhere.
+    """Return the inertial forces on the line mass, which has the momentum of the core.
+
+    They are scaled to the core's mass. The rate of angular momentum beyond that of the transverse motion, because
+    sections rotate too, becomes a uniform moment per kilogram.
     """
     properties, y, _, aux = at
     mass, cg, rate = properties[CORE_MASS], vector_at(properties, CORE_CG), vector_at(y, W_BI_B)
     alpha, accel = vector_at(aux.alpha_BI_B_radps2, 0), vector_at(aux.specific_force_B_mps2, 0)
     inertia = symmetric_at(properties, CORE_INERTIA)
     momentum_rate = add(inertia_times(inertia, alpha), cross(rate, inertia_times(inertia, rate)))
-    if vehicle.jet_damping == 1:  # the propellant's Coriolis force acts where it flows: spread over the mass
+    if vehicle.jet_damping == 1:  # the propellant's Coriolis force is spread over the mass
         jet_force, jet_moment = coriolis_of_outflow(sizes, rate, properties)
         accel = add(accel, scaled(-1.0 / mass, jet_force))
         momentum_rate = add(momentum_rate, scaled(-1.0, jet_moment))
@@ -209,11 +215,12 @@ def _drivers(loads: Loads, vehicle: StageRecord, sizes: Counts, at: Evaluation, 
 
 @kernel
 def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Aux, work: Work) -> tuple[float, float, float, float]:
-    """Lateral force a metre, linear along the body, with the force and moment that the lifting parts leave over:
-    cross-flow, damping, coefficients of the whole vehicle.
+    """Return the lateral force per metre, linear along the body, of the force and moment not due to the lifting parts.
+
+    The remainder is due to cross-flow, damping and the coefficients of the whole vehicle.
     """
     force_y, force_z = aux.aero_force_B_N[1], aux.aero_force_B_N[2]
-    # first moments about the body's nose; the axial force acts on the body axis, beside the CG
+    # first moments about the body's nose; the axial force acts on the body axis, not at the CG
     arm = cg[0] - loads.nose_m
     first_y = arm * force_y - (aux.aero_moment_B_Nm[2] - cg[1] * aux.aero_force_B_N[0])
     first_z = arm * force_z + (aux.aero_moment_B_Nm[1] + cg[2] * aux.aero_force_B_N[0])
@@ -233,8 +240,9 @@ def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Aux, work: Work) -> tu
 
 @kernel
 def _surface_station(loads: Loads, surface: SurfaceLoad) -> float:
-    """Return the station at which a lifting part's force acts, within the body (a slope near zero has its centre
-    anywhere).
+    """Return the station at which a lifting part's force acts, limited to the body.
+
+    A slope near zero can have its centre anywhere.
     """
     if surface.slope == 0.0:
         return loads.tail_m
@@ -246,7 +254,7 @@ def _surface_station(loads: Loads, surface: SurfaceLoad) -> float:
 def _inertia(
     sizes: Counts, alike: int, d: Drivers, station: float, roll: float, work: Work, columns: Array, c: int
 ) -> tuple[SectionLoad, float, float]:
-    """Inertial loads of the line mass forward of a station, and the station's displacement by bending (y, z, m)."""
+    """Return the inertial loads forward of a station, and its displacement by bending (y, z, m)."""
     mass, first, second = d.scale * columns[c + MASS], d.scale * columns[c + FIRST], d.scale * columns[c + SECOND]
     hung, hung_first = d.scale * columns[c + AXIAL_MASS], d.scale * columns[c + AXIAL_FIRST]
     lever = mass * d.cg[0] - first  # integral of m (x_cg - x)
@@ -260,7 +268,7 @@ def _inertia(
     in_pitch = c + STATION_MODES
     in_yaw = in_pitch + (1 - alike) * MODE_ROWS * m
     shift_y, shift_z = 0.0, 0.0
-    aside_y, aside_z = 0.0, 0.0  # of the hanging mass relative to the cut by bending: mass times displacement
+    aside_y, aside_z = 0.0, 0.0  # mass times displacement by bending of the supported mass relative to the cut
     for i in range(m):
         eta, xi = planar.eta_m[of_plane(PITCH) + i], planar.eta_m[of_plane(YAW) + i]
         along_z = d.scale * (planar.accel_mps2[of_plane(PITCH) + i] + roll * planar.nu_mps[of_plane(YAW) + i])
@@ -282,13 +290,13 @@ def _inertia(
 def _spatial_inertia(
     sizes: Counts, alike: int, d: Drivers, roll: float, roll_accel: float, work: Work, columns: Array, c: int
 ) -> tuple[SectionLoad, float, float]:
-    """As `_inertia`, what spatial modes add (docs/model.md, 13.3)."""
+    """Return the contribution of the spatial modes to `_inertia` (docs/model.md, 13.3)."""
     n, first = sizes.spatial_modes, c + STATION_MODES + (2 - alike) * MODE_ROWS * modes_of_planes(sizes)
     axial, shear_y, shear_z, moment_y, moment_z = 0.0, 0.0, 0.0, 0.0, 0.0
     shift_y, shift_z, aside_y, aside_z, modes = 0.0, 0.0, 0.0, 0.0, work.modes.spatial
     for i in range(n):
         eta, rate = modes.eta_m[i], modes.rate_mps[i]
-        # of the modal coordinate itself: the quasi-velocities hold what the roll rate does
+        # derivative of the modal coordinate itself: the quasi-velocities include the roll rate
         accel = modes.accel_mps2[i] - roll_accel * modes.turned_m[i] - roll * modes.turned_rate_mps[i]
         along, across = d.scale * (accel - roll * roll * eta), d.scale * (2.0 * roll * rate + roll_accel * eta)
         in_z, in_y = first + i, first + MODE_ROWS * n + i
@@ -312,7 +320,10 @@ def _spatial_inertia(
 def _aerodynamic(
     loads: Loads, d: Drivers, station: float, shift_y: float, shift_z: float, aux: Aux, work: Work
 ) -> SectionLoad:
-    """Lifting parts at their stations, the axial force by its shares, the rest spread over the body."""
+    """Return the aerodynamic loads forward of a station.
+
+    Lifting parts act at their stations, the axial force by its shares, and the remainder is spread over the body.
+    """
     x = min(max(station - loads.nose_m, 0.0), loads.tail_m - loads.nose_m)
     beyond = station - loads.nose_m - x
     constant_y, slope_y, constant_z, slope_z = d.spread
@@ -344,7 +355,10 @@ def _of_pendulum(
     at: Evaluation,
     work: Work,
 ) -> SectionLoad:
-    """The rod's pull at its hinge, along the body at the tank's bottom; the damper's force at the bob."""
+    """Return the load of a pendulum.
+
+    The rod pulls at its hinge, along the body at the tank's bottom, and the damper's force acts at the bob.
+    """
     own, y = record_at(work.tank, tank), at.y
     first = pendulum_index(sizes, 0) + N_PENDULUM * tank
     u, pull = vector_at(y, first), work.system.unknown[tank]
@@ -392,7 +406,7 @@ def gather_sections(
 
 
 class SectionRow(NamedTuple):
-    """Loads at one station."""
+    """The log row of the loads at one station."""
 
     section_place_axial_N: Annotated[float, "N", "axial force, tension positive"]
     section_place_shear_axis_N: Annotated[PitchYaw, "N", "shear of the forces forward of it, along +z, +y"]
@@ -401,7 +415,7 @@ class SectionRow(NamedTuple):
 
 @kernel
 def section_row(out: SectionLoads, stations: int, station: int) -> SectionRow:
-    """Nan where the stage has fewer stations."""
+    """Return the row of a station, nan if the stage has fewer stations."""
     if station >= stations:
         nothing = PitchYaw(math.nan, math.nan)
         return SectionRow(math.nan, nothing, nothing)

@@ -1,4 +1,4 @@
-"""Mass and modes along the body as the columns that the section loads read (sim/vehicle/loads/kernel.py)."""
+"""The mass and the modes along the body as the columns of the section loads (sim/vehicle/loads/kernel.py)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact to the seventh po
 
 
 def pack_loads(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, pool: Pool) -> Loads:
-    """Section loads of a stage; none unless they are switched on."""
+    """Return the section loads of a stage, or none unless they are switched on."""
     given = stage.loads
     stations, bottoms = np.zeros(MAX_LOAD_STATIONS), np.full(MAX_PENDULUMS, -np.inf)
     places, shares = np.zeros(MAX_SURFACES), np.zeros(MAX_SURFACES)
@@ -70,7 +70,7 @@ def pack_loads(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, pool:
 
 
 def _liquids_of(loads: schema.LoadsSection, tanks: Sequence[Tank]) -> list[schema.Liquid]:
-    """The liquid of each tank."""
+    """Return the liquid of each tank."""
     by_name = {liquid.tank: liquid for liquid in loads.liquid}
     return [by_name[tank.name or str(n + 1)] for n, tank in enumerate(tanks)]
 
@@ -84,7 +84,7 @@ def _table(
     spatial: SpatialModeTable | None,
     method: Method,
 ) -> Cubics:
-    """All columns over the stage's clock."""
+    """Return all columns over the stage's clock."""
     planes = [pitch] if pitch is yaw else [pitch, yaw]
     modes = max((table.modes for table in planes if table is not None), default=0)
     sources = [liquid.table["time_s"] for liquid in loads.liquid]
@@ -112,7 +112,7 @@ def _table(
 
 
 class _Part(NamedTuple):
-    """Masses at the nodes of a quadrature, at T times in n intervals (or points)."""
+    """The masses at the nodes of a quadrature, at T times in n intervals (or points)."""
 
     x: Array  # stations (T, n, nodes), m
     mass: Array  # alike, kg
@@ -124,8 +124,8 @@ class _Part(NamedTuple):
 class _Body:
     """The line mass of the core at T times: dry parts between their ends, points, liquids between surface and bottom.
 
-    What sloshes is not part of the core: the rest of a tank's liquid is spread over its column with a density that is
-    linear in the station, so that mass and CG are those of the column less its bob.
+    The sloshing mass is not part of the core. The rest of a tank's liquid is spread over its column with a density
+    linear in the station, so that mass and CG are those of the column without its bob.
     """
 
     def __init__(
@@ -177,7 +177,10 @@ class _Body:
         self.parts.append(_Part(x, weights * density, inside[1:], hangs, np.full_like(x, bottom)))
 
     def _forward(self, values: Sequence[Array], stations: Array, hanging: bool = False) -> Array:
-        """Sums (T, stations, ...) of values at the masses of each part that are, or hang, forward of the stations."""
+        """Return sums (T, stations, ...) of values at the masses of each part forward of the stations.
+
+        `hanging`: select the masses by the station that supports them.
+        """
         total: Array | float = 0.0
         for part, value in zip(self.parts, values, strict=True):
             sums = np.cumsum(value.sum(axis=2), axis=1)
@@ -186,16 +189,16 @@ class _Body:
         return np.asarray(total)
 
     def rigid(self, stations: Array) -> list[Array]:
-        """Columns MASS to AXIAL_FIRST, each (T, stations)."""
+        """Return the columns MASS to AXIAL_FIRST, each (T, stations)."""
         powers = [[p.mass * p.x**k for p in self.parts] for k in range(3)]
         forward = [self._forward(power, stations) for power in powers]
         return [*forward, *(self._forward(power, stations, hanging=True) for power in powers[:2])]
 
     def modal(self, table: ModeTable, stations: Array) -> Array:
-        """Rows INERTIA to DISPLACEMENT (T, stations, rows, modes) of one plane.
+        """Return the rows INERTIA to DISPLACEMENT (T, stations, rows, modes) of one plane.
 
-        In the inertial forces the shapes are taken without the rigid motion that this line mass finds in them, so that
-        the modes leave momentum and angular momentum alone here, as in the equations of motion.
+        In the inertial forces the shapes exclude their rigid motion with respect to this line mass. Hence the modes do
+        not change momentum and angular momentum, as in the equations of motion.
         """
         shapes = _Shapes(table, self.times, self.method)
         phi = [shapes.at(part.x) for part in self.parts]  # (T, n, nodes, M)
@@ -218,9 +221,9 @@ class _Body:
         return np.stack([inertia, stations[:, None] * inertia - moment, aside, here], axis=2)
 
     def axial(self, table: SpatialModeTable, stations: Array) -> Array:
-        """Mass times axial shape of what is, or hangs, forward of the stations (T, stations, modes).
+        """Return mass times axial shape of the parts that are, or hang, forward of the stations (T, stations, modes).
 
-        Without the mean motion that this line mass finds in the shapes, as in `modal`.
+        The shapes exclude their mean motion with respect to this line mass, as in `modal`.
         """
         phi = table.displacement[..., 0]
         over_time = fit(table.time_s, phi.reshape(len(phi), -1), self.method).at(self.times)
@@ -234,13 +237,13 @@ class _Body:
         return self._forward(moved, stations, hanging=True)
 
     def _sum(self, values: Sequence[Array]) -> Array:
-        """Sums (T, M) of mass times value over all parts."""
+        """Return sums (T, M) of mass times value over all parts."""
         weighted = [(p.mass[..., None] * v).sum(axis=(1, 2)) for p, v in zip(self.parts, values, strict=True)]
         return np.asarray(sum(weighted))
 
 
 class _Shapes:
-    """Shapes of a mode table at other times; the body is rigid beyond the first and last station."""
+    """The shapes of a mode table at other times; the body is rigid beyond the first and last station."""
 
     def __init__(self, table: ModeTable, times: Array, method: Method) -> None:
         stacked = np.stack([table.phi, table.slope_pm], axis=1)
@@ -249,7 +252,7 @@ class _Shapes:
         self._x = table.station_m
 
     def at(self, x: Array) -> Array:
-        """phi (T, n, nodes, M) at stations (T, n, nodes)."""
+        """Return phi (T, n, nodes, M) at stations (T, n, nodes)."""
         breaks = self._x
         k = np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2)
         inside = np.clip(x, breaks[0], breaks[-1])
@@ -264,14 +267,14 @@ class _Shapes:
 
 
 def _gauss(low: Array, high: Array) -> tuple[Array, Array]:
-    """Nodes and weights (T, n, 4) between `low` and `high`, (T, n) or alike."""
+    """Return nodes and weights (T, n, 4) between `low` and `high`, which have or broadcast to the shape (T, n)."""
     half = 0.5 * (np.asarray(high) - low)
     x = (0.5 * (np.asarray(high) + low))[..., None] + half[..., None] * _NODES
     return x, np.maximum(half, 0.0)[..., None] * _WEIGHTS
 
 
 def _limits(loads: schema.LoadsSection, stations: Array, times: Array) -> list[Array]:
-    """Radius and limit of each kind, each (T, stations); 0 where there is none."""
+    """Return radius and limit of each kind, each (T, stations); 0 where there is none."""
     table, shape = loads.limits, (len(times), len(stations))
     if table is None:
         return [np.zeros(shape)] * (1 + len(schema.BORNE))

@@ -1,4 +1,4 @@
-"""Section loads of a stage: the stations, the mass along the body, and what its sections bear."""
+"""The section loads of a stage: the stations, the mass along the body, and the strength of its sections."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LIMIT_COLUMNS = Columns(
 SHARE_COLUMNS = Columns("station_m", sets=(("share",),), not_negative=("share",), repeats=True)
 
 SECTION_PREFIX = "max_section_"
-"""Of the names of metrics that need section loads."""
+"""The prefix of the names of metrics that need section loads."""
 
 
 class Liquid(Section):
@@ -47,7 +47,7 @@ class Liquid(Section):
 
 
 class LoadsSection(Section):
-    """Section loads by summation of forces, with switches.section_loads."""
+    """The section loads by summation of forces, with switches.section_loads."""
 
     stations_m: tuple[float, ...] = Field(
         min_length=1,
@@ -113,12 +113,12 @@ class LoadsSection(Section):
 
 
 def limit_times_s(table: CsvTable) -> NDArray[np.float64]:
-    """Times of a table of limits, rising."""
+    """Return the times of a table of limits, increasing."""
     return np.unique(table.get("time_s"))
 
 
 def check_loads(loads: LoadsSection, gimbal_station_m: float | None, tanks: Sequence[str]) -> None:
-    """Refuse stations behind the foremost gimbal, and liquids that do not match the stage's tanks by name.
+    """Reject stations behind the foremost gimbal, and liquids that do not match the stage's tanks by name.
 
     `gimbal_station_m`: None for a stage without engines.
     """
@@ -140,10 +140,10 @@ def check_loads(loads: LoadsSection, gimbal_station_m: float | None, tanks: Sequ
 
 
 def check_line_mass(loads: LoadsSection, mass: Mass, key: Path) -> None:
-    """Refuse line masses and liquids whose sum, CG or transverse inertia differs from that of the stage at any instant.
+    """Reject line masses and liquids whose sum, CG or transverse inertia differs from that of the stage at any instant.
 
-    Applies only where section loads are switched on: a campaign without them may disperse the mass of a stage freely.
-    `key`: of the stage, for the message.
+    The check applies only where section loads are switched on. A campaign without them may disperse the mass of a stage
+    freely. `key`: key of the stage, for the message.
     """
     known, columns = _mass_over_time(mass)
     times = np.unique(np.concatenate([known, *(liquid.table["time_s"] for liquid in loads.liquid)]))
@@ -182,7 +182,10 @@ def _mass_over_time(mass: Mass) -> tuple[NDArray[np.float64], list[NDArray[np.fl
 
 
 def moments(loads: LoadsSection, times: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Mass (kg), first (kg m) and second moment (kg m2) about station 0 of line mass and liquids at `times`."""
+    """Return mass (kg), first (kg m) and second moment (kg m2) about station 0 at `times`.
+
+    They are those of line mass and liquids.
+    """
     line = loads.line_mass
     parts = [(line["mass_kg"][:, None], line["front_station_m"][:, None], line["rear_station_m"][:, None])]
     for liquid in loads.liquid:

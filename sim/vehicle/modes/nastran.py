@@ -1,17 +1,18 @@
-"""Normal modes from NASTRAN: the files op2 (PARAM,POST,-1) and f06 of a SOL 103, as tables of spatial modes.
+"""Normal modes from NASTRAN: the op2 (PARAM,POST,-1) and f06 files of a SOL 103, as tables of spatial modes.
 
     columns = spatial_columns({0.0: read_nastran("full.op2"), 59.0: read_nastran("empty.op2")})
 
-Where a table of spatial modes is named in a vehicle file, a single such file may stand in its place: one state of mass,
-the same at all times. Read are real eigenvectors (OUGV1, BOUGV1) and the summary of eigenvalues (LAMA) with their
-generalised masses; positions and lumped masses (CONM2) from the bulk data: GEOM1 and GEOM2 in the op2, the echo in the
-f06, or a .bdf, .dat or .nas of the same name beside either. The released pyNastran (1.4) needs NumPy before 2 and reads
-no f06: hence a reader of our own, tested with files that pyNastran wrote.
+A vehicle file may name such a file in place of a table of spatial modes: it gives one state of mass, constant over
+time. The reader reads real eigenvectors (OUGV1, BOUGV1) and the summary of eigenvalues (LAMA) with their generalised
+masses. Positions and lumped masses (CONM2) come from the bulk data: GEOM1 and GEOM2 in the op2, the echo in the f06, or
+a .bdf, .dat or .nas file of the same name in the same folder. The released pyNastran (1.4) needs NumPy before 2 and
+reads no f06. Hence this reader, which is tested with files written by pyNastran.
 
-The model's basic system is taken to have x aft from the nose, y right and z up, metres and kilograms; grid points in
-it, and their displacements too: a point of the axis with a displacement system of its own (CD) is refused, others with
-one are left out. Only grid points on the x axis are taken: what is beside it has its share in the generalised mass and
-none in the shapes; its CONM2 counts at the next point of the axis. Modes below 0.1 Hz (the rigid body) are left out.
+The model's basic system must have x aft from the nose, y right and z up, in metres and kilograms. Grid points and their
+displacements must be in this system. A grid point of the axis with a displacement system of its own (CD) is rejected,
+and other such points are ignored. Only grid points on the x axis are used. Points off the axis contribute to the
+generalised mass and not to the shapes, and their CONM2 counts at the nearest point of the axis. Modes below 0.1 Hz (the
+rigid body) are omitted.
 """
 
 from __future__ import annotations
@@ -52,7 +53,10 @@ class NastranModes:
 
 
 def read_nastran(file: str | FilePath) -> NastranModes:
-    """Modes of an op2 or f06 file. Raises the schema's refusal, naming the file, where it holds none."""
+    """Return the modes of an op2 or f06 file.
+
+    Raises the refusal of the schema, naming the file, if it contains none.
+    """
     path = FilePath(file)
     try:
         content = path.read_bytes()
@@ -75,7 +79,7 @@ def _modes(content: bytes, path: FilePath, label: str) -> NastranModes:
     grids = bulk.grids
     for what, found in (("eigenvalues", values), ("eigenvectors", vectors), ("positions of grid points", grids)):
         if not found:
-            allowed = "eigenvectors, eigenvalue summary and GRID cards (in the file, or in a .bdf beside it)"
+            allowed = "eigenvectors, eigenvalue summary and GRID cards (in the file, or in a .bdf next to it)"
             raise refuse(f"holds no {what}", allowed, file=label)
     points = sorted(set(grids).intersection(*(vectors[n] for n in vectors)))
     turned = [p for p in points if bulk.displaced_in.get(p, 0) != 0]
@@ -119,7 +123,7 @@ class _Bulk:
         return _Bulk(points.grids, points.displaced_in, self.masses or other.masses)
 
     def lumped(self) -> tuple[Floats, Floats]:
-        """As `NastranModes` has them."""
+        """Return the lumped masses and inertias in the form of `NastranModes`."""
         known = [mass for mass in self.masses if mass[0] in self.grids]
         places = [[*map(sum, zip(self.grids[grid], offset, strict=True)), kg] for grid, kg, offset, _ in known]
         return np.array(places, dtype=np.float64).reshape(-1, 4), np.array([about_x for *_, about_x in known])
@@ -159,17 +163,17 @@ def _from_op2(content: bytes) -> tuple[Values, Vectors, _Bulk]:
 
 
 def _rows(data: bytes, order: str, card: tuple[int, int], words: str) -> Iterator[tuple[Any, ...]]:
-    """The cards of one kind in a record of the bulk data; none where it holds others."""
+    """Yield the cards of one kind in a record of the bulk data, none if the record holds other cards."""
     size = struct.calcsize(order + words)
     if len(data) > 12 and struct.unpack_from(order + "3i", data)[:2] == card:
         yield from struct.iter_unpack(order + words, data[12 : 12 + (len(data) - 12) // size * size])
 
 
 def _tables(content: bytes, order: str) -> Iterator[tuple[str, list[bytes]]]:
-    """Name and records of each data block, those of its description left out.
+    """Yield name and records of each data block, without the records of its description.
 
-    A block is a word 2 and its name, then for each record k = 1, 2, ... the words -k, 1, 0, the number of words to come
-    (0: the block ends) and those words, in several parts if they are many.
+    A block is a word 2 and its name. For each record k = 1, 2, ... follow the words -k, 1, 0, the number of words to
+    come (0 ends the block) and those words, in several parts if they are many.
     """
     at, record, name = 0, 0, ""
     markers: list[int] = []
@@ -232,7 +236,7 @@ def _from_f06(text: str) -> tuple[Values, Vectors, _Bulk]:
 
 
 def _bulk(lines: Iterable[str]) -> _Bulk:
-    """GRID and CONM2 cards: free field (commas), small field, or large field (NAME*), with their continuations."""
+    """Read GRID and CONM2 cards: free field (commas), small field, or large field (NAME*), with their continuations."""
     bulk, defaults = _Bulk({}, {}, []), ["", ""]
     cards = list(_cards(lines))
     for name, cells in cards:
@@ -249,7 +253,7 @@ def _bulk(lines: Iterable[str]) -> _Bulk:
 
 
 def _cards(lines: Iterable[str]) -> Iterator[tuple[str, list[str]]]:
-    """Name and fields of each such card: 8, then 8 of a continuation, blank where it has none."""
+    """Yield name and fields of each such card: 8 fields, then 8 of each continuation, blank if absent."""
     name, cells = "", [""]
     for whole in lines:
         line = whole.split("$")[0].rstrip()
@@ -279,18 +283,19 @@ def _whole(cell: str) -> int:
 
 
 def _real(cell: str) -> float:
-    """A number as NASTRAN writes it: 1.5, 1.5+3, 1.5D3, blank for 0."""
+    """Return a number in NASTRAN notation: 1.5, 1.5+3, 1.5D3, blank for 0."""
     text = re.sub(r"(?<=[\d.])([+-])", r"e\1", cell.strip().upper().replace("D", "E").replace("E", "e"))
     return float(text.replace("ee", "e")) if text else 0.0
 
 
 def spatial_columns(modes: Mapping[float, NastranModes], count: int = MAX_MODES) -> dict[str, list[float]]:
-    """Columns of a table of spatial modes: the `count` lowest modes of each time (s).
+    """Return the columns of a table of spatial modes: the `count` lowest modes of each time (s).
 
-    `mass_forward_kg` is that of the CONM2 cards; zero where they are not all of the mass of each time: when there are
-    none, or when the shapes under them give less than half or more than twice a generalised mass. The axial load then
-    does not soften the modes, which reading the table warns of. Where they are, `mass_kg` (and `roll_inertia_kgm2`) are
-    lumped at the stations. Raises the schema's refusal where fewer than two grid points lie on the axis.
+    `mass_forward_kg` is that of the CONM2 cards. It is zero if these cards do not represent the whole mass at every
+    time. This is the case without cards, or if the shapes weighted with them give less than half or more than twice a
+    generalised mass. The axial load then does not soften the modes, and reading the table gives a warning. Otherwise
+    `mass_kg` (and `roll_inertia_kgm2`) are lumped at the stations. Raises the refusal of the schema if fewer than two
+    grid points are on the axis.
     """
     out: dict[str, list[float]] = {}
     states = {time_s: (given, _on_axis(given)) for time_s, given in sorted(modes.items())}
@@ -326,7 +331,7 @@ def spatial_columns(modes: Mapping[float, NastranModes], count: int = MAX_MODES)
 
 
 def _on_axis(given: NastranModes) -> NDArray[np.int64]:
-    """Which grid points lie on the axis, from the nose aft."""
+    """Return the indices of the grid points on the axis, from the nose aft."""
     on_axis = np.flatnonzero((np.abs(given.position_m[:, 1:]) < _ON_AXIS_M).all(axis=1))
     if len(on_axis) < 2:
         raise refuse("has fewer than two grid points on the x axis", "a model along the x axis, aft of the nose")
@@ -334,7 +339,7 @@ def _on_axis(given: NastranModes) -> NDArray[np.int64]:
 
 
 def _at_axis(given: NastranModes, on_axis: NDArray[np.int64]) -> tuple[Floats, Floats]:
-    """Mass and inertia about x of the CONM2 cards, each at the next station of the axis."""
+    """Return mass and inertia about x of the CONM2 cards, each at the nearest station of the axis."""
     stations = given.position_m[on_axis, 0]
     mass, rolling = np.zeros((2, len(stations)))
     x, y, z, kg = given.lumped.T
@@ -345,10 +350,10 @@ def _at_axis(given: NastranModes, on_axis: NDArray[np.int64]) -> tuple[Floats, F
 
 
 def _explains(given: NastranModes, on_axis: NDArray[np.int64], mass: Floats, rolling: Floats) -> bool:
-    """Return True if these are all of the masses: their modes have the generalised masses of the file, within a factor
-    of two.
+    """Return True if these are all masses.
 
-    Without inertias about the axis, of the modes that do not twist.
+    The modes then have the generalised masses of the file within a factor of two. Without inertias about the axis only
+    the modes that do not twist are compared.
     """
     shape = given.shape[:, on_axis]
     twist = (rolling * shape[..., 3] ** 2).sum(axis=1)
@@ -360,7 +365,10 @@ def _explains(given: NastranModes, on_axis: NDArray[np.int64], mass: Floats, rol
 
 
 def _forward(mass: Floats) -> Floats:
-    """Mass forward of each station: with half of its own; at the last all, at the first what exceeds a beam's end."""
+    """Return the mass forward of each station, including half of its own mass.
+
+    At the last station it is the whole mass, and at the first the excess over a beam's end.
+    """
     forward = np.cumsum(mass) - 0.5 * mass
     forward[0], forward[-1] = max(mass[0] - 0.5 * mass[1], 0.0), mass.sum()
     return forward

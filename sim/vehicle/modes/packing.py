@@ -1,4 +1,4 @@
-"""Mode tables as columns of the schedule: shapes where something acts or measures, softening, turning."""
+"""Mode tables as columns of the schedule: shapes at the places of loads and sensors, softening, turning."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class Places(NamedTuple):
 
     mounts: tuple[Mount, ...]  # of engines
     gyro_m: float
-    hinges_m: tuple[bytes, ...]  # of each tank at each time (T,), as bytes
+    hinges_m: tuple[bytes, ...]  # hinge of each tank at each time (T,), as bytes
     surfaces_m: tuple[float, ...]
-    sensors_m: tuple[float, ...] = ()  # beyond the gyro
+    sensors_m: tuple[float, ...] = ()  # sensors beyond the gyro
 
 
 class ModeShapes:
-    """Shapes of the T times and M modes of a table: cubics with its `phi` and `slope_pm` at the stations.
+    """The shapes of the T times and M modes of a table: cubics with its `phi` and `slope_pm` at the stations.
 
-    Beyond the first and last station the cubics there go on.
+    Beyond the first and last station the end cubics continue.
     """
 
     def __init__(self, table: ModeTable) -> None:
@@ -42,17 +42,17 @@ class ModeShapes:
         self._cubics = hermite(table.station_m, *columns)
 
     def value(self, station_m: ArrayLike) -> Array:
-        """phi (P, T, M) at stations (P,)."""
+        """Return phi (P, T, M) at stations (P,)."""
         s, (c0, c1, c2, c3) = self._at(station_m)
         return np.reshape(c0 + c1 * s + c2 * (s * s) + c3 * (s * s * s), (-1, *self._of))
 
     def slope(self, station_m: ArrayLike) -> Array:
-        """d(phi)/d(station) (P, T, M) at stations (P,), 1/m."""
+        """Return d(phi)/d(station) (P, T, M) at stations (P,), 1/m."""
         s, (_, c1, c2, c3) = self._at(station_m)
         return np.reshape(c1 + c2 * s * 2.0 + c3 * (s * s) * 3.0, (-1, *self._of))
 
     def _at(self, station_m: ArrayLike) -> tuple[Array, Array]:
-        """Distance (P, 1) into the interval of each station, and its coefficients (4, P, T M)."""
+        """Return the distance (P, 1) into the interval of each station, and its coefficients (4, P, T M)."""
         x, breaks = np.atleast_1d(np.asarray(station_m, float)), self._cubics.breaks
         k = np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2)
         return (x - breaks[k])[:, None], self._cubics.coefficients[k].transpose(1, 0, 2)
@@ -60,7 +60,7 @@ class ModeShapes:
 
 @lru_cache(maxsize=16)  # a campaign packs the same modes thousands of times; a table has two planes, or one for both
 def mode_values(table: ModeTable, shape: tuple[int, int], at: Places) -> Array:
-    """Rows and lanes (`shape`) of a plane over the table's times, (T, rows times lanes)."""
+    """Return rows and lanes (`shape`) of a plane over the table's times, (T, rows times lanes)."""
     (rows, padded_modes), n, shapes = shape, table.modes, ModeShapes(table)
     mounts, gyro_m, hinges_m, surfaces_m, sensors_m = at
     gimbals = [shape(mount.station_m)[0] for mount in mounts for shape in (shapes.value, shapes.slope)]
@@ -89,17 +89,17 @@ def _softening(table: ModeTable, shapes: ModeShapes, mounts: tuple[Mount, ...]) 
 
 
 def _softening_up_to(table: ModeTable, shapes: ModeShapes, mount: Mount) -> Array:
-    """Generalised stiffness per unit of axial acceleration that the axial load takes from the modes, kg/m.
+    """Return the reduction of the generalised stiffness per unit of axial acceleration by the axial load, kg/m.
 
-    At each time (times, modes, modes): integral of m_forward phi_i' phi_j' dx up to the gimbal, less what the engine
-    behind it gives back: it hangs in tension (docs/model.md, section 4; the axial force at a station is the mass
-    forward of it times the acceleration).
+    At each time (times, modes, modes) it is the integral of m_forward phi_i' phi_j' dx up to the gimbal, minus the
+    contribution of the engine behind it, which hangs in tension (docs/model.md, section 4). The axial force at a
+    station is the mass forward of it times the acceleration.
     """
     x, gimbal_m = table.station_m, mount.station_m
     points, weights = gauss(np.unique(np.append(x[x < gimbal_m], gimbal_m)))
     slopes = shapes.slope(points).transpose(1, 2, 0)  # (times, modes, points)
     loads = [weights * np.interp(points, x, forward) for forward in table.mass_forward_kg]
-    # math.fsum, not a matrix product: BLAS rounds as it likes, another way on each processor, and a flight would too
+    # math.fsum, not a matrix product: BLAS rounds differently on each processor, which would change the flight
     matrices = np.array(
         [[[math.fsum(a * b * load) for b in slope] for a in slope] for slope, load in zip(slopes, loads, strict=True)]
     )
@@ -108,14 +108,17 @@ def _softening_up_to(table: ModeTable, shapes: ModeShapes, mount: Mount) -> Arra
 
 
 def gauss(breaks: Array) -> tuple[Array, Array]:
-    """Points and weights of an integral over each interval, for polynomials of degree 7: all first points, ..."""
+    """Return points and weights of an integral over each interval, for polynomials of degree 7.
+
+    The first points of all intervals come first.
+    """
     half = 0.5 * np.diff(breaks)
     points = 0.5 * (breaks[1:] + breaks[:-1]) + np.outer(_GAUSS_NODES, half)
     return points.ravel(), np.outer(_GAUSS_WEIGHTS, half).ravel()
 
 
 def spatial_shapes(table: SpatialModeTable) -> Callable[[ArrayLike], Array]:
-    """The shapes (P, 6, T, M) at stations (P,): displacement along, rotation (1/m) about x, y, z of B."""
+    """Return the shapes (P, 6, T, M) at stations (P,): displacement along, rotation (1/m) about x, y, z of B."""
     n, lateral = table.modes, [ModeShapes(plane) for plane in table.lateral()]
     straight = np.stack([table.displacement[..., 0], table.rotation_pm[..., 0]])  # along and about x
     joined = fit(table.station_m, straight.transpose(3, 0, 1, 2).reshape(len(table.station_m), -1))
@@ -131,9 +134,9 @@ def spatial_shapes(table: SpatialModeTable) -> Callable[[ArrayLike], Array]:
 
 @lru_cache(maxsize=16)
 def spatial_values(table: SpatialModeTable, at: Places, gyration_m2: float) -> Array:
-    """Rows and lanes of the spatial modes over the table's times, (T, rows times M).
+    """Return rows and lanes of the spatial modes over the table's times, (T, rows times M).
 
-    `gyration_m2`: roll inertia per mass, for tables that do not say how it is distributed.
+    `gyration_m2`: roll inertia per mass, for tables without its distribution.
     """
     shapes = spatial_shapes(table)
     columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
@@ -148,10 +151,11 @@ def spatial_values(table: SpatialModeTable, at: Places, gyration_m2: float) -> A
 
 
 def _turning(table: SpatialModeTable, gyration_m2: float) -> Array:
-    """(T, M, M), entry [j, i]: the share A_ij of mode i in the shape of mode j turned by a right angle about x.
+    """Return (T, M, M), entry [j, i]: the share A_ij of mode i in the shape of mode j turned by a right angle about x.
 
-    Least squares over the stations under their masses: exact where the turned shapes are sums of modes, whatever the
-    masses; made antisymmetric with the generalised masses, as the integrals of the derivation are (docs/model.md, 4.7).
+    Method: least squares over the stations, weighted with their masses. The result is exact for any masses if the
+    turned shapes are sums of modes. It is made antisymmetric with the generalised masses, as the integrals of the
+    derivation are (docs/model.md, 4.7).
     """
     masses, rolling = _lumped(table, gyration_m2)
     x, y, z, about_x = (*np.moveaxis(table.displacement, -1, 0), table.rotation_pm[..., 0])
@@ -170,24 +174,28 @@ def _turning(table: SpatialModeTable, gyration_m2: float) -> Array:
 
 
 def _lumped(table: SpatialModeTable, gyration_m2: float) -> tuple[Array, Array]:
-    """Mass and roll inertia at the stations, (T, S): those of the table, else of the mass forward of them."""
+    """Return mass and roll inertia at the stations, (T, S), from the table or from the mass forward of them."""
     mass = table.mass_kg
     if mass is None:
         between = np.maximum(np.diff(table.mass_forward_kg, axis=1), 0.0)
         mass = 0.5 * (np.pad(between, ((0, 0), (1, 0))) + np.pad(between, ((0, 0), (0, 1))))
-        mass[mass.sum(axis=1) == 0.0] = 1.0  # nothing is known of the masses
+        mass[mass.sum(axis=1) == 0.0] = 1.0  # the masses are unknown
     return mass, gyration_m2 * mass if table.roll_inertia_kgm2 is None else table.roll_inertia_kgm2
 
 
 def products(a: Array, b: Array, weight: Array) -> Array:
-    """Weighted scalar products of the rows of `a` with those of `b`; math.fsum for the reason given in `_softening`."""
+    """Return weighted scalar products of the rows of `a` with those of `b`.
+
+    math.fsum is used for the reason given in `_softening`.
+    """
     return np.array([[math.fsum(weight * p * q) for q in b] for p in a])
 
 
 def solved(matrix: Array, right: Array) -> tuple[Array, list[int]]:
-    """Gauss's elimination for a positive definite matrix, without a linear-algebra library's own rounding.
+    """Solve a positive definite system by Gaussian elimination.
 
-    Second, the unknowns that the others make superfluous; they are left at zero.
+    The result does not depend on the rounding of a linear-algebra library. The second result lists the redundant
+    unknowns, which remain zero.
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     m, x = matrix * np.outer(scale, scale), right * scale[:, None]

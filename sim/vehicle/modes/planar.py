@@ -1,9 +1,9 @@
 """Bending modes: free-free modes of the vehicle with its engine locked and its sloshing masses removed.
 
-Mode i of the pitch plane displaces the body axis by phi_i(x) eta_i along z and rotates it by +slope_i eta_i about y; in
-the yaw plane by phi_i(x) xi_i along y and -slope_i xi_i about z. The two planes rotate with the body: with the
-quasi-velocities nu (state.py) the kinetic energy is a plain sum of squares and the roll rate appears only in the
-gyroscopic terms below (docs/model.md, section 4).
+Mode i of the pitch plane displaces the body axis by phi_i(x) eta_i along z and rotates it by +slope_i eta_i about y. In
+the yaw plane it displaces the axis by phi_i(x) xi_i along y and rotates it by -slope_i xi_i about z. The two planes
+rotate with the body. With the quasi-velocities nu (state.py) the kinetic energy is a plain sum of squares, and the roll
+rate appears only in the gyroscopic terms below (docs/model.md, section 4).
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ class Bending:
     softening_factor: float  # 0 without axial softening
 
 
-PerPlanarMode = Annotated[Array, (2 * MAX_MODES,)]  # in pitch and then in yaw
+PerPlanarMode = Annotated[Array, (2 * MAX_MODES,)]  # pitch, then yaw
 
 
 @dataclass
 class PlanarMotion:
-    """The modes in an evaluation of the derivative, zeros from a plane's last to the next multiple of four."""
+    """The modes in one evaluation of the derivative, with zeros up to a multiple of four in each plane."""
 
     force_N: PerPlanarMode  # generalised force
     eta_m: PerPlanarMode  # modal coordinate: eta in pitch, xi in yaw
@@ -64,7 +64,7 @@ class Modes:
 
 @dataclass
 class GimbalBending:
-    """Motion of the first gimbal's station by bending, B."""
+    """The motion of the first gimbal's station by bending, B."""
 
     moved_y_m: float
     moved_z_m: float
@@ -73,7 +73,7 @@ class GimbalBending:
 
 
 def pack_bending(given: BendingSection | SpatialModesSection | None, softening: bool) -> Bending:
-    """From the stage's section `bending` (or None); both planes have the same damping ratios."""
+    """Return the parameters from the stage's section `bending` (or None); both planes have the same damping ratios."""
     zeta, factor = np.zeros(MAX_MODES), np.ones(MAX_MODES)
     if given is not None:
         zeta[: len(given.damping_ratio)] = given.damping_ratio
@@ -82,7 +82,7 @@ def pack_bending(given: BendingSection | SpatialModesSection | None, softening: 
 
 
 def pack_spatial_modes(given: SpatialModesSection | None) -> SpatialModes:
-    """From the stage's section `spatial_modes` (or None)."""
+    """Return the parameters from the stage's section `spatial_modes` (or None)."""
     one = pack_bending(given, softening=False)
     return SpatialModes(one.zeta_pitch, one.frequency_factor)
 
@@ -93,13 +93,13 @@ def of_plane(plane: int) -> int:
     return plane * MAX_MODES
 
 
-# A plane has room for MAX_MODES = 12 modes, processed four at a time without a loop: LLVM would unroll a loop of
+# A plane holds up to MAX_MODES = 12 modes, processed four at a time without a loop: LLVM would unroll a loop of
 # unknown length for lengths that do not occur.
 
 
 @kernel
 def modal_sum(sizes: Counts, properties: Array, row: int, quantity: Array, first: int) -> float:
-    """Sum over a plane's modes of a row of the schedule (its first column) times a modal quantity."""
+    """Return the sum over a plane's modes of a row of the schedule (its first column) times a modal quantity."""
     total = 0.0
     if sizes.mode_groups > 0:
         total = _sum_of_four(properties, row, quantity, first)
@@ -187,8 +187,10 @@ def _accelerate_four(properties: Array, r: int, force: Array, accel: Array, q: i
 
 @kernel
 def modal_state(sizes: Counts, roll_rate: float, y: Array, eta: int, xi: int, modes: PlanarMotion) -> None:
-    """From the states at y[eta:] (pitch plane) and y[xi:] (yaw plane) into `modes`: modal coordinates,
-    quasi-velocities and from them d(eta)/dt, d(xi)/dt. Sets the generalised forces to zero.
+    """Compute `modes` from the states at y[eta:] (pitch plane) and y[xi:] (yaw plane).
+
+    The states are modal coordinates and quasi-velocities, from which d(eta)/dt and d(xi)/dt follow. The generalised
+    forces are set to zero.
     """
     if sizes.mode_groups > 0:
         _state_of_four(sizes, 0, roll_rate, y, eta, xi, modes)
@@ -220,7 +222,7 @@ def _state_of_four(
 
 @kernel
 def modal_derivative(sizes: Counts, eta: int, xi: int, dy: Array, modes: PlanarMotion) -> None:
-    """Derivatives of the states at y[eta:] and y[xi:], once the modal accelerations are known."""
+    """Write the derivatives of the states at y[eta:] and y[xi:], once the modal accelerations are known."""
     for i in range(sizes.pitch_modes):
         dy[eta + i] = modes.rate_mps[of_plane(sch.PITCH) + i]
         dy[eta + sizes.pitch_modes + i] = modes.accel_mps2[of_plane(sch.PITCH) + i]
@@ -233,7 +235,7 @@ def modal_derivative(sizes: Counts, eta: int, xi: int, dy: Array, modes: PlanarM
 def gimbal_displacement(
     sizes: Counts, properties: Array, gimbal: int, modes: PlanarMotion
 ) -> tuple[float, float, float, float]:
-    """Displacement along y and z (m) and rotation about y and z (rad) of a gimbal's station by bending."""
+    """Return displacement along y and z (m) and rotation about y and z (rad) of a gimbal's station by bending."""
     return motion_at(sizes, properties, gimbal, modes.eta_m, of_plane(sch.PITCH), of_plane(sch.YAW))
 
 
@@ -241,7 +243,7 @@ def gimbal_displacement(
 def motion_at(
     sizes: Counts, properties: Array, gimbal: int, quantity: Array, pitch: int, yaw: int
 ) -> tuple[float, float, float, float]:
-    """The same of another modal quantity, of the pitch and of the yaw plane's modes."""
+    """Return the motion of the same kind for another modal quantity, of the pitch and of the yaw plane's modes."""
     phi = sch.gimbal_row(sizes, gimbal)
     return (
         modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, phi), quantity, yaw),
@@ -253,7 +255,7 @@ def motion_at(
 
 @kernel
 def bending_rate_at_gyro(sizes: Counts, properties: Array, modes: PlanarMotion) -> tuple[float, float]:
-    """Angular rate about y and z that bending adds at the gyro, rad/s."""
+    """Return the angular rate about y and z that bending adds at the gyro, rad/s."""
     return (
         modal_sum(
             sizes, properties, sch.mode_column(sizes, sch.PITCH, sch.MODE_SLOPE_GYRO), modes.nu_mps, of_plane(sch.PITCH)
@@ -279,8 +281,8 @@ def apply_gimbal_load(sizes: Counts, properties: Array, gimbal: int, load: Load,
 def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_load: float, modes: PlanarMotion) -> float:
     """Add stiffness, damping and axial softening to the generalised forces.
 
-    Returns the roll moment of these internal forces on the body, which is not zero where the two planes differ in
-    stiffness or while they damp a whirling motion: it conserves the angular momentum about x.
+    Returns the roll moment of these internal forces on the body, which conserves the angular momentum about x. It is
+    not zero if the two planes differ in stiffness or if they damp a whirling motion.
     """
     k_soft = bending.softening_factor * axial_load
     roll = 0.0
@@ -300,7 +302,10 @@ def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_loa
 def _elastic_forces_on_four(
     sizes: Counts, plane: int, first: int, k_soft: float, properties: Array, modes: PlanarMotion
 ) -> float:
-    """The same on four modes of one plane; returns the sum of their forces times the other plane's coordinates."""
+    """Add these forces on four modes of one plane.
+
+    Returns the sum of their forces times the other plane's coordinates.
+    """
     s = sch.derived_column(sizes, plane, sch.MODE_STIFFNESS) + first
     d = sch.derived_column(sizes, plane, sch.MODE_DAMPING) + first
     eta, rate, force = modes.eta_m, modes.rate_mps, modes.force_N
@@ -328,11 +333,11 @@ def _elastic_forces_on_four(
 def gyroscopic_forces(
     sizes: Counts, properties: Array, gimbal: int, rate: Vector, engines: Load, modes: PlanarMotion
 ) -> Vector:
-    """Roll-rate coupling of the two planes, and the moment of the modes' angular momentum about x on the body.
+    """Add the roll-rate coupling of the two planes, and return the moment of the modes on the body.
 
-    `engines` is the momentum of the engines at a gimbal's station relative to the body, and its moment about the axis
-    there (`rigid.engine_momentum`): both enter the modal momenta (docs/model.md, eq. 4.1). The modes' own momentum
-    counts at the first station only.
+    The moment is that of their angular momentum about x. `engines` is the momentum of the engines at a gimbal's station
+    relative to the body, and its moment about the axis at this station (`rigid.engine_momentum`). Both enter the modal
+    momenta (docs/model.md, eq. 4.1). The modes' own momentum counts at the first station only.
     """
     p, q, r = rate
     mass, apart = sch.mode_column(sizes, sch.PITCH, sch.MODE_MASS), sch.mode_rows(sizes) * sch.padded_modes(sizes)
@@ -364,7 +369,7 @@ class ModeRow(NamedTuple):
 
 
 class BendingRow(NamedTuple):
-    """All bending modes together."""
+    """The log row of all bending modes."""
 
     bend_axis_gimbal_m: Annotated[PitchYaw, "m", "displacement of the gimbal by bending"]
     bend_axis_gimbal_deg: Annotated[PitchYaw, "deg", "rotation of the gimbal by bending"]
@@ -372,7 +377,7 @@ class BendingRow(NamedTuple):
 
 @kernel
 def put_modes(row: Array, column: int, y: Array, first: int, count: int, logged: int) -> int:
-    """`logged` modes of one plane; nan where the stage has only `count`."""
+    """Write `logged` modes of one plane, nan for those beyond the stage's `count`."""
     for i in range(logged):
         if i < count:
             column = put(row, column, ModeRow(eta_mode_m=y[first + i], eta_mode_mps=y[first + count + i]))

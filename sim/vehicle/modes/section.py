@@ -1,4 +1,4 @@
-"""Bending modes of a stage, as the vehicle's file gives them."""
+"""The bending modes of a stage, as in the vehicle file."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from maxq.sim.vehicle.modes.tables import (
 
 
 def _ones(data: dict[str, Any]) -> tuple[float, ...]:
-    """Default of a factor for each mode."""
+    """Return the default of a factor for each mode."""
     return (1.0,) * len(data.get("damping_ratio", ()))
 
 
 class BendingSection(Section):
-    """Free-free bending modes, with the engine locked and without slosh masses."""
+    """The free-free bending modes, with the engine locked and without slosh masses."""
 
     pitch: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
         "modes of the pitch plane, one row per time (or total mass), mode and station (default: none)"
@@ -53,22 +53,22 @@ class BendingSection(Section):
             self.check_counts()
 
     def check_counts(self, at: Path = ()) -> None:
-        """Refuse lists of other lengths than there are modes."""
+        """Reject lists whose length is not the number of modes."""
         _refuse_other_counts(self, max((t.modes for t in (self.pitch_modes, self.yaw_modes) if t), default=0), at)
 
     @property
     def pitch_modes(self) -> ModeTable | None:
-        """Modes of the pitch plane as arrays."""
+        """Return the modes of the pitch plane as arrays."""
         return None if self.pitch is None else mode_table(self.pitch, ("pitch",))
 
     @property
     def yaw_modes(self) -> ModeTable | None:
-        """Modes of the yaw plane as arrays."""
+        """Return the modes of the yaw plane as arrays."""
         return None if self.yaw is None else mode_table(self.yaw, ("yaw",))
 
 
 class SpatialModesSection(Section):
-    """Coupled three-dimensional free-free modes, in addition to planar ones; engine locked, no slosh masses."""
+    """The coupled three-dimensional free-free modes, in addition to planar ones; engine locked, no slosh masses."""
 
     table: Annotated[CsvTable, SPATIAL_COLUMNS] = Field(
         description="one row per time (or total mass), mode and station: displacement phi along, rotation theta about "
@@ -91,12 +91,12 @@ class SpatialModesSection(Section):
             self.check_counts()
 
     def check_counts(self, at: Path = ()) -> None:
-        """Refuse lists of other lengths than there are modes."""
+        """Reject lists whose length is not the number of modes."""
         _refuse_other_counts(self, self.modes.modes, at)
 
     @property
     def modes(self) -> SpatialModeTable:
-        """The modes as arrays."""
+        """Return the modes as arrays."""
         return spatial_mode_table(self.table, ("table",))
 
 

@@ -1,14 +1,14 @@
 """Spatial modes: coupled three-dimensional free-free modes of the vehicle, engine locked and sloshing masses removed.
 
-Mode i displaces the point of the body axis at station x by the vector Phi_i(x) eta_i and rotates the section there by
-Theta_i(x) eta_i: along and about all three axes of B, so that bending in both planes, torsion and axial motion may be
-coupled. A planar mode of planar.py is the special case Phi = (0, 0, phi), Theta = (0, slope, 0) in pitch and
-Phi = (0, phi, 0), Theta = (0, 0, -slope) in yaw. The quasi-velocities nu = d(eta)/dt + p A eta hold the rotation with
-the roll rate; A is the share of each mode in the shape of another turned by a right angle about x (docs/model.md,
-section 4).
+Mode i displaces the point of the body axis at station x by the vector Phi_i(x) eta_i and rotates its section by
+Theta_i(x) eta_i, along and about all three axes of B. Hence bending in both planes, torsion and axial motion may be
+coupled. A planar mode of planar.py is the special case Phi = (0, 0, phi), Theta = (0, slope, 0) in pitch and Phi = (0,
+phi, 0), Theta = (0, 0, -slope) in yaw. The quasi-velocities nu = d(eta)/dt + p A eta include the rotation with the roll
+rate. A is the share of each mode in the shape of another one turned by a right angle about x (docs/model.md, section
+4).
 
-A *place* is a station at which the modes act or are sensed (schedule.py), a load six numbers: force (N) and moment
-(N m) in B on the section there; likewise six a motion: displacement and rotation.
+A *place* is a station at which loads or sensors act (schedule.py). A load is six numbers: force (N) and moment (N m) in
+B on the section of its place. A motion is also six numbers: displacement and rotation.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class SpatialModes:
 
 @dataclass
 class SpatialMotion:
-    """The modes in an evaluation of the derivative."""
+    """The modes in one evaluation of the derivative."""
 
     force_N: PerSpatialMode  # generalised force
     eta_m: PerSpatialMode  # modal coordinate
@@ -54,7 +54,7 @@ class SpatialMotion:
     accel_mps2: PerSpatialMode  # time derivative of the quasi-velocity
     turned_m: PerSpatialMode  # A eta (eq. 4.7)
     turned_rate_mps: PerSpatialMode  # A d(eta)/dt
-    momentum_Ns: PerSpatialMode  # what the moving engine adds to the modal momentum
+    momentum_Ns: PerSpatialMode  # contribution of the moving engine to the modal momentum
     roll_m: PerSpatialMode  # acceleration per roll acceleration with engines deflected
 
 
@@ -62,7 +62,7 @@ class SpatialMotion:
 def spatial_state(
     sizes: Counts, roll_rate: float, properties: Array, y: Array, first: int, modes: SpatialMotion
 ) -> None:
-    """From the states at y[first:] into `modes`; sets the generalised forces to zero."""
+    """Compute `modes` from the states at y[first:], and set the generalised forces to zero."""
     n = sizes.spatial_modes
     for i in range(n):
         modes.eta_m[i], modes.nu_mps[i] = y[first + i], y[first + n + i]
@@ -75,7 +75,7 @@ def spatial_state(
 
 @kernel
 def _turn(sizes: Counts, properties: Array, quantity: Array, turned: Array) -> None:
-    """A times a modal quantity."""
+    """Write A times a modal quantity to `turned`."""
     for i in range(sizes.spatial_modes):
         total = 0.0
         for j in range(sizes.spatial_modes):
@@ -85,7 +85,7 @@ def _turn(sizes: Counts, properties: Array, quantity: Array, turned: Array) -> N
 
 @routine
 def spatial_derivative(sizes: Counts, first: int, dy: Array, modes: SpatialMotion) -> None:
-    """Derivatives of the states at y[first:], once the modal accelerations are known."""
+    """Write the derivatives of the states at y[first:], once the modal accelerations are known."""
     for i in range(sizes.spatial_modes):
         dy[first + i] = modes.rate_mps[i]
         dy[first + sizes.spatial_modes + i] = modes.accel_mps2[i]
@@ -93,7 +93,7 @@ def spatial_derivative(sizes: Counts, first: int, dy: Array, modes: SpatialMotio
 
 @kernel
 def spatial_motion(sizes: Counts, properties: Array, place: int, quantity: Array) -> Load:
-    """Motion of a place: its shapes times a modal quantity."""
+    """Return the motion of a place: its shapes times a modal quantity."""
     return _spatial_motion(sizes, properties, place, bare_pointer(quantity))
 
 
@@ -114,9 +114,10 @@ def _spatial_motion(sizes: Counts, properties: Array, place: int, quantity: Arra
 
 @kernel
 def roll_defect(sizes: Counts, properties: Array, place: int, quantity: Array, turned: Array) -> Load:
-    """Motion of a place per roll rate beyond what the quasi-velocities hold: (x cross Phi) eta - Phi A eta, eq. 4.9.
+    """Return the motion of a place per roll rate beyond the quasi-velocities: (x cross Phi) eta - Phi A eta, eq. 4.9.
 
-    `quantity`, `turned`: `eta_m` with `turned_m`, or their rates. Zero where the turned shapes are modes, too.
+    `quantity`, `turned`: `eta_m` with `turned_m`, or their rates. The motion is zero if the turned shapes are modes
+    too.
     """
     whole = spatial_motion(sizes, properties, place, quantity)
     held = spatial_motion(sizes, properties, place, turned)
@@ -140,9 +141,9 @@ def _apply_spatial_load(sizes: Counts, properties: Array, place: int, load: Load
 
 @routine
 def outer_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, modes: SpatialMotion) -> Vector:
-    """As `apply_spatial_load`, of a load from outside (thrust, air, a pendulum) on the displaced place.
+    """Add the generalised forces of an external load (thrust, air, a pendulum) on the displaced place.
 
-    Returns the moment on the body (B, N m) that comes on top of that of the force at the undisplaced place.
+    Returns the moment on the body (B, N m) in addition to that of the force at the undisplaced place.
     """
     apply_spatial_load(sizes, properties, place, load, modes.force_N)
     moved = spatial_motion(sizes, properties, place, modes.eta_m)
@@ -154,7 +155,7 @@ def outer_spatial_load(sizes: Counts, properties: Array, place: int, load: Load,
 
 @routine
 def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, modes: SpatialMotion) -> Vector:
-    """Angular rate (B, rad/s) that the modes add at the gyro."""
+    """Return the angular rate (B, rad/s) that the modes add at the gyro."""
     of_modes = spatial_motion(sizes, properties, sch.GYRO_PLACE, modes.nu_mps)
     defect = roll_defect(sizes, properties, sch.GYRO_PLACE, modes.eta_m, modes.turned_m)
     return (
@@ -166,7 +167,10 @@ def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, mod
 
 @routine
 def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, modes: SpatialMotion) -> float:
-    """Add stiffness, damping and axial softening to the generalised forces; returns their roll moment on the body."""
+    """Add stiffness, damping and axial softening to the generalised forces.
+
+    Returns their roll moment on the body.
+    """
     roll = 0.0
     stiffness, damping = sch.spatial_derived(sizes, sch.MODE_STIFFNESS), sch.spatial_derived(sizes, sch.MODE_DAMPING)
     for i in range(sizes.spatial_modes):
@@ -181,9 +185,10 @@ def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, mode
 
 @routine
 def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, modes: SpatialMotion) -> Vector:
-    """Roll-rate coupling of the modes, and the moment of their angular momentum about x on the body (eq. 4.8).
+    """Add the roll-rate coupling of the modes, and return their moment on the body (eq. 4.8).
 
-    `momentum_Ns` holds what moving engines add to the modal momenta.
+    The moment is that of their angular momentum about x. `momentum_Ns` holds the contribution of moving engines to the
+    modal momenta.
     """
     p, q, r = rate
     mass, n = sch.spatial_column(sizes, sch.SPATIAL_MASS), sizes.spatial_modes
@@ -200,7 +205,7 @@ def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, modes: Sp
 
 @routine
 def free_spatial_accelerations(sizes: Counts, properties: Array, modes: SpatialMotion) -> None:
-    """Accelerations of the modes under their generalised forces, without the tensions of the pendulums."""
+    """Set the accelerations of the modes under their generalised forces, without the tensions of the pendulums."""
     inverse = sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS)
     for i in range(sizes.spatial_modes):
         modes.accel_mps2[i] = properties[inverse + i] * modes.force_N[i]
@@ -210,7 +215,7 @@ def free_spatial_accelerations(sizes: Counts, properties: Array, modes: SpatialM
 def spatial_along_rod(
     sizes: Counts, properties: Array, place: int, u: Vector, accel_mps2: Array, shapes: Array
 ) -> float:
-    """Keep the shapes at a hinge along its rod `u`; returns its acceleration by the modal ones."""
+    """Store the shapes at a hinge along its rod `u`, and return its acceleration due to the modal accelerations."""
     n, c, total = sizes.spatial_modes, sch.place_column(sizes, place, 0), 0.0
     for i in range(n):
         along = properties[c + i] * u[0] + properties[c + n + i] * u[1] + properties[c + 2 * n + i] * u[2]
@@ -233,7 +238,7 @@ def spatial_compliance(sizes: Counts, properties: Array, shapes: Array, of_other
 
 @routine
 def add_tension_to_spatial(sizes: Counts, properties: Array, shapes: Array, tension: float, accel_mps2: Array) -> None:
-    """Add the pull of a rod, along which `shapes` are, to the modal accelerations."""
+    """Add the pull of a rod, with `shapes` along it, to the modal accelerations."""
     inverse = sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS)
     for i in range(sizes.spatial_modes):
         accel_mps2[i] += tension * (shapes[i] * properties[inverse + i])

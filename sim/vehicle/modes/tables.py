@@ -1,9 +1,10 @@
-"""Mode tables: from the long format (one row per time, mode and station) to arrays, and whether they are mode shapes.
+"""Mode tables: conversion from the long format to arrays, and checks of the shapes.
 
-What cannot be a mode shape is refused, what is unlikely is warned of, within limits set by what a good table shows.
-KSR-III's (44 stations, 3 modes, 25 times, from a finite-element beam): slopes deviate from the shapes' derivative by
-0.8 % at most, successive times agree to a modal assurance criterion of 0.997 and frequencies to 2 %, and the mass
-forward gives 0.77 to 0.88 of the generalised masses, because the engine's inertia is not in it.
+The long format has one row per time, mode and station. Impossible mode shapes are rejected, and unlikely ones cause a
+warning, within limits derived from a good table. In the KSR-III table (44 stations, 3 modes, 25 times, from a
+finite-element beam), slopes deviate from the derivatives of the shapes by at most 0.8 %. Successive times agree to a
+modal assurance criterion of 0.997 and frequencies to 2 %. The mass forward gives 0.77 to 0.88 of the generalised
+masses, because it does not include the engine's inertia.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from maxq.sim.vehicle.modes.nastran import NASTRAN
 Floats = NDArray[np.float64]
 
 SLOPE_DEVIATION, ASSURANCE, FREQUENCY_STEP, MASS_RATIO, ORTHOGONALITY = 0.2, 0.8, 0.3, 3.0, 0.1
-"""Beyond these a table is warned of; see `mode_warnings`."""
+"""The limits beyond which a table causes a warning; see `mode_warnings`."""
 
 OVER_MASS = "total_mass_kg"
-"""In place of time_s: the vehicle's total mass while the stage flies, falling."""
+"""The column in place of time_s: the vehicle's total mass while the stage flies, decreasing."""
 
 MODE_COLUMNS = Columns(
     "time_s",
@@ -52,8 +53,9 @@ SPATIAL_COLUMNS = replace(
 
 @dataclass(frozen=True, eq=False)
 class _Modes:
-    """T times, M modes, S stations (metres aft of the nose). Compared by identity: what is derived from one can be kept
-    for it.
+    """T times, M modes, S stations (metres aft of the nose).
+
+    Instances are compared by identity, so that derived results can be cached.
     """
 
     time_s: Floats  # (T,)
@@ -68,7 +70,10 @@ class _Modes:
 
 @dataclass(frozen=True, eq=False)
 class ModeTable(_Modes):
-    """Bending modes of one plane over time. `mass_forward_kg`: forward of a station, the same for all modes."""
+    """The bending modes of one plane over time.
+
+    `mass_forward_kg`: mass forward of a station, the same for all modes.
+    """
 
     phi: Floats  # (T, M, S)
     slope_pm: Floats  # (T, M, S), d(phi)/d(x_n)
@@ -88,9 +93,9 @@ class ModeTable(_Modes):
 
 @dataclass(frozen=True, eq=False)
 class SpatialModeTable(_Modes):
-    """Spatial modes over time: displacements and rotations (T, M, S, 3) along and about x, y, z of B.
+    """The spatial modes over time: displacements and rotations (T, M, S, 3) along and about x, y, z of B.
 
-    `mass_kg` and `roll_inertia_kgm2` (T, S) are lumped at the stations; None where the file does not give them.
+    `mass_kg` and `roll_inertia_kgm2` (T, S) are lumped at the stations, or None if the file does not give them.
     """
 
     displacement: Floats
@@ -101,30 +106,30 @@ class SpatialModeTable(_Modes):
 
     @property
     def moved(self) -> Floats:
-        """Displacements of each mode, and what rotations about the axis add, side by side (T, M, 4 S)."""
+        """Return the displacements of each mode and those due to rotations about the axis, side by side (T, M, 4 S)."""
         span = self.station_m[-1] - self.station_m[0]
         return np.concatenate([self.displaced, span * self.rotation_pm[..., 0]], axis=2)
 
     @property
     def displaced(self) -> Floats:
-        """The same without what rotations add."""
+        """Return the displacements without the contribution of rotations."""
         return np.concatenate([*np.moveaxis(self.displacement, -1, 0)], axis=2)
 
     @property
     def bent(self) -> tuple[tuple[Floats, Floats], ...]:
-        """Lateral displacement (T, M, S) and what should be its derivative over the stations."""
+        """Return the lateral displacement (T, M, S) and its nominal derivative over the stations."""
         return tuple((plane.phi, plane.slope_pm) for plane in self.lateral())
 
     @property
     def products(self) -> Floats | None:
-        """Sum of mass times shape times shape, (T, M, M), where masses are given at the stations."""
+        """Return the sum of mass times shape times shape, (T, M, M), if masses are given at the stations."""
         if self.mass_kg is None:
             return None
         products = np.einsum("ts,tmsk,tnsk->tmn", self.mass_kg, self.displacement, self.displacement)
         if self.roll_inertia_kgm2 is not None:
             twist = self.rotation_pm[..., 0]
             return np.asarray(products + np.einsum("ts,tms,tns->tmn", self.roll_inertia_kgm2, twist, twist))
-        unknown = twisting(self)  # without their inertia nothing can be said of modes that twist
+        unknown = twisting(self)  # modes that twist cannot be checked without their inertia
         own = np.einsum("tm,mn->tmn", self.generalized_mass_kg, np.eye(self.modes))
         return np.asarray(np.where(unknown[:, :, None] | unknown[:, None, :], own, products))
 
@@ -139,11 +144,11 @@ class SpatialModeTable(_Modes):
 
 
 def mode_table(table: CsvTable, at: Path = ()) -> ModeTable:
-    """The arrays of a mode table whose columns have been checked; `at` is its key.
+    """Return the arrays of a mode table whose columns have been checked; `at` is its key.
 
-    Raises the schema's refusal unless modes are numbered 1, 2, ... (12 at most), each time has each mode at
-    each station exactly once, frequency and generalised mass do not change along the stations, and the shapes are
-    possible.
+    Raises the refusal of the schema unless modes are numbered 1, 2, ... (at most 12) and each time has each mode at
+    each station exactly once. Also raises it if frequency or generalised mass changes along the stations, or if the
+    shapes are impossible.
     """
     made = table.derived
     if not isinstance(made, ModeTable):
@@ -155,7 +160,7 @@ def mode_table(table: CsvTable, at: Path = ()) -> ModeTable:
 
 
 def spatial_mode_table(table: CsvTable, at: Path = ()) -> SpatialModeTable:
-    """As `mode_table`, of a table of spatial modes."""
+    """Return the arrays of a table of spatial modes, as `mode_table` does."""
     made = table.derived
     if not isinstance(made, SpatialModeTable):
         lumped = tuple(name for name in ("mass_kg", "roll_inertia_kgm2") if name in table)
@@ -179,14 +184,15 @@ def spatial_mode_table(table: CsvTable, at: Path = ()) -> SpatialModeTable:
 
 
 _SLACK = 1e-3
-"""By which a mass may lie beyond those of the stage, relative."""
+"""The relative tolerance of a mass outside the range of the stage's masses."""
 
 
 def over_time(table: CsvTable, times_s: Floats, mass_kg: Floats, at: Path) -> CsvTable:
-    """A table of modes over mass as one over time: its rows at the instants at which the stage has these masses.
+    """Return a table of modes over mass as a table over time.
 
-    `times_s`, `mass_kg` (n,): the stage's mass, finely; a mass that it keeps for long counts at the end of that time if
-    it is the largest, else at its start. Raises the schema's refusal for masses that the stage never has.
+    Its rows are at the instants at which the stage has these masses. `times_s`, `mass_kg` (n,): the stage's mass on a
+    fine grid. A mass that stays constant for some time counts at the end of that time if it is the largest, else at its
+    start. Raises the refusal of the schema for masses that the stage never has.
     """
     given, most, least = table[OVER_MASS], float(mass_kg.max()), float(mass_kg.min())
     outside = (given > most * (1.0 + _SLACK)) | (given < least * (1.0 - _SLACK))
@@ -205,7 +211,10 @@ def over_time(table: CsvTable, times_s: Floats, mass_kg: Floats, at: Path) -> Cs
 def _arrays(
     table: CsvTable, shapes: tuple[str, ...], of_stations: tuple[str, ...], at: Path
 ) -> tuple[Floats, Floats, list[Floats]]:
-    """Times, stations, and arrays: frequency and generalised mass (T, M), shapes (T, M, S), `of_stations` (T, S)."""
+    """Return times, stations and arrays of a table.
+
+    The arrays are frequency and generalised mass (T, M), shapes (T, M, S), and `of_stations` (T, S).
+    """
     mode = table["mode"]
     numbers = f"mode numbers 1 .. {MAX_MODES}"
     table.refuse_where(mode != np.floor(mode), "mode", "is not a whole number", numbers, at=at)
@@ -242,7 +251,7 @@ def _arrays(
 
 
 def refuse_impossible(table: CsvTable, modes: ModeTable | SpatialModeTable, at: Path) -> None:
-    """Raises the schema's refusal for slopes that are not those of the shapes, and for shapes that swap or flip."""
+    """Raise the refusal of the schema for slopes that are not those of the shapes, and for shapes that swap or flip."""
     slope, _ = _slopes(modes)
     if (slope < 0.0).any():
         t, m = (int(i) for i in np.argwhere(slope < 0.0)[0])
@@ -339,25 +348,25 @@ def _mass_warnings(modes: ModeTable | SpatialModeTable) -> list[str]:
 
 
 def twisting(modes: ModeTable | SpatialModeTable) -> NDArray[np.bool_]:
-    """Which modes twist more than they displace, (T, M)."""
+    """Return True for modes that twist more than they displace, (T, M)."""
     return np.asarray(2.0 * (modes.displaced**2).sum(axis=2) < (modes.moved**2).sum(axis=2))
 
 
 def _largest(values: Floats) -> tuple[int, int]:
-    """Time and mode of the largest value."""
+    """Return time and mode of the largest value."""
     t, m = np.unravel_index(int(np.argmax(values)), values.shape)
     return int(t), int(m)
 
 
 _SHARE = 1e-4
-"""Of a mode's bending, squared: a plane with less is left out."""
+"""The least share of a plane in a mode's bending, squared; a plane with less is ignored."""
 
 
 def _slopes(modes: ModeTable | SpatialModeTable) -> tuple[Floats, Floats]:
-    """Correlation of the slopes with the differences of the shapes, and their relative deviation, both (T, M).
+    """Return the correlation of slopes and differences of shapes, and their relative deviation, both (T, M).
 
-    1 and 0 for a mode that does not bend. The correlation is the least of the planes, each by itself: the larger one of
-    a coupled mode would hide that the other is flipped.
+    They are 1 and 0 for a mode that does not bend. The correlation is the smaller one of the planes, computed
+    separately, because the larger one of a coupled mode would hide a flipped plane.
     """
     h = np.diff(modes.station_m)
     d, s = np.stack([(np.diff(p, axis=2) / h, 0.5 * (q[..., 1:] + q[..., :-1])) for p, q in modes.bent], axis=1)
@@ -371,14 +380,20 @@ def _slopes(modes: ModeTable | SpatialModeTable) -> tuple[Floats, Floats]:
 
 
 def _alike(modes: ModeTable | SpatialModeTable) -> Floats:
-    """Cosine between the shapes of successive times, (T - 1, M, M); its square is the modal assurance criterion."""
+    """Return the cosine between the shapes of successive times, (T - 1, M, M).
+
+    Its square is the modal assurance criterion.
+    """
     moved = modes.moved
     unit = moved / np.maximum(np.sqrt((moved**2).sum(axis=2, keepdims=True)), 1e-300)
     return np.asarray((unit[:-1, :, None, :] * unit[1:, None, :, :]).sum(axis=-1))
 
 
 def _orthonormality(products: Floats, given: Floats) -> tuple[Floats, Floats]:
-    """Products of each mode with itself over its generalised mass, and the largest with others over both, (T, M)."""
+    """Return the products of each mode with itself, and the largest with other modes, both (T, M).
+
+    They are divided by the generalised masses.
+    """
     root = np.sqrt(given)
     scaled = products / (root[:, :, None] * root[:, None, :])
     own = np.maximum(np.diagonal(scaled, axis1=1, axis2=2), 1e-300)

@@ -1,13 +1,14 @@
 """Sensors beyond the first gyro: rate gyros and an accelerometer, triads at stations of their own on the bent body.
 
-A rate gyro is as the first one (gyro.py). An accelerometer feels the specific force at its place, in its own axes,
-which bending turns (docs/model.md, section 2):
+A rate gyro is modelled as the first one (gyro.py). An accelerometer measures the specific force at its place, in its
+own axes, which bending turns (docs/model.md, section 2):
 
     f = a_C + alpha x rho + w x (w x rho) + 2 w x d' + d'',    f_sensor = f - theta x f,
 
-a_C the specific force of the body at the core CG, rho the way from there to the displaced sensor, d its displacement by
-bending and theta its rotation. Engines and liquid act through a_C, alpha and the modal accelerations, which hold their
-reactions. Both have errors, second-order dynamics and an output whose integral over a sample the computer counts.
+where a_C is the specific force of the body at the core CG, rho the vector from this CG to the displaced sensor, d its
+displacement by bending and theta its rotation. Engines and liquid act through a_C, alpha and the modal accelerations,
+which include their reactions. Both sensors have errors, second-order dynamics and an output whose integral over a
+sample the computer counts.
 """
 
 from __future__ import annotations
@@ -45,9 +46,10 @@ _ROOT_HOUR = 60.0
 
 @dataclass(frozen=True)
 class Sensor:
-    """`triad`: errors and dynamics; of an accelerometer the bias is in m/s2, the noise in (m/s)/sqrt(s).
+    """A further sensor.
 
-    `dropout`: probability that the computer does not get a sample.
+    `triad`: errors and dynamics; the bias of an accelerometer is in m/s2, its noise in (m/s)/sqrt(s). `dropout`:
+    probability that a sample does not reach the computer.
     """
 
     kind: int
@@ -84,7 +86,7 @@ def sense(
     dy: Array,
     modes: Modes,
 ) -> None:
-    """Derivatives of the sensors' states, from y[first] on, once all accelerations are known."""
+    """Write the derivatives of the sensors' states, from y[first] on, once all accelerations are known."""
     for k in range(sizes.sensors):
         sensor, i, place = sensors[k], first + 9 * k, sizes.gimbals - sizes.sensors + k
         if sensor.kind == ACCELEROMETER:
@@ -99,13 +101,13 @@ def sense(
 
 @kernel
 def sensor_slots(k: int) -> int:
-    """The first slot of sensor k's faults."""
+    """Return the first slot of sensor k's faults."""
     return SENSOR_FAULT + SENSOR_SLOTS * k
 
 
 @kernel
 def rate_at(sizes: Counts, place: int, rate: Vector, properties: Array, modes: Modes) -> Vector:
-    """Angular rate of the bent body at a sensor, B, rad/s."""
+    """Return the angular rate of the bent body at a sensor, B, rad/s."""
     _, _, about_y, about_z = motion_at(sizes, properties, place, modes.planar.nu_mps, of_plane(PITCH), of_plane(YAW))
     turned = (rate[0], rate[1] + about_y, rate[2] + about_z)
     if sizes.spatial_modes > 0:
@@ -128,9 +130,9 @@ def force_at(
     properties: Array,
     modes: Modes,
 ) -> Vector:
-    """Specific force at a sensor, in axes that turn with the bent body, m/s2.
+    """Return the specific force at a sensor, in axes that turn with the bent body, m/s2.
 
-    Of the modes' own accelerations the quasi-velocities hold what the roll rate does: with nu = d(eta)/dt + p A eta the
+    The quasi-velocities include the roll-rate part of the modes' own accelerations: with nu = d(eta)/dt + p A eta the
     second derivative of eta is nu' - p' A eta - p A d(eta)/dt.
     """
     pitch, yaw, p, p_dot = of_plane(PITCH), of_plane(YAW), rate[0], alpha[0]
@@ -170,7 +172,7 @@ class RateGyroRow(NamedTuple):
 
 
 class AccelerometerRow(NamedTuple):
-    """The accelerometer."""
+    """The log row of the accelerometer."""
 
     accelerometer_axis_mps2: Annotated[Xyz, "m/s2", "output of the accelerometer: specific force at its station"]
     accelerometer_axis_counted_mps2: Annotated[Xyz, "m/s2", "computer input: mean over a sample"]

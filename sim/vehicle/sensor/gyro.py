@@ -1,7 +1,7 @@
-"""Rate gyro of three axes: errors, second-order dynamics (29), and the angle that the converter counts.
+"""The rate gyro of three axes: errors, second-order dynamics (29), and the angle that the converter counts.
 
-The gyro is mounted on the bent body and senses the local angular rate: q + sum(slope nu_pitch) in pitch and
-r - sum(slope nu_yaw) in yaw (docs/model.md, section 2).
+The gyro is mounted on the bent body and measures the local angular rate: q + sum(slope nu_pitch) in pitch and r -
+sum(slope nu_yaw) in yaw (docs/model.md, section 2).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Gyro:
 
 
 def pack_gyro(given: GyroSection | None, ideal: bool) -> Gyro:
-    """From the stage's section `gyro`, None for a vehicle without one: then it is ideal."""
+    """Return the parameters from the stage's section `gyro`; None, a vehicle without one, gives an ideal gyro."""
     if given is None or ideal:
         station_m = given.station_m if given else 0.0
         return Gyro(station_m, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1)
@@ -71,7 +71,7 @@ def pack_gyro(given: GyroSection | None, ideal: bool) -> Gyro:
 
 @kernel
 def sensed_rate(g: Gyro, rate: Vector) -> Vector:
-    """Steady-state output, rad/s, for the local angular rate in B: misalignment, scale factor, bias."""
+    """Return the steady-state output, rad/s, for the local angular rate in B: misalignment, scale factor, bias."""
     x, y, z = rate
     a, b, c = g.misalignment_x_rad, g.misalignment_y_rad, g.misalignment_z_rad
     return (
@@ -83,8 +83,9 @@ def sensed_rate(g: Gyro, rate: Vector) -> Vector:
 
 @kernel
 def after_fault(faults: Array, lost: int, output: float) -> float:
-    """Return the output of a sensor's axis under faults, rad/s or m/s2, if a healthy one gives `output`; `lost`: its
-    first slot.
+    """Return the output of a sensor's axis under faults, rad/s or m/s2, where `output` is that of a healthy sensor.
+
+    `lost`: first slot of its faults.
     """
     if faults[ANY_FAULT] == 0.0:
         return output
@@ -104,7 +105,10 @@ def outputs_after_fault(faults: Array, lost: int, y: Array, first: int) -> Vecto
 
 @kernel
 def gyro_derivative(g: Gyro, y: Array, first: int, sensed: Vector, faults: Array, dy: Array) -> None:
-    """Derivatives of the states (two an axis, from y[first] on) and of the angle integrals that follow them."""
+    """Write the derivatives of the states and of the angle integrals that follow them.
+
+    There are two states per axis, from y[first] on.
+    """
     for axis in range(3):
         output = lagged(g, y, first + 2 * axis, sensed[axis], dy)
         dy[first + 6 + axis] = output if g.ideal == 1 else after_fault(faults, GYRO_LOST + axis, output)
@@ -112,7 +116,7 @@ def gyro_derivative(g: Gyro, y: Array, first: int, sensed: Vector, faults: Array
 
 @kernel
 def lagged(g: Gyro, y: Array, i: int, sensed: float, dy: Array) -> float:
-    """Derivatives of one axis' two states, from y[i] on; returns its output."""
+    """Write the derivatives of the two states of one axis, from y[i] on, and return its output."""
     if g.ideal == 1:
         dy[i], dy[i + 1] = 0.0, 0.0
         return sensed
@@ -124,7 +128,10 @@ def lagged(g: Gyro, y: Array, i: int, sensed: float, dy: Array) -> float:
 
 @kernel
 def gyro_start(y: Array, first: int, rate: Vector) -> None:
-    """Steady state at the angular rate of the body (B, rad/s), without errors; the angle integrals start at 0."""
+    """Set the steady state at the angular rate of the body (B, rad/s), without errors.
+
+    The angle integrals start at 0.
+    """
     for axis in range(3):
         y[first + 2 * axis] = rate[axis]
 

@@ -1,4 +1,4 @@
-"""Rate gyros and accelerometer of a stage, as the vehicle's file gives them."""
+"""The rate gyros and the accelerometer of a stage, as in the vehicle file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from maxq.sim.input.values import Fraction, NotNegative, Positive, Section, Trip
 
 
 class GyroSection(Section):
-    """Rate gyros, one per axis (paper, eq. 29)."""
+    """The rate gyros, one per axis (paper, eq. 29)."""
 
     station_m: float = Field(description="station, m aft of the nose")
     omega_hz: Positive = Field(description="natural frequency, Hz")
@@ -33,7 +33,7 @@ class RateGyro(GyroSection):
 
 
 class Accelerometer(Section):
-    """Three-axis accelerometer: specific force at its station, with the effects of bending, engine and liquid."""
+    """A three-axis accelerometer: specific force at its station, with the effects of bending, engine and liquid."""
 
     station_m: float = Field(description="station, m aft of the nose, on the body axis")
     omega_hz: Positive = Field(description="natural frequency, Hz")

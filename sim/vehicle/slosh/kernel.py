@@ -1,15 +1,15 @@
 """Sloshing propellant: spherical pendulums, at any angle, coupled through the tension of their rods.
 
-One for each slosh mode of a tank that is flown; "tank", here and in `Sizes`, stands for one of them.
+There is one pendulum for each flown slosh mode of a tank. Here and in `Sizes`, "tank" means one pendulum.
 
-The bob of mass m hangs on a massless rod of length L from a hinge on the bent body axis. Only the rod's tension and
-the damping act between bob and body. Damping is viscous, on the velocity of the bob relative to the point of
-the body that it passes, and reacts on the body at that same point: so it dissipates in any motion and conserves the
-angular momentum (docs/model.md, section 5; with the reaction at the hinge instead, as eq. 27 of the paper has it, the
-moment arm of the damper is lost).
+The bob of mass m hangs on a massless rod of length L from a hinge on the bent body axis. Only the rod's tension and the
+damping act between bob and body. Damping is viscous and acts on the velocity of the bob relative to the adjacent point
+of the body. Its reaction acts on the body at that same point. Hence damping dissipates energy in any motion and
+conserves the angular momentum (docs/model.md, section 5). With the reaction at the hinge, as in eq. 27 of the paper,
+the moment arm of the damper would be lost.
 
-The tensions and all accelerations are solved for together, in accelerations.py, with the quantities that `TankWork`
-holds for every tank.
+accelerations.py solves for the tensions and all accelerations together, with the quantities in `TankWork` of every
+tank.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ RING_DRAG = 0.5 * math.sqrt(math.pi) * math.gamma(2.25) / math.gamma(1.75)
 
 @dataclass
 class TankWork:
-    """A tank in an evaluation of the derivative; along x only by spatial modes."""
+    """A tank in one evaluation of the derivative; motion along x is due to spatial modes only."""
 
     arm_m: Annotated[Array, (3,)]  # moment of a unit tension about the CG with the engine deflected, B
     hinge_accel_mps2: Annotated[Array, (3,)]  # of the hinge, as far as independent of the accelerations sought, B
@@ -75,13 +75,13 @@ class Slosh:
     damping_ratio: Annotated[Array, (MAX_PENDULUMS,)]  # of the pendulum under the present axial acceleration
     law: int  # 1: a pendulum's damping has more parts than its ratio
     law_factor: Annotated[Array, (MAX_PENDULUMS,)]  # of the columns TANK_VISCOUS and TANK_RING
-    ring_damping: Annotated[Array, (MAX_PENDULUMS,)]  # beside column TANK_RING, which see
+    ring_damping: Annotated[Array, (MAX_PENDULUMS,)]  # see column TANK_RING
     breaking_height_m: Annotated[Array, (MAX_PENDULUMS,)]  # of a wave; 0: where it falls with the axial load
-    exchange: int  # 1: mass that goes over between bob and core takes its momentum along
+    exchange: int  # 1: mass exchanged between bob and core keeps its momentum
 
 
 def pack_slosh(pendulums: Sequence[Pendulum], bending: BendingSection | None, exchange: bool) -> Slosh:
-    """From the stage's pendulums (sim/vehicle/slosh/packing.py), and `bending` (or None)."""
+    """Return the parameters from the stage's pendulums (sim/vehicle/slosh/packing.py), and `bending` (or None)."""
     n = len(pendulums)
     zeta, height, factor, none = (np.full(MAX_PENDULUMS, x) for x in (0.0, 0.0, 1.0, 0.0))
     zeta[:n], height[:n] = [p.damping_ratio for p in pendulums], [p.breaking_height_m for p in pendulums]
@@ -105,7 +105,7 @@ def bob_mass(properties: Array, tank: int) -> float:
 
 @kernel
 def pendulum_start(y: Array, first: int, rate: Vector) -> None:
-    """Aft of its hinge, at rest relative to a body that turns at `rate` (B, rad/s)."""
+    """Set the pendulum aft of its hinge, at rest relative to a body that turns at `rate` (B, rad/s)."""
     aft = (-1.0, 0.0, 0.0)
     set_vector(y, first, aft)
     set_vector(y, first + 3, cross(rate, aft))
@@ -113,7 +113,7 @@ def pendulum_start(y: Array, first: int, rate: Vector) -> None:
 
 @kernel
 def restore_pendulum(y: Array, first: int) -> None:
-    """Bring the unit vector back to length one and its derivative to right angles with it."""
+    """Restore the length one of the unit vector, and make its derivative perpendicular to it."""
     u = vector_at(y, first)
     scale = 1.0 / math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     u = (u[0] * scale, u[1] * scale, u[2] * scale)
@@ -137,9 +137,9 @@ def pendulum_loads(
     modes: Modes,
     own: TankWork,
 ) -> tuple[Vector, Vector]:
-    """Fill `own` of a tank; returns the force and moment (about the core CG) of its damper, B.
+    """Fill `own` of a tank, and return the force and moment (about the core CG) of its damper, B.
 
-    The states of the pendulum lie at y[first:first+6]; `offset` leads from the core CG to the CG with the engine
+    The states of the pendulum are y[first:first+6]. `offset` is the vector from the core CG to the CG with the engine
     deflected.
     """
     p, q, r = rate
@@ -223,10 +223,11 @@ def pendulum_loads(
 def wall_and_ring_damping(
     slosh: Slosh, tank: int, length: float, axial_load: float, rate: float, properties: Array
 ) -> float:
-    """Acceleration by a smooth wall and ring baffles, over the rate `rate` (rad/s) of the swing, m/s (5.8).
+    """Return the damping of a smooth wall and ring baffles: acceleration over the swing rate `rate` (rad/s), m/s (5.8).
 
     zeta = viscous / a^(1/4) + ring sqrt(swing), as 2 zeta omega L. The drag of a ring grows with the 3/2-th power of
-    the velocity; RING_DRAG is what makes it dissipate, at any amplitude of a plane swing, as much as that ratio does.
+    the velocity. RING_DRAG is chosen so that it dissipates as much energy as that ratio, at any amplitude of a plane
+    swing.
     """
     column = sch.tank_column(tank)
     viscous = slosh.law_factor[tank] * properties[column + sch.TANK_VISCOUS]
@@ -242,12 +243,12 @@ def wall_and_ring_damping(
 def exchange_loads(
     slosh: Slosh, sizes: Counts, rate: Vector, properties: Array, y: Array, first: int, modes: Modes, tanks: Tanks
 ) -> tuple[Vector, Vector]:
-    """Force and moment (about the core CG, B) on the core by the liquid that goes over between bobs and core.
+    """Return force and moment (about the core CG, B) on the core by the liquid exchanged between bobs and core.
 
-    Liquid takes the velocity along that it has where it comes from: what a bob loses exerts a force on the core and,
-    at its place, on the modes; what a bob gains slows the bob down. Together with the flow that `prepare_outflow` lets
-    enter the core where the bob rests, linear momentum and the angular momentum about the common CG are constant, and
-    no energy is gained (docs/model.md, eqs. 8.2 and 8.3).
+    Liquid keeps the velocity of its origin. The mass that a bob loses exerts a force on the core and, at its place, on
+    the modes; the mass that a bob gains slows the bob down. `prepare_outflow` lets the flow enter the core at the rest
+    position of the bob. Together, linear momentum and the angular momentum about the common CG are constant, and no
+    energy is gained (docs/model.md, eqs. 8.2 and 8.3).
     """
     drift = (0.0, 0.0, 0.0)  # of the common CG relative to the core CG
     share = properties[sch.schedule_width(sizes) + sch.INVERSE_TOTAL_MASS]
@@ -300,7 +301,7 @@ def exchange_loads(
 def _bending_at_tank(
     sizes: Counts, tank: int, properties: Array, modes: PlanarMotion
 ) -> tuple[float, float, float, float, float, float]:
-    """Displacement of a hinge by bending, its rate in B, and its quasi-velocity: y, z each."""
+    """Return the displacement of a hinge by bending, its rate in B, and its quasi-velocity: y, z each."""
     in_pitch, in_yaw = (
         sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + tank),
         sch.mode_column(sizes, sch.YAW, sch.MODE_FIRST + tank),
@@ -319,10 +320,11 @@ def _bending_at_tank(
 def _plane_asymmetry(
     sizes: Counts, tank: int, properties: Array, modes: PlanarMotion
 ) -> tuple[float, float, float, float]:
-    """Displacement of the hinge less that with each plane's shapes in the other: y, z (m) and their rates in B.
+    """Return the part of a hinge's displacement due to different planes: y, z (m), and the rates in B.
 
-    The quasi-velocities include the roll rate with the shapes of their own plane; where the planes differ, roll moves
-    the hinge by this much more (docs/model.md, eq. 5.6).
+    It is the displacement minus that with each plane's shapes in the other. The quasi-velocities include the roll rate
+    with the shapes of their own plane. If the planes differ, roll adds this displacement of the hinge (docs/model.md,
+    eq. 5.6).
     """
     in_pitch, in_yaw = (
         sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + tank),
@@ -353,9 +355,9 @@ def pendulum_derivative(
     dy: Array,
     own: TankWork,
 ) -> None:
-    """Derivative of the states at y[first:first+6] once the body's accelerations are known.
+    """Write the derivative of the states at y[first:first+6] once the body's accelerations are known.
 
-    The pendulum of an empty tank rests: without mass it has no effect.
+    The pendulum of an empty tank is at rest: without mass it has no effect.
     """
     if bob_mass(properties, tank) <= 0.0:
         for j in range(6):
@@ -401,7 +403,7 @@ class SloshRow(NamedTuple):
 def slosh_row(
     slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int, tension_N: Array
 ) -> SloshRow:
-    """Nan throughout for an empty tank and one that the stage does not have."""
+    """Return the row of a pendulum, nan throughout for an empty tank and one that the stage does not have."""
     if tank >= sizes.pendulums or bob_mass(properties, tank) <= 0.0:
         return SloshRow(math.nan, math.nan, math.nan, math.nan, math.nan)
     i = first
@@ -421,10 +423,10 @@ def slosh_row(
 
 @kernel
 def wave_share(slosh: Slosh, tank: int, properties: Array, lateral: float) -> float:
-    """Height of a wave over that at which it counts as breaking; 0 where it is not known.
+    """Return the height of a wave divided by its breaking height, or 0 if this height is unknown.
 
-    `lateral`: sine of the swing. By default a wave breaks where its surface falls with the axial load, which in linear
-    theory is at the height of the pendulum's length.
+    `lateral`: sine of the swing. By default a wave breaks if its surface falls with the axial load. In linear theory
+    this happens at the height of the pendulum's length.
     """
     breaking = slosh.breaking_height_m[tank]
     if breaking == 0.0:
@@ -434,7 +436,7 @@ def wave_share(slosh: Slosh, tank: int, properties: Array, lateral: float) -> fl
 
 
 class WaveRow(NamedTuple):
-    """The wave of one slosh pendulum."""
+    """The log row of the wave of one slosh pendulum."""
 
     slosh_tank_wave_m: Annotated[
         float, "m", "height of the wave: highest point of the surface above the liquid at rest"
@@ -443,7 +445,7 @@ class WaveRow(NamedTuple):
 
 @kernel
 def wave_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int) -> WaveRow:
-    """Nan as in `slosh_row`, and where the tank says nothing about its shape."""
+    """Return the row of a wave, nan as in `slosh_row` and for a tank without a shape."""
     if tank >= sizes.pendulums or bob_mass(properties, tank) <= 0.0:
         return WaveRow(math.nan)
     wave = properties[sch.tank_column(tank) + sch.TANK_WAVE]

@@ -1,8 +1,8 @@
-"""Pendulums of a stage's tanks over time: one for each slosh mode, with its damping and the height of its wave.
+"""The pendulums of a stage's tanks over time: one for each slosh mode, with its damping and the height of its wave.
 
-A tank's table gives them, or its shape (`slosh_modes`). Beside mass, length and hinge each has three columns of
-schedule.py that `sim/vehicle/slosh/kernel.py` turns into damping and waves; their values with a radius alone are those
-of an upright cylinder:
+A tank's table gives the pendulums, or its shape does (`slosh_modes`). In addition to mass, length and hinge, each
+pendulum has three columns of schedule.py, from which `sim/vehicle/slosh/kernel.py` computes damping and waves. If only
+a radius is given, their values are those of an upright cylinder:
 
 - smooth wall: zeta a^(1/4), a the axial load. NASA SP-106, ch. 4 (Mikishev & Dorozhkin 1961), at the depth h:
   zeta = 0.79 sqrt(nu / sqrt(a R^3)) (1 + 0.318 / sinh(1.84 h/R) (1 + (1 - h/R) / cosh(1.84 h/R)))
@@ -49,7 +49,7 @@ class Pendulum:
 
     @property
     def damping_ratio(self) -> float:
-        """At small waves, beside what a smooth wall adds."""
+        """Return the damping ratio at small waves, without the contribution of a smooth wall."""
         second = self.tank.second_damping_ratio
         own = self.tank.damping_ratio if self.mode == 1 or second is None else second
         return own * self.tank.damping_factor
@@ -66,7 +66,7 @@ class Pendulum:
 
 
 def pendulums(stage: Stage) -> list[Pendulum]:
-    """All of a stage, tank by tank."""
+    """Return all pendulums of a stage, tank by tank."""
     modes = [
         (tank, mode, *curves)
         for tank in stage.tank
@@ -76,7 +76,7 @@ def pendulums(stage: Stage) -> list[Pendulum]:
 
 
 def pendulum_curves(tank: Tank, method: Method) -> list[tuple[Cubics, Cubics]]:
-    """Columns `joined` and `waves` of each pendulum of a tank over the stage clock."""
+    """Return the columns `joined` and `waves` of each pendulum of a tank over the stage clock."""
     given = tank.radius_m or 0.0, tank.bottom_station_m or 0.0, tank.viscosity_m2ps or 0.0
     if tank.shape is None:
         found = _of_table(tank.table, tank.pendulums, *given, tank.baffles, method)
@@ -88,11 +88,11 @@ def pendulum_curves(tank: Tank, method: Method) -> list[tuple[Cubics, Cubics]]:
 
 
 def ring_damping(depth_r: float, cover: float, wave_r: float) -> float:
-    """Damping ratio of a ring baffle that covers the share `cover` of the surface, `depth_r` radii below it.
+    """Return the damping ratio of a ring baffle that covers the share `cover` of the surface, `depth_r` radii below it.
 
-    `wave_r`: height of the wave at the wall in radii. Upright cylinder, first mode (Miles, J. Aero. Sci. 25, 1958; NASA
-    SP-106, eq. 4.10): from the drag of a plate in oscillating flow of Keulegan & Carpenter, for narrow rings in waves
-    shorter than their depth.
+    `wave_r`: height of the wave at the wall in radii. The formula holds for an upright cylinder and the first mode, and
+    for narrow rings in waves shorter than their depth. It follows from the drag of a plate in oscillating flow of
+    Keulegan & Carpenter (Miles, J. Aero. Sci. 25, 1958; NASA SP-106, eq. 4.10).
     """
     return 2.83 * math.exp(-4.6 * depth_r) * math.pow(cover, 1.5) * math.sqrt(wave_r)
 
@@ -157,7 +157,10 @@ def _of_shape(
 def _instants(
     time_s: Array, height: Cubics | None = None, bottom: float = 0.0, baffles: Baffles | None = None
 ) -> Array:
-    """Times (s) of a table, at least `_INSTANTS` between them, and before and after each ring leaves the liquid."""
+    """Return the times (s) of a table, including those before and after each ring leaves the liquid.
+
+    There are at least `_INSTANTS` of them.
+    """
     if len(time_s) == 1:
         return time_s
     dense = np.unique(np.concatenate([time_s, np.linspace(time_s[0], time_s[-1], _INSTANTS + 1)]))
@@ -172,18 +175,18 @@ def _instants(
 
 
 def _shallow(depth_r: Array) -> Array:
-    """Factor of the bottom in the damping of a smooth wall."""
+    """Return the factor of the bottom in the damping of a smooth wall."""
     deep = np.minimum(1.84 * depth_r, 300.0)
     return 1.0 + 0.318 / np.sinh(deep) * (1.0 + (1.0 - depth_r) / np.cosh(deep))
 
 
 def _smooth(viscosity: float, length: Array, loss_1pm: Array) -> Array:
-    """Damping ratio of a laminar layer times the root of the root of the axial load, as `slosh_modes` derives it."""
+    """Return the damping ratio of a laminar layer times the fourth root of the axial load (see `slosh_modes`)."""
     return np.asarray(MEASURED_OVER_LAMINAR * math.sqrt(viscosity / 8.0) * length**0.25 * loss_1pm)
 
 
 def _rings(baffles: Baffles | None, radius: float, surface: Array, wave: Array) -> Array:
-    """Damping ratio per root of the swing; `surface` station and `wave` per swing over time."""
+    """Return the damping ratio per root of the swing; `surface` station and `wave` per swing over time."""
     out = np.zeros(len(surface))
     if baffles is None:
         return out

@@ -1,4 +1,4 @@
-"""A tank with sloshing liquid: its pendulums as tables, or its shape, from which they follow; damping, high waves."""
+"""A tank with sloshing liquid: its pendulums as tables, or its shape from which they follow; damping, high waves."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _LEAST_DOME = 0.25  # of the radius: a flatter dome gives shallow liquid a pendu
 
 
 class Profile(NamedTuple):
-    """Inner shape of a tank, lengths in radii of its cylindrical part; domes are half ellipsoids, 0 flat."""
+    """The inner shape of a tank, lengths in radii of its cylindrical part; domes are half ellipsoids, 0 is flat."""
 
     bottom: float
     wall: float
     top: float
 
     def surface_radius(self, depth: Array) -> Array:
-        """Radius of the surface at rest when the liquid is `depth` deep."""
+        """Return the radius of the surface at rest when the liquid is `depth` deep."""
         low = 1.0 - np.minimum(depth, self.bottom) / self.bottom if self.bottom else 0.0 * depth
         high = np.maximum(depth - self.bottom - self.wall, 0.0) / self.top if self.top else 0.0 * depth
         return np.asarray(np.sqrt(np.maximum(1.0 - low**2 - high**2, 0.0)))
@@ -54,7 +54,7 @@ class Profile(NamedTuple):
         return self.bottom + self.wall + self.top
 
     def depth(self, volume: Array) -> Array:
-        """The inverse of `volume`, by bisection."""
+        """Return the depth of the liquid, the inverse of `volume`, by bisection."""
         low, high = np.zeros_like(volume), np.full_like(volume, self.height)
         for _ in range(60):
             middle = 0.5 * (low + high)
@@ -64,7 +64,7 @@ class Profile(NamedTuple):
 
 
 def check_domes(profile: Profile, radius_m: float, key: str = "dome_m") -> None:
-    """Refuse domes that are too flat, or higher than the tank; `key` gives their heights."""
+    """Reject domes that are too flat, or higher than the tank; `key` gives their heights."""
     for dome in (profile.bottom, profile.top):
         if dome < 0.0 or 0.0 < dome < _LEAST_DOME:
             least = _LEAST_DOME * radius_m
@@ -76,7 +76,7 @@ def check_domes(profile: Profile, radius_m: float, key: str = "dome_m") -> None:
 
 
 class Baffles(Section):
-    """Rings on a tank's wall: damping proportional to the root of the wave height (NASA SP-106, eq. 4.10)."""
+    """The rings on a tank's wall: damping proportional to the root of the wave height (NASA SP-106, eq. 4.10)."""
 
     width_m: Positive = Field(description="width of each ring, from the wall inwards, m")
     station_m: tuple[float, ...] = Field(
@@ -118,7 +118,7 @@ class Tank(Section):
 
     @property
     def profile(self) -> Profile:
-        """The shape in radii; an upright cylinder as deep as any liquid where none is given."""
+        """Return the shape in radii, or an upright cylinder as deep as any liquid if none is given."""
         radius = self.radius_m or 1.0
         height = (self.height_m or 2.0 * radius) / radius
         if self.shape in ("sphere", "ellipsoid"):
@@ -141,12 +141,12 @@ class Tank(Section):
         given = [name for name in SECOND_MODE if name in table]
         if given and len(given) < len(SECOND_MODE):
             missing = next(name for name in SECOND_MODE if name not in table)
-            raise table.refusal(f"column {missing} is missing beside {given[0]}", ", ".join(SECOND_MODE), at=("table",))
+            raise table.refusal(f"column {missing} is missing with {given[0]}", ", ".join(SECOND_MODE), at=("table",))
         if ("liquid_mass_kg" in table) != (self.shape is not None):
             allowed = "shape with liquid_mass_kg, or neither"
             raise refuse("the pendulum is given by a table or follows from a shape", allowed, ("shape",))
         if given and self.shape is not None:
-            raise table.refusal(f"column {given[0]} cannot stand beside liquid_mass_kg", "modes = 2", at=("table",))
+            raise table.refusal(f"column {given[0]} cannot be combined with liquid_mass_kg", "modes = 2", at=("table",))
         damped = {"damping_ratio", "viscosity_m2ps", "baffles"} & self.model_fields_set
         if not damped:
             allowed = "damping_ratio (0 .. 1), viscosity_m2ps or baffles"

@@ -1,26 +1,26 @@
 """Lateral slosh modes of an axisymmetric tank as pendulums, from its shape and the depth of its liquid.
 
-The linear potential problem: the velocity potential phi = f(r, z) cos(theta) is harmonic in the liquid, has no normal
-derivative on the wall, and on the surface at rest d(phi)/dz = kappa phi, omega^2 = kappa a under the axial load a. It
-is solved by Ritz's method: stationary values of  (int |grad phi|^2 dV) / (int phi^2 dS)  over polynomials in r and z
-(Legendre's, f = r p(r^2, z)), which converge fast, phi being smooth but for the contact line. What is deeper than five
-radii changes nothing and is left out.
+The problem is that of linear potential flow. The velocity potential phi = f(r, z) cos(theta) is harmonic in the liquid
+and has no normal derivative on the wall. On the surface at rest d(phi)/dz = kappa phi, with omega^2 = kappa a under the
+axial load a. Ritz's method solves it by stationary values of (int |grad phi|^2 dV) / (int phi^2 dS) over polynomials in
+r and z (Legendre's, f = r p(r^2, z)). They converge fast, because phi is smooth except at the contact line. Liquid
+deeper than five radii has no effect and is omitted.
 
-With sigma = int x phi dS and tau = int phi^2 dS over the surface, a mode acts on its tank as a pendulum does of
+With sigma = int x phi dS and tau = int phi^2 dS over the surface, a mode acts on its tank like a pendulum of
 
     length  1 / kappa,    mass  rho kappa sigma^2 / tau,    bob at  z_b = int (z phi_x - x phi_z) dV / (kappa sigma)
 
 (force and moment of the mode's pressure under lateral and angular acceleration of the tank; Abramson (ed.), NASA
 SP-106, ch. 6; Faltinsen & Timokha, Sloshing, 2009, ch. 5). The bob's displacement L sin(swing) has the first moment of
-the liquid's, so that the highest point of the surface stands  sigma max|f| / tau  times the sine of the swing above
-rest. For an upright cylinder these are the closed forms of SP-106; in a sphere every hinge is its centre.
+the liquid's displacement. Hence the highest point of the surface is sigma max|f| / tau times the sine of the swing
+above rest. For an upright cylinder these are the closed forms of SP-106; in a sphere every hinge is its centre.
 
 The damping of a smooth wall is that of a laminar layer on it,
 
     zeta = sqrt(nu / (8 omega)) int_wall |grad phi|^2 dS / int |grad phi|^2 dV,
 
-times 1.42: so much more is measured in cylinders than this theory gives (0.79 against 0.557 times sqrt(nu / sqrt(a
-R^3)); Mikishev & Dorozhkin 1961; Stephens, NASA TN D-1367; Dodge 2000, ch. 2).
+times 1.42, the ratio of measured to theoretical damping in cylinders (0.79 against 0.557 times sqrt(nu / sqrt(a R^3));
+Mikishev & Dorozhkin 1961; Stephens, NASA TN D-1367; Dodge 2000, ch. 2).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ MEASURED_OVER_LAMINAR = 1.42
 FULLEST = 0.98  # of the height of a top dome: above, the length and the wave per swing keep their values
 _FLATTEST = 0.25  # depth in radii below which the length over a flat bottom, which has no bound, keeps its value
 _SHALLOWEST = 0.01  # depth in radii at which the tables begin
-_DIGITS = 9  # kept: the linear-algebra library rounds the last ones another way on each processor
+_DIGITS = 9  # digits kept: a linear-algebra library rounds the last ones differently on each processor
 _RADIAL = 7  # polynomials
 
 
@@ -56,7 +56,7 @@ class SloshMode(NamedTuple):
     wall_loss: float  # int_wall |grad phi|^2 dS / int |grad phi|^2 dV
 
     def viscous(self, radius_m: float, viscosity_m2ps: float) -> float:
-        """Damping ratio of a smooth wall times the fourth root of the axial load, (m/s2)^(1/4)."""
+        """Return the damping ratio of a smooth wall times the fourth root of the axial load, (m/s2)^(1/4)."""
         laminar = math.sqrt(viscosity_m2ps / 8.0) * math.sqrt(math.sqrt(radius_m / self.kappa)) * self.wall_loss
         return MEASURED_OVER_LAMINAR * laminar / radius_m
 
@@ -64,10 +64,10 @@ class SloshMode(NamedTuple):
 def slosh_modes(
     profile: Profile, depth: float, modes: int, radial: int = _RADIAL, vertical: int = 0
 ) -> list[SloshMode]:
-    """The lowest lateral modes at `depth` (radii, above 0 and below the height of a tank with a top dome).
+    """Return the lowest lateral modes at `depth` (radii, above 0 and below the height of a tank with a top dome).
 
-    `radial` and `vertical`: polynomials used in each direction (default: enough for 1e-5 of mode 1, 1e-3 of mode 2,
-    up to a top dome filled to 9/10; a percent at `FULLEST`).
+    `radial` and `vertical`: numbers of polynomials in each direction. The defaults give an accuracy of 1e-5 for mode 1
+    and 1e-3 for mode 2, up to a top dome filled to 9/10, and of one percent at `FULLEST`.
     """
     low = max(depth - DEEPEST, 0.0)
     vertical = vertical or 9 + round(2.2 * (depth - low))
@@ -78,7 +78,7 @@ def slosh_modes(
     out, inward = 0.5 * (place + 1.0), 0.5 * share
 
     def basis(radius: Array, height: Array) -> tuple[Array, Array, Array, Array]:
-        """f, its derivatives along r and z, and f / r, (points, polynomials)."""
+        """Return f, its derivatives along r and z, and f / r, (points, polynomials)."""
         across, up = radius / widest, 2.0 * (height - low) / (depth - low) - 1.0
         p, p_slope = _legendre(2.0 * across**2 - 1.0, radial)
         q, q_slope = _legendre(up, vertical)
@@ -126,7 +126,7 @@ def slosh_modes(
 
 
 def _legendre(x: Array, count: int) -> tuple[Array, Array]:
-    """Legendre polynomials at `x` and their derivatives, (points, count)."""
+    """Return Legendre polynomials at `x` and their derivatives, (points, count)."""
     values, slopes, unit = np.empty((len(x), count)), np.zeros((len(x), count)), np.eye(count)
     values[:] = legendre.legvander(x, count - 1)
     for n in range(1, count):
@@ -135,12 +135,15 @@ def _legendre(x: Array, count: int) -> tuple[Array, Array]:
 
 
 def _wall(profile: Profile, low: float, high: float, points: int) -> tuple[Array, Array, Array, Array]:
-    """Gauss points on the wall from height `low` to `high`: height, radius, weights of height and of arc length."""
+    """Return Gauss points on the wall from height `low` to `high`.
+
+    The arrays are height, radius, and weights of height and of arc length.
+    """
     x, w = np.polynomial.legendre.leggauss(points)
     rows: list[tuple[Array, Array, Array, Array]] = []
 
     def dome(centre: float, height: float, below: float, above: float) -> None:
-        """z = centre - height cos(t), r = sin(t)."""
+        """Add the points of a dome, z = centre - height cos(t), r = sin(t)."""
         start, end = (math.acos(min(max((centre - z) / height, -1.0), 1.0)) for z in (below, above))
         t, dt = 0.5 * (start + end) + 0.5 * (end - start) * x, 0.5 * (end - start) * w
         rise, spread = height * np.sin(t), np.cos(t)
@@ -170,17 +173,18 @@ class ModeAt(NamedTuple):
 
 
 def modes_over(profile: Profile, depths: Array, modes: int) -> list[ModeAt]:
-    """The lowest modes at `depths` (radii), interpolated between solutions at some thirty depths (to 1e-3 of each).
+    """Return the lowest modes at `depths` (radii).
 
-    Shallow liquid: over a flat bottom the length of mode n keeps the value at a depth of R/4, where it would have no
-    bound. A top dome filled beyond `FULLEST`: length and wave per swing keep their values, while the mass goes to zero.
+    They are interpolated between solutions at some thirty depths, to 1e-3 of each value. In shallow liquid over a flat
+    bottom the length of mode n would be unbounded, so it keeps its value at a depth of R/4. In a top dome filled beyond
+    `FULLEST`, length and wave per swing keep their values, while the mass goes to zero.
     """
     knots, tables = _solutions(profile, modes)
     inside = np.clip(depths, knots[0], knots[-1])
     surface, held = profile.surface_radius(inside), profile.surface_radius(depths)
     volume = np.maximum(profile.volume(depths), 1e-300)
     out: list[ModeAt] = []
-    left = profile.volume(depths)  # of the liquid: the modes' masses are interpolated each on its own
+    left = profile.volume(depths)  # volume of the liquid: the modes' masses are interpolated separately
     for table in tables:
         kappa, mass, bob, wave, loss = table.at(inside).T
         steady = np.clip(depths, _FLATTEST, None) if profile.bottom == 0.0 else depths
@@ -195,13 +199,16 @@ def modes_over(profile: Profile, depths: Array, modes: int) -> list[ModeAt]:
 
 
 def _narrowing(profile: Profile, depth: Array) -> Array:
-    """Radius of the surface in a top dome, 1 below it: times kappa it is smooth up to the full tank."""
+    """Return the radius of the surface in a top dome, and 1 below it.
+
+    Its product with kappa is smooth up to the full tank.
+    """
     return np.where(depth > profile.bottom + profile.wall, profile.surface_radius(depth), 1.0)
 
 
 @lru_cache(maxsize=32)
 def _solutions(profile: Profile, modes: int) -> tuple[Array, tuple[Cubics, ...]]:
-    """Depths, and of each mode cubics over them of quantities that have no singular ends."""
+    """Return depths, and for each mode cubics over them of quantities without singular ends."""
     ends = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 16)))
     shallow = [0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4]
     above = profile.bottom + np.concatenate([shallow, np.geomspace(0.5, max(profile.wall, 1.0), 12)])

@@ -1,18 +1,18 @@
 """TVC load: the gimballed engine on the compliance of its actuators and mount, a degree of freedom in each plane.
 
-The engine turns about its gimbal relative to the bent body by its own angles (delta_p, delta_y); a spring and a damper
-lead from there to the actuators' position, so that acceleration of the gimbal, bending, slosh and the axial load drive
-the engine back (docs/model.md, section 14). About its hinge it has the moment
+The engine turns about its gimbal relative to the bent body by its own angles (delta_p, delta_y). A spring and a damper
+connect it to the actuators' position. Acceleration of the gimbal, bending, slosh and the axial load therefore drive the
+engine in return (docs/model.md, section 14). The moment about its hinge is
 
     -k (delta - delta_a) - c (delta' - delta_a') - T z,    theta z' = delta' - |delta'| z,
 
-the last being Dahl's friction (P. R. Dahl, A Solid Friction Model, Aerospace TOR-158, 1968): T the Coulomb torque,
-theta the angle over which it builds up, so that the angle of 1 - 1/e of the torque does not depend on the rate. A stop
-of the engine's own angle is a stiff one-sided spring.
+where the last term is Dahl's friction (P. R. Dahl, A Solid Friction Model, Aerospace TOR-158, 1968). T is the Coulomb
+torque, and theta the angle over which it builds up, so that the angle at 1 - 1/e of the torque does not depend on the
+rate. A stop of the engine's own angle is a stiff one-sided spring.
 
-Per unit of an engine's angular acceleration the vehicle feels a force, a moment and generalised forces on the modes; by
-reciprocity these are what its accelerations do to the hinge. A load adds two unknowns to the small system of the
-pendulums' tensions (slosh.accelerate): exact, and nothing where there is none.
+Per unit of an engine's angular acceleration a force, a moment and generalised modal forces act on the vehicle. By
+reciprocity these give the effect of the vehicle's accelerations on the hinge. A load adds two unknowns to the small
+system of the pendulums' tensions (slosh.accelerate). The system is exact, and without loads it is unchanged.
 """
 
 from __future__ import annotations
@@ -83,9 +83,9 @@ LoadNumbers = Annotated[Array, _PER_LOAD]
 
 @dataclass(frozen=True)
 class TvcLoad:
-    """All TVC loads of a stage; `Sizes.tvc_loads` of them count."""
+    """All TVC loads of a stage; `Sizes.tvc_loads` is their number."""
 
-    engine: Annotated[IntArray, _PER_LOAD]  # which of the stage's engines, as engine/kernel.py counts them
+    engine: Annotated[IntArray, _PER_LOAD]  # number of the engine, counted as in engine/kernel.py
     stiffness_Nmprad: LoadNumbers
     damping_Nmsprad: LoadNumbers
     friction_Nm: LoadNumbers
@@ -99,7 +99,7 @@ class TvcLoad:
 
 @dataclass
 class TvcLoadOutputs:
-    """Auxiliary outputs of the TVC loads: pitch, yaw of each."""
+    """The auxiliary outputs of the TVC loads: pitch, yaw of each."""
 
     swing: Annotated[tuple[GimbalMotion, ...], (2 * MAX_TVC_LOADS,)]  # of the engine
     actuator_rad: Annotated[Array, (2 * MAX_TVC_LOADS,)]  # position of its actuators
@@ -109,7 +109,7 @@ class TvcLoadOutputs:
 
 @dataclass
 class Swing:
-    """An unknown, per unit of angular acceleration of the engine, 1/(rad/s2), in an evaluation of the derivative."""
+    """An unknown, per unit of angular acceleration of the engine, 1/(rad/s2), in one evaluation of the derivative."""
 
     force_N: Annotated[Array, (3,)]  # on the vehicle, B
     moment_Nm: Annotated[Array, (3,)]  # about the CG with the engine deflected, that through the modes included, B
@@ -117,7 +117,7 @@ class Swing:
     alpha_radps2: Annotated[Array, (3,)]  # angular acceleration of the body
     known_Nm: float  # moment about the hinge without the accelerations sought
     inertia_kgm2: float  # about the hinge
-    planar_force_N: PerPlanarMode  # generalised forces on the modes, and the accelerations that they make
+    planar_force_N: PerPlanarMode  # generalised forces on the modes, and the resulting accelerations
     planar_accel_mps2: PerPlanarMode
     spatial_force_N: PerSpatialMode
     spatial_accel_mps2: PerSpatialMode
@@ -136,7 +136,10 @@ class System:
 def swing_engines(
     load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int, engines: EngineOutputs, out: TvcLoadOutputs
 ) -> None:
-    """Angles and rates of engines on a load; those of their actuators are kept. A group shows its first engine's."""
+    """Set angles and rates of engines on a load, and keep those of their actuators.
+
+    A group reports its first engine.
+    """
     for k in range(sizes.tvc_loads):
         channel = 2 * e.group[load.engine[k]]
         for axis in range(2):
@@ -155,9 +158,9 @@ def swing_engines(
 def hinge_moment(
     load: TvcLoad, k: int, y: Array, i: int, position: float, rate: float, stop: float, play: float, floating: int
 ) -> float:
-    """Moment of spring, damper, friction and stop on an engine about its hinge, N m; states at y[i:i+3].
+    """Return the moment of spring, damper, friction and stop on an engine about its hinge, N m; states at y[i:i+3].
 
-    In its gap neither spring nor damper acts, and at its ends they push only.
+    Within the play neither spring nor damper acts, and at its ends they only push.
     """
     moment: float = -load.friction_Nm[k] * y[i + 2]
     if floating == 0 and play == 0.0:
@@ -191,10 +194,11 @@ def prepare_loads(
     system: System,
     out: TvcLoadOutputs,
 ) -> None:
-    """Fill both unknowns of each load; their states lie at y[states:].
+    """Fill both unknowns of each load; their states are at y[states:].
 
-    `first`: the first engine; `first_rates`: those of its gimbal. `offset` leads from the core CG to the CG with the
-    engines deflected.
+    - `first`: the first engine.
+    - `first_rates`: rates of its gimbal.
+    - `offset`: vector from the core CG to the CG with the engines deflected.
     """
     for n in range(sizes.tvc_loads):
         k, i = load.engine[n], states + N_TVC_LOAD * n
@@ -228,7 +232,7 @@ def prepare_loads(
             floating = 1 if faults[ACTUATOR_FAULT + 2 * e.group[k] + axis] == FLOATING else 0
             position, speed = out.actuator_rad[unknown], out.actuator_radps[unknown]
             moment_Nm = hinge_moment(load, n, y, i + N_AXIS * axis, position, speed, stop, play, floating)
-            if moves == 0.0:  # not gimballed in this plane: it stands
+            if moves == 0.0:  # not gimballed in this plane
                 along, lever, own, moment_Nm = (0.0, 0.0, 0.0), 1.0, 0.0, 0.0
             out.hinge_moment_Nm[unknown] = moment_Nm
             swing, turn = record_at(system.swing, unknown), cross(engine.axis, along)
@@ -248,7 +252,7 @@ def prepare_loads(
 def _modal_forces(
     sizes: Counts, properties: Array, e: Engine, k: int, force: Vector, couple: Vector, swing: Swing
 ) -> None:
-    """Return the modal forces of a force at the CG of engine k at rest and of a couple, at its gimbal (3.4)."""
+    """Set the modal forces of a force at the CG of engine k at rest and of a couple, at its gimbal (3.4)."""
     clear_modes(sizes, swing.planar_force_N)
     at_gimbal = load_at_gimbal(e, k, force, couple)
     apply_gimbal_load(sizes, properties, e.gimbal[k], at_gimbal, swing.planar_force_N)
@@ -260,7 +264,7 @@ def _modal_forces(
 
 @routine
 def load_responses(sizes: Counts, inverse_mass: float, inverse: Symmetric, properties: Array, system: System) -> None:
-    """Accelerations of body and modes per unit of each unknown, without pendulums."""
+    """Set the accelerations of body and modes per unit of each unknown, without pendulums."""
     for k in range(2 * sizes.tvc_loads):
         swing = record_at(system.swing, k)
         set_vector(swing.accel_mps2, 0, scaled(inverse_mass, vector_at(swing.force_N, 0)))
@@ -275,7 +279,10 @@ def load_responses(sizes: Counts, inverse_mass: float, inverse: Symmetric, prope
 def moment_about_hinge(
     sizes: Counts, swing: Swing, accel: Vector, alpha: Vector, planar_mps2: Array, spatial_mps2: Array
 ) -> float:
-    """Moment on the hinge of an unknown by accelerations of the CG, of the body's rotation and of the modes, N m."""
+    """Return the moment on the hinge of an unknown by the accelerations of the vehicle, N m.
+
+    They are those of the CG, of the body's rotation and of the modes.
+    """
     total: float = dot(vector_at(swing.force_N, 0), accel) + dot(vector_at(swing.moment_Nm, 0), alpha)
     total += product_of_modes(sizes, swing.planar_force_N, planar_mps2)
     for j in range(sizes.spatial_modes):
@@ -285,7 +292,7 @@ def moment_about_hinge(
 
 @routine
 def add_load_to_modes(sizes: Counts, swing: Swing, amount: float, modes: Modes) -> None:
-    """Add what the acceleration `amount` of an unknown does to the modal accelerations."""
+    """Add the effect of the acceleration `amount` of an unknown to the modal accelerations."""
     add_multiple_of_modes(sizes, swing.planar_accel_mps2, amount, modes.planar.accel_mps2)
     for j in range(sizes.spatial_modes):
         modes.spatial.accel_mps2[j] += amount * swing.spatial_accel_mps2[j]
@@ -303,7 +310,7 @@ def load_derivative(
     engines: EngineOutputs,
     out: TvcLoadOutputs,
 ) -> None:
-    """Derivatives of the states at y[first:] once the accelerations are known, which are outputs as well."""
+    """Write the derivatives of the states at y[first:] once the accelerations are known, which are outputs as well."""
     for back in range(2 * sizes.tvc_loads):
         k = 2 * sizes.tvc_loads - 1 - back
         n, i, accel = k // 2, first + N_AXIS * k, system.unknown[sizes.pendulums + k]
@@ -329,7 +336,7 @@ class SwingRow(NamedTuple):
 
 @kernel
 def swing_row(loads: int, n: int, out: TvcLoadOutputs) -> SwingRow:
-    """Nan for a load that the stage does not have."""
+    """Return the row of an engine, nan for a load that the stage does not have."""
     if n >= loads:
         none = PitchYaw(math.nan, math.nan)
         return SwingRow(none, none, none)
@@ -342,7 +349,7 @@ def swing_row(loads: int, n: int, out: TvcLoadOutputs) -> SwingRow:
 
 @kernel
 def tvc_load_row(sizes: Sizes, out: TvcLoadOutputs) -> TvcLoadRow:
-    """The first; nan for a stage whose engines follow their actuators."""
+    """Return the row of the first load, nan for a stage whose engines follow their actuators."""
     if sizes.tvc_loads == 0:
         return TvcLoadRow(PitchYaw(math.nan, math.nan), PitchYaw(math.nan, math.nan))
     return TvcLoadRow(

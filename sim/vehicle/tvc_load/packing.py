@@ -1,4 +1,4 @@
-"""Engines on the compliance of their mount, as the record that the kernels read."""
+"""The engines on the compliance of their mount, as the record that the kernels read."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 
 def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, actuators: Sequence[Actuator]) -> TvcLoad:
-    """From the stage's section `tvc_load`; stops and play are those of the actuators, pitch and yaw of each group."""
+    """Return the record of the stage's section `tvc_load`.
+
+    Stops and play are those of the actuators, pitch and yaw of each group.
+    """
     out: dict[str, Any] = {f.name: np.zeros(MAX_TVC_LOADS) for f in fields(TvcLoad)}
     out["engine"] = np.zeros(MAX_TVC_LOADS, np.int64)
     for k in range(sizes.engines):

@@ -1,4 +1,4 @@
-"""The compliance on which the engines of a stage swing, as the vehicle's file gives it."""
+"""The compliance on which the engines of a stage swing, as in the vehicle file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from maxq.sim.input.values import ChannelPart, Fraction, NotNegative, Positive, 
 
 
 class TvcLoadSection(Section):
-    """Each engine on the compliance of actuators and mount, free in its planes: all groups, or a list by group."""
+    """The compliance of actuators and mount on which each engine swings: for all groups, or a list by group."""
 
     group: ChannelPart | None = optional("in a list: name of the group of engines")
     frequency_hz: Positive | None = optional("of the engine on its compliance, actuators locked, vehicle fixed, Hz")
