@@ -35,8 +35,8 @@ class MetricIndex(NamedTuple):
         int, "deg", "largest attitude error of pitch or yaw in the computer under thrust"
     ]
     max_computer_roll_error_deg: Annotated[int, "deg", "the same of roll"]
-    max_gimbal_deg: Annotated[int, "deg", "largest engine angle of either axis under thrust"]
-    max_gimbal_rate_degps: Annotated[int, "deg/s", "largest engine rate of either axis under thrust"]
+    max_gimbal_deg: Annotated[int, "deg", "largest gimbal angle of either axis under thrust"]
+    max_gimbal_rate_degps: Annotated[int, "deg/s", "largest gimbal rate of either axis under thrust"]
     max_bending_m: Annotated[int, "m", "largest displacement of the gimbal by bending, either plane"]
     max_slosh_deg: Annotated[int, "deg", "largest angle of a slosh pendulum from the body axis under thrust"]
     max_thrust_over_weight_g: Annotated[int, "g", "largest thrust over mass"]
@@ -52,7 +52,7 @@ class EndMetrics(NamedTuple):
     """On a flat Earth latitude and longitude are nan; the site is its origin."""
 
     flight_time_s: Annotated[
-        float, "s", "time to the end from lift-off, or from the start where nothing held the vehicle"
+        float, "s", "time from liftoff, or from the start of a flight without hold-down, to the end"
     ]
     range_m: Annotated[float, "m", "distance along the ground from the launch site to where the flight ended"]
     final_latitude_deg: Annotated[float, "deg", "geodetic latitude at the end"]
@@ -62,7 +62,7 @@ class EndMetrics(NamedTuple):
 
 
 class SectionMetrics(NamedTuple):
-    """Of the section loads, under thrust and on the pad (with loads.coast always); nan without them."""
+    """Extremes of section loads, under thrust and on the pad (with loads.coast always); nan without them."""
 
     max_section_bending_moment_Nm: Annotated[float, "N m", "largest bending moment of a section, both planes together"]
     max_section_bending_moment_station_m: Annotated[float, "m", "its station, aft of the nose"]
@@ -80,7 +80,7 @@ class WaveMetrics(NamedTuple):
     """Over all tanks; nan for a vehicle that says nothing about the shape of any."""
 
     max_wave_share: Annotated[
-        float, "1", "largest height of a wave in a tank under thrust, over that at which it counts as breaking"
+        float, "1", "peak height of a wave in a tank under thrust / height at which it counts as breaking"
     ]
 
 
@@ -123,21 +123,25 @@ _SHORT = {  # where a name without its unit says less than it should
     "max_alpha_deg": "largest angle of attack",
     "max_q_alpha_Padeg": "largest q alpha",
     "max_powered_dynamic_pressure_Pa": "largest dynamic pressure under thrust",
+    "max_gimbal_deg": "largest gimbal angle",
+    "max_computer_attitude_error_deg": "largest attitude error in the computer",
+    "max_computer_roll_error_deg": "largest roll error in the computer",
     "max_bending_m": "largest bending at the gimbal",
     "max_slosh_deg": "largest slosh angle",
     "max_thrust_over_weight_g": "largest thrust over weight",
     "max_section_bending_moment_station_m": "station of the largest bending moment",
-    "max_section_load_ratio": "largest section load over its limit",
+    "max_section_load_ratio": "largest section load / limit",
     "max_section_load_ratio_station_m": "its station",
     "orbit_semimajor_m": "semi-major axis",
-    "max_wave_share": "largest wave over the breaking one",
-    "saturation_time_s": "gimbal command at its limit",
+    "max_wave_share": "peak wave height / breaking height",
+    "saturation_time_s": "time with the gimbal command at its limit",
 }
 
 
 def title_of(metric: str) -> str:
-    """A metric's name for people, without its unit: "largest gimbal rate" for max_gimbal_rate_degps. A name that is no
-    metric's is returned as it is.
+    """Return a metric's name for people, without its unit: "largest gimbal rate" for max_gimbal_rate_degps.
+
+    Any other name is returned as it is.
     """
     if metric in _SHORT or metric not in METRICS:
         return _SHORT.get(metric, metric)
@@ -146,7 +150,7 @@ def title_of(metric: str) -> str:
 
 
 def figures(value: float, digits: int = 4) -> str:
-    """A value with so many significant digits, without exponent from 1e-4 to 1e7; what is below 1e-6 is 0."""
+    """Return a value with this number of significant digits, without exponent from 1e-4 to 1e7; below 1e-6 it is 0."""
     if not math.isfinite(value):
         return "-" if math.isnan(value) else f"{value}"
     if abs(value) < 1e-6:
@@ -158,5 +162,5 @@ def figures(value: float, digits: int = 4) -> str:
 
 
 def unit_of(metric: str) -> str:
-    """Unit of a metric; KeyError for an unknown name."""
+    """Return the unit of a metric. Raises KeyError for an unknown name."""
     return METRICS[metric].unit
