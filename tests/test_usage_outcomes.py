@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -115,3 +116,52 @@ def test_apogee_and_perigee_are_given_only_where_they_mean_something() -> None:
     assert low.metrics["apogee_altitude_m"] < 0.0
     assert "apogee" not in report(low, [], 1.0)
     assert "perigee" not in report(low, [], 1.0)
+
+
+def test_a_flight_without_thrust_has_an_outcome(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its warnings divided by no thrust, and the command died after the flight."""
+    words = ["nominal", "--set", "vehicle.stage.0.engine.thrust_factor=0", "--set", "run.duration_s=0.5"]
+    assert simrun.main([*words, "--out", "out", "--no-log"]) == 0
+    said = capsys.readouterr().out
+    assert "the vehicle has not lifted off" in said.splitlines()[-1]
+    assert "or it is never let go" in said
+    assert json.loads(Path("out/summary.json").read_text())["outcome"] == "duration"
+
+
+# files
+
+
+def test_changes_do_not_replace_the_result_of_the_plain_scenario() -> None:
+    short = ["nominal", "--no-log", "--set", "run.duration_s=0.2"]
+    assert simrun.main([*short, "--out", "runs/nominal"]) in (0, 1)
+    before = Path("runs/nominal/summary.json").read_bytes()
+    for seed in (2, 3, 3):
+        simrun.main([*short, "--set", f"run.seed={seed}"])
+    folders = sorted(path.name for path in Path("runs").iterdir())
+    assert len(folders) == 3  # one for each seed
+    assert folders[0] == "nominal"
+    assert all(name.startswith("nominal-") for name in folders[1:])
+    assert Path("runs/nominal/summary.json").read_bytes() == before
+
+
+def test_a_large_log_is_announced_with_the_option_that_makes_it_smaller(capsys: pytest.CaptureFixture[str]) -> None:
+    stopped = ["--set", 'run.stop_at=["tumble"]', "--set", "run.start_s=0", "--set", "requirement="]
+    for duration_s, announced in ((1.0, False), (300.0, True)):
+        words = ["nominal", "--set", f"run.duration_s={duration_s}", *stopped]
+        lost = 'injection=[{at="body_torque",axis="y",kind="step",amplitude_Nm=1e9,start_s=0.5}]'
+        simrun.main([*words, "--set", lost, "--out", "out"])
+        lines = capsys.readouterr().out.splitlines()
+        size = "log: up to 132 MB; --set log.fast_hz=100 makes it smaller, --no-log omits it"
+        assert (lines[0] == size) == announced
+
+
+@pytest.mark.parametrize("words", [["out/flight.mcap"], ["out"], ["fly", "out/flight.mcap"]])
+def test_a_log_in_place_of_a_scenario_gives_a_hint(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    Path("out").mkdir()
+    Path("out/flight.mcap").write_bytes(b"\x89MCAP0\r\n")
+    assert simrun.main(words) == 2
+    said = capsys.readouterr().err
+    assert said == (
+        f"simrun: {words[-1]} is a flight that was flown, not a scenario: simrun refly out/flight.mcap flies it again, "
+        "simreplay out/flight.mcap shows it\n"
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 import time
 from types import ModuleType
@@ -65,7 +66,7 @@ def _add_flights(parser: Parser) -> None:
     )
     fly.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
     fly.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key")
-    fly.option("--out DIR", "where to write (default: runs/<name of the scenario>)")
+    fly.option("--out DIR", "where to write (default: runs/<name of the scenario>, with --set a folder of its own)")
     _add_views(fly)
     examples = """\
   simrun refly runs/nominal/flight.mcap    the flight in a log
@@ -212,12 +213,22 @@ def _command_for(name: str) -> str:
     from maxq.sim.input.files import locate  # noqa: PLC0415  # lazy, as all imports below: --help is quick
     from maxq.sim.scenario.loader import is_campaign  # noqa: PLC0415  # lazy
 
+    _refuse_result(name)
     locate(name, "scenario")
     return "campaign" if is_campaign(name) else "fly"
 
 
+def _refuse_result(name: str) -> None:
+    """Raise CommandError where a log, or the folder of one, is given instead of a scenario."""
+    log = name if name.endswith(".mcap") else os.path.join(name, "flight.mcap")
+    if os.path.isfile(log):
+        again, shown = (f"{command} {shlex.quote(log)}" for command in ("simrun refly", "simreplay"))
+        raise CommandError(f"{name} is a flight that was flown, not a scenario: {again} flies it again, {shown} shows it")
+
+
 def _fly(**given: Any) -> int:
     start_s = time.perf_counter()  # before the heavy imports
+    _refuse_result(given.get("scenario", ""))
     if command.alone:
         _load_numba_without_blas()
     from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
@@ -242,8 +253,6 @@ def _campaigns() -> ModuleType:
 
 
 def _copy(name: str, folder: str) -> int:
-    import shlex  # noqa: PLC0415  # lazy
-
     from maxq.sim.scenario.loader import copy_scenario  # noqa: PLC0415  # lazy
 
     print(f"copied; fly it with: simrun {shlex.quote(str(copy_scenario(name, folder)))}")
