@@ -2,7 +2,7 @@
 
 A requirement asks that a share `success` of all flights meets a limit, shown with `confidence`: of all campaigns of a
 vehicle that fails with probability p0 = 1 - success or more, a share of at most 1 - confidence may ever be called met
-(consumer's risk: Hanson & Beard, NASA/TP-2010-216447), and as few of a vehicle that fails less often not met. All
+(consumer's risk: Hanson & Beard, NASA/TP-2010-216447), and as few of a vehicle that fails less often missed. All
 bounds are one-sided.
 
 *Any-time test*, the usual one. An e-value is the likelihood of what was seen under a mixture of failure probabilities
@@ -30,10 +30,10 @@ from scipy.special import bdtr, bdtrc, betainc, betaincc, betaincinv, betaln
 
 from maxq.control.kernel.records import Array
 
-Judgement = Literal["met", "not met", "not yet enough runs"]
+Judgement = Literal["met", "missed", "undecided"]
 MET: Judgement = "met"
-NOT_MET: Judgement = "not met"
-OPEN: Judgement = "not yet enough runs"
+NOT_MET: Judgement = "missed"
+OPEN: Judgement = "undecided"
 _MOST_RUNS = 1 << 50
 _POWER = 0.5  # of the density of failure probabilities below p0, p^(_POWER - 1): few runs where none or few fail
 

@@ -20,10 +20,8 @@ from typing import Any, Self, TextIO
 
 _PATIENCE_S = 1.0  # what is done sooner shows no progress
 _GOOD = "met|MET|BUILT|PASSED|ACCEPTED|accepted|DESIGNED|SAME|pass"
-_BAD = (
-    "MISSED|FAILED|FAIL|REJECTED|rejected|NOT MET|not met|TOO WEAK|INFEASIBLE|UNSTABLE|DIFFERENT|NONE ACCEPTED|NO RUNS"
-)
-_OPEN = "UNDECIDED|undecided|NOT YET SETTLED|NOT YET|INTERRUPTED|warning"
+_BAD = "MISSED|missed|FAILED|FAIL|REJECTED|rejected|TOO WEAK|INFEASIBLE|UNSTABLE|DIFFERENT|NONE ACCEPTED|NO RUNS"
+_OPEN = "UNDECIDED|undecided|INTERRUPTED|warning"
 _TONES = {"32": _GOOD, "1;31": _BAD, "33": _OPEN}  # green, bold red, yellow
 _VERDICTS = re.compile(  # as a cell of a table, or at the head of a line
     "|".join(rf"(?:(?<=  )|^)(?P<t{code.replace(';', '_')}>{words})(?=  |$|:| \()" for code, words in _TONES.items())
