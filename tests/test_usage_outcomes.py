@@ -162,6 +162,6 @@ def test_a_log_in_place_of_a_scenario_gives_a_hint(words: list[str], capsys: pyt
     assert simrun.main(words) == 2
     said = capsys.readouterr().err
     assert said == (
-        f"simrun: {words[-1]} is a flight that was flown, not a scenario: simrun refly out/flight.mcap flies it again, "
+        f"simrun: {words[-1]} is a flown flight, not a scenario: simrun refly out/flight.mcap flies it again, "
         "simreplay out/flight.mcap shows it\n"
     )

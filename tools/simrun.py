@@ -223,7 +223,7 @@ def _refuse_result(name: str) -> None:
     log = name if name.endswith(".mcap") else os.path.join(name, "flight.mcap")
     if os.path.isfile(log):
         again, shown = (f"{command} {shlex.quote(log)}" for command in ("simrun refly", "simreplay"))
-        raise CommandError(f"{name} is a flight that was flown, not a scenario: {again} flies it again, {shown} shows it")
+        raise CommandError(f"{name} is a flown flight, not a scenario: {again} flies it again, {shown} shows it")
 
 
 def _fly(**given: Any) -> int:

@@ -140,9 +140,12 @@ class Flight(Tabular):
         """Return what a verdict mentions in addition to requirements: no liftoff, a tumble, a model that is left."""
         tumble_s, burnout_s = self.event_s(EVENT_NAMES[TUMBLE]), self.event_s(EVENT_NAMES[BURNOUT])
         since = f", {tumble_s - burnout_s:.3f} s after burnout" if tumble_s >= burnout_s else ""
-        tumble = [] if math.isnan(tumble_s) else [f"the vehicle tumbles from {tumble_s:.3f} s on{since}"]
-        held = self.scenario.scenario.held and math.isnan(self.event_s(EVENT_NAMES[LIFTOFF]))
-        return (*["the vehicle has not lifted off"] * held, *tumble, *(f"beyond the model: {what}" for what in self.beyond_model))
+        said = []
+        if self.scenario.scenario.held and math.isnan(self.event_s(EVENT_NAMES[LIFTOFF])):
+            said.append("the vehicle has not lifted off")
+        if not math.isnan(tumble_s):
+            said.append(f"the vehicle tumbles from {tumble_s:.3f} s on{since}")
+        return (*said, *(f"beyond the model: {what}" for what in self.beyond_model))
 
     @property
     def beyond_model(self) -> tuple[str, ...]:
