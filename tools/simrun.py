@@ -12,6 +12,7 @@ from typing import Any
 
 from maxq.tools.cli.frame import Command, CommandError, Exit
 from maxq.tools.cli.parser import Parser, count, count_from_1, count_of_runs, positive
+from maxq.tools.cli.terminal import announce, tell, wipe
 
 _EXAMPLES = """\
   simrun nominal                           fly the built-in scenario of that name
@@ -228,6 +229,7 @@ def _refuse_result(name: str) -> None:
 
 def _fly(**given: Any) -> int:
     start_s = time.perf_counter()  # before the heavy imports
+    announce("loading the simulator")
     _refuse_result(given.get("scenario", ""))
     if command.alone:
         _load_numba_without_blas()
@@ -255,7 +257,7 @@ def _campaigns() -> ModuleType:
 def _copy(name: str, folder: str) -> int:
     from maxq.sim.scenario.loader import copy_scenario  # noqa: PLC0415  # lazy
 
-    print(f"copied; fly it with: simrun {shlex.quote(str(copy_scenario(name, folder)))}")
+    tell(f"copied; fly it with: simrun {shlex.quote(str(copy_scenario(name, folder)))}")
     return Exit.OK
 
 
@@ -290,6 +292,7 @@ def _load_numba_without_blas() -> None:
 
 
 def _print_schema(kind: str) -> int:
+    wipe()
     if kind == "flight-software":
         from maxq.control.external import HEADER  # noqa: PLC0415  # lazy
 

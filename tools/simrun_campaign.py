@@ -29,7 +29,7 @@ from maxq.sim.run.quantities import number_text, quantity_text, unit_text
 from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
 from maxq.tools import campaign_report as text
 from maxq.tools.cli.frame import Exit, Interruption, say
-from maxq.tools.cli.terminal import Progress, aligned, printable, tell
+from maxq.tools.cli.terminal import Progress, aligned, announce, printable, tell
 from maxq.tools.flight_report import report
 from maxq.tools.replay.viewer import ReplayError
 from maxq.tools.simrun_fly import show_flight, viewer_needed
@@ -58,6 +58,7 @@ def fly_campaign(
     with one line."""
     start_s = time.perf_counter()
     changes = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
+    announce(f"reading {campaign}")
     loaded = load_campaign(campaign, overrides).with_campaign(**changes)
     folder = Path(out) if out else Path("runs") / plain_name(loaded.name, "campaign")
     with Interruption() as stop:
@@ -91,7 +92,8 @@ def fly_campaign(
 
 
 def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float, settled: bool) -> int:
-    """Summary, pictures and report into the folder, the results to the terminal; returns the exit code."""
+    """Write summary, pictures and report, print the results, and return the exit code."""
+    announce("writing the report")
     verdicts, losses = judged(data), lost(data)
     tails = text.tails_of(data, verdicts)
     files = text.write_report(data, verdicts, losses, total, tails, settled=settled, pictures=pictures)

@@ -21,7 +21,7 @@ from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
-from maxq.tools.cli.terminal import Progress, tell
+from maxq.tools.cli.terminal import Progress, announce, tell
 from maxq.tools.flight_report import report
 
 _VALUE_BYTES = 5.9  # of a log, compressed: 102 MB of the nominal flight over its values
@@ -44,6 +44,7 @@ def execute(
 
     `start_s`: `time.perf_counter()` when the command began; the rest are the options.
     """
+    announce(f"reading {scenario or log}")
     loaded, comparison = _load(scenario, log, overrides)
     packed = pack_flight(loaded.scenario)
     folder = _folder(log, out, loaded.name, overrides)
@@ -51,6 +52,7 @@ def execute(
         check_writable(folder, LogError)
     loaded.warnings  # noqa: B018  # computed here: an error in them comes before the flight
     loaded_s = time.perf_counter()
+    announce("loading the compiled flight")
     live = None
     if view or view_port is not None:
         with viewer_needed():
@@ -102,8 +104,7 @@ def show_flight(progress: Progress, run: FlightRun) -> None:
     limits = run.loaded.scenario.run
     end_s = limits.start_s + limits.duration_s
     if limits.stop_at:
-        until = f"at most {end_s:g} s"
-        progress.show("flying", 0.0, 0.0, until, f"{run.now_s:.1f} s of flight")
+        progress.show("flying", 0.0, 0.0, count=f"{run.now_s:.1f} s of at most {end_s:g} s")
     else:
         progress.show("flying", run.now_s - limits.start_s, limits.duration_s, count=f"{run.now_s:.1f} of {end_s:g} s")
 
