@@ -6,6 +6,7 @@ import math
 
 _LARGER = {"Pa": "kPa", "Pa deg": "kPa deg", "N": "kN", "N m": "kN m"}  # from 1000 on
 _LEAST_KM, _MOST_MM = 1e4, 0.1
+_PROPELLANTS = {"lox": "LOX", "rp1": "RP-1", "jeta1": "Jet A-1", "lh2": "LH2"}
 _EXACT = 9  # digits at most
 
 
@@ -68,6 +69,11 @@ def against_limit(value: float, kind: str, bound: float, unit: str) -> tuple[str
 def meets(value: float, kind: str, bound: float) -> bool:
     """Return True for a value that meets a limit or minimum; nan meets none."""
     return value <= bound if kind == "limit" else value >= bound
+
+
+def propellant_text(tank: str) -> str:
+    """Return a tank's name for people: "LOX" for lox; a name that is not a propellant's as it is."""
+    return _PROPELLANTS.get(tank, tank)
 
 
 def sign_of(kind: str) -> str:

@@ -125,7 +125,7 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Implausible]:
 
 
 def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Implausible]:
-    """Gimbals against CG, centre of pressure against body and CG, and what incidence the first stage can hold."""
+    """Check gimbals against CG, centre of pressure against body and CG, and the angle of attack that gimbals hold."""
     mass, engines = stage.mass.table, [e for e in stage.engines if e.gimbal != "fixed"]
     if mass is None or stage.aero is None:
         return
