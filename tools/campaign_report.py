@@ -351,7 +351,7 @@ def write_report(
 
 
 def nearest_limits(verdicts: Sequence[Judged]) -> list[Judged]:
-    """Requirements whose worst run comes nearest to the limit, or exceeds it most, first."""
+    """Return requirements whose worst run comes nearest to the limit, or exceeds it most; none whose runs are equal."""
 
     def excess(v: Judged) -> float:
         if not v.worst:
@@ -360,7 +360,8 @@ def nearest_limits(verdicts: Sequence[Judged]) -> list[Judged]:
         spread = abs(worst - v.median) or 1e-300
         return (worst - v.bound) / spread if v.kind == "limit" else (v.bound - worst) / spread
 
-    return sorted((v for v in verdicts if v.metric), key=lambda v: (-v.shown.failures, -excess(v)))[:_DRIVEN]
+    varied = [v for v in verdicts if v.metric and _varies(v)]
+    return sorted(varied, key=lambda v: (-v.shown.failures, -excess(v)))[:_DRIVEN]
 
 
 def _numbers(band: Band) -> dict[str, Any]:

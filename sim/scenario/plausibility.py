@@ -164,7 +164,7 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Imp
     limit_deg = min(actuator.angle_limit_deg for actuator in stage.actuators)
     per_pressure = _INCIDENCE_deg * reference.area_m2 * slope[None, :] * np.abs(centre_m[None, :] - cg_m[:, None])
     held_Pa = limit_deg * thrust * arm_m / np.maximum(per_pressure.max(axis=1), 1e-9)
-    if burns.any() and (lowest := float(held_Pa[burns].min())) < _HELD_Pa:
+    if np.any(burns) and (lowest := float(held_Pa[burns].min())) < _HELD_Pa:
         usual = f"more: |M_alpha| / M_delta takes all of it at {_INCIDENCE_deg:g} deg angle of attack from "
         yield "actuator.angle_limit_deg", limit_deg, f"{usual}{lowest / 1e3:.3g} kPa on"
 
