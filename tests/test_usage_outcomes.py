@@ -155,13 +155,19 @@ def test_a_large_log_is_announced_with_the_option_that_makes_it_smaller(capsys: 
         assert (lines[0] == size) == announced
 
 
-@pytest.mark.parametrize("words", [["out/flight.mcap"], ["out"], ["fly", "out/flight.mcap"]])
+@pytest.mark.parametrize("words", [["out/flight.mcap"], ["./out"], ["fly", "out/flight.mcap"]])
 def test_a_log_in_place_of_a_scenario_gives_a_hint(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     Path("out").mkdir()
     Path("out/flight.mcap").write_bytes(b"\x89MCAP0\r\n")
     assert simrun.main(words) == 2
-    said = capsys.readouterr().err
+    said, log = capsys.readouterr().err, "./out/flight.mcap" if words == ["./out"] else "out/flight.mcap"
     assert said == (
-        f"simrun: {words[-1]} is a flown flight, not a scenario: simrun refly out/flight.mcap flies it again, "
-        "simreplay out/flight.mcap shows it\n"
+        f"simrun: {words[-1]} is a flown flight, not a scenario: simrun refly {log} flies it again, "
+        f"simreplay {log} shows it\n"
     )
+
+
+def test_a_built_in_scenario_is_flown_next_to_a_folder_of_its_name() -> None:
+    Path("nominal").mkdir()
+    Path("nominal/flight.mcap").write_bytes(b"\x89MCAP0\r\n")
+    assert simrun.main(["nominal", "--set", "run.duration_s=0.1", "--set", "requirement=", "--no-log"]) == 0

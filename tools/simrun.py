@@ -220,8 +220,11 @@ def _command_for(name: str) -> str:
 
 
 def _refuse_result(name: str) -> None:
-    """Raise CommandError where a log, or the folder of one, is given instead of a scenario."""
-    log = name if name.endswith(".mcap") else os.path.join(name, "flight.mcap")
+    """Raise CommandError where a log, or the path of a folder with one, is given instead of a scenario.
+
+    A name without a separator may be that of a built-in scenario, also where there is a folder of that name.
+    """
+    log = name if name.endswith(".mcap") else os.path.join(name, "flight.mcap") if os.sep in name else ""
     if os.path.isfile(log):
         again, shown = (f"{command} {shlex.quote(log)}" for command in ("simrun refly", "simreplay"))
         raise CommandError(f"{name} is a flown flight, not a scenario: {again} flies it again, {shown} shows it")

@@ -2,8 +2,8 @@
 
 A requirement asks that a share `success` of all flights meets a limit, shown with `confidence`: of all campaigns of a
 vehicle that fails with probability p0 = 1 - success or more, a share of at most 1 - confidence may ever be called met
-(consumer's risk: Hanson & Beard, NASA/TP-2010-216447), and as few of a vehicle that fails less often missed. All
-bounds are one-sided.
+(consumer's risk: Hanson & Beard, NASA/TP-2010-216447), and the same share of a vehicle that fails less often called
+missed. All bounds are one-sided.
 
 *Any-time test*, the usual one. An e-value is the likelihood of what was seen under a mixture of failure probabilities
 on one side of p0, over that at p0. For a vehicle on the other side it is a supermartingale, so it ever exceeds 1/risk
