@@ -27,14 +27,14 @@ _MISSED = "flown, but a requirement was missed, control was lost or the flight d
 _EXITS = {
     Exit.OK: "flown, all requirements met",
     Exit.FAILED: f"{_MISSED}, or it differs from the log",
-    Exit.UNDECIDED: "campaign: too few runs to say whether all requirements are met",
+    Exit.UNDECIDED: "campaign: undecided, more runs are needed",
     Exit.INTERRUPTED: "interrupted; a log is closed properly, a campaign resumes with the same command",
 }
 _FLIGHT = {Exit.OK: _EXITS[Exit.OK], Exit.FAILED: _MISSED, Exit.INTERRUPTED: "interrupted; the log is closed properly"}
 _CAMPAIGN = {
-    Exit.OK: "all requirements are met with the confidence asked for",
+    Exit.OK: "all requirements are met with the required confidence",
     Exit.FAILED: "a requirement is missed",
-    Exit.UNDECIDED: "too few runs to say whether all requirements are met",
+    Exit.UNDECIDED: "undecided: more runs are needed",
 }
 _RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
 _KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "flight-software")
@@ -106,7 +106,7 @@ def _add_campaigns(parser: Parser) -> None:
     campaign.option("--out DIR", "where to write (default: runs/<name of the campaign>)")
     _add_workers(campaign)
     campaign.option("--dask ADDRESS", "fly on the workers of a dask.distributed scheduler")
-    campaign.option("--until-settled", "stop when every verdict is settled")
+    campaign.option("--until-settled", "stop when every requirement is met or missed")
     _add_report(campaign)
 
     examples = """\
