@@ -74,7 +74,7 @@ def plots() -> list[Plot]:
             "|L|, dB",
             (-360.0, 0.0),
             (-40.0, 30.0),
-            nichols=True,
+            plane="nichols",
         ),
     ]
     return [Plot(f"columns-{n}", "All", panels, "A caption.", n, 170, command="simrun --run {}") for n in (2, 3)]
