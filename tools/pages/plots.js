@@ -203,11 +203,11 @@
       } else if (s.kind === "rows") {
         const step = h / s.y.length;
         s.y.forEach((value, k) => {
-          const y = box.top + step * k;
-          make(inside, "rect", "", { x: Math.min(X(0), X(value)), y: y + 14, width: Math.abs(X(value) - X(0)), height: Math.max(step - 19, 3), style: `fill:${colour(s.matters[k] ? s.colour : "grey")}` });
-          const most = Math.floor(w / LETTER), name = s.names[k];
-          write(box.left + 2, y + 10.5, name.length > most ? name.slice(0, most - 1) + "…" : name, "start", "ink");
-          points.push({ x: X(value), y: y + 14 + step / 3, s, k });
+          const y = box.top + step * (k + 0.5), thick = Math.min(0.55 * step, 14), side = value < 0 ? 1 : -1; // the name is on the side without the bar
+          make(inside, "rect", "", { x: Math.min(X(0), X(value)), y: y - thick / 2, width: Math.abs(X(value) - X(0)), height: thick, style: `fill:${colour(s.matters[k] ? s.colour : "grey")}` });
+          const most = Math.floor((side < 0 ? X(0) - box.left : box.left + w - X(0)) / LETTER) - 1, name = s.names[k];
+          write(X(0) + 5 * side, y + 3.5, name.length > most ? name.slice(0, most - 1) + "…" : name, side < 0 ? "end" : "start", "ink");
+          points.push({ x: X(value), y, s, k });
         });
         continue;
       } else if (s.kind === "limit" || s.kind === "at") {
@@ -422,10 +422,20 @@
 
   const seriesOf = (panel, loop) => [...panel.series, ...(loop && panel.plane ? [loop] : [])].flatMap((s) => s.kind === "loop" ? inPlane(panel.plane, s) : [s]);
 
-  function key(parent, figure) {
+  // one key for a figure, or one for each panel where a look means several things, or panels share no name
+  function keys(parent, figure, cells) {
+    const named = (panel) => seriesOf(panel, figure.loops[0]).filter((s) => s.name && s.kind !== "rows");
+    const look = (s) => [s.kind, s.colour, s.dash || "", s.mark || "", s.fill || ""].join(), meant = new Map(), have = figure.panels.map(named).filter((some) => some.length);
+    const apart = have.some((some) => some.some((s) => (meant.has(look(s)) ? meant : meant.set(look(s), s.name)).get(look(s)) !== s.name))
+      || have.some((some) => have.some((other) => other !== some && !some.some((s) => other.some((t) => t.name === s.name))));
+    if (apart && cells.length > 1) cells.forEach((c) => key(c.cell, [c.panel], figure));
+    else key(parent, figure.panels, figure);
+  }
+
+  function key(parent, panels, figure) {
     const seen = new Map();
-    for (const p of figure.panels) for (const s of seriesOf(p, figure.loops[0])) if (s.name && !seen.has(s.name) && s.kind !== "rows") seen.set(s.name, s);
-    if (seen.size < 1 || figure.panels.every((p) => seriesOf(p, figure.loops[0]).length < 2)) return;
+    for (const p of panels) for (const s of seriesOf(p, figure.loops[0])) if (s.name && !seen.has(s.name) && s.kind !== "rows") seen.set(s.name, s);
+    if (seen.size < 1 || panels.every((p) => seriesOf(p, figure.loops[0]).length < 2)) return;
     const list = make(parent, "p", "", { class: "key" });
     for (const [name, s] of seen) {
       const item = make(list, "span"), svg = make(item, "svg", "", { viewBox: "0 0 26 10", width: 26, height: 10 });
@@ -472,7 +482,7 @@
   for (const figure of JSON.parse(document.getElementById("figures").textContent)) {
     const frame = document.getElementById("figure-" + figure.name);
     if (!frame) continue;
-    key(frame, figure);
+    const top = make(frame, "div");
     let loop = figure.loops[0];
     const controls = make(frame, "div");
     const grid = make(frame, "div", "", { class: figure.split ? "panels down" : "panels", style: `--columns:${figure.columns}` });
@@ -488,8 +498,9 @@
       const every = figure.loops.length ? figure.loops.flatMap((s) => seriesOf(panel, s)) : seriesOf(panel);
       const whole = { x: range(every, "x", panel.x_range, panel.log_x), y: range(every, "y", panel.y_range, panel.log_y) };
       const shares = /^(flight )?time|^frequency/.test(panel.x) ? panel.x : null;
-      return { panel, column, reset, inner, under, whole, shares, view: whole, height: panel.height || figure.height };
+      return { cell, panel, column, reset, inner, under, whole, shares, view: whole, height: panel.height || figure.height };
     });
+    keys(top, figure, cells);
     const redraw = () => {
       for (const c of cells) c.needs = roomLeft(c.panel, c.view, c.height);
       for (const c of cells) {

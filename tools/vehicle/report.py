@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,12 +14,20 @@ from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2,
 LayoutRows = list[tuple[str, ...]]  # the first is the head
 
 
+class LayoutTable(NamedTuple):
+    """A table of a vehicle; the first row is its head."""
+
+    heading: str
+    note: str
+    rows: LayoutRows
+
+
 def report(built: Built) -> str:
     """All of it."""
     parts = [[printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))]]
-    for title, rows in tables(built):
+    for heading, note, rows in tables(built):
         less = [n for n, name in enumerate(rows[0]) if name in ("CG, m", "CP, m")]  # a narrow terminal goes without
-        parts.append([title, *aligned(rows, "  ", right=numbers(rows[0]), drop=less)])
+        parts.append([f"{heading.lower()} ({note})", *aligned(rows, "  ", right=numbers(rows[0]), drop=less)])
     parts += [[title, *(f"  {line}" for line in lines)] for title, lines in notes(built)]
     return "\n\n".join("\n".join(part) for part in parts)
 
@@ -28,9 +37,9 @@ def numbers(head: tuple[str, ...]) -> list[int]:
     return [n for n, name in enumerate(head) if name != "stage"]
 
 
-def tables(built: Built) -> list[tuple[str, LayoutRows]]:
-    """Titles and rows."""
-    return [found for found in (_stages(built), _modes(built), _control(built)) if len(found[1]) > 1]
+def tables(built: Built) -> list[LayoutTable]:
+    """Return the tables of stages, bending modes and control that have rows."""
+    return [found for found in (_stages(built), _modes(built), _control(built)) if len(found.rows) > 1]
 
 
 def notes(built: Built) -> list[tuple[str, list[str]]]:
@@ -39,8 +48,8 @@ def notes(built: Built) -> list[tuple[str, list[str]]]:
     return [(title, lines) for title, lines in both if lines]
 
 
-def _stages(built: Built) -> tuple[str, LayoutRows]:
-    rows: LayoutRows = [("stage", "from", "to", "burn, s", "T/W", "dv", "v", "h, km", "path, deg")]
+def _stages(built: Built) -> LayoutTable:
+    rows: LayoutRows = [("stage", "from, kg", "to, kg", "burn, s", "T/W", "dv, m/s", "v, m/s", "h, km", "path, deg")]
     for n, stack in enumerate(built.stacks):
         first, last = (stack.mass_properties(t).mass_kg for t in (0.0, stack.burn.end_s))
         point = [p for p in built.flight.points if p.number == n][-1]
@@ -60,14 +69,14 @@ def _stages(built: Built) -> tuple[str, LayoutRows]:
             )
         )
     orbit = built.flight.orbit
-    about = "point mass, kg and m/s; thrust over weight and delta-v in vacuum; v, h and path at burn-out"
+    about = "point mass; thrust-to-weight ratio and delta-v in vacuum; speed, altitude and path angle at burnout"
     if orbit.perigee_m >= 0.0:
-        about += f"; the last burn-out is in an orbit of {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km"
-    return f"stages ({about})", rows
+        about += f"; orbit after the last burnout: {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km"
+    return LayoutTable("Stages", about, rows)
 
 
-def _modes(built: Built) -> tuple[str, LayoutRows]:
-    rows: LayoutRows = [("stage", "mode", "first, Hz", "last, Hz", "mass, kg", "slope at gyro, 1/m")]
+def _modes(built: Built) -> LayoutTable:
+    rows: LayoutRows = [("stage", "mode", "at ignition, Hz", "at burnout, Hz", "mass, kg", "slope at gyro, 1/m")]
     gyro = built.layout.control.gyro_station_m
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):
@@ -76,11 +85,12 @@ def _modes(built: Built) -> tuple[str, LayoutRows]:
             rows.append((stack.name, str(k + 1), *ends, f"{slope:.3f}"))
     held = ", ".join(f"{mode.frequency_hz:.2f}" for mode in on_the_pad(built))
     on_pad = f"; held at the tail on the pad: {held} Hz" if held else ""
-    return f"bending, free-free, 1 at the gimbal; first at ignition, last at burn-out{on_pad}", rows
+    return LayoutTable("Bending modes", f"free-free, 1 at the gimbal{on_pad}", rows)
 
 
-def _control(built: Built) -> tuple[str, LayoutRows]:
-    rows: LayoutRows = [("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha", "M_delta", "k_p", "k_d, s")]
+def _control(built: Built) -> LayoutTable:
+    heads = ("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha, 1/s2", "M_delta, 1/s2", "k_p", "k_d, s")
+    rows: LayoutRows = [heads]
     gains = np.array(built.gains)
     for n, stack in enumerate(built.stacks):
         for p in spread(burning(built, n), 6):
@@ -89,4 +99,4 @@ def _control(built: Built) -> tuple[str, LayoutRows]:
             cells = (f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.2f}", f"{cp:.2f}")
             turn = (f"{m_alpha_1ps2(built, p):.3f}", f"{m_delta_1ps2(built, p):.3f}", f"{k_p:.3f}", f"{k_d:.3f}")
             rows.append((f"{p.time_s:.1f}", stack.name, *cells, *turn))
-    return "control (M_alpha and M_delta in 1/s2; M_alpha > 0: unstable)", rows
+    return LayoutTable("Control", "unstable where M_alpha > 0", rows)
