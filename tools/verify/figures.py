@@ -70,15 +70,15 @@ def _vehicle(found: Verification) -> Plot:
         bodies.append(side_view.revolved(*stage.profile.T, fill="page", opacity=1.0))
         for k, t in enumerate(stage.tanks):
             surface = t.bottom_station_m - float(t.level[1][0])
-            for top, said, full in ((t.top_station_m, "", False), (surface, f"{t.name} at lift-off", True)):
+            for top, said, full in ((t.top_station_m, "", False), (surface, f"{t.name} at liftoff", True)):
                 bodies.append(side_view.tank([top, t.bottom_station_m], t.radius_m, said, COLOURS[k % 4], full=full))
     lowest = vehicle.stages[0]
     marks = [("gyro", lowest.gyro_station_m, "green")] if lowest.gyro_station_m is not None else []
     marks += [("gimbal", lowest.engine.gimbal_station_m, "purple")] if lowest.engine is not None else []
     first = [a for a in found.slosh if a.stage == 0]
     marks += [(f"CG at {a.time_s:.3g} s", a.cg_station_m, "red") for a in (*first[:1], *first[-1:])]
-    caption = "By the vehicle's file; what the file does not give (nose, fins) is drawn by custom."
-    return side_view.figure(found.scenario.vehicle.name, bodies, marks, vehicle.diameter_m, caption)
+    caption = "To scale, by the vehicle file; parts that the file does not give (nose, fins) have usual shapes."
+    return side_view.figure(found.scenario.vehicle.name, bodies, marks, caption)
 
 
 # flights
@@ -135,7 +135,7 @@ def _worst_flights(found: Verification) -> Plot:
             ]
             for v in f.verdicts:
                 if v.requirement.metric == metric and abs(v.value) > 0.5 * v.bound[1]:
-                    series += [limit(side * v.bound[1]) for side in (1, -1)]
+                    series += [limit(side * v.bound[1], note=f"{side * v.bound[1]:g}") for side in (1, -1)]
             panels.append(Panel(f"{f.name}: {title}", series, "time, s", "deg"))
     caption = "The scenarios with the least room at any of their limits. Limits are drawn where half of one is used."
     return Plot("worst-flights", "Worst scenarios", panels, caption, 2, 130)
@@ -198,19 +198,20 @@ def _margins(studies: Sequence[MarginStudy], wanted: LinearMargins, plane: str, 
             if (value := getattr(limits, name)) is not None:
                 bounds.append(limit(value, text, dash=dash))
         panels.append(Panel(title, [*here, *series, *bounds], "time, s", unit))
-    caption = "Exact sampled loop at the nodes."
+    caption = "Exact sampled loop at the operating points."
     if many:
-        caption += f" Grey: {min(many, _MOST_VEHICLES)} of {many} vehicles with random deviations. Purple: what so many"
         caption += (
-            f" of all such vehicles are worse than, at each node, with {100.0 * wanted.confidence:g} % confidence."
+            f" Grey: {min(many, _MOST_VEHICLES)} of {many} vehicles with random deviations. Purple: the share of "
         )
+        caption += "all such vehicles that is worse, at each operating point, with "
+        caption += f"{100.0 * wanted.confidence:g} % confidence."
     if studies[0].corners:
         caption += " Orange: vehicles at the corners, all deviations at once."
     return Plot(f"margins-{plane}", f"Margins over the flight, {_titled(plane)}", panels, caption, 2, 170)
 
 
 def _bode(judged: Sequence[JudgedLoop], plane: str) -> Plot:
-    """At the node with the least |1 + L|, with the margins drawn."""
+    """Draw the loop at the operating point with the least |1 + L|, with its margins."""
     least = min(judged, key=lambda j: j.margins.modulus if j.margins.stable else -1.0)
     shown = open_loop(least, lobe_colours(judged))
     panels = bode_panels([shown])
@@ -218,8 +219,7 @@ def _bode(judged: Sequence[JudgedLoop], plane: str) -> Plot:
         panel.series.append(shown)
     said = f"{least.margins.modulus:.3f}" if least.margins.stable else "unstable"
     caption = (
-        f"At {least.time_s:g} s, where |1 + L| of the loop as designed is least of all nodes: {said}. Red: gain and "
-        "phase margins."
+        f"At {least.time_s:g} s, where |1 + L| of the loop as designed is least: {said}. Red: gain and phase margins."
     )
     return Plot(f"bode-{plane}", f"Open loop where it is nearest to -1, {_titled(plane)}", panels, caption, 1, 210)
 
@@ -234,7 +234,7 @@ def _nichols(judged: Sequence[JudgedLoop], wanted: LinearMargins, plane: str) ->
         title = f"{one.time_s:.4g} s" + ("" if one.margins.stable else ", UNSTABLE")
         panels.append(nichols_panel([shown], [*zone, shown], title))
     caption = (
-        "Open loop at each node in the Nichols plane over M contours (|T| in dB) and N contours (phase of T). "
+        "Open loop at each operating point over M contours (|T| in dB) and N contours (phase of T). "
         "Poles are named at their lobes, each in one colour throughout. Shaded: diamond whose corners are the margins "
         "required; its sides judge nothing."
     )

@@ -92,6 +92,9 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
         gain_heads=GAIN_HEADS,
         summary=_summary(found),
         limiting=_limiting(found),
+        repeats=list(
+            dict.fromkeys((r.name, r.again) for r in found.requirements if r.judgement != ACCEPTED and r.again)
+        ),
         matrix=_matrix(found.flights),
         loop=_loop(found),
         not_covered=uncovered_lines(found.scenario.vehicle, found.uncovered),
