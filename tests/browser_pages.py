@@ -177,7 +177,8 @@ def key(page: Page, name: str) -> None:
 
 
 CURVES = """[...document.querySelectorAll('#figure-loops .panel')]
-  .map((p) => [...p.querySelectorAll('svg[role=img] path')].map((q) => q.getAttribute('d')).reduce((a, b) => b.length > a.length ? b : a, ''))"""
+  .map((p) => [...p.querySelectorAll('svg[role=img] path')].map((q) => q.getAttribute('d'))
+  .reduce((a, b) => b.length > a.length ? b : a, ''))"""
 
 
 def test_a_slider_chooses_the_loop_of_every_plane(page: Page, file: Path) -> None:

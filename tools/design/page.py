@@ -51,7 +51,8 @@ class DesignPage:
 
     `verdict`: the outcome in capitals, a colon and the reason. `others`: the open loops of the other plane, where it
     differs. `block`: rows of the title block. `gaps`: intervals without operating points. `data`: files in the same
-    folder, and their content. `more`: headings, notes and tables after all others.
+    folder, and their content. `flown`: captions and limits of the same design as it flies. `more`: headings, notes and
+    tables after all others. `texts`: headings and lines of tables as the terminal shows them.
     """
 
     name: str
@@ -67,7 +68,9 @@ class DesignPage:
     vehicle: Vehicle
     data: Sequence[tuple[str, str]]
     gaps: Sequence[str] = ()
+    flown: Sequence[tuple[str, Sequence[Check]]] = ()
     more: Sequence[tuple[str, str, Sequence[PageTable]]] = ()
+    texts: Sequence[tuple[str, Sequence[str]]] = ()
     command: str = ""
 
 
@@ -113,7 +116,10 @@ def write_page(path: Path, shown: DesignPage) -> Path:
         said=f"{said[:1].upper()}{said[1:]}.",
         tone="good" if shown.passed else "bad",
         tightest=[(_sentence(c), _outcome(c)) for c in first],
-        limits=[(g.stage, [_row(c) for c in g.checks]) for g in shown.groups],
+        limits=[
+            *((_caption(g), [_row(c) for c in g.checks]) for g in shown.groups),
+            *((caption, [_row(c) for c in checks]) for caption, checks in shown.flown if checks),
+        ],
         tables=[*_tables(shown.groups), *shown.more],
         gain_heads=GAIN_HEADS,
     )
@@ -122,6 +128,11 @@ def write_page(path: Path, shown: DesignPage) -> Path:
 
 def _named(stage: str, text: str) -> str:
     return f"{stage}: {text}" if stage else text
+
+
+def _caption(group: Group) -> str:
+    worst = f"dispersed: {group.worst.text}" if group.worst is not None else ""
+    return "; ".join(filter(None, (group.stage, worst)))
 
 
 def _nearest(check: Check) -> float:

@@ -35,7 +35,7 @@ from maxq.design.optimise.search import SearchProgress as Watch
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, solve
 from maxq.design.optimise.way_out import tried
-from maxq.design.verify.judging import DesignOutcome, JudgedLoop, Wanted, make_design, objective_text
+from maxq.design.verify.judging import Check, DesignOutcome, JudgedLoop, Wanted, make_design, objective_text
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.own_flight import CaseDesign, design_case
 from maxq.sim.files import check_writable, plain_name, write_whole
@@ -55,9 +55,10 @@ from maxq.tools.design.report import (
     uncovered_lines,
     uncovered_record,
     uncovered_table,
+    wind_table,
     write_record,
 )
-from maxq.tools.design.way_out import trials_text
+from maxq.tools.design.way_out import trials_text, way_out_table
 
 RECORD_NAME, PAGE_NAME = "design.json", "design.html"
 
@@ -210,6 +211,7 @@ def _verdict(made: CaseDesign, folder: Path) -> str:
 
 def _page(made: CaseDesign, verdict: str, command: str) -> DesignPage:
     groups, others, more, wanted = list[Group](), list[JudgedLoop](), list[PageTable](), dict[int, Wanted]()
+    flown, texts = list[tuple[str, Sequence[Check]]](), list[tuple[str, list[str]]]()
     vehicle = made.results[0][0].loaded.scenario.vehicle
     for outcome, solution in made.results:
         loaded, stage = outcome.loaded, stage_name(vehicle, _number(outcome))
@@ -219,6 +221,12 @@ def _page(made: CaseDesign, verdict: str, command: str) -> DesignPage:
         others += other_plane(outcome.judged, outcome.design, loaded.case.loop, nodes)
         wanted[_number(outcome)] = outcome.wanted
         more.append((stage, [(), *search_rows(solution)]))
+        if loaded.case.loop != "sampled":
+            flown.append(
+                (", ".join(filter(None, (stage, "the same design as it flies, sampled"))), outcome.flown_found)
+            )
+        for title, lines in (("Way out", way_out_table(solution)), ("In the wind of the case", wind_table(outcome))):
+            texts += [(", ".join(filter(None, (title, stage))), lines[1:])] if lines else []
     loaded = made.results[0][0].loaded
     case = loaded.case
     return DesignPage(
@@ -246,7 +254,9 @@ def _page(made: CaseDesign, verdict: str, command: str) -> DesignPage:
             (RECORD_NAME, "limits, margins, lobes and the search"),
         ],
         gaps=uncovered_lines(vehicle, made.uncovered),
+        flown=flown,
         more=[("Search", "", more)],
+        texts=texts,
         command=command,
     )
 
