@@ -13,7 +13,7 @@ from maxq.design.margins.distances import Zone
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.judging import JudgedLoop
 
-BOTTOM_DB = -50.0  # of Bode and Nichols plots, where the curve goes farther
+BOTTOM_DB = -40.0  # of Bode and Nichols plots, where the curve goes farther
 LOWEST_HZ = 0.02
 
 

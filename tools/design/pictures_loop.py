@@ -54,27 +54,26 @@ def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
     for n, mark in enumerate(picture.marks):
         level_db = float(decibels(np.array([mark.loop]))[0])
         turn = float(np.interp(mark.frequency_hz, f, turned))
+        if mark.is_lobe and level_db <= BOTTOM_DB:
+            continue
         if mark.is_lobe:
             gain.plot(mark.frequency_hz, level_db, "o", color=_colour(n), markersize=3)
             phase.plot(mark.frequency_hz, turn, "o", color=_colour(n), markersize=3)
             name_point(gain, mark.frequency_hz, min(level_db, TOP_DB), mark.text, color=_colour(n))
         elif mark.text and abs(level_db) > 1e-6:  # a gain margin: from the curve to 0 dB
-            gain.plot([mark.frequency_hz] * 2, [level_db, 0.0], color=RED, linewidth=1.6)
+            gain.plot([mark.frequency_hz] * 2, [level_db, 0.0], color=RED, linewidth=2.0)
+            name_point(gain, mark.frequency_hz, level_db, mark.text, color=RED)
         elif mark.text:  # the phase margin: from the curve to the nearest -180 deg
             nearest = 360.0 * np.round((turn + 180.0) / 360.0) - 180.0
-            phase.plot([mark.frequency_hz] * 2, [turn, nearest], color=RED, linewidth=1.6)
-    margins = [mark for mark in picture.marks if mark.text and not mark.is_lobe]
-    gains = [mark.text for mark in margins if "dB" in mark.text]
-    label(gain, y="|L|, dB")
-    gain.set_title("Bode" + "; gain margins " * bool(gains) + ";\n".join(gains), fontsize=8.5)
-    phases = [mark.text for mark in margins if "deg" in mark.text]
-    label(phase, "frequency, Hz", "phase of L, deg")
-    phase.set_title(f"phase margin {phases[0]}" if phases else "", fontsize=8.5)
+            phase.plot([mark.frequency_hz] * 2, [turn, nearest], color=RED, linewidth=2.0)
+            name_point(phase, mark.frequency_hz, nearest, mark.text, color=RED)
+    label(gain, "", "|L|, dB", "Gain")
+    label(phase, "frequency, Hz", "phase of L, deg", "Phase")
 
 
 _M_DB = (-20.0, -12.0, -6.0, -3.0, -1.0, 0.25, 0.5, 1.0, 3.0, 6.0, 12.0)
 _N_DEG = (-340.0, -300.0, -240.0, -210.0, -150.0, -120.0, -90.0, -60.0, -30.0, -10.0)
-_NAMED_HZ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+_NAMED_HZ = (0.1, 1.0, 10.0)
 
 
 def contours() -> list[tuple[str, Array, Array]]:
@@ -118,7 +117,7 @@ def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> N
     place.grid(visible=False)
     place.axhline(0.0, color=GREY, linewidth=0.8)
     place.axvline(-180.0, color=GREY, linewidth=0.8)
-    place.plot(-180.0, 0.0, "+", color=RED, markersize=9, markeredgewidth=1.5)
+    _cross(place, -180.0)
     place.plot(*_broken(turn, level)[::-1], color=BLUE, linewidth=0.9 if small else 1.3)
     place.set_xlim(-360.0, 0.0)
     place.set_xticks(range(-360, 1, 120 if small else 60))
@@ -157,7 +156,7 @@ def _nyquist(picture: LoopPicture, place: Axes) -> None:
             place.plot(radius * around.real, radius * around.imag, **style)
             name_point(place, 0.0, radius, f"{level_db:g} dB", must=False, color=GREY, fontsize=5.5)
     place.plot(curve.real, curve.imag, color=BLUE)
-    place.plot(-1.0, 0.0, "+", color=RED, markersize=9, markeredgewidth=1.5)
+    _cross(place, -1.0)
     place.set_xlim(-reach, reach)
     place.set_ylim(-reach, reach)
     for n, mark in enumerate(picture.marks):
@@ -175,9 +174,15 @@ def _nyquist(picture: LoopPicture, place: Axes) -> None:
     label(place, title="Nyquist (log radius beyond 0 dB)")
 
 
+def _cross(place: Axes, x: float) -> None:
+    """Draw the critical point as a text, which the names of points avoid."""
+    place.text(x, 0.0, "+", color=RED, fontsize=15, fontweight="bold", ha="center", va="center_baseline")
+
+
 def _mark(place: Axes, mark: Mark, n: int, x: float, y: float, *, named: bool = True) -> None:
     colour = _colour(n) if mark.is_lobe else BLACK
-    place.plot(x, y, "o" if mark.is_lobe else "x", color=colour, markersize=3.5)
+    if mark.text:  # a crossing that sets no margin has none
+        place.plot(x, y, "o" if mark.is_lobe else "x", color=colour, markersize=3.5)
     if named and mark.text:
         name_point(place, x, y, mark.text, color=colour, fontsize=6.0)
 

@@ -38,8 +38,9 @@
   };
 
   function inPlane(plane, s) {
-    const to = PLANES[plane], curve = { kind: "line", colour: "blue", name: "L", x: [], y: [], read: [], index: [] };
-    const add = (x, y, k) => { curve.x.push(x); curve.y.push(y); curve.index.push(k); curve.read.push(k === null ? "" : `${shown(s.x[k], 3)} Hz\n|L| ${s.y[k].toFixed(1)} dB, phase ${s.y2[k].toFixed(0)} deg\n|1 + L| ${shown(distance(s.y[k], s.y2[k]), 3)}`); };
+    const to = PLANES[plane], curve = { kind: "line", colour: "blue", name: "L", x: [], y: [], index: [] };
+    curve.read = (i, k = curve.index[i]) => `${shown(s.x[k], 3)} Hz\n|L| ${s.y[k].toFixed(1)} dB, phase ${s.y2[k].toFixed(0)} deg\n|1 + L| ${shown(distance(s.y[k], s.y2[k]), 3)}`;
+    const add = (x, y, k) => { curve.x.push(x); curve.y.push(y); curve.index.push(k); };
     s.x.forEach((hz, k) => {
       const [x, y] = to(hz, s.y[k], s.y2[k]);
       if (plane === "nichols" && k && Math.abs(x - curve.x[curve.x.length - 1]) > 180) add(null, null, null);
@@ -47,7 +48,7 @@
     });
     const out = [], red = (px, name) => {
       out.push({ kind: "line", colour: "limit", width: 3, name: "margin", faint: true, x: px.map((p) => p[0]), y: px.map((p) => p[1]) });
-      out.push({ kind: "points", colour: "limit", name: "", x: [px[0][0]], y: [px[0][1]], labels: [name], read: [name] });
+      out.push({ kind: "points", colour: "limit", name: "", x: [px[0][0]], y: [px[0][1]], labels: [name], read: () => name });
     };
     if (plane === "gain") out.push({ kind: "limit", colour: "grey", name: "0 dB", value: 0, seen: true });
     if (plane === "phase") for (let k = -12; k < 4; k++) out.push({ kind: "limit", colour: "grey", dash: "2 2", name: "-180 deg and whole turns from it", value: 360 * k - 180, seen: false });
@@ -55,7 +56,7 @@
     out.push(curve);
     for (const m of s.marks) {
       const p = to(m.x, m.y, m.y2), whole = 360 * Math.round((m.y2 + 180) / 360) - 180, way = [...Array(13).keys()].map((k) => m.y2 + (whole - m.y2) * k / 12);
-      const dot = { kind: "points", colour: m.colour, name: "", x: [p[0]], y: [p[1]], labels: [plane === "phase" ? "" : m.name], read: [`${m.name}\n${shown(m.x, 3)} Hz, ${m.y.toFixed(1)} dB`] };
+      const dot = { kind: "points", colour: m.colour, name: "", x: [p[0]], y: [p[1]], labels: [plane === "phase" ? "" : m.name], read: () => `${m.name}\n${shown(m.x, 3)} Hz, ${m.y.toFixed(1)} dB` };
       if (m.what === "lobe" && plane !== "distance") out.push(dot);
       else if (m.what === "least" && plane === "distance") out.push({ ...dot, colour: "limit" });
       else if (m.what === "gain" && plane !== "phase" && plane !== "distance") red([p, plane === "nyquist" ? [-1, 0] : [p[0], 0]], m.name);
@@ -283,6 +284,8 @@
     for (const n of [...names].sort((a, b) => (b.must || 0) - (a.must || 0))) {
       if (n.x < frame.x0 || n.x > frame.x1 || n.y < frame.y0 || n.y > frame.y1) continue;
       const size = n.size || 9.5, half = [n.name.length * size * 0.3 + 2, size * 0.55 + 1];
+      const reach = [0, 1].map((axis) => RADII[RADII.length - 1] + 2 * half[axis]);
+      const close = obstacles.filter(([x, y]) => Math.abs(x - n.x) < reach[0] && Math.abs(y - n.y) < reach[1]);
       let best = Infinity, found = null;
       for (const radius of RADII) for (const angle of ANGLES) {
         const at = [n.x + (radius + half[0]) * Math.cos(angle) * (n.near ? 0.3 : 1), n.y + (radius + half[1]) * Math.sin(angle)];
@@ -291,7 +294,7 @@
         for (const t of taken) if (spot.x0 < t.x1 && t.x0 < spot.x1 && spot.y0 < t.y1 && t.y0 < spot.y1) cost += 1e4;
         for (const t of solids) if (spot.x0 < t.x1 && t.x0 < spot.x1 && spot.y0 < t.y1 && t.y0 < spot.y1) cost += 500;
         if (spot.x0 < frame.x0 || spot.y0 < frame.y0 || spot.x1 > frame.x1 || spot.y1 > frame.y1) cost += 1e4;
-        if (cost < best) for (const [x, y] of obstacles) if (x > spot.x0 && x < spot.x1 && y > spot.y0 && y < spot.y1) cost += 3;
+        if (cost < best) for (const [x, y] of close) if (x > spot.x0 && x < spot.x1 && y > spot.y0 && y < spot.y1) cost += 3;
         if (cost < best) [best, found] = [cost, { ...spot, at, radius }];
       }
       if (!found || (best >= 1e4 && !n.must) || (!n.must && best > 60)) continue;
@@ -323,7 +326,7 @@
     const command = ({ s, k }) => s.runs && s.runs[k] !== null ? (figure.command || "").replace("{}", s.runs[k]) : s.commands ? s.commands[k] : s.command || "";
     const say = ({ s, k }) => {
       const what = [s.names ? s.names[k] : s.who || s.labels && s.labels[k] || s.name].filter(Boolean);
-      if (s.read) what.push(s.read[k]);
+      if (s.read) what.push(s.read(k));
       else if (s.kind === "bars") what.push(`${shown(s.edges[k])} to ${shown(s.edges[k + 1])} ${panel.unit || ""}`, `${s.y[k]} runs${s.y2 && s.y2[k] ? `, ${s.y2[k]} miss the limit` : ""}`);
       else if (s.kind === "rows") what.push(`${panel.x}: ${shown(s.y[k])}`);
       else what.push(`${panel.x || "x"}: ${shown(s.x[k])}`, `${panel.y || panel.title}: ${shown(s.y[k])}${s.kind === "band" ? " to " + shown(s.y2[k]) : ""}`);
