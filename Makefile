@@ -93,13 +93,14 @@ coverage: $(TO_TEST)  ## say which lines of control/ and sim/ the tests run; ker
 	@NUMBA_DISABLE_JIT=1 $(PY) -m pytest -q -m "not slow" --cov=control --cov=sim --cov-report=term:skip-covered \
 		$(ARGS) $(UNCOMPILED)
 
-lint: $(TO_TEST)  ## check style, format, types and the direction of imports
-	@echo "Checking style and format (ruff), types (mypy) and the direction of imports (import-linter)."
+lint: $(TO_TEST)  ## check style, format, types, the direction of imports and the English
+	@echo "Checking style and format (ruff), types (mypy), imports (import-linter) and English (tools/dev/prose.py)."
 	@failed=; \
 	$(PY) -m ruff check . || failed="$$failed style"; \
 	$(PY) -m ruff format --check --quiet . || failed="$$failed format(make-format-repairs-it)"; \
 	$(PY) -m mypy || failed="$$failed types"; \
 	PYTHONPATH=tools/.ns $(PY) $(VENV)/bin/lint-imports --no-logo || failed="$$failed imports"; \
+	$(PY) -m maxq.tools.dev.prose || failed="$$failed English"; \
 	if [ -n "$$failed" ]; then echo "lint: wrong:$$failed" >&2; exit 1; fi
 
 format: $(TO_TEST)  ## put the sources into ruff's format

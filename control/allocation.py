@@ -96,7 +96,7 @@ def _independent(effect: Array, squares: Array) -> list[int]:
 
 
 def _solved(matrix: Array, right: Array) -> Array:
-    """Of a positive definite system of three at most."""
+    """Solve a positive definite system of at most three equations."""
     m, x = matrix.astype(float).copy(), right.astype(float).copy()
     for k in range(len(m)):
         for i in range(len(m)):

@@ -104,7 +104,7 @@ def update_attitude_error(
 
 
 class AttitudeRow(NamedTuple):
-    """What is logged of the attitude error."""
+    """The logged attitude error."""
 
     error_axis_deg: Annotated[RollPitchYaw, "deg", "attitude error theta_e in the computer"]
     measured_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "angular rate in the control law"]

@@ -268,7 +268,7 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
 @routine
 def take_over(before: Computer, computer: Computer, state: ComputerState) -> None:
     """A stage's own law takes over from that of the stage `before`: filters settled at their last inputs, those before
-    fading out, adaptation anew.
+    fading out, adaptation again.
     """
     attitude, old, new, loops = state.attitude, before.loops, computer.loops, state.loops
     loops.fading = new.fade_ticks
@@ -299,7 +299,7 @@ def computer_tick(
     gimbal_injection_rad: Array,
     gimbal_replaces: IntArray,
 ) -> None:
-    """One sample instant: reads the sample that ends at `time_s`, leaves the new command in `state`.
+    """Process one sample instant: read the sample that ends at `time_s` and leave the new command in `state`.
 
     `increment_rad` (3,): gyro angle about x, y, z since the last tick. `rate_injection_radps` (3,): rates,
     constant over the sample that ends now, that add to the commanded rates, or replace them where
@@ -517,7 +517,7 @@ def limit_and_quantise(requested_rad: float, limit_rad: float, step_rad: float) 
 
 
 class ControlRow(NamedTuple):
-    """What is logged of the computer at the rate of the fast group."""
+    """The logged values of the computer, at the rate of the fast group."""
 
     counts_axis: Annotated[RollPitchYaw, "1", "gyro pulses of the last sample"]
     attitude: AttitudeRow

@@ -113,7 +113,7 @@ def _address_of(record: Any) -> int:
 
 
 def call_step(step: int, instance: int, inputs: FswInputs, outputs: FswOutputs) -> int:
-    """What the C function at the address `step` returns for an instance."""
+    """Return the value that the C function at the address `step` returns for an instance."""
     function = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 3)(step)
     code: int = function(instance, _address_of(inputs), _address_of(outputs))
     return code
@@ -173,7 +173,7 @@ def step_external(state: ExternalState) -> None:
 
 
 class MonitorRow(NamedTuple):
-    """What flight code from outside lets be logged."""
+    """The values that external flight code passes to the log."""
 
     monitor_1: Annotated[float, "1", "monitor[0] of the flight code"]
     monitor_2: Annotated[float, "1", "monitor[1] of the flight code"]

@@ -101,7 +101,7 @@ def take_over_filter(
 
 @kernel
 def faded(filters: LoopFilters, state: LoopFilterState, loop: int, gimbal: int, given: float, out: float) -> float:
-    """What a filter gives, `out`, with the share of the stage before's on the same input."""
+    """Return the output of a filter, `out`, faded with the output of the previous stage's filter for the same input."""
     if state.fading == 0:
         return out
     n_old, memory = state.old_n_sections[loop, gimbal], state.old_memory[loop, gimbal]
@@ -111,6 +111,6 @@ def faded(filters: LoopFilters, state: LoopFilterState, loop: int, gimbal: int, 
 
 @kernel
 def filtered_input(filters: LoopFilters, state: LoopFilterState, loop: int, gimbal: int, value: float) -> float:
-    """What the law works on in place of a measurement."""
+    """Return the filtered measurement that the law uses."""
     out = filter_sample(filters.sections[loop], filters.n_sections[loop], state.memory[loop, gimbal], value)
     return faded(filters, state, loop, gimbal, value, out)

@@ -1,4 +1,4 @@
-"""Closed-loop guidance to an orbit outside the air, and the cut-off of the engine at it.
+"""Closed-loop guidance to an orbit outside the air, and the cutoff of the engine at it.
 
 The direction of thrust follows the linear tangent law in a frame that stands still in I,
 
@@ -6,7 +6,7 @@ The direction of thrust follows the linear tangent law in a frame that stands st
 
 which is optimal in uniform gravity where the place along x is free (Bryson & Ho, Applied Optimal Control, 2.7 and 4.6).
 n is the normal of the orbit's plane, z upwards and x along the motion where the burn is expected to end. Once a cycle
-the four numbers and the time to go are found anew from the navigated position and velocity, by Newton's method on a
+the four numbers and the time to go are found again from the navigated position and velocity, by Newton's method on a
 numerical prediction of the burn: at its end radius, speed and vertical speed of the perigee, and no place or speed
 across the plane. Gravitation is that of a flattened Earth (J2); the thrust is constant, its acceleration as measured
 over the last cycle. In the last seconds, in which position can no longer be steered, the direction stays on its line,
@@ -43,7 +43,7 @@ FAIR = 1.0
 class OrbitGuidance:
     """`on`: 0 without it. `start_s`: vehicle clock. `rate_limit_radps`: of the commanded attitude.
 
-    `radius_m`, `speed_mps`: wanted at the cut-off, where the vertical speed is 0. `semimajor_m`: of the orbit.
+    `radius_m`, `speed_mps`: wanted at the cutoff, where the vertical speed is 0. `semimajor_m`: of the orbit.
     `cos_inclination`: beyond 1 for the plane in which the vehicle flies at the start. `exhaust_mps`: effective exhaust
     speed of the engine that is cut off.
     """
@@ -102,7 +102,7 @@ def start_orbit_guidance(state: OrbitGuidanceState) -> None:
 
 @kernel
 def gravitation(g: OrbitGuidance, r: vec.Vector) -> vec.Vector:
-    """Of a flattened Earth (Vallado, eq. 8-30), m/s2."""
+    """Return the gravitation of a flattened Earth (Vallado, eq. 8-30), m/s2."""
     radius = vec.norm(r)
     k = -g.mu_m3ps2 / radius**3
     bulge = 1.5 * g.j2 * (g.j2_radius_m / radius) ** 2
@@ -113,7 +113,7 @@ def gravitation(g: OrbitGuidance, r: vec.Vector) -> vec.Vector:
 
 @kernel
 def direction(state: OrbitGuidanceState, unknowns: Array, time_s: float) -> vec.Vector:
-    """Of the thrust, in I."""
+    """Return the direction of the thrust in I."""
     s = (time_s - state.begun_s) / SLOPE_s
     up, aside = unknowns[0] + unknowns[1] * s, unknowns[2] + unknowns[3] * s
     x, n, z = vec.vector_at(state.axes, 0), vec.vector_at(state.axes, 3), vec.vector_at(state.axes, 6)
@@ -123,7 +123,7 @@ def direction(state: OrbitGuidanceState, unknowns: Array, time_s: float) -> vec.
 
 @kernel
 def thrust_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> float:
-    """Of constant thrust while the mass decreases, from the last one measured."""
+    """Return the acceleration by constant thrust while the mass decreases, from the last measured one."""
     left = 1.0 - state.acceleration_mps2 * (time_s - state.last_s) / g.exhaust_mps
     return state.acceleration_mps2 / max(left, 0.01)
 
@@ -279,7 +279,7 @@ def measure_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: fl
 
 @routine
 def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float, sample_s: float) -> int:
-    """At the end of a sample: solve where a cycle is due, and see to the cut-off. 1 where `steer` shall turn, not the
+    """At the end of a sample: solve where a cycle is due, and see to the cutoff. 1 where `steer` shall turn, not the
     programme."""
     if time_s < g.start_s:
         return 0

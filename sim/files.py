@@ -73,7 +73,7 @@ def check_writable(folder: Path, raises: Raises = FileError) -> None:
 
 
 def reason(error: OSError) -> str:
-    """What the system says, as the end of a line."""
+    """Return the system's reason for an error, as the end of a line."""
     return (error.strerror or str(error)).lower()
 
 

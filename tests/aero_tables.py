@@ -1,4 +1,4 @@
-"""A vehicle with tables of coefficients over incidence, for the tests of them: ordinary scenario keys."""
+"""A vehicle with tables of coefficients over angle of attack, for the tests of them: ordinary scenario keys."""
 
 from __future__ import annotations
 

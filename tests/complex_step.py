@@ -1,4 +1,4 @@
-"""Complex steps through complex arithmetic, and the filter F3 written down anew for them."""
+"""Complex steps through complex arithmetic, and the filter F3 written down again for them."""
 
 from __future__ import annotations
 

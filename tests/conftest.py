@@ -1,4 +1,4 @@
-"""What holds for all tests.
+"""The settings of all tests.
 
 Hypothesis chooses the same examples in every run, or new ones with MAXQ_EXAMPLES=random. Ctrl-C reaches the commands
 under test also where the tests were started in the background: a shell has it ignored there, by all children, too.

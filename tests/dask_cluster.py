@@ -17,7 +17,7 @@ class Machines:
     processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     def worker(self) -> subprocess.Popen[bytes]:
-        """One more worker process of one thread."""
+        """Start a further worker process of one thread."""
         command = [
             sys.executable,
             "-m",

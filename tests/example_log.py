@@ -73,7 +73,7 @@ def same_bits(a: Array, b: Array) -> bool:
 
 
 def holds_exactly(log: Log, seconds: list[int]) -> bool:
-    """Whether the log has all samples and events of these seconds, bit by bit, and no others."""
+    """Return True if the log has all samples and events of these seconds, bit by bit, and no others."""
     for group, (times, values) in (("fast", FAST), ("slow", SLOW)):
         kept = np.isin(times // SECOND, seconds)
         for column, channel in enumerate(TABLE.columns(group)):

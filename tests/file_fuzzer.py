@@ -384,7 +384,7 @@ def at(tree: Any, path: tuple[Any, ...]) -> Any:
 
 
 def schema_at(schema: dict[str, Any], path: tuple[Any, ...], root: dict[str, Any]) -> dict[str, Any]:
-    """What the schema says of the object at `path`; empty where it says nothing."""
+    """Return the schema of the object at `path`; empty if there is none."""
     if "$ref" in schema:
         return schema_at(root["$defs"][schema["$ref"].rpartition("/")[2]], path, root)
     if not path:
@@ -542,7 +542,9 @@ USES: dict[str, Callable[[str], Any]] = {"campaign": _campaign, "case": read_cas
 
 
 def answer(kind: str, folder: Path, name: str, data: bytes) -> str:
-    """What is said of a file: "" where it loads and packs. Any exception but those for wrong input goes through."""
+    """Return the error message for a file: "" if it loads and packs. Any exception but those for wrong input passes
+    through.
+    """
     place = folder / name
     before = place.read_bytes()
     place.write_bytes(data)

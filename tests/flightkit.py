@@ -312,7 +312,9 @@ class Rig:
 
     @property
     def held(self) -> Any:
-        """What is held between events: commands (rad), injected loads, on the pad or not, burning or not."""
+        """Return the values that are held between events: commands (rad), injected loads, on the pad or not, burning or
+        not.
+        """
         return self.packed.memory[0].held
 
     @property

@@ -1,4 +1,4 @@
-"""What the tests of the optimiser share: KSR-III's nodes, flown once, and problems on them."""
+"""The common parts of the optimiser's tests: KSR-III's nodes, flown once, and problems on them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def all_nodes(loop: str = "pade"):
 
 @cache
 def solution(*overrides: str):
-    """Of the case with identical limits on the paper's eleven nodes."""
+    """Solve the case with identical limits on the paper's eleven nodes."""
     loaded = case(*overrides)
     return solve(loaded, all_nodes(loaded.case.loop))
 

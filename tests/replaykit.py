@@ -1,4 +1,4 @@
-"""What the tests of the replay share: a kept log of schema 1, and a viewer without a window."""
+"""The common parts of the replay's tests: a kept log of schema 1, and a viewer without a window."""
 
 from __future__ import annotations
 

@@ -43,14 +43,14 @@ def test_parallel(campaign: LoadedCampaign, serial: Path, tmp_path: Path) -> Non
 def test_chunks_of_any_size(
     campaign: LoadedCampaign, serial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk: int
 ) -> None:
-    """What a run is prepared, flown and judged beside changes nothing in it."""
+    """Check that the other runs of a chunk change nothing in a run."""
     monkeypatch.setattr(runner, "CHUNK", chunk)
     run_campaign(campaign, tmp_path / "out", workers=1)
     assert campaignkit.same(campaignkit.data_set(tmp_path / "out"), campaignkit.data_set(serial))
 
 
 def test_cancelled_within_a_chunk(campaign: LoadedCampaign) -> None:
-    """What was flown before stays; the flight under way is dropped."""
+    """Check that earlier flights stay and that the flight under way is dropped."""
     asked = iter([False] * 3 + [True])
     rows = fly_rows(campaign, [(campaign.plan.draw(0, 8), run) for run in range(8)], lambda: next(asked))
     assert [row.run for row in rows] == [0, 1, 2]

@@ -181,8 +181,9 @@ def test_margin_is_found_again_from_an_altered_flight(held) -> None:
 
 
 def test_margin_at_half_the_sample_rate(tmp_path: Path) -> None:
-    """Of two blended gyros, bounded at 50 Hz, where all samples of a sine that begins at one of them are 0: with such a
-    burst 17.1 dB were measured in place of 9.6."""
+    """Check two blended gyros, bounded at 50 Hz, where all samples of a sine that begins at one of them are 0: such a
+    burst gave 17.1 dB in place of 9.6.
+    """
     (tmp_path / "design.toml").write_text(
         "schema = 2\n[gains]\ntable = [{time_s=57.9, k_p=0.407, k_d_s=0.246}]\n[blend]\npitch = [0.4192, 0.5808]\n"
         "[filter]\nstructure = 'F4'\nprewarp_hz = 9.7\nquadratic = [{zero_hz=42.4, zero_zeta=0.1, pole_hz=12.94, "
@@ -294,7 +295,9 @@ def test_what_is_left_with_ideal_converters_is_not_theirs() -> None:
     ],
 )
 def test_a_margin_that_rounding_alone_moves_is_called_noise(measured: float, fine: float, reason: str) -> None:
-    """Of 16 dB: only where without rounding it is the linear loop's, and with it less than half a decibel off."""
+    """Check margins of 16 dB: rounding is the reason only if the margin without it is the linear loop's, and with it
+    less than half a decibel off.
+    """
     rows = [
         MarginRow("gain_up", "dB", 8.1, 16.0, 16.0, 16.0, x, "" if abs(x - 16.0) < 0.2 else "unexplained")
         for x in (measured, fine)

@@ -1,4 +1,4 @@
-"""What must hold of nodes, deviations and loops whatever the vehicle, and the edges of what a vehicle may be.
+"""The invariants of nodes, deviations and loops for every vehicle, and the edges of what a vehicle may be.
 
 | what | holds |
 |---|---|
@@ -104,9 +104,9 @@ def test_nodes_come_back_from_another_process() -> None:
 @pytest.mark.parametrize(
     ("time_s", "words"),
     [
-        (0.05, r"node at 0.05 s: the vehicle is held down; allowed are times under thrust: lift-off to"),
+        (0.05, r"node at 0.05 s: the vehicle is held down; allowed are times under thrust: liftoff to"),
         (-1.0, "node at -1 s: the flight begins at 0 s"),
-        (61.0, "node at 61 s: the engine does not burn; allowed .*lift-off to 59.2874 s"),
+        (61.0, "node at 61 s: the engine does not burn; allowed .*liftoff to 59.2874 s"),
         (500.0, "node at 500 s: the flight ends at 2.*impact"),
         (np.nan, "node at nan s: allowed are times up to 1e.08 s"),
     ],

@@ -1,5 +1,4 @@
-"""What the flight must conserve, and how it must look the same from elsewhere, flown with the real
-integrator.
+"""The conserved quantities of a flight and its symmetries, flown with the real integrator.
 
 Free multibody vehicle (modes in two planes, two tanks, deflected engine) without damping, thrust and air.
 """

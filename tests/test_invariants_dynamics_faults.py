@@ -184,7 +184,7 @@ def test_logging_changes_no_bit() -> None:
 
 @pytest.mark.parametrize("segment_ns", [1_000_000, 7_000_000, 100_000_000, 2_000_000_000])
 def test_how_a_flight_is_cut_into_segments_changes_no_bit(segment_ns: int) -> None:
-    """Segments that are multiples of the step, as the flight loop promises; from the pad through lift-off."""
+    """Segments that are multiples of the step, as the flight loop promises; from the pad through liftoff."""
     loaded = load_scenario("nominal", ["run.duration_s=6.0", "run.stop_at=[]"])
     base, _ = end_of(loaded, log=False)
     assert end_of(loaded, log=False, segment_ns=segment_ns)[0] == base

@@ -1,4 +1,4 @@
-"""What must hold for the air: hydrostatic equilibrium, gas law, continuity, the models and their limits."""
+"""The invariants of the air: hydrostatic equilibrium, gas law, continuity, the models and their limits."""
 
 from __future__ import annotations
 
@@ -37,8 +37,9 @@ def test_hydrostatic_equilibrium(altitude):
 
 @pytest.mark.parametrize("altitude", [105e3, 118e3, 140e3, 250e3, 450e3, 800e3])
 def test_each_species_is_hydrostatic_where_nothing_mixes_or_flows(altitude):
-    """Where diffusion rules, the weights of all species carry the sum of their pressures: dp/dh = -g rho, but for
-    thermal diffusion of helium, escaping hydrogen and the transport terms."""
+    """Check that the weights of all species carry the sum of their pressures where diffusion rules: dp/dh = -g rho, but
+    for thermal diffusion of helium, escaping hydrogen and the transport terms.
+    """
     above, below = air(STANDARD, POOL, altitude + 50.0)[1], air(STANDARD, POOL, altitude - 50.0)[1]
     g = 9.80665 * (GEOPOTENTIAL_RADIUS_m / (GEOPOTENTIAL_RADIUS_m + altitude)) ** 2
     assert (above - below) / 100.0 == pytest.approx(-g * air(STANDARD, POOL, altitude)[0], rel=2e-2)

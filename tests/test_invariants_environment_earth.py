@@ -1,4 +1,4 @@
-"""What must hold for every position on every Earth: round trips, orthonormal axes, singular places."""
+"""The invariants of every position on every Earth: round trips, orthonormal axes, singular places."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def test_rotation_about_the_pole_changes_neither_altitude_nor_gravity(shape, ang
 
 
 def test_inertial_positions_give_inertial_axes():
-    """What the hot path relies on: the axes of a position in I are the axes of E turned into I."""
+    """Check the basis of the hot path: the axes of a position in I are the axes of E turned into I."""
     earth = ROWS["wgs84"]
     cos, sin = earth_rotation(earth, 5000.0)
     in_e = (-3e6, 4e6, 4e6)

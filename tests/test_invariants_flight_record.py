@@ -1,4 +1,4 @@
-"""What must hold of flights as they are cut into segments, looked at and logged."""
+"""The invariants of flights that are cut into segments, examined and logged."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ FALLS = (
 
 @pytest.mark.parametrize("end", [("run.duration_s=0.02",), ("run.duration_s=0.0235",), FALLS])
 def test_rows_rise_in_time_and_the_last_one_is_the_end(end: tuple[str, ...]) -> None:
-    """Whether the end falls on a row's time or between two, by duration or by an event."""
+    """Check an end on a row's time and between two, by duration and by an event."""
     flight = fly(load_scenario("nominal", ["run.duration_s=2", *end, "log.fast_hz=100", "log.slow_hz=50"]))
     assert flight.outcome == ("impact" if end is FALLS else "duration")
     assert end is not FALLS or 0.03 < flight.end_s < 0.04

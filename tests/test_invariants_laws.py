@@ -5,7 +5,7 @@
 | loop | response equals that of its state matrix; closed poles are zeros of 1 + L and agree with encirclements |
 | a law's name | the registry answers for it, and refuses others |
 | gradients, curvature | differences of values, of gradients |
-| optimum | conditions of optimality, and the limits on the loop built anew |
+| optimum | conditions of optimality, and the limits on the loop built again |
 | objectives | the names that a case may give are those of the table |
 """
 

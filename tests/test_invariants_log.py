@@ -1,4 +1,4 @@
-"""What a log must hold to whatever happens.
+"""The invariants of a log under all circumstances.
 
 - What is read is what was written, bit by bit, however the writing was divided into blocks.
 - Equal input gives equal bytes.

@@ -1,8 +1,8 @@
-"""What holds of every optimum, whatever the model of the loop: the limits, the conditions of optimality, stability.
+"""The invariants of every optimum for any model of the loop: the limits, the conditions of optimality, stability.
 
 | what | how |
 |---|---|
-| loop sampled exactly, equations as printed | limits hold on the loop built anew, by design/margins |
+| loop sampled exactly, equations as printed | limits hold on the loop built again, by design/margins |
 | conditions of optimality | rows' multipliers and bounds', put together here, cancel the gradients |
 | multipliers | are what the objective changes by when a limit is moved |
 | several starts | end at the same design, and the certificate says how many |
@@ -283,7 +283,9 @@ def test_corners_follow_correlations() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_search_of_the_worst_corner(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where each place counts by itself the worst end of all; on a random landscape no less than where it began."""
+    """Check that the worst end of all is found where each place counts alone, and on a random landscape no less than
+    the start.
+    """
     node, rng = kit.all_nodes().each[3].node, np.random.default_rng(seed)
     ranges = ranges_of_case()
     places = len(deviations_of(ranges.campaign, node).places)
@@ -372,7 +374,7 @@ def test_dispersed_plants_hold_between_the_nodes_where_they_are_asked_to() -> No
     vehicles = [deviated(node, ranges, ends) for node in nodes for ends in corners]
 
     def missing(s) -> float:
-        """Of what was promised for all of them."""
+        """Return the missing part of the promised sum."""
         judged = judge(vehicles, make_design(loaded, s), "sampled")
         return 10.0 ** (-s.objective_db / 20.0) - min(j.margins.modulus if j.margins.stable else 0.0 for j in judged)
 

@@ -139,7 +139,7 @@ def test_the_cache_follows_the_sources_wherever_they_lie(tmp_path, monkeypatch):
     assert kept_code.source_hash() != before
     (tmp_path / "run" / "sim" / "log").mkdir(parents=True)
     (tmp_path / "run" / "sim" / "log" / "writer.py").write_text("")
-    assert list(kept_code._source_files()) == [here / "kept_code.py"]  # what holds no kernel compiles nothing anew
+    assert list(kept_code._source_files()) == [here / "kept_code.py"]  # what holds no kernel compiles nothing again
 
 
 ROUTINES = {"routine", "disjoint_routine", "rare_routine", "routine_beside"}

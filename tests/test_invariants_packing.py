@@ -1,4 +1,4 @@
-"""What a scenario is packed into does not depend on the processor: a log can be flown again on another machine.
+"""The packed form of a scenario does not depend on the processor: a log can be flown again on another machine.
 
 OpenBLAS and NumPy choose other code on other processors, which rounds in another way. Both can be told to take an
 older processor's.

@@ -1,9 +1,9 @@
-"""What `simverify` has worked out is not worked out again: after a kill, after Ctrl-C, of a design that has changed.
+"""Results of `simverify` are not computed again: after a kill, after Ctrl-C, for a design that has changed.
 
 | what | expected |
 |---|---|
 | killed with SIGKILL, or interrupted, part-way | the same command recalls every part and finds what one go finds |
-| one changed gain | certificate and margins anew at its node alone; flights and what flies the whole ascent anew |
+| one changed gain | certificate and margins again at its node alone; flights and what flies the whole ascent again |
 | the same design under another name | everything recalled |
 """
 

@@ -1,4 +1,4 @@
-"""Adaptive augmenting control against its equations written anew, closed forms and flights.
+"""Adaptive augmenting control against its equations written again, closed forms and flights.
 
 | what | oracle |
 |---|---|
@@ -117,8 +117,10 @@ def test_total_gain_and_command_are_those_of_the_published_equations(integral: b
 
 
 def test_steady_gains_are_the_closed_forms() -> None:
-    """Where e_r stays: (1 - k_a / k_max) a e_r^2 = beta (k_T - 1). Where the command swings with amplitude A:
-    alpha k_a A^2 / 2 = beta (1 - k_T), A of the command with that k_T. Alone: (1 - beta T)^n."""
+    """Check the steady gain for a constant e_r: (1 - k_a / k_max) a e_r^2 = beta (k_T - 1); for a command that swings
+    with amplitude A: alpha k_a A^2 / 2 = beta (1 - k_T), A of the command with that k_T; and without both: (1 - beta
+    T)^n.
+    """
     n, beta, still = 400, 4.0, np.zeros((400, 3))
     fast = {"leakage_ps": beta, "low_pass_hz": 3.0}
     off = still.copy()

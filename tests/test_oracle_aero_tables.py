@@ -1,4 +1,4 @@
-"""Coefficients over incidence against SciPy's interpolation and rotation matrices, which share none of the code."""
+"""Coefficients over angle of attack against SciPy's interpolation and rotation matrices, an independent code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slopes of tables over incidence in the linear model against the simulator's own equations, linearised: to 1e-8."""
+"""Slopes of tables over angle of attack in the linear model against the linearised simulator: to 1e-8."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ ROUND = {
 
 
 def inclined(trim_deg: tuple[float, float], coefficients: list[Tree], loads: Tree | None = None, **changes: Any) -> Rig:
-    """Flexible, with liquid and an engine, in incidence; slopes over Mach and cross-flow beside the tables."""
+    """Flexible, with liquid and an engine, in angle of attack; slopes over Mach and cross-flow beside the tables."""
     alpha, beta = np.radians(trim_deg)
     flow = 290.0 * np.array([math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)])
     aero = symmetric() | ROUND | {"coefficients": coefficients}
@@ -196,7 +196,7 @@ def inclined(trim_deg: tuple[float, float], coefficients: list[Tree], loads: Tre
 
 @pytest.mark.parametrize("trim_deg", [(6.0, -4.0), (-3.0, 0.0), (2.0, 9.0)])
 def test_flexible_vehicle_at_its_trim(trim_deg: tuple[float, float]) -> None:
-    """Every coefficient of both planes: tables without symmetry, body and modes in incidence and sideslip."""
+    """Every coefficient of both planes: tables without symmetry, body and modes in angle of attack and sideslip."""
     tables = [*symmetric()["coefficients"][:2], *({"table": t, "station_m": 4.0 + k} for k, t in enumerate(ALL))]
     made = inclined(trim_deg, tables)
     theirs = linearise(made.packed, made.packed.state, 0.0)

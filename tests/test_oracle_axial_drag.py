@@ -1,4 +1,4 @@
-"""What is left out of bending by axial drag: a bound, and the formula behind it against a beam of finite elements.
+"""The part of bending by axial drag that the model omits: a bound, and its formula against a beam of finite elements.
 
 Axial drag A at the nose compresses the axis behind it and follows its slope. The model has neither (docs/model.md,
 section 6): its axial load is that of the mass forward alone. By first-order perturbation a mode's frequency is then

@@ -182,7 +182,9 @@ def _exact_at_every_look(failures: int, runs: int, planned: int | None) -> s.Sho
 @pytest.mark.parametrize("planned", [None, 120], ids=["any-time", "fixed"])
 @pytest.mark.parametrize("user", [_follows_the_advice, _looks_all_the_time])
 def test_whatever_the_user_does_next_the_risk_is_kept(user: User, planned: int | None) -> None:
-    """Of campaigns with a vehicle that is just not good enough no more are ever called met than the confidence says."""
+    """Check that, for a vehicle that is just not good enough, no more campaigns are ever called met than the confidence
+    allows.
+    """
     met = np.mean([user(_failures(k), planned, _any_time_or_as_planned) for k in range(CAMPAIGNS)])
     assert met <= LIMIT
     assert met > 0.02  # and the tests do not keep it by never saying anything
@@ -356,7 +358,7 @@ def test_a_run_beyond_its_limit_is_counted_and_one_without_a_value_too(
 
 @pytest.mark.parametrize("bound", ["limit", "minimum"])
 def test_runs_are_judged_up_to_the_first_gap_and_one_without_a_value_has_failed(bound: str) -> None:
-    """Of six runs one lies below 5, one on it, two above it, one has no value; the last came behind a gap."""
+    """Check six runs: one is below 5, one equals it, two are above it, one has no value; the last came after a gap."""
     runs = np.array([0, 1, 2, 3, 4, 7])
     level = SimpleNamespace(success=0.9, confidence=0.9)
     data: Any = SimpleNamespace(

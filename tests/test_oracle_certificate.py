@@ -129,7 +129,7 @@ def test_growth_of_a_slow_oscillation_beside_a_drift() -> None:
 
 
 def test_growth_changes_with_the_gain_as_a_line_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a loop whose critical pole, at 2 rad/s, moves by 0.7/s a dB."""
+    """Check a loop whose critical pole, at 2 rad/s, moves by 0.7/s a dB."""
     bound: Any = SimpleNamespace(value=6.0, frequency_hz=1.0 / np.pi)
 
     def altered(loop: Loop, what: str, amount: float) -> Any:

@@ -294,7 +294,9 @@ def test_sag_of_a_mount_of_any_stiffness_is_where_the_moments_balance(stiffness_
 def test_engines_on_their_compliance_feel_rates_and_others_accelerations(
     swinging: tuple[bool, ...], gains: tuple[float, ...], felt: tuple[int, ...]
 ) -> None:
-    """Of a drive's angle; an engine that is fixed in the plane feels neither. `felt`: orders of the derivatives."""
+    """Check the inputs by a drive's angle; an engine that is fixed in the plane has neither. `felt`: orders of the
+    derivatives.
+    """
     each = zip(swinging, gains, strict=True)
     engines = [SimpleNamespace(drive=0, tvc_load=object() if swings else None, gain=gain) for swings, gain in each]
     vehicle: Any = SimpleNamespace(engines=engines)

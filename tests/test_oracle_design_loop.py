@@ -327,7 +327,7 @@ def test_scenario_names_and_files_give_the_same_loop() -> None:
 
 
 def test_zeros_are_those_of_the_transfer_function() -> None:
-    """Of a system with direct transmission whose inputs and outputs are scaled a million times apart."""
+    """Check a system with direct transmission whose inputs and outputs are scaled a million times apart."""
     rng = np.random.default_rng(8)
     a, b, c = rng.normal(size=(4, 4)), rng.normal(size=(4, 1)), rng.normal(size=(1, 4))
     names = tuple("abcd")

@@ -231,7 +231,7 @@ def test_actuator_at_single_frequencies() -> None:
 
 
 def test_tanks_with_the_diameter_for_the_radius() -> None:
-    """Erratum 6 at lift-off of the list's vehicle: 1.44 vs 1.02 Hz, 192 vs 383 kg, 0.27 vs 0.53 m."""
+    """Erratum 6 at liftoff of the list's vehicle: 1.44 vs 1.02 Hz, 192 vs 383 kg, 0.27 vs 0.53 m."""
     node = published_at(5.0)
     assert node.liquids is not None
     wrong = as_printed(node.vehicle.pendulums, node.liquids, radius=False, liquid=True)

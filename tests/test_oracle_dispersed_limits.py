@@ -105,7 +105,7 @@ def measure(node: Node) -> dict[str, float]:
 
 
 def test_the_corner_of_a_known_function() -> None:
-    """Of separable steps the corner is the sum of all signs; the value is counted by hand."""
+    """Check separable steps, whose corner is the sum of all signs; the value is counted by hand."""
     weights = np.array([3.0, -1.0, 2.0, 0.5])
     u, value = to_corner(lambda every: [float(x @ weights) for x in every], np.zeros(4), Region("box", 0.5))
     assert u.tolist() == [-0.5, 0.5, -0.5, -0.5]

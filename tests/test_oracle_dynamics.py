@@ -202,7 +202,7 @@ def softening(parts: Parts, modes: tuple[Mode, ...]) -> Array:
 
 
 def thrust_load(parts: Parts, state: State, follower: bool) -> tuple[Load, float]:
-    """What thrust does, written out by hand (docs/model.md, section 4), and the axial specific force, m/s2.
+    """Return the load of thrust, written out by hand (docs/model.md, section 4), and the axial specific force, m/s2.
 
     A force on the bent body works on the velocity of the displaced point. The oracle's modal forces work on
     etadot and xidot at fixed body rates, so every lateral modal force that rides on the body's turning adds

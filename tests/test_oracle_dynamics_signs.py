@@ -1,4 +1,4 @@
-"""One test per coupling path, each path on its own: which way it acts, in pitch and in yaw, and how strongly.
+"""A test for each coupling path alone: its direction in pitch and in yaw, and its size.
 
 The signs are the contract's: x forward, y right, z down; positive gimbal angles give positive moments; a mode
 moves to +z (pitch) and +y (yaw); its slope turns the body by +sigma eta about y and by -sigma xi about z.
@@ -311,7 +311,7 @@ def test_normal_force_opposes_cross_flow_and_turns(plane: int, station_m: float)
 
 @PLANES
 def test_local_incidence_by_slope_and_by_motion(plane: int) -> None:
-    """A surface turned into the flow is pushed like a body at that incidence; one that moves is damped."""
+    """A surface turned into the flow is pushed like a body at that angle of attack; one that moves is damped."""
     for mode, index, cross_flow in ((SLOPED, 0, SPEED * 0.2 * 0.01), (MOVED, 1, 0.6 * 0.5)):
         made = through_air(wing(3.0), [SPEED, 0.0, 0.0], Parts(**planes(mode)))
         y = made.y.copy()

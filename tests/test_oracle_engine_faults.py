@@ -5,7 +5,7 @@
 | an engine of nine off at once | closed form: the tables' clock runs at 8/9 of the time from then on |
 | tail-off, loss and return, throttle ramps, unlike engines with flows of their own | SciPy's integral of the flows |
 | expelled mass | integral of the mass flow, whatever happens |
-| burn-out | when what is left is spent; at once where the last engine is off |
+| burnout | when what is left is spent; at once where the last engine is off |
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from maxq.sim.vehicle.engine.burn import stage_burns
 NINE = "tests/data/nine-engines/flight.toml"
 OFF = "fault=[{kind='engine-off',engine=8,at_s=20.0}]"
 LOST = ("thrust_N", "mass_flow_kgps")
-NO_SLOSH = "switches.slosh=false"  # with it the core's interpolation is fitted anew on the tanks' breakpoints
+NO_SLOSH = "switches.slosh=false"  # with it the core's interpolation is fitted again on the tanks' breakpoints
 
 
 def packed(*overrides: str) -> Packed:
@@ -163,7 +163,9 @@ def test_a_tail_off_ends_where_its_table_does() -> None:
 
 
 def test_burn_rate_speeds_up_all_that_flows() -> None:
-    """One engine at 1.1 times its flow: at the same clock of the tables every rate is 1.1 times the nominal one."""
+    """Check an engine at 1.1 times its flow: at the same clock of the tables every rate is 1.1 times the nominal
+    one.
+    """
     nominal, made = (
         pack_flight(load_scenario("nominal", [f"vehicle.stage.0.engine.mass_flow_factor={k}"]).scenario)
         for k in (1.0, 1.1)
@@ -207,7 +209,7 @@ def test_a_flight_with_an_engine_off_weighs_what_it_has_left() -> None:
     at = float(np.interp(spent_s, nominal.time_s("mass_kg"), nominal["mass_kg"]))
     assert flight["mass_kg"][-1] == pytest.approx(at, rel=1e-9)
     assert [e.name for e in flight.events].count("fault") == 1
-    # from lift-off on, which is an event of the flight: the tables know its instant beforehand
+    # from liftoff on, which is an event of the flight: the tables know its instant beforehand
     since = "fault=[{kind='engine-off',engine=8,at_s=0.5,since='liftoff'}]"
     flight = fly(load_scenario(NINE, [since, "run.duration_s=2.0"]))
     fault_s = next(e.time_s for e in flight.events if e.name == "fault")

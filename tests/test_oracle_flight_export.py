@@ -89,7 +89,7 @@ yaw = [0.6, 0.4]
 
 INCIDENCE = """
 schema = 2
-name = "relief by incidence"
+name = "relief by angle of attack"
 law = "incidence-relief"
 [gains]
 table = [

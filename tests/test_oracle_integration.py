@@ -54,7 +54,7 @@ def test_against_the_method_applied_to_a_matrix(x: float, zeta: float) -> None:
 
 
 def test_the_simulator_damps_a_fast_mode_as_told() -> None:
-    """One undamped mode of 100 Hz in empty space, left alone for 0.5 s."""
+    """Check an undamped mode of 100 Hz in empty space, undisturbed for 0.5 s."""
     mode = Mode(100.0, 500.0, (1.0, 0.4, -0.2, -0.4, 0.5, 1.1), (-0.3, -0.3, -0.2, 0.2, 0.3, 0.3), 0.0)
     made = rig(scenario_of(Parts(pitch=(mode,)), run={"step_s": 0.001}))
     eta = int(eta_index(made.sizes))
@@ -211,7 +211,7 @@ def test_each_length_of_step_has_its_matrices_once_and_for_all_that_swings(actua
 
 @pytest.mark.slow
 def test_a_fast_mode_is_not_damped_by_steps_of_its_accuracy() -> None:
-    """One undamped mode of 100 Hz, left alone for 0.5 s: exact, whatever the step."""
+    """Check an undamped mode of 100 Hz, undisturbed for 0.5 s: it is exact for every step."""
     mode = Mode(100.0, 500.0, (1.0, 0.4, -0.2, -0.4, 0.5, 1.1), (-0.3, -0.3, -0.2, 0.2, 0.3, 0.3), 0.0)
     made = rig(scenario_of(Parts(pitch=(mode,)), run={"accuracy": 0.05}))
     eta = int(eta_index(made.sizes))

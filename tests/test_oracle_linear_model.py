@@ -16,9 +16,9 @@ altitude and path angle that the nominal flight has at eleven nodes.
 | mass going over from bob to core | left out by the simulator: effect bounded |
 | round, rotating Earth; the state as flown | other systems: difference bounded, and explained where tested |
 
-No quasi-steady difference is left over: lateral speed is the state and not incidence, so U'/U does not appear
+No quasi-steady difference is left over: lateral speed is the state and not angle of attack, so U'/U does not appear
 (erratum 10: alpha' = w'/U - alpha U'/U), gravity's part of w' and the wandering of the CG are in both, and at
-zero incidence the forward speed does not enter the lateral motion.
+zero angle of attack the forward speed does not enter the lateral motion.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def plane_states(plane: str, tvc_load: bool = False) -> list[str]:
 
 @dataclass(frozen=True)
 class Node:
-    """One instant: the simulator linearised, and the model at the same condition."""
+    """An instant: the simulator linearised, and the model at the same condition."""
 
     packed: Packed
     condition: FlightCondition
@@ -403,7 +403,7 @@ def _rate_damping_in_vacuum(packed: Packed, condition: FlightCondition) -> float
 # --- the flight itself
 @pytest.fixture(scope="module")
 def flown_nodes() -> dict[tuple[int, str], Node]:
-    """The nominal flight at its nodes over the real Earth: as flown, and without incidence and rotation."""
+    """The nominal flight at its nodes over the real Earth: as flown, and without angle of attack and rotation."""
     run, out = FlightRun(load_scenario("nominal", ["run.duration_s=56"]), log=False), {}
     for time_s in NODES_S:
         while run.now_s < time_s - 1e-9:
@@ -441,9 +441,9 @@ def test_round_rotating_earth_changes_what_gravity_does(flown_nodes: dict[tuple[
 
 @EVERY_NODE
 def test_model_holds_along_the_flown_path(flown_nodes: dict[tuple[int, str], Node], time_s: int) -> None:
-    """As flown there is incidence (3.8 deg at 10 s, when it pitches over; 0.03 deg later) and rotation.
+    """As flown there is angle of attack (3.8 deg at 10 s, when it pitches over; 0.03 deg later) and rotation.
 
-    Cross-flow lift grows with incidence and adds to the slope of the surfaces: 1.4 % of the short period at
+    Cross-flow lift grows with angle of attack and adds to the slope of the surfaces: 1.4 % of the short period at
     10 s. Centrifugal stiffness and the drag's side component reach bobs and modes at their second order.
     """
     groups = vehicle_pole_groups(flown_nodes[time_s, "flown"])

@@ -140,7 +140,7 @@ def test_gradients_by_the_complex_step(loop: str) -> None:
 
 
 def excess_db(own: Any, wind, output: int, s: Any, limit: float) -> Any:
-    """By complex steps: C of the law written down anew, the loop closed with the wind's data."""
+    """By complex steps: C of the law written down again, the loop closed with the wind's data."""
     z = np.exp(-2j * np.pi * np.exp(wind.x) * T)
     kept, shaped = np.exp(-2.0 * np.pi * T), filter_f3(own, s)
     lags = (1.0 - kept) / (1.0 - kept * z)

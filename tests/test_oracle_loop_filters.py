@@ -7,9 +7,9 @@
 | response of the law | (zI - A)^-1 of its state space; closed form |
 | gradient by the own parameters | complex step on ln|L| and arg L in pairs of real numbers |
 | first and second derivative by frequency | differences |
-| centre of percussion, acceleration per incidence | the linear plant: what a gimbal angle and a side wind do there |
+| centre of percussion, acceleration per angle of attack | the linear plant: response to gimbal angle and wind |
 | |F(j inf)| of each loop | the filters at 1e9 Hz |
-| estimated incidence in flight | the true one behind the same lag |
+| estimated angle of attack in flight | the true one behind the same lag |
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def test_each_loop_has_its_filter_before_the_law(gains: GainSchedule) -> None:
 
 
 def steady_memory(b: list[float], a: list[float], value: float) -> Array:
-    """Of transposed direct form II after a long time at one input."""
+    """Return the memory of transposed direct form II after a long time at one input."""
     out = value * sum(b) / sum(a)
     last = b[2] * value - a[2] * out
     return np.array([b[1] * value - a[1] * out + last, last])
@@ -333,7 +333,7 @@ def test_damping_of_the_rigid_body_counts_all_gyros() -> None:
 
 
 def test_the_centre_of_percussion_feels_the_air_and_no_gimbal_angle() -> None:
-    """In the linear plant without modes and slosh: acceleration there per gimbal angle 0, per incidence b."""
+    """In the linear plant without modes and slosh: acceleration there per gimbal angle 0, per angle of attack b."""
     rigid = load_scenario("load-relief", ["switches.bending=false", "switches.slosh=false"])
     for node in maxq.nodes(rigid, (15.0, 40.0)):
         lever_m, slope = incidence_by_acceleration(node.vehicle, node.derivatives, node.condition.airspeed_mps)

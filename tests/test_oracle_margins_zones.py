@@ -1,6 +1,6 @@
 """Nichols zones and disks against a brute-force search along the curve.
 
-The search takes the least value over a grid of tens of thousands of points, drawn anew ten times around the least
+The search takes the least value over a grid of tens of thousands of points, drawn again ten times around the least
 one: slow, sure, and knows neither kinks nor parabolas.
 """
 

@@ -223,7 +223,7 @@ def test_quadratic_programme_fulfils_the_conditions_of_optimality() -> None:
 
 @pytest.mark.parametrize("reachable", [True, False])
 def test_a_step_weighs_the_objective_against_the_largest_excess(reachable: bool) -> None:
-    """Of all steps of a grid none has less: objective + penalty x what is left of the largest excess + curvature."""
+    """Check that no step of a grid has less: objective + penalty x the rest of the largest excess + curvature."""
     gradient = np.array([[3.0, -1.0], [1.0, 2.0], [-2.0, 0.5], [-1.0, -2.5]])
     excess_db = np.array([4.0, 3.5, 0.4 if reachable else 9.0, -0.3])
     objective, curvature, radius = np.array([True, True, False, False]), np.array([[2.0, 0.3], [0.3, 1.0]]), 0.5

@@ -2,10 +2,10 @@
 
 | what is checked | against |
 |---|---|
-| orbit at the cut-off, with thrust and exhaust speed off | point mass by DOP853; heights over one revolution |
+| orbit at the cutoff, with thrust and exhaust speed off | point mass by DOP853; heights over one revolution |
 | its gravitation | gradient of the potential by complex step |
 | propellant | optimal steering: primer vector, a boundary-value problem solved by `root` |
-| petrel's flight, and dispersed ones | the scenario's orbit; the state flown on by DOP853; mass after the cut-off |
+| petrel's flight, and dispersed ones | the scenario's orbit; the state flown on by DOP853; mass after the cutoff |
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def begun() -> tuple[Array, Array]:
 
 
 def flown(burn: Burn) -> tuple[float, Array, OrbitGuidanceState]:
-    """Time of the cut-off, position and velocity there; thrust exactly along what is commanded."""
+    """Time of the cutoff, position and velocity there; thrust exactly along what is commanded."""
     g, state = pack([burn.guidance()])[0], blank(OrbitGuidanceState)[0]
     start(state)
     (r, v), t = begun(), 0.0
@@ -263,7 +263,7 @@ def test_petrel_reaches_its_orbit_however_the_first_stage_flies(changes: tuple[s
     assert not flight.failures
     names = [f"{of}_{axis}_{unit}" for of, unit in (("r_I", "m"), ("v_I", "mps")) for axis in "xyz"]
     end = np.array([flight.final[name] for name in names])
-    y = solve_ivp(  # back to the cut-off
+    y = solve_ivp(  # back to the cutoff
         lambda _, x: np.concatenate([x[3:], Burn().gravitation(x[:3])]),
         (flight.end_s, flight.event_s("burnout")),
         end,

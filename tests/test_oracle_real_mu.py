@@ -143,7 +143,7 @@ def test_two_coupled_loops_have_the_bound_of_their_closed_form() -> None:
 
 
 def test_a_delay_of_all_commands_is_that_of_each() -> None:
-    """Of two loops without coupling det(1 - M v) is the square of that of one."""
+    """Check two loops without coupling, whose det(1 - M v) is the square of that of one."""
     one = Uncertain(np.array([[0.0, 1.0], [1.0, 0.0]]), (np.zeros((2, 2)),), np.array([0.02]), np.ones(1))
     two = Uncertain(by_hand()[0].whole, (np.zeros((4, 4)),), np.array([0.02]), np.ones(1), axes=2)
     for hz in (0.3, 2.0):

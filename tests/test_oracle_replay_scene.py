@@ -191,7 +191,7 @@ class Loaded:
 def test_skin_has_the_colour_of_its_bending_moment(
     limit_Nm: np.ndarray | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of sixteen pieces the last, 31/32 of the way aft, carries 31/32 of 100 t N m."""
+    """Check the last of sixteen pieces, 31/32 of the way aft, which carries 31/32 of 100 t N m."""
     sent: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     said: list[str] = []
 

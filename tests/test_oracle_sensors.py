@@ -101,7 +101,7 @@ def sensor_motion(y: Array) -> tuple[Array, Rotation]:
 
 
 def felt(made: Rig, rate: Array, sensor: int) -> Array:
-    """What a sensor at rest at zero feels, from the derivative of its lag."""
+    """Return the input of a sensor at rest at zero, from the derivative of its lag."""
     i, omega = int(layout.sensor_index(made.sizes, sensor)), 2.0 * np.pi * 60.0
     return np.asarray(rate[i + 1 : i + 6 : 2] / omega**2)
 

@@ -492,7 +492,7 @@ def test_coupled_modes_conserve_energy_and_momenta() -> None:
 
 # --- the linear model
 def ascending(section: Tree, rest: Parts, **stage: Any) -> tuple[Packed, FlightCondition]:
-    """With spatial modes at zero incidence, the CG on the axis."""
+    """With spatial modes at zero angle of attack, the CG on the axis."""
     straight = replace(
         rest,
         core_cg=(7.0, 0.0, 0.0),
@@ -710,7 +710,9 @@ def test_bending_moments_of_spatial_modes_are_those_of_planar_ones(plane: str) -
 
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_air_that_moves_with_the_vehicle_does_nothing(plane: str) -> None:
-    """Turned pairs, which couple the planes, under tables over incidence: the wind's column is that of w, reversed."""
+    """Turned pairs, which couple the planes, under tables over angle of attack: the wind's column is that of w,
+    reversed.
+    """
     section, rest = as_spatial(PARTS, np.radians(30.0))
     start = {"initial": {"ned_mps": [200.0, 20.0, -15.0]}, "earth": {"gravity": "uniform"}}
     tree = with_stage(merged(scenario_of(rest, **AIR), start), aero=AERO | TABLES, spatial_modes=section)

@@ -70,7 +70,7 @@ def test_what_stays_is_where_it_was_and_moves_as_it_did() -> None:
 
 
 def test_thrust_ends_at_burn_out_and_begins_again_at_ignition() -> None:
-    """Burn-out at 40 s, separation at 45 s, ignition 3 s later, not before."""
+    """Burnout at 40 s, separation at 45 s, ignition 3 s later, not before."""
     flight = fly(load_scenario(TWO, ["run.duration_s=49.0"]))
     t, thrust_N = flight.time_s("thrust_N"), flight["thrust_N"]
     off = (t > 40.0) & (t < 48.0)

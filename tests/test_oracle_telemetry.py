@@ -1,4 +1,4 @@
-"""What is logged and counted of a flight, from what it is made of: NumPy, SciPy's rotations, the ellipsoid's formula.
+"""The logged and counted values of a flight, from its data: NumPy, SciPy's rotations, the ellipsoid's formula.
 
 A few steps of KSR-III in the air, flying askew, rolling and turning, so that no axis and no plane is like another.
 """

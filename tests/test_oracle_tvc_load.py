@@ -311,7 +311,9 @@ def stiff_air(vehicle: PlanarVehicle) -> PlanarVehicle:
 
 
 def test_axial_load_and_bent_gimbal_agree_with_lagrange() -> None:
-    """What the axial load does to the hinge, through the engine's own displacement and through the gimbal's slope."""
+    """Check the effect of the axial load on the hinge, through the engine's own displacement and through the gimbal's
+    slope.
+    """
     node = nodes_along(load_scenario("nominal", [load_of(0.0)]), [30.0])[0]
     vehicle = stiff_air(planar_of(node))
     condition = replace(node.condition, airspeed_mps=0.0, gravity_mps2=0.0)

@@ -17,7 +17,7 @@ ROUNDING = 1e-14  # of a dozen products of numbers of order one
 
 @entry
 def _everything(out, a, b, q, p, j):  # type: ignore[no-untyped-def]  # Numba infers
-    """One compilation for all of them; a row each."""
+    """Compile all of them at once; a row each."""
     a, b = (a[0], a[1], a[2]), (b[0], b[1], b[2])
     q, p = v.quaternion_at(q, 1), v.quaternion_at(p, 0)
     j = v.symmetric_at(j, 0)
@@ -69,9 +69,10 @@ def test_kernels_equal_the_library(size: float) -> None:
         a,
     ]
     assert out[:9, :3] == pytest.approx(np.array(threes), abs=ROUNDING)
-    assert np.abs(out[9] - _scalar_first(turn * other)).max() < ROUNDING or np.abs(
-        out[9] + _scalar_first(turn * other)
-    ).max() < ROUNDING  # fmt: skip  # either sign is the same rotation
+    assert (
+        np.abs(out[9] - _scalar_first(turn * other)).max() < ROUNDING
+        or np.abs(out[9] + _scalar_first(turn * other)).max() < ROUNDING
+    )  # either sign is the same rotation
     assert out[10] == pytest.approx([q[0], *-q[1:]], abs=0.0)
     assert out[11] == pytest.approx(_scalar_first(Rotation.from_rotvec(a)), abs=ROUNDING)
 

@@ -1,4 +1,4 @@
-"""What simvehicle works out of a layout, against closed forms, and its vehicle in the simulator."""
+"""The results of simvehicle for a layout, against closed forms, and its vehicle in the simulator."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ def test_ascent_ends_in_the_orbit_asked_for(built) -> None:
 
 
 def test_fairing_is_dropped_and_nothing_else(built, layout: Layout) -> None:
-    """One burn in two parts: mass and its flow go on, but for the fairing."""
+    """Check a burn in two parts: mass and its flow go on, but for the fairing."""
     assert layout.fairing is not None
     _, with_it, without = built.stacks
     whole, at = stacks(layout)[1], with_it.burn.end_s

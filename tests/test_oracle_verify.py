@@ -1,13 +1,13 @@
-"""What simverify reckons with, against what must hold.
+"""The computations of simverify, against independent ones.
 
 | what | against |
 |---|---|
 | centre of percussion | the point that the linear plant does not accelerate when the engine pushes |
-| wind that takes all of the gimbal | the moment of the plant in trim at that incidence |
+| wind that takes all of the gimbal | the moment of the plant in trim at that angle of attack |
 | corners | every factor as often high as low, and every pair of factors uncorrelated |
 | margins of a vehicle that does not deviate | those of the design |
 | damping that slosh needs | the closed loop grows with less and not with more |
-| one changed gain | only nodes beside it are worked out anew |
+| one changed gain | only nodes beside it are worked out again |
 """
 
 from __future__ import annotations

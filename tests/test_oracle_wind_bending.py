@@ -3,7 +3,7 @@
 | what | oracle |
 |---|---|
 | every coefficient of the moment by states and engine, both planes | the simulator's section loads, linearised: 1e-8 |
-| the same with tables over incidence at a trim, liquid that goes over to the core, a line mass that does not fit | so |
+| the same with tables at a trim, liquid that goes over to the core, a line mass that does not fit | so |
 | by the wind | the simulator's section loads in constant side winds |
 | rms in turbulence with the loop closed | 24 flights through it |
 """
@@ -134,7 +134,7 @@ def through(*more: str) -> LoadedScenario:
 
 
 def moments(scenario: LoadedScenario) -> Array:
-    """Of both planes between 38 and 42 s, (2, stations, instants)."""
+    """Return the moments of both planes between 38 and 42 s, (2, stations, instants)."""
     flown = fly(scenario)
     names = [[f"section_{k + 1}_bending_{plane}_Nm" for k in PICKED] for plane in ("pitch", "yaw")]
     time_s = flown.time_s(names[0][0])

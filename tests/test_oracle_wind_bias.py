@@ -4,7 +4,7 @@
 |---|---|
 | angle between axis and air in the biased flight | that of still air, from velocity, attitude and wind |
 | bias that is reported | integral of the difference between the programmes |
-| half of it | half of the incidence that the wind adds |
+| half of it | half of the angle of attack that the wind adds |
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def test_reported_bias_is_the_integral_of_what_the_programmes_differ_by() -> Non
         more = made.table[name] - np.interp(t, old["time_s"], old.get(name))
         turned = np.array([trapezoid(more[: k + 1], t[: k + 1]) for k in range(n)])
         assert turned == pytest.approx(np.degrees(made.bias_rad[row]), abs=0.15)
-    assert np.degrees(np.abs(made.bias_rad[:, 0])).max() < 1e-9  # none at lift-off
+    assert np.degrees(np.abs(made.bias_rad[:, 0])).max() < 1e-9  # none at liftoff
 
 
 def test_half_the_share_leaves_half() -> None:

@@ -353,7 +353,7 @@ def refined_by_scipy(node: Node, campaign: LoadedCampaign, wanted: WorstWanted, 
 @pytest.mark.parametrize("count", [6, pytest.param(500, marks=pytest.mark.long)])
 @pytest.mark.parametrize("region", ["box", "ellipsoid"])
 def test_no_random_refinement_finds_a_worse_vehicle(region: Any, count: int) -> None:
-    """Of ksr3-ringed at 53.5 s (two sigma each) and ksr3-robust at 45 s (three sigma together)."""
+    """Check ksr3-ringed at 53.5 s (two sigma each) and ksr3-robust at 45 s (three sigma together)."""
     name, time_s, sigmas = ("ksr3-ringed", 53.5, 2.0) if region == "box" else ("nominal", 45.0, 3.0)
     scenario, wanted = load_scenario(name), WorstWanted(region=region, sigmas=sigmas, starts=4)
     design = scenario.design if region == "box" else maxq.load_design("designs/ksr3-robust")

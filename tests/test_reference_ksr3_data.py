@@ -36,7 +36,7 @@ def rows_of(name: str) -> Array:
 
 
 # Another derivation from the same assumptions (linear interpolation, abrupt ignition, a gravity turn that
-# starts with a jump of incidence); tolerances cover what those choices move.
+# starts with a jump of angle of attack); tolerances cover what those choices move.
 EARLIER_NAMES = "m x_cg Iyy Md Za Ma Zd f_b1 f_b2 f_b3 M_G1 M_G2 sig1_gim sig1_gyro m_s_lox L_p_lox x_hinge_lox m_rigid"
 EARLIER = {
     5.0: "5768.29 7.64507 64258.1 9.90748 -0.0973655 -1.00756 0.375599 9.17496 23.5141 42.0218 "

@@ -71,7 +71,7 @@ WRONG = {
 
 @pytest.mark.parametrize("mistake", WRONG)
 def test_tolerances_resolve_a_small_mistake(mistake):
-    """What is judged here would be seen if it were wrong."""
+    """Check that the comparison would detect a small mistake."""
     case, override = WRONG[mistake]
     scenario, compare = ALL_CASES[case]
     assert outside(compare(fly(load_scenario(f"checkcases/{scenario}", [override]))))

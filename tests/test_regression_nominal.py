@@ -109,7 +109,7 @@ def test_what_came_in_since_changes_no_bit_where_it_is_told_to_do_nothing() -> N
         "switches.tvc_load = false",
         "switches.section_loads = false",
     )
-    gust = BEFORE["through a gust to burn-out"]["set"][2]
+    gust = BEFORE["through a gust to burnout"]["set"][2]
     usual, told = (flown("nominal", ["run.duration_s=40", gust, *more]) for more in ((), later))
     np.testing.assert_array_equal(told.packed.state, usual.packed.state)
     assert told.state_hash() == usual.state_hash()

@@ -1,4 +1,4 @@
-"""What `ksr3-ringed` changes about KSR-III, which the suite `standard` rejects as it flew: gusts in a limit wind.
+"""The changes of `ksr3-ringed` to KSR-III, which the suite `standard` rejects as it flew: gusts in a limit wind.
 
 | flight, 60 and 300 m of gust before the largest dynamic pressure | ksr3-robust, November | ksr3-ringed, September |
 |---|---|---|

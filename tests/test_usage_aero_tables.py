@@ -1,4 +1,4 @@
-"""Tables of coefficients over incidence that are wrong are refused in one line with what is allowed."""
+"""Tables of coefficients over angle of attack that are wrong are refused in one line with what is allowed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""KSR-III with its slopes written as tables over Mach number and total incidence: flown, linearised, designed for."""
+"""KSR-III with its slopes written as tables over Mach number and total angle of attack: flown, linearised, designed
+for.
+"""
 
 from __future__ import annotations
 
@@ -48,8 +50,10 @@ def loaded(file: Path | str) -> LoadedScenario:
 
 
 def along_the_axis(node: Node) -> Node:
-    """Without what the flown incidence adds beside the tables: cross-flow above all."""
-    assert abs(planar_of(node).aerodynamics.slope_pr[-1]) > 1e-3, "a vehicle without tables is taken at zero incidence"
+    """Without what the flown angle of attack adds beside the tables: cross-flow above all."""
+    assert abs(planar_of(node).aerodynamics.slope_pr[-1]) > 1e-3, (
+        "a vehicle without tables is taken at zero angle of attack"
+    )
     return dataclasses.replace(node, trim=(0.0, 0.0))
 
 

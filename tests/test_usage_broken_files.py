@@ -34,7 +34,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def said_of(here: Path, kind: str, old: str, new: str) -> str:
-    """What is said of a base file in which `old` stands as `new`."""
+    """Return the error message for a base file in which `new` replaces `old`."""
     assert old in BASES[kind]
     return answer(kind, here, FILES[kind], BASES[kind].replace(old, new, 1).encode())
 

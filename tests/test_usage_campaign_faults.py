@@ -1,4 +1,4 @@
-"""What can go wrong around a campaign, done for real: nothing is lost or counted twice, and it says what to do."""
+"""Faults around a campaign, caused for real: nothing is lost or counted twice, and the message names the next step."""
 
 from __future__ import annotations
 
@@ -228,7 +228,7 @@ def test_a_clock_that_jumps(
 def test_a_run_that_breaks_is_a_row(
     campaign: LoadedCampaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
-    """Whether it breaks as it is made, in flight, or when it is judged; those beside it are flown."""
+    """Check a run that breaks as it is made, in flight, or when it is judged; the other runs are flown."""
     plain = getattr(FlightRun, where)
 
     def breaks(self: FlightRun, *rest: Any, **more: Any) -> Any:

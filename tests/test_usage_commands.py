@@ -1,4 +1,4 @@
-"""What all commands have in common: help, exit codes, errors on one line."""
+"""The common behaviour of all commands: help, exit codes, errors on one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What building a computer refuses, and that it says which key, which value and what would be allowed."""
+"""The checks of a computer's set-up: its errors name key, value and allowed values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What docs/design.md and docs/flights/nominal-departure.md claim is what the code gives."""
+"""The claims of docs/design.md and docs/flights/nominal-departure.md equal the results of the code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the log says of several engines."""
+"""The log of several engines."""
 
 from __future__ import annotations
 

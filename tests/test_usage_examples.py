@@ -20,7 +20,7 @@ def test_trial(whole, real):
 
 
 def tried(folder: Path, examples: str | None) -> str:
-    """What a test tries in a process of its own."""
+    """Return the examples that a test tries in a separate process."""
     (folder / "test_trial.py").write_text(TRIAL)
     (folder / "tried.txt").unlink(missing_ok=True)
     environment = {k: v for k, v in os.environ.items() if k != "MAXQ_EXAMPLES"}

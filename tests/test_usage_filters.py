@@ -1,4 +1,4 @@
-"""What filters refuse, and that they say which key, which value and what would be allowed."""
+"""The checks of filters: their errors name key, value and allowed values."""
 
 from __future__ import annotations
 

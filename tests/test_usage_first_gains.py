@@ -37,7 +37,7 @@ def test_first_gains_that_do_not_hold_their_flight_are_replaced(
     name: str, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By formula the heavy launcher is unstable at three of nine times, and the student rocket loses control (its
-    gimbals stay too weak for 5 deg of incidence).
+    gimbals stay too weak for 5 deg of angle of attack).
     """
     formula = checked(layoutkit.folder(name))
     assert not formula.hold

@@ -191,7 +191,7 @@ void maxq_fsw_close(void *self) { (void)self; }
 
 @needs_compiler
 def test_one_process_flies_flight_after_flight_and_each_begins_anew(tmp_path: Path) -> None:
-    """What a library keeps for itself is gone with its flight; a thread of it or a crash ends the process with it."""
+    """Check that the memory of a library ends with its flight; a thread of it or a crash ends the process with it."""
     (tmp_path / "own.c").write_text(REMEMBERING)
     sound, crashing = (
         compiled(tmp_path, tmp_path / "own.c", f"own{n}", f"-DCRASHES={n}", "-D_GNU_SOURCE", "-pthread") for n in (0, 1)

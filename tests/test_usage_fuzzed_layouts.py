@@ -38,7 +38,7 @@ def about(value: float, factor: float = 1.5) -> st.SearchStrategy[float]:
 
 @st.composite
 def layouts(draw: st.DrawFn) -> dict[str, Any]:
-    """One to three stages from the top down, each sized for what is above it: thrust, propellant, structure."""
+    """Draw one to three stages from the top down, each sized for those above it: thrust, propellant, structure."""
     stages: list[dict[str, Any]] = []
     front, above_kg = 0.0, 0.0
     for n in range(draw(st.integers(1, 3))):
@@ -128,7 +128,7 @@ def layouts(draw: st.DrawFn) -> dict[str, Any]:
 
 
 def built_and_flown(document: dict[str, Any], folder: Path, whole: bool) -> str:
-    """What is said of a layout that is refused; else "", after a flight of finite numbers."""
+    """Return the error message for a rejected layout; else "", after a flight of finite numbers."""
     (folder / "drawn.toml").write_text(tomli_w.dumps(document))
     try:
         built = build(read_layout(folder / "drawn.toml"))

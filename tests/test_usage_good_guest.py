@@ -46,7 +46,7 @@ def test_numba_is_as_it_came() -> None:
 
 
 def test_a_compilation_takes_its_changes_back() -> None:
-    """One that ends well, and one that fails half-way."""
+    """Check a compilation that ends well, and one that fails half-way."""
     before = process_wide()
 
     @kernel

@@ -101,7 +101,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 class Page(HTMLParser):
-    """What a browser would make of a page."""
+    """A page as a browser reads it."""
 
     def __init__(self, page: str) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""How the log is used and misused: channel tables, wrong arrays, wrong files."""
+"""Use and misuse of the log: channel tables, wrong arrays, wrong files."""
 
 from __future__ import annotations
 
@@ -300,7 +300,7 @@ class ExampleRow(NamedTuple):
 
 @entry
 def write_row(row: Array, first: int) -> int:
-    """What a kernel does with a row; the count of the valve is an integer."""
+    """Write a row as a kernel does; the count of the valve is an integer."""
     tilt, wind = TiltRow(PitchYaw(pitch=1.0, yaw=2.0)), NorthEastDown(east=4.0, north=3.0, down=5.0)
     return put(row, first, ExampleRow(valve_open=1, eta_mode_m=6.0, wind_N_axis_mps=wind, tilt=tilt))
 

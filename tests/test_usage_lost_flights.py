@@ -39,7 +39,7 @@ def test_spans_end_at_the_loss_that_the_flight_reports() -> None:
 
 @pytest.mark.parametrize("name", ["control_lost", "tumble", "diverged"])
 def test_each_loss_ends_all_spans(name: str) -> None:
-    """Of two stages the first is lost while it burns, or the second before it is ignited."""
+    """Check two stages: the first is lost while it burns, or the second before it is ignited."""
     flown = [
         Event("ignition", 0, 1),
         Event("liftoff", 0),

@@ -22,7 +22,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def refused(table: str) -> str:
-    """What is said of a CSV file of gains."""
+    """Return the error message for a CSV file of gains."""
     Path("t.csv").write_text(table)
     with pytest.raises(ScenarioError) as caught:
         load_scenario("nominal", ["design.gains.table=t.csv"])
@@ -53,8 +53,8 @@ def test_a_folder_in_use_advises_what_can_help() -> None:
     try:
         with pytest.raises(CampaignError, match=r"wait for it, or give another --out$"):
             open_store(Path("there"), campaign)
-        with pytest.raises(CampaignError, match=r"wait for it, or work it out anew$"):
-            open_store(Path("there"), campaign, "work it out anew")
+        with pytest.raises(CampaignError, match=r"wait for it, or work it out again$"):
+            open_store(Path("there"), campaign, "work it out again")
     finally:
         store.unlock()
 

@@ -228,7 +228,7 @@ def test_modes_over_mass_that_are_refused(change: Callable[[dict[str, float]], N
 
 
 def test_the_second_vehicle_is_checked_likewise(tmp_path: Path) -> None:
-    """Petrel: slopes turned round, a length of another vehicle, a node before lift-off."""
+    """Petrel: slopes turned round, a length of another vehicle, a node before liftoff."""
     lines = (petrel.folder() / "vehicle" / "stage1_modes.csv").read_text().splitlines()
     first = next(n for n, line in enumerate(lines) if line.startswith("time_s"))
     column = lines[first].split(",").index("slope_pm")
@@ -243,6 +243,6 @@ def test_the_second_vehicle_is_checked_likewise(tmp_path: Path) -> None:
     found = petrel.scenario("vehicle.reference.length_m=180.0").warnings
     assert any("reference.length_m = 180" in str(warning) for warning in found)
     with pytest.raises(
-        ValueError, match=r"node at 0 s: the vehicle is held down; allowed are times under thrust: lift-off to "
+        ValueError, match=r"node at 0 s: the vehicle is held down; allowed are times under thrust: liftoff to "
     ):
         petrel.nodes(0.0)

@@ -1,4 +1,6 @@
-"""What the optimiser answers to cases of all kinds: infeasible, interrupted, at the edges; and that its designs fly."""
+"""The results of the optimiser for cases of all kinds: infeasible, interrupted, at the edges; and that its designs
+fly.
+"""
 
 from __future__ import annotations
 

@@ -167,7 +167,7 @@ PAPER_MODE = {
 
 
 def _said(file: Path) -> list[str]:
-    """What a file can say: of Python its texts without docstrings, of other sources all."""
+    """Return the texts of a file: for Python its strings without docstrings, for other sources the whole."""
     text = file.read_text(encoding="utf-8")
     if file.suffix != ".py":
         return [text]

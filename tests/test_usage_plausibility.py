@@ -1,4 +1,4 @@
-"""What is possible but implausible is flown, with a warning that names key, value and what is usual."""
+"""Possible but implausible values are flown, with a warning that names key, value and the usual range."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the viewer really shows: rendered without a window, in software where there is no graphics card.
+"""The images of the viewer: rendered without a window, in software if there is no graphics card.
 
 | what | how it is checked |
 |---|---|
@@ -26,7 +26,7 @@ from maxq.tools.replay.flight import open_flight
 from maxq.tools.replay.viewer import ReplayError
 
 KEPT = Path(__file__).parent / "data" / "replay"
-TIMES_S = (0.3, 8.0, 9.4, 13.5)  # lift-off, pitching over, control being lost, tumbling
+TIMES_S = (0.3, 8.0, 9.4, 13.5)  # liftoff, pitching over, control being lost, tumbling
 SMALL = (64, 36)
 TOLERANCE = 6.0  # of 255, mean over the picture: another driver draws edges differently, not areas
 

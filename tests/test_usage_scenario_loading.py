@@ -1,4 +1,4 @@
-"""What a right scenario means: defaults, files, extends, overrides, the text that flies again."""
+"""The meaning of a valid scenario: defaults, files, extends, overrides, the text that flies again."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def memory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def designed() -> dict[str, Any]:
-    """What the cases are designed to, by their content, for all tests of this module."""
+    """Return the requirements of the cases, by their content, for all tests of this module."""
     return {}
 
 
@@ -103,7 +103,9 @@ def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
 
 @pytest.mark.slow
 def test_designs_are_tried_until_one_is_accepted() -> None:
-    """Of three the second is accepted (rigid phase margins 38 and 61 deg): the third is not looked at."""
+    """Check three designs of which the second is accepted (rigid phase margins 38 and 61 deg): the third is not
+    examined.
+    """
     told: list[str] = []
     kept: list[str] = []
     designs = ("ksr3-two-phase", "ksr3-robust", "ksr3-default")

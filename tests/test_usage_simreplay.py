@@ -1,4 +1,4 @@
-"""What `simreplay` writes, prints and returns: without a viewer, on the kept log and on broken ones."""
+"""The files, output and exit codes of `simreplay`: without a viewer, on the kept log and on broken ones."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_every_axis_has_two_numbers(span: tuple[float, float], most: int) -> Non
 
 
 def test_a_glance_shows_every_pendulum() -> None:
-    """Of the second vehicle with a second slosh mode in one tank: three, by name."""
+    """Check the second vehicle with a second slosh mode in one tank: three pendulums, by name."""
     loaded = petrel.scenario("vehicle.stage.0.tank.0.modes=2")
     table = logged_channels(loaded.scenario, pack_flight(loaded.scenario).sizes)
     plots = [plot for tab in tabs_of(table, loaded.scenario) for plot in tab.plots if plot.key == "slosh/pitch"]

@@ -1,4 +1,4 @@
-"""What `simrun` leaves, prints and returns: in this process, with built-in scenarios cut short."""
+"""The files, output and exit codes of `simrun`: in this process, with built-in scenarios cut short."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ def test_a_reader_that_leaves_before_the_end_changes_nothing_on_stderr() -> None
 
 
 def on_a_terminal(arguments: list[str]) -> tuple[str, int]:
-    """What a command shows on a terminal, and its exit code."""
+    """Return the output of a command on a terminal, and its exit code."""
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
         [*SIMRUN, *arguments], stdin=theirs, stdout=theirs, stderr=theirs, env=os.environ | {"TERM": "xterm"}

@@ -48,7 +48,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built anew, notebooks executed, warnings as errors."""
+    """Built again, notebooks executed, warnings as errors."""
     folder = tmp_path_factory.mktemp("site")
     cache = f"nb_execution_cache_path={folder / 'notebooks'}"
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-D", cache, "-d", folder / "trees"]

@@ -42,7 +42,7 @@ def test_names_of_second_modes_and_waves() -> None:
 
 
 def test_a_tank_of_another_stage_keeps_its_name() -> None:
-    """What stands in one column of the log goes by the names of all stages that fill it; two modes against three."""
+    """Check a shared column of the log, which has the names of all stages that fill it; two modes against three."""
     tree = scenario(merged(SPHERE, {"modes": 2}), merged(SPHERE, {"name": "jeta1"}))
     (lower,) = tree["vehicle"]["stage"]
     upper = merged(lower, {"tank": [SPHERE, merged(SPHERE, {"name": "lh2"})]})

@@ -1,4 +1,4 @@
-"""What commands print fits the terminal: no line is wider, no word is cut; colours and pipes."""
+"""The output of commands fits the terminal: no line is wider, no word is cut; colours and pipes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TABLES = st.integers(1, 9).flatmap(lambda n: st.lists(st.lists(CELLS, min_size=n
 
 
 def on_a_terminal(code: str, width: int = 80, **environment: str) -> str:
-    """What Python code shows on a terminal of this width."""
+    """Return the output of Python code on a terminal of this width."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
     plain = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "NO_COLOR")}

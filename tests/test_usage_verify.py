@@ -529,7 +529,7 @@ def test_one_comparison_for_designs_and_verdicts() -> None:
 
 
 def test_every_reason_has_limit_value_vehicle_and_command() -> None:
-    """Of random vehicles the worst is named, with the command that measures it alone."""
+    """Check random vehicles: the worst is named, with the command that measures it alone."""
     wanted = LinearMargins(cases=60, dispersed=LoopLimits(rigid_phase_deg=15.0))
     values = np.full((60, 1, len(SWEPT)), np.inf)
     values[:, 0, SWEPT.index("rigid_phase_deg")] = 20.0 - 0.1 * np.arange(60.0)

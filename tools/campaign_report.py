@@ -127,7 +127,7 @@ def headline(data: DataSet, verdicts: Sequence[Judged]) -> str:
 
 
 def how_judged(data: DataSet, verdicts: Sequence[Judged]) -> str:
-    """How the verdicts were reached, in a sentence."""
+    """Return a sentence on how the verdicts were reached."""
     said = f"judged by the {verdicts[0].shown.test}" if verdicts else ""
     if verdicts and verdicts[0].shown.test == ANY_TIME:
         said += ": verdicts hold whenever one looks, stops or flies on"

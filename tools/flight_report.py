@@ -1,4 +1,4 @@
-"""What is printed about a flight: events, metrics, requirements, and the verdict as the last line."""
+"""The printed report of a flight: events, metrics, requirements, and the verdict as the last line."""
 
 from __future__ import annotations
 

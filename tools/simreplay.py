@@ -60,7 +60,7 @@ def _parser() -> Parser:
 
 
 def show(arguments: list[str]) -> int:
-    """What the command does, for Python: wrong input raises."""
+    """Run the command from Python: wrong input raises."""
     options = _parser().read(arguments)
     from maxq.tools.replay.run import execute  # noqa: PLC0415  # lazy
 

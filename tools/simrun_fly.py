@@ -119,7 +119,7 @@ def _load(scenario: str, log: str | None, overrides: tuple[str, ...]) -> tuple[L
 
 
 def _folder(log: str | None, out: str | None, name: str) -> Path | None:
-    """Where to write; a log that is flown again leaves nothing unless told where."""
+    """Return the folder for the results; a log that is flown again leaves nothing unless a folder is given."""
     if out is None:
         return None if log else Path("runs") / plain_name(name, "flight")
     path = Path(out) / record.LOG_NAME
@@ -137,7 +137,9 @@ def _scenario_text(logged: LoggedRun) -> str:
 
 
 class Comparison:
-    """Whether a flight is the one in a log, by the hash of state, time, metrics and events when the log ends."""
+    """The comparison of a flight with that of a log, by the hash of state, time, metrics and events at the end of the
+    log.
+    """
 
     def __init__(self, logged: LoggedRun | None, changed: bool = False) -> None:
         self._logged = logged

@@ -1,5 +1,5 @@
-"""How Numba compiles kernels: fewer passes, one linking and optimisation for all that an entry calls, and processes
-beside this one for what is large.
+"""Compile kernels with Numba: fewer passes, one link and optimisation of all functions that an entry calls, and
+separate processes for large functions.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class _AdaptedNumba:
 
     - `SLP_VECTORIZE`: LLVM joins like operations that stand side by side into vector instructions. The results are
       the same bit by bit; measured, it saves a twentieth of a flight's time.
-    - `get_call_type`: the type of a call is looked up once for the same arguments. Numba tries its templates anew at
+    - `get_call_type`: the type of a call is looked up once for the same arguments. Numba tries its templates again at
       every addition; measured, that is a fifth of a compilation.
     - `mangling_args`: names in machine code hold a hash of the layout of a record. Numba writes a number that counts
       the records of a process, so that code for other layouts, kept by other processes, can have the same name; and for

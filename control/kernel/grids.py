@@ -1,7 +1,7 @@
 """Tables over up to three variables, in the pool beside those over one (tables.py).
 
-Multilinear, or C1 by Hermite polynomials in every variable. The first is what wind-tunnel databases are specified
-with; its slope jumps at every breakpoint, so that a linear model at a breakpoint (a trim at zero incidence lies on one)
+Multilinear, or C1 by Hermite polynomials in every variable. The first is what wind-tunnel databases are specified with;
+its slope jumps at every breakpoint, so that a linear model at a breakpoint (a trim at zero angle of attack lies on one)
 is one-sided and a Runge-Kutta step across it loses its order. The second has slopes by the same monotone rule as the
 tables over one variable (Fritsch & Butland 1984), mixed derivatives by second-order differences of those. Outside the
 grid the values at its edge hold, in each variable by itself.
@@ -31,7 +31,7 @@ Extension = Literal["open", "mirror", "periodic"]
 
 @dataclass(frozen=True)
 class GridRefs:
-    """Where grids lie in the pool."""
+    """The places of grids in the pool."""
 
     at: Annotated[IntArray, (MAX_SURFACES, 6)]
 

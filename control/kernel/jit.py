@@ -93,7 +93,7 @@ class _Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """What Numba asks a global for where it compiles a caller."""
+        """Return the Numba type of this object, which Numba requests of a global when it compiles a caller."""
         return self._bare._numba_type_
 
     @functools.cached_property
@@ -122,7 +122,7 @@ def _for_kernels(
 
 
 def _compile_for_all_integers(compiled: Any) -> None:
-    """Compile once, whatever integers a caller writes out: Numba compiles anew for each. Where the kernel is inlined,
+    """Compile once, whatever integers a caller writes out: Numba compiles again for each. Where the kernel is inlined,
     LLVM knows them all the same. Measured, a quarter of the wait for a first flight.
     """
     template_for = compiled.get_call_template
@@ -152,7 +152,7 @@ def entry(function: Function) -> Function:
 
 
 def from_python(function: Function) -> Function:
-    """A kernel for callers in Python: an entry of its own. A bare kernel is compiled anew in every process."""
+    """A kernel for callers in Python: an entry of its own. A bare kernel is compiled again in every process."""
     return entry(getattr(function, "py_func", function))
 
 

@@ -81,7 +81,7 @@ def is_own(path: str) -> bool:
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no types
-    """Numba's files of one function's machine code, each with its SHA-256 at the end: a damaged one is made anew.
+    """Numba's files of one function's machine code, each with its SHA-256 at the end: a damaged one is made again.
 
     Numba reads neither file to its end, and takes the index as empty and code as missing where that is returned here.
     """
@@ -104,7 +104,7 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no ty
 
 
 class _Place:
-    """Where an entry's machine code is kept and for how long it is good, as Numba asks for it.
+    """The place of an entry's stored machine code and the conditions of its validity, in the form that Numba requires.
 
     That of maxq's own sources, whose hash is the folder's name, holds wherever they are installed and whenever they
     were written; that of other files by their path, size and age.
@@ -143,7 +143,7 @@ class _Place:
 
 
 class _Kept(CompileResultCacheImpl):  # type: ignore[misc]  # Numba has no types
-    """What is kept of an entry: machine code without the LLVM code that it was made from, which no other one links."""
+    """The stored code of an entry: machine code without its LLVM code, which no other library links."""
 
     _locator_classes = (_Place,)
 

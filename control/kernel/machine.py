@@ -1,4 +1,4 @@
-"""What this machine offers: its cores, and a folder of the user's for what need not be worked out again."""
+"""The resources of this machine: its cores, and a folder of the user for results that need not be computed again."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def own_cache(name: str) -> Path:
         os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "maxq"
     )
     for folder in (Path(base), Path(base) / name):
-        with contextlib.suppress(OSError):  # where nothing can be kept, everything is worked out anew
+        with contextlib.suppress(OSError):  # where nothing can be kept, everything is worked out again
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if hasattr(os, "getuid") and folder.exists():
             status = folder.stat()

@@ -68,7 +68,9 @@ def uniform_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
 
 @routine
 def standard_normal(seed: int, stream: int, index: int) -> float:
-    """One draw of the standard normal distribution; |value| is at most 8.21 (the last cells of the uniform)."""
+    """Return one draw of the standard normal distribution; its magnitude is at most 8.21 (the last cells of the
+    uniform).
+    """
     return normal_quantile(uniform_pair(seed, stream, index)[0])
 
 

@@ -71,7 +71,9 @@ def pack(instances: list[Any]) -> NDArray[Any]:
 
 
 def _values(instance: Any) -> tuple[Any, ...]:
-    """What NumPy takes for a record: tuples in tuples. At once, because a campaign packs for every flight."""
+    """Return nested tuples that NumPy converts to a record. It is fast because a campaign packs records for every
+    flight.
+    """
     schema = type(instance)
     if schema not in _READERS:
         _READERS[schema] = _reader(schema)
@@ -95,7 +97,7 @@ def _reader(schema: type) -> Reader:
 
 
 def blank(schema: type) -> NDArray[Any]:
-    """One row of zeros: the mutable state of a component that a kernel owns."""
+    """Return one row of zeros: the mutable state of a component that a kernel owns."""
     return np.zeros(1, dtype_of(schema))
 
 

@@ -27,7 +27,7 @@ Method = Literal["pchip", "linear", "step"]
 
 @dataclass(frozen=True)
 class TableRef:
-    """Where a table lies in the pool."""
+    """The place of a table in the pool."""
 
     offset: int
     n_breaks: int
@@ -225,7 +225,7 @@ class Pool:
         self._size = 0
 
     def add(self, *tables: Cubics) -> TableRef:
-        """One table, or several merged; they are joined where they will lie, since a schedule is most of a megabyte."""
+        """Add one table, or several merged; they are joined in place, since a schedule takes most of a megabyte."""
         breaks, columns = union(*tables), sum(table.n_columns for table in tables)
         offset = self.put(breaks)
         self._append(tables, 4 * (len(breaks) - 1) * columns)
@@ -290,7 +290,7 @@ def interpolate_into(pool: Array, ref: TableRef, k: int, x: float, out: Array, a
 
 @kernel
 def interpolate(pool: Array, ref: TableRef, k: int, x: float, column: int) -> float:
-    """One column at `x`, by the cubic of interval `k`; end values hold outside the table."""
+    """Return one column at `x` by the cubic of interval `k`; end values hold outside the table."""
     first, last = pool[ref.offset], pool[ref.offset + ref.n_breaks - 1]
     s = min(max(x, first), last) - pool[ref.offset + k]
     n = ref.n_columns
@@ -301,5 +301,5 @@ def interpolate(pool: Array, ref: TableRef, k: int, x: float, column: int) -> fl
 
 @kernel
 def look_up(pool: Array, ref: TableRef, x: float, column: int) -> float:
-    """One column at `x`, searching the interval."""
+    """Search the interval of `x` and return one column there."""
     return interpolate(pool, ref, find_interval(pool, ref, x), x, column)

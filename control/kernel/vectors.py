@@ -136,8 +136,9 @@ def quaternion_of(rotation_vector: Vector) -> Quaternion:
 
 @kernel
 def roll_and_tilt(q: Quaternion) -> Vector:
-    """Of a unit quaternion, B to C: the roll about x, and the rotation vector in axes y and z of B that takes x of C
-    to x of B, rad. Equal to the rotation vector in B for small angles, and for turns about x or square to it.
+    """Return roll and tilt of a unit quaternion from B to C: the roll about x, and the rotation vector in axes y and z
+    of B that takes x of C to x of B, rad. Both equal the rotation vector in B for small angles, and for turns about x
+    or perpendicular to it.
     """
     w, x, y, z = q
     sine_y, sine_z = 2.0 * (x * z + w * y), 2.0 * (w * z - x * y)

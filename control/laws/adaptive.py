@@ -158,7 +158,7 @@ def augmented(
 
 
 class AdaptiveRow(NamedTuple):
-    """What is logged of adaptive augmenting control."""
+    """The logged values of adaptive augmenting control."""
 
     total_gain_axis: Annotated[PitchYaw, "1", "total gain of adaptive augmenting control"]
     reference_error_axis_deg: Annotated[PitchYaw, "deg", "attitude error less that of the reference model"]

@@ -7,7 +7,7 @@ falls, at the price of drift and of margin at low frequency (Greensite, Analysis
 Control Systems, NASA CR-820, 1967, ch. 3). In yaw the sign of a turns: a positive gimbal angle pushes to -y there. The
 accelerometer's own lag keeps bending out of it. Its linear side is design/laws/load_relief.py.
 
-Load relief by incidence ("incidence-relief") feeds back an estimate of the angle of attack:
+Load relief by angle of attack ("incidence-relief") feeds back an estimate of the angle of attack:
 
     delta = -k_p theta_e - k_d q_g - k_alpha alpha,    alpha = lag(a - p q') / b,    q' = (q_g - q_g before) / T
 
@@ -38,8 +38,9 @@ class LoadRelief:
 
 @dataclass
 class LoadReliefState:
-    """Per gimbal axis (pitch, yaw): gain in use (k_a, or -k_alpha / b), filtered acceleration (of a_z and a_y; by
-    incidence that of the centre of percussion to +z and -y), its share of the command, estimated incidence, last rate.
+    """Per gimbal axis (pitch, yaw): gain in use (k_a, or -k_alpha / b), filtered acceleration (of a_z and a_y; by angle
+    of attack that of the centre of percussion to +z and -y), its share of the command, estimated angle of attack, last
+    rate.
     """
 
     k_a_s2pm: Annotated[Array, (2,)]
@@ -50,7 +51,9 @@ class LoadReliefState:
 
 
 def lag_share(corner_hz: float, sample_s: float) -> float:
-    """Of a first-order lag sampled exactly for inputs that are constant over a sample."""
+    """Return the share of the new input in a first-order lag, sampled exactly for inputs that are constant over a
+    sample.
+    """
     return -math.expm1(-2.0 * math.pi * corner_hz * sample_s)
 
 
@@ -99,11 +102,13 @@ def tick_incidence_relief(
 
 
 class LoadReliefRow(NamedTuple):
-    """What is logged of the load relief."""
+    """The logged values of the load relief."""
 
     k_a_axis_s2pm: Annotated[PitchYaw, "s2/m", "gain of the lateral acceleration; 0 without load relief"]
     relief_axis_deg: Annotated[PitchYaw, "deg", "load relief's share of the law's output"]
-    incidence_estimate_axis_deg: Annotated[PitchYaw, "deg", "estimated incidence; 0 without load relief by incidence"]
+    incidence_estimate_axis_deg: Annotated[
+        PitchYaw, "deg", "estimated angle of attack; 0 without load relief by angle of attack"
+    ]
 
 
 @kernel

@@ -27,7 +27,8 @@ class GainSchedule:
     """Gains of one axis: `k_p` (n,), `k_d_s` (n,) in s, with an integral `k_i_ps` (n,) in 1/s, with load relief
     `k_a_s2pm` (n,) in s2/m, at values `at` (n,) of `over`; linear between, held outside.
 
-    With load relief by incidence `k_alpha` (n,) and what the incidence is estimated with (laws/load_relief.py).
+    With load relief by angle of attack `k_alpha` (n,) and what the angle of attack is estimated with
+    (laws/load_relief.py).
     """
 
     at: Sequence[float]
@@ -128,7 +129,7 @@ def settle_pd(law: PdRecord, state: PdState, gimbal: int) -> None:
 
 
 class LawInputs(NamedTuple):
-    """What a law is given for one axis at a sample."""
+    """The inputs of a law for one axis at a sample."""
 
     gimbal: int  # 0 pitch, 1 yaw
     at: float  # where the gains' table is read: flight time, or the variable of the schedule
@@ -174,7 +175,7 @@ def filtered(law: PdRecord, state: PdState, gimbal: int, law_rad: float) -> floa
 
 
 class LawRow(NamedTuple):
-    """What is logged of the law."""
+    """The logged values of the law."""
 
     k_p_axis: Annotated[PitchYaw, "1", "proportional gain"]
     k_d_axis_s: Annotated[PitchYaw, "s", "rate gain"]

@@ -61,7 +61,7 @@ def tick_pid(law: PdRecord, pid: Pid, pool: Array, state: PdState, integral: Pid
 
 
 class PidRow(NamedTuple):
-    """What is logged of the integral."""
+    """The logged values of the integral."""
 
     k_i_axis_ps: Annotated[PitchYaw, "1/s", "integral gain; 0 without an integral"]
     integral_axis_deg: Annotated[PitchYaw, "deg", "integral's share of the law's output, with its sign reversed"]

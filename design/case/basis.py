@@ -57,7 +57,9 @@ class LoadLimits(CommonLimits):
 
     renamed: ClassVar[dict[str, str]] = {"higher_modes_db": "modes_from_3_db"}
 
-    q_alpha_Padeg: Positive | None = optional("largest rms of dynamic pressure times incidence in the wind of [wind]")
+    q_alpha_Padeg: Positive | None = optional(
+        "largest rms of dynamic pressure times angle of attack in the wind of [wind]"
+    )
     drift_mps: Positive | None = optional("largest rms of the lateral velocity in the wind of [wind]")
     bending_moment: tuple[SectionLimit, ...] = optional("largest rms of the bending moment in the wind of [wind]", ())
 
@@ -153,7 +155,7 @@ class Robust(Spread):
     bending_damping: Shares = optional("of each mode", 0.0)
     delay_s: NotNegative = optional("either way, s; never below no delay", 0.005)
     rounds: Annotated[int, Field(ge=1, le=50)] = optional(
-        "times that the worst plants are searched, added, and the design is made anew", 8
+        "times that the worst plants are searched, added, and the design is made again", 8
     )
     limits: DispersedLimits = DispersedLimits()
 

@@ -180,7 +180,7 @@ class SearchSettings(Section):
 
 
 class StageCase(Section):
-    """What differs in a stage: keys that are given replace those of the case."""
+    """The differences of a stage: keys that are given replace those of the case."""
 
     gains: CaseGains | None = optional("see [gains]")
     filter: CaseFilter | None = optional("see [filter]")

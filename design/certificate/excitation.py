@@ -5,8 +5,9 @@ transform of a period is the response, and what shows between them is noise (Pin
 Identification, ch. 2).
 
 The level is high against the converter's counts and low against every limit. The linear loop predicts what the injected
-lines do to engine, incidence and gyro. Lines are shaped for equal response at the gyro, within bounds, then scaled so
-that gimbal command, servo rate and incidence stay at a stated share of where the simulator stops being linear.
+lines do to engine, angle of attack and gyro. Lines are shaped for equal response at the gyro, within bounds, then
+scaled so that gimbal command, servo rate and angle of attack stay at a stated share of where the simulator stops being
+linear.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ MOST_LEVELS, MOST_TONES = 16, 64  # of the simulator: signals at a time, tones o
 DITHER_HZ = (0.525, 0.825)  # off the slosh of the built-in vehicles, where a loop responds and does not ring
 SHARE_OF_LIMITS = 0.85
 SHARE_OF_BURST = 0.4
-INCIDENCE_RAD = 0.004  # small against the incidence at which cross-flow lift adds a tenth to the slope
+INCIDENCE_RAD = 0.004  # small against the angle of attack at which cross-flow lift adds a tenth to the slope
 SPREAD = 20.0  # between the strongest and the weakest line
 DITHER_COUNTS = 6.0  # largest increment of a sample by each dither tone, in pulses
 LOWEST_BURST_HZ = 0.05
@@ -41,7 +42,7 @@ Groups = list[tuple[float, Array]]
 
 
 class Excited(Protocol):
-    """What is known of a loop that is excited: the vehicle's part, and L, as a linear model or as measured before."""
+    """The known parts of a loop that is excited: the vehicle's part, and L, as a linear model or as measured before."""
 
     @property
     def fixed(self) -> FixedPath: ...
@@ -216,7 +217,7 @@ def linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
 
 
 def _peaks(held: HeldFlight, loop: Excited, groups: Groups, band: LineBand) -> tuple[float, float, float]:
-    """Largest command (rad), servo rate (rad/s) and incidence (rad) over a period, by the linear loop."""
+    """Largest command (rad), servo rate (rad/s) and angle of attack (rad) over a period, by the linear loop."""
     lines, injected = phasors(groups)
     command = injected / (1.0 + loop.response(lines))
     servo, incidence = _servo_and_incidence(held.node, lines)
@@ -234,7 +235,7 @@ def _peaks(held: HeldFlight, loop: Excited, groups: Groups, band: LineBand) -> t
 
 def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, ComplexArray]:
     """Rate that each drive's servo commands, (drives, lines) in 1/s as if all had the lowest limit of it
-    (sim/vehicle/actuator/kernel.py), and incidence w / U, per gimbal command.
+    (sim/vehicle/actuator/kernel.py), and angle of attack w / U, per gimbal command.
     """
     s = np.asarray(2j * np.pi * lines_hz, np.complex128)
     records, inputs = node.instruments.actuators, node.plant.inputs

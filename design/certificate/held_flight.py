@@ -38,7 +38,7 @@ from maxq.sim.flight.telemetry import FAST
 from maxq.sim.input.values import to_ns
 from maxq.sim.packing.computer import pack_injections
 from maxq.sim.packing.flight import Packed, pack_flight
-from maxq.sim.run.flight import KeptRows
+from maxq.sim.run.flight import GrowingRows
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_environment import AtmosphereSection, EarthSection, WindSection
@@ -84,7 +84,7 @@ class HeldFlight:
     def run(self, duration_s: float, injections: tuple[Injection, ...], change: PackedChange = unchanged) -> FlightRun:
         """A new flight with signals injected; `change` may alter the packed parameters before it flies.
 
-        Only what differs is packed anew: tables take longer than the flight.
+        Only what differs is packed again: tables take longer than the flight.
         """
         run = self.loaded.scenario.run.model_copy(update={"duration_s": duration_s})
         scenario = self.loaded.scenario.model_copy(update={"injection": injections, "run": run})
@@ -107,7 +107,7 @@ class HeldFlight:
 
 def fast_rows(run: FlightRun) -> Array:
     """Fly to the end: all rows of the fast channels, (rows, channels); a column by `run.table.index(name)`."""
-    kept = KeptRows()
+    kept = GrowingRows()
     while not run.finished:
         kept.add(run.fly_segment())
     return kept.rows()[FAST][1]

@@ -35,7 +35,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Injection, LogSection
 
 WINDOW_S = 8.0
-SETTLE_S = 2.5  # after lift-off
+SETTLE_S = 2.5  # after liftoff
 ACROSS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of a window: places of the linear loop
 LINES_HZ = tuple(n / WINDOW_S for n in (4, 7, 11, 18, 29, 46, 62, 74, 90))  # 0.5 .. 11 Hz
 COMMAND_DEG = 0.35  # of each line at most; fewer than half of any limit together
@@ -50,7 +50,7 @@ class InFlightResponse:
     `reason` is "" where the two agree to 0.5 dB and 4 deg, "time variation" where the loop's own change in the window
     is as large as the difference, "converter noise" where that together with its standard errors is or the same flights
     with ideal converters leave nothing unexplained, "settling" where an oscillation near a line has not decayed since
-    lift-off, else "unexplained".
+    liftoff, else "unexplained".
     """
 
     time_s: float
@@ -146,7 +146,7 @@ def _half(time_s: float, span: Span) -> float:
 
 
 def fits(time_s: float, spans: Sequence[Span]) -> bool:
-    """Whether a window about a time lies within a powered span."""
+    """Return True if a window about a time is within a powered span."""
     return any(_half(time_s, span) >= 0.2 * WINDOW_S for span in spans)
 
 
@@ -165,7 +165,9 @@ def _window(time_s: float, spans: Sequence[Span]) -> tuple[float, float]:
 
 
 def _amplitude_deg(loaded: LoadedScenario) -> float:
-    """Of each line: together they stay below the share of every stage's gimbal rate and angle that a burst may take."""
+    """Return the amplitude of each line: together they stay below the share of every stage's gimbal rate and angle that
+    a burst may take.
+    """
     together = math.sqrt(2.0 * len(LINES_HZ))  # crest of many sines
     actuators = [actuator for stage in loaded.vehicle.stage for actuator in stage.actuators]
     by_rate = [a.rate_limit_degps * 2.0 * a.zeta[0] / (2.0 * math.pi * a.omega_hz[0]) for a in actuators]

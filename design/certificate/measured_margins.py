@@ -183,7 +183,8 @@ def settle(
 
 
 def is_too_slow(loop: Loop, what: MarginName, bound: LeastValue) -> bool:
-    """Whether what bounds a margin is a slow oscillation that grows e-fold in no flight, however the gain is altered.
+    """Return True if a margin is bounded by a slow oscillation that grows e-fold in no flight, for any change of the
+    gain.
 
     Seen at the boundary and BEYOND_DB past it. In thin air an attitude that nothing holds drifts away like that.
     """
@@ -316,7 +317,7 @@ def growth_rate(
 
 
 def _step_rad(held: HeldFlight) -> float:
-    """Of the converter that turns commands into angles; 0 of an ideal one."""
+    """Return the step of the converter that turns commands into angles; 0 for an ideal one."""
     return float(held.packed.parameters[0].computer.dac_step_rad)
 
 

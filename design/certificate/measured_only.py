@@ -46,7 +46,7 @@ _TOLERANCE = {"dB": 0.02, "s": 1e-4}
 
 @dataclass(frozen=True)
 class _Loop:
-    """What excitation needs of a loop: its response so far, at `lines_hz`; none yet is no feedback."""
+    """The loop as the excitation needs it: its response so far, at `lines_hz`; an empty response is no feedback."""
 
     fixed: FixedPath
     lines_hz: Array

@@ -299,7 +299,9 @@ def _without_rounding(held: HeldFlight) -> HeldFlight:
 
 
 def _reason(error: float, coherence: float, ratio: complex, clean: complex, saturated: bool) -> str:
-    """Of a line: `ratio` of measured to sampled L, and the same without rounding."""
+    """Return the reason for which a line is not used: `ratio` is that of measured to sampled L, `clean` the same
+    without rounding.
+    """
     if not math.isfinite(error):
         return ENDED
     if math.isfinite(clean.real) and not _agrees(clean):

@@ -261,7 +261,9 @@ class Lag:
         return -2.0 * math.pi * self.corner_hz
 
     def state_space(self) -> StateSpace:
-        """One state, the filtered acceleration of the sample before or, continuous, of now."""
+        """Return a system of one state: the filtered acceleration of the previous sample or, if continuous, of the
+        present.
+        """
         if self.sample_s is None:
             a = self.pole_radps
             parts = np.array([[a]]), np.array([[-a]]), np.eye(1), np.zeros((1, 1))

@@ -23,7 +23,7 @@ _PLAIN_LIST = re.compile(r"\[\n((?: +[-+.\w\"]+,\n)+) *\]")
 
 
 def design_path(name: str) -> str:
-    """What a scenario has to name to fly the design a person means by `name`.
+    """Return the path with which a scenario names the design that a person calls `name`.
 
     A design file, a folder with a design.toml that a case has left there, or the name of a built-in one.
     """

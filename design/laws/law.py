@@ -1,4 +1,4 @@
-"""What a control law is to the linear tools: three protocols, one for each thing that is done with a law.
+"""The interface of a control law to the linear tools: three protocols, one for each use of a law.
 
 | protocol | stands for | used by |
 |---|---|---|
@@ -80,14 +80,14 @@ class DesignedLaw(Protocol):
 
     @property
     def over(self) -> Over:
-        """What its gains are scheduled over."""
+        """Return the quantity over which its gains are scheduled."""
 
     def at(self, at: float, plane: Plane, sample_s: float | None) -> Controller:
         """The law with the gains at a value of `over`, such as a vehicle time (`Node.scheduled`): as the flight
         computer runs it at the period, or continuous for None."""
 
     def tables(self) -> dict[str, Any]:
-        """What a design file says of the law, as plain tables: keys of the file, such as `gains` and `filter`."""
+        """Return the law's tables in a design file: keys such as `gains` and `filter`."""
 
     def record(self) -> dict[str, Any]:
         """The same for reports, as columns of numbers."""
@@ -181,7 +181,7 @@ class LawVariables(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the variables."""
+        """Return the names of the variables."""
 
     def own(self, variables: Array) -> Array:
         """Own parameters of each plant, (plants, own)."""
@@ -193,7 +193,7 @@ class LawVariables(Protocol):
         """Sum of the second derivatives of all own parameters, weighted with `slopes` (plants, own), (size, size)."""
 
     def axis(self, x: Array) -> Axis:
-        """What `response` and `log_response` need of points at x = ln f."""
+        """Return the precomputed values that `response` and `log_response` need at points x = ln f."""
 
     def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
         """C on a mesh, as a common factor (points,) and gains (points, inputs); `plant` is each point's."""

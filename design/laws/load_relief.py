@@ -4,7 +4,7 @@
 
 with g = 1 - exp(-2 pi f T), the lag of control/laws/load_relief.py; continuous 1 / (1 + s / 2 pi f). The acceleration
 is that to the side of a positive command, which is why its part of C is negative: the command gives way to what pushes.
-Frequency and damping ratio of the rigid body (47, 48) are those of the law without it. By incidence
+Frequency and damping ratio of the rigid body (47, 48) are those of the law without it. By angle of attack
 
     C = F(z) (k_p, k_d - k_alpha p / b H D, k_alpha / b H),    D = (1 - 1 / z) / T
 """
@@ -34,7 +34,7 @@ class LoadReliefVariables(PdVariables):
 
 
 class IncidenceReliefVariables(PdVariables):
-    """`law.LawVariables` of load relief by incidence: those of PD, then ln k_alpha at the gain nodes."""
+    """`law.LawVariables` of load relief by angle of attack: those of PD, then ln k_alpha at the gain nodes."""
 
     inputs = (*MEASUREMENTS[:2], ACCELERATION)
     keys = ("k_p", "k_d_s", "k_alpha")

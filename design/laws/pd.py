@@ -91,7 +91,7 @@ class Pd:
 
     @property
     def _weights(self) -> dict[str, float]:
-        """Of the rates."""
+        """Return the weights of the rates."""
         return {"rate_radps": self.blend[0], **{further_rate(k): w for k, w in enumerate(self.blend[1:], 2)}}
 
     def _of_inputs(self, loops: Sequence[Any], lag: Any, change: Any) -> ComplexArray:

@@ -49,8 +49,8 @@ class PdVariables:
 
     Then, where the rate is blended, the weights of further gyros, the same for all plants; the first one's is what is
     left of 1. Last the variables of the loops' own filters. Own parameters of a plant: the filter's variables, ln k_p,
-    ln k_d, weights, the loops' filters, and for load relief by incidence two that no variable moves: 1 / b and -p / b
-    (control/laws/load_relief.py).
+    ln k_d, weights, the loops' filters, and for load relief by angle of attack two that no variable moves: 1 / b and -p
+    / b (control/laws/load_relief.py).
     """
 
     inputs: tuple[str, ...] = MEASUREMENTS[:2]
@@ -451,7 +451,7 @@ class PdVariables:
 
 
 def _gain_nodes(task: Task, schedule: str) -> Array:
-    """Where the gain table has rows, in the unit of what it is over."""
+    """Return the rows of the gain table, in the unit of the quantity over which it is scheduled."""
     gains = task.case.gains
     if schedule == "nodes":
         return np.array(gains.nodes_s if gains.over == "time_s" else gains.nodes, float)

@@ -1,4 +1,4 @@
-"""What a law is designed for: a case, its plants, and the limits that each of them is held to."""
+"""The task of a design: a case, its plants, and the limits to which each of them is held."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class PlantLimits:
         return self._columns[name]
 
     def asked(self, name: str | float) -> bool:
-        """Whether any plant is held to it."""
+        """Return True if any plant is held to the limit."""
         return not bool(np.isnan(self[name]).all())
 
 

@@ -1,12 +1,12 @@
-"""What wind does to the closed loop: root mean squares of load and drift under a spectrum, and their gradients.
+"""The response of the closed loop to wind: root mean squares of load and drift under a spectrum, and their gradients.
 
     T = G_w - G_u (sum of C_i M_i) / (1 + L),    rms^2 = integral of |T|^2 S df
 
 from the lateral wind to an output, with the law's measurements M_i per wind, the output G_u per command and G_w per
-wind. Load is dynamic pressure times incidence (relative to the air at the core's CG), drift the lateral velocity across
-the undisturbed path, w - U theta, the bending moment that of model/sections.py at each of the stations asked for.
-Frequencies are those of the spectrum's band; the computer is in it as in the loop, the wind's images beyond its Nyquist
-frequency are not. A loop that is not stable has no rms: stability is the optimiser's affair.
+wind. Load is dynamic pressure times angle of attack (relative to the air at the core's CG), drift the lateral velocity
+across the undisturbed path, w - U theta, the bending moment that of model/sections.py at each of the stations asked
+for. Frequencies are those of the spectrum's band; the computer is in it as in the loop, the wind's images beyond its
+Nyquist frequency are not. A loop that is not stable has no rms: stability is the optimiser's affair.
 """
 
 from __future__ import annotations
@@ -68,8 +68,9 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class WindResponse:
-    """Of one plant at x = ln f (F,), without the law: `paths` and `measured` (F, inputs) of its measurements per
-    command and per wind, `by_command` and `by_wind` (outputs, F): load, drift, and moments at `stations_m`.
+    """The wind response of a plant at x = ln f (F,), without the law: `paths` and `measured` (F, inputs) of its
+    measurements per command and per wind, `by_command` and `by_wind` (outputs, F): load, drift, and moments at
+    `stations_m`.
     """
 
     x: Array
@@ -85,8 +86,8 @@ class WindResponse:
         return list(WIND_LIMITS).index(key) if isinstance(key, str) else MOMENTS + self.stations_m.index(key)
 
     def rms(self, outputs: Sequence[int], law: ComplexArray, slopes: ComplexArray) -> tuple[Array, Array]:
-        """Of LOAD (Pa deg), DRIFT (m/s), MOMENTS (N m) with C (F, inputs), (outputs,), and their gradients (outputs, n)
-        by what `slopes` (F, inputs, n) are; n = 0 for none.
+        """Return LOAD (Pa deg), DRIFT (m/s) and MOMENTS (N m) with C (F, inputs), (outputs,), and their gradients
+        (outputs, n) for the derivatives `slopes` (F, inputs, n) of C; n = 0 for none.
         """
         loop, sensed = 1.0 + (law * self.paths).sum(axis=1), (law * self.measured).sum(axis=1)
         by_command = self.by_command[list(outputs)]

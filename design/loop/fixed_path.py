@@ -1,4 +1,4 @@
-"""What the designer of a law cannot change: from the gimbal command to what the law works on.
+"""The part of a loop that the designer of a law cannot change: from the gimbal command to the inputs of the law.
 
     L(f) = sum of C_i(f) P_i(f),    P = fixed(f) (integrator(f), 1, integrator(f)^2)
 
@@ -241,7 +241,7 @@ class FixedPath(abc.ABC):
 
     @cached_property
     def rests_at_dc(self) -> bool:
-        """Whether a constant command ends in no rate: the path then has a zero where the integrator has its pole.
+        """Return True if a constant command ends in no rate: the path then has a zero at the integrator's pole.
 
         So it is where the attitude acts on the motion, because gravity turns in the body: the measured rate is the
         derivative of a state, and its integral no state more.

@@ -29,7 +29,7 @@ class OpenLoop(Protocol):
 
     @property
     def highest_hz(self) -> float:
-        """Where the response ends: the Nyquist frequency of a sampled loop, infinity of a continuous one."""
+        """Return the end of the response: the Nyquist frequency of a sampled loop, infinity for a continuous one."""
 
     def response(self, frequencies_hz: Array) -> ComplexArray:
         """L, same shape as `frequencies_hz` (each above 0 and at most `highest_hz`)."""

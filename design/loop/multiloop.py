@@ -184,7 +184,7 @@ def multiloops(scenario: LoadedScenario, design: Design, times_s: Iterable[float
 
 
 def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
-    """Of a packed flight where it stands: place, attitude, velocity and roll rate as flown.
+    """Return the loops of a packed flight at its present state: place, attitude, velocity and roll rate as flown.
 
     Modes, pendulums and engines are at rest, pitch and yaw rate zero.
     """

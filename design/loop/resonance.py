@@ -44,7 +44,7 @@ class Resonance:
 
     @property
     def half_width_hz(self) -> float:
-        """How far from `frequency_hz` the resonance has fallen by 3 dB."""
+        """Return the distance from `frequency_hz` at which the resonance has fallen by 3 dB."""
         return abs(self.pole_radps.real) / (2.0 * math.pi)
 
 

@@ -15,7 +15,8 @@ from maxq.design.model.state_space import ComplexArray, Resolvent, channels
 
 
 def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, ...] = ()) -> WindResponse:
-    """Of the plant behind a path, for the path's own measurements, with the bending moment at some of its cuts.
+    """Return the wind response of the plant behind a path, for the path's own measurements, with the bending moment at
+    some of its sections.
 
     Spatial modes couple the planes; the other one is held, as in `Node.plant`. Raises ValueError for a band that
     reaches half the sample rate.

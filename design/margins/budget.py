@@ -33,8 +33,9 @@ _DECADES = 4.0
 
 @dataclass(frozen=True)
 class Share:
-    """Of one part; degrees below 0 are lag. The phase of a part in series is unwrapped from low frequency (a delay may
-    exceed 180 deg); that of a build-up step lies within +-180 deg."""
+    """The share of one part; degrees below 0 are lag. The phase of a part in series is unwrapped from low frequency (a
+    delay may exceed 180 deg); that of a build-up step is within +-180 deg.
+    """
 
     part: str
     gain_db: float

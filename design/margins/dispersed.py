@@ -245,7 +245,7 @@ class ManyLoops:
 
     @cached_property
     def _drives(self) -> tuple[IntArray, IntArray]:
-        """Of each input of the path its drive, and which derivative of the drive's angle it is."""
+        """Return the drive of each input of the path, and the order of the derivative of the drive's angle."""
         names = self._nominal.fixed.vehicle.inputs
         known = {of_drive(d, k): (k, o) for k in range(len(self.node.actuators)) for o, d in enumerate(DERIVATIVES)}
         drives, orders = zip(*(known[name] for name in names), strict=True)

@@ -33,7 +33,7 @@ ExclusionShape = Literal["diamond", "rectangle", "ellipse"]
 
 @dataclass(frozen=True)
 class Disk:
-    """One disk and its guarantee: the loop stays stable under any gain in [down, up] and any phase up to `phase_deg`.
+    """A disk and its guarantee: the loop stays stable under any gain in [down, up] and any phase up to `phase_deg`.
 
     `size` is the least distance: |1 + L| (sensitivity), |1 + 1/L| (complementary) or 2 |1 + L|/|1 - L| (symmetric:
     the alpha of the paper above, at most 2).

@@ -37,7 +37,7 @@ Stabilised = Literal["gain", "phase"]
 
 @dataclass(frozen=True)
 class Lobe:
-    """One resonance in the loop. Margins are those of the lobe alone: infinite where nothing in it bounds them.
+    """A resonance in the loop. Margins are those of the lobe alone: infinite where nothing in it bounds them.
 
     `stabilised` is "gain" where the peak lies at least the limit below 0 dB, whatever its phase, else "phase". Lag and
     lead margins of a phase-stabilised lobe are the least over its crossings of |L| = 1, or, without one inside it, over

@@ -31,7 +31,9 @@ _CLOSE = 1e-9  # relative, of mu
 
 @dataclass(frozen=True)
 class MultiloopMargins:
-    """Of each axis with the others closed, in the order of `axes`, and the disk of all; NaN for an unstable loop."""
+    """The margins of each axis with the others closed, in the order of `axes`, and the disk of all; NaN for an unstable
+    loop.
+    """
 
     time_s: float
     axes: tuple[str, ...]
@@ -107,7 +109,9 @@ def structured_singular_value(matrix: ComplexArray) -> float:
 
 
 def log_scales(matrices: ComplexArray) -> Array:
-    """Of the D that balances rows with columns (Osborne, J. ACM 7, 1960), (matrices, n): of two the best there is."""
+    """Return the logarithm of the D that balances rows with columns (Osborne, J. ACM 7, 1960), (matrices, n): the
+    better of two.
+    """
     n = matrices.shape[-1]
     square, out = np.abs(matrices) ** 2 * (1.0 - np.eye(n)), np.zeros(matrices.shape[:2])
     floor = 1e-24 * (np.abs(matrices) ** 2).max(axis=(1, 2))  # a loop that no other acts on has no scale

@@ -52,7 +52,7 @@ def real_mu_upper(
 
 
 def bound(m: ComplexArray, scaling: Scaling) -> float:
-    """What a scaling bounds mu of `m` by."""
+    """Return the bound of mu of `m` that a scaling gives."""
     turn, g = scaling
     n = turn @ m @ np.linalg.inv(turn)
     return float(np.sqrt(max(np.linalg.eigvalsh(_form(n, g))[-1], 0.0)))

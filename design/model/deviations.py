@@ -1,4 +1,4 @@
-"""How far vehicles deviate, and together: the draws of a campaign as changes of a node's packed parameters.
+"""The deviations of vehicles and their correlation: the draws of a campaign as changes of a node's packed parameters.
 
 Vehicle N of a sweep is run N of the campaign: `drawn` takes the same draws, by `Plan.draw`, and changes the record with
 the key paths of the table `RULES` as drawing, rebuilding and packing the scenario does, for many vehicles at once.

@@ -105,7 +105,7 @@ class HeldStage:
 
     @property
     def rings(self) -> Array:
-        """What ring baffles add to damping ratios per root of the swing, (vehicles, pendulums), rad^(-1/2)."""
+        """Return the damping ratio that ring baffles add per root of the swing, (vehicles, pendulums), rad^(-1/2)."""
         n, slosh = len(self.swing_rad), self.vehicle["slosh"]
         return np.asarray(slosh["law_factor"][:, :n] * self.tank(schedule.TANK_RING) + slosh["ring_damping"][:, :n])
 
@@ -347,7 +347,7 @@ class _PlaneOf:
         self._swings = [int(engine["swings"][0, e]) >= 0 for e in range(self._engines)]
 
     def drives_by(self, drive: Sequence[tuple[int, float]]) -> tuple[bool, bool]:
-        """Whether engines of a drive swing on a load, which its rate drives, and whether some follow it."""
+        """Return two flags: engines of a drive swing on a load that its rate drives; some follow it."""
         moved = {channel // 2 for channel, gain in drive if gain != 0.0}
         mine = [e for e in range(self._engines) if self._groups[e] in moved and self._follows[e]]
         swings = any(self._swings[e] for e in mine)
@@ -401,7 +401,7 @@ def hold_stage(packed: Packed, clock_s: float, stage: int = 0) -> HeldStage:
 
 
 def blank_triad() -> dict[str, float]:
-    """Of a gyro or accelerometer: no errors, no dynamics."""
+    """Return the parameters of a gyro or accelerometer without errors and dynamics."""
     errors = [
         f"{kind}_{axis}{unit}"
         for axis in "xyz"

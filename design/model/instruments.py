@@ -46,7 +46,7 @@ class Instruments:
 
     @property
     def actuator(self) -> Actuator:
-        """Of the first drive."""
+        """Return the actuator of the first drive."""
         return self.actuators[0]
 
 

@@ -35,7 +35,7 @@ from maxq.sim.input.ranges import LONGEST_S
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.flight import KeptRows
+from maxq.sim.run.flight import GrowingRows
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import LogSection, Scenario
@@ -61,7 +61,7 @@ class Node:
     label: str = ""
     stage: int = 0  # which one burns, from 0
     stage_start_s: float = 0.0  # zero of that stage's clock on the vehicle clock
-    trim: Trim = (0.0, 0.0)  # angles of attack and sideslip at which tables over incidence have their slopes, rad
+    trim: Trim = (0.0, 0.0)  # angles of attack and sideslip at which tables over angle of attack have their slopes, rad
     speed_mps: float = math.nan  # relative to the rotating Earth
 
     @cached_property
@@ -187,8 +187,8 @@ def nodes_along(
 ) -> list[Node]:
     """Return nodes at vehicle times (s) of a flight of the scenario, flown once and without a log.
 
-    Speed, air and attitude are those flown, at the integrator's step nearest to each time; incidence and rotation
-    are taken as zero, but for a vehicle with tables over incidence, which is taken at the flown angles, and ring
+    Speed, air and attitude are those flown, at the integrator's step nearest to each time; angle of attack and rotation
+    are taken as zero, but for a vehicle with tables over angle of attack, which is taken at the flown angles, and ring
     baffles, which damp as they do in the flown swing (`with_swings`). What the scenario lets fail works, but with
     `faults`. Nodes come in the order of `times_s`. Raises ValueError, naming node and range, for a time outside the
     powered flight.
@@ -232,7 +232,7 @@ def with_swings(nodes: Sequence[Node], scenario: LoadedScenario, faults: bool = 
     if not any(node.vehicle.pendulums.ring.any() for node in nodes):
         return list(nodes)
     logged = scenario.scenario.model_copy(update={"log": _SWING_LOG})
-    run, kept = flown_run(dataclasses.replace(scenario, scenario=logged), faults, log=True), KeptRows()
+    run, kept = flown_run(dataclasses.replace(scenario, scenario=logged), faults, log=True), GrowingRows()
     last_s = max(node.time_s + 0.5 * float(window_s.max()) for node in nodes if len(window_s := swing_window_s(node)))
     while not run.finished and run.now_s < last_s:
         kept.add(run.fly_segment())

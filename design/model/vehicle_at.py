@@ -16,7 +16,7 @@ from maxq.sim.vehicle.air import kernel as aero
 
 @dataclass(frozen=True)
 class Pendulums:
-    """One entry a slosh mode, tank by tank, (pendulums,)."""
+    """The slosh modes, tank by tank: arrays of one entry each, (pendulums,)."""
 
     mass_kg: Array
     length_m: Array
@@ -171,7 +171,8 @@ def without_lateral_air(held: HeldStage) -> HeldStage:
 # --- derivatives
 @dataclass(frozen=True)
 class StabilityDerivatives:
-    """Of alpha' = Z and q' = M as the paper defines them (4 to 8): whole mass, body rigid, liquid frozen.
+    """The coefficients of alpha' = Z and q' = M as the paper defines them (4 to 8): whole mass, body rigid, liquid
+    frozen.
 
     Z_alpha and M_alpha are negative for a statically stable vehicle with lift.
     """
@@ -214,7 +215,7 @@ def stability_derivatives(
 def incidence_by_acceleration(
     vehicle: VehicleAt, derivatives: StabilityDerivatives, speed_mps: float
 ) -> tuple[float, float]:
-    """Return what the incidence follows from by an accelerometer and the pitch acceleration
+    """Return what the angle of attack follows from by an accelerometer and the pitch acceleration
     (control/laws/load_relief.py): `percussion_m` and `accel_per_incidence_mps2`, of the rigid body.
 
     Raises ValueError without an accelerometer, without air, and without an engine that turns the vehicle.
@@ -223,7 +224,7 @@ def incidence_by_acceleration(
     d = derivatives
     if station_m is None or d.z_alpha_1ps == 0.0 or d.m_delta_1ps2 == 0.0:
         missing = "an accelerometer" if station_m is None else "air" if d.m_delta_1ps2 != 0.0 else "an engine"
-        raise ValueError(f"no incidence can be estimated without {missing}")
+        raise ValueError(f"no angle of attack can be estimated without {missing}")
     # from the CG to the centre of percussion, m forward; the accelerometer may lie on either side of it
     centre_m = d.z_delta_1ps * speed_mps / d.m_delta_1ps2
     forward_m = vehicle.total_cg_station_m - station_m

@@ -1,4 +1,4 @@
-"""How the optimiser treats the quantities of `design.quantities`: the tables of objectives and of limits.
+"""The use of `design.quantities` by the optimiser: the tables of objectives and of limits.
 
 Each entry gives, by the key of its quantity, the features that are searched on the curves and how those found are
 judged: as parts of (where, value, limit, excess in dB). Limits that belong to no frequency come with the law
@@ -70,7 +70,7 @@ class Seen:
         return np.full(len(self.kind), np.nan)
 
     def limit(self, name: str) -> Array:
-        """Of each feature's plant."""
+        """Return the limit of each feature's plant."""
         return self.limits[name][self.plant]
 
 
@@ -104,7 +104,7 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Objective:
-    """What is made small: the largest value of a criterion, dB, over all plants.
+    """The objective: the largest value of a criterion over all plants, dB, which is minimised.
 
     `about` names the number as it is written into a design; `reached` says it in the unit of a report. `needs_mode`:
     a plant without a first bending mode has none. Of what the law says of wind (`LawLimit.objective`) nothing is looked

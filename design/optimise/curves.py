@@ -124,7 +124,7 @@ def mesh_of(path: FixedPath, kept_hz: Array, tolerance: float = TOLERANCE) -> Pa
 
 
 def _spline(x: Array, responses: ComplexArray) -> BSpline:
-    """Of Re ln and Im ln of each row of `responses`, as columns."""
+    """Return the spline of Re ln and Im ln of each row of `responses`, as columns."""
     if not np.isfinite(responses).all():
         raise ValueError("the response of a plant is not finite")
     columns = [part for row in responses for part in (np.log(np.abs(row)), np.unwrap(np.angle(row)))]

@@ -1,4 +1,5 @@
-"""Where a loop is judged: its peaks, crossings and nearest approaches to -1, each solved for and with its gradient.
+"""The features by which a loop is judged: its peaks, crossings and nearest approaches to -1, each solved for and with
+its gradient.
 
 A feature is found on the mesh of `Curves` by a change of sign or a local extreme, and refined by Newton's method on the
 splines. Its value then depends smoothly on the variables:
@@ -49,7 +50,7 @@ WIDEST_ZONE = 2.5  # approaches to a zone that are rows
 
 
 class FeatureKind(IntEnum):
-    """What a feature is."""
+    """The kind of a feature."""
 
     PEAK = 0
     GAIN_CROSSING = 1
@@ -79,7 +80,7 @@ class Cross:
 
     @property
     def db_per_rad(self) -> Array:
-        """What a phase counts: the gain margin for the phase margin."""
+        """Return the worth of a phase: the gain margin divided by the phase margin."""
         return np.asarray(self.gain / self.phase * DB)
 
 
@@ -290,7 +291,7 @@ def _extremes(curves: Curves, value: Array, lowest: bool, where: Mask) -> tuple[
 
 
 def vertex(x: Array, value: Array, k: CurveIndices) -> Array:
-    """Where the parabola through mesh points k - 1, k, k + 1 has its vertex, held between the outer two."""
+    """Return the vertex of the parabola through mesh points k - 1, k, k + 1, held between the outer two."""
     around = k + np.arange(-1, 2)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         at, _ = solving.vertex(*x[around], *value[around])
@@ -359,7 +360,7 @@ def zone_value(log_gain: Array, beside: Array, cross: Cross) -> Array:
 
 
 def condition(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> tuple[Array, Array]:
-    """What is zero at each feature, and its derivative by x."""
+    """Return the function that is zero at each feature, and its derivative by x."""
     residual, slope = at.first.real.copy(), at.second.real.copy()  # extreme of ln|L|
     k = kind == FeatureKind.GAIN_CROSSING
     residual[k], slope[k] = wrapped(at.value[k]), at.first.imag[k]

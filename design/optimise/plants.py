@@ -32,7 +32,7 @@ from maxq.design.optimise.problem import bands_of
 
 @dataclass(frozen=True)
 class Plant:
-    """One loop's fixed part; `dispersed` tells which limits it is held to."""
+    """The fixed part of a loop; `dispersed` selects the limits to which it is held."""
 
     node: Node
     path: FixedPath
@@ -88,7 +88,7 @@ def wind_of(path: FixedPath, case: Basis) -> WindResponse:
 
 
 def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> list[Node]:
-    """Of a case of one stage, at vehicle times."""
+    """Return the nodes of a case of one stage, at vehicle times."""
     case = loaded.case
     nodes = operating_points.nodes(loaded.along, times_s, plane=case.plane, errata=case.errata, plant=case.plant)
     return with_cuts(nodes, loaded.along) if case.bends else nodes
@@ -144,7 +144,7 @@ class Plants:
         return float(np.mean(first)) if first else 10.0
 
     def task(self, case: Case) -> Task:
-        """What a law is designed for."""
+        """Return the task of a law's design."""
         off = case.robust.limits if case.robust is not None else case.limits
         limits = PlantLimits([off if p.dispersed else case.limits for p in self.each], self.times_s)
         dispersed = np.array([p.dispersed for p in self.each], bool)

@@ -65,7 +65,7 @@ class ProblemRows:
 
     @property
     def keys(self) -> list[tuple[bool, int, int]]:
-        """Of each row whether it is a limit, `what` and `plant`."""
+        """Return for each row True if it is a limit, `what` and `plant`."""
         return list(zip((~self.objective).tolist(), self.what.tolist(), self.plant.tolist(), strict=True))
 
     @property

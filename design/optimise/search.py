@@ -163,7 +163,7 @@ def _answer(
 
 
 def _hopeless(best_db: float, steps: int, at: ProblemAtPoint) -> bool:
-    """Whether a start is not worth more steps: still unstable, or far behind what is known."""
+    """Return True if a start deserves no more steps: it is still unstable, or far behind the best known value."""
     if steps < PATIENCE:
         return False
     behind = not np.isnan(best_db) and (at.violation_db > FAR_MISSED_DB or at.objective_db > best_db + FAR_BEHIND_DB)

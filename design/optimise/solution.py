@@ -1,4 +1,4 @@
-"""What the optimiser hands back: the design, every limit at every plant, and a certificate."""
+"""The result of the optimiser: the design, every limit at every plant, and a certificate."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Certificate:
-    """How sure the optimum is. `near_best` of `starts` ended within 0.05 dB of it.
+    """The certainty of the optimum. `near_best` of `starts` ended within 0.05 dB of it.
 
     `kkt_residual`: see `Optimality`. `stable` is by the closed loops' poles, not by the argument principle that the
     optimiser goes by.
@@ -160,7 +160,7 @@ class Solution:
 
     @property
     def feasible(self) -> bool:
-        """Whether all limits are met and the loops are stable."""
+        """Return True if all limits are met and the loops are stable."""
         return self.status != "infeasible" and self.violation_db <= MET_DB and self.certificate.stable
 
     @property
@@ -184,14 +184,14 @@ class Solution:
 
     @property
     def in_the_way(self) -> tuple[Constraint, ...]:
-        """Of an infeasible design: the limits that conflict, the one with the largest part first."""
+        """Return the limits that conflict in an infeasible design, the one with the largest part first."""
         if self.feasible:
             return ()
         blamed = [c for c in self.constraints if c.excess_db > MET_DB and c.limit is not None]
         return tuple(sorted(blamed, key=lambda c: (-c.multiplier, -c.excess_db)))
 
     def explanation(self) -> str:
-        """One sentence about an infeasible design; empty for a feasible one."""
+        """Return one sentence about an infeasible design; an empty text for a feasible one."""
         if self.feasible:
             return ""
         alone = " or ".join(f"limits.{name}" for name in self.stable_without)

@@ -5,7 +5,7 @@ Each step minimises  t + penalty v + d'Bd/2  with every linearised peak of the o
 excess at most v >= 0, B the Lagrangian's second derivatives made positive semidefinite. Where rows curve so much that
 the step gains little, it is tried once more with the rows as the trial point has them (second-order correction:
 without it the penalty on a limit that bends makes steps creep, Maratos' effect). A step counts only for what it does
-to the real problem: all peaks and crossings are found and solved for anew, and the closed loop must stay stable.
+to the real problem: all peaks and crossings are found and solved for again, and the closed loop must stay stable.
 
 Linear programmes alone (B = 0) creep wherever fewer rows are active than there are variables: from one start of F6 with
 free gains they stood at -10.4 dB after 120 steps, this at -13.4 dB after 29.
@@ -55,7 +55,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Merit:
-    """What a step must bring down: weight of the objective (0: only the limits count) and of the largest excess."""
+    """The merit that a step must lower: weights of the objective (0: only the limits count) and of the largest
+    excess.
+    """
 
     objective: float
     penalty: float
@@ -105,7 +107,8 @@ def descend(
     limits_only: bool = False,
     give_up: Callable[[int, ProblemAtPoint], bool] | None = None,
 ) -> ProblemAtPoint:
-    """Where a start ends: no step promises `tolerance_db`, or `give_up` gives it up after a number of steps.
+    """Descend from a start until no step promises `tolerance_db`, or until `give_up` stops it after a number of steps;
+    return the end point.
 
     `limits_only`: bring down the largest excess, whatever the objective.
     """

@@ -26,7 +26,7 @@ class Erratum(NamedTuple):
 
 @dataclass(frozen=True)
 class Errata:
-    """One field an erratum: True is corrected, False as printed. `ABOUT` describes each."""
+    """A field for each erratum: True is corrected, False as printed. `ABOUT` describes each."""
 
     gyro_senses_rate: bool = True
     mode_force_sign: bool = True

@@ -1,4 +1,4 @@
-"""What each erratum does to a loop: switched alone from corrected to as printed, and all of them together."""
+"""The effect of each erratum on a loop: switched alone from corrected to as printed, and all of them together."""
 
 from __future__ import annotations
 

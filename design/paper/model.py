@@ -8,7 +8,7 @@ simulator, to which tests/test_oracle_design_model_printed.py compares them.
 
 The constant g cos(theta_0) acts on every particle alike and is left out: it bends the path (gravity turn). Gravity does
 no work on a free-free mode (erratum 3). Thrust T acts at the displaced gimbal along the bent axis, each lifting surface
-on its local incidence, drag along the wind; the engine behind the gimbal (I_E about it, first moment S = m_E l_E)
+on its local angle of attack, drag along the wind; the engine behind the gimbal (I_E about it, first moment S = m_E l_E)
 reacts to delta'' and hangs under the axial load (8). Slosh damping is a force between bob and tank:
 
     M_S = - sum m_p [ a l_p G + 2 zeta w L (l_p - L) G' ],
@@ -29,7 +29,7 @@ Moving Containers", 2000),
     hinge above the liquid's CG by  h / 2 - (2 R / xi) tanh(xi h / (2 R)) + L.
 
 Limits of validity: one engine on the body axis without TVC load, planar modes, lifting surfaces without tables over
-incidence, one gyro. Other vehicles are rejected.
+angle of attack, one gyro. Other vehicles are rejected.
 
 Yaw plane: the same with  w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw, gyro -> -gyro.
 """
@@ -140,7 +140,7 @@ def plane_vehicle(held: HeldStage, condition: FlightCondition, plane: Plane) -> 
         (int(sizes.engines) > 1 or beside > 0.0, "one engine on the body axis"),
         (sizes.spatial_modes, "planar modes"),
         (sizes.tvc_loads, "an engine without TVC load"),
-        (sizes.tables, "surfaces without tables over incidence"),
+        (sizes.tables, "surfaces without tables over angle of attack"),
         (sizes.sensors, "one gyro"),
     ):
         if int(more):

@@ -48,7 +48,7 @@ class PaperNode(Node):
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
-        """Of each drive, with a3 and a4 exchanged where the errata say so."""
+        """Return the actuator of each drive, with a3 and a4 exchanged where the errata say so."""
         return tuple(
             a
             if not self.errata.actuator_labels or a.ideal or a.order < 6

@@ -31,7 +31,7 @@ from maxq.sim.scenario.schema_scenario import LogSection
 _TUNED = ("mode_1", "mode_2", "slosh")
 _PLACES = ("max_q", "before_max_q", "after_max_q")
 NAMES = (
-    # of the largest dynamic pressure under thrust, and of four fifths of it before and after (the last burn-out where
+    # of the largest dynamic pressure under thrust, and of four fifths of it before and after (the last burnout where
     # thrust ends sooner); gusts: height climbed in a swing of mode or slosh
     *(f"{at}_{what}" for at in _PLACES for what in ("s", "altitude_m", *(f"{x}_gust_m" for x in _TUNED))),
     "limit_wind",  # the suite's key: a wind profile
@@ -42,7 +42,7 @@ NAMES = (
     "longer_s",  # half of that, or what the computer's delay leaves of it
     "gimbal_limit_deg",  # the least angle of all actuators and computers
     "gimbal_rate_limit_degps",  # the least rate of all actuators
-    "ignition_s",  # of the stage, or lift-off
+    "ignition_s",  # of the stage, or liftoff
     "early_s",  # a fifth of its burn
     "strongest_s",  # of the largest dynamic pressure in its burn
     "late_s",  # three quarters of its burn
@@ -60,7 +60,7 @@ Marks = dict[str, float | int | str]
 
 
 class _Missing(Exception):
-    """What the vehicle does not have."""
+    """The parts that the vehicle does not have."""
 
 
 def fit(loaded: LoadedSuite, base: LoadedScenario, memory: PartsOnDisk) -> LoadedSuite:
@@ -189,7 +189,7 @@ def _number(given: float | str, marks: Marks, label: str, where: str) -> float:
 
 
 def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
-    """Of the whole flight, and of each stage that burns."""
+    """Return the instants of the whole flight, and of each stage that burns."""
     log = LogSection(fast_hz=10.0, slow_hz=10.0, transform_hz=1.0)
     quiet = base.scenario.model_copy(update={"log": log, "fault": ()})
     flight, spans = fly(LoadedScenario(quiet, base.label, base.files)), powered_spans(base)

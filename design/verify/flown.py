@@ -35,7 +35,7 @@ KEPT_HZ = 20.0
 
 @dataclass(frozen=True)
 class FlownResult:
-    """One flight of the suite. `time_s` and `histories` (by channel) are those under thrust, thinned out."""
+    """A flight of the suite. `time_s` and `histories` (by channel) are those under thrust, thinned out."""
 
     name: str
     why: str
@@ -144,7 +144,7 @@ def _said(v: Verdict) -> str:
 
 
 def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequirement]:
-    """One for each flight that counts: it meets all requirements of its scenario."""
+    """Return a requirement for each flight that counts: it meets all requirements of its scenario."""
     out = []
     for r in results:
         worst = r.tightest
@@ -221,7 +221,7 @@ def fly_campaign(
     count = 1
     while afresh and folder.exists():
         folder = known.with_name(f"{known.name}-{(count := count + 1)}")
-    outcome = run_campaign(loaded, folder, watch=watch, stop=stop, elsewhere="fly it anew with simverify --afresh")
+    outcome = run_campaign(loaded, folder, watch=watch, stop=stop, elsewhere="fly it again with simverify --afresh")
     data = DataSet(folder, loaded, loaded.campaign.runs)
     return CampaignResult(
         wanted.name or loaded.name,
@@ -252,7 +252,7 @@ def _of_campaign(
 
 
 def availability_requirements(result: CampaignResult, wanted: float) -> list[JudgedRequirement]:
-    """One for each month of a campaign's winds; undecided where it has none."""
+    """Return a requirement for each month of a campaign's winds; undecided if it has none."""
     asked, out = f">= {100.0 * wanted:g} % with {100.0 * result.confidence:g} %", list[JudgedRequirement]()
     for month in result.months:
         shown, room = month.judged(wanted, result.confidence, result.fixed), suite.room_left(month.share, wanted, ">=")
@@ -265,7 +265,7 @@ def availability_requirements(result: CampaignResult, wanted: float) -> list[Jud
 
 
 def campaign_requirements(result: CampaignResult) -> list[JudgedRequirement]:
-    """One for each requirement of the campaign, or for each month where its availability is asked for."""
+    """Return a requirement for each requirement of the campaign, or for each month if its availability is required."""
     if result.availability is not None:
         return availability_requirements(result, result.availability)
     level = f"{100.0 * result.success:g} % with {100.0 * result.confidence:g} %"

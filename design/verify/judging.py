@@ -234,7 +234,7 @@ def _clearance(j: JudgedLoop, zone: Zone) -> float:
 
 @dataclass(frozen=True)
 class InWind:
-    """One quantity at the nodes: of a design, and of the one that the scenario flies by itself."""
+    """A quantity at the nodes: of a design, and of the design that the scenario flies by default."""
 
     key: Key
     rms: Array  # (nodes,), nan where the loop is unstable

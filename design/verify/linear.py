@@ -7,7 +7,7 @@ of the campaign (design/model/deviations.py), along one of a few dispersed traje
 measured by the compiled margins of design/margins/dispersed.py; those whose margin lies within `NEAR` of a limit, and
 those that these do not serve, once more by `margins`.
 
-Authority: in trim the moment of the deflected engine balances that of the incidence,
+Authority: in trim the moment of the deflected engine balances that of the angle of attack,
 delta = -(M_alpha / M_delta) alpha, and a cross-wind W meets the vehicle at alpha = atan(W / U) before it has had time
 to drift along. So the gimbal's limit is reached at a wind of U tan(delta_max |M_delta / M_alpha|). With
 |M_alpha / M_delta| above three, this comes before any stability margin is lost.
@@ -412,8 +412,8 @@ def meet_limits(values: Array, limits: LoopLimits) -> NDArray[np.bool_]:
 
 
 def percentiles(values: Array, name: str, confidence: float, shares: Sequence[float]) -> Array:
-    """What at most so many (`shares`) of all vehicles are worse than, with that confidence, at each node: (shares,
-    nodes).
+    """Return the values that at most given `shares` of all vehicles exceed, with that confidence, at each node:
+    (shares, nodes).
 
     Order statistics (tolerance_bound), of values (vehicles, nodes, SWEPT); NaN where there are too few vehicles. An
     unstable loop counts as worst.
@@ -426,7 +426,9 @@ def percentiles(values: Array, name: str, confidence: float, shares: Sequence[fl
 
 @dataclass(frozen=True)
 class Authority:
-    """At a vehicle time: gimbal angle per incidence, and the steady cross-wind that takes all of the gimbal angle."""
+    """At a vehicle time: gimbal angle per angle of attack, and the steady cross-wind that takes all of the gimbal
+    angle.
+    """
 
     time_s: float
     airspeed_mps: float

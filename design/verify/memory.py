@@ -1,4 +1,4 @@
-"""What has been worked out before is not worked out again: parts kept by the hash of all that they depend on.
+"""Results that are kept for later runs: parts stored under the hash of everything on which they depend.
 
     memory = Memory(folder)
     answer = memory.recall("node", (packed, node, loop), lambda: certify(...))
@@ -37,7 +37,7 @@ def default_folder() -> Path:
 
 @lru_cache(maxsize=1)
 def code_hash() -> str:
-    """Of every module that can have a part in an answer."""
+    """Return the hash of every module that can affect a result."""
     top = Path(__file__).resolve().parents[2]
     digest = hashlib.sha256()
     for layer in ("control", "sim", "design"):
@@ -87,7 +87,9 @@ def to_plain(thing: Any, records: bool = False) -> Any:
 
 
 def from_plain(plain: Any) -> Any:
-    """What `to_plain` was given. Raises ValueError or TypeError for anything that it cannot have written."""
+    """Return the object from which `to_plain` made this. Raises ValueError or TypeError for anything that it cannot
+    have written.
+    """
     if isinstance(plain, list):
         return [from_plain(item) for item in plain]
     if not isinstance(plain, dict):
@@ -122,7 +124,7 @@ def from_plain(plain: Any) -> Any:
 
 
 def _fields(kind: Any) -> list[str]:
-    """Of a dataclass or a section of a file. Raises TypeError for other types."""
+    """Return the fields of a dataclass or of a file's section. Raises TypeError for other types."""
     return list(kind.model_fields) if issubclass(kind, Section) else [f.name for f in dataclasses.fields(kind)]
 
 
@@ -143,7 +145,7 @@ class PartsOnDisk:
     """Parts in a folder, a file each; `folder` None remembers nothing. Threads may share one.
 
     A file is the SHA-256 of the rest, the hash of what the part depends on, and the part as JSON, a line each. One that
-    is damaged or belongs elsewhere is worked out anew. No file can name code to run.
+    is damaged or belongs elsewhere is worked out again. No file can name code to run.
     """
 
     def __init__(self, folder: Path | None) -> None:

@@ -1,4 +1,4 @@
-"""How far all named deviations may go at once before the loop is unstable: a bound from inside.
+"""The largest simultaneous deviation of all named parameters for which the loop is stable: a lower bound.
 
 The search for the worst vehicle (worst.py) knows of vehicles; this says up to where none is unstable, by the structured
 singular value over the deviations v, each a real number:
@@ -50,7 +50,8 @@ _HALVINGS = 6  # of the gaps on both sides of the largest
 
 @dataclass(frozen=True)
 class Uncertain:
-    """What deviates, [A B, C D] (n + axes, n + axes) and its changes by 1 of each, balanced; delays (s) by 1.
+    """The deviating system, [A B, C D] (n + axes, n + axes) and its changes by 1 of each deviation, balanced; delays
+    (s) by 1.
 
     `farther` (deviations,): what a change to the farther end is to that change, at least 1.
     """
@@ -69,13 +70,13 @@ class Uncertain:
         return self.whole[:n, :n], self.whole[:n, n:], self.whole[n:, :n], self.whole[n:, n:]
 
     def response(self, hz: float) -> ComplexArray:
-        """Of P without deviations, (axes, axes)."""
+        """Return the response of P without deviations, (axes, axes)."""
         a, b, c, d = self.blocks
         return np.asarray(c @ np.linalg.solve(2j * np.pi * hz * np.eye(len(a)) - a, b) + d)
 
     @cached_property
     def _factors(self) -> list[tuple[Array, Array]]:
-        """Of each change, what goes into the equations by what comes out of states and commands."""
+        """Return for each change its factors: inputs to the equations by outputs of states and commands."""
         out = []
         for change in self.changes:
             u, size, v = np.linalg.svd(change)
@@ -181,7 +182,7 @@ class Within:
 
 
 def stable_within(node: Node, design: Design, campaign: LoadedCampaign) -> Within | None:
-    """Of the deviations at a node; None for a law that takes more than the gyro."""
+    """Bound the deviations at a node; return None for a law that uses more than the gyro."""
     law = law_at(design, node)
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
@@ -191,7 +192,7 @@ def stable_within(node: Node, design: Design, campaign: LoadedCampaign) -> Withi
 
 
 def stable_together(base: LoadedScenario, design: Design, node: Node, campaign: LoadedCampaign) -> Within | None:
-    """Of the deviations at a node, with the loops of pitch, yaw and roll together as the simulator couples them.
+    """Bound the deviations at a node, with the loops of pitch, yaw and roll together as the simulator couples them.
 
     None for a law that takes more than the gyro, and where engines of a group are on TVC loads.
     """

@@ -70,7 +70,7 @@ class Round:
 
     @property
     def text(self) -> str:
-        """One line for people."""
+        """Return one line for people."""
         flight = "the scenario's flight" if self.number == 1 else f"the flight of round {self.number - 1}"
         lost = f", which is lost ({loss_text(self.loss)})" if self.loss is not None else ""
         kind = "a preliminary design" if self.loss is not None else "a design"

@@ -117,7 +117,7 @@ NEAR, MIDWAY = Baffle(0.1, 0.25), Baffle(0.5, 0.25)
 
 @dataclass(frozen=True)
 class SloshAdvice:
-    """One tank at one time. Stations in m aft of the nose; dampings are ratios of the pendulum.
+    """The advice on one tank at one time. Stations in m aft of the nose; dampings are ratios of the pendulum.
 
     `needed`: damping at which the closed loop is marginally stable, 0 where none is needed; `wave_m` and
     `midway_wave_m`: wave heights at which the baffles `NEAR` and `MIDWAY` give it; `midway_deg`: the latter as the

@@ -1,4 +1,4 @@
-"""What a person may write into a suite, reading it, and the form of the answers: requirements with their verdicts.
+"""The sections of a suite, its reader, and the form of the results: requirements with their verdicts.
 
     suite = read_suite("standard")
 
@@ -41,7 +41,7 @@ UNDECIDED: SuiteVerdict = "undecided"
 
 @dataclass(frozen=True)
 class JudgedRequirement:
-    """One requirement with its verdict.
+    """A requirement with its verdict.
 
     `part`: the method, "scenarios", "margins", "dispersed", "authority", "certificate", "campaign". `wanted` and
     `found` are for people; `room` is the share of the limit that is left, negative beyond it, NaN where that has no
@@ -60,7 +60,7 @@ class JudgedRequirement:
 
     @property
     def reason(self) -> str:
-        """One line."""
+        """Return one line with the reason."""
         said = f"{self.name}: {self.found}, wanted {self.wanted}" + (f" ({self.where})" if self.where else "")
         if self.judgement != UNDECIDED:
             return said
@@ -75,7 +75,7 @@ def overall(requirements: Iterable[JudgedRequirement], suite: Suite | None = Non
 
 
 def judgement_of(shown: str) -> SuiteVerdict:
-    """Of a statistical test (`sim.campaign.statistics`)."""
+    """Return the verdict of a statistical test (`sim.campaign.statistics`)."""
     return ACCEPTED if shown == MET else REJECTED if shown == NOT_MET else UNDECIDED
 
 
@@ -139,7 +139,7 @@ class SuiteFlight(Section):
                 raise refuse(f"does not tell the flights of ${key} apart", f"a name with ${key}", "name")
 
     def flights(self) -> list[SuiteFlight]:
-        """One for each combination of `each`, or this one."""
+        """Return one flight for each combination of `each`, or this one."""
         out = []
         for values in product(*self.each.values()):
             said = dict(zip(self.each, (f"{v:g}" if isinstance(v, float) else v for v in values), strict=True))
@@ -219,7 +219,7 @@ class LinearMargins(Section):
 
 
 class CertificateWanted(Section):
-    """Where the loop is measured in flight, and taken to its stability limit."""
+    """The points at which the loop is measured in flight and taken to its stability limit."""
 
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where times_s is not given", NODES_PER_STAGE)
@@ -268,7 +268,7 @@ class Suite(Section):
 
     @property
     def lacks(self) -> list[str]:
-        """What it does not ask for, without which nothing is accepted: such a suite is a screening."""
+        """Return the tests that the suite lacks, without which it can accept nothing: such a suite is a screening."""
         out = [] if self.campaign else ["no dispersed flight flown"]
         out += [] if self.margins is not None and self.margins.cases else ["no dispersed vehicle"]
         if self.certificate is None:
@@ -347,7 +347,7 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
     suite, tree, file, _ = load_file(Suite, "suite", name, changes)
 
     def beside(given: Any) -> Any:
-        """What a text of the file names, if it lies beside the file that says so."""
+        """Resolve a text that names a file in the folder of the file that contains it."""
         path = find(given, ("{}", "{}.toml")) if isinstance(given, Text) else None
         return given if path is None or path == file else shown(path)
 

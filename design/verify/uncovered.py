@@ -42,7 +42,7 @@ class Uncovered:
 
     @property
     def text(self) -> str:
-        """One line for people."""
+        """Return one line for people."""
         return f"{self.begin_s:.4g} to {self.end_s:.4g} s: {self.why}"
 
 

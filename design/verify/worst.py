@@ -355,7 +355,7 @@ def _refined_beside(
 
 
 def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> list[JudgedRequirement]:
-    """Of its distance, where a limit is given, and that it keeps control in flight."""
+    """Judge the distance of the worst vehicle, where a limit is given, and its control in flight."""
     whose = ", ".join(filter(None, (found.plane, found.stage)))
     said = f"{found.modulus:.3f}" if found.modulus else "unstable"
     said += f"; no worse vehicle found in {found.searches} searches ({found.loops} loops)"

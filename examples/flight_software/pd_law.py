@@ -9,7 +9,7 @@ import math
 
 
 class Autopilot:
-    """One of these for each flight."""
+    """The flight code of one flight."""
 
     def __init__(self, setup):
         if setup.sample_ns != 10_000_000:

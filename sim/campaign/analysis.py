@@ -114,11 +114,11 @@ class DataSet:
         return pa.concat_tables(tables).slice(0, len(self.runs))
 
     def column(self, name: str) -> pa.ChunkedArray:
-        """One column of all runs."""
+        """Return one column of all runs."""
         return self._table([name])[name]
 
     def numbers(self, name: str) -> Array:
-        """One column of numbers; nan where there is none."""
+        """Return one column of numbers; nan where there is none."""
         return self._kept[name] if name in self._kept else _numbers(self.column(name))
 
     def read(self, names: Iterable[str]) -> None:
@@ -299,7 +299,7 @@ def selected(data: DataSet, keep: Sequence[str]) -> list[int]:
 
 @dataclass(frozen=True)
 class Band:
-    """One channel: `lines` (percentiles, n) over `time_s` (n,), of the `flying` (n,) runs that reach each time."""
+    """A channel: `lines` (percentiles, n) over `time_s` (n,), of the `flying` (n,) runs that reach each time."""
 
     channel: str
     runs: int

@@ -39,12 +39,13 @@ class Month:
         return 1.0 - self.missed / self.runs
 
     def judged(self, wanted: float, confidence: float, fixed: bool) -> Shown:
-        """Whether the availability is at least `wanted`; `fixed`: the number of runs was recorded beforehand."""
+        """Judge whether the availability is at least `wanted`; `fixed`: the number of runs was recorded beforehand."""
         return judge_failures(self.missed, self.runs, wanted, confidence, self.runs if fixed else None)
 
 
 def availability(data: DataSet) -> list[Month]:
-    """Of each month that has a run among the first ones without a gap; none of a campaign without months.
+    """Return the availability of each month that has a run among the first runs without a gap; empty for a campaign
+    without months.
 
     Runs whose wind has no date are left out.
     """

@@ -1,7 +1,7 @@
-"""What is said when a campaign cannot go on."""
+"""The error that ends a campaign."""
 
 from __future__ import annotations
 
 
 class CampaignError(Exception):
-    """One line: what is wrong with a campaign's folder, its draws or its data, and what to do."""
+    """A one-line error in a campaign's folder, draws or data, with the next step."""

@@ -1,4 +1,4 @@
-"""What follows a campaign: one run flown again, a failure reduced to its causes, a search for the worst flight."""
+"""Investigate a campaign: fly one run again, reduce a failure to its causes, search for the worst flight."""
 
 from __future__ import annotations
 
@@ -94,7 +94,9 @@ def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 @dataclass(frozen=True)
 class Shrunk:
-    """What is left of a failure: inputs by name, the scenario with them alone, its flight, and how many were flown."""
+    """A reduced failure: its remaining inputs by name, the scenario with them alone, its flight, and the number of
+    flights.
+    """
 
     failure: str
     inputs: tuple[str, ...]
@@ -104,7 +106,9 @@ class Shrunk:
 
 
 def failures_of(flight: Flight) -> list[str]:
-    """What a flight fails in: its outcome if it has no usable metrics, control lost, the requirements it misses."""
+    """Return the reasons for which a flight fails: its outcome if it has no usable metrics, loss of control, missed
+    requirements.
+    """
     found = [flight.outcome] if flight.outcome in VOID else []
     found += ["control lost"] if any(e.name == "control_lost" for e in flight.events) else []
     return found + [v.name for v in flight.verdicts if not v.met]

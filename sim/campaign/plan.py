@@ -1,4 +1,4 @@
-"""What is drawn for each run of a campaign: a function of seed, run and key alone (draws.py).
+"""The draws of each run of a campaign, as a function of seed, run and key alone (draws.py).
 
 Vector-wind model: at each altitude the two components deviate from the mean by a bivariate normal distribution
 (standard deviations and correlation from a table), and the standardised deviations of two altitudes are correlated by
@@ -31,7 +31,7 @@ _INSIDE = 1e-300, 1.0 - 1e-16  # of (0, 1), for a distribution's quantiles
 
 @dataclass(frozen=True)
 class Draw:
-    """One random number of a run, and the places of the scenario it goes to."""
+    """A random number of a run, and the places of the scenario to which it goes."""
 
     name: str  # of the column in the data set: the key path, or the first of several
     label: str
@@ -67,7 +67,7 @@ class Draw:
         return [target.result(self.spec.apply, values) for target in self.targets]
 
     def allowed(self, results: list[Array]) -> np.ndarray:
-        """Where the bounds of all targets hold, and those of the draw."""
+        """Return True where the bounds of all targets hold, and those of the draw."""
         low = -np.inf if self.spec.at_least is None else self.spec.at_least
         high = np.inf if self.spec.at_most is None else self.spec.at_most
         targets = zip(self.targets, results, strict=False)
@@ -77,7 +77,7 @@ class Draw:
 
 @dataclass
 class Drawn:
-    """What was drawn for consecutive runs; `flown` and `recorded` hold Python's own numbers, texts and tables."""
+    """The draws of consecutive runs; `flown` and `recorded` hold Python's own numbers, texts and tables."""
 
     first: int
     redraws: np.ndarray
@@ -90,7 +90,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Plan:
-    """How the draws of a run come about. Nothing here is drawn in an order: see draws.py."""
+    """The rules by which the draws of a run come about. Nothing here is drawn in an order: see draws.py."""
 
     campaign: Campaign
     draws: tuple[Draw, ...]
@@ -159,7 +159,9 @@ class Plan:
 
     @cached_property
     def score_names(self) -> list[str]:
-        """Of the standard normal numbers that make up a run, beside its noise: a draw, or the wind."""
+        """Return the names of the standard normal numbers that make up a run, in addition to its noise: a draw, or the
+        wind.
+        """
         return self._streams + [f"{WIND_KEY} {k + 1}" for k in range(self.wind.size if self.wind is not None else 0)]
 
     @cached_property
@@ -227,7 +229,7 @@ class Plan:
         return quantile(spec, u, d.nominal)
 
     def _within_bounds(self, d: Draw, values: np.ndarray, drawn: Drawn, attempt: int) -> list[Array]:
-        """What becomes of the values at each target; those outside their bounds are drawn again, in place."""
+        """Return the value at each target; values outside their bounds are drawn again, in place."""
         results = d.results(values)
         good = d.allowed(results)
         if good.all():
@@ -257,7 +259,7 @@ class Plan:
         return results
 
     def _single(self, d: Draw, run: int, attempt: int) -> np.ndarray:
-        """One draw anew; of a correlated group with new scores for all of it."""
+        """Repeat one draw; for a member of a correlated group, with new scores for the whole group."""
         group = [other for other in self.draws if other.entry == d.entry] if d.group is not None else [d]
         together = d.name in self.correlation[0]
         group = [other for other in self.draws if other.name in self.correlation[0]] if together else group
@@ -304,7 +306,7 @@ class Ensemble:
         return self._profiles[int(scores[0])]
 
     def recorded(self, scores: np.ndarray) -> dict[str, Any]:
-        """What the data set holds of the scores of a run, by column."""
+        """Return the columns that the data set holds for the scores of a run."""
         one = self._profiles[int(scores[0])]
         out: dict[str, Any] = {WIND_KEY: one.file or str(int(scores[0]))}
         if any(profile.date for profile in self._profiles):

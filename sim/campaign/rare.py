@@ -44,7 +44,7 @@ normal numbers (points, scores) and noise (points,)."""
 
 @dataclass(frozen=True)
 class Population:
-    """One estimate; `levels` passed, in units of the value. `stuck`: the value did not come beyond the last of them.
+    """An estimate; `levels` passed, in units of the value. `stuck`: the value did not come beyond the last of them.
 
     `nearest`: of the flights that fail the one nearest to the middle of all, numbers and noise.
     """

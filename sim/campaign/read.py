@@ -44,7 +44,7 @@ _JOINT = 1 << 20  # attempts of a run whose values exclude each other begin here
 
 @dataclass(frozen=True)
 class Inputs:
-    """What was drawn for one run, as it is recorded, and the scenario that follows."""
+    """The recorded draws of one run, and the scenario that follows from them."""
 
     run: int
     recorded: dict[str, Any]  # by column: number or text
@@ -83,7 +83,7 @@ class LoadedCampaign:
     def inputs(self, run: int, drawn: Drawn | None = None) -> Inputs:
         """Draws and scenario of one run, out of a batch where one is given; from several threads, too.
 
-        While its values exclude each other it is drawn anew as a whole. Raises CampaignError where the file refuses
+        While its values exclude each other it is drawn again as a whole. Raises CampaignError where the file refuses
         that, Refused where it does not help.
         """
         redraws = 0
@@ -106,7 +106,7 @@ class LoadedCampaign:
         return Inputs(run, recorded, int(drawn.redraws[at]) + redraws, loaded)
 
     def scenario_of(self, run: int) -> LoadedScenario:
-        """What run `run` flies."""
+        """Return the scenario that run `run` flies."""
         return self.inputs(run).loaded
 
     def mixed(self, drawn: Drawn, run: int, kept: Iterable[str] | None = None) -> LoadedScenario:
@@ -129,7 +129,9 @@ class LoadedCampaign:
         return self._loaded(values)
 
     def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[DrawPlace, Any]:
-        """What a run flies of the named inputs (None: of all), e.g. its wind and its noise: for `changed`."""
+        """Return the values that a run flies for the named inputs (None: all), e.g. its wind and its noise, for
+        `changed`.
+        """
         at = run - drawn.first
         values = {place: values[at] for place, values in drawn.flown.items()}
         if drawn.wind is not None and self.plan.wind is not None:
@@ -175,7 +177,7 @@ class LoadedCampaign:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What scenario and dispersions hold and is implausible, a line each."""
+        """Return a line for each implausible value of the scenario and the dispersions."""
         boxes, found = self.boxes(_PLAUSIBLE_SIGMAS), []
         for d in self.plan.draws:
             if d.name not in boxes or d.targets[0].is_angle:

@@ -103,7 +103,7 @@ class Interim:
             self._in_order += 1
 
     def settled(self) -> bool:
-        """Whether the verdict on every requirement stands, however often one has looked."""
+        """Return True if the verdict on every requirement is final under any stopping rule."""
         n = self._in_order
         return n > 0 and all(
             judge_failures(t.failures_in_order, n, *self._level).judgement != OPEN for t in self.tallies

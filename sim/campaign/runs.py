@@ -43,7 +43,7 @@ _SEGMENT_NS = 100 * NS_PER_S  # of a flight, a tenth of a second's work: between
 
 @dataclass
 class Row:
-    """What is recorded of one run. The fields of `_COLUMNS` are columns of the data set by their names."""
+    """The record of one run. The fields of `_COLUMNS` are columns of the data set by their names."""
 
     run: int
     outcome: str
@@ -106,7 +106,9 @@ class _Run:
 
     @contextmanager
     def _errors_recorded(self) -> Iterator[None]:
-        """One run in ten thousand must not end a campaign. Memory that is short is the machine's: raised again."""
+        """Record the error of a run, since one run in ten thousand must not end a campaign. A lack of memory concerns
+        the machine and is raised again.
+        """
         try:
             yield
         except MemoryError:
@@ -228,7 +230,9 @@ def input_types(campaign: LoadedCampaign) -> dict[str, pa.DataType]:
 
 
 def schema_of(campaign: LoadedCampaign) -> pa.Schema:
-    """One row for each run: how it went, what was drawn (null where nothing could be), metrics and their times."""
+    """Return the schema of a row for each run: its outcome, its draws (null where nothing could be drawn), metrics and
+    their times.
+    """
     inputs = [pa.field(name, kind) for name, kind in input_types(campaign).items()]
     metrics = [pa.field(name, pa.float64()) for name in (*METRIC_NAMES, *map(TIME_OF.format, METRIC_NAMES))]
     return pa.schema([*_COLUMNS, *inputs, *metrics])

@@ -1,4 +1,4 @@
-"""What a campaign file may say beside its scenario: [campaign], [[disperse]], [wind_model]."""
+"""The sections of a campaign file in addition to its scenario: [campaign], [[disperse]], [wind_model]."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Correlated(Section):
 
 
 class Campaign(Section):
-    """How many runs, from which draws, and what is to be shown."""
+    """The number of runs, the source of the draws, and the results to show."""
 
     runs: Annotated[int, Field(ge=0, lt=2**53)] = Field(description="number of flights")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("all draws derive from it", 1)
@@ -281,7 +281,7 @@ class WindModel(Section):
 
 
 class CampaignFile(Section):
-    """What stands in a campaign file beside the scenario."""
+    """The sections of a campaign file apart from the scenario."""
 
     campaign: Campaign
     disperse: tuple[Disperse, ...] = optional("what differs from run to run", ())
@@ -294,6 +294,6 @@ class CampaignFile(Section):
 
 
 def keep_is_known(text: str) -> bool:
-    """Whether `text` selects flights: see `KEEP_ALLOWED`."""
+    """Return True if `text` selects flights: see `KEEP_ALLOWED`."""
     found = re.fullmatch(r"worst:\d+(?::(.*))?|failed(?::\d+)?|\s*\d+\s*(?:,\s*\d+\s*)*", text)
     return found is not None and found[1] in (None, *METRIC_NAMES)

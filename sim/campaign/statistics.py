@@ -57,7 +57,7 @@ def allowed_failures(runs: int, success: float, confidence: float) -> int:
 
 @dataclass(frozen=True)
 class Shown:
-    """What k failures in n runs say about a requirement."""
+    """The evidence of k failures in n runs about a requirement."""
 
     judgement: Judgement
     runs: int
@@ -124,7 +124,7 @@ def _least(holds: Callable[[int], bool], first: int) -> int:
 
 
 def last(holds: Callable[[float], bool], low: float, high: float, halvings: int) -> float:
-    """Where a condition that holds at `low`, but not at `high`, ends."""
+    """Return the end of a condition that holds at `low`, but not at `high`."""
     for _ in range(halvings):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if holds(middle) else (low, middle)

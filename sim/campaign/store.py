@@ -73,7 +73,9 @@ class Store:
             at = max(at, part.last + 1)
 
     def write(self, rows: Sequence[Row]) -> None:
-        """One part of consecutive runs. Raises CampaignError where it cannot be written; then nothing is left of it."""
+        """Write one part of consecutive runs. Raises CampaignError if it cannot be written; then no part of it is
+        left.
+        """
         table, histories = table_of(rows, self.schema), history_table(rows, self._channels)
         first, last = table["run"][0].as_py(), table["run"][-1].as_py()
         if last - first + 1 != len(table):
@@ -124,7 +126,7 @@ class Store:
                 path.unlink()
 
     def _problem(self, part: StoredPart) -> str:
-        """What is wrong with a part; empty where it is whole."""
+        """Return the fault of a part; empty if it is whole."""
         try:
             runs = read_part(part.path, schema=self.schema)["run"].to_numpy()
         except CampaignError as error:
@@ -207,7 +209,7 @@ def _same_campaign(folder: Path, campaign: LoadedCampaign, elsewhere: str) -> in
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """What was flown in a folder. Raises CampaignError."""
+    """Return the manifest of a folder. Raises CampaignError."""
     path = folder / MANIFEST
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -237,7 +239,7 @@ def campaign_in(folder: Path) -> LoadedCampaign:
 
 
 def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """What of `now` is not as `before`, in words; descriptions and the like do not count."""
+    """Return the differences of `now` from `before`, in words; descriptions and the like do not count."""
     old, new = (
         _flat(tomllib.loads(content["scenario"]))
         | _flat({part: content.get(part) for part in ("campaign", "disperse", "wind_model", "tables", "simulator")})

@@ -79,7 +79,9 @@ def tail_of(values: Array, limit: float, success: float, confidence: float, larg
     beyond_u = np.repeat(shares, len(_SHAPES))
 
     def likely(excess: float, probability: float) -> bool:
-        """Whether the data allow that a value so far beyond the threshold is exceeded with that probability."""
+        """Return True if the data allow that a value that far beyond the threshold is exceeded with that
+        probability.
+        """
         with np.errstate(divide="ignore"):
             scales = excess / boxcox(beyond_u / probability, each)
         return bool(best - (_log_likelihood(y, each, scales) + chance).max() <= allowed)
@@ -154,7 +156,7 @@ def _beyond(shape: Array | float, scale: Array | float, excess: Array | float) -
 
 
 def _last(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Where a condition that holds at `low` ends; inf where it does not end below a `high` above 0."""
+    """Return the end of a condition that holds at `low`; inf if it does not end below a `high` above 0."""
     if holds(high):
         return math.inf if high > 0.0 else high
     return last(holds, low, high, 30)

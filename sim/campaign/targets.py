@@ -40,7 +40,9 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class Target:
-    """One place of the scenario. `nominal` is nan where the place holds no number, `kind` what it holds."""
+    """A place of the scenario. `nominal` is nan where the place holds no number; `kind` is the type of its
+    content.
+    """
 
     key: str
     path: tuple[str | int, ...]
@@ -52,11 +54,11 @@ class Target:
 
     @property
     def is_angle(self) -> bool:
-        """Whether either sign is as good as the other: an angle or a rate of one."""
+        """Return True if both signs are equivalent: an angle or a rate of one."""
         return any(isinstance(part, str) and "deg" in part.rpartition("_")[2] for part in self.path[-2:])
 
     def result(self, apply: Apply, draw: Array) -> Array:
-        """What becomes of a number; of a column, the draw itself."""
+        """Return the changed number; for a column, the draw itself."""
         out = draw if self.kind == "column" else np.asarray(_applied(apply, self.nominal, draw))
         if self.kind == "integer":
             return np.rint(out)
@@ -66,7 +68,7 @@ class Target:
         return out
 
     def allowed(self, value: Array) -> np.ndarray:
-        """Where the schema's bounds hold."""
+        """Return True where the schema's bounds hold."""
         name = next(part for part in reversed(self.path) if isinstance(part, str))
         good = range_of("" if self.kind == "column" else name).holds(value)
         for mark, bound in self.bounds:
@@ -152,7 +154,7 @@ def _column(scenario: Scenario, key: str, path: list[str | int], table: CsvTable
 
 @dataclass(frozen=True)
 class TargetChange:
-    """One target, and how the draw named `draw` acts on it."""
+    """A target, and the effect of the draw named `draw` on it."""
 
     target: Target
     apply: Apply

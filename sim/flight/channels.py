@@ -20,14 +20,14 @@ _TOPIC_NAME = re.compile(r"(/[a-z][a-z0-9_]*)+")
 
 
 def unit_suffix(unit: str) -> str:
-    """What a name ends with for a unit: `rad/s` -> `radps`, `m/s^2` -> `mps2`, `1/s` -> `ps`, `1` -> ``."""
+    """Return the end of a name for a unit: `rad/s` -> `radps`, `m/s^2` -> `mps2`, `1/s` -> `ps`, `1` -> ``."""
     per = unit.removeprefix("1").replace("/", "p").replace("%", "pct")
     return re.sub(r"[^A-Za-z0-9]", "", per)
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One logged number.
+    """A logged number.
 
     `name` ends with the suffix of `unit` (see `unit_suffix`; upper or lower case) unless `unit` is "1", and
     holds `frame` as one of its parts unless `frame` is "": `w_BI_B_y_radps` has unit rad/s and frame B. It

@@ -1,6 +1,6 @@
-"""Events: commands that take effect, ignition, burn-out, separation, and events that depend on the state.
+"""Events: commands that take effect, ignition, burnout, separation, and events that depend on the state.
 
-Instants known beforehand are met exactly, because no step reaches over them. Lift-off, apogee and impact depend on
+Instants known beforehand are met exactly, because no step reaches over them. Liftoff, apogee and impact depend on
 the state: a step that crosses one is repeated with ever better lengths until the crossing is known to the nanosecond.
 """
 
@@ -49,7 +49,7 @@ def record_event(p: Parameters, memory: Memory, event: int, now_ns: int) -> None
     if memory.clock.event_ns[event] < 0:
         memory.clock.event_ns[event] = now_ns
         if event == LIFTOFF and p.faults.count > 0:
-            memory.faults.next_ns = now_ns  # what counts from lift-off has its instants now
+            memory.faults.next_ns = now_ns  # what counts from liftoff has its instants now
     if (p.timeline.stop_mask >> event) & 1 == 1:
         memory.clock.finished = 1
 
@@ -60,7 +60,7 @@ def burn_out(p: Parameters, memory: Memory) -> None:
     clock = memory.clock
     memory.held.burning = 0
     clock.stage_burnout_ns[clock.stage] = clock.now_ns
-    clock.event_ns[BURNOUT] = -1  # the last stage's burn-out counts
+    clock.event_ns[BURNOUT] = -1  # the last stage's burnout counts
     record_event(p, memory, BURNOUT, clock.now_ns)
 
 
@@ -108,7 +108,7 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
 def apply_due_command(p: Parameters, memory: Memory) -> None:
     """Hand a command that is due to the actuators and thrusters, which hold it.
 
-    From burn-out on the engine is sent to its middle: without thrust the law could only drive it into its stops.
+    From burnout on the engine is sent to its middle: without thrust the law could only drive it into its stops.
     """
     clock, held = memory.clock, memory.held
     if clock.now_ns >= clock.command_due_ns:
@@ -122,7 +122,9 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
 
 @routine
 def navigate(environment: Environment, pool: Array, y: Array, mass_kg: float, navigation: Array) -> None:
-    """What gains may be scheduled over besides time (`OVER` of control/structures.py), without error."""
+    """Compute the quantities other than time over which gains may be scheduled (`OVER` of control/structures.py),
+    without error.
+    """
     earth = environment.earth
     vx, vy, vz = velocity_over_ground(earth, y)
     squares = vx * vx + vy * vy + vz * vz
@@ -133,7 +135,7 @@ def navigate(environment: Environment, pool: Array, y: Array, mass_kg: float, na
 
 @routine_beside
 def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
-    """One tick of the flight computer on the gyro's angle increments since the last one."""
+    """Run one tick of the flight computer on the gyro's angle increments since the last tick."""
     clock = memory.clock
     now = clock.now_ns
     begun = now - p.computer.sample_ns  # a rate is commanded over the sample that ends now
@@ -188,7 +190,9 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
 
 @routine
 def sample_sensors(p: Parameters, memory: Memory, y: Array) -> None:
-    """What sensors beyond the gyro have put out since the last sample, with noise; and which samples are lost."""
+    """Compute the outputs of the sensors beyond the gyro since the last sample, with noise, and the samples that are
+    lost.
+    """
     sample, seed, root_s = memory.clock.samples, p.timeline.seed, math.sqrt(1e-9 * p.computer.sample_ns)
     read, faults = memory.computer.sensors, memory.held.faults
     for k in range(p.vehicle.sizes.sensors):
@@ -357,7 +361,9 @@ def transfer_state(
 def bent_motion(
     sizes: Counts, pool: Array, at: int, rates: int, place: vec.Vector, y: Array
 ) -> tuple[vec.Vector, vec.Vector]:
-    """Of the part that flies on, by the modes: displacement of a place from the nose, rotation; or their rates."""
+    """Return the modal displacement of a place from the nose and the rotation of the part that flies on, or their
+    rates.
+    """
     moved = (
         handed(sizes, pool, at, 0, rates, y),
         handed(sizes, pool, at, 1, rates, y),

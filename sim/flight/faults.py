@@ -22,7 +22,7 @@ class Faults:
     stage: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # -1: whichever flies
     start_ns: Annotated[IntArray, (MAX_FAULT_WRITES,)]
     stop_ns: Annotated[IntArray, (MAX_FAULT_WRITES,)]
-    since_liftoff: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # 1: both count from lift-off
+    since_liftoff: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # 1: both count from liftoff
     slot: Annotated[IntArray, (MAX_FAULT_WRITES,)]
     value: Annotated[Array, (MAX_FAULT_WRITES,)]
     # of the state whose value as the fault begins is written: its number, -1 for none, or -2 less its number among
@@ -41,7 +41,7 @@ class FaultMemory:
 
 @kernel
 def fault_instant(instant_ns: int, since_liftoff: int, liftoff_ns: int, never_ns: int) -> int:
-    """Flight time of an instant that may count from lift-off, which may not have come (negative)."""
+    """Flight time of an instant that may count from liftoff, which may not have come (negative)."""
     if since_liftoff == 0 or instant_ns == never_ns:
         return instant_ns
     return never_ns if liftoff_ns < 0 else liftoff_ns + instant_ns

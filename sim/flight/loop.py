@@ -24,7 +24,7 @@ from maxq.sim.world.turbulence import turbulence_start
 
 
 class LogRows(NamedTuple):
-    """Where log rows go: times (ns) and values of both rate groups, and how many rows there are (2,)."""
+    """The memory for log rows: times (ns) and values of both rate groups, and the number of rows (2,)."""
 
     fast_ns: IntArray
     fast: Array
@@ -139,7 +139,7 @@ def advance(
 def fly_step(
     p: Parameters, pool: Array, memory: Memory, logged: Logged, until_ns: int, space: step.Workspace, log_rows: LogRows
 ) -> None:
-    """What is due now, a log row, and a step to the next instant or event, whichever comes first."""
+    """Do what is due at this instant, log a row, and step to the next instant or event, whichever comes first."""
     clock, now_at, now = memory.clock, space.start, memory.clock.now_ns
     if events.process_due_events(p, pool, memory, now_at.y, now_at.aux, now_at.properties) == 1 or clock.fresh == 1:
         step.read_schedule(p, pool, memory, now, 0.0, now_at.properties)
@@ -262,7 +262,7 @@ def detect_crossing(p: Parameters, memory: Memory, space: step.Workspace) -> int
 
 @kernel
 def apply_event(p: Parameters, memory: Memory, event: int) -> None:
-    """Effects of lift-off, apogee or impact at the present instant."""
+    """Effects of liftoff, apogee or impact at the present instant."""
     if event == LIFTOFF:
         memory.held.on_pad = 0
     if event == APOGEE:

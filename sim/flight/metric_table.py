@@ -52,7 +52,7 @@ class EndMetrics(NamedTuple):
     """On a flat Earth latitude and longitude are nan; the site is its origin."""
 
     flight_time_s: Annotated[
-        float, "s", "time to the end from lift-off, or from the start where nothing held the vehicle"
+        float, "s", "time to the end from liftoff, or from the start where nothing held the vehicle"
     ]
     range_m: Annotated[float, "m", "distance along the ground from the launch site to where the flight ended"]
     final_latitude_deg: Annotated[float, "deg", "geodetic latitude at the end"]
@@ -62,7 +62,9 @@ class EndMetrics(NamedTuple):
 
 
 class SectionMetrics(NamedTuple):
-    """Of the section loads, under thrust and on the pad (with loads.coast always); nan without them."""
+    """The metrics of section loads, under thrust and on the pad (with loads.coast always); nan without section
+    loads.
+    """
 
     max_section_bending_moment_Nm: Annotated[float, "N m", "largest bending moment of a section, both planes together"]
     max_section_bending_moment_station_m: Annotated[float, "m", "its station, aft of the nose"]

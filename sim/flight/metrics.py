@@ -21,7 +21,7 @@ from maxq.sim.vehicle.state import R_I, V_I, Sizes, counts, pendulum_index
 from maxq.sim.vehicle.workspace import Aux, Evaluation
 
 STANDARD_GRAVITY_MPS2 = 9.80665
-SIGNIFICANT_PRESSURE_PA = 1000.0  # incidence below this dynamic pressure is of no consequence
+SIGNIFICANT_PRESSURE_PA = 1000.0  # angle of attack below this dynamic pressure is of no consequence
 
 
 METRIC = MetricIndex(*range(N_METRICS))
@@ -36,7 +36,7 @@ def raise_to(extremes: Extremes, metric: int, value: float, now_ns: int) -> None
 
 @kernel
 def largest_error(error_rad: Array) -> tuple[float, float]:
-    """Of roll, and of pitch and yaw, deg."""
+    """Return the largest errors of roll, and of pitch and yaw, deg."""
     return math.degrees(abs(error_rad[0])), math.degrees(max(abs(error_rad[1]), abs(error_rad[2])))
 
 

@@ -6,7 +6,7 @@ length h (step.exponential_runge_kutta) needs seven matrices of each block: D, a
     phi_1(Z) = (exp(Z) - 1) / Z,   phi_2(Z) = (phi_1(Z) - 1) / Z,   phi_3(Z) = (phi_2(Z) - 1/2) / Z,   Z = h D,
 
 those that stand below. They are kept for the few lengths of steps that alternate. D may be any matrix near the present
-one as long as it is the same within a step, so that the modes, which change with the propellant, are looked at anew
+one as long as it is the same within a step, so that the modes, which change with the propellant, are looked at again
 every quarter of a second only; actuators and gyros are what they are until the stage ends.
 """
 
@@ -53,7 +53,8 @@ _LEAST_TERM = 1e-18
 
 @routine
 def blocks_for(kept: Array, vehicle: StageRecord, stage: int, now_ns: int, step_ns: int, at: Evaluation) -> int:
-    """Where `kept` (KEPT_SIZE,) holds the blocks for this step; worked out from the evaluation at its start if need be.
+    """Return the index at which `kept` (KEPT_SIZE,) holds the blocks for this step; compute them from the evaluation at
+    its start if needed.
 
     Times are whole numbers of ns, which a float64 holds for a hundred days.
     """

@@ -28,7 +28,7 @@ LIFTOFF, BURNOUT, SEPARATION, APOGEE, IMPACT, CONTROL_LOST, TUMBLE, DIVERGED = r
 
 @dataclass(frozen=True)
 class StageTimeline:
-    """How a stage is flown: instants in ns of flight time unless named otherwise."""
+    """The timeline of a stage: instants in ns of flight time unless named otherwise."""
 
     step_ns: int
     even: int  # 1: pieces of equal length, none above `step_ns`, fill the time between two instants
@@ -49,7 +49,9 @@ class StageTimeline:
     ground_altitude_m: float
     stop_mask: int  # bit i: the flight ends with event i
     control_lost_rad: float  # attitude error under thrust at which control counts as lost; inf: nothing controls
-    tumble_rad: float  # total incidence that counts as tumbling while dynamic pressure exceeds `tumble_pressure_Pa`
+    tumble_rad: (
+        float  # total angle of attack that counts as tumbling while dynamic pressure exceeds `tumble_pressure_Pa`
+    )
     tumble_pressure_Pa: float
     fast_ns: int  # log periods
     slow_ns: int
@@ -69,7 +71,7 @@ class Parameters:
 
 @dataclass
 class Clock:
-    """Where a flight stands between two calls of the kernel."""
+    """The position of a flight between two calls of the kernel."""
 
     now_ns: int
     stage: int
@@ -78,7 +80,7 @@ class Clock:
     cause: int  # of divergence, see state.CAUSES
     steps: int
     interval: int  # of the schedule
-    fresh: int  # 1: the schedule has to be read anew
+    fresh: int  # 1: the schedule has to be read again
     next_break_ns: int  # of the schedule
     next_sample_ns: int
     command_due_ns: int  # when the pending command takes effect
@@ -104,8 +106,8 @@ class Extremes:
 
 @dataclass
 class Waves:
-    """Of each pendulum, stage by stage with room for MAX_PENDULUMS each: the largest wave under thrust over the height
-    at which it breaks, its time, and the first time at which it is as high (-1: none).
+    """The waves of each pendulum, stage by stage with space for MAX_PENDULUMS each: the peak wave height under thrust
+    over the breaking height, its time, and the first time at which a wave breaks (-1: none).
     """
 
     largest: Annotated[Array, (MAX_STAGES * MAX_PENDULUMS,)]

@@ -1,4 +1,4 @@
-"""One step of the classical fourth-order Runge-Kutta method over a stretch in which nothing switches."""
+"""Take one step of the classical fourth-order Runge-Kutta method over an interval in which nothing switches."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Arena:
 
 @kernel
 def schedule_clock(p: Parameters, clock: Clock, now_ns: int, elapsed_s: float) -> float:
-    """Schedule time, s, `elapsed_s` after the instant `now_ns`. It stands still from a cut-off on."""
+    """Schedule time, s, `elapsed_s` after the instant `now_ns`. It stands still from a cutoff on."""
     if 0 < clock.cut_off_ns <= now_ns:
         now_ns, elapsed_s = clock.cut_off_ns, 0.0
     if p.timeline.frozen == 1:

@@ -1,4 +1,4 @@
-"""What is logged of a flight: rows that declare their channels, and the kernels that fill them.
+"""The log of a flight: rows that declare their channels, and the kernels that fill them.
 
 The fast group holds what oscillates (actuator, gyro, control, bending, slosh), the slow group the rest. Values are
 in the units of the log. See control/kernel/rows.py for how a row is declared.
@@ -58,7 +58,9 @@ FAST, SLOW = "fast", "slow"
 
 @dataclass(frozen=True)
 class Logged:
-    """How wide a log's rows of bending, slosh and section loads are: the widest stage's; `on` = 0 for no log."""
+    """The widths of a log's rows of bending, slosh and section loads, those of the widest stage; `on` = 0 for no
+    log.
+    """
 
     on: int
     sizes: Sizes
@@ -82,7 +84,7 @@ class FastRow(NamedTuple):
 
 @routine
 def fill_fast(p: Parameters, out: Logged, memory: Memory, at: Evaluation, row: Array) -> None:
-    """One row of the fast group."""
+    """Fill one row of the fast group."""
     props, y, aux, logged = at.properties, at.y, at.aux, out.sizes
     sizes, engines = p.vehicle.sizes, aux.engines
     column = put(
@@ -287,7 +289,7 @@ class SlowRow(NamedTuple):
 
 @routine
 def fill_slow(p: Parameters, stations: int, memory: Memory, at: Evaluation, row: Array) -> None:
-    """One row of the slow group; `stations` is how many sections the log has columns for."""
+    """Fill one row of the slow group; `stations` is the number of sections for which the log has columns."""
     props, aux = at.properties, at.aux
     values = SlowRow(
         truth=motion_row(p, memory, at.y),

@@ -22,7 +22,7 @@ _USAGE = "--set KEY=VALUE, e.g. --set run.step_s=0.0005 or --set vehicle.stage.0
 
 @dataclass(frozen=True)
 class Source:
-    """Where values come from: `label` for people, `folders` in which files that they name are looked for.
+    """The source of values: `label` for people, and the `folders` in which the files that they name are searched.
 
     `within` is where the document is put into the scenario (a vehicle file: under `vehicle`), `shown_as` how
     that beginning of a key is written in the document itself.

@@ -1,6 +1,4 @@
-"""What is said about a wrong scenario: one line that names file, key, value, what is wrong and what is
-allowed.
-"""
+"""The errors of a scenario: one line that names file, key, value, fault and allowed values."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ def find(name: Text, variants: Iterable[str] = TABLE_VARIANTS) -> Path | None:
 
 
 def not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, str]:
-    """What is wrong with a name for which `find` found none of the `variants`, and what is allowed."""
+    """Return the fault of a name for which `find` found none of the `variants`, and the allowed names."""
     if not name.source.folders:
         return "names a file, which a scenario given as text cannot do", "the content itself"
     for folder in name.source.folders:
@@ -204,7 +204,7 @@ class Reading:
         return text
 
     def read_table(self, name: Text) -> tuple[str, str]:
-        """How the CSV file `name` is shown to people, and its text (for the schema)."""
+        """Return the displayed name of the CSV file `name`, and its text (for the schema)."""
         path = find(name)
         if path is None:
             raise refuse(*not_found(name, "a CSV file", TABLE_VARIANTS))

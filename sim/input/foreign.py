@@ -65,7 +65,7 @@ def read_rasp(text: str, name: str, shown: str) -> CsvTable:
 
 
 def read_datcom(text: str, name: str, shown: str) -> CsvTable:
-    """Coefficients over Mach number and total incidence, or over alpha where the vehicle is not symmetric.
+    """Coefficients over Mach number and total angle of attack, or over alpha where the vehicle is not symmetric.
 
     Raises the schema's refusal for a file without such a page, and for one with sideslip.
     """

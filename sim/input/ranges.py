@@ -1,4 +1,4 @@
-"""What a number may be, by the name of its key or column: one table for all files.
+"""The range of each number, by the name of its key or column: one table for all files.
 
 Names carry their units, and so a bound from physics belongs to a unit, or to a name where that says more. Beyond a
 range lies what no vehicle, flight or flight computer can have, and what the arithmetic of a flight cannot hold.
@@ -36,7 +36,7 @@ class Range:
     why: str
 
     def holds(self, value: ArrayLike) -> NDArray[np.bool_]:
-        """Where numbers lie within; NaN does not."""
+        """Return True where numbers are within the range; NaN is not."""
         size = np.abs(value)
         return np.asarray((size <= self.most) & ((size >= self.least) | (size == 0.0)))
 

@@ -121,7 +121,7 @@ class Foreign(NamedTuple):
 
 @dataclass(frozen=True)
 class Columns:
-    """What a table must look like; annotates a field: `Annotated[CsvTable, Columns("time_s", ...)]`.
+    """The required form of a table; annotates a field: `Annotated[CsvTable, Columns("time_s", ...)]`.
 
     `axis`: the column over which the others are given, or one of `other_axes` in its place. It must increase strictly
     (`repeats`: may stand still; `falling`: axes that decrease) and, if it is `axis`, begin at or before `begins_by`.
@@ -148,7 +148,7 @@ class Columns:
 
     @property
     def named(self) -> bool:
-        """Whether only certain columns are known."""
+        """Return True if only certain columns are known."""
         return bool(self.axis or self.grid)
 
     def known(self) -> list[str]:

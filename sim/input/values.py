@@ -1,4 +1,4 @@
-"""What all sections of a scenario have in common: strictness, kinds of numbers with their bounds, time in whole ns."""
+"""The common rules of all sections of a scenario: strictness, kinds of numbers with their bounds, time in whole ns."""
 
 from __future__ import annotations
 
@@ -31,9 +31,7 @@ _ACTS = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u20
 
 
 def is_whole_ns(seconds: float) -> bool:
-    """Whether `seconds` is a whole number of nanoseconds, but for the rounding of the decimal it was written
-    as.
-    """
+    """Return True if `seconds` is a whole number of nanoseconds, but for the rounding of the written decimal."""
     ns = seconds * NS_PER_S
     return abs(seconds) <= LONGEST_S and abs(ns - round(ns)) <= 4.0 * math.ulp(ns)
 
@@ -53,7 +51,7 @@ def period_ns(rate_hz: float) -> int:
 
 
 def is_whole_period(rate_hz: float) -> bool:
-    """Whether the period of `rate_hz` is a whole number of nanoseconds."""
+    """Return True if the period of `rate_hz` is a whole number of nanoseconds."""
     ns = NS_PER_S / rate_hz
     return 1.0 <= ns <= LONGEST_S * NS_PER_S and abs(ns - round(ns)) <= 4.0 * math.ulp(ns)
 

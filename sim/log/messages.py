@@ -108,7 +108,7 @@ def message_class(schema: bytes, full_name: str) -> type[Message]:
 
 
 def doubles_template(n_fields: int) -> NDArray[np.void]:
-    """One message of `n_fields` doubles as a structured array of length 1: tags set, values to be filled.
+    """Return a message of `n_fields` doubles as a structured array of length 1: tags are set, values are to be filled.
 
     Raises ValueError outside 1..MOST_FIELDS.
     """
@@ -237,7 +237,7 @@ _FramesMessage: Any = message_class(FRAMES_SCHEMA, FRAMES_TYPE)
 
 
 def encode_event(event: EventMessage) -> NDArray[np.void]:
-    """One message, as an array of length 1."""
+    """Return a message as an array of length 1."""
     message = _LogMessage(level=int(event.level), message=event.text, name=event.source)
     message.timestamp.seconds, message.timestamp.nanos = divmod(event.time_ns, NS_PER_S)
     data = bytes(message.SerializeToString(deterministic=True))
@@ -255,7 +255,8 @@ def decode_event(payload: bytes) -> EventMessage:
 
 
 def frames_template(parent: str, child: str) -> NDArray[np.void]:
-    """One FrameTransforms message of one transform as a structured array of length 1, numbers to be filled.
+    """Return a FrameTransforms message of one transform as a structured array of length 1, whose numbers are to be
+    filled.
 
     Times are varints of five bytes, which every protobuf parser reads for smaller numbers too: so all messages of a
     pair of frames have one size.

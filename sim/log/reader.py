@@ -65,7 +65,7 @@ class DamagedError(ValueError):
 
 @dataclass(frozen=True)
 class LoggedRun:
-    """What a log says about its run besides the flight itself.
+    """The information of a log about its run, apart from the flight itself.
 
     `end`: status, reason and result of the run (see `LogWriter.close`); empty where the file was cut off.
     """
@@ -154,8 +154,8 @@ def read_log(path: str | Path) -> Log:
 
 
 def read_run(path: str | Path) -> LoggedRun:
-    """What a log says about its run, without reading the flight. Raises LogError as `read_log` does, and
-    where the head is damaged.
+    """Read the information of a log about its run, without the flight. Raises LogError as `read_log` does, and if the
+    head is damaged.
     """
     file = _LogFile(Path(path))
     if not file.intact:
@@ -408,8 +408,8 @@ def _decompressed(chunk: Chunk) -> bytes:
 
 
 def _message_runs(content: bytes) -> dict[int, list[range]]:
-    """Where the messages of each channel lie in the content of a chunk, in runs of equal size: the starts of those of a
-    run. Raises DamagedError.
+    """Return the places of each channel's messages in the content of a chunk, in runs of equal size: the starts of the
+    messages of a run. Raises DamagedError.
     """
     runs: dict[int, list[range]] = {}
     position, end = 0, len(content)
@@ -432,7 +432,7 @@ def _message_runs(content: bytes) -> dict[int, list[range]]:
 
 
 def _run_length(content: bytes, start: int, size: int) -> int:
-    """How many records from `start` on have the same opcode, length and channel.
+    """Return the number of records from `start` on that have the same opcode, length and channel.
 
     Compares ever larger blocks: short runs are common in files that other tools have rewritten.
     """

@@ -164,7 +164,7 @@ class LogWriter:
 
 @contextmanager
 def _log_errors(path: Path) -> Iterator[None]:
-    """What the system says becomes a LogError."""
+    """Raise the system's errors as LogError."""
     try:
         yield
     except OSError as error:

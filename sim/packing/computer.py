@@ -176,7 +176,7 @@ def _programme(table: CsvTable | None, method: Method) -> Cubics | None:
 
 
 def pack_orbit_guidance(scenario: Scenario, ignition_ns: int) -> OrbitGuidance:
-    """Of the stages of the last engine, which is ignited at this time of flight."""
+    """Pack the guidance to orbit for the stages of the last engine, which ignites at this time of flight."""
     target, earth = scenario.guidance.orbit, pack_earth(scenario.earth)
     if target is None or ignition_ns >= NEVER:
         return OrbitGuidance()

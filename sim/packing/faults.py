@@ -40,7 +40,7 @@ class Write(NamedTuple):
 
 
 def _sensor(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
-    """What a sensor's axis loses of its output, what is added to it, and its noise."""
+    """Return the writes of a sensor's fault: lost share of an axis's output, added bias, noise."""
     # beyond the first gyro sensors are counted from 0 on, the accelerometer behind the gyros
     number = (fault.gyro or 1) - 2 if KINDS[fault.kind].part == "gyro" else gyros - 1
     first = GYRO_LOST if number < 0 else SENSOR_FAULT + SENSOR_SLOTS * number

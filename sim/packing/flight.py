@@ -112,7 +112,7 @@ def _liftoff_s(scenario: Scenario) -> float:
 
 
 def _handed_on(stages: Sequence[Stage], burns: Sequence[Burn], sizes: Sequence[Sizes], n: int, pool: Pool) -> int:
-    """Where the pool has what the modes before stage n hand on to it."""
+    """Return the pool index of the motion that the modes before stage n hand on to it."""
     if stages[n].continues:
         return NONE
     before = part_at(stages[n - 1], burns[n - 1], sizes[n - 1], burns[n - 1].end_s)
@@ -168,7 +168,7 @@ def _timeline(
 
 
 def _burn(stage: Stage, burn: Burn, stage_start_ns: int) -> tuple[int, int]:
-    """Ignition and burn-out; a single row of thrust burns for ever, no engine never."""
+    """Ignition and burnout; a single row of thrust burns for ever, no engine never."""
     ignition_ns = stage_start_ns + round(NS_PER_S * stage.ignition_s)
     if not stage.engines:
         return NEVER, NEVER

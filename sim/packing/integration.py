@@ -1,4 +1,4 @@
-"""What the Runge-Kutta method adds by itself to the vehicle's fast oscillations.
+"""The damping and frequency errors that the Runge-Kutta method adds to the vehicle's fast oscillations.
 
 An oscillation exp(s t) becomes R(s h) a step, R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24, that is exp(s' t) with
 s' = ln R(s h) / h. For an undamped one of w rad/s the damping ratio grows by (w h)^5 / 144 and the frequency falls by
@@ -37,7 +37,7 @@ class Oscillation(NamedTuple):
 
 @dataclass(frozen=True)
 class MethodError:
-    """What a step of `step_s` does to an oscillation; `frequency_error` is relative."""
+    """The effect of a step of `step_s` on an oscillation; `frequency_error` is relative."""
 
     oscillation: Oscillation
     step_s: float
@@ -46,7 +46,9 @@ class MethodError:
 
     @property
     def share(self) -> float:
-        """Of the added damping ratio in the oscillation's own; negative where the method takes damping away."""
+        """Return the added damping ratio as a share of the oscillation's own; negative where the method removes
+        damping.
+        """
         own = self.oscillation.damping_ratio
         return self.added_damping_ratio / own if own > 0.0 else math.copysign(math.inf, self.added_damping_ratio)
 
@@ -64,8 +66,8 @@ class MethodError:
 
 
 def method_error(oscillation: Oscillation, step_s: float) -> MethodError:
-    """Of the classical Runge-Kutta method, for a damping ratio below 1. Source: Hairer & Wanner, Solving Ordinary
-    Differential Equations II, section IV.2 (stability function).
+    """Return the error of the classical Runge-Kutta method for a damping ratio below 1. Source: Hairer & Wanner,
+    Solving Ordinary Differential Equations II, section IV.2 (stability function).
     """
     w, zeta = 2.0 * math.pi * oscillation.frequency_hz, oscillation.damping_ratio
     z = complex(-zeta, math.sqrt(1.0 - zeta * zeta)) * w * step_s

@@ -26,7 +26,7 @@ from maxq.sim.vehicle.state import Sizes
 
 
 def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes:
-    """How many modes, pendulums and surfaces are flown with these switches."""
+    """Return the numbers of modes, pendulums and surfaces that are flown with these switches."""
     pitch = yaw = 0
     if stage.bending is not None and switches.bending:
         pitch_table, yaw_table = stage.bending.pitch_modes, stage.bending.yaw_modes

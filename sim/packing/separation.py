@@ -1,4 +1,4 @@
-"""What a stage's modes hand on at its separation: the motion that they give the part that flies on.
+"""The motion that a stage's modes hand on at its separation to the part that flies on.
 
 Displacements and velocities of the bent axis of the part that stays are those of a rigid motion and of its own modes,
 by least squares under its masses (docs/model.md, section 4). Nothing of it depends on how far the modes have moved, so
@@ -85,7 +85,7 @@ def _masses(before: StageModes, after: StageModes, mass_kg: float) -> tuple[Arra
 
 
 def _shapes(part: StageModes, points: Array) -> Array:
-    """Of all modes (modes, 4, points): displacement along x, y, z of B, rotation about x."""
+    """Return the shapes of all modes (modes, 4, points): displacement along x, y, z of B, rotation about x."""
     out = []
     for modes, at in zip(part.sets, (2, 1, None), strict=True):
         if modes is None:

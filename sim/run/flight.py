@@ -125,7 +125,9 @@ class Flight(Tabular):
 
     @property
     def beyond_model(self) -> tuple[str, ...]:
-        """Where the flight left what its model describes, and since when: waves that break."""
+        """Return a line for each departure of the flight from the limits of its model, such as breaking waves, with its
+        first time.
+        """
         return tuple(
             f"wave breaks at {e.time_s:.3f} s in {e.detail.split(':')[0]}"
             for e in self.events
@@ -143,7 +145,7 @@ def copied(rows: LoggedRows) -> LoggedRows:
     return {group: (times.copy(), values.copy()) for group, (times, values) in rows.items()}
 
 
-class KeptRows:
+class GrowingRows:
     """Rows of all segments so far, in arrays larger than needed: a long log is never in memory twice.
 
     What is not used of them takes address space only.

@@ -44,7 +44,7 @@ def _announce(code: str, sha256: str) -> None:
 
 
 def guards(loaded: LoadedScenario) -> bool:
-    """Whether its flight code flies in a process of its own."""
+    """Return True if the scenario's flight code runs in a separate process."""
     computer = loaded.scenario.vehicle.computer
     return computer is not None and computer.law == "external" and computer.guard and hasattr(os, "fork")
 
@@ -168,7 +168,7 @@ class FlightSoftware:
 
 
 def _signal_name(code: int) -> str:
-    """How a process ended, from its exit code."""
+    """Return the reason for which a process ended, from its exit code."""
     if code >= 0:
         return f"its process ended with exit code {code}"
     try:

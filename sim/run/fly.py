@@ -34,7 +34,7 @@ from maxq.sim.flight.step import Arena
 from maxq.sim.flight.telemetry import FAST, SLOW, Logged, channel_table
 from maxq.sim.input.values import to_ns
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
-from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, KeptRows, LoggedRows, copied
+from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, LoggedRows, copied
 from maxq.sim.run.metrics import end_metrics, judge, orbit_metrics, section_extremes, section_metrics, step_failure
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -66,7 +66,7 @@ _channel_table, _state_names = lru_cache(maxsize=8)(channel_table), lru_cache(ma
 
 @lru_cache(maxsize=8)
 def _logged(on: int, sizes: Sizes, *counts: int) -> Records:
-    """What is logged, for the kernel, which only reads it."""
+    """Return the sizes of the log for the kernel, which only reads them."""
     return pack([Logged(on, sizes, *counts)])
 
 
@@ -116,7 +116,7 @@ class FlightRun:
             self._hold(self._software.start(self._own))
 
     def _arrays(self, logged: Any, room: LoggedRows) -> tuple[Any, ...]:
-        """What `advance` takes, without `until_ns`."""
+        """Return the arguments of `advance` except `until_ns`."""
         p, (fast_ns, fast), (slow_ns, slow) = self.packed, room[FAST], room[SLOW]
         return (
             p.parameters,
@@ -140,7 +140,7 @@ class FlightRun:
 
     @property
     def clock(self) -> Clock:
-        """Where the flight stands, in Python's numbers: a record is slow to read."""
+        """Return the clock of the flight in Python's numbers, since a record is slow to read."""
         return Clock(*self.packed.memory["clock"][0].item())
 
     @property
@@ -161,7 +161,7 @@ class FlightRun:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """All events so far in order of time: an ignition, burn-out and separation for each stage that had it."""
+        """All events so far in order of time: an ignition, burnout and separation for each stage that had it."""
         clock, timelines = self.clock, self.packed.parameters["timeline"]
         start_ns = to_ns(self.loaded.scenario.run.start_s)
         found = []
@@ -374,7 +374,7 @@ def fly(
     run = FlightRun(loaded, log=log)
     if not log and watch is None:  # nobody looks in between
         run.segment_ns *= max(_UNSEEN_NS // run.segment_ns, 1)
-    kept = KeptRows()
+    kept = GrowingRows()
     while not run.finished:
         rows = run.fly_segment()
         if log:
@@ -410,7 +410,7 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
 
 
 def _adapts(scenario: Scenario) -> bool:
-    """Whether any stage flies adaptive augmenting control."""
+    """Return True if any stage flies adaptive augmenting control."""
     design, computer = scenario.design, scenario.vehicle.computer
     if design is None or computer is None or computer.law == "external":
         return False
@@ -418,13 +418,15 @@ def _adapts(scenario: Scenario) -> bool:
 
 
 def engine_names(scenario: Scenario) -> tuple[str, ...]:
-    """Of the stage with the most engines, a name or number each; none for a vehicle of single engines."""
+    """Return a name or number for each engine of the stage with the most engines; empty for a vehicle of single
+    engines.
+    """
     engines = max((stage.engines for stage in scenario.vehicle.stage), key=len)
     return tuple(e.name or str(i + 1) for i, e in enumerate(engines)) if len(engines) > 1 else ()
 
 
 def load_stations(scenario: Scenario) -> tuple[str, ...]:
-    """What is said of the stations of the section loads: where each is, on the stages that have it."""
+    """Return a description of each station of the section loads: its place, on the stages that have it."""
     if not scenario.switches.section_loads:
         return ()
     of_stages = [stage.loads.stations_m for stage in scenario.vehicle.stage if stage.loads is not None]

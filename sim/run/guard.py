@@ -76,7 +76,7 @@ class Worker:
         return placed, *self._done(b"S" + pickle.dumps((shapes, bytes(setup))))
 
     def advance(self, until_ns: int) -> tuple[bool, str]:
-        """Whether the flight was flown on; otherwise the fault is noted in its memory."""
+        """Advance the flight; return False, and note the fault in its memory, if it failed."""
         return self._done(b"A" + until_ns.to_bytes(8, sys.byteorder, signed=True))
 
     def release(self) -> None:
@@ -142,7 +142,7 @@ def worker_for(computer: ComputerSection, arrays: Arrays) -> Worker:
 
 
 def _code(computer: ComputerSection) -> tuple[Any, ...]:
-    """What a worker is for; the rest of the computer comes with each flight's setup."""
+    """Return the part of the computer that determines a worker; the rest comes with each flight's set-up."""
     return computer.library, computer.python, computer.address, computer.timeout_s
 
 
@@ -175,7 +175,7 @@ if hasattr(os, "fork"):
 
 
 def _places(sizes: Sequence[int]) -> list[int]:
-    """Where arrays of these bytes begin in shared memory, and where the last one ends."""
+    """Return the starts of arrays of these bytes in shared memory, and the end of the last one."""
     ends = [0]
     for size in sizes:
         ends.append(ends[-1] + -(-size // 64) * 64)

@@ -80,7 +80,7 @@ class Instance(ABC):
         """End of the flight."""
 
     def unload(self) -> bool:
-        """After `close`: whether nothing of the code is left in this process, so that the next flight begins anew."""
+        """After `close`: whether nothing of the code is left in this process, so that the next flight begins again."""
         return False
 
 
@@ -128,7 +128,7 @@ class _Library(Instance):
 
 
 def _threads() -> int:
-    """Of this process; 0: not known."""
+    """Return the number of threads of this process; 0 if it is not known."""
     try:
         return len(os.listdir("/proc/self/task"))
     except OSError:

@@ -27,8 +27,8 @@ _OF_ERRORS = {
 
 
 def step_failure(accuracy: float, metrics: Mapping[str, float], requirements: Sequence[RequirementSection]) -> str:
-    """What is said where an estimated error exceeds `accuracy` of what is required, or of what was reached where
-    nothing is; else empty.
+    """Return a message if an estimated error exceeds `accuracy` of a required value, or of the reached one where
+    nothing is required; else an empty text.
     """
     for name, of in _OF_ERRORS.items():
         limits = [r.limit for r in requirements if r.metric == of and r.limit is not None]

@@ -85,7 +85,7 @@ def record(
 
 
 def run_head(loaded: LoadedScenario, number: int = 0) -> RunHead:
-    """What a log begins with: enough to fly the same flight again."""
+    """Return the head of a log, which suffices to fly the same flight again."""
     scenario, site = loaded.scenario, loaded.scenario.site
     metadata = {
         "scenario": scenario.name,
@@ -258,7 +258,7 @@ def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str,
 
 
 def _integration(error: MethodError | None) -> dict[str, object] | None:
-    """What the method does to the oscillation that it changes the most."""
+    """Return the method's effect on the oscillation that it changes the most."""
     if error is None:
         return None
     return error.oscillation._asdict() | {

@@ -91,7 +91,7 @@ class LoadedScenario:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What it holds and is implausible, a line each."""
+        """Return a line for each implausible value."""
         return warnings(self.scenario)
 
     @cached_property
@@ -118,7 +118,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> LoadedScen
 
 
 def is_campaign(path: str | Path) -> bool:
-    """Whether this file, or the built-in one of that name, has a [campaign]. False where it cannot be read."""
+    """Return True if this file, or the built-in one of that name, has a [campaign]; False if it cannot be read."""
     try:
         return "campaign" in Reading().document(*locate(str(path), "scenario"), "scenario")
     except ScenarioError:

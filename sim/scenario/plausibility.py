@@ -1,4 +1,4 @@
-"""What a scenario may hold and is implausible: said as warnings, and flown as it is.
+"""Values of a scenario that are possible but implausible: they are flown, with a warning.
 
 The bounds are those of launch vehicles that exist, with a margin. Values that no
 vehicle can have are refused (`sim/input/ranges.py`).
@@ -125,7 +125,7 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Implausible]:
 
 
 def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Implausible]:
-    """Gimbals against CG, centre of pressure against body and CG, and what incidence the first stage can hold."""
+    """Gimbals against CG, centre of pressure against body and CG, and what angle of attack the first stage can hold."""
     mass, engines = stage.mass.table, [e for e in stage.engines if e.gimbal != "fixed"]
     if mass is None or stage.aero is None:
         return
@@ -165,7 +165,7 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Imp
     per_pressure = _INCIDENCE_deg * reference.area_m2 * slope[None, :] * np.abs(centre_m[None, :] - cg_m[:, None])
     held_Pa = limit_deg * thrust * arm_m / np.maximum(per_pressure.max(axis=1), 1e-9)
     if (lowest := float(held_Pa[burns].min())) < _HELD_Pa:
-        usual = f"more: |M_alpha| / M_delta takes all of it at {_INCIDENCE_deg:g} deg of incidence from "
+        usual = f"more: |M_alpha| / M_delta takes all of it at {_INCIDENCE_deg:g} deg of angle of attack from "
         yield "actuator.angle_limit_deg", limit_deg, f"{usual}{lowest / 1e3:.3g} kPa on"
 
 

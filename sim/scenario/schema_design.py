@@ -44,7 +44,7 @@ class GainsSection(Section):
 
     @property
     def over(self) -> Over:
-        """What the gains are scheduled over."""
+        """Return the quantity over which the gains are scheduled."""
         over: Over = GAIN_COLUMNS.axis_of(self.table)  # type: ignore[assignment]  # a column that the table may have
         return over
 
@@ -183,7 +183,7 @@ class LoopFiltersSection(Section):
 
 
 class LoadReliefSection(Section):
-    """Feedback of the lateral acceleration, or of the incidence it tells; its gain is a column of the gains."""
+    """Feedback of the lateral acceleration, or of the angle of attack it tells; its gain is a column of the gains."""
 
     corner_hz: Positive = Field(description="corner of the accelerometer's first-order lag in the computer, Hz")
 
@@ -216,7 +216,7 @@ DesignBasis = dict[str, Any]
 
 
 class StageLaw(Section):
-    """What differs in a stage; whatever is absent is the design's own."""
+    """The differences of a stage from the design; an absent key has the design's own value."""
 
     renamed: ClassVar[dict[str, str]] = RENAMED
 
@@ -230,7 +230,7 @@ class StageLaw(Section):
     roll_gimbal: RollGimbal | None = optional("own roll control by gimbals")
     blend: Blend | None = optional("own weights of rate gyros")
     load_relief: LoadReliefSection | None = optional("own lag of the accelerometer")
-    adaptive: AdaptiveSection | None = optional("own adaptation, which starts anew at the separation")
+    adaptive: AdaptiveSection | None = optional("own adaptation, which starts again at the separation")
     basis: DesignBasis | None = optional("own basis")
 
 
@@ -275,7 +275,10 @@ class Design(Section):
                     raise table.refusal(f"the law {self.law} {verb} column {column}", allowed, at=("gains", key))
             slope = table.get(self.gain_names[-1]) if table is not None and self.law == "incidence-relief" else None
             if slope is not None and not ((slope > 0.0).all() or (slope < 0.0).all()):
-                problem, allowed = "no incidence follows from 0 m/s2", "accel_per_incidence_mps2 of one sign (below 0)"
+                problem, allowed = (
+                    "no angle of attack follows from 0 m/s2",
+                    "accel_per_incidence_mps2 of one sign (below 0)",
+                )
                 raise table.refusal(problem, allowed, at=("gains", key))
         if self.law != "pid" and self.gains.integral_limit_deg is not None:
             problem = f"the law {self.law} has no integral"
@@ -300,7 +303,7 @@ class Design(Section):
         return self.model_copy(update={"adaptive": None, "stage": still})
 
     def of_stage(self, number: int) -> Design:
-        """What a stage flies, from 0: a design without stages; the same object where there are none."""
+        """Return the design that a stage flies, from 0; for a design without stages, the same object."""
         if not self.stage:
             return self
         own = self.stage[number] if number < len(self.stage) else StageLaw()

@@ -96,7 +96,7 @@ class AtmosphereSection(Section):
 
 
 class Gust(Section):
-    """One gust or shear layer, added to the wind."""
+    """A gust or shear layer, added to the wind."""
 
     kind: Literal["one-minus-cosine", "shear"] = Field(
         description="one-minus-cosine: rises over edge_m, holds, falls over edge_m; "

@@ -33,7 +33,7 @@ FaultKind = Literal[
 
 
 class FaultAbout(NamedTuple):
-    """What a kind of fault is about: `part` is the key of the stage's section that must be there."""
+    """The subject of a kind of fault: `part` is the key that the stage's section must have."""
 
     part: str
     axes: tuple[str, ...] = ()  # that `axis` may name
@@ -77,7 +77,7 @@ class Fault(Section):
         "goes to its middle)"
     )
     at_s: Seconds = Field(description="when, s, whole ns")
-    since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from lift-off on", "clock")
+    since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from liftoff on", "clock")
     until_s: Seconds | None = optional("when the part works again, s, whole ns (default: never)")
     stage: int | None = optional("of which stage, from 0 (default: of whichever flies)", None, ge=0, lt=MAX_STAGES)
     gyro: int | None = optional(
@@ -123,7 +123,7 @@ class Fault(Section):
 
     @property
     def of_engines(self) -> bool:
-        """Whether thrust and mass flow change: what packing knows beforehand."""
+        """Return True if thrust and mass flow change, which packing must know beforehand."""
         return KINDS[self.kind].part == "engine"
 
     @property

@@ -103,7 +103,7 @@ FREQUENCIES = {
 
 
 class Injection(Section):
-    """One signal on one axis."""
+    """A signal on one axis."""
 
     at: Literal["gimbal_command", "rate_command", "body_force", "body_torque"] = Field(description="where it enters")
     axis: Literal["pitch", "yaw", "roll", "x", "y", "z"] = Field(
@@ -163,7 +163,7 @@ class Injection(Section):
 
     @property
     def highest_hz(self) -> tuple[float, ...]:
-        """Frequencies that it reaches; none for steps and tables, at whose kinks the integrator begins anew."""
+        """Frequencies that it reaches; none for steps and tables, at whose kinks the integrator begins again."""
         return (*(self.frequencies_hz or ()), self.frequency_hz or 0.0, self.stop_frequency_hz or 0.0)
 
 
@@ -175,7 +175,7 @@ USUAL_STEP_S = 0.001
 
 
 class Run(Section):
-    """How long and how finely."""
+    """The duration and the step of the flight."""
 
     duration_s: Period = optional("longest flight from start_s on, s, whole ns", 400.0)
     step_s: Annotated[Period, Field(le=1.0)] = optional("integrator step, s, whole ns", USUAL_STEP_S)
@@ -271,7 +271,7 @@ class Switches(Section):
     guidance: bool = optional("guidance programme; off: rates zero", True)
     roll_control: bool = optional("roll thrusters", True)
     section_loads: bool = optional("section loads at the stations of [stage.loads]", False)
-    local_incidence: bool = optional("bending changes the incidence of the lifting parts", True)
+    local_incidence: bool = optional("bending changes the angle of attack of the lifting parts", True)
     gust_penetration: bool = optional(
         "each lifting part meets wind, gusts and turbulence at its own place along the body (off: all those at the CG)",
         False,
@@ -279,7 +279,7 @@ class Switches(Section):
 
 
 class LogSection(Section):
-    """How often is logged."""
+    """The rates of the log."""
 
     fast_hz: Rate = optional("actuator, bending, slosh, control, gyro, Hz; must divide 1e9", 1000.0)
     slow_hz: Rate = optional("the rest, Hz; must divide 1e9", 100.0)
@@ -337,7 +337,7 @@ class Scenario(Section):
 
     @property
     def held(self) -> bool:
-        """Whether the flight begins held down."""
+        """Return True if the flight begins in hold-down."""
         return self.initial is None or self.initial.held
 
     def _check(self) -> None:

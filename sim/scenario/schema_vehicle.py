@@ -92,7 +92,7 @@ class StageComputer(Section):
 
 
 class Separation(Section):
-    """What a stage's separation does to the next stage, beyond letting it go."""
+    """The effects of a stage's separation on the next stage, apart from its release."""
 
     impulse_Ns: NotNegative = optional("of retro-rockets or gas, forward on the next stage, N s", 0.0)
     spring_J: NotNegative = optional("energy of the springs between the stages, which drive them apart, J", 0.0)
@@ -120,11 +120,11 @@ TvcLoads = Annotated[
 
 
 class Stage(Section):
-    """One stage; its clock, on which its tables run, starts at the separation before."""
+    """A stage; its clock, on which its tables run, starts at the previous separation."""
 
     name: str = optional("name of the stage in logs (default: its number)", "")
     separation_s: Period | None = optional("end of this stage on its clock, s")
-    separation_after_burnout_s: Seconds | None = optional("end of this stage after burn-out, s")
+    separation_after_burnout_s: Seconds | None = optional("end of this stage after burnout, s")
     separation: Separation | None = optional("springs, impulse and tip-off rates where this stage ends")
     continues: bool = optional(
         "engines, tanks and modes of the stage before fly on, and only mass drops, as with a fairing: engine angles, "
@@ -161,7 +161,9 @@ class Stage(Section):
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Of what keeps its state where a stage continues: groups of engines, pendulums, modes, TVC loads."""
+        """Return the numbers of parts that keep their state where a stage continues: groups of engines, pendulums,
+        modes, TVC loads.
+        """
         bending, spatial = self.bending, self.spatial_modes
         planes = (bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None)
         modes = [0 if plane is None else plane.modes for plane in planes]
@@ -180,7 +182,7 @@ class Stage(Section):
 
     @property
     def actuators(self) -> tuple[ActuatorSection, ...]:
-        """Of each group of engines, in their order; none where angles are as commanded."""
+        """Return the actuators of each group of engines, in order; none where angles equal commands."""
         if not isinstance(self.actuator, tuple):
             return () if self.actuator is None else (self.actuator,) * len(self.engine_groups)
         by_group = {actuator.group or "": actuator for actuator in self.actuator}
@@ -194,7 +196,7 @@ class Stage(Section):
         return {} if self.tvc_load is None else dict.fromkeys(self.engine_groups, self.tvc_load)
 
     def engine_key(self, number: int) -> tuple[str | int, ...]:
-        """Where an engine stands in the stage."""
+        """Return the key of an engine in the stage."""
         return ("engine", number) if isinstance(self.engine, tuple) else ("engine",)
 
     @model_validator(mode="after")
@@ -285,7 +287,7 @@ class Stage(Section):
 
     @property
     def pendulum_names(self) -> tuple[str, ...]:
-        """Of the slosh modes that are flown, tank by tank, as the log calls them."""
+        """Return the names of the flown slosh modes in the log, tank by tank."""
         names = [(tank.name or str(n + 1), tank.pendulums) for n, tank in enumerate(self.tank)]
         return tuple(name + ("" if mode == 0 else f"_{mode + 1}") for name, modes in names for mode in range(modes))
 
@@ -300,7 +302,7 @@ class Stage(Section):
                 raise refuse("an engine without inertia cannot swing on a TVC load", "a number > 0", key, value=0.0)
 
     def _check_slosh_mass(self) -> None:
-        """What sloshes, and the gimballed engine, are parts of the vehicle's mass."""
+        """Check that the sloshing masses and the gimballed engine are parts of the vehicle's mass."""
         tables = [tank.table for tank in self.tank]
         of_mass = [] if self.mass.table is None else [self.mass.table]
         times = np.unique(np.concatenate([np.zeros(1), *(table["time_s"] for table in (*tables, *of_mass))]))

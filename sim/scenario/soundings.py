@@ -231,7 +231,7 @@ def _from_pressure(altitude_m: np.ndarray, pressure_hPa: np.ndarray) -> np.ndarr
 
 
 def _profile(name: Text, reading: Reading, columns: Columns) -> CsvTable:
-    """Of a sounding, or of CSV, which may state its date."""
+    """Return the profile of a sounding or of a CSV file, which may state its date."""
     file, number = _parted(name)
     shown, text, found = _read(file, reading, columns)
     if not found:
@@ -267,7 +267,7 @@ def each_sounding(value: Any, context: Any, columns: Columns) -> Any:
 
 
 def _read(file: Text, reading: Reading, columns: Columns) -> tuple[str, str, list[Sounding]]:
-    """How a file is shown, its text, and its soundings, which are looked for once."""
+    """Return the displayed name of a file, its text, and its soundings, which are looked for once."""
     shown, text = reading.read_table(file)
     if shown not in reading.soundings:
         reading.soundings[shown] = soundings(text, columns.known(), shown)

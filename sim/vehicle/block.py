@@ -19,13 +19,13 @@ from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MA
 
 @dataclass(frozen=True)
 class Sizes:
-    """How many flexible, sloshing and moving parts a stage has: with them every index of the state is known."""
+    """The numbers of flexible, sloshing and moving parts of a stage, which determine every index of the state."""
 
     pitch_modes: int
     yaw_modes: int
     pendulums: int  # slosh modes of all tanks
     surfaces: int  # places at which the air acts on the bent body: lifting surfaces, then tables of coefficients
-    tables: int = 0  # of these, tables of coefficients over incidence
+    tables: int = 0  # of these, tables of coefficients over angle of attack
     spatial_modes: int = 0
     further_groups: int = 0  # of engines that move together, beyond the first
     engines: int = 1  # alike engines of a group count once (engine/kernel.py); 1 without one
@@ -56,7 +56,7 @@ LARGEST = Sizes(
 
 
 class Counts(NamedTuple):
-    """Sizes as plain numbers: those of a record are read anew after every write to an array.
+    """Sizes as plain numbers: those of a record are read again after every write to an array.
 
     In a kernel compiled for one vehicle (`records.with_constants`) they are constants, which takes the arithmetic of
     indices and the ends of loops out of it: measured, a seventh of a flight's time.

@@ -86,7 +86,7 @@ from maxq.sim.world.earth import gravity_gradient_torque
 
 @dataclass(frozen=True)
 class StageRecord:
-    """One stage as the kernel sees it."""
+    """A stage as the kernel reads it."""
 
     sizes: Sizes
     schedule: TableRef
@@ -110,7 +110,7 @@ class StageRecord:
 
 @dataclass
 class Held:
-    """What is constant between two events of the flight."""
+    """The quantities that are constant between two events of the flight."""
 
     on_pad: int  # 1: held down
     burning: int

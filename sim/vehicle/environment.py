@@ -172,8 +172,9 @@ def velocity_over_ground(earth: Earth, y: Array) -> Vector:
 
 @kernel
 def climbs_certainly(earth: Earth, y: Array) -> bool:
-    """Whether the altitude rises for any figure of the Earth: the velocity is 1 degree above the horizontal of a
-    sphere, and no normal of the ellipsoid is inclined by more than 0.2 degrees to the radius. A flat Earth: never.
+    """Return True if the altitude rises for any figure of the Earth: the velocity is 1 degree above the horizontal of a
+    sphere, and no normal of the ellipsoid is inclined by more than 0.2 degrees to the radius. Always False for a flat
+    Earth.
     """
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     ground = ground_velocity(earth, x, yy)

@@ -1,4 +1,4 @@
-"""What is at fault at present: one array of numbers, all zero in a healthy vehicle, which the components read.
+"""The present faults: one array of numbers, all zero in a healthy vehicle, which the components read.
 
 A fault of the scenario writes into slots of this array while it lasts (sim/flight/faults.py); what a number means is
 the component's affair. A slot that is zero changes nothing.

@@ -169,7 +169,7 @@ def derived_column(sizes: Sizes | Counts, plane: int, row: int) -> int:
 
 @formula
 def compliance_column(sizes: Sizes | Counts, plane: int) -> int:
-    """Behind the table's columns: sum over the modes of phi_k phi_j / M for tanks k, j."""
+    """Return the first column after the table's: the sum over the modes of phi_k phi_j / M for tanks k, j."""
     return derived_column(sizes, 2, 0) + plane * sizes.pendulums * sizes.pendulums
 
 

@@ -9,7 +9,7 @@ The first `N_FIXED` entries are the same for every vehicle; bending and slosh fo
 Position and velocity are those of the *core* CG (the vehicle without its sloshing masses, engine straight), in the
 inertial frame. The modal rates are quasi-velocities that include the rotation of the bending plane with the roll rate
 p:  nu_pitch = d(eta)/dt + p xi,  nu_yaw = d(xi)/dt - p eta.  A pendulum is the unit vector u_B from its hinge to its
-bob and kappa_B, the *inertial* derivative of that vector in body components (docs/model.md, section 3).
+bob and kappa_B, the *inertial* derivative of that vector in body components (docs/model.md, section 1).
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ PROPERTIES_SIZE = 4864
 
 @dataclass
 class Work:
-    """What the parts of one evaluation pass to each other."""
+    """The values that the parts of one evaluation pass to each other."""
 
     anchor: Anchor
     modes: Modes

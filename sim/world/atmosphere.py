@@ -147,7 +147,7 @@ def air(atmosphere: Atmosphere, pool: Array, altitude_m: float) -> tuple[float, 
 
 @kernel
 def speed_of_sound(temperature_K: float) -> float:
-    """Of air, m/s."""
+    """Return the speed of sound in air, m/s."""
     return math.sqrt(HEAT_RATIO * GAS_CONSTANT_Jpkg_K * temperature_K)
 
 
@@ -174,8 +174,9 @@ def _layer(geopotential_m: float) -> int:
 
 @kernel
 def us1976_about(altitude_m: float, temperature_K: float) -> tuple[float, float, float, float, float]:
-    """What `us1976_nearby` needs to go on from where `us1976` gave this temperature: geopotential metres per metre,
-    curvature of that [1/m], lapse rate [K/m], and how far [m] the layer reaches down (negative) and up.
+    """Return the local coefficients with which `us1976_nearby` continues from this temperature of `us1976`:
+    geopotential metres per metre, curvature of that [1/m], lapse rate [K/m], and the distance [m] to the layer's lower
+    (negative) and upper boundary.
     """
     h = max(altitude_m, LOWEST_m)
     inverse = 1.0 / (GEOPOTENTIAL_RADIUS_m + h)

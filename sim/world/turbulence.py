@@ -256,7 +256,7 @@ def _lengths(turbulence: Turbulence, pool: Array, altitude_m: float, along_N: Ve
 
 @kernel
 def _advance(way: float, lengths: Vector, seed: int, index: int, f: int, state: TurbulenceState) -> None:
-    """One scale's filters, from state.filters[f] on, by `way` metres."""
+    """Advance one scale's filters, from state.filters[f] on, by `way` metres."""
     theta = way / lengths[0]
     state.filters[f] = math.exp(-theta) * state.filters[f] + math.sqrt(-math.expm1(-2.0 * theta)) * standard_normal(
         seed, TURBULENCE_STREAM, index

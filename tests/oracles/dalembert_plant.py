@@ -61,7 +61,7 @@ from maxq.design.model.state_space import StateSpace
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where coordinates stand in the second-order system: lateral, rotation, modes, pendulums."""
+    """The places of the coordinates in the second-order system: lateral, rotation, modes, pendulums."""
 
     modes: int
     tanks: int
@@ -109,7 +109,7 @@ def _solve(matrix: Array, right: Array) -> Array:
 
 
 def _mass_matrix(vehicle: PlanarVehicle, at: _Layout) -> Array:
-    """Of the generalised accelerations s, q', eta'', G'' (symmetric)."""
+    """Return the mass matrix of the generalised accelerations s, q', eta'', G'' (symmetric)."""
     body, bobs = vehicle.body, vehicle.pendulums
     mass = np.zeros((at.size, at.size))
     mass[0, 0], mass[1, 1] = body.core_mass_kg, body.core_inertia_kgm2
@@ -121,7 +121,7 @@ def _mass_matrix(vehicle: PlanarVehicle, at: _Layout) -> Array:
 
 
 def _stiffness(vehicle: PlanarVehicle, condition: FlightCondition, load: float, at: _Layout) -> Array:
-    """Forces lost per unit of displacement: elastic, axial load, thrust and incidence of the bent body."""
+    """Forces lost per unit of displacement: elastic, axial load, thrust and angle of attack of the bent body."""
     modes, bobs, engine = vehicle.modes, vehicle.pendulums, vehicle.engine
     k = np.zeros((at.size, at.size))
     k[at.mode, at.mode] += np.diag(modes.generalized_mass_kg * modes.omega_radps**2)

@@ -8,7 +8,7 @@ pendulums costs the same derivation.
 Coordinates: position of C0 in I' (3), 3-2-1 Euler angles of B relative to I' (yaw, pitch, roll), eta and xi
 of each pair, two angles per pendulum, gimbal angles (their accelerations are given, so their rows yield the
 actuator's generalised torque instead). I' is I turned by a constant rotation, and each pendulum's angles
-are measured from a constant axis: both charts are placed anew at every call, so no state is singular. The
+are measured from a constant axis: both charts are placed again at every call, so no state is singular. The
 answer must not depend on the chart; a test moves it.
 
 Energies (rigid velocity v0 of C0 and w = (p, q, r), all in B; nu_eta = etadot + p xi, nu_xi = xidot - p eta):
@@ -82,7 +82,7 @@ def _attitude() -> tuple[sp.Matrix, sp.Matrix]:
 
 @dataclass(frozen=True)
 class _Piece:
-    """One term of the Lagrangian.
+    """A term of the Lagrangian.
 
     `kinetic` is a function of the quasi-velocities `_V`, `_W`, the piece's own coordinates and their rates;
     `potential` of position, attitude and the own coordinates.

@@ -21,7 +21,7 @@ def _zeros(*shape: int) -> Floats:
 
 @dataclass(frozen=True)
 class ModePair:
-    """One pitch-plane mode (z, coordinate eta) and its yaw-plane partner (y, coordinate xi).
+    """A pitch-plane mode (z, coordinate eta) and its yaw-plane partner (y, coordinate xi).
 
     Masses in kg, frequencies in rad/s, damping ratios; shape and slope d(phi)/d(x_n) (x_n aft) at the gimbal.
     """

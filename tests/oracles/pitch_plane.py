@@ -260,7 +260,7 @@ def vehicle(s: Snapshot) -> tuple[Array, Array, Array]:
 
 
 class _Layout:
-    """Where the states are."""
+    """The places of the states."""
 
     def __init__(self, pendulums: int, modes: int) -> None:
         first = 3
@@ -339,7 +339,7 @@ def _add_pendulum(f: Array, s: Snapshot, layout: _Layout, k: int) -> None:
 
 
 def _add_air(f: Array, modal: slice, s: Snapshot, layout: _Layout) -> None:
-    """Normal force of each surface at its local incidence; pitch damping as one moment."""
+    """Normal force of each surface at its local angle of attack; pitch damping as one moment."""
     f[1, 2] += s.pitch_damping_Nms
     for surface in s.surfaces:
         incidence = np.zeros(layout.size + 2)

@@ -68,7 +68,7 @@ def _phase_margin_deg(loop: Response) -> float:
 
 
 def unstable_closed_loop_poles(loop: Response, unstable_open: int) -> float:
-    """How many poles of the closed loop lie outside the unit circle, by the argument principle.
+    """Return the number of poles of the closed loop outside the unit circle, by the argument principle.
 
     `loop` runs from zero frequency to Nyquist. The upper half of the unit circle turns 1 + L by pi for every
     unstable pole of the open loop less one of the closed loop. Not an integer when the grid is too coarse.
@@ -173,7 +173,7 @@ BENDING_FACTORS = (1.0, 0.9, 1.1)
 
 @dataclass(frozen=True)
 class Case:
-    """One plant with its frequency response on a grid of its own."""
+    """A plant with its frequency response on a grid of its own."""
 
     time_s: float
     bending_factor: float
@@ -209,8 +209,7 @@ DESIGN_FILE = VEHICLE_FOLDER.parents[1] / "designs" / "ksr3-default.toml"
 
 @dataclass(frozen=True)
 class Verdict:
-    """One case judged. `unstable` counts closed-loop poles outside the unit circle; `encircled` says the same
-    from L.
+    """A judged case. `unstable` counts closed-loop poles outside the unit circle; `encircled` gives the same from L.
 
     `slowest_per_s` is the decay of the slowest pole, `bending_peak_db` the largest |L| from 7 Hz to 13 Hz,
     `high_peak_db` above that.

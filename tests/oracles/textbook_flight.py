@@ -24,7 +24,7 @@ LAYERS = ((0.0, -6.5e-3), (11e3, 0.0), (20e3, 1e-3), (32e3, 2.8e-3), (47e3, 0.0)
 
 @dataclass(frozen=True)
 class Air:
-    """What a body feels of the air at an instant; `flow_B` is its velocity relative to the air, in B."""
+    """The air around a body at an instant; `flow_B` is the body's velocity relative to the air, in B."""
 
     altitude_m: float
     density: float
@@ -169,8 +169,8 @@ def integrate(
 ) -> list[State]:
     """Return the states at `times` (rising; the first is the start). The integration restarts at each of `kinks`.
 
-    `longest_step_s`: for loads with kinks at unknown times, such as tables over incidence: the error estimate of a long
-    step does not see them.
+    `longest_step_s`: for loads with kinks at unknown times, such as tables over angle of attack: the error estimate of
+    a long step does not see them.
     """
 
     def derivative(t: float, y: Vector, last: float) -> Vector:

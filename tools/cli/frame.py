@@ -1,4 +1,4 @@
-"""What the commands have in common around what they do: exit codes, messages, interruption, the end of the process.
+"""The common frame of the commands: exit codes, messages, interruption, the end of the process.
 
 Nothing heavy is imported here: `simrun --help` takes less than 0.1 s.
 """
@@ -40,7 +40,7 @@ class Exit(IntEnum):
 
 
 class CommandError(Exception):
-    """What was asked for cannot be done; the text says why on one line."""
+    """The request cannot be met; the text gives the reason on one line."""
 
 
 def say(command: str, text: str) -> None:
@@ -184,7 +184,7 @@ def process(main: Callable[[], int]) -> NoReturn:
 def _keep_freed_memory() -> None:
     """Let glibc keep what is freed for the next flight, a few megabytes.
 
-    To get each page from the system anew takes a hundredth of a campaign's time. Other C libraries stay as they are.
+    To get each page from the system again takes a hundredth of a campaign's time. Other C libraries stay as they are.
     """
     import ctypes  # noqa: PLC0415  # lazy: --help does without
 
@@ -201,7 +201,7 @@ def _tolerate_letters() -> None:
 
 
 def _explanation(error: Exception, memory: str) -> str:
-    """What the person can do about an error that input or system cause; empty for a fault of ours."""
+    """Return the remedy for an error that input or system cause; an empty text for a fault of maxq."""
     if isinstance(error, ImportError) and not (error.name or "").startswith("maxq"):
         return f"a package is missing or broken: {error}; install maxq again (pip install maxq)"
     from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy, as the next: needed by an error only

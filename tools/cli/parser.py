@@ -308,7 +308,7 @@ def count(text: str, least: int = 0, most: int = 2**63 - 1) -> int:
 
 
 def count_of_runs(text: str) -> int:
-    """How many flights a campaign has."""
+    """Parse the number of flights of a campaign."""
     from maxq.sim.input.ranges import MOST_RUNS  # noqa: PLC0415  # lazy: --help is quick
 
     return count(text, 0, MOST_RUNS)

@@ -244,7 +244,9 @@ class Progress:
         console = Console(stderr=True)
 
         class Narrow(Bar):
-            """Behind it is room for the "^C" of a terminal, which else breaks the line, and half of the bar stays."""
+            """A bar that leaves space for the "^C" of a terminal, which otherwise breaks the line, and of which half
+            remains.
+            """
 
             def get_renderable(self) -> RenderableType:
                 return Constrain(super().get_renderable(), max(console.width - 3, 20))

@@ -368,7 +368,7 @@ def execute_errata(order: AnalysisOrder) -> int:
 
 
 def effects(nodes: Sequence[PaperNode], design: Design) -> list[Effect]:
-    """Of every erratum at every node, on the design's loop with the paper's Pade approximants."""
+    """Return the effects of every erratum at every node, on the design's loop with the paper's Pade approximants."""
 
     def measure(node: Node, cut: Cut) -> Mapping[str, float]:
         """Peaks, and for the whole loop its margins; `unstable` is 1 where it is not stable."""

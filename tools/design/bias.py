@@ -1,15 +1,17 @@
 """`simdesign bias SCENARIO`: a pitch and yaw programme biased for a measured wind, which it then meets head on.
 
-A programme made for still air has the incidence that the wind gives it. Here the commanded attitude is turned until
-incidence and sideslip in the measured profile are what they are in still air, or a share of the difference is gone:
+A programme made for still air has the angle of attack that the wind gives it. Here the commanded attitude is turned
+until angle of attack and sideslip in the measured profile are what they are in still air, or a share of the difference
+is gone:
 
     theta_b <- theta_b + d,    d = W (e + v / V),    v' = a d + Z (V d - v),    e = alpha_wanted - alpha
 
-in pitch, in yaw with beta reversed, flight after flight. e is what the incidence lacks; turned by d the vehicle is
-pushed off its path by the axial load a and the normal force V Z per mass and angle, which takes back v / V of the turn:
-a and Z are those of the linear model. W fades with the dynamic pressure: at `FULL_FROM` of its largest value and above
-1, at none 0, so that lift-off and the later flight keep their attitude. e is averaged over `SMOOTHED_S`: a programme
-can follow the profile, not what slosh or gusts do. The profile flies as it was measured, without gusts and turbulence.
+in pitch, in yaw with beta reversed, flight after flight. e is what the angle of attack lacks; turned by d the vehicle
+is pushed off its path by the axial load a and the normal force V Z per mass and angle, which takes back v / V of the
+turn: a and Z are those of the linear model. W fades with the dynamic pressure: at `FULL_FROM` of its largest value and
+above 1, at none 0, so that liftoff and the later flight keep their attitude. e is averaged over `SMOOTHED_S`: a
+programme can follow the profile, not what slosh or gusts do. The profile flies as it was measured, without gusts and
+turbulence.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class Incidence:
-    """Along a flight, at `time_s`: incidence and sideslip (rad), dynamic pressure (Pa)."""
+    """Along a flight, at `time_s`: angle of attack and sideslip (rad), dynamic pressure (Pa)."""
 
     time_s: Array
     alpha_rad: Array
@@ -179,7 +181,7 @@ def _path(loaded: LoadedScenario, calm: Flight, time_s: Array) -> Array:
 
 
 def _turned(time_s: Array, fade: Array, path: Array, lacks_rad: Array) -> Array:
-    """The turn d that gives the incidence what it lacks, path followed; Heun's method."""
+    """The turn d that gives the angle of attack what it lacks, path followed; Heun's method."""
     turned, across = np.zeros(len(time_s)), 0.0
 
     def turn(k: int, v: float) -> tuple[float, float]:

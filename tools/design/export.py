@@ -127,7 +127,7 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
         ("COUNT_RAD", float(first.converter.count_rad), "angle per gyro pulse; 0: angles are given"),
         ("RATE_INTEGRAL", int(int(first.attitude) != QUATERNION), "1: the error is the angle less the commanded angle"),
         ("GAINS", table_in(packed.pool, first.law.gains).n_columns // 2, "of an axis"),
-        ("LOAD_RELIEF", relief, "1: the third gain is of the acceleration; 2: of the incidence"),
+        ("LOAD_RELIEF", relief, "1: the third gain is of the acceleration; 2: of the angle of attack"),
         ("LOOP_FILTERS", filters, "1: loops have filters of their own, or filters fade out behind a separation"),
         ("ADAPTIVE", int(any(int(one.adaptive.on) for one in each)), "1: a total gain adapts"),
         ("FURTHER_GYROS", max(map(further_gyros, each)), "rate gyros beyond the first in the rate"),

@@ -29,7 +29,9 @@ class Mark:
 
 @dataclass(frozen=True)
 class LoopPicture:
-    """What is drawn. Points of the curve in rising frequency, close enough to follow every resonance."""
+    """The content of a loop's picture. Points of the curve in rising frequency, close enough to follow every
+    resonance.
+    """
 
     title: str
     frequency_hz: Array
@@ -39,7 +41,7 @@ class LoopPicture:
 
 
 def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> LoopPicture:
-    """The loop at a node: its lobes, and where it crosses 0 dB and the negative real axis."""
+    """Return the loop at an operating point: lobes, and crossings of 0 dB and of the negative real axis."""
     margins, curve = judged.margins, judged.margins.curve
     f, loop = smooth(judged.loop.response, curve.frequency_hz, curve.loop)
     marks: list[Mark] = []
@@ -74,7 +76,7 @@ def unwrapped_deg(picture: LoopPicture) -> Array:
 def smooth(
     response: Callable[[Array], ComplexArray], frequency_hz: Array, loop: ComplexArray
 ) -> tuple[Array, ComplexArray]:
-    """The curve with points added until no corner is to be seen: steps of 4 degrees and 1 dB at most, above -60 dB."""
+    """Return the curve with points added until no corner is visible: steps of 4 degrees and 1 dB at most."""
     f, values = frequency_hz, loop
     for _ in range(8):
         level = decibels(values)

@@ -49,10 +49,15 @@ PageTable = tuple[str, Sequence[tuple[str, ...]]]
 class DesignPage:
     """The content of a page.
 
-    `verdict`: the outcome in capitals, a colon and the reason. `others`: the open loops of the other plane, where it
-    differs. `block`: rows of the title block. `gaps`: intervals without operating points. `data`: files in the same
-    folder, and their content. `flown`: captions and limits of the same design as it flies. `more`: headings, notes and
-    tables after all others. `texts`: headings and lines of tables as the terminal shows them.
+    - `verdict`: the outcome in capitals, a colon and the reason.
+    - `block`: rows of the title block.
+    - `others`: the open loops of the other plane, where it differs.
+    - `wanted`: returns the limits of a stage.
+    - `data`: files in the same folder, and their content.
+    - `gaps`: intervals without operating points.
+    - `flown`: captions and limits of the same design as it flies.
+    - `more`: headings, notes and tables after all others.
+    - `texts`: headings and lines of tables as the terminal shows them.
     """
 
     name: str

@@ -60,7 +60,7 @@ def bending_frequencies(nodes: Sequence[Node], title: str = "") -> Figure:
 
 
 def bending_hz(nodes: Sequence[Node]) -> Array:
-    """Of the free-free modes, (modes, nodes)."""
+    """Return the frequencies of the free-free modes, (modes, nodes)."""
     omega = [node.vehicle.omega_radps for node in nodes]
     return np.array([[_entry(own, i) for own in omega] for i in range(max(map(len, omega)))]) / (2.0 * np.pi)
 
@@ -88,7 +88,7 @@ def slosh_frequencies(nodes: Sequence[Node], tanks: Sequence[str], title: str = 
 
 
 def _entry(values: np.ndarray, i: int) -> float:
-    """One of a vehicle's modes or tanks; NaN, which is not drawn, where it has fewer."""
+    """Return the value of one of a vehicle's modes or tanks; NaN, which is not drawn, if it has fewer."""
     return float(values[i]) if i < len(values) else float("nan")
 
 
@@ -104,7 +104,7 @@ AXIS_OF = {
     "k_a_s2pm": r"$k_A$, s$^2$/m",
     "k_alpha": r"$k_\alpha$, rad/rad",
     "percussion_m": "lever of the centre of percussion, m",
-    "accel_per_incidence_mps2": r"acceleration per incidence, m/s$^2$",
+    "accel_per_incidence_mps2": r"acceleration per angle of attack, m/s$^2$",
 }
 
 

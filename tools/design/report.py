@@ -1,4 +1,6 @@
-"""What `simdesign` prints and writes: limits, margins and lobes; of a case also gains, filter and search."""
+"""The printed and written results of `simdesign`: limits, margins and lobes; for a case also gains, filter and
+search.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,7 @@ GAIN_HEADS = {
     "k_a_s2pm": "k_a, s2/m",
     "k_alpha": "k_alpha",
     "percussion_m": "percussion, m",
-    "accel_per_incidence_mps2": "per incidence, m/s2",
+    "accel_per_incidence_mps2": "per angle of attack, m/s2",
 }
 MET, MISSED = "met", "MISSED"
 KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
@@ -141,7 +143,7 @@ def analysis_verdict(groups: Sequence[Group], loss: Event | None = None) -> str:
 
 
 def case_report(outcome: DesignOutcome, solution: Solution) -> str:
-    """Of `simdesign CASE`."""
+    """Return the report of `simdesign CASE`."""
     loaded, case = outcome.loaded, outcome.loaded.case
     design = outcome.design.of_stage(outcome.judged[0].node.stage)
     head = [
@@ -368,12 +370,12 @@ def design_table(design: Design) -> list[str]:
 
 
 def search_table(solution: Solution) -> list[str]:
-    """How certain the optimum is."""
+    """Return the table on the certainty of the optimum."""
     return ["search", *aligned(search_rows(solution), "  ")]
 
 
 def search_rows(solution: Solution) -> list[tuple[str, str]]:
-    """Return what the search did, and how certain the optimum is: names and texts."""
+    """Return names and texts of the search and of the certainty of the optimum."""
     c = solution.certificate
     counts = Counter(x.what for x in solution.constraints if x.active)
     active = [f"{what} ({n} nodes)" if n > 1 else what for what, n in counts.items()]
@@ -453,7 +455,7 @@ _RIGID_BODIES: dict[str, RigidBody] = {"without_m_alpha": "paper", "with_m_alpha
 
 
 def node_record(judged: JudgedLoop) -> dict[str, Any]:
-    """One node."""
+    """Return the record of one node."""
     m = judged.margins
     record = {"time_s": judged.time_s, **judged.loop.law.gains, **margins_record(m)}
     return record | {
@@ -488,7 +490,7 @@ def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
 def analysis_record(
     name: str, order: AnalysisOrder, groups: Sequence[Group], judged_by: str, loss: Event | None = None
 ) -> dict[str, Any]:
-    """Of `simdesign analyse`."""
+    """Return the record of `simdesign analyse`."""
     checks = [check for group in groups for check in group.checks]
     return {
         "schema": SCHEMA,
@@ -513,7 +515,7 @@ def analysis_record(
 
 
 def case_record(outcome: DesignOutcome, solution: Solution) -> dict[str, Any]:
-    """Of `simdesign CASE`."""
+    """Return the record of `simdesign CASE`."""
     case, c = outcome.loaded.case, solution.certificate
     return {
         "schema": SCHEMA,

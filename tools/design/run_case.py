@@ -181,7 +181,7 @@ def _with_trials(made: CaseDesign, progress: Progress, stop: Interruption) -> tu
 
 
 def _number(outcome: DesignOutcome) -> int:
-    """Of the stage, from 0."""
+    """Return the number of the stage, from 0."""
     return outcome.judged[0].node.stage
 
 
@@ -436,7 +436,7 @@ def orders_record(found: FoundDesigns) -> list[dict[str, object]]:
 
 
 def order_folder(folder: Path, structure: str, schedule: str) -> Path:
-    """Where the design of a filter and a schedule is written."""
+    """Return the folder in which the design of a filter and a schedule is written."""
     return folder / f"{structure}-{schedule}"
 
 

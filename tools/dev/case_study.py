@@ -202,7 +202,9 @@ def parameters(limits: str) -> list[str]:
 
 
 def relaxing() -> list[str]:
-    """What Subcase 1 gains on the two-phase design of 0.5 Hz and 0.7 where its own rigid-body limits are lower."""
+    """Return the gain of Subcase 1 over the two-phase design of 0.5 Hz and 0.7 where its own rigid-body limits are
+    lower.
+    """
     reference, rows = orders("flown", "identical"), []
     for share in RELAXED_BY:
         hz, zeta = 0.5 - 0.1 * share, 0.7 - 0.15 * share
@@ -217,7 +219,7 @@ def relaxing() -> list[str]:
 
 
 def limits() -> list[str]:
-    """What the two sets of limits ask for."""
+    """Return the requirements of the two sets of limits."""
     cases = [read_case(f"ksr3-{name}").case for name in LIMITS]
     names = {
         "gain_margin_db": "GM_R (44), dB",
@@ -482,7 +484,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
 
 
 def copy_pictures() -> None:
-    """What `simdesign` has drawn, under the names that the chapter shows."""
+    """Copy the pictures of `simdesign` to the names under which the chapter shows them."""
     drawn = RUNS / "optima-flown-identical"
     shutil.copy(drawn / "orders-peaks.png", PICTURES / "peaks-identical.png")
     shutil.copy(RUNS / "optima-flown-relaxed" / "orders-peaks.png", PICTURES / "peaks-relaxed.png")

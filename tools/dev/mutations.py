@@ -7,8 +7,8 @@
 
 All mutants stand in one copy, each beside the statement as it was: `if at(7): changed else: original`. Numbers in a
 file that all processes map into their memory tell which one holds, and which have been got to; compiled kernels look
-there, too, so that nothing is compiled anew for a mutant. Every one meets its tests in a forked process, compiled, as
-the tests run in `.ci/run`. Not so what is worked out on import: for that, pytest has to be started anew.
+there, too, so that nothing is compiled again for a mutant. Every one meets its tests in a forked process, compiled, as
+the tests run in `.ci/run`. Not so what is worked out on import: for that, pytest has to be started again.
 
 A mutant is killed by the first test that fails; or by the clock, when a test takes more than ten times as long as
 otherwise and a minute. `--named`: the faults of harness_mutants.py as well. What stands in DIR/results.jsonl is not run
@@ -400,7 +400,7 @@ class _Server:
         return True
 
     def _forked(self, do: Any, path: Path | None = None) -> str:
-        """What a forked process writes, which does this; at the end of a file that is given."""
+        """Run this in a forked process and return the text that it writes; at the end of a file, if one is given."""
         if path is None:
             path = self.work / f"answer-{os.getpid()}"
             path.write_text("")

@@ -82,7 +82,7 @@ _formats: ContextVar[tuple[str, ...]] = ContextVar("formats", default=FORMATS)
 
 @contextmanager
 def drawing(formats: Sequence[str] = FORMATS, settings: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """What is drawn and saved inside has the style and these formats; a notebook's settings are left as they were.
+    """Draw and save with the style and these formats; a notebook's settings are restored.
 
     `settings` replace or add some of the style's.
     """

@@ -206,7 +206,7 @@ def _pictures(
 
 
 def colour_of(number: int, flight: ReplayFlight, count: int) -> str:
-    """Of one flight among several: its own, or of many that of its verdict."""
+    """Return the colour of one flight among several: its own or, among many, that of its verdict."""
     if count <= COLOURED:
         return ON_DARK[number]
     return _NOMINAL_COLOUR if flight.is_nominal else VERDICT[flight.verdict]
@@ -235,7 +235,7 @@ def common_exaggeration(flights: Sequence[ReplayFlight], options: Options) -> Ex
 # -- the layout: close-up, overview, plots in tabs, phases, events, and a page about the flight ----------------------
 @dataclass(frozen=True)
 class Eyes:
-    """Where the cameras stand: offset of the close-up from the vehicle; place and aim of the overview, m."""
+    """The positions of the cameras: offset of the close-up from the vehicle; place and aim of the overview, m."""
 
     close: tuple[float, float, float]
     overview: tuple[float, float, float]

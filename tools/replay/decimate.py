@@ -40,7 +40,9 @@ def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> KeptRows:
 
 
 def _first_of_each(values: Array, starts: KeptRows, extreme: np.ufunc) -> KeptRows:
-    """Where the extreme of each interval occurs first; `starts` are the intervals' first indices."""
+    """Return the index at which the extreme of each interval occurs first; `starts` are the intervals' first
+    indices.
+    """
     gaps = np.isnan(values)
     filled = np.where(gaps, np.inf if extreme is np.minimum else -np.inf, values) if gaps.any() else values
     lengths = np.diff(starts, append=len(values))

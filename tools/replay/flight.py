@@ -88,7 +88,9 @@ class Moment:
 
 @dataclass(frozen=True)
 class ShownRequirement:
-    """What a scenario demands: `kind` "limit" or "minimum"; value and verdict are None where no summary holds them."""
+    """A requirement of the scenario: `kind` "limit" or "minimum"; value and verdict are None where no summary holds
+    them.
+    """
 
     name: str
     kind: str
@@ -123,7 +125,7 @@ class ReplayFlight:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What cannot be shown, a sentence each."""
+        """Return a sentence for each thing that cannot be shown."""
         return (*self.damage, *self._scenario_and_complaint[1])
 
     @cached_property
@@ -155,7 +157,7 @@ class ReplayFlight:
 
     @property
     def burn_end_s(self) -> float:
-        """Last burn-out, or the end of the log where there is none."""
+        """Last burnout, or the end of the log where there is none."""
         moment = self.moment("burnout")
         return moment.time_s if moment is not None else self.span_s[1]
 
@@ -331,7 +333,7 @@ def open_flights(
 
 
 def closest(flights: Sequence[ReplayFlight]) -> set[int]:
-    """Of which flights vehicle and limits are drawn: the nominal, those that failed, then the first ones."""
+    """Return the flights whose vehicle and limits are drawn: the nominal, those that failed, then the first ones."""
 
     def rank(i: int) -> tuple[bool, bool, int]:
         return not flights[i].is_nominal, flights[i].verdict != "failed", i

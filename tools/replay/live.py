@@ -49,7 +49,7 @@ def _connected(name: str, port: int) -> rr.RecordingStream:
 
 
 class FlownView:
-    """Where the log of a flight will be shown once it has been flown: in a viewer that listens on `port` of this
+    """The place where the log of a flight is shown once it has been flown: in a viewer that listens on `port` of this
     machine, or in a window (None).
 
     Made before the flight, so that a missing viewer is reported before anything is flown: raises ReplayError.
@@ -239,7 +239,7 @@ class LiveView:
             self._phases = now
 
     def _reach_m(self) -> float:
-        """How far it may fly, roughly: what the first stages' thrust gives without drag, thrown at 45 deg, halved."""
+        """Estimate the range of the flight: the first stages' impulse without drag, thrown at 45 deg, halved."""
         speed = 0.0
         for stage in self._scenario.vehicle.stage:
             if not stage.engines:

@@ -81,7 +81,9 @@ def liquid_vertices(floor_x: Array, surface_x: Array, radius: float, tilt: Array
 
 
 def _liquid(colour: str) -> rr.Mesh3D:
-    """What `liquid_vertices` is completed by: triangles, and the normals of an upright surface."""
+    """Return the constant part of a liquid's mesh, which `liquid_vertices` completes: triangles, and the normals of an
+    upright surface.
+    """
     middle = np.arange(1, SIDES - 1)
     disc = np.stack([0 * middle, middle, middle + 1], axis=1)
     triangles = np.concatenate([disc[:, ::-1], _strip_triangles(2, SIDES) + SIDES, disc + 3 * SIDES])
@@ -113,7 +115,7 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 # -- a vehicle -----------------------------------------------------------------------------------------------------
 def vehicle_meshes(shape: VehicleShape, number: int, loaded: bool) -> list[tuple[str, rr.AsComponents]]:
-    """What the vehicle of a stage is made of, piece by piece, in the coordinates of the pieces.
+    """Return the pieces of a stage's vehicle, in the coordinates of the pieces.
 
     Entities are given relative to the stage's. `loaded`: the skin's colour, its load, comes with time.
     """

@@ -1,4 +1,4 @@
-"""What is plotted: one table for viewer, paper and terminal, with units and limits, sorted into tabs by subject."""
+"""The plots: one table for viewer, paper and terminal, with units and limits, sorted into tabs by subject."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ _TABLE: dict[str, list[_Row]] = {
     "Air": [
         _Row("pressure", "dynamic pressure", "kPa", {"dynamic pressure": "dynamic_pressure_Pa"}, 1e-3,
              limits=("max_powered_dynamic_pressure_Pa", "max_dynamic_pressure_Pa"), glance=(1, "{}")),
-        _Row("incidence", "incidence where the dynamic pressure exceeds 1 kPa", "deg",
+        _Row("incidence", "angle of attack where the dynamic pressure exceeds 1 kPa", "deg",
              {"attack": "alpha_deg", "sideslip": "beta_deg", "total": "alpha_total_deg"},
              only=_IN_AIR, limits=("max_alpha_deg",), glance=(3, "incidence, {}")),
         _Row("wind", "wind: motion of the air", "m/s",
@@ -332,7 +332,7 @@ class PlotAxis:
     beyond: tuple[Limit, ...]
 
     def beyond_text(self, unit: str) -> str:
-        """What to say of limits that are not drawn: `limit 30 deg/s`."""
+        """Return a note on limits that are not drawn: `limit 30 deg/s`."""
         sizes = sorted({abs(limit.value) for limit in self.beyond})
         if not sizes:
             return ""

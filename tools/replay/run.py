@@ -48,7 +48,7 @@ def _complain(complaints: Sequence[str]) -> None:
 
 
 def _check_before(given: argparse.Namespace) -> None:
-    """What can be known before the logs are read, which may take seconds."""
+    """Check everything that does not depend on the logs, whose reading may take seconds."""
     if given.plots or given.summary:
         return
     viewer.check_installed()

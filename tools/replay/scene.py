@@ -49,7 +49,7 @@ _NED = ("north", "east", "down")
 
 
 class Scene:
-    """One flight's entities under `root`; of a flight that is not `near` only its position."""
+    """The entities of a flight under `root`; for a flight that is not `near`, only its position."""
 
     def __init__(
         self,
@@ -406,7 +406,7 @@ def send_ground(recording: rr.RecordingStream, place: ShownLaunchSite, reach_m: 
 
 
 def tail_below_cg(channels: Channels, shape: VehicleShape | None) -> float:
-    """How far the vehicle's end lies behind its CG at first, m."""
+    """Return the initial distance from the CG to the vehicle's end, m."""
     if shape is None or "cg_station_m" not in channels or not len(channels["cg_station_m"]):
         return 0.0
     stage = shape.stages[0]

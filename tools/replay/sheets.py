@@ -63,7 +63,7 @@ _SECTION_LOADS = (  # title, unit, and by which column of the limits it is bound
 
 @dataclass(frozen=True)
 class Flights:
-    """What a set of sheets shows; the `reference` (the nominal, or the first) gives events and the thick lines."""
+    """The content of a set of sheets; the `reference` (the nominal, or the first) gives events and the thick lines."""
 
     all: Sequence[ReplayFlight]
     reference: ReplayFlight
@@ -85,7 +85,7 @@ class Flights:
         return ON_LIGHT[others.index(flight)] if self.few else VERDICT[flight.verdict]
 
     def look(self, flight: ReplayFlight) -> dict[str, Any]:
-        """How a flight's line looks where it is the only one of it in a plot."""
+        """Return the style of a flight's line in a plot where the flight has one line."""
         if not self.many:
             return {"color": BLUE, "linewidth": 1.4}
         if flight is self.reference:
@@ -168,7 +168,7 @@ def _figure(
 
 
 def _span(tab: Tab, shown: Flights) -> tuple[float, float]:
-    """The whole flight for what concerns all of it; else until shortly after burn-out, where the rest is at zero."""
+    """The whole flight for what concerns all of it; else until shortly after burnout, where the rest is at zero."""
     start, end = min(f.span_s[0] for f in shown.all), max(f.span_s[1] for f in shown.all)
     burnouts = [m.time_s for f in shown.all if (m := f.moment("burnout")) is not None]
     if tab.name in ("Trajectory", "Air") or not burnouts:
@@ -238,7 +238,7 @@ def envelope(times_ns: IntArray, values: Array, span_ns: tuple[int, int], bins: 
 
 
 def _draw_limits(place: Axes, axis: PlotAxis) -> None:
-    """What is not allowed is shaded and hatched, so that it is seen without colour too."""
+    """Shade and hatch the range outside the limits, so that it is visible without colour."""
     first = {limit.text: limit for limit in reversed(axis.drawn)}
     for limit in axis.drawn:
         colour, hatch = (LIMIT, "////") if limit.required else (GREY, None)

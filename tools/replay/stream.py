@@ -1,4 +1,4 @@
-"""What is sent to a recording over time: curves decimated to their extremes, limits, events and phases.
+"""Send data to a recording over time: curves decimated to their extremes, limits, events and phases.
 
 An entity for each curve of each flight of a campaign, thousands of them, would keep the viewer busy for a minute: the
 curves of many flights are sent as families, an entity for each curve with a line for each flight in it.
@@ -234,7 +234,7 @@ class Phase:
 
 
 def first_phase(channels: Channels, start_ns: int) -> Phase:
-    """What a flight begins with, from its first sample."""
+    """Return the first phase of a flight, from its first sample."""
 
     def first(name: str) -> float:
         return float(channels[name][0]) if name in channels and len(channels[name]) else 0.0

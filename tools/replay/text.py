@@ -75,7 +75,7 @@ def _requirement(r: ShownRequirement) -> str:
 
 
 def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[str]:
-    """How true the picture is."""
+    """Return the notes on exaggerations in the picture."""
     moved = ["- Axes: east, north, up where the flight began, which is far from the site."]
     return [
         "## How it is drawn",

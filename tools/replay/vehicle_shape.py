@@ -1,4 +1,4 @@
-"""What a vehicle looks like, from its TOML. Stations are metres aft of the nose.
+"""The shape of a vehicle, from its TOML. Stations are metres aft of the nose.
 
 Length and diameter, the gimbal, the nozzle's exit, the tanks with their levels and the places of nose and fins stand in
 the file. What it does not say is filled in: a tangent ogive whose length puts the nose's centre of pressure where the
@@ -60,7 +60,7 @@ class Fins:
 
 @dataclass(frozen=True)
 class EngineShape:
-    """One engine; `channels` begins the names of its gimbal's channels, `follows` says in which planes it moves."""
+    """An engine; `channels` begins the names of its gimbal's channels, `follows` gives the planes in which it moves."""
 
     gimbal_station_m: float
     exit_station_m: float
@@ -79,7 +79,9 @@ class LoadStations:
     limit_Nm: Array | None
 
     def shares(self, moments_Nm: Array, largest_Nm: float, at_m: Array) -> Array:
-        """Of moments (times, stations): share of the limit, or of the largest of all, at places (times, places)."""
+        """Return the shares of moments (times, stations) in the limit, or in the largest of all, at places (times,
+        places).
+        """
         of = moments_Nm / (self.limit_Nm if self.limit_Nm is not None else max(largest_Nm, 1e-9))
         return np.array([np.interp(at_m, self.station_m, row) for row in of]).reshape(len(of), len(at_m))
 
@@ -174,7 +176,7 @@ def borne(loads: LoadsSection, column: str) -> Array | None:
 
 
 def _end(stage: Stage, otherwise: float) -> float:
-    """Where the skin of a stage ends: a little behind the gimbal, so that the engine is seen."""
+    """Return the end of a stage's skin: a little aft of the gimbal, so that the engine is visible."""
     ends = [e.gimbal_station_m + 0.1 * max(e.exit_station_m - e.gimbal_station_m, 0.0) for e in stage.engines]
     return max(ends, default=otherwise)
 

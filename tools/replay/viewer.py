@@ -139,7 +139,9 @@ def check_display() -> None:
 
 # -- processes -------------------------------------------------------------------------------------------------------
 def _bind_to(parent: int) -> Callable[[], None] | None:
-    """What a child does between fork and exec; prctl is looked up before, since little is safe there."""
+    """Return the function that a child runs between fork and exec; prctl is looked up before, since little is safe
+    there.
+    """
     if not sys.platform.startswith("linux"):
         return None
     prctl = ctypes.CDLL(None, use_errno=True).prctl
@@ -368,7 +370,7 @@ def pictures(client: ViewerControl, rrd: Path, times_s: Sequence[float]) -> tupl
 
 
 def complaints_of(viewer: ViewerControl) -> list[str]:
-    """What the views of the viewer report: a mapping that is broken, data that cannot be drawn."""
+    """Return the complaints of the viewer's views: a broken mapping, data that cannot be drawn."""
     return [
         f"{view.name}: {report.severity}: {report.summary}{f' ({report.details})' if report.details else ''}"
         for view in viewer.get_state().views

@@ -42,7 +42,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Aerodynamics:
-    """Of a stack, over `mach`; the reference is the largest diameter of the whole vehicle."""
+    """The aerodynamics of a stack, over `mach`; the reference is the largest diameter of the whole vehicle."""
 
     mach: Array
     diameter_m: float
@@ -73,7 +73,7 @@ class Aerodynamics:
 
 
 def aerodynamics(stack: Stack) -> Aerodynamics:
-    """Of what flies while a stage burns."""
+    """Estimate the aerodynamics of the stack that flies while a stage burns."""
     layout, stages = stack.layout, list(reversed(stack.layout.stage[stack.number :]))
     diameter = max(s.diameter_m for s in layout.stage)
     nose = Surface(
@@ -115,7 +115,7 @@ def aerodynamics(stack: Stack) -> Aerodynamics:
 
 
 def _with_given(estimate: Aerodynamics, given: AeroSection) -> Aerodynamics:
-    """What a section of a vehicle file gives, at small incidence and under thrust, instead of the estimate."""
+    """Replace the estimate by the values of a vehicle file's section, at small angles of attack and under thrust."""
     tables = [given.table, *(s.table for s in given.surface)]
     grids = [c.grid for c in given.coefficients]
     machs = [*(t["mach"] for t in tables), *(g.breaks[0] for g in grids if g.axes[0] == "mach")]
@@ -172,7 +172,7 @@ def _with_given(estimate: Aerodynamics, given: AeroSection) -> Aerodynamics:
 
 
 def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]:
-    """Slopes of normal force and pitch moment, 1/rad, and the axial force coefficient, at no incidence over Mach."""
+    """Slopes of normal force and pitch moment, 1/rad, and the axial force coefficient, at zero angle of attack."""
     values = grid.values
     for axis in reversed(range(len(grid.axes))):
         if grid.axes[axis] not in ("mach", "total_deg", "alpha_deg"):

@@ -26,7 +26,7 @@ MOST_RIGID_HZ = 0.4
 SHARE = 0.8  # of the first gains' frequency that a design must keep
 BELOW = 8.0  # the rigid body's frequency is at most this part of mode 1's and of the actuator's
 _NEAR_NODE = 0.1  # of the largest displacement
-Modes = tuple[Array, list[list[BeamMode]]]  # times of the stage's clock, modes at each
+TimedModes = tuple[Array, list[list[BeamMode]]]  # times of the stage's clock, modes at each
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Built:
     layout: Layout
     stacks: list[Stack]
     aero: list[Aerodynamics]
-    modes: list[Modes]
+    modes: list[TimedModes]
     flight: Ascent
     gains: list[tuple[float, float, float]]  # flight time, k_p, k_d
     assumed: list[str] = field(default_factory=list)  # those of `build` first: modes that are left out
@@ -44,12 +44,14 @@ class Built:
 
     @property
     def mode_1_hz(self) -> float:
-        """Of the first stage, mean over its burn; infinite without modes."""
+        """Return the frequency of mode 1 of the first stage, mean over its burn; infinite without modes."""
         found = [modes[0].frequency_hz for modes in self.modes[0][1] if modes]
         return float(np.mean(found)) if found else math.inf
 
     def rigid_hz(self, p: TrajectoryPoint) -> float:
-        """Of the first gains: the layout's, or an eighth of mode 1 and of the actuator then, at most 0.4 Hz."""
+        """Return the rigid-body frequency of the first gains: the layout's, or an eighth of mode 1 and of the actuator
+        then, at most 0.4 Hz.
+        """
         times, modes = self.modes[p.number]
         own = [of[0].frequency_hz for of in modes if of]
         first_hz = float(np.interp(p.clock_s, times, own)) if len(own) == len(times) else math.inf
@@ -77,7 +79,7 @@ def slosh_kg(tank: LayoutTank, liquid_kg: float) -> float:
     return float(scale * modes_over(tank.profile, depth, 1)[0].mass[0])
 
 
-def _modes(stack: Stack) -> Modes:
+def _modes(stack: Stack) -> TimedModes:
     stage, times = stack.stage, np.linspace(0.0, stack.burn.end_s, MODE_ROWS)
     if (bending := stage.bending) is not None:
         table = bending.pitch_modes or bending.yaw_modes
@@ -108,7 +110,9 @@ def _renormalise(found: list[list[BeamMode]], k: int) -> None:
         before = modes[k].phi
 
 
-def _that_count(every: Sequence[Stack], modes: list[Modes], highest_hz: float) -> tuple[list[Modes], list[str]]:
+def _that_count(
+    every: Sequence[Stack], modes: list[TimedModes], highest_hz: float
+) -> tuple[list[TimedModes], list[str]]:
     """The beam's modes that begin below a frequency, as many in all parts of a stage; and words about the others."""
     out, words = list(modes), []
     for number, stage in enumerate(every[0].layout.stage):
@@ -126,7 +130,7 @@ def _that_count(every: Sequence[Stack], modes: list[Modes], highest_hz: float) -
 
 
 def beam_load(stack: Stack, t: float) -> list[Rod]:
-    """What rides on the beam at `t` of the stage's clock: all but what sloshes."""
+    """Return the masses that the beam carries at `t` of the stage's clock: everything but the sloshing masses."""
     rods = [*stack.dry, *stack.grains(t)]
     for tank, liquid in zip(stack.stage.tank, stack.liquids(t), strict=True):
         left = liquid.mass_kg - slosh_kg(tank, liquid.mass_kg)
@@ -143,7 +147,7 @@ def on_the_pad(built: Built) -> list[BeamMode]:
 
 
 def _mode_of(table: ModeTable, t: float) -> list[BeamMode]:
-    """Modes that are given, at the row nearest to a time."""
+    """Return the given modes at the row nearest to a time."""
     k = int(np.argmin(np.abs(table.time_s - t)))
     return [
         BeamMode(table.station_m, float(hz), float(kg), table.phi[k, m], table.slope_pm[k, m])
@@ -152,7 +156,7 @@ def _mode_of(table: ModeTable, t: float) -> list[BeamMode]:
 
 
 def m_alpha_1ps2(built: Built, p: TrajectoryPoint) -> float:
-    """Angular acceleration per incidence, positive for an unstable vehicle."""
+    """Angular acceleration per angle of attack, positive for an unstable vehicle."""
     aero, props = built.aero[p.number], built.stacks[p.number].mass_properties(p.clock_s)
     slope, centre = aero.normal(p.mach)
     return slope * p.dynamic_pressure_Pa * aero.area_m2 * (props.x_cg_m - centre) / props.pitch_kgm2
@@ -244,13 +248,13 @@ def too_weak(built: Built) -> list[str]:
         worst = max(burning(built, n), key=lambda p: m_alpha_1ps2(built, p) / m_delta_1ps2(built, p))
         needed = INCIDENCE_deg * m_alpha_1ps2(built, worst) / m_delta_1ps2(built, worst)
         if needed > (limit := stack.stage.engine.angle_limit_deg):
-            held = f"{INCIDENCE_deg:g} deg of incidence need {needed:.1f} deg of the gimbals' {limit:g}"
+            held = f"{INCIDENCE_deg:g} deg of angle of attack need {needed:.1f} deg of the gimbals' {limit:g}"
             out.append(f"{stack.name}: at {worst.time_s:.0f} s {held}")
     return out
 
 
 def warnings(built: Built) -> list[str]:
-    """What may be meant, but is unusual."""
+    """Return a line for each value that is unusual, but possible."""
     out, half_hz = [], 0.5 / built.layout.control.sample_s
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):

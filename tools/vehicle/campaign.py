@@ -118,5 +118,5 @@ def _modes_flown(built: Built, n: int) -> int:
 
 
 def _each(count: int) -> list[tuple[str, str]]:
-    """What tells the elements of a list from each other in names and in key paths; nothing for a single one."""
+    """Return the distinguishing parts of a list's elements in names and in key paths; empty for a single one."""
     return [(f" {k + 1}", f".{k}") for k in range(count)] if count > 1 else [("", "")]

@@ -21,7 +21,7 @@ _TIME, _STATION = "flight time, s", "station, m aft of the nose"
 
 
 def page(built: Built) -> str:
-    """One HTML file with all figures in it."""
+    """Return one HTML file with all figures."""
     plots = [_vehicle(built), _masses(built), _aerodynamics(built), _control(built), _ascent(built)]
     if any(modes[0] for _, modes in built.modes):
         plots.append(_modes(built))

@@ -1,5 +1,6 @@
-"""What simvehicle writes of a layout: the tables of the vehicle, a pitch programme, a first design, a scenario, a
-campaign, a case and a suite, as simrun, simdesign and simverify read them."""
+"""Write the files that follow from a layout: the tables of the vehicle, a pitch programme, a first design, a scenario,
+a campaign, a case and a suite, as simrun, simdesign and simverify read them.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +101,7 @@ def _continued(stack: Stack, rows: list[tuple[float, ...]]) -> list[tuple[float,
 
 
 def _over_time(stack: Stack, columns: str, values: Iterable[tuple[float, ...]]) -> CsvFile:
-    """What the burn changes, at `_times_s`."""
+    """Return a table of the values that the burn changes, at `_times_s`."""
     return f"time_s,{columns}", _continued(stack, [(t, *row) for t, row in zip(_times_s(stack), values, strict=True)])
 
 
@@ -199,17 +200,17 @@ def _cg_over_mach(built: Built, n: int) -> Array:
 
 
 def _lead_rad(built: Built, p: TrajectoryPoint, k_p: float, k_d: float, rate_radps: float) -> tuple[float, float]:
-    """Incidence along the path at an instant, and by how much the command leads so that the law holds it.
+    """Angle of attack along the path at an instant, and by how much the command leads so that the law holds it.
 
-    Static trim: the incidence that turns the path, the gimbal angle that holds it against M_alpha and pitch damping;
-    the law (-k_p error - k_d rate) has no integral and needs an error for all of that.
+    Static trim: the angle of attack that turns the path, the gimbal angle that holds it against M_alpha and pitch
+    damping; the law (-k_p error - k_d rate) has no integral and needs an error for all of that.
     """
     stack, aero = built.stacks[p.number], built.aero[p.number]
     if p.thrust_N <= 0.0 or p.excess_radps == p.incidence_rad == p.dynamic_pressure_Pa == 0.0:
         return p.incidence_rad, k_d / k_p * rate_radps
     props, (slope, centre) = stack.mass_properties(p.clock_s), aero.normal(p.mach)
     arm, normal = stack.stage.engine.gimbal_station_m - props.x_cg_m, slope * p.dynamic_pressure_Pa * aero.area_m2
-    holds = normal * (centre - props.x_cg_m) / (p.thrust_N * arm)  # gimbal angle per incidence
+    holds = normal * (centre - props.x_cg_m) / (p.thrust_N * arm)  # gimbal angle per angle of attack
     across = p.thrust_N * (1.0 - holds) + normal
     incidence = p.incidence_rad + props.mass_kg * p.speed_mps * p.excess_radps / across
     damping = float(np.interp(p.mach, aero.mach, aero.pitch_damping(props.x_cg_m)))
@@ -394,7 +395,7 @@ def _design(built: Built) -> dict[str, Any]:
 
 
 def _requirements(built: Built) -> list[dict[str, Any]]:
-    """What the control is held to, with room for winds."""
+    """Return the requirements of the control, with a margin for winds."""
     stages = built.layout.stage
     limits = {
         "attitude error": ("max_attitude_error_deg", 10.0),

@@ -49,7 +49,7 @@ class FirstGains:
 
     @property
     def text(self) -> str:
-        """One sentence for people."""
+        """Return one sentence for people."""
         by = " by search," if self.searched else ""
         if self.hold:
             least = f"least gain margin {self.gain_margin_db:.2f} dB at {self.at_s:.1f} s"

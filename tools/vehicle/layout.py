@@ -74,8 +74,8 @@ class LayoutTank(Section):
     """An upright tank on the axis with the propellant in it."""
 
     name: values.ChannelPart = Field(description="name of the tank in logs")
-    liquid_mass_kg: Positive = Field(description="propellant at lift-off, kg")
-    residual_kg: NotNegative = optional("of it left at burn-out, kg", 0.0)
+    liquid_mass_kg: Positive = Field(description="propellant at liftoff, kg")
+    residual_kg: NotNegative = optional("of it left at burnout, kg", 0.0)
     density_kgpm3: Positive = Field(description="of the propellant, kg/m3")
     radius_m: Positive = Field(description="inside, m")
     height_m: Positive = Field(description="inside, domes included, m")
@@ -102,7 +102,7 @@ class Grain(Between):
 
 
 class LoadSections(Section):
-    """Where section loads are wanted (switches.section_loads)."""
+    """The sections at which loads are computed (switches.section_loads)."""
 
     stations_m: tuple[float, ...] = Field(min_length=1, max_length=MAX_LOAD_STATIONS, description="m aft of the nose")
     axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional("as in a vehicle file")
@@ -149,7 +149,7 @@ class LayoutEngines(Section):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Of each engine: what side of the axis it stands on; above and below where all stand in the plane of pitch."""
+        """Return the side of the axis at which each engine is; above and below if all are in the plane of pitch."""
         across, names = (0, ("left", "middle", "right")) if any(y for y, _ in self.positions_m) else (1, _STACKED)
         return tuple(names[int(np.sign(at[across])) + 1] for at in self.positions_m)
 
@@ -183,7 +183,7 @@ class LayoutStage(Between):
     modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes of the beam", 3)
     bending_damping: Fraction = optional("damping ratio of all modes", 0.005)
     roll_torque_Nm: Positive | None = optional("of roll thrusters, N m (default: what turns by 5 deg/s2 at ignition)")
-    separation_after_s: values.Seconds = optional("from burn-out to separation, s", 1.0)
+    separation_after_s: values.Seconds = optional("from burnout to separation, s", 1.0)
     ignition_after_s: values.Seconds = optional("from separation of the stage before to ignition, s", 2.0)
 
     @property
@@ -209,7 +209,7 @@ class LayoutStage(Between):
 
 
 class LayoutSite(Section):
-    """Where it is launched."""
+    """The launch site."""
 
     latitude_deg: values.Latitude = Field(description="geodetic, deg")
     longitude_deg: values.Longitude = Field(description="east, deg")
@@ -231,10 +231,10 @@ class Trajectory(Section):
     pitch_over_start_s: Positive = optional("end of the vertical rise, s after ignition", 5.0)
     pitch_over_s: Positive = optional("duration of the pitch-over, s", 12.0)
     final_path_angle_deg: Annotated[float, Field(gt=-30.0, lt=85.0)] = optional(
-        "of the path above the local horizon at the last burn-out, deg: sets the pitch-over", 20.0
+        "of the path above the local horizon at the last burnout, deg: sets the pitch-over", 20.0
     )
     orbit_altitude_m: Annotated[float, Field(ge=100e3, le=2e6)] | None = optional(
-        "of the last burn-out above the Earth's equatorial radius, path level there: the perigee of an orbit, if the "
+        "of the last burnout above the Earth's equatorial radius, path level there: the perigee of an orbit, if the "
         "speed suffices; instead of final_path_angle_deg"
     )
     apogee_altitude_m: Annotated[float, Field(ge=100e3, le=1e8)] | None = optional(

@@ -94,7 +94,7 @@ class ThrustCurve:
         return before * (1.0 - share) + after * share
 
     def split(self, t: float) -> tuple[ThrustCurve, ThrustCurve]:
-        """What burns up to t, and the rest on a clock that begins then."""
+        """Return the thrust up to t, and the rest on a clock that begins then."""
         at, early, late = float(self._thrust(t)), self.times_s < t - 1e-6, self.times_s > t + 1e-6
         first = np.append(self.times_s[early], t), np.append(self.thrust_N[early], at)
         rest = np.insert(self.times_s[late] - t, 0, 0.0).round(6), np.insert(self.thrust_N[late], 0, at)
@@ -144,7 +144,7 @@ def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: 
 
 @dataclass(frozen=True)
 class Stack:
-    """What flies while one stage burns: the stage and all that is ahead of it.
+    """The vehicle while one stage burns: the stage and everything ahead of it.
 
     A stage that drops the fairing while it burns makes two of them.
     """
@@ -237,7 +237,9 @@ def _column(tank: LayoutTank, mass_kg: float) -> Rod:
 
 
 def stacks(layout: Layout) -> list[Stack]:
-    """One for each stage, in the order of flight, all with the fairing. Raises ValueError for too short a burn."""
+    """Return a stack for each stage, in the order of flight, all with the fairing. Raises ValueError for too short a
+    burn.
+    """
     return [
         Stack(layout, n, burn_of(stage, stage.ignition_after_s if n else 0.0), layout.fairing is not None, stage.name)
         for n, stage in enumerate(layout.stage)

@@ -1,4 +1,4 @@
-"""What `simvehicle` prints: stages, bending modes, control over time, and what was assumed."""
+"""The printed report of `simvehicle`: stages, bending modes, control over time, and assumptions."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def tables(built: Built) -> list[LayoutTable]:
 
 
 def notes(built: Built) -> list[tuple[str, list[str]]]:
-    """What was assumed, and what is unusual."""
+    """Return the assumptions, and the unusual values."""
     both = (("assumed beyond the layout", built.assumed), ("unusual", warnings(built)))
     return [(title, lines) for title, lines in both if lines]
 

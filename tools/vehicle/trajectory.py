@@ -50,11 +50,11 @@ class TrajectoryPoint:
     mach: float
     incidence_rad: float  # of the steering
     excess_radps: float  # turn of the path by pitch-over, beyond gravity's
-    horizon_rad: float  # turn of the local horizon since lift-off, in inertial space
+    horizon_rad: float  # turn of the local horizon since liftoff, in inertial space
 
     @property
     def pitch_rad(self) -> float:
-        """Attitude above the launch site's horizon at lift-off."""
+        """Attitude above the launch site's horizon at liftoff."""
         return self.path_rad + self.incidence_rad - self.horizon_rad
 
 
@@ -89,7 +89,9 @@ class Ascent:
 
 
 class _StackPlace(NamedTuple):
-    """What the launch site gives: local radius, turning about the plane's normal and along it, and the latitude."""
+    """The constants of the launch site: local radius, turning about the plane's normal and along it, and the
+    latitude.
+    """
 
     radius_m: float
     spin_radps: float
@@ -131,7 +133,7 @@ class _Model:
 
     @cached_property
     def masses(self) -> list[tuple[Array, Array]]:
-        """Of each stack: clock, mass."""
+        """Return clock and mass of each stack."""
         out = []
         for stack in self.stacks:
             clock = np.linspace(0.0, stack.burn.end_s, 201)
@@ -286,7 +288,7 @@ def air(altitude_m: float) -> tuple[float, float, float]:
 
 
 def ascent(layout: Layout, stacks: Sequence[Stack], aero: Sequence[Aerodynamics], points: int = 241) -> Ascent:
-    """The ascent whose last burn-out is as asked for. Raises ValueError where no pitch-over gives it."""
+    """The ascent whose last burnout is as asked for. Raises ValueError where no pitch-over gives it."""
     model, wanted = _Model(layout, stacks, aero), layout.trajectory
     weight = float(model.masses[0][1][0]) * model.place.gravity_mps2(model.place.radius_m, 0.0)
     begin, end = stacks[0].burn.full_s
@@ -344,7 +346,7 @@ def _level(ends: Callable[[Array], Array], x: Array) -> Array:
 
 
 def _steer_to(model: _Model, altitude_m: float) -> None:
-    """Pitch-over and tangents of the largest speed at a level last burn-out at this altitude.
+    """Pitch-over and tangents of the largest speed at a level last burnout at this altitude.
 
     Raises ValueError where there is none, or the speed is short of an orbit's.
     """

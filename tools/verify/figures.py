@@ -318,11 +318,11 @@ def _authority(found: Verification) -> Plot:
         winds.append(limit(found.suite.wind_limit_mps, "wind asked for", colour="ink"))
     top = min(float(np.nanmax(wind[np.isfinite(wind)], initial=10.0)), 100.0)
     panels = [
-        Panel("gimbal per incidence, |M_alpha / M_delta|", [line(times, ratio)], "time, s", "deg/deg"),
+        Panel("gimbal per angle of attack, |M_alpha / M_delta|", [line(times, ratio)], "time, s", "deg/deg"),
         Panel("steady cross-wind that the gimbal trims", winds, "time, s", "m/s", y_range=(0.0, top)),
     ]
     caption = (
-        "Where a degree of incidence takes several of gimbal, wind uses up the gimbal angle before any stability "
+        "Where a degree of angle of attack takes several of gimbal, wind uses up the gimbal angle before any stability "
         "margin is lost."
     )
     return Plot("authority", "Gimbal authority", panels, caption)

@@ -1,4 +1,4 @@
-"""What `simverify` prints and writes: tables of requirements, ranking, verdict.json and the review pack."""
+"""The printed and written results of `simverify`: tables of requirements, ranking, verdict.json and the review pack."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
 
 
 def _summary(found: Verification) -> list[dict[str, Any]]:
-    """Of each part: what was asked, and how many requirements are met, rejected, undecided."""
+    """Return for each part its requirements, and the numbers met, rejected and undecided."""
     suite, margins = found.suite, found.suite.margins
     asked = {"scenarios": f"{len(found.flights)} flights, each within its limits"}
     if margins is not None:
@@ -354,7 +354,7 @@ def _worst(w: WorstVehicle) -> dict[str, Any]:
 
 
 def _measured(n: MeasuredNode) -> dict[str, Any]:
-    """Of flight code without a linear model."""
+    """Return the measurements of flight code without a linear model."""
     return {
         "time_s": n.time_s,
         "plane": n.plane,

@@ -109,13 +109,13 @@ def execute(
 
 
 def campaigns_of(loaded: suites.LoadedSuite, design: str, vehicle: str | None = None) -> list[Campaign]:
-    """What the suite's campaigns ask for, limits apart: these are fitted to the vehicle. Raises ScenarioError."""
+    """Return the suite's campaigns without their limits, which are fitted to the vehicle. Raises ScenarioError."""
     suite = loaded.suite.model_copy(update={"dispersed_limit": ()})
     return [load_wanted(replace(loaded, suite=suite), w, design, vehicle).campaign for w in suite.campaign]
 
 
 def folder_of(design: str, out: str | None, only: str | None, designs: int) -> Path:
-    """Where a design's pack goes; several designs get a folder each inside --out."""
+    """Return the folder of a design's pack; several designs get a folder each inside --out."""
     path = Path(design)
     name = path.parent.name if path.name == DESIGN_NAME else path.name.removesuffix(".toml")
     plain = plain_name(name, "design")

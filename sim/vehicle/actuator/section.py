@@ -49,7 +49,7 @@ class ActuatorAxis(Section):
 
 
 class YawActuator(Section):
-    """What differs in the yaw actuator; every key is optional."""
+    """The differences of the yaw actuator; every key is optional."""
 
     omega_hz: tuple[Positive, ...] | None = optional("natural frequencies, Hz")
     zeta: tuple[Positive, ...] | None = optional("damping ratios")

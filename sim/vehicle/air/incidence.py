@@ -1,9 +1,10 @@
-"""Aerodynamic coefficients over Mach number and incidence: forces and moments of the whole vehicle or of parts of it.
+"""Aerodynamic coefficients over Mach number and angle of attack: forces and moments of the whole vehicle or of parts of
+it.
 
 Coefficients of a table are referred to body axes (CX, CY, CZ and Cl, Cm, Cn about x, y, z), or to the aeroballistic
-ones: x, and z' in the plane of total incidence, on the side to which the vehicle moves through the air, y' across.
-Lift and drag (-CZ and -CX) are turned by the incidence in that plane. All tables are summed, each with the flow at
-its own station. Derivatives by the body rates are in body axes (docs/model.md, section 6).
+ones: x, and z' in the plane of total angle of attack, on the side to which the vehicle moves through the air, y'
+across. Lift and drag (-CZ and -CX) are turned by the angle of attack in that plane. All tables are summed, each with
+the flow at its own station. Derivatives by the body rates are in body axes (docs/model.md, section 6).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ N_ROLES = len(ROLES)
 
 @dataclass(frozen=True)
 class IncidenceTables:
-    """How many there are says `Sizes.tables`."""
+    """The tables over the angle of attack; `Sizes.tables` gives their number."""
 
     grid: GridRefs
     axis: Annotated[IntArray, (MAX_SURFACES, 3)]  # NO_AXIS ... BETA

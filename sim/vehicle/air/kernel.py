@@ -1,10 +1,10 @@
-"""Aerodynamic forces and moments over the full circle of incidence, by slopes over Mach number.
+"""Aerodynamic forces and moments over the full circle of angle of attack, by slopes over Mach number.
 
 With the velocity relative to the air (U, V, W) in B and rho S / 2 in front, the normal force of a lifting surface is
--CN_alpha |U| W_k, the cross-flow drag -C_c |(V, W)| W, the axial force -CA U |U|: for small incidence these are
+-CN_alpha |U| W_k, the cross-flow drag -C_c |(V, W)| W, the axial force -CA U |U|: for small angle of attack these are
 q S CN_alpha alpha and q S CA, at 90 degrees only the cross-flow is left, and nothing is undefined at rest
 (docs/model.md, section 6). W_k is the local cross flow: bending turns the surface (slope) and moves it (rate).
-Beside the slopes, or in their place, stand tables over Mach number and incidence (incidence.py).
+Beside the slopes, or in their place, stand tables over Mach number and angle of attack (incidence.py).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Aero:
     span_m: float  # roll moment and damping
     crossflow_station_m: float
     earth_rates: int  # 1: damping acts on rates relative to the Earth, 0: on inertial ones
-    local_incidence: int  # 1: bending changes the incidence of the surfaces
+    local_incidence: int  # 1: bending changes the angle of attack of the surfaces
     penetration: int  # 1: each part has the wind of its own place
     force_factor: float  # on CN_alpha and cross-flow
     axial_factor: float  # on CA and CD
@@ -91,7 +91,7 @@ def put_surface(kept: SurfaceLoad, force_y_N: float, force_z_N: float, slope: fl
 
 @kernel
 def air_acts(aero: Aero, air: AirData) -> bool:
-    """Whether there are aerodynamic forces: where the air is, above the floor of the airspeed."""
+    """Return True if there are aerodynamic forces: in the atmosphere, above the floor of the airspeed."""
     acts: bool = aero.on == 1 and air.density_kgpm3 > 0.0 and air.airspeed_mps >= aero.airspeed_floor_mps
     return acts
 
@@ -147,7 +147,7 @@ def body_loads(
 def surface_loads(
     aero: Aero, sizes: Counts, density: float, flow: Vector, properties: Array, modes: Modes, work: AeroWork
 ) -> tuple[Vector, Vector]:
-    """Normal force of the lifting surfaces with their local incidence; adds to the modes' generalised forces."""
+    """Normal force of the lifting surfaces with their local angle of attack; adds to the modes' generalised forces."""
     whole, row = 0.5 * density * aero.area_m2 * aero.force_factor, bare_pointer(work.mach_row)
     x_cg, y_cg, z_cg = properties[sch.CORE_CG], properties[sch.CORE_CG + 1], properties[sch.CORE_CG + 2]
     fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -213,7 +213,9 @@ def table_loads(
     modes: Modes,
     work: AeroWork,
 ) -> tuple[Vector, Vector]:
-    """Forces and moments of the tables over incidence about the core CG in B; adds to the modes' generalised forces."""
+    """Forces and moments of the tables over angle of attack about the core CG in B; adds to the modes' generalised
+    forces.
+    """
     lengths = (aero.span_m, aero.chord_m, aero.yaw_chord_m)
     reference_m = properties[sch.schedule_width(sizes) + sch.MOMENT_REFERENCE]
     cg = properties[sch.CORE_CG]

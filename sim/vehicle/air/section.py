@@ -46,7 +46,7 @@ def _nothing() -> CsvTable:
 
 
 class AeroSurface(Section):
-    """A lifting part, with its own incidence where the body bends."""
+    """A lifting part, with its own angle of attack where the body bends."""
 
     name: str = optional("name of the part", "")
     table: Annotated[CsvTable, SURFACE_COLUMNS] = Field(
@@ -55,17 +55,18 @@ class AeroSurface(Section):
 
 
 class Coefficients(Section):
-    """A table of coefficients over Mach number and incidence; all tables act together, beside the slopes."""
+    """A table of coefficients over Mach number and angle of attack; all tables act together, beside the slopes."""
 
     name: str = optional("name of the table", "")
     table: Annotated[CsvTable, COEFFICIENT_COLUMNS] = Field(
         description="one row for each combination of up to three of: mach; total_deg, the angle between x axis and "
         "flow, with roll_deg, atan2(v, w), or alpha_deg = atan2(w, u) and beta_deg = asin(v/V); outside it the end "
-        "values hold. Forces CA = -CX, CY, CN = -CZ, or drag CD and lift CL (turned by the incidence); moments Cl, Cm, "
+        "values hold. Forces CA = -CX, CY, CN = -CZ, or drag CD and lift CL (turned by the angle of attack); moments "
+        "Cl, Cm, "
         "Cn (span, chord, yaw chord) about the moment reference; Clp ... CNq per p span/2V, q chord/2V, r yaw chord/2V"
     )
     axes: Literal["body", "aeroballistic"] | None = optional(
-        "of forces and moments; aeroballistic: CN and Cm in the plane of total incidence, CY and Cn across it "
+        "of forces and moments; aeroballistic: CN and Cm in the plane of total angle of attack, CY and Cn across it "
         "(default with total_deg, else body)"
     )
     power: Literal["always", "on", "off"] = optional(
@@ -101,7 +102,9 @@ class Coefficients(Section):
             self._check_axis(grid)
 
     def _check_axis(self, grid: GridTable) -> None:
-        """Where the flow is along the axis, the plane of incidence is undefined: nothing may depend on it there."""
+        """Check that nothing depends on the plane of incidence where the flow is along the axis and that plane is
+        undefined.
+        """
         k = grid.axes.index("total_deg")
         total = grid.breaks[k]
         if total[0] > 0.0:
@@ -128,7 +131,7 @@ class Coefficients(Section):
 
 
 class AeroSection(Section):
-    """Coefficients over Mach number, and over incidence; outside the table the end values hold."""
+    """Coefficients over Mach number, and over angle of attack; outside the table the end values hold."""
 
     table: Annotated[CsvTable, AERO_COLUMNS] = Field(
         default_factory=_nothing,
@@ -157,12 +160,12 @@ class AeroSection(Section):
         "lifting parts; their sum is CN_alpha where the table has none", (), max_length=MAX_SURFACES
     )
     coefficients: tuple[Coefficients, ...] = optional(
-        "tables over Mach number and incidence", (), max_length=MAX_SURFACES
+        "tables over Mach number and angle of attack", (), max_length=MAX_SURFACES
     )
 
     @property
     def moment_reference(self) -> tuple[str, CsvTable]:
-        """What the moment reference depends on ("", "time_s", "mass_kg"), and its station over that."""
+        """Return the variable of the moment reference ("", "time_s", "mass_kg"), and its station over that."""
         for key, table in (("time_s", self.moment_reference_over_time), ("mass_kg", self.moment_reference_over_mass)):
             if table is not None:
                 return key, table

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def pack_allocation(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Allocation:
-    """Of a stage; a single group gets the law's commands as they are.
+    """Pack the allocation of a stage; a single group receives the law's commands unchanged.
 
     Moments are those about the CG at half of the burn, of the largest nominal thrusts in vacuum: a cluster's shares
     of each axis depend on little else. A fault counts from `reallocate_after_s` on.
@@ -48,14 +48,16 @@ def pack_allocation(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) ->
 
 
 def channel_scales_rad(stage: Stage) -> list[float]:
-    """Of pitch and yaw of each group: limit over the root of the number of engines, as each engine's effort counts."""
+    """Return the scales of pitch and yaw of each group: the limit over the root of the number of engines, since each
+    engine's effort counts.
+    """
     limits = limits_rad(stage) or [1.0] * (2 * len(stage.engine_groups))
     sizes = [sum(e.group == group and e.gimbal != "fixed" for e in stage.engines) for group in stage.engine_groups]
     return [max(limit, math.radians(1e-6)) / math.sqrt(sizes[k // 2]) for k, limit in enumerate(limits)]
 
 
 def limits_rad(stage: Stage) -> list[float]:
-    """Of the angles of pitch and yaw of each group's actuators; none of ideal ones."""
+    """Return the limits of the angles of pitch and yaw of each group's actuators; none for ideal ones."""
     return [math.radians(axis.angle_limit_deg) for actuator in stage.actuators for axis in actuator.axes]
 
 

@@ -81,7 +81,7 @@ class EngineFault:
     until_s: float
 
     def affects(self, number: int) -> bool:
-        """Whether an engine of this number fails."""
+        """Return True if an engine of this number fails."""
         return self.fault.engine in (None, number)
 
     def left(self, time_s: float, before: bool) -> float:
@@ -136,14 +136,14 @@ class TableClock:
         return out
 
     def slopes(self) -> BurnNumbers:
-        """Of the rate in each interval; the last rate stays."""
+        """Return the slopes of the rate in each interval; the last rate is held."""
         lengths = np.append(np.diff(self.time_s), np.inf)
         return np.asarray((self.rate[:, 1] - self.rate[:, 0]) / lengths)
 
 
 @dataclass(frozen=True)
 class Burn:
-    """One stage: its zero on the vehicle clock; burn-out and end on its own clock; None where the tables' clock is
+    """A stage's burn: its zero on the vehicle clock; burnout and end on its own clock; None where the tables' clock is
     the stage clock times `burn_rate`.
     """
 

@@ -130,7 +130,7 @@ def thrust_axis_motion(
 
 
 class Deflected(NamedTuple):
-    """One engine of this instant, in B (m)."""
+    """A deflected engine at this instant, in B (m)."""
 
     axis: Vector  # unit vector of the thrust
     gimbal: Vector  # gimbal point relative to the core CG
@@ -246,7 +246,7 @@ def flow_share(e: Engine, sizes: Counts, k: int, properties: Array) -> float:
 
 
 class GroupRow(NamedTuple):
-    """One group of engines, of a vehicle that has several."""
+    """The logged values of a group of engines, of a vehicle that has several."""
 
     gimbal_group_axis_command_deg: Annotated[PitchYaw, "deg", "command to the actuators"]
     gimbal_group_axis_angle_deg: Annotated[PitchYaw, "deg", "gimbal angle"]
@@ -268,7 +268,7 @@ def group_row(further_groups: int, group: int, command_rad: Array, engines: Engi
 
 
 class EngineRow(NamedTuple):
-    """One engine, of a vehicle that has several."""
+    """The logged values of an engine, of a vehicle that has several."""
 
     thrust_engine_N: Annotated[float, "N", "thrust at ambient pressure"]
 

@@ -35,13 +35,13 @@ class Alike:
 
     @property
     def curve(self) -> tuple[CsvTable, CsvTable | None, tuple[EngineFault, ...]]:
-        """What makes their thrust over time."""
+        """Return the table, the second table and the faults from which the thrust over time follows."""
         return self.one.table, self.one.throttle, self.faults
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """What the kernels are told of a stage's engines."""
+    """The description of a stage's engines for the kernels."""
 
     alike: tuple[Alike, ...]
     groups: tuple[str, ...]
@@ -51,7 +51,7 @@ class Cluster:
 
 @cached_by_identity
 def cluster_of(stage: Stage, faults: tuple[EngineFault, ...]) -> Cluster:
-    """Of a stage with an engine or without."""
+    """Return the cluster of a stage, with or without an engine."""
     alike: list[Alike] = []
     for n, engine in enumerate(stage.engines):
         same = engine.model_copy(update={"offset_m": (0.0, 0.0), "name": ""})
@@ -226,7 +226,9 @@ def thrust_slopes(e: Given) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 def _flow_per_newton(e: Given) -> float:
-    """Of the mean thrust; 1 where the engine's table does not say: then flow goes with thrust."""
+    """Return the mass flow per newton of the mean thrust; 1 where the engine's table has no flow, which then follows
+    the thrust.
+    """
     thrust: Array = e.table["thrust_vacuum_N"]
     if "mass_flow_kgps" not in e.table or not thrust.any():
         return 1.0

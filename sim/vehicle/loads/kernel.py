@@ -94,7 +94,7 @@ class SectionLoads:
 
 
 class Drivers(NamedTuple):
-    """What the line mass of an instant feels: inertial forces a kilogram, as they act (minus the acceleration), in B.
+    """The inertial forces on the line mass at an instant: forces per kilogram (minus the acceleration), in B.
 
     Along a station x they are (x, y, z) + (x_per_m, y_per_m, z_per_m) (x_cg - x), the moments y, z a kilogram.
     """
@@ -233,7 +233,9 @@ def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Aux, work: Work) -> tu
 
 @kernel
 def _surface_station(loads: Loads, surface: SurfaceLoad) -> float:
-    """Where a lifting part's force acts; within the body (a slope near zero has its centre anywhere)."""
+    """Return the station at which a lifting part's force acts, within the body (a slope near zero has its centre
+    anywhere).
+    """
     if surface.slope == 0.0:
         return loads.tail_m
     place: float = surface.slope_station_m / surface.slope

@@ -102,7 +102,7 @@ Position = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class _Bulk:
-    """What is read of the bulk data: grid points, their systems of displacement (CD), and CONM2 masses."""
+    """The parts of the bulk data that are read: grid points, their displacement systems (CD), and CONM2 masses."""
 
     grids: dict[int, Position]
     displaced_in: dict[int, int]
@@ -345,7 +345,8 @@ def _at_axis(given: NastranModes, on_axis: NDArray[np.int64]) -> tuple[Floats, F
 
 
 def _explains(given: NastranModes, on_axis: NDArray[np.int64], mass: Floats, rolling: Floats) -> bool:
-    """Whether these are all of the masses: their modes have the generalised masses of the file, within a factor of two.
+    """Return True if these are all of the masses: their modes have the generalised masses of the file, within a factor
+    of two.
 
     Without inertias about the axis, of the modes that do not twist.
     """

@@ -81,7 +81,7 @@ def mode_values(table: ModeTable, shape: tuple[int, int], at: Places) -> Array:
 
 
 def _softening(table: ModeTable, shapes: ModeShapes, mounts: tuple[Mount, ...]) -> Array:
-    """Of engines at several stations each station carries its share of the thrust."""
+    """Return the softening by the thrust of engines at several stations, each of which carries its share."""
     first, *others = (_softening_up_to(table, shapes, mount) for mount in mounts)
     for other in others:
         first = first + other

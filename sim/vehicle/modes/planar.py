@@ -41,19 +41,19 @@ class Bending:
     softening_factor: float  # 0 without axial softening
 
 
-PerMode = Annotated[Array, (2 * MAX_MODES,)]  # in pitch and then in yaw
+PerPlanarMode = Annotated[Array, (2 * MAX_MODES,)]  # in pitch and then in yaw
 
 
 @dataclass
 class PlanarMotion:
     """The modes in an evaluation of the derivative, zeros from a plane's last to the next multiple of four."""
 
-    force_N: PerMode  # generalised force
-    eta_m: PerMode  # modal coordinate: eta in pitch, xi in yaw
-    rate_mps: PerMode  # its time derivative
-    nu_mps: PerMode  # its quasi-velocity
-    accel_mps2: PerMode  # time derivative of the quasi-velocity
-    roll_m: PerMode  # acceleration per roll acceleration with engines deflected
+    force_N: PerPlanarMode  # generalised force
+    eta_m: PerPlanarMode  # modal coordinate: eta in pitch, xi in yaw
+    rate_mps: PerPlanarMode  # its time derivative
+    nu_mps: PerPlanarMode  # its quasi-velocity
+    accel_mps2: PerPlanarMode  # time derivative of the quasi-velocity
+    roll_m: PerPlanarMode  # acceleration per roll acceleration with engines deflected
 
 
 @dataclass
@@ -357,7 +357,7 @@ def gyroscopic_forces(
 
 
 class ModeRow(NamedTuple):
-    """One bending mode."""
+    """The logged values of a bending mode."""
 
     eta_mode_m: Annotated[float, "m", "modal coordinate (displacement of the gimbal)"]
     eta_mode_mps: Annotated[float, "m/s", "modal rate"]

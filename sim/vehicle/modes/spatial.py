@@ -28,7 +28,7 @@ SPATIAL_STATES = StateBlock(
 )
 NU_SPATIAL_STATES = StateBlock({"nu_spatial_{}_mps": "m/s"}, "spatial_modes")
 
-PerMode = Annotated[Array, (MAX_MODES,)]
+PerSpatialMode = Annotated[Array, (MAX_MODES,)]
 Load = tuple[float, float, float, float, float, float]  # force and moment of B, or displacement and rotation
 
 
@@ -39,23 +39,23 @@ def sum_of_loads(a: Load, b: Load) -> Load:
 
 @dataclass(frozen=True)
 class SpatialModes:
-    zeta: PerMode
-    frequency_factor: PerMode
+    zeta: PerSpatialMode
+    frequency_factor: PerSpatialMode
 
 
 @dataclass
 class SpatialMotion:
     """The modes in an evaluation of the derivative."""
 
-    force_N: PerMode  # generalised force
-    eta_m: PerMode  # modal coordinate
-    rate_mps: PerMode  # its time derivative
-    nu_mps: PerMode  # its quasi-velocity
-    accel_mps2: PerMode  # time derivative of the quasi-velocity
-    turned_m: PerMode  # A eta (eq. 4.7)
-    turned_rate_mps: PerMode  # A d(eta)/dt
-    momentum_Ns: PerMode  # what the moving engine adds to the modal momentum
-    roll_m: PerMode  # acceleration per roll acceleration with engines deflected
+    force_N: PerSpatialMode  # generalised force
+    eta_m: PerSpatialMode  # modal coordinate
+    rate_mps: PerSpatialMode  # its time derivative
+    nu_mps: PerSpatialMode  # its quasi-velocity
+    accel_mps2: PerSpatialMode  # time derivative of the quasi-velocity
+    turned_m: PerSpatialMode  # A eta (eq. 4.7)
+    turned_rate_mps: PerSpatialMode  # A d(eta)/dt
+    momentum_Ns: PerSpatialMode  # what the moving engine adds to the modal momentum
+    roll_m: PerSpatialMode  # acceleration per roll acceleration with engines deflected
 
 
 @routine
@@ -114,7 +114,7 @@ def _spatial_motion(sizes: Counts, properties: Array, place: int, quantity: Arra
 
 @kernel
 def roll_defect(sizes: Counts, properties: Array, place: int, quantity: Array, turned: Array) -> Load:
-    """Motion of a place per roll rate beyond what the quasi-velocities hold: (x cross Phi) eta - Phi A eta, eq. 4.8.
+    """Motion of a place per roll rate beyond what the quasi-velocities hold: (x cross Phi) eta - Phi A eta, eq. 4.9.
 
     `quantity`, `turned`: `eta_m` with `turned_m`, or their rates. Zero where the turned shapes are modes, too.
     """
@@ -181,7 +181,7 @@ def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, mode
 
 @routine
 def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, modes: SpatialMotion) -> Vector:
-    """Roll-rate coupling of the modes, and the moment of their angular momentum about x on the body (eq. 4.9).
+    """Roll-rate coupling of the modes, and the moment of their angular momentum about x on the body (eq. 4.8).
 
     `momentum_Ns` holds what moving engines add to the modal momenta.
     """

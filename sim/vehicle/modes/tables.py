@@ -129,7 +129,7 @@ class SpatialModeTable(_Modes):
         return np.asarray(np.where(unknown[:, :, None] | unknown[:, None, :], own, products))
 
     def lateral(self) -> tuple[ModeTable, ModeTable]:
-        """What the modes do along y and along z, as those of a yaw and of a pitch plane."""
+        """Return the motion of the modes along y and along z, as those of a yaw plane and of a pitch plane."""
         phi, theta = self.displacement, self.rotation_pm
         given = self.time_s, self.station_m, self.frequency_hz, self.generalized_mass_kg
         return (
@@ -276,7 +276,7 @@ def refuse_impossible(table: CsvTable, modes: ModeTable | SpatialModeTable, at: 
 
 
 def mode_warnings(modes: ModeTable | SpatialModeTable) -> list[str]:
-    """What is unlikely in a table, a sentence each."""
+    """Return a sentence for each unlikely value of a table."""
     out = []
     slope, deviation = _slopes(modes)
     if (deviation > SLOPE_DEVIATION).any():

@@ -57,7 +57,7 @@ class Sensor:
 
 
 def pack_sensors(stage: Stage, ideal: bool) -> tuple[Sensor, ...]:
-    """Of a stage: its rate gyros, then its accelerometer; padded with unused ones."""
+    """Pack the sensors of a stage: its rate gyros, then its accelerometer, padded with unused ones."""
     none = Sensor(RATE_GYRO, 0.0, 0.0, pack_gyro(None, ideal=True))
     out = [Sensor(RATE_GYRO, each.station_m, each.dropout, pack_gyro(each, ideal)) for each in stage.rate_gyro]
     given = stage.accelerometer
@@ -163,7 +163,7 @@ def force_at(
 
 
 class RateGyroRow(NamedTuple):
-    """One rate gyro beyond the first."""
+    """The logged values of a rate gyro beyond the first."""
 
     gyro_number_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "output of the gyro"]
     gyro_number_axis_counted_degps: Annotated[RollPitchYaw, "deg/s", "what the computer has of it: mean over a sample"]

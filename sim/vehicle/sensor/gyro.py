@@ -83,7 +83,9 @@ def sensed_rate(g: Gyro, rate: Vector) -> Vector:
 
 @kernel
 def after_fault(faults: Array, lost: int, output: float) -> float:
-    """What leaves a sensor's axis, rad/s or m/s2, where a healthy one would give `output`; `lost`: its first slot."""
+    """Return the output of a sensor's axis under faults, rad/s or m/s2, if a healthy one gives `output`; `lost`: its
+    first slot.
+    """
     if faults[ANY_FAULT] == 0.0:
         return output
     faulty: float = (1.0 - faults[lost]) * output + faults[lost + GYRO_ADDED - GYRO_LOST]
@@ -92,7 +94,7 @@ def after_fault(faults: Array, lost: int, output: float) -> float:
 
 @kernel
 def outputs_after_fault(faults: Array, lost: int, y: Array, first: int) -> Vector:
-    """Of the three axes of a sensor whose states begin at y[first] and whose slots at `lost`."""
+    """Return the three outputs of a sensor under faults; its states begin at y[first] and its slots at `lost`."""
     return (
         after_fault(faults, lost, y[first]),
         after_fault(faults, lost + 1, y[first + 2]),

@@ -29,7 +29,7 @@ from maxq.control.kernel.vectors import Vector, add, cross, dot, scaled, set_vec
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle.block import W_BI_B, Counts, Sizes, StateBlock
 from maxq.sim.vehicle.modes.planar import Modes, PlanarMotion, modal_sum, of_plane
-from maxq.sim.vehicle.modes.spatial import PerMode, roll_defect, spatial_motion
+from maxq.sim.vehicle.modes.spatial import PerSpatialMode, roll_defect, spatial_motion
 
 if TYPE_CHECKING:
     from maxq.sim.vehicle.modes.section import BendingSection
@@ -63,7 +63,7 @@ class TankWork:
     roll_bend_z_m: float
     bob_place_m: Annotated[Array, (3,)]  # relative to the core CG, B; this and the next only with `Slosh.exchange`
     bob_velocity_mps: Annotated[Array, (3,)]  # relative to the core CG, B
-    shapes_along_rod: PerMode  # of spatial modes at the hinge
+    shapes_along_rod: PerSpatialMode  # of spatial modes at the hinge
 
 
 Tanks = tuple[TankWork, ...]
@@ -152,7 +152,7 @@ def pendulum_loads(
         -properties[sch.CORE_CG + 2],
     )
     shift_y, shift_z, shift_rate_y, shift_rate_z, nu_y, nu_z = _bending_at_tank(sizes, tank, properties, modes.planar)
-    # velocity of the hinge by bending, with the rotation of the bent axis (docs/model.md, eq. 5.3)
+    # velocity of the hinge by bending, with the rotation of the bent axis (docs/model.md, eq. 5.1)
     bend = (q * shift_z - r * shift_y, nu_y, nu_z)
     asymmetry_y, asymmetry_z, asymmetry_rate_y, asymmetry_rate_z = 0.0, 0.0, 0.0, 0.0
     if slosh.planes_differ == 1:
@@ -223,7 +223,7 @@ def pendulum_loads(
 def wall_and_ring_damping(
     slosh: Slosh, tank: int, length: float, axial_load: float, rate: float, properties: Array
 ) -> float:
-    """Acceleration by a smooth wall and ring baffles, over the rate `rate` (rad/s) of the swing, m/s (5.7, 5.8).
+    """Acceleration by a smooth wall and ring baffles, over the rate `rate` (rad/s) of the swing, m/s (5.8).
 
     zeta = viscous / a^(1/4) + ring sqrt(swing), as 2 zeta omega L. The drag of a ring grows with the 3/2-th power of
     the velocity; RING_DRAG is what makes it dissipate, at any amplitude of a plane swing, as much as that ratio does.
@@ -388,7 +388,7 @@ def pendulum_derivative(
 
 
 class SloshRow(NamedTuple):
-    """One slosh pendulum."""
+    """The logged values of a slosh pendulum."""
 
     slosh_tank_pitch_deg: Annotated[float, "deg", "pendulum angle in the pitch plane"]
     slosh_tank_yaw_deg: Annotated[float, "deg", "pendulum angle in the yaw plane"]

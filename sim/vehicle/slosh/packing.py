@@ -39,7 +39,7 @@ _PASSING_S = 0.01  # half the time in which a ring leaves the liquid
 
 @dataclass(frozen=True)
 class Pendulum:
-    """One slosh mode of a tank over the stage clock."""
+    """A slosh mode of a tank over the stage clock."""
 
     name: str
     tank: Tank
@@ -56,12 +56,12 @@ class Pendulum:
 
     @property
     def breaking_height_m(self) -> float:
-        """Of the wave, as the tank says; 0: that of the linear theory."""
+        """Return the breaking height of the wave that the tank states; 0 selects that of the linear theory."""
         return (self.tank.breaking_height_m or 0.0) if self.mode == 1 else 0.0
 
     @property
     def has_law(self) -> bool:
-        """Whether a smooth wall or baffles damp it besides."""
+        """Return True if a smooth wall or baffles add damping."""
         return self.tank.viscosity_m2ps is not None or self.tank.baffles is not None
 
 

@@ -39,7 +39,7 @@ class Profile(NamedTuple):
         return np.asarray(np.sqrt(np.maximum(1.0 - low**2 - high**2, 0.0)))
 
     def volume(self, depth: Array) -> Array:
-        """Of the liquid, in cubes of the radius."""
+        """Return the volume of the liquid, in cubes of the radius."""
         in_bottom, above = np.minimum(depth, self.bottom), np.maximum(depth - self.bottom, 0.0)
         in_wall, in_top = np.minimum(above, self.wall), np.maximum(above - self.wall, 0.0)
         out = np.pi * in_wall
@@ -85,7 +85,7 @@ class Baffles(Section):
 
 
 class Tank(Section):
-    """One tank with a sloshing liquid: a spherical pendulum that hangs at its hinge, or two."""
+    """A tank with a sloshing liquid: a spherical pendulum that hangs at its hinge, or two."""
 
     name: ChannelPart = optional("name of the tank in logs (default: its number); a second pendulum is NAME_2", "")
     table: Annotated[CsvTable, TANK_COLUMNS] = Field(
@@ -124,12 +124,12 @@ class Tank(Section):
 
     @property
     def pendulums(self) -> int:
-        """How many slosh modes are flown."""
+        """Return the number of slosh modes that are flown."""
         return self.modes or (2 if SECOND_MODE[0] in self.table else 1)
 
     @property
     def shows_waves(self) -> bool:
-        """Whether the log has the height of its waves."""
+        """Return True if the log has the height of the tank's waves."""
         return self.shape is not None or self.baffles is not None or self.viscosity_m2ps is not None
 
     def _check(self) -> None:

@@ -47,7 +47,7 @@ _RADIAL = 7  # polynomials
 
 
 class SloshMode(NamedTuple):
-    """One mode at one depth; lengths in radii, mass in density times the cube of the radius."""
+    """A slosh mode at one depth; lengths in radii, mass in density times the cube of the radius."""
 
     kappa: float
     mass: float
@@ -160,7 +160,7 @@ def _wall(profile: Profile, low: float, high: float, points: int) -> tuple[Array
 
 
 class ModeAt(NamedTuple):
-    """One mode over many depths, as `SloshMode`, and its length; (depths,) each."""
+    """A slosh mode over many depths, as `SloshMode`, and its length; (depths,) each."""
 
     length: Array
     mass: Array

@@ -52,6 +52,7 @@ from maxq.sim.vehicle.engine.modes import Rates, engine_velocity, gimbal_rates, 
 from maxq.sim.vehicle.faults import ACTUATOR_FAULT, FLOATING
 from maxq.sim.vehicle.modes.planar import (
     Modes,
+    PerPlanarMode,
     add_multiple_of_modes,
     apply_gimbal_load,
     clear_modes,
@@ -59,8 +60,7 @@ from maxq.sim.vehicle.modes.planar import (
     modal_accelerations,
     product_of_modes,
 )
-from maxq.sim.vehicle.modes.planar import PerMode as PlanarPerMode
-from maxq.sim.vehicle.modes.spatial import PerMode, apply_spatial_load, spatial_motion
+from maxq.sim.vehicle.modes.spatial import PerSpatialMode, apply_spatial_load, spatial_motion
 
 TVC_LOADS = StateBlock(
     {
@@ -117,10 +117,10 @@ class Swing:
     alpha_radps2: Annotated[Array, (3,)]  # angular acceleration of the body
     known_Nm: float  # moment about the hinge without the accelerations sought
     inertia_kgm2: float  # about the hinge
-    planar_force_N: PlanarPerMode  # generalised forces on the modes, and the accelerations that they make
-    planar_accel_mps2: PlanarPerMode
-    spatial_force_N: PerMode
-    spatial_accel_mps2: PerMode
+    planar_force_N: PerPlanarMode  # generalised forces on the modes, and the accelerations that they make
+    planar_accel_mps2: PerPlanarMode
+    spatial_force_N: PerSpatialMode
+    spatial_accel_mps2: PerSpatialMode
 
 
 @dataclass
@@ -248,7 +248,7 @@ def prepare_loads(
 def _modal_forces(
     sizes: Counts, properties: Array, e: Engine, k: int, force: Vector, couple: Vector, swing: Swing
 ) -> None:
-    """Of a force at the CG of engine k at rest and a couple, at its gimbal (3.4)."""
+    """Return the modal forces of a force at the CG of engine k at rest and of a couple, at its gimbal (3.4)."""
     clear_modes(sizes, swing.planar_force_N)
     at_gimbal = load_at_gimbal(e, k, force, couple)
     apply_gimbal_load(sizes, properties, e.gimbal[k], at_gimbal, swing.planar_force_N)
@@ -320,7 +320,7 @@ class TvcLoadRow(NamedTuple):
 
 
 class SwingRow(NamedTuple):
-    """One engine, where several swing."""
+    """The logged values of a swinging engine, where several swing."""
 
     swing_load_axis_angle_deg: Annotated[PitchYaw, "deg", "angle of the engine"]
     actuator_load_axis_angle_deg: Annotated[PitchYaw, "deg", "position of its actuators, as an angle"]

@@ -24,7 +24,9 @@ class Aerodynamics:
     axial: float  # CA + CD
     drag: float  # CD: the part that acts along the wind; its slope across
     rate_damping: float  # Cmq, or Cnr in yaw; per rate times chord / (2 U)
-    slope_pr: Array  # CN_alpha of each surface, then of each table over incidence at the trim, 1/rad; then `beyond`
+    slope_pr: (
+        Array  # CN_alpha of each surface, then of each table over angle of attack at the trim, 1/rad; then `beyond`
+    )
     moment_slope_mpr: Array  # CN_alpha times station of each of them, m/rad
     rate_slope_m: Array  # the same by the turning rate: normal force per rho U S / 2, m
     rate_moment_m2: Array  # and times station, m2
@@ -41,7 +43,9 @@ class Aerodynamics:
         return (part, self.local_incidence) if part < first else (self.beyond[part - first], False)
 
     def modal_couples(self) -> tuple[Array, Array]:
-        """Moments about `couple_station_m` that turn the modes' slopes: by incidence (m/rad), by turning rate (m2)."""
+        """Moments about `couple_station_m` that turn the modes' slopes: by angle of attack (m/rad), by turning rate
+        (m2).
+        """
         at = np.nan_to_num(self.couple_station_m)
         acts = np.isfinite(self.couple_station_m)
         by_flow = acts * (self.slope_pr * at - self.moment_slope_mpr)
@@ -74,7 +78,7 @@ def aerodynamics_at(
     of_parts, beyond, forward = np.concatenate([parts, more.T], axis=1), (), 1.0
     axial, drag = row[aero.CA] + row[aero.CD], row[aero.CD]
     crossed: Array = np.zeros((2, 0))
-    if tables > 0 and any(trim):  # without tables incidence is taken as zero
+    if tables > 0 and any(trim):  # without tables angle of attack is taken as zero
         forward, side, down = np.cos(trim[0]) * np.cos(trim[1]), np.sin(trim[1]), np.sin(trim[0]) * np.cos(trim[1])
         own, other = (down, side) if plane == "pitch" else (side, down)
         of_parts[:2, :surfaces] *= forward
@@ -121,7 +125,7 @@ def aerodynamics_at(
 def _beyond(
     a: Any, row: Array, by_mach: Array, flow: tuple[float, float, float], plane: str, across: bool = False
 ) -> Array:
-    """Slopes and slopes times stations, (2, surfaces and one), of what incidence adds to those along the axis.
+    """Slopes and slopes times stations, (2, surfaces and one), of what angle of attack adds to those along the axis.
 
     Surfaces under a Mach number that moves with the flow, and the body's cross-flow and Cm0. `by_mach`: what the
     columns `row` of the Mach table change by per radian; `flow`: the unit vector of the velocity through the air,

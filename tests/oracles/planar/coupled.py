@@ -60,7 +60,7 @@ class Coupled:
         self.free = self.drives[0] + self.drives[1] - spring  # accelerations without what rides along x
 
     def _crossed(self) -> list[tuple[Array, Array, Array]]:
-        """Accelerations of each plane by the other's flow, in incidence: lateral, turning, of all its modes."""
+        """Accelerations of each plane by the other's flow, in angle of attack: lateral, turning, of all its modes."""
         out = []
         for plane, other, e in zip(self.planes, self.planes[::-1], self.embed[::-1], strict=True):
             air = plane.vehicle.aerodynamics
@@ -81,7 +81,8 @@ class Coupled:
         return np.asarray(np.linalg.solve(per_m, -push / one.vehicle.modes.generalized_mass_kg[: self.shared]))
 
     def _riding(self) -> tuple[Array, Array]:
-        """What liquid that rides along x adds to the modes' accelerations, and the change of each bob's pull, rows.
+        """Return the contribution of liquid that rides along x to the modes' accelerations, and the change of each
+        bob's pull, rows.
 
         The pull is the bob's mass times the acceleration of its hinge along x: by the body, by modes, by turning where
         the bent axis lies beside, less what a bob takes that swings under a lateral load.
@@ -101,7 +102,7 @@ class Coupled:
         return -per_force @ pull, pull
 
     def _beside(self, plane: Equations) -> Array:
-        """How far the hinges lie beside the axis where the modes are held (tanks,)."""
+        """Return the distances of the hinges from the axis where the modes are held (tanks,)."""
         return np.asarray(self.held @ plane.vehicle.modes.phi_hinge[: self.shared])
 
     def state_space(self) -> StateSpace:

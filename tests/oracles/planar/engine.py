@@ -48,7 +48,7 @@ class GimballedEngine:
 
     @property
     def slope(self) -> tuple[float, float]:
-        """What it changes by per radian."""
+        """Return the change per radian."""
         x, y, z = self.axis
         level = np.sqrt(1.0 - y * y)
         return (-z, x) if self.plane == "pitch" else (-y * x / level, level)

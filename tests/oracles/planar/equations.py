@@ -173,7 +173,9 @@ class Equations:
         return np.asarray(engine.gain * self.driven[of_drive(derivative, engine.drive)])
 
     def _motion(self, engine: GimballedEngine) -> list[tuple[tuple[float, float], Array, Array]]:
-        """Of each of its angles that matters: what the thrust axis changes by, the angle and its acceleration."""
+        """Return, for each of its angles that matters, the change of the thrust axis, the angle and its
+        acceleration.
+        """
         if engine.tvc_load is not None:
             mine = [k for k, swing in enumerate(self.loaded) if swing.engine is engine]
             return [(self.loaded[k].slope, self.swing[k], self.swing_accel[k]) for k in mine]
@@ -385,13 +387,17 @@ def swings_of(engine: GimballedEngine) -> list[Swing]:
 
 
 def outputs_of(vehicle: PlanarVehicle) -> tuple[str, ...]:
-    """Of a plane: OUTPUTS, then what further sensors measure, then bending moments at the vehicle's cuts."""
+    """Return the outputs of a plane: OUTPUTS, then the measurements of further sensors, then bending moments at the
+    vehicle's sections.
+    """
     stations = () if vehicle.cuts is None else vehicle.cuts.station_m.tolist()
     return (*OUTPUTS, *(name for name, _ in vehicle.sensors), *(moment_name(at) for at in stations))
 
 
 def inputs_of(vehicle: PlanarVehicle) -> tuple[str, ...]:
-    """Of a plane, by drive: the angle, and what else of its motion engines feel."""
+    """Return the inputs of a plane, by drive: the angle, and the further derivatives of its motion that act on
+    engines.
+    """
     out = []
     for drive in sorted({engine.drive for engine in vehicle.engines}):
         moved = [e for e in vehicle.engines if e.drive == drive]
@@ -403,7 +409,8 @@ def inputs_of(vehicle: PlanarVehicle) -> tuple[str, ...]:
 
 
 def mass_flow_momentum(vehicle: PlanarVehicle) -> tuple[float, float]:
-    """Of the mass flow through the core: lateral momentum P (kg m/s) and pitch damping (kg m2/s) per pitch rate.
+    """Return the momentum of the mass flow through the core: lateral momentum P (kg m/s) and pitch damping (kg m2/s)
+    per pitch rate.
 
     Reynolds' transport theorem with the Coriolis acceleration 2 w x v_rel of what flows through a turning vessel (W. T.
     Thomson, Introduction to Space Dynamics, ch. 7): m a = F - 2 w x P, P = m dc/dt + sum of outflow times place, and

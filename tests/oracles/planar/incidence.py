@@ -1,4 +1,4 @@
-"""Slopes of aerodynamic coefficients over incidence, at the flown trim.
+"""Slopes of aerodynamic coefficients over angle of attack, at the flown trim.
 
 The tables are those that the simulator flies, its equations are not: forces are written here once more, over numbers
 that carry their derivatives with respect to the velocity relative to the air, so that a slope is that of the
@@ -21,12 +21,12 @@ from maxq.sim.vehicle import schedule
 from maxq.sim.vehicle.air import incidence
 from maxq.sim.vehicle.air import kernel as aero
 
-_ALONG = 1e-10  # sine of the total incidence below which there is no plane of incidence
+_ALONG = 1e-10  # sine of the total angle of attack below which there is no plane of incidence
 
 
 @dataclass(frozen=True)
 class TableSlopes:
-    """Of one table of a vehicle, per rho S V / 2 (force; m: moment); the moment is that about `reference_m`.
+    """The slopes of a vehicle's table, per rho S V / 2 (force; m: moment); the moment is that about `reference_m`.
 
     Rows x, y, z of B; columns u, v, w (m/s) or p, q, r (rad/s). `force` is per rho S V^2 / 2. `by_mach`:
     what of the slopes by the flow goes through the Mach number, which is that at the CG whatever the flow at the table.
@@ -42,7 +42,8 @@ class TableSlopes:
     station_m: float  # where modes meet it
 
     def plane(self, plane: str) -> tuple[float, float, float, float]:
-        """What a planar model keeps: CN_alpha, CN_alpha times station (m), the same by the turning rate (m, m2).
+        """Return the values that a planar model keeps: CN_alpha, CN_alpha times station (m), the same by the turning
+        rate (m, m2).
 
         In the pitch plane that is Fz and My by w and q, in yaw Fy and Mz by v and -r; all else is dropped: the other
         plane's and the axial flow, and all that turns about x. Slopes are those by the flow at the table.
@@ -56,7 +57,7 @@ class TableSlopes:
         return slope, moment, float(by_rate), float(rate_moment)
 
     def plane_by_mach(self, plane: str) -> tuple[float, float]:
-        """What comes to the first two with the Mach number at the CG."""
+        """Return the changes of the first two with the Mach number at the CG."""
         return self._slopes(_axes_of(plane), *self.by_mach)
 
     def across(self, plane: str) -> tuple[float, float, float, float]:
@@ -75,7 +76,7 @@ class TableSlopes:
 
 
 def _axes_of(plane: str) -> tuple[int, int, float]:
-    """Of a plane: the axis across, that of turning, and its sign."""
+    """Return the axes of a plane: the axis across, that of turning, and its sign."""
     return (2, 1, 1.0) if plane == "pitch" else (1, 2, -1.0)
 
 
@@ -117,8 +118,8 @@ def table_slopes(
 ) -> list[TableSlopes]:
     """Slopes of each table of a packed, burning stage, in the order of the packed tables.
 
-    `properties` are the schedule's columns at `clock_s`. At zero incidence, where the plane of incidence is undefined,
-    the slopes are the mean of those on both sides. A table that acts with the engine off only has zeros.
+    `properties` are the schedule's columns at `clock_s`. At zero angle of attack, where the plane of incidence is
+    undefined, the slopes are the mean of those on both sides. A table that acts with the engine off only has zeros.
     """
     direction = np.array(
         [math.cos(alpha_rad) * math.cos(beta_rad), math.sin(beta_rad), math.sin(alpha_rad) * math.cos(beta_rad)]

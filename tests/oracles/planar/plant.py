@@ -9,7 +9,7 @@ dalembert_plant.py derives the corrected ones independently, by d'Alembert's pri
 
 The constant g cos(theta_0) acts on every particle alike and is left out: it bends the path (gravity turn). Gravity does
 no work on a free-free mode (erratum 3). Thrust T acts at the displaced gimbal along the bent axis, each lifting surface
-on its local incidence, drag along the wind; the engine behind the gimbal (I_E about it, first moment S = m_E l_E)
+on its local angle of attack, drag along the wind; the engine behind the gimbal (I_E about it, first moment S = m_E l_E)
 reacts to delta'' and hangs under the axial load (8). Its rate does not enter. Slosh damping is a force between bob and
 tank:
 

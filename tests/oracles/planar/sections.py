@@ -101,7 +101,7 @@ def bending_moments(e: Any, cuts: Cuts, lateral: Array, turning: Array, bending:
 
 
 def _of_tank(e: Any, k: int, station: float, bottom_m: float, here: Array) -> Array:
-    """Of the rod's pull, along the axis at the tank's bottom, and of the damper."""
+    """Return the moments of the rod's pull, along the axis at the tank's bottom, and of the damper."""
     bobs, phi = e.vehicle.pendulums, e.vehicle.modes.phi_hinge[:, k]
     hinge, bob, row = e.hinge_station_m[k], e.hinge_station_m[k] + bobs.length_m[k], 0.0 * here
     if hinge <= station:

@@ -40,7 +40,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Pendulums:
-    """One entry a slosh mode, tank by tank, (pendulums,)."""
+    """The slosh modes, tank by tank: arrays of one entry each, (pendulums,)."""
 
     mass_kg: Array
     mass_rate_kgps: Array
@@ -77,7 +77,7 @@ class Along:
 
 @dataclass(frozen=True)
 class Modes:
-    """One entry a mode, (modes,), and where shapes are met elsewhere (modes, places).
+    """The modes: arrays of one entry each, (modes,), and the shapes at further places (modes, places).
 
     phi is positive in +z (pitch) or +y (yaw); slopes are d(phi)/d(station), 1/m. The first `spatial` are spatial modes,
     with the part that they have in this plane, the same ones in both; then those of the plane.
@@ -150,7 +150,7 @@ class PlanarVehicle:
         return dataclasses.replace(self, body=body, engines=hung)
 
     def thrust_N(self, pressure_Pa: float) -> float:
-        """Of all engines at rest, along the body axis."""
+        """Return the thrust of all engines at rest, along the body axis."""
         first, *others = (engine.rest[0] * engine.thrust_N(pressure_Pa) for engine in self.engines)
         return first + sum(others) if others else first
 
@@ -181,7 +181,7 @@ def vehicle_at(
 ) -> PlanarVehicle:
     """Read a burning stage at `time_s` of its own clock and a Mach number.
 
-    `trim`: angles of attack and sideslip, rad, at which tables over incidence have their slopes.
+    `trim`: angles of attack and sideslip, rad, at which tables over angle of attack have their slopes.
     """
     one = _in_plane(packed, time_s, mach, plane, stage, trim)
     if one.modes.spatial == 0:

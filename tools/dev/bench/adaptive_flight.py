@@ -3,7 +3,7 @@ reference.
 
 Between two instants (computer sample, command, schedule breakpoint, ...) nothing switches; there the
 kernel's own derivative is handed to the adaptive method of order eight (Hairer, Norsett & Wanner, section
-II.5), which starts anew after each. The flight's instants themselves are met by the flight's own kernels.
+II.5), which starts again after each. The flight's instants themselves are met by the flight's own kernels.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How long a person waits for `simrun`, and how much memory a flight takes.
+"""Measure the waiting time for `simrun`, and the memory of a flight.
 
 Only the standard library is loaded here: the peak memory that the kernel reports for a child begins with
 its parent's.

@@ -114,7 +114,7 @@ def interpolated(zero: Array, value: Array, where: NDArray[np.bool_]) -> Array:
 def evolve(
     cost: Callable[[Array], float], lower: Array, upper: Array, seconds: float, seed: int
 ) -> tuple[Array, float]:
-    """Differential evolution for so much CPU time, begun anew where its population has shrunk to a point."""
+    """Differential evolution for so much CPU time, begun again where its population has shrunk to a point."""
     begun, rng = time.process_time(), np.random.default_rng(seed)
     best: tuple[Array, float] = (lower, np.inf)
 
@@ -132,7 +132,7 @@ def evolve(
 
 
 def adapt(cost: Callable[[Array], float], lower: Array, upper: Array, seconds: float, seed: int) -> tuple[Array, float]:
-    """CMA-ES for so much CPU time, begun anew with twice the population wherever it has converged."""
+    """CMA-ES for so much CPU time, begun again with twice the population wherever it has converged."""
     import cma  # noqa: PLC0415  # needed here only; comes with the extra "test"
 
     begun, rng, generation = time.process_time(), np.random.default_rng(seed), 0

@@ -24,7 +24,7 @@ from maxq.tools.dev.bench.adaptive_flight import AdaptiveFlight
 NS = 1_000_000_000
 END_NS = 59 * NS
 EVERY_NS = NS // 10  # where errors are looked at; a sample of the computer, so that no step is cut for it
-AFLOAT_NS = 1 * NS  # DOP853 takes over from the fine reference after lift-off
+AFLOAT_NS = 1 * NS  # DOP853 takes over from the fine reference after liftoff
 STEPS_NS = (5_000_000, 4_000_000, 2_000_000, 1_000_000, 500_000, 250_000, 125_000)
 FINEST_NS = 62_500
 RELATIVE = (1e-3, 1e-6, 1e-10)  # the last one is the reference
@@ -100,7 +100,7 @@ def differences(a: Array, b: Array, sizes: Any) -> dict[str, float]:
 
 
 def _errors(course: Course, reference: Course) -> dict[str, Any]:
-    """At burn-out and the largest on the way."""
+    """At burnout and the largest on the way."""
     if set(course.states) != set(reference.states):
         raise RuntimeError("two flights were looked at at different times")
     all_of = [differences(course.states[t], reference.states[t], course.sizes) for t in sorted(course.states)]
@@ -113,7 +113,7 @@ def _errors(course: Course, reference: Course) -> dict[str, Any]:
 
 
 def _sizes_of_motion(course: Course) -> dict[str, float]:
-    """How far the parts move in this flight: what the errors are to be compared with."""
+    """Return the sizes of the parts' motion in this flight, with which the errors are compared."""
     sizes, upright = course.sizes, np.array([-1.0, 0.0, 0.0])
     first, bobs = int(eta_index(sizes)), [int(pendulum_index(sizes, k)) for k in range(sizes.pendulums)]
     modes = [first + i for i in range(sizes.pitch_modes)]

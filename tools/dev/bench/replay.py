@@ -1,4 +1,4 @@
-"""How fast the replay is: `simreplay` from command to picture, conversion, memory, size, many flights. Prints JSON.
+"""Measure the replay: `simreplay` from command to picture, conversion, memory, size, many flights. Prints JSON.
 
 A picture comes from the headless viewer that the tests use; what a graphics card would do faster is drawn in software
 where there is none.

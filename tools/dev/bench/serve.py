@@ -1,5 +1,4 @@
-"""One flight per line: a worker waits for a line on its standard input, flies once and answers with a line
-of JSON.
+"""Fly once for each line: a worker reads a line from its standard input, flies and answers with a line of JSON.
 
 So the flights of several programs alternate in one run, each in a process of its own that stays warm.
 """

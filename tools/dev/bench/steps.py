@@ -88,7 +88,7 @@ def _row(flown: StepStudyFlight, exact: StepStudyFlight) -> dict[str, Any]:
 
 
 def _shares(flight: Flight, exact: Flight) -> Iterator[tuple[str, float]]:
-    """Of each metric its error as a share of what is required of it, or of itself."""
+    """Return the error of each metric as a share of its requirement, or of its value."""
     limits = {r.metric: abs(r.limit or r.minimum or 0.0) for r in exact.scenario.scenario.requirement}
     for name, value in exact.metrics.items():
         scale = limits.get(name) or abs(value)

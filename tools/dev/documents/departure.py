@@ -1,4 +1,4 @@
-"""Where, and by how much, the paper's continuous loop departs from the sampled one that flies."""
+"""Compare the paper's continuous loop with the sampled one that flies: places and sizes of the differences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the paper's continuous loop departs from the sampled one that flies, node by node.
+"""Tabulate the differences between the paper's continuous loop and the sampled one that flies, node by node.
 
     python -m maxq.tools.dev.documents.departure_table [FILE]
 

@@ -43,7 +43,7 @@ _EVENT_MEANINGS = {
     "apogee": "the altitude begins to fall for the first time",
     "impact": "the altitude falls below the ground: the lower of the site and sea level",
     "control_lost": CONTROL_LOST_CAUSE,
-    "tumble": "the total incidence exceeds 90 deg while the dynamic pressure exceeds 5 kPa",
+    "tumble": "the total angle of attack exceeds 90 deg while the dynamic pressure exceeds 5 kPa",
     FAULT_NAME: "a fault of the scenario begins; the text says which",
     FAULT_END_NAME: "it ends",
     WAVE_BREAKING_NAME: "a wave in a tank is as high as it can be (docs/model.md, section 5); the text says in which",
@@ -86,7 +86,7 @@ def metrics() -> str:
 
 
 def ranges() -> str:
-    """What numbers may be, by the names of keys and columns."""
+    """Return the ranges of numbers, by the names of keys and columns."""
     return "\n".join(_ranges())
 
 
@@ -103,7 +103,7 @@ def help_of(command: str) -> str:
 
 
 def _ranges() -> Iterator[str]:
-    """What numbers may be, by the names of keys and columns."""
+    """Yield the ranges of numbers, by the names of keys and columns."""
     yield "| names | least | most | why |"
     yield "|---|---|---|---|"
     for r in RANGES:
@@ -153,7 +153,7 @@ def _cell(text: str) -> str:
 
 
 def topics_markdown(table: ChannelTable) -> str:
-    """One section with a table per topic."""
+    """Return a section with a table for each topic."""
     sections = []
     for topic in table.topics:
         text = f"{topic.description}\n\n" if topic.description else ""

@@ -19,7 +19,7 @@ TIMES_S = tuple(float(t) for t in range(5, 60, 5))
 
 
 def row(c: NodeCertificate, passing: InFlightResponse) -> str:
-    """One line of the table: the largest differences of one node."""
+    """Return a line of the table: the largest differences of one node."""
     r = c.responses
     clean = np.isfinite(r.unrounded.real)
     above = clean & (np.abs(r.sampled) > 10.0**-2.5)

@@ -1,5 +1,5 @@
-"""How often the harness accepts a vehicle that fails too often, or rejects one that does not:
-`python -m maxq.tools.dev.verification.false_verdicts` writes the table of docs/verification.md (some minutes).
+"""Measure how often the harness accepts a vehicle that fails too often, or rejects one that does not: `python -m
+maxq.tools.dev.verification.false_verdicts` writes the table of docs/verification.md (some minutes).
 
 Synthetic vehicles, whose probability of failure is known: the phase margin of a dispersed vehicle, and a metric of a
 flight, are what the harness draws for it, turned so that exactly the share p lies beyond the limit. Everything else is

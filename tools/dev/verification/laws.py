@@ -26,7 +26,7 @@ from maxq.tools import simvehicle
 from maxq.tools.design import run_case
 from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 
-DOCUMENT = VERIFICATION.with_name("flight-software.md")
+DOCUMENT = VERIFICATION.parent / "flights" / "results.md"
 NODES = 3  # of a certificate
 NAMES = {"ksr3": "KSR-III", "petrel": "petrel"}
 HEAD = r"""| law | vehicle | least \|1 + L\| | certified | flight and linear margins apart | still air | limit wind |
@@ -118,7 +118,9 @@ def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
 
 
 def _certified(loaded: LoadedScenario, times_s: list[float], kept: Path) -> dict[str, Any]:
-    """What each node's certificate says, by time and plane; those that `kept` has and that agree are not made again."""
+    """Return the content of each node's certificate, by time and plane; those in `kept` that agree are not made
+    again.
+    """
     found = json.loads(kept.read_text()) if kept.exists() else {}
     for plane in PLANES:
         for node in operating_points.nodes(loaded, times_s, plane=plane):
@@ -162,7 +164,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", default="", help="rows with this word in vehicle or name")
-    parser.add_argument("--write", action="store_true", help="made rows into docs/flight-software.md, for its own")
+    parser.add_argument("--write", action="store_true", help="made rows into docs/flights/results.md, for its own")
     choice = parser.parse_args()
     folder = choice.folder.resolve()
     for vehicle, case in CASES.items():

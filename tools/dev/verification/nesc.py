@@ -28,7 +28,7 @@ HEADER = """\
 
 
 def row(case: str, scenario: str, flight: Flight, differences: list[LargestDifference]) -> str:
-    """One line of the table: the variable that comes nearest to its tolerance."""
+    """Return a line of the table: the variable that comes nearest to its tolerance."""
     worst = max(differences, key=lambda d: d.ratio)
     missed = sum(not d.ratio <= 1.0 for d in differences)
     step = flight.scenario.scenario.run.step_s

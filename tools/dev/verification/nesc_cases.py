@@ -43,7 +43,7 @@ class LargestDifference:
 
     @property
     def ratio(self) -> float:
-        """Of the difference to the tolerance: at most 1 where the case is met."""
+        """Return the ratio of the difference to the tolerance: at most 1 if the case is met."""
         return self.largest / self.tolerance
 
 

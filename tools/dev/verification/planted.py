@@ -13,13 +13,13 @@ from maxq.design import operating_points
 from maxq.design.certificate.certificate import NodeCertificate, certify_node
 from maxq.design.certificate.response import INCOHERENT, WITHIN_DB, WITHIN_DEG
 from maxq.sim.scenario.loader import load_scenario
-from maxq.tools.dev.verification.planted_faults import FAULTS, Fault
+from maxq.tools.dev.verification.planted_faults import FAULTS, PlantedFault
 from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 
 TIME_S = 40.0
 
 
-def row(fault: Fault, found: NodeCertificate) -> str:
+def row(fault: PlantedFault, found: NodeCertificate) -> str:
     """A row of the table."""
     r = found.responses
     off = [f"{e.what} {e.difference:+.3g} {e.unit}" for e in found.margins if not e.agrees]

@@ -1,7 +1,7 @@
 """Faults that are planted into the simulator to see whether the margin certificate finds them.
 
 Each alters what has been packed for a flight: the table of the vehicle, the records of its components, the computer.
-Nothing is compiled anew, and the linear model knows nothing of it. A fault is found where a line of the frequency
+Nothing is compiled again, and the linear model knows nothing of it. A fault is found where a line of the frequency
 response or a measured margin is off by more than is allowed without a reason that explains it.
 
 `size` says how large the mistake is. Signs and exchanged numbers have no size; of what has one, the mistake is small.
@@ -26,7 +26,7 @@ PITCH = schedule.PITCH
 
 
 @dataclass(frozen=True)
-class Fault:
+class PlantedFault:
     name: str
     where: str  # the coupling or part it touches
     plant: PackedChange
@@ -152,7 +152,7 @@ def _to_discrete(s: Array, c: float) -> Array:
 
 
 def _gains(rows: Callable[[Array], Array]) -> PackedChange:
-    """The gain table's columns (k_p pitch, k_d pitch, k_p yaw, k_d yaw) made anew from themselves."""
+    """The gain table's columns (k_p pitch, k_d pitch, k_p yaw, k_d yaw) made again from themselves."""
 
     def plant(packed: Packed) -> None:
         table = table_in(packed.pool, packed.parameters[0].computer.law.gains).coefficients
@@ -177,65 +177,73 @@ def _aero_moment_sign(packed: Packed) -> None:
 FIRST, SECOND, THIRD = slice(0, 1), slice(1, 2), slice(2, 3)
 ALL = slice(0, 3)
 
-FAULTS: tuple[Fault, ...] = (
-    Fault("mode 1 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, FIRST, -1.0)),
-    Fault("mode 2 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, SECOND, -1.0)),
-    Fault("mode 3 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, THIRD, -1.0)),
-    Fault("mode 1 at the gyro, 3 %", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, FIRST, 1.03)),
-    Fault("displacement at the gimbal, sign", "thrust -> bending", _mode(schedule.MODE_PHI_GIMBAL, ALL, -1.0)),
-    Fault("slope at the gimbal, sign", "engine -> bending", _mode(schedule.MODE_SLOPE_GIMBAL, ALL, -1.0)),
-    Fault("generalised mass of mode 1, 3 %", "bending", _mode(schedule.MODE_MASS, FIRST, 1.03)),
-    Fault("frequency of mode 1, 0.5 %", "bending", _mode(schedule.MODE_OMEGA, FIRST, 1.005)),
-    Fault("damping of the modes, 10 %", "bending", _times("vehicle.bending.zeta_pitch", 1.1)),
-    Fault("axial softening, sign", "axial load -> bending", _times("vehicle.bending.softening_factor", -1.0)),
-    Fault("axial softening left out", "axial load -> bending", _times("vehicle.bending.softening_factor", 0.0)),
-    Fault("shapes at the lox hinge, sign", "slosh <-> bending", _mode_at("tank", 0, -1.0)),
-    Fault("shapes at the fuel hinge, sign", "slosh <-> bending", _mode_at("tank", 1, -1.0)),
-    Fault("slopes at the fins, sign", "bending -> incidence", _mode_at("slope", 1, -1.0)),
-    Fault("shapes at the fins, sign", "air -> bending", _mode_at("shape", 1, -1.0)),
-    Fault("local incidence left out", "bending -> incidence", _set("vehicle.aero.local_incidence", lambda _: 0)),
-    Fault("thrust does not follow the bent gimbal", "bending -> thrust", _set("vehicle.follower_thrust", lambda _: 0)),
-    Fault(
+FAULTS: tuple[PlantedFault, ...] = (
+    PlantedFault("mode 1 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, FIRST, -1.0)),
+    PlantedFault("mode 2 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, SECOND, -1.0)),
+    PlantedFault("mode 3 at the gyro, sign", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, THIRD, -1.0)),
+    PlantedFault("mode 1 at the gyro, 3 %", "bending -> gyro", _mode(schedule.MODE_SLOPE_GYRO, FIRST, 1.03)),
+    PlantedFault("displacement at the gimbal, sign", "thrust -> bending", _mode(schedule.MODE_PHI_GIMBAL, ALL, -1.0)),
+    PlantedFault("slope at the gimbal, sign", "engine -> bending", _mode(schedule.MODE_SLOPE_GIMBAL, ALL, -1.0)),
+    PlantedFault("generalised mass of mode 1, 3 %", "bending", _mode(schedule.MODE_MASS, FIRST, 1.03)),
+    PlantedFault("frequency of mode 1, 0.5 %", "bending", _mode(schedule.MODE_OMEGA, FIRST, 1.005)),
+    PlantedFault("damping of the modes, 10 %", "bending", _times("vehicle.bending.zeta_pitch", 1.1)),
+    PlantedFault("axial softening, sign", "axial load -> bending", _times("vehicle.bending.softening_factor", -1.0)),
+    PlantedFault("axial softening left out", "axial load -> bending", _times("vehicle.bending.softening_factor", 0.0)),
+    PlantedFault("shapes at the lox hinge, sign", "slosh <-> bending", _mode_at("tank", 0, -1.0)),
+    PlantedFault("shapes at the fuel hinge, sign", "slosh <-> bending", _mode_at("tank", 1, -1.0)),
+    PlantedFault("slopes at the fins, sign", "bending -> angle of attack", _mode_at("slope", 1, -1.0)),
+    PlantedFault("shapes at the fins, sign", "air -> bending", _mode_at("shape", 1, -1.0)),
+    PlantedFault(
+        "local angle of attack left out",
+        "bending -> angle of attack",
+        _set("vehicle.aero.local_incidence", lambda _: 0),
+    ),
+    PlantedFault(
+        "thrust does not follow the bent gimbal", "bending -> thrust", _set("vehicle.follower_thrust", lambda _: 0)
+    ),
+    PlantedFault(
         "engine inertia left out",
         "engine -> body",
         _both(_times("vehicle.engine.gimballed_mass_kg", 0.0), _times("vehicle.engine.inertia_kgm2", 0.0)),
     ),
-    Fault(
+    PlantedFault(
         "engine inertia, 5 %",
         "engine -> body",
         _both(_times("vehicle.engine.gimballed_mass_kg", 1.05), _times("vehicle.engine.inertia_kgm2", 1.05)),
     ),
-    Fault("engine's CG forward of the gimbal", "engine -> body", _times("vehicle.engine.cg_from_gimbal_m", -1.0)),
-    Fault("hinges 5 cm aft", "slosh -> body", _tank(schedule.TANK_HINGE, shift=0.05)),
-    Fault(
+    PlantedFault(
+        "engine's CG forward of the gimbal", "engine -> body", _times("vehicle.engine.cg_from_gimbal_m", -1.0)
+    ),
+    PlantedFault("hinges 5 cm aft", "slosh -> body", _tank(schedule.TANK_HINGE, shift=0.05)),
+    PlantedFault(
         "sloshing mass, 5 %",
         "slosh -> body",
         _both(_tank(schedule.TANK_MASS, 1.05), _tank(schedule.TANK_MASS_RATE, 1.05)),
     ),
-    Fault("pendulum lengths, 1 %", "slosh", _tank(schedule.TANK_LENGTH, 1.01)),
-    Fault("slosh damping, 10 %", "slosh", _times("vehicle.slosh.damping_ratio", 1.1)),
-    Fault("aerodynamic moment, sign", "air -> body", _aero_moment_sign),
-    Fault("centre of pressure 10 cm aft", "air -> body", _set("vehicle.aero.centre_shift_m", lambda v: v + 0.1)),
-    Fault("normal force, 5 %", "air -> body", _times("vehicle.aero.force_factor", 1.05)),
-    Fault("rate damping, sign", "air -> body", _times("vehicle.aero.damping_factor", -1.0)),
-    Fault("jet damping left out", "mass flow -> body", _set("vehicle.jet_damping", lambda _: 0)),
-    Fault("thrust, 3 %", "engine -> body", _times("vehicle.engine.thrust_factor", 1.03)),
-    Fault("transverse inertia, 3 %", "body", _column(schedule.CORE_INERTIA + 1, 1.03)),
-    Fault("CG 10 cm aft", "body", _column(schedule.CORE_CG, shift=0.10)),
-    Fault("gimbal 10 cm forward", "engine -> body", _set("vehicle.engine.gimbal_station_m", lambda v: v - 0.1)),
-    Fault("a3 and a4 of the actuator exchanged", "actuator", _exchange_a3_a4),
-    Fault("damping ratio of the servo, 3 %", "actuator", _times("vehicle.actuator_pitch.zeta_1", 1.03)),
-    Fault("gyro's damping ratio, 20 %", "gyro", _times("vehicle.gyro.zeta", 1.2)),
-    Fault("gyro's scale, 3 %", "gyro", _set("vehicle.gyro.scale_y", lambda v: v + 0.03)),
-    Fault("delay 1 ms longer", "computer", _set("computer.delay_ns", lambda v: v + 1_000_000)),
-    Fault("no delay", "computer", _set("computer.delay_ns", lambda _: 0)),
-    Fault("command a sample late", "computer", _one_sample_late),
-    Fault("filter not pre-warped", "filter", _without_prewarping),
-    Fault("b0 of the first section, 2 %", "filter", _coefficient(0, 0, 1.02)),
-    Fault("a2 of the second section, 2 %", "filter", _coefficient(1, 4, 1.02)),
-    Fault("second section left out", "filter", _set("computer.law.n_sections", lambda v: v - 1)),
-    Fault("gains of the row before", "law", _gains(lambda g: g * (1.0 + 0.034 / 0.838))),
-    Fault("k_p and k_d exchanged", "law", _gains(lambda g: g[:, [1, 0, 3, 2]])),
-    Fault("k_d, sign", "law", _gains(lambda g: g * [1.0, -1.0, 1.0, 1.0])),
-    Fault("yaw's gains in pitch, 5 % apart", "law", _gains(lambda g: g * [1.05, 1.05, 1.0, 1.0])),
+    PlantedFault("pendulum lengths, 1 %", "slosh", _tank(schedule.TANK_LENGTH, 1.01)),
+    PlantedFault("slosh damping, 10 %", "slosh", _times("vehicle.slosh.damping_ratio", 1.1)),
+    PlantedFault("aerodynamic moment, sign", "air -> body", _aero_moment_sign),
+    PlantedFault("centre of pressure 10 cm aft", "air -> body", _set("vehicle.aero.centre_shift_m", lambda v: v + 0.1)),
+    PlantedFault("normal force, 5 %", "air -> body", _times("vehicle.aero.force_factor", 1.05)),
+    PlantedFault("rate damping, sign", "air -> body", _times("vehicle.aero.damping_factor", -1.0)),
+    PlantedFault("jet damping left out", "mass flow -> body", _set("vehicle.jet_damping", lambda _: 0)),
+    PlantedFault("thrust, 3 %", "engine -> body", _times("vehicle.engine.thrust_factor", 1.03)),
+    PlantedFault("transverse inertia, 3 %", "body", _column(schedule.CORE_INERTIA + 1, 1.03)),
+    PlantedFault("CG 10 cm aft", "body", _column(schedule.CORE_CG, shift=0.10)),
+    PlantedFault("gimbal 10 cm forward", "engine -> body", _set("vehicle.engine.gimbal_station_m", lambda v: v - 0.1)),
+    PlantedFault("a3 and a4 of the actuator exchanged", "actuator", _exchange_a3_a4),
+    PlantedFault("damping ratio of the servo, 3 %", "actuator", _times("vehicle.actuator_pitch.zeta_1", 1.03)),
+    PlantedFault("gyro's damping ratio, 20 %", "gyro", _times("vehicle.gyro.zeta", 1.2)),
+    PlantedFault("gyro's scale, 3 %", "gyro", _set("vehicle.gyro.scale_y", lambda v: v + 0.03)),
+    PlantedFault("delay 1 ms longer", "computer", _set("computer.delay_ns", lambda v: v + 1_000_000)),
+    PlantedFault("no delay", "computer", _set("computer.delay_ns", lambda _: 0)),
+    PlantedFault("command a sample late", "computer", _one_sample_late),
+    PlantedFault("filter not pre-warped", "filter", _without_prewarping),
+    PlantedFault("b0 of the first section, 2 %", "filter", _coefficient(0, 0, 1.02)),
+    PlantedFault("a2 of the second section, 2 %", "filter", _coefficient(1, 4, 1.02)),
+    PlantedFault("second section left out", "filter", _set("computer.law.n_sections", lambda v: v - 1)),
+    PlantedFault("gains of the row before", "law", _gains(lambda g: g * (1.0 + 0.034 / 0.838))),
+    PlantedFault("k_p and k_d exchanged", "law", _gains(lambda g: g[:, [1, 0, 3, 2]])),
+    PlantedFault("k_d, sign", "law", _gains(lambda g: g * [1.0, -1.0, 1.0, 1.0])),
+    PlantedFault("yaw's gains in pitch, 5 % apart", "law", _gains(lambda g: g * [1.05, 1.05, 1.0, 1.0])),
 )

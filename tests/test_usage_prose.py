@@ -1,0 +1,78 @@
+"""`make lint` counts faults of the English in pages, docstrings, comments and messages, and accepts no new ones."""
+
+from __future__ import annotations
+
+import ast
+
+import pytest
+
+from maxq.tools.dev.prose import CHECKS, Finding, Sources, complaints, lower
+
+PAGE = """# Title
+
+This sentence is short. The gyro stands in the nose, `which lies in code`.
+
+```console
+$ it stands in the code
+```
+
+| a cell beside another |
+"""
+MODULE = '''"""Whether a thing is so."""
+
+Pair = tuple[int, int]
+
+class Plane:
+    """Return what a sentence of thirty-one words needs: {words}."""
+
+    text = "this lies between two nodes"
+    short = "anew"
+    table = (1,
+             2)  # FMT: skip  # it is told
+'''
+MODULE = MODULE.replace("FMT", "fmt")  # the check reads this file, too
+OTHER = "Pair = tuple[int, int]\n\nPlane = dict[str, float]\n"
+
+
+def found(kind: str, **files: str) -> list[Finding]:
+    """Return what a check finds in a page and two modules."""
+    modules = {f"{name}.py": (text, ast.parse(text)) for name, text in files.items() if name != "page"}
+    pages = {"page.md": files["page"]} if "page" in files else {}
+    return list(CHECKS[kind](Sources(pages, modules)))
+
+
+def test_a_docstring_begins_with_a_verb() -> None:
+    assert found("first_words", module=MODULE) == [Finding("module.py:1", "Whether a thing is so.")]
+
+
+def test_banned_phrases_are_found_in_prose_comments_and_messages_but_not_in_code() -> None:
+    assert found("banned_phrases", page=PAGE, module=MODULE) == [
+        Finding("page.md:3", "stands in"),
+        Finding("page.md:9", "beside"),
+        Finding("module.py:8", "lies between"),
+        Finding("module.py:11", "is told"),
+    ]
+
+
+@pytest.mark.parametrize(("words", "number"), [(22, 0), (23, 1)])
+def test_a_sentence_has_at_most_thirty_words(words: int, number: int) -> None:
+    text = MODULE.format(words=" ".join(["word"] * words))
+    assert len(found("long_sentences", module=text)) == number
+
+
+def test_a_type_name_means_one_type() -> None:
+    assert found("type_names", module=MODULE, other=OTHER) == [Finding("module.py:5", "Plane: also other.py:3")]
+
+
+def test_places_that_the_formatter_skips_are_counted() -> None:
+    assert found("unformatted", module=MODULE) == [Finding("module.py:11", "fmt: skip  # it is told")]
+
+
+def test_a_number_must_equal_its_record_and_only_falls() -> None:
+    findings = {"up": [Finding("a", "b")] * 3, "down": [Finding("a", "b")], "equal": []}
+    recorded = {"up": 2, "down": 2, "equal": 0}
+    assert complaints(findings, recorded) == [
+        "up: 3, and 2 are recorded: mend the new ones (--list up)",
+        "down: 1 of 2 recorded are left: record it (--record)",
+    ]
+    assert lower("up = 2\ndown = 2\nequal = 0\n", findings, recorded) == "up = 2\ndown = 1\nequal = 0\n"

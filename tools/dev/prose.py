@@ -1,0 +1,250 @@
+"""Check what a program can check of the project's English: `python -m maxq.tools.dev.prose`, part of `make lint`.
+
+prose.toml, next to this file, records the number of findings of each kind and the banned phrases. The check fails if
+a number differs from its record. `--record` writes lower numbers, and never a higher one; `--list KIND` prints places.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+RECORD = Path(__file__).with_suffix(".toml")
+LONGEST_SUBJECT = 72  # characters of a commit's subject
+LONGEST_SENTENCE = 30  # words
+_FIRST_WORDS = {"What", "Whether", "Where", "How", "Of", "One", "Behind"}
+_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+_HISTORY = "CHANGELOG.md"  # lists former names and behaviour
+# Parts of Markdown that are no prose: front matter and fenced blocks, formulas, comments, code, targets of links.
+_NOT_PROSE = re.compile(r"(?ms)\A---\n.*?^---$|^ *(```|~~~|:::).*?^ *\1 *$|\$\$.*?\$\$|<!--.*?-->")
+_COMMENT = re.compile(r"(?:^\s*|  )# (.*)")
+_INLINE = re.compile(r"(?s)`+[^`]*`+|\$[^$\n]+\$|(?<=\])\([^)]*\)|<[^>\n]*>|https?://\S+")
+_SENTENCE_END = re.compile(r"(?<=[.!?:])\s+(?=[\"'(*]*[A-Z0-9`])|\n\s*\n|\n\s*(?=[-*|#>]|\d+\. )")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A place that breaks a rule."""
+
+    place: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Passage:
+    """A piece of prose: where it is, and whether it consists of sentences."""
+
+    place: str
+    words: str
+    in_sentences: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """The files of the repository: its Markdown pages, and its Python files with their syntax trees."""
+
+    pages: dict[str, str]
+    modules: dict[str, tuple[str, ast.Module]]
+
+    @classmethod
+    def of_repository(cls) -> Sources:
+        """Read every file that git tracks. Raises OSError and SyntaxError."""
+        listed = subprocess.run(
+            ["git", "ls-files", "--", "*.md", "*.py"], cwd=REPOSITORY, capture_output=True, text=True, check=True
+        )
+        texts = {
+            name: path.read_text(encoding="utf-8")
+            for name in listed.stdout.splitlines()
+            if (path := REPOSITORY / name).is_file()
+        }
+        return cls(
+            {name: text for name, text in texts.items() if name.endswith(".md") and name != _HISTORY},
+            {name: (text, ast.parse(text)) for name, text in texts.items() if name.endswith(".py")},
+        )
+
+
+@cache
+def strings(sources: Sources) -> tuple[tuple[str, str, bool], ...]:
+    """Return place and text of every string, and True for a docstring."""
+    found = []
+    for name, (_, tree) in sources.modules.items():
+        bare: set[int] = set()  # strings that are statements, such as docstrings
+        for node in ast.walk(tree):  # a parent comes before its children
+            if isinstance(node, _DOCUMENTED) and (text := ast.get_docstring(node)):
+                found.append((f"{name}:{node.body[0].lineno}", text, True))
+            elif isinstance(node, ast.Expr):
+                bare.add(id(node.value))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in bare:
+                found.append((f"{name}:{node.lineno}", node.value, False))
+    return tuple(found)
+
+
+def comments(source: str) -> Iterator[tuple[int, str]]:
+    """Yield line and text of every comment, which the formatter puts on its own line or two spaces behind code."""
+    for number, line in enumerate(source.splitlines(), 1):
+        if "#" in line and (found := _COMMENT.search(line)):
+            yield number, found[1]
+
+
+@cache
+def texts(sources: Sources) -> tuple[Passage, ...]:
+    """Return the prose of pages, docstrings, comments and messages (strings of at least three words outside tests)."""
+    return tuple(_texts(sources))
+
+
+def _texts(sources: Sources) -> Iterator[Passage]:
+    for name, page in sources.pages.items():
+        blanked = _NOT_PROSE.sub(lambda part: "\n" * part[0].count("\n"), page)
+        line = 1
+        for paragraph in re.split(r"(\n\s*\n)", _INLINE.sub(lambda part: "x" + "\n" * part[0].count("\n"), blanked)):
+            if paragraph.strip():
+                yield Passage(f"{name}:{line}", paragraph, not paragraph.lstrip().startswith("|"))
+            line += paragraph.count("\n")
+    for place, text, documents in strings(sources):
+        if documents:
+            yield Passage(place, _INLINE.sub("x", text), True)
+        elif len(text.split()) >= 3 and not place.startswith("tests/"):
+            yield Passage(place, text, False)
+    for name, (source, _) in sources.modules.items():
+        for line, comment in comments(source):
+            yield Passage(f"{name}:{line}", comment, False)
+
+
+def first_words(sources: Sources) -> Iterator[Finding]:
+    """Find the docstrings that begin with a word such as What or Whether in place of a verb."""
+    for place, text, documents in strings(sources):
+        if documents and text.split()[0].strip(",.:;") in _FIRST_WORDS:
+            yield Finding(place, text.splitlines()[0])
+
+
+def banned_phrases(sources: Sources) -> Iterator[Finding]:
+    """Find the phrases that the record bans."""
+    record = tomllib.loads(RECORD.read_text(encoding="utf-8"))
+    pattern = re.compile(r"\b(?:" + "|".join(record["banned"]) + r")\b", re.IGNORECASE)
+    for text in texts(sources):
+        for found in pattern.finditer(" ".join(text.words.split())):
+            if not text.place.startswith("tools/dev/prose."):
+                yield Finding(text.place, found[0])
+
+
+def sentences(sources: Sources) -> Iterator[tuple[str, str]]:
+    """Yield place and words of every sentence in pages and docstrings."""
+    for text in texts(sources):
+        if text.in_sentences:
+            for sentence in _SENTENCE_END.split(text.words):
+                if sentence and sentence.strip():
+                    yield text.place, " ".join(sentence.split())
+
+
+def long_sentences(sources: Sources) -> Iterator[Finding]:
+    """Find the sentences with more than LONGEST_SENTENCE words."""
+    for place, sentence in sentences(sources):
+        if len(re.findall(r"[^\W\d_][\w'-]*", sentence)) > LONGEST_SENTENCE:
+            yield Finding(place, sentence)
+
+
+def type_names(sources: Sources) -> Iterator[Finding]:
+    """Find the names of classes and aliases that mean more than one type. Aliases with equal definitions are one."""
+    places: dict[str, dict[str, str]] = defaultdict(dict)  # place of each definition of a name
+    for module, (_, tree) in sources.modules.items():
+        if not module.startswith(("tests/", "docs/", "examples/")):
+            for node in tree.body:
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    places[node.name][f"class of {module}"] = f"{module}:{node.lineno}"
+                elif isinstance(node, ast.Assign) and isinstance(node.value, ast.Subscript):
+                    if isinstance(alias := node.targets[0], ast.Name) and re.fullmatch(r"[A-Z][a-z]\w*", alias.id):
+                        places[alias.id][ast.unparse(node.value)] = f"{module}:{node.lineno}"
+    for name, definitions in sorted(places.items()):
+        if len(definitions) > 1:
+            first, *others = definitions.values()
+            yield Finding(first, f"{name}: also {', '.join(others)}")
+
+
+def unformatted(sources: Sources) -> Iterator[Finding]:
+    """Find the places that the formatter skips."""
+    for name, (source, _) in sources.modules.items():
+        for line, comment in comments(source):
+            if re.match(r"fmt: (skip|off)", comment):
+                yield Finding(f"{name}:{line}", comment)
+
+
+def long_subjects(sources: Sources) -> Iterator[Finding]:
+    """Find the commits whose subject has more than LONGEST_SUBJECT characters; none where there is no history."""
+    del sources
+    log = subprocess.run(["git", "log", "--format=%h %s"], cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    for line in log.stdout.splitlines():
+        commit, _, subject = line.partition(" ")
+        if len(subject) > LONGEST_SUBJECT:
+            yield Finding(commit, subject)
+
+
+CHECKS: dict[str, Callable[[Sources], Iterator[Finding]]] = {
+    "first_words": first_words,
+    "banned_phrases": banned_phrases,
+    "long_sentences": long_sentences,
+    "type_names": type_names,
+    "unformatted": unformatted,
+    "long_subjects": long_subjects,
+}
+
+
+def complaints(found: dict[str, list[Finding]], recorded: dict[str, int]) -> list[str]:
+    """Return a line for each kind whose number of findings is not that of the record."""
+    lines = []
+    for kind, findings in found.items():
+        number, before = len(findings), recorded[kind]
+        if number > before:
+            lines.append(f"{kind}: {number}, and {before} are recorded: mend the new ones (--list {kind})")
+        elif number < before:
+            lines.append(f"{kind}: {number} of {before} recorded are left: record it (--record)")
+    return lines
+
+
+def lower(record: str, found: dict[str, list[Finding]], recorded: dict[str, int]) -> str:
+    """Return the text of the record with the numbers that are lower now."""
+    for kind, findings in found.items():
+        if len(findings) < recorded[kind]:
+            record = re.sub(rf"(?m)^{kind} = \d+", f"{kind} = {len(findings)}", record)
+    return record
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Compare the findings with the record, print them, or lower the record."""
+    parser = argparse.ArgumentParser(prog="python -m maxq.tools.dev.prose", description="Check the project's English.")
+    parser.add_argument(
+        "--list", choices=CHECKS, metavar="KIND", help=f"print every finding of one of {', '.join(CHECKS)}"
+    )
+    parser.add_argument("--record", action="store_true", help="write the numbers that are lower than recorded")
+    given = parser.parse_args(arguments)
+    sources = Sources.of_repository()
+    if given.list:
+        for finding in CHECKS[given.list](sources):
+            print(f"{finding.place}: {finding.text}")
+        return 0
+    record: dict[str, Any] = tomllib.loads(RECORD.read_text(encoding="utf-8"))
+    found = {kind: list(check(sources)) for kind, check in CHECKS.items()}
+    if given.record:
+        RECORD.write_text(lower(RECORD.read_text(encoding="utf-8"), found, record["counts"]), encoding="utf-8")
+        record = tomllib.loads(RECORD.read_text(encoding="utf-8"))
+    number = sum(1 for _ in sentences(sources))
+    short = 1.0 - len(found["long_sentences"]) / number
+    print(f"{short:.1%} of {number} sentences have at most {LONGEST_SENTENCE} words")
+    wrong = complaints(found, record["counts"])
+    for line in wrong:
+        print(line, file=sys.stderr)
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
