@@ -27,7 +27,7 @@ def report(built: Built) -> str:
     parts = [[printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))]]
     for heading, note, rows in tables(built):
         less = [n for n, name in enumerate(rows[0]) if name in ("CG, m", "CP, m")]  # a narrow terminal goes without
-        parts.append([f"{heading.lower()} ({note})", *aligned(rows, "  ", right=numbers(rows[0]), drop=less)])
+        parts.append([heading.lower(), *aligned(rows, "  ", right=numbers(rows[0]), drop=less), f"  {note}"])
     parts += [[title, *(f"  {line}" for line in lines)] for title, lines in notes(built)]
     return "\n\n".join("\n".join(part) for part in parts)
 
