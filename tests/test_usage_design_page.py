@@ -91,7 +91,12 @@ def test_the_data_of_the_loops_are_all_there() -> None:
     loaded = load_scenario("nominal")
     assert loaded.design is not None
     judged = judge(operating_points.nodes(loaded, [20.0, 40.0]), loaded.design)
-    plot = explorer(judged, ["20 s", "40 s"], [Wanted()] * 2, ["pitch"] * 2)
+    limits = [Wanted({"gain_margin_db": 6.0, "phase_margin_deg": 30.0, "modulus_db": -6.0}), Wanted()]
+    plot = explorer(judged, ["20 s", "40 s"], limits, ["pitch"] * 2)
+    (zone,), (least,) = (plot.loops[0]["limits"][plane] for plane in ("nichols", "distance"))
+    assert (zone["x"].min(), zone["y"].max()) == (-210.0, 6.0)
+    assert least["value"] == pytest.approx(0.501, abs=1e-3)
+    assert plot.loops[1]["limits"] == {"nichols": [], "distance": []}
     rows = [line.split(",") for line in as_csv(plot).splitlines()]
     mine = [row for row in rows if row[0] == "40 s"]
     assert len(mine) == len(plot.loops[1]["x"])

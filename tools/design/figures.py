@@ -16,7 +16,7 @@ from maxq.design.verify.judging import Check, JudgedLoop, Wanted
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_vehicle import Vehicle
-from maxq.tools.design.open_loop import LOWEST_HZ, picture_of, unwrapped_deg
+from maxq.tools.design.open_loop import LOWEST_HZ, named, picture_of, unwrapped_deg
 from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, limit, line, look, loop, points, shape, thinned
 
 LOWEST_DB = -40.0  # of Bode and Nichols plots
@@ -32,11 +32,9 @@ _OUTLINE = np.radians(np.arange(0.0, 360.0, 6.0))
 
 
 def lobe_colours(judged: Sequence[JudgedLoop]) -> dict[str, str]:
-    """Return a colour for the name of each lobe: that of its first pole, the same at all operating points."""
-    every = {mark.text for j in judged for mark in picture_of(j, "").marks if mark.is_lobe}
-    poles = sorted({part for text in every for part in text.split(", ")})
-    of = {pole: COLOURS[1:][n % (len(COLOURS) - 1)] for n, pole in enumerate(poles)}
-    return {text: of[text.split(", ")[0]] for text in every}
+    """Return a colour for each pole with a lobe, the same at all operating points."""
+    poles = sorted({named(lobe) for j in judged for lobe in j.lobes})
+    return {pole: COLOURS[1:][n % (len(COLOURS) - 1)] for n, pole in enumerate(poles)}
 
 
 def open_loop(judged: JudgedLoop, colours: dict[str, str], name: str = "L", **more: Any) -> Series:
@@ -54,7 +52,7 @@ def open_loop(judged: JudgedLoop, colours: dict[str, str], name: str = "L", **mo
 
     for m in picture.marks:
         if m.is_lobe and abs(m.loop) > 10.0 ** (LOWEST_DB / 20.0):
-            mark(m.frequency_hz, m.loop, "lobe", m.text, colours[m.text])
+            mark(m.frequency_hz, m.loop, "lobe", m.text, colours[m.text.split(", ")[0]])
         elif m.text and not m.is_lobe:
             mark(m.frequency_hz, m.loop, "gain" if "dB" in m.text else "phase", m.text.split(",")[0], "limit")
     nearest = judged.margins.disks.sensitivity
@@ -131,7 +129,7 @@ def nichols_panel(every: Sequence[Series], zone: Sequence[Series], title: str) -
 
 
 def explorer(
-    judged: Sequence[JudgedLoop], names: Sequence[str], wanted: Sequence[Wanted], group: Sequence[str]
+    judged: Sequence[JudgedLoop], names: Sequence[str], wanted: Sequence[Wanted], planes: Sequence[str]
 ) -> Plot:
     """Return Bode, |1 + L|, Nichols and Nyquist plots of the open loop, with a slider over operating points.
 
@@ -139,22 +137,29 @@ def explorer(
         judged: loops, in the order of the slider.
         names: name of each operating point.
         wanted: limits of each.
-        group: plane of each, between which the reader chooses.
+        planes: name of the plane of each, between which the reader chooses.
     """
     colours = lobe_colours(judged)
     size = [j.margins.modulus if j.margins.stable else -1.0 for j in judged]
     loops = [
-        open_loop(j, colours, name, group=which, at=j.time_s, text=margins_text(j), first=size[n] == min(size))
-        for n, (j, name, which) in enumerate(zip(judged, names, group, strict=True))
+        open_loop(
+            j,
+            colours,
+            name,
+            group=plane,
+            at=j.time_s,
+            text=margins_text(j),
+            first=size[n] == min(size),
+            limits={"nichols": zone_of(limits), "distance": _least(limits)},
+        )
+        for n, (j, name, limits, plane) in enumerate(zip(judged, names, wanted, planes, strict=True))
     ]
     gain, phase = bode_panels(loops)
-    least_db = wanted[0].constant("modulus_db")
-    least = [] if least_db is None else [limit(10.0 ** (least_db / 20.0), "limit")]
     reach = min(max(1.5, *(1.05 * _drawn_in(float(np.max(s["y"]))) for s in loops)), _FARTHEST)
     nyquist = Panel("Nyquist", [], x_range=(-reach, reach), y_range=(-reach, reach), plane="nyquist", equal=True)
-    distance = Panel("distance to -1", least, "frequency, Hz", "|1 + L|", gain.x_range, (0.0, 2.0), log_x=True)
+    distance = Panel("distance to -1", [], "frequency, Hz", "|1 + L|", gain.x_range, (0.0, 2.0), log_x=True)
     distance.plane = "distance"
-    nichols = nichols_panel(loops, zone_of(wanted[0]), "Nichols")
+    nichols = nichols_panel(loops, [], "Nichols")
     for panel, height in ((gain, 175), (phase, 175), (distance, 175), (nichols, 255), (nyquist, 332)):
         panel.height = height
     caption = (
@@ -166,12 +171,22 @@ def explorer(
     return Plot("loop", "Open loop", panels, caption, 2, 175, loops=loops, split=3)
 
 
+def _least(wanted: Wanted) -> list[Series]:
+    least_db = wanted.constant("modulus_db")
+    return [] if least_db is None else [limit(10.0 ** (least_db / 20.0))]
+
+
 def _drawn_in(level_db: float) -> float:
     size = 10.0 ** (level_db / 20.0)
     return 1.0 + math.log(size) if size > 1.0 else size
 
 
 # limits
+
+
+def is_stability(check: Check) -> bool:
+    """Return True for a check of stability alone, which has no margin."""
+    return check.key.endswith(("unstable_poles", "unstable")) or check.key.startswith("total_")
 
 
 def relative_margin(check: Check) -> Array:
@@ -183,7 +198,7 @@ def relative_margin(check: Check) -> Array:
 
 def limits_over_flight(checks: Sequence[Check]) -> list[Plot]:
     """Return the margin to each limit over the flight, and each limited quantity with its limit."""
-    found = [c for c in checks if np.isfinite(c.time_s).all() and not c.key.endswith(("unstable_poles", "unstable"))]
+    found = [c for c in checks if np.isfinite(c.time_s).all() and not is_stability(c)]
     if not found:
         return []
     relative, apart = list[Series](), dict[str, list[Check]]()

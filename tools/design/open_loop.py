@@ -10,6 +10,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.certificate.response import decibels
 from maxq.design.margins.distances import Zone
+from maxq.design.margins.lobes import Lobe
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.judging import JudgedLoop
 
@@ -40,13 +41,18 @@ class LoopPicture:
     zones: Sequence[Zone] = ()
 
 
+def named(lobe: Lobe) -> str:
+    """Return the name of a lobe's pole for people."""
+    return lobe.label.replace("bending ", "mode ")
+
+
 def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> LoopPicture:
     """Return the loop at an operating point: lobes, and crossings of 0 dB and of the negative real axis."""
     margins, curve = judged.margins, judged.margins.curve
     f, loop = smooth(judged.loop.response, curve.frequency_hz, curve.loop)
     marks: list[Mark] = []
     for lobe in judged.lobes:
-        at, text = np.array([lobe.peak_hz]), lobe.label.replace("bending ", "mode ")
+        at, text = np.array([lobe.peak_hz]), named(lobe)
         if marks and abs(marks[-1].frequency_hz / lobe.peak_hz - 1.0) < 1e-3:  # two pendulums that swing as one
             text = f"{marks.pop().text}, {text}"
         marks.append(Mark(lobe.peak_hz, complex(judged.loop.response(at)[0]), text))

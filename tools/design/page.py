@@ -111,7 +111,7 @@ def write_page(path: Path, shown: DesignPage) -> Path:
     """Write the page. Raises FileError."""
     word, _, said = shown.verdict.partition(": ")
     checks = [replace(c, text=_named(g.stage, c.text)) for g in shown.groups for c in g.checks]
-    bounded = [c for c in checks if not c.key.endswith(("unstable_poles", "unstable"))]
+    bounded = [c for c in checks if not c.passed or not drawn.is_stability(c)]
     first = sorted(bounded, key=lambda c: (c.passed, _nearest(c)))[:_TIGHTEST]
     page = render(
         "design.html.j2",
@@ -163,7 +163,7 @@ def _cells(check: Check) -> tuple[str, str, str, str]:
 
 def _row(check: Check) -> tuple[str, ...]:
     limit, value, left, at = _cells(check)
-    if check.key.endswith(("unstable_poles", "unstable")):
+    if drawn.is_stability(check):
         limit, value, left = "none", f"{float(check.values[check.worst]):g}" if not check.passed else "none", ""
     return check.text, limit, value, left, "" if value == "none" else at, _outcome(check)
 
@@ -178,12 +178,12 @@ def _plots(shown: DesignPage) -> list[Plot]:
     judged, names, wanted, planes = list[JudgedLoop](), list[str](), list[Wanted](), list[str]()
     mine = [(g.stage, j) for g in shown.groups for j in g.judged]
     stages = {j.node.stage: stage for stage, j in mine}
-    for own, some in ((True, [j for _, j in mine]), (False, list(shown.others))):
+    for some in ([j for _, j in mine], shown.others):
         for j in sorted(some, key=lambda j: j.time_s):
             stage, plane = stages[j.node.stage], str(j.node.plane) if shown.others else "pitch and yaw"
             judged.append(j)
             names.append(", ".join(filter(None, (f"{j.time_s:g} s", stage, plane))))
-            wanted.append(shown.wanted(j.node.stage) if own or shown.others else Wanted())
+            wanted.append(shown.wanted(j.node.stage))
             planes.append(plane)
     checks = [c for g in shown.groups for c in g.checks]
     return [

@@ -53,7 +53,7 @@
     if (plane === "gain") out.push({ kind: "limit", colour: "grey", name: "0 dB", value: 0, seen: true });
     if (plane === "phase") for (let k = -12; k < 4; k++) out.push({ kind: "limit", colour: "grey", dash: "2 2", name: "-180 deg and whole turns from it", value: 360 * k - 180, seen: false });
     if (plane === "nichols" || plane === "nyquist") out.push({ kind: "points", colour: "ink", mark: "+", name: "-1", x: [plane === "nichols" ? -180 : -1], y: [0] });
-    out.push(curve);
+    out.push(...(s.limits && s.limits[plane] || []), curve);
     for (const m of s.marks) {
       const p = to(m.x, m.y, m.y2), whole = 360 * Math.round((m.y2 + 180) / 360) - 180, way = [...Array(13).keys()].map((k) => m.y2 + (whole - m.y2) * k / 12);
       const dot = { kind: "points", colour: m.colour, name: "", x: [p[0]], y: [p[1]], labels: [plane === "phase" ? "" : m.name], read: () => `${m.name}\n${shown(m.x, 3)} Hz, ${m.y.toFixed(1)} dB` };
@@ -431,7 +431,7 @@
     const look = (s) => [s.kind, s.colour, s.dash, s.width, s.mark, s.fill].join(), meant = new Map(), have = figure.panels.map(named).filter((some) => some.length);
     const apart = have.some((some) => some.some((s) => (meant.has(look(s)) ? meant : meant.set(look(s), s.name)).get(look(s)) !== s.name))
       || have.some((some) => have.some((other) => other !== some && !some.some((s) => other.some((t) => t.name === s.name))));
-    if (apart && cells.length > 1) cells.forEach((c) => key(c.cell, [c.panel], figure));
+    if (apart && cells.length > 1 && !figure.loops.length) cells.forEach((c) => key(c.cell, [c.panel], figure));
     else key(parent, figure.panels, figure);
   }
 

@@ -99,7 +99,8 @@ def loop(hz: Any, level_db: Any, phase_deg: Any, name: str, marks: Sequence[Seri
     """An open loop L over frequency, its phase without jumps, drawn in the `plane` of its panel.
 
     `marks`: points with `x`, `y`, `y2` as those of the loop, `what` ("lobe", "gain", "phase", "least") and `name`.
-    Of a figure's `loops` also `group` and `at`, by which a reader chooses it, and `text`, shown for it.
+    Of a figure's `loops` also `group` and `at`, by which a reader chooses it, its `text`, and `limits`: series by
+    plane.
     """
     return {"kind": "loop", "name": name, "x": hz, "y": level_db, "y2": phase_deg, "marks": list(marks)} | more
 
