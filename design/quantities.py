@@ -101,11 +101,11 @@ def _in_db(ratio: float) -> float:
 
 
 class CommonLimits(Section):
-    """Limits that cases, design files and suites can set; a key that is absent sets none."""
+    """Limits that cases, design files and suites can set; an absent key sets none."""
 
     gain_margin_db: Annotated[
         Positive | None, Quantity("gain margin", "gain dB", "dB", ">=", lambda j, _: j.margins.gain_db)
-    ] = optional("gain margin over all crossings, the lesser of upper and lower, dB")
+    ] = optional("smaller of the upper and lower gain margins, dB")
     phase_margin_deg: Annotated[
         Degrees | None, Quantity("phase margin", "phase deg", "deg", ">=", lambda j, _: j.margins.phase_deg.value)
     ] = optional("phase margin over all crossings, deg")
@@ -114,7 +114,7 @@ class CommonLimits(Section):
     ] = optional("modulus margin: least |1 + L|, dB")
     first_mode_db: Annotated[
         float | None, Quantity("peak of mode 1", "mode 1 dB", "dB", "<=", lambda j, _: j.mode_peak_db(1, 1))
-    ] = optional("peak of mode 1, dB: the largest |L| at its frequency, as far as it is the mode's own")
+    ] = optional("peak of mode 1, dB: the largest |L| at its frequency, the mode's share only")
     second_mode_db: Annotated[
         float | None, Quantity("peak of mode 2", "mode 2 dB", "dB", "<=", lambda j, _: j.mode_peak_db(2, 2))
     ] = optional("peak of mode 2, dB; likewise")
@@ -128,11 +128,11 @@ class CommonLimits(Section):
     ] = optional("largest peak of modes 3 and above, dB; likewise")
     first_mode_phase_deg: Annotated[
         Degrees | None, Quantity("phase margin at mode 1", "mode 1 deg", "deg", ">=", lambda j, _: j.mode_phase_deg(1))
-    ] = optional("phase margin over the crossings of 0 dB that belong to mode 1, deg")
+    ] = optional("phase margin at the crossings of 0 dB by mode 1, deg")
     rigid_hz: Annotated[
         PositiveOverTime | None,
         Quantity("rigid-body frequency", "rigid Hz", "Hz", ">=", lambda j, by: j.rigid(by.rigid_body)[0]),
-    ] = optional("frequency of the rigid-body motion, Hz; a table {time_s, value} for one over the vehicle clock")
+    ] = optional("frequency of the rigid-body motion, Hz; or a table {time_s, value} over the vehicle clock")
     rigid_zeta: Annotated[
         PositiveOverTime | None,
         Quantity("rigid-body damping ratio", "rigid zeta", "", ">=", lambda j, by: j.rigid(by.rigid_body)[1]),
@@ -140,7 +140,7 @@ class CommonLimits(Section):
 
 
 class LoopLimits(CommonLimits):
-    """Limits of a suite; a key that is absent sets none."""
+    """Limits of a suite; an absent key sets none."""
 
     renamed: ClassVar[dict[str, str]] = {
         "aero_gain_db": "gain_down_db", "phase_deg": "rigid_phase_deg", "higher_modes_db": "modes_from_2_db",
@@ -149,25 +149,25 @@ class LoopLimits(CommonLimits):
     gain_up_db: Annotated[
         Positive | None,
         Quantity("upper gain margin", "gain up dB", "dB", ">=", lambda j, _: j.margins.gain_up_db.value),
-    ] = optional("upper gain margin: gain that may be added, over all crossings, dB")
+    ] = optional("upper gain margin: gain increase to the stability limit, dB")
     gain_down_db: Annotated[
         Positive | None,
         Quantity("lower gain margin", "gain down dB", "dB", ">=", lambda j, _: j.margins.gain_down_db.value),
-    ] = optional("lower gain margin: gain that may be taken away, over all crossings, the aerodynamic one included, dB")
+    ] = optional("lower gain margin: gain decrease to the stability limit, including the aerodynamic one, dB")
     rigid_phase_deg: Annotated[
         Degrees | None,
         Quantity("phase margin, rigid body", "rigid deg", "deg", ">=", lambda j, _: j.margins.rigid_phase_deg.value),
-    ] = optional("phase margin over the crossings outside bending lobes, deg")
+    ] = optional("phase margin at the crossings outside bending lobes, deg")
     delay_ms: Annotated[
         Positive | None, Quantity("delay margin", "delay ms", "ms", ">=", lambda j, _: 1e3 * j.margins.delay_s.value)
     ] = optional("delay margin over all crossings, ms")
     slosh_phase_deg: Annotated[
         Degrees | None,
         Quantity("phase margin of slosh", "slosh deg", "deg", ">=", lambda j, by: j.slosh_phase_deg(by.slosh_peak_db)),
-    ] = optional("phase margin of slosh lobes that peak above slosh_peak_db, deg")
-    slosh_peak_db: float = optional("slosh below this needs no phase, dB", -6.0)
+    ] = optional("phase margin of slosh lobes with a peak above slosh_peak_db, deg")
+    slosh_peak_db: float = optional("peak below which slosh needs no phase margin, dB", -6.0)
     rigid_body: RigidBody = optional(
-        "rigid_hz and rigid_zeta by eqs 35, 36 of the paper, or with M_alpha and M_q in them", "paper"
+        "rigid_hz and rigid_zeta by eqs 35 and 36 of the paper, or including M_alpha and M_q", "paper"
     )
 
 

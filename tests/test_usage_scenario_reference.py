@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from maxq.tools import simrun
-from maxq.tools.dev.documents.reference import fill, keys
+from maxq.tools.dev.documents.reference import fill, keys, pages
 from maxq.tools.schemas import KINDS, json_schema
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -23,9 +23,24 @@ def test_the_reference_has_every_key_of_every_kind() -> None:
         if kind == "campaign":
             own -= set(json_schema("scenario")["properties"])
         assert own <= set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)), kind
-        assert fill(f"a\n<!-- from code: keys {kind} -->\nb") == f"a\n{text}\nb"
     with pytest.raises(KeyError):
         fill("<!-- from code: nosuch -->")
+
+
+def test_tables_are_put_between_their_marks_once() -> None:
+    page = "a\n<!-- from code: events -->\nb\n<!-- from code: metrics -->\nc\n"
+    filled = fill(page)
+    assert fill(filled) == filled
+    assert filled.startswith("a\n<!-- from code: events -->\n\n| event |")
+    assert "\n<!-- end of code -->\nb\n<!-- from code: metrics -->\n\n| metric |" in filled
+    assert filled.endswith("\n<!-- end of code -->\nc\n")
+    assert fill(filled.replace("`apogee`", "`summit`")) == filled
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.stem)
+def test_tables_of_the_pages_are_those_of_the_code(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert fill(text) == text, "python -m maxq.tools.dev.documents.reference --write"
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -19,7 +19,7 @@ from maxq.tools.vehicle.layout import Layout
 class DesignFile(Design):
     """A file in designs/."""
 
-    basis: Basis | None = optional("what the law was designed under; of the design without stages, or of all stages")  # type: ignore[assignment]  # a table to sim
+    basis: Basis | None = optional("conditions of the design; without stages, or for all stages")  # type: ignore[assignment]  # a table to sim
 
 
 MODELS: dict[str, type[Section]] = {

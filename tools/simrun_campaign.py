@@ -283,7 +283,10 @@ def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | 
     unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
     level, allowed = 100.0 * campaign.campaign.confidence, 1.0 - campaign.campaign.success
     tell(f"P({metric} {'>' if largest else '<'} {limit:g}{unit}) = {found.probability:.2g}")
-    tell(f"at least {found.low:.2g} and at most {found.high:.2g}, each with {level:g} % confidence")
+    if found.undecided:
+        tell(f"no bound is known: {found.undecided}")
+    else:
+        tell(f"at least {found.low:.2g} and at most {found.high:.2g}, each with {level:g} % confidence")
     spent = f"{found.flights} flights in {len(found.each)} populations, {time.perf_counter() - start_s:.0f} s"
     tell(spent + (f"; by plain sampling {found.crude:.2g} flights for the same error" if found.crude > 0.0 else ""))
     sign = 1.0 if largest else -1.0
@@ -292,16 +295,14 @@ def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | 
         for n, one in enumerate(found.each)
     ]
     tell("each, and the values that one flight in ten of the level before is beyond:", *aligned(rows, "  ", right=(1,)))
-    if any(one.stuck for one in found.each):
-        tell("a population came to a value that no flight went beyond: bounds from below are not known")
     if found.nearest is not None:
         tell(*_nearest(campaign, place, metric, found.nearest))
-    verdict, code = "open", Exit.UNDECIDED
+    verdict, code = "undecided", Exit.UNDECIDED
     if found.high <= allowed:
         verdict, code = MET, Exit.OK
     elif found.low > allowed:
         verdict, code = NOT_MET, Exit.FAILED
-    tell(f"allowed are {allowed:.2g}: {verdict}, by an estimate that knows the ways to fail that it came upon")
+    tell(f"allowed are {allowed:.2g}: {verdict} (an estimate, which covers only the failure modes that it found)")
     return code
 
 

@@ -161,7 +161,7 @@ class AdaptiveRow(NamedTuple):
     """The logged values of adaptive augmenting control."""
 
     total_gain_axis: Annotated[PitchYaw, "1", "total gain of adaptive augmenting control"]
-    reference_error_axis_deg: Annotated[PitchYaw, "deg", "attitude error less that of the reference model"]
+    reference_error_axis_deg: Annotated[PitchYaw, "deg", "attitude error minus that of the reference model"]
     damper_axis_deg: Annotated[PitchYaw, "deg", "root of the spectral damper: rms of the command above the high-pass"]
 
 

@@ -107,7 +107,7 @@ class LoadReliefRow(NamedTuple):
     k_a_axis_s2pm: Annotated[PitchYaw, "s2/m", "gain of the lateral acceleration; 0 without load relief"]
     relief_axis_deg: Annotated[PitchYaw, "deg", "load relief's share of the law's output"]
     incidence_estimate_axis_deg: Annotated[
-        PitchYaw, "deg", "estimated angle of attack; 0 without load relief by angle of attack"
+        PitchYaw, "deg", "estimated angle of attack; 0 without the law incidence-relief"
     ]
 
 

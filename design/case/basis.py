@@ -25,8 +25,9 @@ LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "
 BetweenTimes = tuple[float, float]
 BetweenNodes = Literal["ignore", "hold"]
 BETWEEN = (
-    "hold: instants between the nodes that are worse by 0.02 dB or 0.1 deg are searched and become nodes, until "
-    "none is found; with [robust] for dispersed plants too; ignore: limits at the nodes only, as in the paper"
+    "hold: instants between the operating points that are worse by 0.02 dB or 0.1 deg become operating points, until "
+    "none is found; with [robust] also for dispersed plants; ignore: limits at the operating points only, as in the "
+    "paper"
 )
 WIND_KEYS = ("q_alpha_Padeg", "drift_mps", "bending_moment")
 """Limits that need a wind."""
@@ -46,7 +47,7 @@ def check_rising(values: tuple[float, ...], key: str) -> None:
 
 
 class SectionLimit(Section):
-    """A station and the bending moment that is allowed there."""
+    """A station and its limit of the bending moment."""
 
     station_m: float = Field(description="one of the stage's loads.stations_m, m aft of the nose")
     rms_Nm: Positive = Field(description="largest rms in the wind of [wind], N m")
@@ -65,18 +66,18 @@ class LoadLimits(CommonLimits):
 
 
 class DesignLimits(LoadLimits):
-    """Limits that a law was designed to; a key that is absent sets none."""
+    """Limits of a design; an absent key sets none."""
 
     zone: ZoneName = optional(
-        "keep L out of a zone around -1 in the Nichols plane, half axes gain_margin_db, phase_margin_deg", "none"
+        "exclusion zone of L around -1 in the Nichols plane, half axes gain_margin_db, phase_margin_deg", "none"
     )
     filter_gain_at_infinity: Positive | None = optional("P^F, largest |F(j inf)| (46)")
     integral_hz: Positive | None = optional(
-        "law pid: least corner k_i / (2 pi k_p) of the integral, Hz (default of a case: a tenth of rigid_hz)"
+        "law pid: lowest corner k_i / (2 pi k_p) of the integral, Hz (default of a case: a tenth of rigid_hz)"
     )
-    most_integral_hz: Positive | None = optional("law pid: largest corner of the integral, Hz (default: none)")
+    most_integral_hz: Positive | None = optional("law pid: highest corner of the integral, Hz (default: none)")
     rigid_body: RigidBody = optional(
-        "frequency and damping ratio by (35), (36), or with M_alpha and M_q in them (erratum 12)", "paper"
+        "rigid-body frequency and damping ratio by (35) and (36), or including M_alpha and M_q (erratum 12)", "paper"
     )
 
     def _check(self) -> None:
@@ -98,33 +99,33 @@ class MarginLimits(LoadLimits):
 
     gain_margin_db: Positive = optional("GM_R (44): customary, the paper gives none", 6.0)
     phase_margin_deg: Degrees = optional("PM_R (45): customary, the paper gives none", 30.0)
-    second_mode_db: float = optional("P2_UL (43): as low as the gain margin asks; not in the paper", -6.0)
+    second_mode_db: float = optional("P2_UL (43): as low as the gain margin requires; not in the paper", -6.0)
     rigid_hz: PositiveOverTime = optional(
-        "omega_RB,min (47): what the paper's reference design was held to; a table {time_s, value} for one over the "
-        "vehicle clock, linear between its times",
+        "omega_RB,min (47): limit of the paper's reference design; or a table {time_s, value} over the vehicle clock, "
+        "linear between its times",
         0.5,
     )
     rigid_zeta: PositiveOverTime = optional("zeta_RB,min (48): likewise", 0.7)
-    without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ())
+    without: tuple[LIMIT_NAMES, ...] = optional("limits to omit", ())
 
 
 class Limits(MarginLimits, DesignLimits):
-    """Limits of the nominal plants, and those of filter and method."""
+    """Limits of the nominal plants, of the filter and of the method."""
 
     filter_gain_at_infinity: Positive = optional(
-        "P^F, largest |F(j inf)| (46): 1, a filter that amplifies no noise; not in the paper", 1.0
+        "P^F, largest |F(j inf)| (46): 1 for a filter that does not amplify noise; not in the paper", 1.0
     )
 
 
 class CaseWind(Section):
-    """Lateral wind that load and drift are limited in: a spectrum of MIL-F-8785C."""
+    """Lateral wind for the limits of load and drift: a spectrum of MIL-F-8785C."""
 
     sigma_mps: Positive = Field(description="intensity, m/s")
     length_v_m: Positive = optional("scale length, m", 533.0)
     model: Literal["dryden", "von-karman"] = optional("form of the spectrum", "dryden")
     band_hz: BetweenTimes = optional(
-        "frequencies that count, from 0.02 Hz to less than half the sample rate: shears lie below some tenths of one, "
-        "where a law can give way; bending modes count if they lie within",
+        "frequency band, from 0.02 Hz to less than half the sample rate: wind shears are below some tenths of 1 Hz, "
+        "where a law can relieve loads; bending modes are included if the band contains them",
         (0.02, 5.0),
     )
 
@@ -133,16 +134,16 @@ class CaseWind(Section):
 
 
 class DispersedLimits(MarginLimits):
-    """Limits of the dispersed plants: half the nominal ones, as is practice."""
+    """Limits of the dispersed plants: customarily half the nominal ones."""
 
     gain_margin_db: Positive = optional("customary: half the nominal one", 3.0)
     phase_margin_deg: Degrees = optional("customary: half the nominal one", 15.0)
-    second_mode_db: float = optional("as low as the gain margin asks", -3.0)
-    without: tuple[LIMIT_NAMES, ...] = optional("limits that are not asked for", ("rigid_hz", "rigid_zeta"))
+    second_mode_db: float = optional("as low as the gain margin requires", -3.0)
+    without: tuple[LIMIT_NAMES, ...] = optional("limits to omit", ("rigid_hz", "rigid_zeta"))
 
 
 class Robust(Spread):
-    """Plants other than the nominal one for which the design must hold: half ranges, shares unless a unit is named.
+    """Dispersed plants for which the design must hold: half ranges, relative unless a unit is named.
 
     Every mode and every tank by itself. The defaults are 3-sigma ranges after a modal survey: bending 5, 10, 15 %,
     slopes 20 %. Plants are corners at which all deviate at once: n deviations of one sigma each are sqrt(n) sigma away.
@@ -151,21 +152,23 @@ class Robust(Spread):
 
     where: ClassVar[tuple[str, str]] = ("case", "robust")
 
-    corner_sigmas: Annotated[float, Field(gt=0.0, le=3.0)] = optional("each deviation at a corner, sigma", 2.0)
+    corner_sigmas: Annotated[float, Field(gt=0.0, le=3.0)] = optional(
+        "deviation of each parameter at a corner, sigma", 2.0
+    )
     bending_damping: Shares = optional("of each mode", 0.0)
-    delay_s: NotNegative = optional("either way, s; never below no delay", 0.005)
+    delay_s: NotNegative = optional("in both directions, s; the delay is never negative", 0.005)
     rounds: Annotated[int, Field(ge=1, le=50)] = optional(
-        "times that the worst plants are searched, added, and the design is made again", 8
+        "rounds of searching the worst plants, adding them and designing again", 8
     )
     limits: DispersedLimits = DispersedLimits()
 
 
 class Basis(Section):
-    """The plant, the loop, the operating points and the limits that a law was designed under."""
+    """The plant, the loop, the operating points and the limits of a design."""
 
     scenario: str = optional("name of the scenario whose flight gave the operating points", "")
     plant: Literal["flown", "table2"] = optional(
-        "the scenario's vehicle, or with derivatives that span the paper's Table 2", "flown"
+        "flown: the scenario's vehicle; table2: with derivatives that span the paper's Table 2", "flown"
     )
     errata: Literal["corrected", "paper"] = optional("the paper's model corrected or as printed", "corrected")
     loop: Literal["pade", "sampled", "exact"] = optional(
@@ -173,8 +176,7 @@ class Basis(Section):
     )
     plane: Literal["pitch", "yaw"] = optional("plane of the model", "pitch")
     nodes_s: tuple[float, ...] | None = optional(
-        "vehicle times at which the limits are checked, s (default: chosen from the flight, in every stage under full "
-        "thrust)"
+        "vehicle times of the operating points, s (default: chosen from the flight, in every stage under full thrust)"
     )
     between_nodes: BetweenNodes = optional(BETWEEN, "ignore")
     wind: CaseWind | None = optional("absent: no limits of load and drift")

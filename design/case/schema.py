@@ -46,12 +46,12 @@ class CaseGains(Section):
     """The gain schedules."""
 
     schedule: Literal["two-phase", "linear", "free", "nodes"] = optional(
-        "two-phase: the least linear ones that meet [reference], found before the filter (paper, 5.1); "
-        "linear: values at the first and last node, or at the least and the largest value there of what the gains are "
-        "over (Subcase 1); free: at every node (Subcase 2); nodes: at nodes_s, or nodes",
+        "two-phase: the smallest linear gains that meet [reference], found before the filter (paper, 5.1); linear: "
+        "values at the first and last operating point, or at the extremes of the scheduling variable (Subcase 1); "
+        "free: at every operating point (Subcase 2); nodes: at nodes_s, or nodes",
         "linear",
     )
-    over: Over = optional("what the gains are scheduled over, as the column of a design's table says it", "time_s")
+    over: Over = optional("scheduling variable, named as the column of a design's table", "time_s")
     nodes_s: tuple[float, ...] | None = optional("vehicle times of the gain table, s; with nodes")
     nodes: tuple[float, ...] | None = optional("rows of the gain table over anything but time, in its unit; with nodes")
 
@@ -68,7 +68,7 @@ class CaseGains(Section):
 
 
 class FilterBounds(Section):
-    """Bounds of the filter's variables (50), Hz where a frequency; the paper gives none.
+    """Bounds of the filter's variables (50), frequencies in Hz; the paper gives none.
 
     They matter. Frequencies begin well above the rigid body's crossover: lower ones would change the gains that (35)
     and (36) reckon with, and an optimiser makes use of that (with roots from 1 Hz, F4 came 8 dB lower as a lag
@@ -77,13 +77,12 @@ class FilterBounds(Section):
 
     zero_hz: BetweenTimes = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
     zero_zeta: BetweenTimes = optional(
-        "a notch of 0.01 is optimal on paper and brittle; one of 0.1 keeps 10 of its 14 dB where a mode is 10 % off",
+        "a notch of 0.01 is optimal in the model but sensitive; one of 0.1 keeps 10 of its 14 dB for a mode 10 % off",
         (0.1, 1.2),
     )
     pole_hz: BetweenTimes = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
     pole_zeta: BetweenTimes = optional(
-        "below 0.3 a filter amplifies by more than 4 dB at its own resonance, and rings; above 1 the roots are real",
-        (0.3, 1.2),
+        "below 0.3 a filter amplifies by more than 4 dB at its resonance; above 1 the roots are real", (0.3, 1.2)
     )
     first_order_zero_hz: BetweenTimes = optional("of first-order sections", (2.0, 200.0))
     first_order_pole_hz: BetweenTimes = optional("of first-order sections", (2.0, 200.0))
@@ -97,7 +96,7 @@ class FilterSections(Section):
     """A filter's form."""
 
     structure: DesignedStructure = optional(
-        "of the paper (37 to 41), or sections: as many as quadratic and first_order say", "F4"
+        "F2 to F6: of the paper (37 to 41); sections: numbers given by quadratic and first_order", "F4"
     )
     quadratic: int | None = optional("number of quadratic sections; with sections", ge=0)
     first_order: int | None = optional("number of first-order sections; with sections", ge=0)
@@ -118,17 +117,19 @@ class CaseFilter(FilterSections):
     """The bending filter's form."""
 
     prewarp_hz: Positive | None = optional(
-        "where the discrete filter equals the continuous one, Hz; default: mean first bending frequency"
+        "frequency at which the discrete filter equals the continuous one, Hz (default: mean frequency of mode 1)"
     )
     bounds: FilterBounds = FilterBounds()
 
 
 class CaseLoopFilters(Section):
-    """Filters of what the law works on, each loop by itself, with the bounds and prewarping of [filter]."""
+    """Filters of the inputs of the law, by loop, with the bounds and prewarping of [filter]."""
 
-    attitude: FilterSections | None = optional("of the attitude error")
-    rate: FilterSections | None = optional("of the (blended) rate")
-    acceleration: FilterSections | None = optional("of the lateral acceleration, before its lag; with load relief")
+    attitude: FilterSections | None = optional("filter of the attitude error")
+    rate: FilterSections | None = optional("filter of the (blended) rate")
+    acceleration: FilterSections | None = optional(
+        "filter of the lateral acceleration, before its lag; with load relief"
+    )
 
     @property
     def each(self) -> tuple[tuple[int, int], ...]:
@@ -142,14 +143,13 @@ class ObjectiveSection(Section):
     renamed: ClassVar[dict[str, str]] = {"band": ""}
 
     kind: ObjectiveName = optional(
-        "first-mode-peak: least peak of mode 1 over all nodes (42). least-margin: largest of the least "
-        "|1 + L|; for plants whose first mode wanders so far that it is better phase-stabilised than notched. load, "
-        "bending-moment: least rms of q alpha, or of the bending moment, over all nodes in the wind of [wind], against "
-        "drift and margins as limits",
+        "over all operating points; first-mode-peak: smallest peak of mode 1 (42); least-margin: largest least "
+        "|1 + L|, for plants whose mode 1 varies too much for a notch; load, bending-moment: smallest rms of q alpha, "
+        "or of the bending moment, in the wind of [wind], with drift and margins as limits",
         "first-mode-peak",
     )
     stations_m: tuple[float, ...] | None = optional(
-        "where the bending moment is made small, of the stage's loads.stations_m (default: at all of them); with "
+        "stations of the bending moment to minimise, of the stage's loads.stations_m (default: all); with "
         "bending-moment"
     )
 
@@ -160,10 +160,10 @@ class ObjectiveSection(Section):
 
 
 class ReferencePhase(Section):
-    """Phase 1 of the two-phase design: the least gains linear in time that meet these."""
+    """Phase 1 of the two-phase design: the smallest gains linear in time that meet these limits."""
 
-    rigid_hz: Positive = optional("natural frequency at every node, Hz (paper, 5.1)", 0.5)
-    rigid_zeta: Positive = optional("damping ratio at every node (paper, 5.1)", 0.7)
+    rigid_hz: Positive = optional("natural frequency at every operating point, Hz (paper, 5.1)", 0.5)
+    rigid_zeta: Positive = optional("damping ratio at every operating point (paper, 5.1)", 0.7)
 
 
 class SearchSettings(Section):
@@ -171,16 +171,16 @@ class SearchSettings(Section):
 
     starts: Annotated[int, Field(ge=1, le=1000)] = optional("number of starts of the whole problem", 8)
     leaps: Annotated[int, Field(ge=0, le=1000)] = optional(
-        "leaps from the best end: part of the variables thrown off, and brought down again", 8
+        "restarts from the best result, with a part of the variables perturbed", 8
     )
-    seed: Annotated[int, Field(ge=0)] = optional("of the random ones among them", 1)
+    seed: Annotated[int, Field(ge=0)] = optional("seed of the random starts", 1)
     start_design: str | None = optional(
-        "design from which one more start begins: a file, a folder that a case has left, or a built-in one"
+        "design for an additional start: a file, a results folder of a case, or a built-in one"
     )
 
 
 class StageCase(Section):
-    """The differences of a stage: keys that are given replace those of the case."""
+    """The keys that differ in a stage and replace those of the case."""
 
     gains: CaseGains | None = optional("see [gains]")
     filter: CaseFilter | None = optional("see [filter]")
@@ -195,7 +195,7 @@ class CaseHead(Section):
 
     schema_version: Literal[2] = optional("version of the format", 2, alias="schema")
     name: str = optional("name of the case", "")
-    description: str = optional("what it is, in a sentence", "")
+    description: str = optional("description, one sentence", "")
 
 
 class Case(Basis, CaseHead):
@@ -203,23 +203,25 @@ class Case(Basis, CaseHead):
 
     earlier: ClassVar[dict[str, str]] = {"between_nodes": "ignore"}
 
-    scenario: str = Field(description="whose flight gives speed, air and attitude at the nodes")
+    scenario: str = Field(description="scenario whose flight gives speed, air and attitude at the operating points")
     between_nodes: BetweenNodes = optional(BETWEEN, "hold")
     limits: Limits = Limits()
-    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where nodes_s is not given", 11)
+    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional(
+        "number of operating points in a stage without nodes_s", 11
+    )
     stages: tuple[Annotated[int, Field(ge=1, le=MAX_STAGES)], ...] | None = optional(
-        "stages to design for, from 1; others fly as the scenario's own design (default: all that have nodes)"
+        "stages to design, from 1; others use the scenario's design (default: all with operating points)"
     )
     law: Law = optional(
-        "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides; load-relief: "
-        "pd with the lateral acceleration fed back; incidence-relief: pd with an estimated angle of attack fed back",
+        "control law; pd: proportional-derivative with a bending filter; pid: pd with an integral; load-relief: pd "
+        "with feedback of the lateral acceleration; incidence-relief: pd with feedback of an estimated angle of attack",
         "pd",
     )
     blend: BetweenTimes | None = optional(
         "bounds of the weights of the vehicle's further rate gyros, which are variables (default: the first gyro alone)"
     )
     load_relief: LoadReliefSection = optional(
-        "accelerometer's lag, of both laws of load relief", LoadReliefSection(corner_hz=1.0)
+        "accelerometer lag of both load-relief laws", LoadReliefSection(corner_hz=1.0)
     )
     gains: CaseGains = CaseGains()
     filter: CaseFilter = CaseFilter()
@@ -228,7 +230,7 @@ class Case(Basis, CaseHead):
     reference: ReferencePhase = ReferencePhase()
     search: SearchSettings = SearchSettings()
     stage: tuple[StageCase, ...] = optional(
-        "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
+        "keys that differ by stage, in the order of flight (default: none)", (), max_length=MAX_STAGES
     )
 
     def _check(self) -> None:

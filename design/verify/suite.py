@@ -97,7 +97,7 @@ Plane = Literal["pitch", "yaw"]
 
 
 class DispersedLimit(Section):
-    """A limit off the nominal flight, in place of the scenario's own."""
+    """A limit of dispersed flights, instead of the scenario's limit."""
 
     requirement: str = Field(description="name of the scenario's requirement")
     limit: float | str = Field(description="at most this, in the metric's unit; ${MARK * NUMBER} as in a flight")
@@ -112,26 +112,28 @@ Each = dict[str, Annotated[tuple[float | str, ...], Field(min_length=1)]]
 
 
 class SuiteFlight(Section):
-    """A scenario of the suite: the base scenario with changes, judged by its requirements."""
+    """A scenario of the suite: the base scenario with changes and requirements."""
 
-    name: str = Field(description="shown to people")
+    name: str = Field(description="name in reports")
     each: Each = optional(
-        "a flight for each of these values (of several: for each combination), which stand for $KEY in name and set", {}
+        "one flight for each of these values (for each combination of several keys), which replace $KEY in name and "
+        "set",
+        {},
     )
-    why: str = optional("what it is to show, in a sentence", "")
-    scenario: str | None = optional("another base (default: the suite's)")
+    why: str = optional("purpose, one sentence", "")
+    scenario: str | None = optional("base scenario (default: the suite's)")
     set: tuple[str, ...] = optional(
         "changes, key=value as with simrun --set; * in a key stands for each element of a list, $MARK or "
-        "${MARK + NUMBER} for what the flight of the suite's scenario says (docs/simverify.md)",
+        "${MARK + NUMBER} for a value from the flight of the suite's scenario (docs/simverify.md)",
         (),
     )
-    scale: dict[str, float | str] = optional("changes: key and what multiplies its value; * as in set", {})
-    add: dict[str, float | str] = optional("changes: key and what is added to its value; * as in set", {})
-    each_stage: bool = optional("a flight for each stage that burns, whose marks are that stage's", False)
+    scale: dict[str, float | str] = optional("changes: key and factor on its value; * as in set", {})
+    add: dict[str, float | str] = optional("changes: key and value to add; * as in set", {})
+    each_stage: bool = optional("one flight for each stage that burns, with the marks of that stage", False)
     limits: Literal["own", "dispersed"] = optional(
         "the scenario's own limits, or those of [[dispersed_limit]] where there is one", "own"
     )
-    design_must_keep: bool = optional("false: flown and shown, but no reason to reject", True)
+    design_must_keep: bool = optional("false: flown and reported, but not required", True)
 
     def _check(self) -> None:
         for key in self.each:
@@ -159,47 +161,52 @@ TIMES = "vehicle times, s (default: chosen from the flight, in every stage under
 
 
 class WorstWanted(Section):
-    """A search for the worst vehicle that the dispersions allow, every mode and tank by itself; the worst is flown."""
+    """A search for the worst vehicle within the dispersions, with independent modes and tanks; the worst is flown."""
 
-    sigmas: Positive = optional("reach of the search, in sigma", 3.0)
+    sigmas: Positive = optional("limit of the search, sigma", 3.0)
     region: Literal["ellipsoid", "box"] = optional(
-        "all deviations together as unlikely as one at so many sigma, or each of them up to so many", "ellipsoid"
+        "ellipsoid: all deviations together as unlikely as one of this many sigma; box: each up to this many",
+        "ellipsoid",
     )
     starts: Annotated[int, Field(ge=1, le=1000)] = optional(
-        "searches at each of the worst nodes; every node has one", 12
+        "searches at each of the worst operating points; all others have one", 12
     )
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the starts", 1)
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of the starts", 1)
     modulus: Positive | None = optional("least |1 + L| of the worst vehicle found")
     bound: bool = optional(
-        "also say up to how many sigma each no vehicle is unstable at the worst node (structured singular value)", False
+        "also compute the deviation, in sigma each, up to which no vehicle is unstable at the worst operating point "
+        "(structured singular value)",
+        False,
     )
-    together: bool = optional("the same of pitch, yaw and roll together, coupled as the simulator has them", False)
+    together: bool = optional("the same for pitch, yaw and roll together, coupled as in the simulator", False)
 
 
 class LinearMargins(Section):
     """Margins of the exact sampled loop, as designed and dispersed."""
 
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
-    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where times_s is not given", NODES_PER_STAGE)
+    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional(
+        "number of operating points in a stage without times_s", NODES_PER_STAGE
+    )
     edges: tuple[RelativeDeviation, RelativeDeviation] = optional(
-        "shares of a stage's burn that such nodes keep off its begin (off the pad) and its end", EDGES
+        "shares of a stage's burn at its start (on the pad) and end without such operating points", EDGES
     )
     between_nodes: Literal["ignore", "hold"] = optional(
-        "hold: the instant between the nodes at which a nominal margin is worst becomes a node, where it is worse "
-        "there than at every node",
+        "hold: the instant between the operating points with the worst nominal margin becomes an operating point, if "
+        "it is worse than all others",
         "hold",
     )
     planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch",), min_length=1)
-    cases: Annotated[int, Field(ge=0, le=100000)] = optional("random vehicles", 150)
+    cases: Annotated[int, Field(ge=0, le=100000)] = optional("number of random vehicles", 150)
     trajectories: Annotated[int, Field(ge=0, le=1000)] = optional(
-        "dispersed flights, runs of the suite's first campaign, whose speed, air and attitude the random vehicles meet "
-        "in turn; 0: those of the flight as designed",
+        "number of dispersed flights (runs of the suite's first campaign) that give speed, air and attitude of the "
+        "random vehicles in turn; 0: the flight as designed",
         0,
     )
-    only: str = optional("'as designed', 'corner N' or 'vehicle N': measure this one alone", "")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("of the random vehicles", 1)
-    success: SuiteProbability = optional("share of random vehicles that must keep the dispersed limits", 0.975)
-    confidence: SuiteProbability = optional("with which that is to be shown", 0.90)
+    only: str = optional("'as designed', 'corner N' or 'vehicle N': measure only this one", "")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of the random vehicles", 1)
+    success: SuiteProbability = optional("share of random vehicles that must meet the dispersed limits", 0.975)
+    confidence: SuiteProbability = optional("required confidence", 0.90)
     why: str = optional("the reason for this level and confidence, shown in the review pack", "")
     corner_sigmas: NotNegative = optional(
         "deviation of every factor at the corners of the screening design, in sigma; 0: no corners. Twelve "
@@ -219,13 +226,15 @@ class LinearMargins(Section):
 
 
 class CertificateWanted(Section):
-    """The points at which the loop is measured in flight and taken to its stability limit."""
+    """The operating points at which the loop and its margins are measured in flight."""
 
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
-    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional("where times_s is not given", NODES_PER_STAGE)
+    nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional(
+        "number of operating points in a stage without times_s", NODES_PER_STAGE
+    )
     planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch", "yaw"), min_length=1)
     in_flight: bool = optional(
-        "also in the ascent itself, where thrust lasts for some seconds before and after the time", True
+        "also measure in the ascent, where thrust lasts for some seconds before and after the time", True
     )
 
 
@@ -233,14 +242,14 @@ class CampaignWanted(Section):
     """A campaign with its required confidence."""
 
     file: str = Field(description="a campaign file, or the name of a built-in one")
-    name: str = optional("shown to people (default: the campaign's)", "")
+    name: str = optional("name in reports (default: the campaign's)", "")
     why: str = optional("the reason for its level and confidence, shown in the review pack", "")
     set: tuple[str, ...] = optional("changes, key=value as with simrun --set", ())
     limits: Literal["own", "dispersed"] = optional("as of a flight", "own")
     runs: Annotated[int, Field(gt=0)] | None = optional("default: the campaign's")
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = optional("default: the campaign's")
     availability: SuiteProbability | None = optional(
-        "judged in place of the requirements one by one: share of the flights in each month's winds that must meet all"
+        "replaces the separate requirements: share of the flights in each month's winds that must meet all of them"
     )
     success: SuiteProbability | None = optional("default: the campaign's")
     confidence: SuiteProbability | None = optional("default: the campaign's")
@@ -251,13 +260,13 @@ class Suite(Section):
 
     schema_version: Literal[2] = optional("version of the format", 2, alias="schema")
     name: str = optional("default: the file's name", "")
-    description: str = optional("what it is for, in a sentence", "")
-    scenario: str = optional("base of the scenarios, and flight along which nodes lie", "nominal")
-    every: tuple[str, ...] = optional("changes of every flight, as its set", ())
-    limit_wind: str | None = optional("wind profile (CSV) that $limit_wind stands for")
-    flight: tuple[SuiteFlight, ...] = optional("scenarios, each judged by its requirements", ())
-    margins: LinearMargins | None = optional("absent: not asked for")
-    certificate: CertificateWanted | None = optional("absent: not asked for")
+    description: str = optional("purpose, one sentence", "")
+    scenario: str = optional("base of the scenarios, and flight of the operating points", "nominal")
+    every: tuple[str, ...] = optional("changes of every flight, as in set", ())
+    limit_wind: str | None = optional("wind profile (CSV) for $limit_wind")
+    flight: tuple[SuiteFlight, ...] = optional("scenarios, each with its requirements", ())
+    margins: LinearMargins | None = optional("absent: not required")
+    certificate: CertificateWanted | None = optional("absent: not required")
     campaign: tuple[CampaignWanted, ...] = optional("campaigns", ())
     dispersed_limit: tuple[DispersedLimit, ...] = optional(
         "limits of flights and campaigns with limits = 'dispersed'", ()

@@ -7,10 +7,14 @@ those already there, in the space of the standard normal numbers that make up a 
     z' = sqrt(1 - s^2) z + s xi,        kept where its flight lies beyond the level,
 
 with s so that 44 % are (Papaioannou et al., Probab. Eng. Mech. 41, 2015). A run's noise is a number of its own: with
-probability s it is another one. Populations are independent of each other, so that the spread of their estimates holds
-all that goes into it, correlation of chains and of levels included; the interval is Student's, on the logarithm. How
-often it covers is measured on closed forms (tests/test_oracle_campaign_rare.py). A way to fail to which no chain comes
-is not in it, nor in the interval.
+probability s it is another one. Populations are independent of each other, so that the spread of their estimates
+contains the correlation of chains and of levels. The bounds are Student's, on the logarithm, at half of the stated
+risk, because the estimates are skewed. docs/verdicts.md states how often they cover on closed forms. Neither estimate
+nor bounds contain a failure mode that no chain reaches.
+
+No bound is given where the chains cannot show one: if a population is stuck at a value that no flight exceeds, or if
+the noise decides. A seed has no neighbours: if a flight near the limit hardly ever stays there with another seed, the
+chains keep the few seeds with which they began, and the estimate is too low.
 """
 
 from __future__ import annotations
@@ -35,6 +39,7 @@ FEWEST = 200  # points a level: with fewer the intervals cover too seldom
 _MOST_LEVELS = 12
 _ACCEPTED = 0.44
 _FEWEST_AT_ONCE = 8
+_FRESH_NOISE = 0.05  # least share of flights that stay beyond the last level with other noise (docs/verdicts.md)
 SHARE_OF_FLIGHTS = 1.0 / (POPULATIONS * 4.6)  # of all flights that a population of four further levels takes a level
 
 Value = Callable[[Array, IntArray], Array]
@@ -44,15 +49,17 @@ normal numbers (points, scores) and noise (points,)."""
 
 @dataclass(frozen=True)
 class Population:
-    """An estimate; `levels` passed, in units of the value. `stuck`: the value did not come beyond the last of them.
+    """An estimate; `levels` passed, in units of the value. `stuck`: no value exceeded the last of them.
 
-    `nearest`: of the flights that fail the one nearest to the middle of all, numbers and noise.
+    `fresh_noise`: share of flights with other noise, and maybe other numbers, that stayed beyond the last level; 1
+    without levels. `nearest`: the failing flight nearest to the centre of the distribution, numbers and noise.
     """
 
     probability: float
     levels: tuple[float, ...]
     flights: int
     stuck: bool
+    fresh_noise: float
     nearest: tuple[Array, int] | None
 
 
@@ -60,8 +67,8 @@ class Population:
 class Rare:
     """Probability of failure, its bounds (each with the confidence asked for), and the populations behind it.
 
-    `low` is 0 where a population did not reach the limit. `crude`: flights with which plain sampling would have the
-    same standard error.
+    `undecided`: the reason for which no bounds are known, `low` 0 and `high` 1; empty otherwise. `crude`: flights with
+    which plain sampling would have the same standard error.
     """
 
     probability: float
@@ -69,6 +76,7 @@ class Rare:
     high: float
     crude: float
     each: tuple[Population, ...]
+    undecided: str = ""
 
     @property
     def flights(self) -> int:
@@ -96,11 +104,18 @@ def subset_simulation(
         each.append(_population(value, scores, population, np.random.default_rng([seed, number]), told))
     p = np.array([one.probability for one in each])
     mean = float(p.mean())
-    if mean == 0.0 or any(one.stuck for one in each):
-        reached = max(LEVEL ** len(one.levels) for one in each)
-        return Rare(mean, 0.0, max(float(p.max()), reached), math.nan, tuple(each))
+    if stuck := sum(one.stuck for one in each):
+        reason = f"{stuck} of {POPULATIONS} populations reached a value that no flight exceeds"
+        return Rare(mean, 0.0, 1.0, math.nan, tuple(each), reason)
+    fresh = float(np.mean([one.fresh_noise for one in each]))
+    if fresh < _FRESH_NOISE:
+        reason = (
+            f"noise decides: {fresh:.1%} of flights stay beyond the last level with other noise, "
+            f"and {_FRESH_NOISE:.0%} are needed"
+        )
+        return Rare(mean, 0.0, 1.0, math.nan, tuple(each), reason)
     error = float(p.std(ddof=1)) / math.sqrt(POPULATIONS) / mean
-    factor = math.exp(float(stdtrit(POPULATIONS - 1, confidence)) * error)
+    factor = math.exp(float(stdtrit(POPULATIONS - 1, 0.5 * (1.0 + confidence))) * error)
     crude = (1.0 - mean) / (mean * error**2) if error > 0.0 else math.inf
     return Rare(mean, mean / factor, min(mean * factor, 1.0), crude, tuple(each))
 
@@ -120,6 +135,7 @@ def _population(
         v[again] = value(z[again], noise[again])
         flights += len(again)
     best: tuple[Array, int] | None = None
+    fresh_noise = 1.0
     while True:
         watch(len(levels), flights)
         for k in np.flatnonzero(v > 0.0):
@@ -128,26 +144,29 @@ def _population(
         order = np.argsort(-v, kind="stable")
         failing = float(np.mean(v > 0.0))
         if failing >= LEVEL:
-            return Population(p * failing, tuple(levels), flights, False, best)
+            return Population(p * failing, tuple(levels), flights, False, fresh_noise, best)
         level = min(0.5 * float(v[order[chains - 1]] + v[order[chains]]), 0.0)
         beyond = np.flatnonzero(v > level)
         if len(levels) == _MOST_LEVELS or not len(beyond) or (levels and level <= levels[-1]):
-            return Population(0.0, tuple(levels), flights, True, best)
+            return Population(0.0, tuple(levels), flights, True, fresh_noise, best)
         p *= len(beyond) / n
         levels.append(level)
         z, noise, v = z[beyond], noise[beyond], v[beyond]
         kept = [(z, noise, v)]
+        changed, stayed = 0, 0
         for step in range(1, math.ceil(n / len(beyond))):
             move = math.sqrt(1.0 - step_size**2) * z + step_size * rng.normal(size=z.shape)
             fresh = np.where(rng.random(len(z)) < step_size, rng.integers(2**62, size=len(z)), noise)
             there = value(move, fresh)
             flights += len(there)
             accepted = there > level
+            changed, stayed = changed + int(np.sum(fresh != noise)), stayed + int(np.sum(accepted & (fresh != noise)))
             z, noise = np.where(accepted[:, None], move, z), np.where(accepted, fresh, noise)
             v = np.where(accepted, there, v)
             kept.append((z, noise, v))
             step_size = float(np.clip(step_size * math.exp((accepted.mean() - _ACCEPTED) / math.sqrt(step)), 0.05, 1.0))
             watch(len(levels), flights)
+        fresh_noise = stayed / changed if changed else 1.0
         z, noise, v = (np.concatenate(parts)[:n] for parts in zip(*kept, strict=True))
 
 

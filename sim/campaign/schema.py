@@ -48,7 +48,7 @@ Samples = Annotated[CsvTable, Columns("")]
 
 
 class Envelope(Section):
-    """Histories that are kept thinned out, for percentiles over time."""
+    """Histories at a reduced rate, for percentiles over time."""
 
     channels: tuple[str, ...] = optional(
         "names of log channels (docs/telemetry.md)",
@@ -63,49 +63,42 @@ class Envelope(Section):
         ),
     )
     rate_hz: Annotated[float, Field(gt=0.0, le=100.0)] = optional("rows per second, Hz", 2.0)
-    runs: Annotated[int, Field(ge=0)] = optional("of the first so many runs", 1000)
+    runs: Annotated[int, Field(ge=0)] = optional("number of runs, from the first", 1000)
     percentiles: tuple[Annotated[float, Field(ge=0.0, le=100.0)], ...] = optional(
         "lines of the envelope, %", (0.135, 5.0, 50.0, 95.0, 99.865)
     )
 
 
 class Correlated(Section):
-    """Two draws whose normal scores are correlated, whatever their distributions (a Gaussian copula)."""
+    """Two draws with correlated normal scores, for any distributions (a Gaussian copula)."""
 
-    of: tuple[str, str] = Field(description="names or key paths of two draws of continuous distributions")
-    coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="of correlation of their scores")
+    of: tuple[str, str] = Field(description="names or key paths of two draws with continuous distributions")
+    coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="correlation coefficient of their scores")
 
 
 class Campaign(Section):
-    """The number of runs, the source of the draws, and the results to show."""
+    """The number of runs, the draws and required confidence."""
 
     runs: Annotated[int, Field(ge=0, lt=2**53)] = Field(description="number of flights")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("all draws derive from it", 1)
-    sampling: Literal["random", "latin-hypercube", "sobol"] = optional("how the draws fill the space", "random")
-    stratum: Annotated[int, Field(gt=0)] | None = optional(
-        "runs that make up one Latin hypercube (default: runs as this file says)"
-    )
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of all draws", 1)
+    sampling: Literal["random", "latin-hypercube", "sobol"] = optional("sampling method", "random")
+    stratum: Annotated[int, Field(gt=0)] | None = optional("runs of one Latin hypercube (default: runs of this file)")
     noise: Literal["each-run", "as-scenario"] = optional(
-        "each run has its own run.seed (turbulence, gyro noise), or all that of the file", "each-run"
+        "a separate run.seed for each run (turbulence, gyro noise), or that of the file for all", "each-run"
     )
-    outside: Outside = optional(
-        "a draw outside its bounds is drawn again and counted, or ends the campaign", "resample"
-    )
+    outside: Outside = optional("a draw outside its bounds is repeated and counted, or ends the campaign", "resample")
     test: Literal["any-time", "fixed"] = optional(
-        "how verdicts are reached: valid however often one looks and goes on, or after the number of runs that is "
-        "recorded before the first one is flown (a campaign that is extended is judged by the other one, with the risk "
-        "that is left)",
+        "statistical test: any-time is valid under optional stopping; fixed is valid after the number of runs "
+        "recorded before the first one (an extended campaign uses any-time with the remaining risk)",
         "any-time",
     )
     success: Probability = optional("share of flights that must meet a requirement", 0.9973)
-    confidence: Probability = optional("confidence with which that is to be shown", 0.90)
-    correlated: tuple[Correlated, ...] = optional("pairs of draws that go together", ())
+    confidence: Probability = optional("required confidence", 0.90)
+    correlated: tuple[Correlated, ...] = optional("correlated pairs of draws", ())
     batch: Annotated[int, Field(gt=0)] | None = optional(
         "runs in a file of the data set (default: a 32nd of the runs, 64 to 1024)"
     )
-    keep: tuple[str, ...] = optional(
-        "flights of which a full log is kept: 'worst:5', 'failed', 'failed:20', '0,17'", ()
-    )
+    keep: tuple[str, ...] = optional("flights whose full logs are kept: 'worst:5', 'failed', 'failed:20', '0,17'", ())
     envelope: Envelope = Envelope()
 
     def _check(self) -> None:
@@ -142,38 +135,40 @@ class Disperse(Section):
     """A value of the scenario that differs from run to run."""
 
     key: str | None = optional(
-        "key path, e.g. vehicle.stage.0.engine.thrust_factor; * for a part of it: a draw for each element of a list"
+        "key path, e.g. vehicle.stage.0.engine.thrust_factor; * for a part of it: one draw for each element of a list"
     )
-    keys: tuple[str, ...] | None = optional("several keys: with covariance a draw for each, else one draw for all")
-    tag: str = optional("tells apart two draws that both act on a table's column", "")
-    name: str = optional("shown to people (default: the key)", "")
-    source: str = optional("where the numbers come from", "")
+    keys: tuple[str, ...] | None = optional(
+        "several keys: with covariance one draw for each, otherwise one draw for all"
+    )
+    tag: str = optional("distinguishes two draws that act on the same column of a table", "")
+    name: str = optional("name in reports (default: the key)", "")
+    source: str = optional("source of the numbers", "")
     apply: Literal["set", "scale", "add"] = optional(
         "the draw replaces the value, multiplies it, or is added to it", "set"
     )
     power: float | None = optional("with apply = 'scale': power of the draw that multiplies the value (default 1)")
     where: dict[str, float] | None = optional(
-        "of a table: only rows in which these columns have these values, e.g. {mode = 1}"
+        "for tables: only rows in which these columns have these values, e.g. {mode = 1}"
     )
     distribution: Literal[
         "normal", "truncated-normal", "uniform", "log-normal", "triangular", "choice", "samples", "cases"
-    ] = Field(description="what the draws follow")
+    ] = Field(description="distribution of the draws")
     mean: float | None = optional("normal (default: the value itself; 1 to scale, 0 to add)")
     sigma: NotNegative | None = optional("normal: standard deviation; log-normal: of ln(x)")
     three_sigma: NotNegative | None = optional("three times sigma, instead of it")
-    low: float | None = optional("uniform, triangular, truncated normal: least value")
-    high: float | None = optional("uniform, triangular, truncated normal: greatest value")
-    mode: float | None = optional("triangular: likeliest value")
+    low: float | None = optional("uniform, triangular, truncated normal: smallest value")
+    high: float | None = optional("uniform, triangular, truncated normal: largest value")
+    mode: float | None = optional("triangular: most likely value")
     median: Positive | None = optional("log-normal (default: 1 to scale, else the value)")
     values: tuple[Choice, ...] | None = optional("choice: numbers, texts or files")
-    weights: tuple[NotNegative, ...] | None = optional("choice: how often each (default alike)")
+    weights: tuple[NotNegative, ...] | None = optional("choice: weight of each (default: equal)")
     file: Samples | None = optional("samples, cases: a CSV file")
     column: str | None = optional("samples: column of the file (default: its only one)")
     order: Order = optional("samples, cases: a row at random, or row i for run i (again from the first)", "random")
-    covariance: tuple[tuple[float, ...], ...] | None = optional("normal with keys: the matrix")
-    at_least: float | None = optional("the value that results is not below this")
-    at_most: float | None = optional("the value that results is not above this")
-    outside: Outside | None = optional("as campaign.outside, for this one")
+    covariance: tuple[tuple[float, ...], ...] | None = optional("normal with keys: covariance matrix")
+    at_least: float | None = optional("lower bound of the resulting value")
+    at_most: float | None = optional("upper bound of the resulting value")
+    outside: Outside | None = optional("as campaign.outside, for this draw")
 
     @property
     def sigma_of_normal(self) -> float:
@@ -250,14 +245,14 @@ class WindModel(Section):
     model: Literal["vector", "ensemble"] = Field(
         description="vector: normal deviations from wind.profile, correlated over altitude; ensemble: given profiles"
     )
-    source: str = optional("where the numbers come from", "")
+    source: str = optional("source of the numbers", "")
     table: Annotated[CsvTable, WIND_MODEL_COLUMNS] | None = optional(
         "vector: standard deviation of both components over altitude, and their correlation"
     )
-    correlation_length_m: Positive | None = optional("vector: height over which the correlation falls to 1/e, m")
+    correlation_length_m: Positive | None = optional("vector: height in which the correlation falls to 1/e, m")
     factor: NotNegative = optional("vector: multiplies the standard deviations", 1.0)
     months: Annotated[CsvTable, MONTH_COLUMNS] | None = optional(
-        "vector: by month (1 to 12) what multiplies the mean wind and the deviations; runs have the months in turn"
+        "vector: factors on the mean wind and the deviations by month (1 to 12); runs have the months in turn"
     )
     profiles: Annotated[Profiles | None, BeforeValidator(_each_sounding)] = optional(
         "ensemble: files as for wind.profile; a folder: all files in it; a file of several soundings: each of them"
@@ -281,10 +276,10 @@ class WindModel(Section):
 
 
 class CampaignFile(Section):
-    """The sections of a campaign file apart from the scenario."""
+    """The sections of a campaign file in addition to those of a scenario."""
 
     campaign: Campaign
-    disperse: tuple[Disperse, ...] = optional("what differs from run to run", ())
+    disperse: tuple[Disperse, ...] = optional("values that differ from run to run", ())
     wind_model: WindModel | None = optional("absent: every run has the scenario's wind")
 
     def _check(self) -> None:

@@ -30,13 +30,13 @@ class MetricIndex(NamedTuple):
     max_attitude_error_deg: Annotated[
         int, "deg", "largest angle of pitch or yaw from the commanded to the true attitude under thrust"
     ]
-    max_roll_error_deg: Annotated[int, "deg", "the same of roll"]
+    max_roll_error_deg: Annotated[int, "deg", "the same for roll"]
     max_computer_attitude_error_deg: Annotated[
         int, "deg", "largest attitude error of pitch or yaw in the computer under thrust"
     ]
-    max_computer_roll_error_deg: Annotated[int, "deg", "the same of roll"]
-    max_gimbal_deg: Annotated[int, "deg", "largest engine angle of either axis under thrust"]
-    max_gimbal_rate_degps: Annotated[int, "deg/s", "largest engine rate of either axis under thrust"]
+    max_computer_roll_error_deg: Annotated[int, "deg", "the same for roll"]
+    max_gimbal_deg: Annotated[int, "deg", "largest gimbal angle of either axis under thrust"]
+    max_gimbal_rate_degps: Annotated[int, "deg/s", "largest gimbal rate of either axis under thrust"]
     max_bending_m: Annotated[int, "m", "largest displacement of the gimbal by bending, either plane"]
     max_slosh_deg: Annotated[int, "deg", "largest angle of a slosh pendulum from the body axis under thrust"]
     max_thrust_over_weight_g: Annotated[int, "g", "largest thrust over mass"]
@@ -51,10 +51,8 @@ N_METRICS = len(MetricIndex._fields)
 class EndMetrics(NamedTuple):
     """On a flat Earth latitude and longitude are nan; the site is its origin."""
 
-    flight_time_s: Annotated[
-        float, "s", "time to the end from liftoff, or from the start where nothing held the vehicle"
-    ]
-    range_m: Annotated[float, "m", "distance along the ground from the launch site to where the flight ended"]
+    flight_time_s: Annotated[float, "s", "time from liftoff to the end, or from the start without hold-down"]
+    range_m: Annotated[float, "m", "distance along the ground from the launch site to the end of the flight"]
     final_latitude_deg: Annotated[float, "deg", "geodetic latitude at the end"]
     final_longitude_deg: Annotated[float, "deg", "longitude at the end, east positive"]
     final_altitude_m: Annotated[float, "m", "altitude at the end"]
@@ -81,9 +79,7 @@ class SectionMetrics(NamedTuple):
 class WaveMetrics(NamedTuple):
     """Over all tanks; nan for a vehicle that says nothing about the shape of any."""
 
-    max_wave_share: Annotated[
-        float, "1", "largest height of a wave in a tank under thrust, over that at which it counts as breaking"
-    ]
+    max_wave_share: Annotated[float, "1", "peak wave height / breaking height, largest of all tanks under thrust"]
 
 
 class StepMetrics(NamedTuple):
@@ -93,10 +89,10 @@ class StepMetrics(NamedTuple):
     steps of a fixed length.
     """
 
-    step_error_attitude_deg: Annotated[float, "deg", "estimated error of the attitude by the integration"]
-    step_error_bending_m: Annotated[float, "m", "the same of the worst mode"]
-    step_error_slosh_deg: Annotated[float, "deg", "the same of the worst pendulum"]
-    step_error_position_m: Annotated[float, "m", "the same of the position"]
+    step_error_attitude_deg: Annotated[float, "deg", "estimated integration error of the attitude"]
+    step_error_bending_m: Annotated[float, "m", "the same for the worst mode"]
+    step_error_slosh_deg: Annotated[float, "deg", "the same for the worst pendulum"]
+    step_error_position_m: Annotated[float, "m", "the same for the position"]
 
 
 class OrbitMetrics(NamedTuple):

@@ -77,7 +77,7 @@ class Logged:
 class FastRow(NamedTuple):
     """Topics of the fast group that every vehicle has."""
 
-    actuator: Annotated[ActuatorRow, "gimbal command and engine motion"]
+    actuator: Annotated[ActuatorRow, "gimbal command and gimbal motion"]
     gyro: Annotated[GyroRow, "rate gyro"]
     control: Annotated[ControlRow, "flight computer"]
 
@@ -145,7 +145,7 @@ class MotionRow(NamedTuple):
     altitude_m: Annotated[float, "m", "geodetic altitude"]
     v_N_axis_mps: Annotated[NorthEastDown, "m/s", "velocity relative to the Earth"]
     speed_mps: Annotated[float, "m/s", "speed relative to the Earth"]
-    flight_path_deg: Annotated[float, "deg", "angle of that velocity above the horizon"]
+    flight_path_deg: Annotated[float, "deg", "flight-path angle above the horizon"]
     yaw_deg: Annotated[float, "deg", "Euler angle 3-2-1 of B relative to local NED: yaw"]
     pitch_deg: Annotated[float, "deg", "Euler angle 3-2-1 of B relative to local NED: pitch"]
     roll_deg: Annotated[float, "deg", "Euler angle 3-2-1 of B relative to local NED: roll"]
@@ -227,7 +227,7 @@ def air_row(air: AirData) -> AirRow:
 class LoadsRow(NamedTuple):
     aero_force_B_axis_N: Annotated[Xyz, "N", "aerodynamic force"]
     aero_moment_B_axis_Nm: Annotated[Xyz, "N m", "aerodynamic moment about the core CG"]
-    specific_force_B_axis_mps2: Annotated[Xyz, "m/s2", "specific force at the core CG (what an accelerometer senses)"]
+    specific_force_B_axis_mps2: Annotated[Xyz, "m/s2", "specific force at the core CG, as sensed by an accelerometer"]
     alpha_BI_B_axis_radps2: Annotated[Xyz, "rad/s2", "angular acceleration"]
     gravitation_I_axis_mps2: Annotated[Xyz, "m/s2", "gravitation"]
     thrust_over_weight_g: Annotated[float, "g", "thrust over mass"]
@@ -341,7 +341,7 @@ def channel_table(
     if moved or thrusts:
         topics.append(Topic("/engines", FAST, sum(moved + thrusts, ()), "groups of engines, and engines"))
     if external:
-        topics.append(Topic("/flight_code", FAST, declared_channels(MonitorRow), "flight code from outside"))
+        topics.append(Topic("/flight_code", FAST, declared_channels(MonitorRow), "external flight code"))
     if adaptive:
         topics.append(Topic("/adaptive", FAST, declared_channels(AdaptiveRow), "adaptive augmenting control"))
     further = range(2, 2 + sizes.sensors - int(accelerometer))
@@ -349,7 +349,7 @@ def channel_table(
     if accelerometer:
         sensors += [declared_channels(AccelerometerRow), declared_channels(LoadReliefRow)]
     if sensors:
-        topics.append(Topic("/sensors", FAST, sum(sensors, ()), "sensors beyond the gyro, and load relief"))
+        topics.append(Topic("/sensors", FAST, sum(sensors, ()), "additional sensors, and load relief"))
     topics += declared_topics(SLOW, SlowRow)
     sections = [declared_channels(SectionRow, "place", str(i), place) for i, place in enumerate(stations, start=1)]
     if sections:

@@ -33,10 +33,10 @@ def flight_code_key(name: str) -> str:
 
 
 class CodeFile(Section):
-    """A file of flight code as it was found; in a vehicle file its name alone, for Python with `:Class` behind it."""
+    """A file of flight code; in a vehicle file only its name, for Python followed by `:Class`."""
 
-    file: str = Field(description="where it is, absolute")
-    sha256: str = Field(description="of its content")
+    file: str = Field(description="absolute path")
+    sha256: str = Field(description="SHA-256 of its content")
     member: str = optional("class in a Python file", "")
 
     @model_validator(mode="before")

@@ -22,7 +22,7 @@ GAIN_COLUMNS = Columns(
 
 
 class GainsSection(Section):
-    """Gains of the law (PD: paper, eq. 33), linear, held outside the table."""
+    """Gains of the law (PD: paper, eq. 33), linear between rows; outside the table the end values hold."""
 
     table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
         description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s), for load-relief k_a_s2pm (rad per m/s2), for "
@@ -31,7 +31,7 @@ class GainsSection(Section):
         "dynamic_pressure_Pa (of that speed in still air), which the computer knows without error"
     )
     yaw: Literal["pitch"] | None = optional('"pitch": as in pitch (the default without yaw_table)')
-    yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = optional("own gains of the yaw axis")
+    yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = optional("gains of the yaw axis")
     integral_limit_deg: Positive | None = optional(
         "pid: limit of the integral's share of the command (default: none), deg"
     )
@@ -84,13 +84,13 @@ class FirstOrder(Section):
 class FilterSection(Section):
     """Bending filter."""
 
-    structure: Structure = optional(f"of the paper, or sections: 1 to {MAX_SECTIONS} of any kind, or none", "none")
+    structure: Structure = optional(f"F2 to F6: of the paper; sections: 1 to {MAX_SECTIONS} of any kind; none", "none")
     quadratic: tuple[Quadratic, ...] = optional("second-order sections: F2, F3: 1; F4, F5, F6: 2", ())
     first_order: tuple[FirstOrder, ...] = optional("first-order sections: F3, F5: 1; F6: 2", ())
     discretization: Literal["prewarped", "bilinear", "matched", "zoh"] = optional(
         "prewarped: bilinear, and exact at prewarp_hz", "prewarped"
     )
-    prewarp_hz: Positive | None = optional("where prewarped is exact, Hz: the first bending frequency")
+    prewarp_hz: Positive | None = optional("frequency at which prewarped is exact, Hz: mode 1")
 
     def _check(self) -> None:
         if self.structure == "sections":
@@ -129,11 +129,11 @@ class FilterSection(Section):
 
 
 class RollSection(Section):
-    """Roll control by on/off thrusters: acts on roll angle + k_rate_s * roll rate."""
+    """Roll control by on/off thrusters from roll angle + k_rate_s * roll rate."""
 
     k_rate_s: NotNegative = Field(description="weight of the rate, s")
     dead_band_deg: Positive = Field(description="half width of the dead band, deg")
-    hysteresis_deg: NotNegative = optional("a thruster goes off at dead_band_deg less this, deg", 0.0)
+    hysteresis_deg: NotNegative = optional("a thruster switches off at dead_band_deg minus this, deg", 0.0)
     minimum_on_s: NotNegative = optional("shortest pulse, s", 0.0)
 
     def _check(self) -> None:
@@ -146,14 +146,14 @@ class RollGimbal(Section):
 
     k_p: NotNegative = Field(description="rad of deflection per rad of roll error")
     k_d_s: NotNegative = Field(description="rad of deflection per rad/s of roll rate, s")
-    limit_deg: Positive = Field(description="limit of the command, deg; pitch and yaw come before it")
+    limit_deg: Positive = Field(description="limit of the command, deg; pitch and yaw have priority")
 
 
 BlendWeights = Annotated[tuple[float, ...], Field(min_length=1, max_length=MAX_SENSORS)]
 
 
 class Blend(Section):
-    """Rate of the law: weights of the first gyro and of the vehicle's further rate gyros, which sum to 1."""
+    """Rate of the law: weights of all rate gyros, with sum 1."""
 
     pitch: BlendWeights = Field(description="weights in pitch")
     yaw: BlendWeights | None = optional("weights in yaw (default: as in pitch)")
@@ -170,11 +170,13 @@ class Blend(Section):
 
 
 class LoopFiltersSection(Section):
-    """Filters of what the law works on, each loop by itself; the bending filter behind the law comes besides."""
+    """Filters of the inputs of the law, by loop, in addition to the bending filter at its output."""
 
-    attitude: FilterSection | None = optional("of the attitude error")
-    rate: FilterSection | None = optional("of the (blended) rate")
-    acceleration: FilterSection | None = optional("of the lateral acceleration, before its lag; with load relief")
+    attitude: FilterSection | None = optional("filter of the attitude error")
+    rate: FilterSection | None = optional("filter of the (blended) rate")
+    acceleration: FilterSection | None = optional(
+        "filter of the lateral acceleration, before its lag; with load relief"
+    )
 
     @property
     def each(self) -> tuple[FilterSection | None, ...]:
@@ -183,25 +185,25 @@ class LoopFiltersSection(Section):
 
 
 class LoadReliefSection(Section):
-    """Feedback of the lateral acceleration, or of the angle of attack it tells; its gain is a column of the gains."""
+    """Feedback of the lateral acceleration, or of an angle of attack estimated from it, by a column of the gains."""
 
     corner_hz: Positive = Field(description="corner of the accelerometer's first-order lag in the computer, Hz")
 
 
 class AdaptiveSection(Section):
-    """Adaptive augmenting control: a total gain on the command of pitch and of yaw, 1 where all goes as it should."""
+    """Adaptive augmenting control: a total gain on the commands of pitch and yaw, 1 in nominal conditions."""
 
     least_gain: Annotated[float, Field(gt=0.0, lt=1.0)] = optional("lower limit of the total gain", 0.5)
     most_gain: Annotated[float, Field(gt=1.0)] = optional("upper limit of the total gain", 2.0)
     reference_hz: Positive = Field(description="reference model: frequency of the rigid body's motion, Hz")
-    reference_zeta: Positive = optional("its damping ratio", 0.7)
+    reference_zeta: Positive = optional("damping ratio of the reference model", 0.7)
     error_gain_pdeg2s: NotNegative = Field(
-        description="how fast an attitude error beyond the reference model's raises the gain, 1/(deg2 s)"
+        description="rate at which an attitude error beyond the reference model's raises the gain, 1/(deg2 s)"
     )
     damper_gain_pdeg2s: NotNegative = Field(
-        description="spectral damper: how fast the command's content above high_pass_hz lowers the gain, 1/(deg2 s)"
+        description="spectral damper: rate at which command content above high_pass_hz lowers the gain, 1/(deg2 s)"
     )
-    leakage_ps: Positive = optional("how fast the gain returns to 1, 1/s", 0.1)
+    leakage_ps: Positive = optional("rate at which the gain returns to 1, 1/s", 0.1)
     high_pass_hz: Positive = Field(description="corner of the spectral damper, between control and bending, Hz")
     low_pass_hz: Positive = optional("corner of the mean of its square, Hz", 0.2)
 
@@ -216,22 +218,20 @@ DesignBasis = dict[str, Any]
 
 
 class StageLaw(Section):
-    """The differences of a stage from the design; an absent key has the design's own value."""
+    """The keys that differ in a stage; absent keys are those of the design."""
 
     renamed: ClassVar[dict[str, str]] = RENAMED
 
-    gains: GainsSection | None = optional("own gains")
-    filter: FilterSection | None = optional("own bending filter, which starts settled at the separation")
-    loop_filters: LoopFiltersSection | None = optional(
-        "own filters of each loop, which start settled at the separation"
-    )
-    fade_s: NotNegative | None = optional("time over which all filters of the stage before fade out, s (default: 0)")
-    roll: RollSection | None = optional("own roll control by thrusters")
-    roll_gimbal: RollGimbal | None = optional("own roll control by gimbals")
-    blend: Blend | None = optional("own weights of rate gyros")
-    load_relief: LoadReliefSection | None = optional("own lag of the accelerometer")
-    adaptive: AdaptiveSection | None = optional("own adaptation, which starts again at the separation")
-    basis: DesignBasis | None = optional("own basis")
+    gains: GainsSection | None = optional("gains of the stage")
+    filter: FilterSection | None = optional("bending filter of the stage, settled at the separation")
+    loop_filters: LoopFiltersSection | None = optional("filters of each loop, settled at the separation")
+    fade_s: NotNegative | None = optional("time over which the filters of the preceding stage fade out, s (default: 0)")
+    roll: RollSection | None = optional("roll control by thrusters")
+    roll_gimbal: RollGimbal | None = optional("roll control by gimbals")
+    blend: Blend | None = optional("weights of the rate gyros")
+    load_relief: LoadReliefSection | None = optional("lag of the accelerometer")
+    adaptive: AdaptiveSection | None = optional("adaptation, restarted at the separation")
+    basis: DesignBasis | None = optional("basis of the stage")
 
 
 class Design(Section):
@@ -241,26 +241,26 @@ class Design(Section):
 
     schema_version: Literal[2] = optional("version of the format", 2, alias="schema")
     name: str = optional("name of the design", "")
-    description: str = optional("what it is, in a sentence", "")
-    vehicle: str = optional("name of the vehicle that it was made for; another one has to be asked for", "")
+    description: str = optional("description, one sentence", "")
+    vehicle: str = optional("name of its vehicle; a flight of another vehicle needs an explicit request", "")
     law: Law = optional(
-        "control law; pd: proportional-derivative with a bending filter; pid: with an integral besides; load-relief: "
-        "pd with the lateral acceleration fed back; incidence-relief: pd with an estimated angle of attack fed back",
+        "control law; pd: proportional-derivative with a bending filter; pid: pd with an integral; load-relief: pd "
+        "with feedback of the lateral acceleration; incidence-relief: pd with feedback of an estimated angle of attack",
         "pd",
     )
     gains: GainsSection
     filter: FilterSection = FilterSection()
-    loop_filters: LoopFiltersSection | None = optional("absent: the bending filter alone")
+    loop_filters: LoopFiltersSection | None = optional("absent: the bending filter only")
     roll: RollSection | None = optional("absent: no roll control by thrusters")
     roll_gimbal: RollGimbal | None = optional("absent: no roll control by gimbals")
-    blend: Blend | None = optional("absent: the first gyro alone")
-    load_relief: LoadReliefSection | None = optional("of the laws load-relief and incidence-relief")
-    adaptive: AdaptiveSection | None = optional("absent: no adaptation; with any law")
+    blend: Blend | None = optional("absent: the first gyro only")
+    load_relief: LoadReliefSection | None = optional("for the laws load-relief and incidence-relief")
+    adaptive: AdaptiveSection | None = optional("absent: no adaptation; available with every law")
     basis: DesignBasis | None = optional(
-        "what the law was designed under: loop, operating points, limits; simdesign and simverify judge by it"
+        "conditions of the design (loop, operating points, limits), which simdesign and simverify use"
     )
     stage: tuple[StageLaw, ...] = optional(
-        "what differs in each stage, in the order of flight (default: nothing)", (), max_length=MAX_STAGES
+        "keys that differ by stage, in the order of flight (default: none)", (), max_length=MAX_STAGES
     )
 
     def _check(self) -> None:

@@ -39,14 +39,14 @@ class Site(Section):
     longitude_deg: Longitude = optional("longitude, deg, east positive", 0.0)
     altitude_m: float = optional("height above the ellipsoid, m", 0.0)
     azimuth_deg: Angle = optional("launch azimuth, deg from north through east: direction of body z on the pad", 90.0)
-    utc: str = optional("date and time of T0, for people only", "")
+    utc: str = optional("date and time of T0, for information only", "")
 
 
 class EarthSection(Section):
     """Shape, rotation and gravity."""
 
     shape: Literal["wgs84", "sphere", "flat"] = optional("figure; flat: uniform and not rotating", "wgs84")
-    rotating: bool = optional("whether the Earth turns", True)
+    rotating: bool = optional("rotation of the Earth", True)
     gravity: Literal["j2", "inverse_square", "uniform", "none"] = optional("gravitation", "j2")
     mu_m3ps2: Positive | None = optional("gravitational parameter, m3/s2 (default: of the shape)")
     j2: float | None = optional("oblateness coefficient (default: WGS-84)")
@@ -56,7 +56,7 @@ class EarthSection(Section):
     rate_radps: float | None = optional("rotation rate, rad/s (default: WGS-84)")
     uniform_mps2: NotNegative | None = optional("uniform gravity, m/s2 (default 9.80665)")
     gravity_radius_m: Positive | None = optional("reference radius of J2, m (default: equatorial)")
-    gravity_gradient: bool = optional("whether gravity turns the vehicle", False)
+    gravity_gradient: bool = optional("gravity-gradient torque", False)
 
     def _check(self) -> None:
         if self.shape == "flat":
@@ -75,7 +75,7 @@ class AtmosphereSection(Section):
     """Air at rest relative to the Earth."""
 
     model: Literal["us1976", "table", "constant", "vacuum"] = optional(
-        "us1976: US Standard Atmosphere 1976, from -5 to 1000 km (no air above); vacuum: none at all", "us1976"
+        "us1976: US Standard Atmosphere 1976, -5 to 1000 km (no air above); vacuum: no air", "us1976"
     )
     table: Annotated[CsvTable, ATMOSPHERE_COLUMNS] | None = optional('for model = "table"')
     density_kgpm3: NotNegative | None = optional('kg/m3, for model = "constant"')
@@ -102,11 +102,11 @@ class Gust(Section):
         description="one-minus-cosine: rises over edge_m, holds, falls over edge_m; "
         "shear: rises over thickness_m, holds"
     )
-    altitude_m: float = Field(description="where it begins, m")
-    thickness_m: Positive = Field(description="from its beginning to its end (edges included), m")
+    altitude_m: float = Field(description="altitude of its beginning, m")
+    thickness_m: Positive = Field(description="height from its beginning to its end (edges included), m")
     edge_m: Positive | None = optional("length of each edge, m (one-minus-cosine)")
     speed_mps: NotNegative = Field(description="largest speed, m/s")
-    from_deg: Angle = Field(description="direction it blows from, deg from north through east")
+    from_deg: Angle = Field(description="direction from which it blows, deg from north through east")
 
     def _check(self) -> None:
         if self.kind == "shear":
@@ -123,8 +123,8 @@ class TurbulenceSection(Section):
         "dryden",
     )
     frame: Literal["body", "horizontal"] = optional(
-        "axes of u, v, w: body x, y, z, or north, east, down with the spectra by the direction of flight, as a vehicle "
-        "that rises needs near the ground (spectrum: always horizontal)",
+        "axes of u, v, w: body x, y, z; or north, east, down with spectra by the direction of flight, for a rising "
+        "vehicle near the ground (spectrum: always horizontal)",
         "body",
     )
     spectrum: Annotated[CsvTable, SPECTRUM_COLUMNS] | None = optional(
@@ -138,7 +138,7 @@ class TurbulenceSection(Section):
     length_u_m: Positive | None = optional("scale length along, m (default: MIL-F-8785C)")
     length_v_m: Positive | None = optional("scale length across, m (default: MIL-F-8785C)")
     length_w_m: Positive | None = optional("scale length down, m (default: MIL-F-8785C)")
-    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = optional("own seed (default: from run.seed)")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = optional("seed (default: from run.seed)")
 
     def _check(self) -> None:
         self.at_most_one("exceedance", "table")
@@ -154,20 +154,20 @@ class TurbulenceSection(Section):
 
 
 class GroundShear(Section):
-    """Wind between the ground and the lowest level of the profile, in the direction that it has there."""
+    """Wind between the ground and the lowest level of the profile, in the direction of that level."""
 
     law: Literal["power", "log"] = Field(
-        description="speed over the height h above the site: power: h^exponent; log: ln(1 + h / roughness_m)"
+        description="speed over the height h above the site; power: h^exponent; log: ln(1 + h / roughness_m)"
     )
     exponent: Fraction | None = optional("power (default 1/7)")
     roughness_m: Positive | None = optional("log: roughness length, m (default 0.03, open grass)")
     height_m: Positive = optional(
-        "height above the site of speed_mps; without it the least height at which the lowest level counts as "
-        "measured: a surface report gives that of the station",
+        "height of speed_mps above the site; without speed_mps, the least height at which the lowest level counts as "
+        "measured (a surface report is for the height of its station)",
         10.0,
     )
-    speed_mps: NotNegative | None = optional("measured at height_m; levels of the profile below are left out, m/s")
-    from_deg: Angle | None = optional("direction it blows from, deg from north through east")
+    speed_mps: NotNegative | None = optional("speed measured at height_m; lower levels of the profile are omitted, m/s")
+    from_deg: Angle | None = optional("direction from which it blows, deg from north through east")
 
     def _check(self) -> None:
         self.only_with(("exponent",), self.law == "power", "law = 'power'")
@@ -181,15 +181,15 @@ class WindSection(Section):
     """Motion of the air relative to the Earth."""
 
     profile: Annotated[CsvTable, WIND_COLUMNS] | None = optional("wind over altitude")
-    ground: GroundShear | None = optional("absent: the lowest level of the profile holds to the ground")
+    ground: GroundShear | None = optional("absent: the lowest level of the profile holds down to the ground")
     speed_mps: NotNegative | None = optional("constant wind, m/s, instead of a profile")
-    from_deg: Angle | None = optional("direction it blows from, deg from north through east")
-    interpolation: Literal["linear", "pchip"] = optional("between the rows of the profile", "linear")
+    from_deg: Angle | None = optional("direction from which it blows, deg from north through east")
+    interpolation: Literal["linear", "pchip"] = optional("interpolation between the rows of the profile", "linear")
     outside: Literal["hold", "error"] = optional(
-        "hold: end values hold outside the profile; error: a flight that rises above it has failed", "hold"
+        "hold: end values hold outside the profile; error: a flight above the profile fails", "hold"
     )
     factor: float = optional("multiplies profile or constant wind", 1.0)
-    turn_deg: Angle = optional("turns the profile (with its ground shear): added to where it blows from, deg", 0.0)
+    turn_deg: Angle = optional("rotation of the profile and its ground shear, added to the direction, deg", 0.0)
     gust: tuple[Gust, ...] = optional("gusts and shear layers", (), max_length=MAX_GUSTS)
     turbulence: TurbulenceSection | None = optional("absent: none")
 

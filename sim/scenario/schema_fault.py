@@ -67,43 +67,41 @@ _OF_KINDS = tuple(dict.fromkeys(key for kind in KINDS.values() for key in kind.k
 
 
 class Fault(Section):
-    """A part that fails at an instant, for good or for a time."""
+    """A part that fails, permanently or for a time."""
 
     kind: FaultKind = Field(
-        description="engine-off: no thrust and no flow; thrust-loss: a share of both; gyro-stuck, accelerometer-stuck: "
-        "the output stays as it is; -dead: it is zero; -bias, -noisy: a constant or noise is added to it; "
-        "actuator-stuck: the servo stays as it is; actuator-hard-over: it goes to angle_deg as its limits let it; "
-        "actuator-floating: it gives no force and the engine swings freely on its gimbal (without a TVC load the servo "
-        "goes to its middle)"
+        description="engine-off: no thrust and no flow; thrust-loss: a share of both is lost; gyro-stuck, "
+        "accelerometer-stuck: constant output; -dead: zero output; -bias, -noisy: a constant or noise is added; "
+        "actuator-stuck: constant servo position; actuator-hard-over: the servo moves to angle_deg within its limits; "
+        "actuator-floating: no force, and the engine swings freely on its gimbal (without a TVC load the servo is "
+        "centred)"
     )
-    at_s: Seconds = Field(description="when, s, whole ns")
+    at_s: Seconds = Field(description="instant of the failure, s, whole ns")
     since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from liftoff on", "clock")
-    until_s: Seconds | None = optional("when the part works again, s, whole ns (default: never)")
-    stage: int | None = optional("of which stage, from 0 (default: of whichever flies)", None, ge=0, lt=MAX_STAGES)
+    until_s: Seconds | None = optional("end of the failure, s, whole ns (default: none)")
+    stage: int | None = optional("stage, from 0 (default: the active one)", None, ge=0, lt=MAX_STAGES)
     gyro: int | None = optional(
-        "which gyro, as the log counts them: 1 that of [stage.gyro], from 2 on [[stage.rate_gyro]] (default: 1)",
+        "gyro as numbered in the log: 1 is [stage.gyro], from 2 on [[stage.rate_gyro]] (default: 1)",
         None,
         ge=1,
         le=MAX_SENSORS,
     )
     axis: Literal["roll", "pitch", "yaw", "x", "y", "z"] | None = optional(
-        "which axis: roll, pitch, yaw of gyros and actuators, x, y, z of the accelerometer (default: all)"
+        "axis: roll, pitch, yaw of gyros and actuators; x, y, z of the accelerometer (default: all)"
     )
-    group: int | None = optional("group of engines, from 0 as they name them (default: 0)", None, ge=0, lt=MAX_ENGINES)
-    angle_deg: float | None = optional("actuator-hard-over: to which angle, deg; its limit of the angle holds")
+    group: int | None = optional("group of engines, from 0 (default: 0)", None, ge=0, lt=MAX_ENGINES)
+    angle_deg: float | None = optional("actuator-hard-over: target angle, deg, within the angle limit")
     bias_degps: float | None = optional("gyro-bias: added to the output, deg/s")
     bias_mps2: float | None = optional("accelerometer-bias: added to the output, m/s2")
-    noise_mps_rt_h: Positive | None = optional(
-        "accelerometer-noisy: velocity random walk beside the accelerometer's own, m/s/sqrt(h)"
-    )
-    noise_deg_rt_h: Positive | None = optional("gyro-noisy: angle random walk beside the gyro's own, deg/sqrt(h)")
-    engine: int | None = optional("its number in the stage, from 0 (default: all)", None, ge=0, lt=MAX_ENGINES)
+    noise_mps_rt_h: Positive | None = optional("accelerometer-noisy: additional velocity random walk, m/s/sqrt(h)")
+    noise_deg_rt_h: Positive | None = optional("gyro-noisy: additional angle random walk, deg/sqrt(h)")
+    engine: int | None = optional("engine number in the stage, from 0 (default: all)", None, ge=0, lt=MAX_ENGINES)
     loss: Fraction | None = optional("thrust-loss: share of thrust and mass flow that is lost")
     tail_off: Annotated[CsvTable, TAIL_OFF_COLUMNS] | None = optional(
-        "engine-off: share of thrust and mass flow that is left over the time since at_s (default: none at once)"
+        "engine-off: remaining share of thrust and mass flow over the time since at_s (default: 0 at once)"
     )
     reallocate_after_s: Seconds | None = optional(
-        "when the computer allocates its commands to what is left, s after at_s (default: never)"
+        "time after at_s at which the computer reallocates its commands to the remaining engines, s (default: never)"
     )
 
     def _check(self) -> None:

@@ -48,9 +48,9 @@ class Geodetic(Section):
 
 
 class Initial(Section):
-    """State at the start. Of each of position, velocity, attitude and rates at most one key is given."""
+    """State at the start, with at most one key each for position, velocity, attitude and rates."""
 
-    held: bool = optional("whether the vehicle is held down until release", False)
+    held: bool = optional("hold-down until release", False)
     geodetic: Geodetic | None = optional("position (default: the site)")
     inertial_m: Triple | None = optional("position in I, m")
     earth_m: Triple | None = optional("position in E, m")
@@ -60,8 +60,8 @@ class Initial(Section):
     euler_deg: Triple | None = optional(
         "yaw, pitch, roll (3-2-1) of B from north, east, down, deg (default: nose up, body z at azimuth)"
     )
-    q_BI: FourNumbers | None = optional("unit quaternion, scalar first, turns B components into I")
-    dcm_BI: ThreeRows | None = optional("direction cosines, turns I components into B")
+    q_BI: FourNumbers | None = optional("unit quaternion, scalar first, transforms B components into I")
+    dcm_BI: ThreeRows | None = optional("direction cosines, transform I components into B")
     rate_BI_degps: Triple | None = optional("inertial rates p, q, r in B, deg/s")
     rate_BI_radps: Triple | None = optional("inertial rates p, q, r in B, rad/s")
     rate_BE_degps: Triple | None = optional("rates relative to the Earth in B, deg/s (default 0)")
@@ -105,20 +105,21 @@ FREQUENCIES = {
 class Injection(Section):
     """A signal on one axis."""
 
-    at: Literal["gimbal_command", "rate_command", "body_force", "body_torque"] = Field(description="where it enters")
+    at: Literal["gimbal_command", "rate_command", "body_force", "body_torque"] = Field(
+        description="place of the signal"
+    )
     axis: Literal["pitch", "yaw", "roll", "x", "y", "z"] = Field(
         description="gimbal_command: pitch, yaw; rate_command: pitch, yaw, roll; body_*: x, y, z"
     )
     kind: Literal["step", "doublet", "sine", "chirp", "multisine", "table"] = Field(
-        description="shape; doublet: + in the first half of the time, - in the second; "
-        "chirp: the frequency changes linearly"
+        description="shape; doublet: + in the first half, - in the second; chirp: linear change of frequency"
     )
-    replaces: bool = optional("whether it replaces the command; false: is added to it", False)
+    replaces: bool = optional("true: replaces the command; false: is added to it", False)
     amplitude_deg: float | None = optional("deg, at gimbal_command")
     amplitude_degps: float | None = optional("deg/s, at rate_command")
     amplitude_N: float | None = optional("N, at body_force")
     amplitude_Nm: float | None = optional("N m, at body_torque")
-    start_s: Seconds = optional("begin on the vehicle clock, s, whole ns", 0.0)
+    start_s: Seconds = optional("start on the vehicle clock, s, whole ns", 0.0)
     stop_s: Seconds | None = optional("end, s, whole ns (default: end of the flight)")
     frequency_hz: Positive | None = optional("Hz, of sine; first of chirp")
     stop_frequency_hz: Positive | None = optional("Hz, last of chirp")
@@ -175,22 +176,20 @@ USUAL_STEP_S = 0.001
 
 
 class Run(Section):
-    """The duration and the step of the flight."""
+    """The duration, the steps and the end of the flight."""
 
-    duration_s: Period = optional("longest flight from start_s on, s, whole ns", 400.0)
+    duration_s: Period = optional("maximum duration from start_s on, s, whole ns", 400.0)
     step_s: Annotated[Period, Field(le=1.0)] = optional("integrator step, s, whole ns", USUAL_STEP_S)
     accuracy: Annotated[float, Field(gt=0.0, le=0.1)] | None = optional(
-        "share of what is required by which the integrator may err, see docs/performance.md: steps as long as the "
-        "vehicle's fastest oscillation allows instead of step_s (in campaigns 0.05 where neither is given)"
+        "integration error allowed, as a share of the requirements (docs/performance.md): steps as long as the "
+        "vehicle's fastest oscillation allows, instead of step_s (campaigns: 0.05 if neither is given)"
     )
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("all noise derives from it", 1)
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of all noise", 1)
     start_s: Seconds = optional("vehicle clock at the start, s, whole ns", 0.0)
     freeze_vehicle_at_s: Seconds | None = optional(
-        "mass, thrust, modes, ... are held as at this vehicle clock, s (default: not)"
+        "vehicle clock at which mass, thrust, modes and the like are frozen, s (default: not)"
     )
-    stop_at: tuple[Ending, ...] = optional(
-        "events that end the flight, any of them; burnout: the last stage's", ("impact",)
-    )
+    stop_at: tuple[Ending, ...] = optional("events that end the flight; burnout: that of the last stage", ("impact",))
 
     def _check(self) -> None:
         if self.accuracy is not None and self.step_s != USUAL_STEP_S:
@@ -207,25 +206,25 @@ class Guidance(Section):
     programme: Annotated[CsvTable, PROGRAMME_COLUMNS] | None = optional(
         "commanded rates over the vehicle clock (default: zero)"
     )
-    method: Literal["linear", "pchip", "step"] = optional("between the rows", "linear")
+    method: Literal["linear", "pchip", "step"] = optional("interpolation between the rows", "linear")
     axes: Literal["body", "unrolled"] = optional(
-        "of pitch and yaw: those of the body, or axes that do not take part in the commanded roll", "body"
+        "axes of pitch and yaw: those of the body, or axes without the commanded roll", "body"
     )
-    orbit: OrbitTarget | None = optional("closed-loop guidance to this orbit, beside the programme until then")
+    orbit: OrbitTarget | None = optional("closed-loop guidance to this orbit, after the programme")
 
 
 class OrbitTarget(Section):
-    """Closed-loop guidance of the last engine's stages to an orbit, cut off at its perigee. Outside the air only."""
+    """Closed-loop guidance of the last engine's stages to an orbit, with cutoff at perigee; outside the atmosphere."""
 
-    perigee_altitude_m: float = Field(description="above the equatorial radius, m")
-    apogee_altitude_m: float = Field(description="above the equatorial radius, m")
+    perigee_altitude_m: float = Field(description="height above the equatorial radius, m")
+    apogee_altitude_m: float = Field(description="height above the equatorial radius, m")
     inclination_deg: Annotated[float, Field(ge=0.0, le=180.0)] | None = optional(
-        "default: the plane in which it flies at the start"
+        "inclination, deg (default: that of the plane of flight at the start)"
     )
-    isp_s: Positive = Field(description="effective specific impulse that the guidance counts with, s")
-    start_s: Seconds = optional("vehicle clock; not before 3 s after the ignition", 0.0)
-    cycle_s: Positive = optional("between two solutions, s", 1.0)
-    rate_limit_degps: Positive = optional("of the commanded attitude, deg/s", 3.0)
+    isp_s: Positive = Field(description="effective specific impulse used by the guidance, s")
+    start_s: Seconds = optional("vehicle clock, s; at least 3 s after the ignition", 0.0)
+    cycle_s: Positive = optional("time between two solutions, s", 1.0)
+    rate_limit_degps: Positive = optional("rate limit of the commanded attitude, deg/s", 3.0)
 
     def _check(self) -> None:
         if self.perigee_altitude_m < 100e3:
@@ -235,10 +234,10 @@ class OrbitTarget(Section):
 
 
 class HoldDown(Section):
-    """When a vehicle that is held down is let go."""
+    """Release of a vehicle that is held down."""
 
     release: Literal["thrust", "time"] = optional("when thrust exceeds weight, or at release_s", "thrust")
-    release_s: Seconds | None = optional('on the vehicle clock, s, for release = "time"')
+    release_s: Seconds | None = optional('vehicle clock of the release, s, for release = "time"')
 
     def _check(self) -> None:
         self.only_with(("release_s",), self.release == "time", "release = 'time'")
@@ -247,14 +246,13 @@ class HoldDown(Section):
 
 
 class Switches(Section):
-    """Each part of the model can be switched off or made ideal."""
+    """Switches that remove parts of the model or make them ideal."""
 
     aerodynamics: bool = optional("all aerodynamic forces", True)
     thrust: bool = optional("thrust", True)
     slosh: bool = optional("pendulums; off: the liquid is frozen", True)
     slosh_exchange: bool = optional(
-        "liquid that goes over from a pendulum's bob to the core takes its momentum along (off: it arrives at rest)",
-        False,
+        "liquid that moves from a pendulum's bob to the core keeps its momentum (off: arrives at rest)", False
     )
     bending: bool = optional("bending modes", True)
     bending_softening: bool = optional("axial load softens the modes", True)
@@ -262,7 +260,7 @@ class Switches(Section):
     engine_inertia: bool = optional("reaction of the gimballed mass (tail wags dog)", True)
     tvc_load: bool = optional("engine on its compliance; off: it follows its actuators exactly", True)
     jet_damping: bool = optional("damping by the mass flow", True)
-    moving_cg: bool = optional("terms of CG and inertia that change", True)
+    moving_cg: bool = optional("terms of changing CG and inertia", True)
     actuator: Literal["full", "linear", "ideal"] = optional("linear: no limits; ideal: angle = command", "full")
     gyro: Literal["full", "ideal"] = optional("ideal: measures the true rate", "full")
     converter: Literal["full", "ideal"] = optional("ideal: no quantisation", "full")
@@ -273,26 +271,25 @@ class Switches(Section):
     section_loads: bool = optional("section loads at the stations of [stage.loads]", False)
     local_incidence: bool = optional("bending changes the angle of attack of the lifting parts", True)
     gust_penetration: bool = optional(
-        "each lifting part meets wind, gusts and turbulence at its own place along the body (off: all those at the CG)",
-        False,
+        "wind, gusts and turbulence at the station of each lifting part (off: at the CG for all)", False
     )
 
 
 class LogSection(Section):
     """The rates of the log."""
 
-    fast_hz: Rate = optional("actuator, bending, slosh, control, gyro, Hz; must divide 1e9", 1000.0)
-    slow_hz: Rate = optional("the rest, Hz; must divide 1e9", 100.0)
-    transform_hz: Rate = optional("transforms for 3-D viewers, Hz; must divide 1e9", 50.0)
+    fast_hz: Rate = optional("rate of actuator, bending, slosh, control and gyro, Hz; must divide 1e9", 1000.0)
+    slow_hz: Rate = optional("rate of the other topics, Hz; must divide 1e9", 100.0)
+    transform_hz: Rate = optional("rate of the transforms for 3-D viewers, Hz; must divide 1e9", 50.0)
 
 
 class RequirementSection(Section):
-    """A number that the flight must keep to."""
+    """A limit for a metric of the flight."""
 
     metric: str = Field(description="name of the metric")
     limit: float | None = optional("at most this")
     minimum: float | None = optional("at least this")
-    name: str = optional("shown to people (default: the metric)", "")
+    name: str = optional("name in reports (default: the metric)", "")
 
     @property
     def bound(self) -> tuple[str, float]:
@@ -316,7 +313,7 @@ class Scenario(Section):
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("default: the file's name", "")
-    description: str = optional("what is flown, in a sentence", "")
+    description: str = optional("description of the flight, one sentence", "")
     vehicle: Vehicle = Field(description="folder with vehicle.toml, a .toml file, or the vehicle itself")
     design: Design | None = optional("a design file, or the design itself (default: command zero)")
     run: Run = Run()
@@ -329,11 +326,11 @@ class Scenario(Section):
     holddown: HoldDown = HoldDown()
     injection: tuple[Injection, ...] = optional("signals for tests", (), max_length=MAX_INJECTIONS)
     fault: tuple[Fault, ...] = optional(
-        "what fails; of two faults of one thing the later one here holds", (), max_length=MAX_FAULTS
+        "parts that fail; of two faults of one part the later entry holds", (), max_length=MAX_FAULTS
     )
     switches: Switches = Switches()
     log: LogSection = LogSection()
-    requirement: tuple[RequirementSection, ...] = optional("what the flight is judged by", ())
+    requirement: tuple[RequirementSection, ...] = optional("limits of the flight", ())
 
     @property
     def held(self) -> bool:

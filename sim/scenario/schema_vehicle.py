@@ -51,21 +51,21 @@ class ComputerSection(Section):
     count_rad: NotNegative = Field(description="angle per pulse of the V/F converter, rad; 0: no quantisation")
     dac_step_deg: NotNegative = optional("step of the output, deg; 0: no quantisation", 0.0)
     attitude: Attitude = optional(
-        "of the attitude error. quaternion: strapdown, the error is roll and tilt about body axes; rate-integral: "
-        "integral of each body rate by itself (paper, eq. 33), for vehicles that turn about one axis",
+        "method of the attitude error. quaternion: strapdown, roll and tilt about body axes; rate-integral: separate "
+        "integrals of the body rates (paper, eq. 33), for vehicles that turn about one axis",
         "quaternion",
     )
     angle_error_limit_deg: Positive = Field(description="clamp of the attitude error for the law, deg")
     command_limit_deg: Positive = Field(description="clamp of the gimbal command, deg")
     law: Literal["design", "external"] = optional(
-        "external: flight code from outside in place of the design's", "design"
+        "external: external flight code instead of the design's law", "design"
     )
     library: LibraryFile | None = optional("flight code: shared library (C ABI of maxq_fsw.h)")
     python: PythonClass | None = optional("flight code: Python class, file.py:Class")
     address: Address | None = optional("flight code: computer behind a socket, tcp://127.0.0.1:PORT or udp://...")
-    settings: Settings = optional("text that the flight code gets at its start", "")
-    timeout_s: Positive = optional("longest time that the flight code may take for one sample, s", 2.0)
-    guard: bool = optional("flight code in a process of its own; off: a crash ends maxq, for debuggers", True)
+    settings: Settings = optional("text passed to the flight code at its start", "")
+    timeout_s: Positive = optional("time limit of the flight code for one sample, s", 2.0)
+    guard: bool = optional("run the flight code in its own process; off: a crash ends maxq, for debuggers", True)
 
     @property
     def code_keys(self) -> tuple[str, ...]:
@@ -82,7 +82,7 @@ class ComputerSection(Section):
 
 
 class StageComputer(Section):
-    """Keys of the flight computer that differ while a stage flies."""
+    """Keys of the flight computer that differ during a stage."""
 
     sample_s: Period | None = optional("sample period, s, whole ns")
     delay_s: Seconds | None = optional("from sample to output, s, whole ns, at most sample_s")
@@ -92,11 +92,11 @@ class StageComputer(Section):
 
 
 class Separation(Section):
-    """The effects of a stage's separation on the next stage, apart from its release."""
+    """The loads and rates on the next stage at a separation."""
 
     impulse_Ns: NotNegative = optional("of retro-rockets or gas, forward on the next stage, N s", 0.0)
-    spring_J: NotNegative = optional("energy of the springs between the stages, which drive them apart, J", 0.0)
-    tip_off_degps: Triple = optional("rates that the next stage takes along, about x, y, z, deg/s", (0.0, 0.0, 0.0))
+    spring_J: NotNegative = optional("energy of the separation springs, J", 0.0)
+    tip_off_degps: Triple = optional("initial rates of the next stage about x, y, z, deg/s", (0.0, 0.0, 0.0))
 
 
 def _form(value: Any) -> str:
@@ -120,35 +120,35 @@ TvcLoads = Annotated[
 
 
 class Stage(Section):
-    """A stage; its clock, on which its tables run, starts at the previous separation."""
+    """A stage; its clock, for its tables, starts at the preceding separation."""
 
     name: str = optional("name of the stage in logs (default: its number)", "")
     separation_s: Period | None = optional("end of this stage on its clock, s")
     separation_after_burnout_s: Seconds | None = optional("end of this stage after burnout, s")
     separation: Separation | None = optional("springs, impulse and tip-off rates where this stage ends")
     continues: bool = optional(
-        "engines, tanks and modes of the stage before fly on, and only mass drops, as with a fairing: engine angles, "
-        "liquid and modes keep their state",
+        "engines, tanks and modes of the preceding stage remain, and only mass is dropped, as with a fairing: gimbal "
+        "angles, liquid and modes keep their state",
         False,
     )
     computer: StageComputer | None = optional("absent: the vehicle's computer as it is")
     ignition_s: Seconds = optional("the engine is off before this time on the stage clock, s", 0.0)
-    interpolation: Literal["pchip", "linear"] = optional("how the tables over time are joined", "pchip")
+    interpolation: Literal["pchip", "linear"] = optional("interpolation of the tables over time", "pchip")
     mass: Mass
     engine: Engines | None = optional(f"one table, or up to {MAX_ENGINES} as a list [[...]]; absent: no thrust")
     actuator: Actuators | None = optional(
         "one table, or a list [[...]] of one for each group of engines; absent: gimbal angle = command"
     )
     tvc_load: TvcLoads | None = optional(
-        "one table, or a list [[...]] by group; absent, and in groups without: engines follow their actuators exactly"
+        "one table, or a list [[...]] by group; absent, or groups without one: engines follow their actuators exactly"
     )
     tank: tuple[Tank, ...] = optional("tanks with sloshing liquid", (), max_length=MAX_PENDULUMS)
-    bending: BendingSection | None = optional("absent: rigid, but for spatial modes")
+    bending: BendingSection | None = optional("absent: no planar modes")
     spatial_modes: SpatialModesSection | None = optional("absent: none")
     aero: AeroSection | None = optional("absent: no aerodynamic forces")
     gyro: GyroSection | None = optional("absent: ideal gyros")
     rate_gyro: tuple[RateGyro, ...] = optional(
-        "rate gyros beyond the first; all stages have as many", (), max_length=MAX_SENSORS - 1
+        "rate gyros in addition to the first; the same number in all stages", (), max_length=MAX_SENSORS - 1
     )
     accelerometer: Accelerometer | None = optional("absent: none; all stages have one, or none")
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
@@ -369,10 +369,10 @@ class Vehicle(Section):
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("name of the vehicle", "")
-    description: str = optional("what it is, in a sentence", "")
+    description: str = optional("description, one sentence", "")
     reference: Reference
     stage: tuple[Stage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="stages in the order of flight")
-    computer: ComputerSection | None = optional("absent: no flight computer, the gimbal stays at zero")
+    computer: ComputerSection | None = optional("absent: no flight computer; the gimbal angle stays at zero")
 
     def _check(self) -> None:
         last = len(self.stage) - 1

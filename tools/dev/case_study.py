@@ -1,9 +1,8 @@
-"""Tables of docs/case-study/ from the shipped commands: `python -m maxq.tools.dev.case_study [TABLE...]`.
+"""The tables of docs/case-study/, made by the shipped commands: `python -m maxq.tools.dev.case_study [TABLE...]`.
 
-Runs simdesign, simrun and simverify, keeps what they leave under runs/case-study (what is there is not computed again)
-and writes each table between its marks in docs/case-study. Prose is written by people. All of it takes about two
-hours on two cores, most of it campaigns and verdicts; name the tables to make only these. The pictures in
-docs/pictures/case-study are those that `simdesign` draws: `--pictures` copies them there.
+Runs simdesign, simrun and simverify, keeps their results under runs/case-study and uses results that are there. Writes
+each table between its marks in docs/case-study. All tables take about two hours on two cores, most of it for campaigns
+and verdicts. `--pictures` copies the pictures that simdesign draws into docs/pictures/case-study.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ COMPARED = ("ksr3-two-phase", "ksr3-robust")
 ROBUST = (
     "ksr3-robust",
     "ksr3-robust-ascent",
-)  # made when one sign moved both tanks and one all modes, and with each by itself
+)  # with one sign for both tanks and one for all modes, and with independent signs
 STRUCTURES, SCHEDULES = ("F2", "F3", "F4", "F5", "F6"), ("two-phase", "linear", "free")
 LIMITS, PLANTS = ("identical", "relaxed"), {"flown": "the reconstructed vehicle", "table2": "the plant of Table 2"}
 CLAIMS = ("3 to 5 dB on the two-phase design", "a further 0.33 to 0.57 dB")  # of Subcases 1 and 2, by the paper
@@ -74,7 +73,7 @@ TextRows = Sequence[Sequence[str]]
 
 
 def kept(file: str, command: str, *arguments: str, folder: str = "") -> Any:
-    """The JSON that a command leaves in its folder under RUNS (default: the file's); run only where it is not there."""
+    """Return the JSON that a command writes into its folder under RUNS; run the command where the file is missing."""
     path = RUNS / file
     if not path.exists():
         line = [command, *arguments, "--out", str(RUNS / folder if folder else path.parent)]
@@ -90,7 +89,7 @@ def set_(changes: Iterable[str]) -> list[str]:
 
 
 def table(head: Sequence[str], rows: TextRows) -> list[str]:
-    """Markdown; columns of numbers are aligned to the right."""
+    """Return a Markdown table; columns of numbers are aligned to the right."""
     numeric = [all(re.match(r"[-+]?\d|$", row[k]) for row in rows) for k in range(len(head))]
     rule = "|" + "".join("---:|" if n else "---|" for n in numeric)
     return ["| " + " | ".join(head) + " |", rule, *("| " + " | ".join(row) + " |" for row in rows)]
@@ -100,7 +99,7 @@ def table(head: Sequence[str], rows: TextRows) -> list[str]:
 
 
 def solve_optima() -> None:
-    """The sixty problems: docs/case-study.json, which the tables are made from."""
+    """Solve the sixty problems and write docs/case-study.json, the source of the tables."""
     every = []
     for plant, name in itertools.product(PLANTS, LIMITS):
         arguments = [f"ksr3-{name}", "--orders", "--plots", *set_([f"plant={plant}"])]
@@ -111,18 +110,18 @@ def solve_optima() -> None:
 
 @functools.cache
 def orders(plant: str, limits: str) -> Mapping[tuple[str, str], Any]:
-    """Fifteen optima by structure and schedule."""
+    """Return fifteen optima by structure and schedule."""
     every = json.loads(PARAMETERS.read_text(encoding="utf-8"))["optima"]
     return {(o["structure"], o["schedule"]): o for o in every if (o["plant"], o["limits"]) == (plant, limits)}
 
 
 def peak(optimum: Any) -> float:
-    """Objective, dB; NaN where limits are missed."""
+    """Return the objective, dB; NaN where limits are missed."""
     return float(optimum["objective_db"]) if optimum["status"] == "optimal" else math.nan
 
 
 def gained(plant: str, limits: str) -> tuple[list[float], list[float]]:
-    """Subcase 1 on the two-phase design and Subcase 2 on Subcase 1, dB, by structure."""
+    """Return the gains of Subcase 1 over the two-phase design and of Subcase 2 over Subcase 1, dB, by structure."""
     peaks = [[peak(orders(plant, limits)[f, s]) for f in STRUCTURES] for s in SCHEDULES]
     return tuple([a - b for a, b in zip(*pair, strict=True)] for pair in itertools.pairwise(peaks))  # type: ignore[return-value]  # a pair
 
@@ -155,13 +154,13 @@ def claims() -> list[str]:
             for s in SCHEDULES
             for a, b in itertools.pairwise(STRUCTURES)
         ]
-        falls.append(f"yes, by {min(steps):.2f} dB at least" if min(steps) > 0.0 else f"no: {min(steps):.2f} dB")
+        falls.append(f"yes, by at least {min(steps):.2f} dB" if min(steps) > 0.0 else f"no: {min(steps):.2f} dB")
     rows.append(["the peak falls with every order of the filter", *falls])
     return table(["claim of the paper", *(f"{plant}, {limits}" for plant, limits in pairs)], rows)
 
 
 def between() -> list[str]:
-    """Identical limits: what the optima do between their eleven nodes, and what it costs to hold the limits there."""
+    """Return the least margins of the optima between their eleven nodes, and the cost of holding the limits there."""
     folder, at_nodes, rows = RUNS / "optima-flown-identical", orders("flown", "identical"), []
     kept(f"{folder.name}/design.json", "simdesign", "ksr3-identical", "--orders", "--plots", *set_(["plant=flown"]))
     changes = set_(["between_nodes=hold"])
@@ -186,10 +185,10 @@ def between() -> list[str]:
     return table(head, rows)
 
 
-def parameters(limits: str) -> list[str]:
-    """Gains at first and last node, and the filter, of every optimum of the reconstructed vehicle."""
+def parameters() -> list[str]:
+    """Return gains at the first and last node, and the filter, of the optima with identical limits."""
     rows = []
-    for (structure, schedule), o in orders("flown", limits).items():
+    for (structure, schedule), o in orders("flown", "identical").items():
         ends = [f"{o['gains'][k][0]:.4f} to {o['gains'][k][-1]:.4f}" for k in ("k_p", "k_d_s")]
         quadratic = "<br>".join(
             f"{q['zero_hz']:.3f}, {q['zero_zeta']:.3f}; {q['pole_hz']:.3f}, {q['pole_zeta']:.3f}"
@@ -202,9 +201,7 @@ def parameters(limits: str) -> list[str]:
 
 
 def relaxing() -> list[str]:
-    """Return the gain of Subcase 1 over the two-phase design of 0.5 Hz and 0.7 where its own rigid-body limits are
-    lower.
-    """
+    """Return the gain of Subcase 1 over the two-phase design of 0.5 Hz and 0.7 for lower rigid-body limits."""
     reference, rows = orders("flown", "identical"), []
     for share in RELAXED_BY:
         hz, zeta = 0.5 - 0.1 * share, 0.7 - 0.15 * share
@@ -219,7 +216,7 @@ def relaxing() -> list[str]:
 
 
 def limits() -> list[str]:
-    """Return the requirements of the two sets of limits."""
+    """Return the two sets of limits."""
     cases = [read_case(f"ksr3-{name}").case for name in LIMITS]
     names = {
         "gain_margin_db": "GM_R (44), dB",
@@ -237,7 +234,7 @@ def limits() -> list[str]:
 
 
 def errata() -> list[str]:
-    """The largest change that each erratum makes over the nodes."""
+    """Return the largest change over the nodes by each erratum."""
     nodes = published_nodes(load_scenario("nominal"), range(5, 60, 5))
     found = effects(nodes, load_design("designs/ksr3-default"))
     rows = []
@@ -251,7 +248,7 @@ def errata() -> list[str]:
         printed = about.printed if about.printed != "none" else f"left out: {about.corrected}"
         rows.append((str(about.number), printed, *cells))
     return table(
-        ("nr", "erratum, as printed", "mode 1, dB", "mode 2, dB", "gain margin, dB", "phase margin, deg"), rows
+        ("no.", "erratum, as printed", "mode 1, dB", "mode 2, dB", "gain margin, dB", "phase margin, deg"), rows
     )
 
 
@@ -259,7 +256,7 @@ def errata() -> list[str]:
 
 
 def robust() -> list[str]:
-    """Worst over all nodes on the sampled loop: nominal, and at forty corners of all ranges drawn at random."""
+    """Return the worst margins on the sampled loop: nominal, and at forty random corners of all ranges."""
     nodes, rows = operating_points.nodes("nominal", range(5, 60, 5)), []
     ranges = Ranges(_ranges(), Robust().corner_sigmas)
     ends = np.random.default_rng(2002).choice([-1, 1], (40, len(deviations_of(ranges.campaign, nodes[0]).places)))
@@ -300,7 +297,7 @@ def vehicles() -> list[str]:
 
 
 def corners() -> list[str]:
-    """Least |1 + L| at the same corners, tanks and modes each by itself: the worst that a search finds for either."""
+    """Return the least |1 + L| at the worst corners that a search finds for either design."""
     designs, rows = [load_design(f"designs/{name}") for name in ROBUST], []
     for node in operating_points.nodes("nominal", (0.3, 35.0, 45.0, 58.0)):
         cells = [f"{w:.3f}" for w in (worst([node], design)[2] for design in designs)]
@@ -316,7 +313,7 @@ def corners() -> list[str]:
 
 @functools.cache
 def _ranges() -> LoadedCampaign:
-    """The deviations of a robust case of KSR-III."""
+    """Return the deviations of a robust case of KSR-III."""
     return campaign_of(Robust(), load_scenario("nominal"))
 
 
@@ -327,8 +324,9 @@ def _margins_wanted() -> LinearMargins:
 
 
 def tvc_load() -> list[str]:
-    """Worst over all nodes of both planes on the sampled loop, the engine following its actuators and on a compliance,
-    and random vehicles (pitch) that miss a dispersed limit of the standard suite.
+    """Return the worst margins of both planes with the engine following its actuators and on a compliance.
+
+    Adds the number of random vehicles (pitch) that miss a dispersed limit of the standard suite.
     """
     wanted = _margins_wanted().model_copy(update={"cases": ON_LOAD})
     times = (0.4, 3.0, *range(5, 60, 5), 58.0)
@@ -355,7 +353,7 @@ def tvc_load() -> list[str]:
 
 
 def worst(nodes: Sequence[Node], design: Design) -> tuple[float, float, float]:
-    """Gain margin, dB, phase margin, deg, and least |1 + L|; NaN where a node is unstable."""
+    """Return gain margin, dB, phase margin, deg, and least |1 + L|; NaN where a node is unstable."""
     judged = judge(nodes, design, "sampled")
     if not all(j.margins.stable for j in judged):
         return math.nan, math.nan, math.nan
@@ -367,13 +365,13 @@ def worst(nodes: Sequence[Node], design: Design) -> tuple[float, float, float]:
 
 
 def flights() -> list[str]:
-    """Each design once through the nominal ascent, without wind and through a November jet."""
+    """Fly each design through the nominal ascent, without wind and through a November jet."""
     shown = {
         "max_q_alpha_Padeg": ("q alpha, kPa deg", 1e-3, 1),
         "max_attitude_error_deg": ("attitude error, deg", 1.0, 2),
-        "max_gimbal_deg": ("gimbal, deg", 1.0, 2),
+        "max_gimbal_deg": ("gimbal angle, deg", 1.0, 2),
         "max_gimbal_rate_degps": ("gimbal rate, deg/s", 1.0, 2),
-        "max_slosh_deg": ("slosh, deg", 1.0, 2),
+        "max_slosh_deg": ("slosh angle, deg", 1.0, 2),
         "max_bending_m": ("bending, mm", 1e3, 3),
         "max_altitude_m": ("apogee, km", 1e-3, 2),
         "range_m": ("range, km", 1e-3, 2),
@@ -384,12 +382,12 @@ def flights() -> list[str]:
         flight = fly(load_scenario("nominal", [f'design="designs/{name}.toml"', *profile]), log=False)
         cells = [f"{flight.metrics[m] * factor:.{digits}f}" for m, (_, factor, digits) in shown.items()]
         missed = [v.name for v in flight.verdicts if not v.met] + list(flight.failures)
-        rows.append((name, wind, *cells, "missed: " + ", ".join(missed) if missed else "all requirements met"))
-    return table(("design", "wind", *(text for text, _, _ in shown.values()), "verdict"), rows)
+        rows.append((name, wind, *cells, ", ".join(missed) or "none"))
+    return table(("design", "wind", *(text for text, _, _ in shown.values()), "limits missed"), rows)
 
 
 def campaigns() -> list[str]:
-    """Both designs in moderate turbulence and gust, requirement by requirement."""
+    """Return the requirements of both designs in moderate turbulence and gust."""
     flown = []
     for design in COMPARED:
         changes = set_([f"design=designs/{design}.toml", "campaign.keep=[]"])
@@ -424,26 +422,34 @@ def campaigns() -> list[str]:
 
 
 def judged() -> dict[str, dict[str, Any]]:
-    """verdict.json of both robust designs by the standard suite, which they share the risk of."""
+    """Return verdict.json of both robust designs by the standard suite, whose risk they share."""
     first = kept(f"verdicts/{ROBUST[0]}/verdict.json", "simverify", *ROBUST, "--no-pack", folder="verdicts")
     return {ROBUST[0]: first, **{name: kept(f"verdicts/{name}/verdict.json", "simverify") for name in ROBUST[1:]}}
 
 
 def verdicts() -> list[str]:
-    """Every requirement that one of the designs is not accepted by, or that is no flight of its own."""
+    """Return every requirement that a design does not meet, or that is not a single flight; yaw where it differs."""
     every = judged()
     of_each = [v["requirements"] for v in every.values()]
     by_name = [{r["name"]: r for r in reversed(of)} for of in of_each]  # of both planes pitch
     mark = {"accepted": "", "rejected": " ✗", "undecided": " ?"}
-    rows = [("**verdict**", "", *(f"**{v['verdict']}**" for v in every.values()))]
+    rows = [("**verdict**", "", *(f"**{v['verdict'].upper()}**" for v in every.values()))]
     counts = ((sum(r["verdict"] == "accepted" for r in of), len(of)) for of in of_each)
     rows.append(("requirements met", "", *("{} of {}".format(*n) for n in counts)))
+    shown = set[tuple[str, ...]]()
     for name, r in reversed(by_name[0].items()):
         mine = [of.get(name, {"found": "-", "verdict": ""}) for of in by_name]
+        found = [re.sub(r", wanted [<>]=[^;]*", "", m["found"]) for m in mine]
+        if name.startswith("least |1 + L|"):
+            found = [text.partition(";")[0] for text in found]
+        key = (re.sub(", (pitch|yaw)$", "", name), *found)
+        if key in shown:
+            continue
+        shown.add(key)
         if r["part"] != "scenarios" or any(m["verdict"] != "accepted" for m in mine):
-            found = (m["found"] + mark.get(m["verdict"], "") for m in mine)
-            rows.append((name.replace("|", "\\|"), r["wanted"], *found))
-    return [*table(("requirement", "wanted", *every), rows), "", "✗ rejected, ? undecided, - not asked for."]
+            cells = (text + mark.get(m["verdict"], "") for text, m in zip(found, mine, strict=True))
+            rows.append((name.replace("|", "\\|"), r["wanted"].removesuffix(", 99.73 % with 95 %"), *cells))
+    return [*table(("requirement", "limit", *every), rows), "", "✗ missed, ? undecided, - not required."]
 
 
 def _n(value: float) -> str:
@@ -471,8 +477,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "peaks": peaks,
     "relaxing": relaxing,
     "between": between,
-    "parameters": lambda: parameters("identical"),
-    "parameters-relaxed": lambda: parameters("relaxed"),
+    "parameters": parameters,
     "robust": robust,
     "vehicles": vehicles,
     "corners": corners,
@@ -484,7 +489,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
 
 
 def copy_pictures() -> None:
-    """Copy the pictures of `simdesign` to the names under which the chapter shows them."""
+    """Copy the pictures of `simdesign` under the names that the chapter uses."""
     drawn = RUNS / "optima-flown-identical"
     shutil.copy(drawn / "orders-peaks.png", PICTURES / "peaks-identical.png")
     shutil.copy(RUNS / "optima-flown-relaxed" / "orders-peaks.png", PICTURES / "peaks-relaxed.png")
@@ -501,12 +506,15 @@ def copy_pictures() -> None:
 
 
 def page_of(name: str) -> Path:
-    """The page that has a table's place."""
+    """Return the page with the place of a table."""
     return next(page for page in PAGES.glob("*.md") if f"<!-- begin {name} -->" in page.read_text(encoding="utf-8"))
 
 
 def fill(page: str, name: str, lines: Sequence[str]) -> str:
-    """The page with `lines` between `<!-- begin name -->` and `<!-- end name -->`. Raises ValueError without marks."""
+    """Return the page with `lines` between `<!-- begin name -->` and `<!-- end name -->`.
+
+    Raises ValueError without marks.
+    """
     filled, count = re.subn(
         rf"(<!-- begin {name} -->\n).*?(<!-- end {name} -->)",
         lambda marks: "\n".join([marks[1], *lines, "", marks[2]]),

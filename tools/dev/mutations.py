@@ -1,22 +1,22 @@
 """Mutations: does a quick test fail when one token of the source is changed?
 
     python -m maxq.tools.dev.mutations plant --work DIR     draw mutants, plant all of them in a copy of the tree
-    python -m maxq.tools.dev.mutations map --work DIR       which quick test gets to which mutant, and how long it takes
-    python -m maxq.tools.dev.mutations run --work DIR       run the tests that get to each mutant, until one fails
+    python -m maxq.tools.dev.mutations map --work DIR       mutants that each quick test reaches, and its time
+    python -m maxq.tools.dev.mutations run --work DIR       run the tests that reach each mutant until one fails
     python -m maxq.tools.dev.mutations table --work DIR     write counts and survivors into docs/verification.md
 
-All mutants stand in one copy, each beside the statement as it was: `if at(7): changed else: original`. Numbers in a
-file that all processes map into their memory tell which one holds, and which have been got to; compiled kernels look
-there, too, so that nothing is compiled again for a mutant. Every one meets its tests in a forked process, compiled, as
-the tests run in `.ci/run`. Not so what is worked out on import: for that, pytest has to be started again.
+One copy of the tree contains all mutants, each with its original statement: `if at(7): changed else: original`. A file
+that all processes map into their memory selects the active mutant and records the mutants reached. Compiled kernels
+read it, too, so no mutant needs a compilation. Each mutant is tested in a forked process, compiled, as in `.ci/run`.
+Values computed on import are not affected by the fork and need a new pytest process.
 
-A mutant is killed by the first test that fails; or by the clock, when a test takes more than ten times as long as
-otherwise and a minute. `--named`: the faults of harness_mutants.py as well. What stands in DIR/results.jsonl is not run
-again; `--only` runs some again. `map` and `run` take the tests from the tree where this script lies, as they are now.
+A mutant is killed by the first test that fails, or by a test that takes more than a minute and ten times its usual
+time. `--named` adds the faults of harness_mutants.py. Mutants in DIR/results.jsonl are not run again, except with
+`--only`. `map` and `run` use the present tests of the tree of this script.
 
 Not drawn: documentation, annotations, imports, messages of exceptions, f-strings, decorators, and tolerances (powers of
-ten below 1e-3): a change there is equivalent, or is no fault of the model. A comparison is shifted by its equal case
-only beside an integer: for measured quantities that case has no weight.
+ten below 1e-3), where a change is equivalent or no fault of the model. Equality is added to a comparison or removed
+only with integers, because measured quantities are never equal.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ from maxq.tools.dev.harness_mutants import NAMED
 ROOT = Path(__file__).resolve().parents[2]
 PIPE = "\\|"  # within a cell of a table
 PAGE = ROOT / "docs/verification.md"
+REASONS = Path(__file__).with_name("surviving_mutants.json")
 PACKAGES = {
     "control": ("control",),
     "sim/vehicle": ("sim/vehicle",),
@@ -157,7 +158,7 @@ class Mutant:
     old: str
     new: str
     source: str
-    """The line as it was."""
+    """Return the original line."""
 
 
 # --- what is changed
@@ -252,7 +253,7 @@ def drawn(number: int, seed: int) -> list[Mutant]:
 
 
 def named(first: int) -> list[Mutant]:
-    """The faults of harness_mutants.py."""
+    """Return the faults of harness_mutants.py."""
     out = list[Mutant]()
     for file, text, new, what in NAMED:
         before, old, after = re.split("[«»]", text)
@@ -325,7 +326,7 @@ def _at(tree: Any, way: SourcePlace) -> Any:
 
 
 def planted(source: str, mutants: list[Mutant]) -> str:
-    """The module with all its mutants."""
+    """Return the module with all its mutants."""
     original, groups = ast.parse(source), dict[SourcePlace, list[tuple[int, Any]]]()
     for mutant in mutants:
         way = _place(original, (mutant.line, mutant.column))
@@ -370,7 +371,7 @@ def plant(work: Path, mutants: list[Mutant], refused: set[int]) -> None:
 # --- in a process that has imported everything
 
 Map = dict[str, tuple[float, list[int]]]
-"""Of each test that passes: seconds, and the mutants it gets to."""
+"""The seconds and the mutants reached, by test that passes."""
 
 
 class _Server:
@@ -400,7 +401,7 @@ class _Server:
         return True
 
     def _forked(self, do: Any, path: Path | None = None) -> str:
-        """Run this in a forked process and return the text that it writes; at the end of a file, if one is given."""
+        """Return the output of `do` in a forked process, appended to `path` if given."""
         if path is None:
             path = self.work / f"answer-{os.getpid()}"
             path.write_text("")
@@ -446,7 +447,7 @@ def read_map(work: Path) -> Map:
 
 
 def _tests_for(number: int, known: Map, budget_s: float) -> list[str]:
-    """By file, what gets to the mutant first; then the rest of the file, which may look at what a fixture made."""
+    """Return the tests by file: those that reach the mutant, then the rest, which may use results of a fixture."""
     seconds = dict[str, float]()  # of what gets there, by file
     for name, (took, got_to) in known.items():
         if number in got_to:
@@ -464,21 +465,20 @@ def _file_of(name: str) -> str:
 
 
 def table(done: list[dict[str, Any]]) -> None:
-    """Counts by package and a line for each survivor, of what was drawn and what was named, where there are any.
+    """Write the counts by package, and a line for each survivor that is not equivalent, of drawn and of named mutants.
 
-    What is said on the page of a survivor is kept, whatever its line: it is equivalent if that is said. Mutants whose
-    line is "gone" (deleted since they were drawn) are not counted.
+    REASONS explains survivors; one is equivalent if its reason begins with this word. Mutants whose line is "gone"
+    (deleted since they were drawn) are not counted.
     """
-    text = PAGE.read_text()
+    text, said = PAGE.read_text(), json.loads(REASONS.read_text())
     for name, packages in (("mutants", [*PACKAGES, "all"]), ("named", ["by name"])):
         mine = [r for r in done if r["status"] != "gone" and (r["package"] in PACKAGES) == (name == "mutants")]
         if not mine:
             continue
         begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
         before, rest = text.split(begin)
-        written, after = rest.split(end)
-        said = {key: why for key, why in re.findall(r"^\| (.*? -> .*?) \| (.*?) \|$", written, re.M)}
-        rows = list[tuple[str, str, str]]()  # package, mutant, and why it lives; "" if it was killed
+        _, after = rest.split(end)
+        rows = list[tuple[str, str, str]]()  # package, mutant, and reason of its survival; "" if it was killed
         for r in sorted(mine, key=lambda r: r["number"]):
             key = f"{r['file']}: `{r['source'].replace('|', PIPE)}`, `{r['old']}` -> `{r['new'] or ' '}`"
             rows.append((r["package"], key, "" if r["status"] == "killed" else said.get(key, "open")))
@@ -491,8 +491,8 @@ def table(done: list[dict[str, Any]]) -> None:
             killed, equivalent = own.count(""), sum(why.startswith("equivalent") for why in own)
             counts = f"{len(own)} | {killed} | {equivalent} | {len(own) - killed - equivalent}"
             lines.append(f"| {package} | {counts} | {100.0 * killed / max(len(own) - equivalent, 1):.1f} % |")
-        lines += ["", "| lives | why |", "|---|---|"]
-        lines += [f"| {key} | {why} |" for _, key, why in rows if why]
+        lines += ["", "| survivor | reason |", "|---|---|"]
+        lines += [f"| {key} | {why} |" for _, key, why in rows if why and not why.startswith("equivalent")]
         text = before + begin + "\n" + "\n".join(lines) + "\n" + end + after
     PAGE.write_text(text)
 

@@ -43,19 +43,21 @@ class DryMass(Between):
     name: str = Field(description="name of the part")
     mass_kg: Positive = Field(description="kg")
     radius_m: Positive | None = optional("of the ring, m (default: the radius of its stage)")
-    gyration_m: Pair | None = optional("of its cross-section about the axis and across it, m (default: the ring's)")
+    gyration_m: Pair | None = optional(
+        "radii of gyration of its cross-section about the axis and across it, m (default: those of the ring)"
+    )
 
 
 class Shell(Between):
-    """A section of the load-carrying structure: its bending stiffness, and its mass where no part holds it."""
+    """A section of the load-carrying structure: its bending stiffness, and its mass if no part includes it."""
 
     EI_Nm2: Positive | None = optional("bending stiffness, N m2")
     rear_EI_Nm2: Positive | None = optional("at the aft end, linear between, N m2 (default: EI_Nm2)")
     radius_m: Positive | None = optional("of a thin wall, m (default: the radius of its stage)")
     wall_m: Positive | None = optional("of that wall, m: EI = pi E r^3 t")
     modulus_Pa: Positive | None = optional("Young's modulus of that wall, Pa")
-    strength_Pa: Positive | None = optional("stress that it bears: with modulus_Pa the limit of section loads, Pa")
-    density_kgpm3: NotNegative = optional("of that wall, kg/m3; 0: its mass is listed with the parts", 0.0)
+    strength_Pa: Positive | None = optional("allowable stress: with modulus_Pa the limit of section loads, Pa")
+    density_kgpm3: NotNegative = optional("density of that wall, kg/m3; 0: its mass is in the parts", 0.0)
 
     def _check(self) -> None:
         wall = self.wall_m is not None and self.modulus_Pa is not None
@@ -75,14 +77,14 @@ class LayoutTank(Section):
 
     name: values.ChannelPart = Field(description="name of the tank in logs")
     liquid_mass_kg: Positive = Field(description="propellant at liftoff, kg")
-    residual_kg: NotNegative = optional("of it left at burnout, kg", 0.0)
-    density_kgpm3: Positive = Field(description="of the propellant, kg/m3")
+    residual_kg: NotNegative = optional("remaining propellant at burnout, kg", 0.0)
+    density_kgpm3: Positive = Field(description="density of the propellant, kg/m3")
     radius_m: Positive = Field(description="inside, m")
     height_m: Positive = Field(description="inside, domes included, m")
     dome_m: Pair = optional("heights of half-ellipsoidal domes, bottom and top, m; 0: flat", (0.0, 0.0))
     bottom_station_m: float = Field(description="aft end, m aft of the nose")
-    damping_ratio: Fraction = optional("of the slosh mode; 0.01 to 0.03 with ring baffles", 0.01)
-    roll_share: Fraction = optional("of the roll inertia of the liquid as a solid that turns with the walls", 0.0)
+    damping_ratio: Fraction = optional("damping ratio of the slosh mode; 0.01 to 0.03 with ring baffles", 0.01)
+    roll_share: Fraction = optional("share of the liquid's solid-body roll inertia that turns with the walls", 0.0)
 
     @property
     def profile(self) -> Profile:
@@ -95,14 +97,14 @@ class LayoutTank(Section):
 
 
 class Grain(Between):
-    """Solid propellant: burns everywhere alike, does not slosh."""
+    """Solid propellant: burns uniformly, does not slosh."""
 
     mass_kg: Positive = Field(description="kg")
     radius_m: Positive | None = optional("outside, m (default: the radius of its stage)")
 
 
 class LoadSections(Section):
-    """The sections at which loads are computed (switches.section_loads)."""
+    """The stations of section loads (switches.section_loads)."""
 
     stations_m: tuple[float, ...] = Field(min_length=1, max_length=MAX_LOAD_STATIONS, description="m aft of the nose")
     axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional("as in a vehicle file")
@@ -112,11 +114,12 @@ _STACKED = ("upper", "middle", "lower")  # z is down
 
 
 class LayoutEngines(Section):
-    """The engines of a stage, all alike; several turn together left of the axis, right of it and between."""
+    """The engines of a stage, all equal; several form groups left of the axis, right of it and between."""
 
     positions_m: tuple[Pair, ...] = optional("of each engine's gimbal, y and z, m", ((0.0, 0.0),), min_length=1)
     thrust: Annotated[CsvTable, THRUST_COLUMNS] | None = optional(
-        "of each over time from ignition, CSV or a RASP file (.eng): instead of thrust_vacuum_N, isp_vacuum_s and ramps"
+        "thrust of each over time from ignition, CSV or a RASP file (.eng): instead of thrust_vacuum_N, isp_vacuum_s "
+        "and ramps"
     )
     thrust_vacuum_N: Positive | None = optional("of each, N")
     isp_vacuum_s: Positive | None = optional("specific impulse in vacuum, s")
@@ -125,7 +128,7 @@ class LayoutEngines(Section):
     exit_station_m: float = Field(description="of the nozzle exits, m aft of the nose")
     mass_kg: Positive = Field(description="of each, kg; between gimbal and exit")
     rear_station_m: float | None = optional("end of that mass, m aft of the nose (default: exit_station_m)")
-    gimballed_mass_kg: NotNegative | None = optional("that moves, kg (default: 0.8 of mass_kg)")
+    gimballed_mass_kg: NotNegative | None = optional("mass that moves, kg (default: 0.8 of mass_kg)")
     cg_from_gimbal_m: NotNegative | None = optional("of that mass aft of the gimbal, m (default: 0.3 of the length)")
     inertia_about_gimbal_kgm2: Positive | None = optional("of that mass (default: of a rod from gimbal to exit)")
     angle_limit_deg: Positive = optional("of the gimbal, deg", 6.0)
@@ -133,7 +136,7 @@ class LayoutEngines(Section):
     servo_hz: tuple[Positive, ...] = optional("natural frequencies of the actuator, one, two or four, Hz", (7.0,))
     servo_zeta: tuple[Positive, ...] = optional("its damping ratios", (0.7,))
     thrust_end_share: Annotated[float, Field(gt=0.0, le=1.5)] = optional(
-        "thrust at the end of the burn over that at its beginning: falls linearly (a pressure-fed chamber)", 1.0
+        "thrust at the end of the burn relative to its beginning, with linear decrease (a pressure-fed chamber)", 1.0
     )
     ramp_s: Positive = optional("from ignition to full thrust, s", 0.3)
     tail_off_s: Positive = optional("from full thrust to none, s", 0.3)
@@ -170,21 +173,21 @@ class LayoutStage(Between):
 
     name: values.ChannelPart = Field(description="name of the stage")
     diameter_m: Positive = Field(description="m")
-    part: tuple[DryMass, ...] = optional("dry parts, engines apart", ())
+    part: tuple[DryMass, ...] = optional("dry parts without engines", ())
     shell: tuple[Shell, ...] = Field(min_length=1, description="structure from the front to the rear of the stage")
-    tank: tuple[LayoutTank, ...] = optional("with liquid propellant", (), max_length=MAX_PENDULUMS)
+    tank: tuple[LayoutTank, ...] = optional("tanks with liquid propellant", (), max_length=MAX_PENDULUMS)
     grain: tuple[Grain, ...] = optional("solid propellant", ())
     engine: LayoutEngines
     fins: LayoutFins | None = optional("absent: none")
-    aero: AeroSection | None = optional("as in a vehicle file: what it gives is not worked out (CSV, DATCOM's for006)")
+    aero: AeroSection | None = optional("as in a vehicle file, instead of computed values (CSV, DATCOM's for006)")
     bending: BendingSection | None = optional("as in a vehicle file, instead of the beam's modes")
     spatial_modes: SpatialModesSection | None = optional("likewise (CSV, NASTRAN's op2 or f06)")
     loads: LoadSections | None = optional("absent: no section loads")
     modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes of the beam", 3)
     bending_damping: Fraction = optional("damping ratio of all modes", 0.005)
-    roll_torque_Nm: Positive | None = optional("of roll thrusters, N m (default: what turns by 5 deg/s2 at ignition)")
-    separation_after_s: values.Seconds = optional("from burnout to separation, s", 1.0)
-    ignition_after_s: values.Seconds = optional("from separation of the stage before to ignition, s", 2.0)
+    roll_torque_Nm: Positive | None = optional("torque of the roll thrusters, N m (default: for 5 deg/s2 at ignition)")
+    separation_after_s: values.Seconds = optional("time from burnout to separation, s", 1.0)
+    ignition_after_s: values.Seconds = optional("time from the preceding separation to ignition, s", 2.0)
 
     @property
     def usable_kg(self) -> float:
@@ -214,32 +217,32 @@ class LayoutSite(Section):
     latitude_deg: values.Latitude = Field(description="geodetic, deg")
     longitude_deg: values.Longitude = Field(description="east, deg")
     altitude_m: float = optional("above the ellipsoid, m", 0.0)
-    azimuth_deg: values.Angle = Field(description="of the launch, deg from north")
-    jet_mps: Positive = optional("of the limit wind of the suite: from the west, largest at 11 km, m/s", 40.0)
+    azimuth_deg: values.Angle = Field(description="launch azimuth, deg from north")
+    jet_mps: Positive = optional("peak of the suite's limit wind, from the west at 11 km, m/s", 40.0)
 
 
 class Fairing(Between):
-    """Dropped while an upper stage burns; its shell counts as the last stage's structure."""
+    """Fairing, dropped while an upper stage burns; its shell is part of the last stage's structure."""
 
     mass_kg: Positive = Field(description="kg")
     jettison_altitude_m: Positive = optional("dropped when a stage burns above this altitude, m", 110e3)
 
 
 class Trajectory(Section):
-    """Straight up, pitched over, gravity turn; to an orbit the upper stages steer by a linear tangent law."""
+    """Vertical rise, pitch-over and gravity turn; upper stages reach an orbit by a linear tangent law."""
 
     pitch_over_start_s: Positive = optional("end of the vertical rise, s after ignition", 5.0)
     pitch_over_s: Positive = optional("duration of the pitch-over, s", 12.0)
     final_path_angle_deg: Annotated[float, Field(gt=-30.0, lt=85.0)] = optional(
-        "of the path above the local horizon at the last burnout, deg: sets the pitch-over", 20.0
+        "flight-path angle at the last burnout, deg: sets the pitch-over", 20.0
     )
     orbit_altitude_m: Annotated[float, Field(ge=100e3, le=2e6)] | None = optional(
-        "of the last burnout above the Earth's equatorial radius, path level there: the perigee of an orbit, if the "
-        "speed suffices; instead of final_path_angle_deg"
+        "altitude of the last burnout above the Earth's equatorial radius, with a horizontal path: the perigee of an "
+        "orbit, if the speed suffices; instead of final_path_angle_deg"
     )
     apogee_altitude_m: Annotated[float, Field(ge=100e3, le=1e8)] | None = optional(
-        "above the equatorial radius, of an orbit that closed-loop guidance of the last engine steers to, with its "
-        "perigee at orbit_altitude_m, and cuts off at (default: the pitch programme alone, to the end of propellant)"
+        "apogee above the equatorial radius of an orbit with perigee at orbit_altitude_m, reached by closed-loop "
+        "guidance and cutoff of the last engine (default: pitch programme only, to the end of propellant)"
     )
 
     def _check(self) -> None:
@@ -261,9 +264,10 @@ class Control(Section):
     gyro_hz: Positive = optional("natural frequency, Hz; of the accelerometer as well", 60.0)
     gyro_zeta: Positive = optional("damping ratio", 0.7)
     rigid_hz: Positive | None = optional(
-        "of the first gains, Hz (default: at each instant an eighth of mode 1 and of the actuator, at most 0.4)"
+        "rigid-body frequency of the first gains, Hz (default: at each instant an eighth of mode 1 and of the "
+        "actuator, at most 0.4)"
     )
-    rigid_zeta: Positive = optional("of the first gains", 0.7)
+    rigid_zeta: Positive = optional("rigid-body damping ratio of the first gains", 0.7)
 
 
 class Layout(Section):
@@ -271,10 +275,10 @@ class Layout(Section):
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("name of the vehicle", "")
-    description: str = optional("what it is, in a sentence", "")
+    description: str = optional("description, one sentence", "")
     nose: Literal["ogive", "cone"] = optional("shape of the nose", "ogive")
     nose_length_m: Positive = Field(description="m")
-    axial_factor: Positive = optional("on the assumed axial force coefficient", 1.0)
+    axial_factor: Positive = optional("factor on the assumed axial force coefficient", 1.0)
     site: LayoutSite
     trajectory: Trajectory = Trajectory()
     control: Control

@@ -267,9 +267,9 @@ def _faulty_command(faults: Array, channel: int, command: float) -> float:
 
 class ActuatorRow(NamedTuple):
     gimbal_axis_command_deg: Annotated[PitchYaw, "deg", "command to the actuator"]
-    gimbal_axis_angle_deg: Annotated[PitchYaw, "deg", "engine angle"]
-    gimbal_axis_rate_degps: Annotated[PitchYaw, "deg/s", "engine rate"]
-    gimbal_axis_accel_degps2: Annotated[PitchYaw, "deg/s2", "engine acceleration"]
+    gimbal_axis_angle_deg: Annotated[PitchYaw, "deg", "gimbal angle"]
+    gimbal_axis_rate_degps: Annotated[PitchYaw, "deg/s", "gimbal rate"]
+    gimbal_axis_accel_degps2: Annotated[PitchYaw, "deg/s2", "gimbal acceleration"]
 
 
 @kernel

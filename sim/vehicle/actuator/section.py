@@ -20,8 +20,7 @@ class ActuatorAxis(Section):
     """Actuator of one axis."""
 
     model: Literal["second-order", "fourth-order", "sixth-order"] = optional(
-        "poles: the servo; servo and a second pair; servo and two pairs with a pair of zeros (paper, eq. 28)",
-        "sixth-order",
+        "poles: servo; servo and a second pair; servo and two pairs with a pair of zeros (paper, eq. 28)", "sixth-order"
     )
     omega_hz: tuple[Positive, ...] = Field(
         description="natural frequencies, Hz: servo a1, from the fourth order a2, in the sixth a3 and the zero a4"
@@ -31,11 +30,11 @@ class ActuatorAxis(Section):
     angle_limit_deg: GimbalAngle = Field(description="limit of the gimbal angle, deg")
     rate_limit_degps: Positive = Field(description="limit of the gimbal rate, deg/s")
     limits_act_on: Literal["servo", "engine"] = optional(
-        "servo: the other poles come behind it and may carry the engine past both limits; engine: they come ahead of "
-        "it, and the engine's rate stays within its limit",
+        "servo: the other poles follow it, and the engine can exceed both limits; engine: the other poles precede it, "
+        "and the engine's rate stays within its limit",
         "servo",
     )
-    stop_deg: GimbalAngle | None = optional("hard stop of the engine's own angle, deg (default: none)")
+    stop_deg: GimbalAngle | None = optional("hard stop of the gimbal angle, deg (default: none)")
     backlash_deg: NotNegative = optional("full width of the play between actuator and engine, deg", 0.0)
 
     def _check(self) -> None:
@@ -49,21 +48,21 @@ class ActuatorAxis(Section):
 
 
 class YawActuator(Section):
-    """The differences of the yaw actuator; every key is optional."""
+    """The keys that differ in the yaw actuator; all are optional."""
 
     omega_hz: tuple[Positive, ...] | None = optional("natural frequencies, Hz")
     zeta: tuple[Positive, ...] | None = optional("damping ratios")
     exchange_a3_a4: bool | None = optional("exchange pole pair a3 and zero pair a4")
     angle_limit_deg: GimbalAngle | None = optional("limit of the gimbal angle, deg")
     rate_limit_degps: Positive | None = optional("limit of the gimbal rate, deg/s")
-    stop_deg: GimbalAngle | None = optional("hard stop of the engine's own angle, deg")
+    stop_deg: GimbalAngle | None = optional("hard stop of the gimbal angle, deg")
     backlash_deg: NotNegative | None = optional("full width of the play between actuator and engine, deg")
 
 
 class ActuatorSection(ActuatorAxis):
-    """Actuators of both axes, alike unless `yaw` says otherwise: of all groups of engines, or in a list of one each."""
+    """Actuators of both axes, equal unless `yaw` differs: of all groups of engines, or in a list by group."""
 
-    group: ChannelPart | None = optional("in a list: the group of engines that it moves, as the engines name it")
+    group: ChannelPart | None = optional("in a list: name of the group of engines that it moves")
     bias_deg: Pair = optional("constant error of the angle, pitch and yaw, deg", (0.0, 0.0))
     yaw: YawActuator | None = optional("keys that differ in the yaw axis")
 

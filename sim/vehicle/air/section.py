@@ -46,38 +46,35 @@ def _nothing() -> CsvTable:
 
 
 class AeroSurface(Section):
-    """A lifting part, with its own angle of attack where the body bends."""
+    """A lifting part, with its local angle of attack on the bent body."""
 
     name: str = optional("name of the part", "")
     table: Annotated[CsvTable, SURFACE_COLUMNS] = Field(
-        description="normal force slope (1/rad) and its station over Mach"
+        description="normal force slope (1/rad) and its station over Mach number"
     )
 
 
 class Coefficients(Section):
-    """A table of coefficients over Mach number and angle of attack; all tables act together, beside the slopes."""
+    """A table of coefficients over Mach number and angle of attack; all tables and the slopes add up."""
 
     name: str = optional("name of the table", "")
     table: Annotated[CsvTable, COEFFICIENT_COLUMNS] = Field(
         description="one row for each combination of up to three of: mach; total_deg, the angle between x axis and "
         "flow, with roll_deg, atan2(v, w), or alpha_deg = atan2(w, u) and beta_deg = asin(v/V); outside it the end "
-        "values hold. Forces CA = -CX, CY, CN = -CZ, or drag CD and lift CL (turned by the angle of attack); moments "
-        "Cl, Cm, "
-        "Cn (span, chord, yaw chord) about the moment reference; Clp ... CNq per p span/2V, q chord/2V, r yaw chord/2V"
+        "values hold. Forces CA = -CX, CY, CN = -CZ, or drag CD and lift CL (rotated by the angle of attack); moments "
+        "Cl, Cm, Cn (span, chord, yaw chord) about the moment reference; Clp ... CNq per p span/2V, q chord/2V, r yaw "
+        "chord/2V"
     )
     axes: Literal["body", "aeroballistic"] | None = optional(
-        "of forces and moments; aeroballistic: CN and Cm in the plane of total angle of attack, CY and Cn across it "
-        "(default with total_deg, else body)"
+        "axes of forces and moments; aeroballistic: CN and Cm in the plane of the total angle of attack, CY and Cn "
+        "across it (default with total_deg, else body)"
     )
-    power: Literal["always", "on", "off"] = optional(
-        "on: acts while the engine burns; off: while it does not", "always"
-    )
+    power: Literal["always", "on", "off"] = optional("on: acts while the engine burns; off: otherwise", "always")
     interpolation: Literal["linear", "pchip"] | None = optional(
-        "multilinear, or with continuous slopes in all variables (default: as the aerodynamics')"
+        "multilinear, or with continuous slopes in all variables (default: that of [stage.aero])"
     )
     station_m: float | None = optional(
-        "station at which bending and wind act on it and it on the modes, m aft of the nose (default: the mean moment "
-        "reference)"
+        "station for the coupling with bending and wind, m aft of the nose (default: the mean moment reference)"
     )
 
     @property
@@ -131,18 +128,18 @@ class Coefficients(Section):
 
 
 class AeroSection(Section):
-    """Coefficients over Mach number, and over angle of attack; outside the table the end values hold."""
+    """Coefficients over Mach number and angle of attack; outside the table the end values hold."""
 
     table: Annotated[CsvTable, AERO_COLUMNS] = Field(
         default_factory=_nothing,
-        description="may be absent beside coefficients; absent columns are 0 (CA_coast, engine off: as CA); CD acts "
-        "along the relative wind; CN_alpha_pr acts at x_cp_m, or gives Cm_alpha_pr about the moment reference; "
-        "Cmq, Cnr, Clp damp rates",
+        description="optional with coefficients; absent columns are 0 (CA_coast, engine off: as CA); CD acts along "
+        "the relative wind; CN_alpha_pr acts at x_cp_m, or Cm_alpha_pr is given about the moment reference; Cmq, Cnr, "
+        "Clp damp rates",
     )
-    interpolation: Literal["pchip", "linear"] = optional("between the rows", "pchip")
-    moment_reference_m: float = optional("station about which moments are given, m aft of the nose", 0.0)
+    interpolation: Literal["pchip", "linear"] = optional("interpolation between the rows", "pchip")
+    moment_reference_m: float = optional("reference station of the moments, m aft of the nose", 0.0)
     moment_reference_over_time: Annotated[CsvTable, REFERENCE_OVER_TIME] | None = optional(
-        "the moment reference as it moves over the stage clock, m aft of the nose, instead of moment_reference_m"
+        "moment reference over the stage clock, m aft of the nose, instead of moment_reference_m"
     )
     moment_reference_over_mass: Annotated[CsvTable, REFERENCE_OVER_MASS] | None = optional(
         "the same over the vehicle's total mass"
@@ -155,9 +152,9 @@ class AeroSection(Section):
     axial_factor: NotNegative = optional("multiplies axial force and drag (CA, CD)", 1.0)
     damping_factor: NotNegative = optional("multiplies the damping by body rates (Cmq, Cnr, Clp)", 1.0)
     centre_shift_m: float = optional("moves the centre of every lifting part aft, m", 0.0)
-    rate_reference: Literal["inertial", "earth"] = optional("which body rates damp", "inertial")
+    rate_reference: Literal["inertial", "earth"] = optional("body rates that damp", "inertial")
     surface: tuple[AeroSurface, ...] = optional(
-        "lifting parts; their sum is CN_alpha where the table has none", (), max_length=MAX_SURFACES
+        "lifting parts; their sum is CN_alpha if the table has none", (), max_length=MAX_SURFACES
     )
     coefficients: tuple[Coefficients, ...] = optional(
         "tables over Mach number and angle of attack", (), max_length=MAX_SURFACES

@@ -34,9 +34,8 @@ class Mass(Section):
     """Mass properties of the whole vehicle while this stage flies: a table, or constants."""
 
     table: Annotated[CsvTable, MASS_COLUMNS] | None = optional(
-        "whole vehicle, liquid included as if frozen, inertia about its CG, over the stage "
-        "clock; x_cg_m is the station aft of the nose, y and z are body axes; products of inertia are "
-        "integrals, Ixz = int x z dm"
+        "whole vehicle with frozen liquid, inertia about its CG, over the stage clock; x_cg_m is the station aft of "
+        "the nose, y and z are body axes; products of inertia are integrals, Ixz = int x z dm"
     )
     mass_kg: Positive | None = optional("constant mass (at ignition, when it is expelled), kg")
     x_cg_m: float | None = optional("station of the CG aft of the nose, m")
@@ -46,9 +45,9 @@ class Mass(Section):
         "inertia tensor about the CG in B, kg m2: minus the products off the diagonal"
     )
     mass_flow_kgps: NotNegative | None = optional("mass expelled per second, kg/s (default 0)")
-    burn_s: NotNegative | None = optional("for how long it is expelled, s")
+    burn_s: NotNegative | None = optional("duration of the mass flow, s")
     rate_damping: Annotated[CsvTable, RATE_DAMPING_COLUMNS] | None = optional(
-        "moment against the body's rotation per rate about x, y and z, N m s/rad, over the stage clock"
+        "damping moment per body rate about x, y and z, N m s/rad, over the stage clock"
     )
 
     def _check(self) -> None:

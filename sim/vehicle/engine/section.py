@@ -32,19 +32,20 @@ class EngineSection(Section):
 
     name: ChannelPart = optional("name of the engine in logs and faults (default: its number)", "")
     table: Annotated[CsvTable, THRUST_COLUMNS] = Field(
-        description="thrust in vacuum over the stage clock; mass_flow_kgps counts in relation to the other engines' "
-        "(default: in proportion to thrust), the vehicle's mass is that of its own table"
+        description="thrust in vacuum over the stage clock; mass_flow_kgps is relative to that of the other engines "
+        "(default: in proportion to thrust); the vehicle's mass is in the table of mass"
     )
     throttle: Annotated[CsvTable, THROTTLE_COLUMNS] | None = optional(
-        "share of the table's thrust and mass flow over the stage clock, linear between; tables over time then run on "
-        "the propellant spent (default: 1)"
+        "share of the table's thrust and mass flow over the stage clock, linear between rows; tables over time then "
+        "follow the propellant spent (default: 1)"
     )
     gimbal: GimbalPlanes = optional("planes in which the engine is gimballed", "both")
     group: ChannelPart = optional("engines of a group have the same gimbal angles", "")
     cant_deg: Pair = optional(
-        "angle of the axis at rest, pitch and yaw, deg; the table of mass holds the engine so", (0.0, 0.0)
+        "angle of the axis at rest, pitch and yaw, deg; the table of mass includes the engine in this position",
+        (0.0, 0.0),
     )
-    exit_area_m2: NotNegative = optional("nozzle exit area, m2: ambient pressure on it lessens thrust", 0.0)
+    exit_area_m2: NotNegative = optional("nozzle exit area, m2: ambient pressure on it reduces thrust", 0.0)
     gimbal_station_m: float = Field(description="station of the gimbal, m aft of the nose")
     exit_station_m: float = Field(description="station of the nozzle exit, m aft of the nose (jet damping)")
     gimballed_mass_kg: NotNegative = optional("mass that moves with the engine, kg; 0: no reaction", 0.0)

@@ -37,37 +37,37 @@ SECTION_PREFIX = "max_section_"
 
 
 class Liquid(Section):
-    """The liquid of a tank: a column of uniform density between its surface and the tank's bottom."""
+    """The liquid of a tank: a column of uniform density from the bottom to the surface."""
 
-    tank: str = optional("name or number of the tank in which it sloshes (default: it does not)", "")
+    tank: str = optional("name or number of the tank in which it sloshes (default: none)", "")
     table: Annotated[CsvTable, LIQUID_COLUMNS] = Field(
-        description="mass (what sloshes included) and station of the surface over the stage clock"
+        description="mass (with the slosh mass) and station of the surface over the stage clock"
     )
-    bottom_station_m: float = Field(description="where the column ends, and where its weight hangs on the body, m")
+    bottom_station_m: float = Field(description="aft end of the column, where its weight acts on the body, m")
 
 
 class LoadsSection(Section):
     """Section loads by summation of forces, with switches.section_loads."""
 
     stations_m: tuple[float, ...] = Field(
-        min_length=1, max_length=MAX_LOAD_STATIONS, description="rising, m aft of the nose, up to the gimbal"
+        min_length=1,
+        max_length=MAX_LOAD_STATIONS,
+        description="stations, ascending, m aft of the nose, up to the gimbal",
     )
     line_mass: Annotated[CsvTable, LINE_MASS_COLUMNS] = Field(
-        description="all that is not liquid, engine included: masses spread evenly between two stations, or points"
+        description="all masses but the liquid, with the engine: uniform between two stations, or points"
     )
-    liquid: tuple[Liquid, ...] = optional(
-        "liquids, of every tank that sloshes and of others", (), max_length=MAX_PENDULUMS
-    )
+    liquid: tuple[Liquid, ...] = optional("liquids of all tanks, sloshing or not", (), max_length=MAX_PENDULUMS)
     limits: Annotated[CsvTable, LIMIT_COLUMNS] | None = optional(
-        "what sections bear, linear between stations (at each the same time_s, on the stage clock); "
+        "limit loads of the sections, linear between stations (with the same time_s at each, on the stage clock); "
         "equivalent axial loads are N +- 2 M / radius_m"
     )
     axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional(
-        "shares of the axial aerodynamic force, with sum 1 (default: all of it at nose_station_m)"
+        "distribution of the axial aerodynamic force, with sum 1 (default: all at nose_station_m)"
     )
-    nose_station_m: float = optional("where the body begins, m aft of the nose", 0.0)
+    nose_station_m: float = optional("forward end of the body, m aft of the nose", 0.0)
     period_s: Period = optional("time between evaluations for the extremes, s, whole ns", 0.002)
-    coast: bool = optional("extremes are gathered without thrust as well", False)
+    coast: bool = optional("also record extremes without thrust", False)
     tolerance: Fraction = optional(
         "largest difference between these masses and the stage's: of the mass, of the CG over the length and of the "
         "transverse radius of gyration, relative; a campaign draws a vehicle beyond it again",

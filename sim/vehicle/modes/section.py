@@ -27,7 +27,7 @@ def _ones(data: dict[str, Any]) -> tuple[float, ...]:
 
 
 class BendingSection(Section):
-    """Free-free bending modes, engine locked and sloshing masses removed."""
+    """Free-free bending modes, with the engine locked and without slosh masses."""
 
     pitch: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
         "modes of the pitch plane, one row per time (or total mass), mode and station (default: none)"
@@ -35,7 +35,9 @@ class BendingSection(Section):
     yaw: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
         "modes of the yaw plane; may be the same file (default: none)"
     )
-    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode, both planes alike")
+    damping_ratio: tuple[Fraction, ...] = Field(
+        max_length=MAX_MODES, description="damping ratio of each mode in both planes"
+    )
     frequency_factor: tuple[Positive, ...] = Field(
         default_factory=_ones, description="multiplies the frequency of each mode (default ones)"
     )
@@ -66,7 +68,7 @@ class BendingSection(Section):
 
 
 class SpatialModesSection(Section):
-    """Coupled three-dimensional free-free modes, engine locked and sloshing masses removed; beside the planar ones."""
+    """Coupled three-dimensional free-free modes, in addition to planar ones; engine locked, no slosh masses."""
 
     table: Annotated[CsvTable, SPATIAL_COLUMNS] = Field(
         description="one row per time (or total mass), mode and station: displacement phi along, rotation theta about "

@@ -166,14 +166,14 @@ class RateGyroRow(NamedTuple):
     """The logged values of a rate gyro beyond the first."""
 
     gyro_number_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "output of the gyro"]
-    gyro_number_axis_counted_degps: Annotated[RollPitchYaw, "deg/s", "what the computer has of it: mean over a sample"]
+    gyro_number_axis_counted_degps: Annotated[RollPitchYaw, "deg/s", "computer input: mean over a sample"]
 
 
 class AccelerometerRow(NamedTuple):
     """The accelerometer."""
 
     accelerometer_axis_mps2: Annotated[Xyz, "m/s2", "output of the accelerometer: specific force at its station"]
-    accelerometer_axis_counted_mps2: Annotated[Xyz, "m/s2", "what the computer has of it: mean over a sample"]
+    accelerometer_axis_counted_mps2: Annotated[Xyz, "m/s2", "computer input: mean over a sample"]
 
 
 @kernel

@@ -26,14 +26,14 @@ Latency = Annotated[int, Field(ge=0, le=MAX_LATENCY)]
 
 
 class RateGyro(GyroSection):
-    """A rate gyro beyond the first, three axes; the design says what part it has in the rate of the law (blend)."""
+    """An additional three-axis rate gyro; `blend` of the design gives its weight in the rate of the law."""
 
-    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
-    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
+    latency_samples: Latency = optional("delay of the output, samples of the computer", 0)
+    dropout: Fraction = optional("probability that a sample is lost; the computer then holds the last one", 0.0)
 
 
 class Accelerometer(Section):
-    """Accelerometer of three axes: specific force at its station, with what bending, engine and liquid do to it."""
+    """Three-axis accelerometer: specific force at its station, with the effects of bending, engine and liquid."""
 
     station_m: float = Field(description="station, m aft of the nose, on the body axis")
     omega_hz: Positive = Field(description="natural frequency, Hz")
@@ -43,5 +43,5 @@ class Accelerometer(Section):
     scale_factor: Triple = optional("relative error of the scale along x, y, z", (0.0, 0.0, 0.0))
     misalignment_deg: Triple = optional("small rotation about x, y, z, deg", (0.0, 0.0, 0.0))
     noise_mps_rt_h: NotNegative = optional("velocity random walk, m/s per root hour", 0.0)
-    latency_samples: Latency = optional("samples of the computer that its output comes late", 0)
-    dropout: Fraction = optional("probability that a sample is lost; the computer holds the one before", 0.0)
+    latency_samples: Latency = optional("delay of the output, samples of the computer", 0)
+    dropout: Fraction = optional("probability that a sample is lost; the computer then holds the last one", 0.0)

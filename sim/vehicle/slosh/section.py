@@ -76,40 +76,44 @@ def check_domes(profile: Profile, radius_m: float, key: str = "dome_m") -> None:
 
 
 class Baffles(Section):
-    """Rings on the cylindrical wall of a tank: damping that grows with the root of the wave (NASA SP-106, eq. 4.10)."""
+    """Rings on a tank's wall: damping proportional to the root of the wave height (NASA SP-106, eq. 4.10)."""
 
-    width_m: Positive = Field(description="of each ring, from the wall inwards, m")
+    width_m: Positive = Field(description="width of each ring, from the wall inwards, m")
     station_m: tuple[float, ...] = Field(
-        min_length=1, description="stations of the rings, m aft of the nose; one above the surface damps nothing"
+        min_length=1, description="stations of the rings, m aft of the nose; rings above the surface have no effect"
     )
 
 
 class Tank(Section):
-    """A tank with a sloshing liquid: a spherical pendulum that hangs at its hinge, or two."""
+    """A tank with a sloshing liquid, modelled by one or two spherical pendulums."""
 
     name: ChannelPart = optional("name of the tank in logs (default: its number); a second pendulum is NAME_2", "")
     table: Annotated[CsvTable, TANK_COLUMNS] = Field(
-        description="over the stage clock: the pendulum, and one of the second mode if columns ..._2_... are there; or "
-        "the liquid's mass, from which with `shape` the pendulums follow. Part of the stage's table of mass"
+        description="over the stage clock: the pendulum, and that of the second mode in columns ..._2_...; or the "
+        "liquid's mass, from which `shape` gives the pendulums. The stage's table of mass includes it"
     )
     damping_ratio: Fraction = optional(
-        "of the pendulum at small waves, as a ratio to critical (default 0 with viscosity_m2ps or baffles)", 0.0
+        "damping ratio of the pendulum in small waves (default 0 with viscosity_m2ps or baffles)", 0.0
     )
-    second_damping_ratio: Fraction | None = optional("of the second mode's pendulum (default: as damping_ratio)")
-    damping_factor: NotNegative = optional("multiplies all damping: of the pendulums, smooth walls and baffles", 1.0)
-    viscosity_m2ps: Positive | None = optional("kinematic, m2/s: adds the damping of a smooth wall")
-    baffles: Baffles | None = optional("ring baffles: they damp the first mode the more the higher the wave")
-    mass_factor: NotNegative = optional("multiplies the sloshing mass; the vehicle's mass stays as it is", 1.0)
-    length_factor: Positive = optional("multiplies the pendulum's length: its frequency goes with 1/sqrt", 1.0)
-    shape: Literal["cylinder", "sphere", "ellipsoid"] | None = optional("of the tank, upright on the body axis")
-    radius_m: Positive | None = optional("of the tank, m; without a shape: of an upright cylinder")
+    second_damping_ratio: Fraction | None = optional(
+        "damping ratio of the second mode's pendulum (default: as damping_ratio)"
+    )
+    damping_factor: NotNegative = optional("multiplies all damping: pendulums, smooth walls and baffles", 1.0)
+    viscosity_m2ps: Positive | None = optional("kinematic viscosity, m2/s: adds the damping of a smooth wall")
+    baffles: Baffles | None = optional("ring baffles: their damping of the first mode grows with the wave")
+    mass_factor: NotNegative = optional("multiplies the slosh mass; the vehicle's mass is unchanged", 1.0)
+    length_factor: Positive = optional(
+        "multiplies the pendulum's length; its frequency is proportional to 1/sqrt of it", 1.0
+    )
+    shape: Literal["cylinder", "sphere", "ellipsoid"] | None = optional("shape of the tank, upright on the body axis")
+    radius_m: Positive | None = optional("radius of the tank, m; without a shape: of an upright cylinder")
     bottom_station_m: float | None = optional("aft end of the tank, m aft of the nose")
-    height_m: Positive | None = optional("of a cylinder (domes included) or an ellipsoid, inside, m")
+    height_m: Positive | None = optional("inner height of a cylinder (domes included) or an ellipsoid, m")
     dome_m: Pair | None = optional("heights of a cylinder's half-ellipsoidal domes, bottom and top, m; 0: flat")
-    density_kgpm3: Positive | None = optional("of the liquid, kg/m3")
-    modes: Literal[1, 2] | None = optional("lateral slosh modes that are flown of a shape (default 1)")
+    density_kgpm3: Positive | None = optional("density of the liquid, kg/m3")
+    modes: Literal[1, 2] | None = optional("number of lateral slosh modes of a shape (default 1)")
     breaking_height_m: Positive | None = optional(
-        "height of the wave at which it counts as breaking, m (default: where the surface falls with the axial load)"
+        "wave height that counts as breaking, m (default: where the surface falls with the axial load)"
     )
 
     @property

@@ -10,16 +10,19 @@ from maxq.sim.input.values import ChannelPart, Fraction, NotNegative, Positive, 
 class TvcLoadSection(Section):
     """Each engine on the compliance of actuators and mount, free in its planes: all groups, or a list by group."""
 
-    group: ChannelPart | None = optional("in a list: the group of engines, as they name it")
+    group: ChannelPart | None = optional("in a list: name of the group of engines")
     frequency_hz: Positive | None = optional("of the engine on its compliance, actuators locked, vehicle fixed, Hz")
     stiffness_Nmprad: Positive | None = optional("of the compliance of one engine, N m/rad")
-    damping_ratio: Fraction = Field(description="of that vibration: the damper lies beside the spring")
+    damping_ratio: Fraction = Field(
+        description="damping ratio of that vibration, with the damper parallel to the spring"
+    )
     friction_Nm: NotNegative = optional(
         "Coulomb torque of one gimbal's bearings, N m (Dahl's model); without a TVC load there is no friction", 0.0
     )
-    friction_angle_deg: Positive = optional("over which the friction builds up, deg", 0.05)
+    friction_angle_deg: Positive = optional("angle over which the friction builds up, deg", 0.05)
     stop_stiffness_Nmprad: Positive | None = optional(
-        "of the contact of one engine at the actuator's stop_deg, N m/rad (default: ten times that of the compliance)"
+        "contact stiffness of one engine at the actuator's stop_deg, N m/rad (default: ten times that of the "
+        "compliance)"
     )
 
     def _check(self) -> None:

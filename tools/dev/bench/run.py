@@ -1,7 +1,6 @@
-"""All benchmarks: `make bench`. Results go to docs/performance.json, tables and picture to
-docs/performance.md.
+"""All benchmarks: `make bench`. Results go to docs/performance.json, tables and picture to docs/performance.md.
 
-Every part runs in processes of its own, so that none of them runs in another's memory and caches.
+Every part runs in separate processes, so that no part uses the memory and caches of another.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ PICTURE = DOCS / "pictures" / "work-precision.svg"
 
 
 def _in_own_process(module: str, *arguments: str) -> Any:
-    """The JSON that a module of this folder prints. Raises RuntimeError with its last words."""
+    """Return the JSON that a module of this folder prints. Raises RuntimeError with its last line of stderr."""
     done = subprocess.run(
         [sys.executable, "-m", f"maxq.tools.dev.bench.{module}", *arguments],
         capture_output=True,

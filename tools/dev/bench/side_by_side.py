@@ -33,7 +33,7 @@ CASES = (
     ProgramFlight("maxq", "nominal, 59 s at 1 kHz, everything on", "fly_maxq", ours=True),
     ProgramFlight("maxq_own", "the same, by a campaign's kernels", "fly_maxq", ours=True, arguments=("--own-kernels",)),
     ProgramFlight(
-        "maxq_nine", "its engine as nine, each moved by itself", "fly_maxq", ours=True, arguments=("--nine-engines",)
+        "maxq_nine", "its engine as nine, moved separately", "fly_maxq", ours=True, arguments=("--nine-engines",)
     ),
     ProgramFlight("jsbsim", "rigid, J2461.xml, 60 s at 1 kHz", "fly_jsbsim", needed=3.5),
     ProgramFlight("basilisk", "hub, 3 slosh, 2 panels, RK4, 60 s at 1 kHz", "fly_basilisk", needed=20.0),

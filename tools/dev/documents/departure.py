@@ -1,4 +1,4 @@
-"""Compare the paper's continuous loop with the sampled one that flies: places and sizes of the differences."""
+"""The differences of the paper's continuous loop from the sampled one that flies."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ PARTS: tuple[DeparturePart, ...] = ("total", "pade", "aliasing", "integrator", "
 
 @dataclass(frozen=True)
 class Departure:
-    """Pade loop over sampled loop of one node, as decibels and degrees at each frequency, (frequencies,).
+    """The ratio of Padé loop to sampled loop at one operating point, dB and deg, (frequencies,).
 
-    `total` is the sum of four parts, each a ratio of its own:
+    `total` is the sum of four parts, each a ratio:
 
     - `pade`: eqs 30 to 32 over their exact factors
     - `aliasing`: the exact factors without images over the sampled path; infinite in dB where the images cancel it

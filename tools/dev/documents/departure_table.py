@@ -1,9 +1,9 @@
-"""Tabulate the differences between the paper's continuous loop and the sampled one that flies, node by node.
+"""The differences of the paper's continuous loop from the sampled one that flies, by operating point.
 
     python -m maxq.tools.dev.documents.departure_table [FILE]
 
-compares both for the design `ksr3-default` along the flight `nominal` and writes the result into FILE (default:
-docs/flights/nominal-departure.md); prints the same.
+compares both for the design `ksr3-default` along the flight `nominal`, and writes the result into FILE (default:
+docs/flights/nominal-departure.md) and to the terminal.
 """
 
 from __future__ import annotations
@@ -27,29 +27,29 @@ MODES = ("bending 1", "bending 2", "bending 3")
 NAMES: dict[DeparturePart, str] = {
     "total": "all",
     "pade": "Padé approximants (30 to 32)",
-    "aliasing": "no images",
+    "aliasing": "images omitted",
     "integrator": "integrator 1/s",
-    "filter": "filter not discretised",
+    "filter": "continuous filter",
 }
 
 
 def table_text(found: list[Departure], measured: list[tuple[Margins, Margins]]) -> str:
     lines = [
-        "# How far the continuous loop departs from the sampled one",
+        "# Continuous and sampled loop",
         "",
         "<!-- Written by `python -m maxq.tools.dev.documents.departure_table`: run it again, do not edit. -->",
         "",
-        "Ratio of the loop with the paper's continuous approximations (kind `pade`) to the one that the flight",
-        "computer runs (kind `sampled`), for the design `ksr3-default` in pitch. `tools/dev/documents/departure.py`",
-        "splits it into four ratios whose decibels and degrees add up.",
+        "Ratio of the paper's continuous loop (kind `pade`) to the loop of the flight computer (kind `sampled`),",
+        "for the design `ksr3-default` in pitch. `tools/dev/documents/departure.py` splits it into four ratios whose",
+        "decibels and degrees add up.",
         "",
-        "## From which frequency on it matters",
+        "## Lowest frequency beyond a limit",
         "",
-        "Lowest frequency (Hz) beyond the limit, all parts together; then of the Padé approximants and the missing",
-        "images alone, that is with the integrator and the filter taken as they are flown.",
+        "All parts, then the fixed path only: Padé approximants and omitted images, with integrator and filter as",
+        "flown.",
         "",
-        "| time (s) | "
-        + " | ".join(f"{db:g} dB or {deg:g}°" for db, deg in LIMITS)
+        "| time, s | "
+        + " | ".join(f"all: {db:g} dB or {deg:g}°" for db, deg in LIMITS)
         + " | "
         + " | ".join(f"fixed path: {db:g} dB or {deg:g}°" for db, deg in LIMITS)
         + " |",
@@ -60,19 +60,17 @@ def table_text(found: list[Departure], measured: list[tuple[Margins, Margins]]) 
         path = [_first_of_path(d, *limit) for limit in LIMITS]
         lines.append(f"| {d.node.time_s:g} | " + " | ".join(_hz(x) for x in (*whole, *path)) + " |")
     for label in MODES:
-        lines += ["", f"## At {label.replace('bending', 'bending mode')}", "", "dB and degrees, part by part.", ""]
-        lines += ["| time (s) | Hz | sampled peak (dB) | " + " | ".join(NAMES[p] for p in PARTS) + " |"]
+        lines += ["", f"## At {label.replace('bending', 'mode')}", "", "Each part: dB, deg.", ""]
+        lines += ["| time, s | Hz | sampled peak, dB | " + " | ".join(NAMES[p] for p in PARTS) + " |"]
         lines += ["|---" * (3 + len(PARTS)) + "|"]
         for d in found:
             r = next(x for x in d.resonances if x.label == label)
             k = int(np.argmin(np.abs(d.frequency_hz - r.frequency_hz)))
-            cells = [f"{db:+.2f} / {deg:+.1f}°" for db, deg in d.at(r.frequency_hz).values()]
+            cells = [f"{db:+.2f}, {deg:+.1f}" for db, deg in d.at(r.frequency_hz).values()]
             row = [f"{d.node.time_s:g}", f"{r.frequency_hz:.2f}", f"{d.sampled_db[k]:.2f}", *cells]
             lines.append("| " + " | ".join(row) + " |")
-    lines += ["", "## Margins by both", "", "Sampled / continuous.", ""]
-    lines += [
-        "| time (s) | aerodynamic gain margin (dB) | rigid gain margin (dB) | phase margin (deg) | modulus margin |"
-    ]
+    lines += ["", "## Margins", "", "Each margin: sampled, continuous.", ""]
+    lines += ["| time, s | lower gain margin, dB | upper gain margin, dB | phase margin, deg | least \\|1+L\\| |"]
     lines += ["|---|---|---|---|---|"]
     for d, (sampled, pade) in zip(found, measured, strict=True):
         pairs = [
@@ -81,7 +79,7 @@ def table_text(found: list[Departure], measured: list[tuple[Margins, Margins]]) 
             (sampled.rigid_phase_deg.value, pade.rigid_phase_deg.value, 2),
             (sampled.modulus, pade.modulus, 3),
         ]
-        lines.append(f"| {d.node.time_s:g} | " + " | ".join(f"{a:.{n}f} / {b:.{n}f}" for a, b, n in pairs) + " |")
+        lines.append(f"| {d.node.time_s:g} | " + " | ".join(f"{a:.{n}f}, {b:.{n}f}" for a, b, n in pairs) + " |")
     return "\n".join(lines) + "\n"
 
 
@@ -95,7 +93,7 @@ def _hz(value: float) -> str:
 
 
 def compare() -> tuple[list[Departure], list[tuple[Margins, Margins]]]:
-    """Departures and margins (sampled, Pade) at the paper's nodes."""
+    """Return departures and margins (sampled, Padé) at the paper's operating points."""
     loaded = load_scenario(SCENARIO, [f'design="{DESIGN}"'])
     design = loaded.design
     assert design is not None
@@ -112,7 +110,7 @@ def _margins(loop: Loop) -> Margins:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Compare, write, print. Exit code 2 for arguments it does not know."""
+    """Compare, write, print. The exit code is 2 for unknown arguments."""
     given = sys.argv[1:] if arguments is None else arguments
     if len(given) > 1 or any(item.startswith("-") for item in given):
         print((__doc__ or "").strip(), file=sys.stderr)

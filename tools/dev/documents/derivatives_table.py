@@ -2,9 +2,8 @@
 
     python -m maxq.tools.dev.documents.derivatives_table [FILE]
 
-flies `nominal`, computes the stability derivatives (eqs 4 to 8) along the flown path from 5 s to 55 s and
-writes them beside the paper's ranges into FILE (default: docs/flights/nominal-derivatives.md); prints the
-same.
+flies `nominal` and computes the stability derivatives (eqs 4 to 8) along the path from 5 s to 55 s. Writes them with
+the paper's ranges into FILE (default: docs/flights/nominal-derivatives.md) and to the terminal.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ PAPER = {  # Table 2: minimum, maximum
 
 
 def flown_derivatives(flight: Flight, times_s: Array) -> list[StabilityDerivatives]:
-    """Derivatives at points of a flight's path: flown speed, air and Mach number; liquid frozen."""
+    """Return the derivatives at points of a flight's path: flown speed, air and Mach number; liquid frozen."""
     packed = pack_flight(flight.scenario.scenario)
     names = ("airspeed_mps", "density_kgpm3", "pressure_Pa", "mach", "pitch_deg")
     clock = flight.time_s("airspeed_mps")
@@ -65,18 +64,17 @@ def flown_derivatives(flight: Flight, times_s: Array) -> list[StabilityDerivativ
 
 
 def table_text(times_s: Array, values: Array) -> str:
-    """The page; `values` (times, 5) in the order of COLUMNS."""
+    """Return the page; `values` (times, 5) in the order of COLUMNS."""
     names = [f"{name} ({unit})" for name, unit in COLUMNS.values()]
     lines = [
         "# Stability derivatives of the nominal flight",
         "",
         "<!-- Written by `python -m maxq.tools.dev.documents.derivatives_table`: run it again, do not edit. -->",
         "",
-        "Lee, Ahn & Roh, eqs 4 to 8, along the flown trajectory of `nominal` (speed, air and Mach number as",
-        "flown; mass, CG and inertia of the whole vehicle, liquid frozen, as the paper defines them).",
-        "The vehicle is a reconstruction whose aerodynamics were fitted to the ends of the paper's ranges of",
-        "Z_alpha and M_alpha (`scenarios/vehicles/ksr3/NOTES.md`): that those two agree is no independent",
-        "evidence. The paper gives no M_q.",
+        "Lee, Ahn & Roh, eqs 4 to 8, along the trajectory of `nominal`, with speed, air and Mach number as flown.",
+        "Mass, CG and inertia are those of the whole vehicle with frozen liquid, as in the paper. The aerodynamics of",
+        "the reconstructed vehicle were fitted to the ends of the paper's ranges of Z_alpha and M_alpha",
+        "(`scenarios/vehicles/ksr3/NOTES.md`), so their agreement is no independent evidence. The paper gives no M_q.",
         "",
         f"## Ranges from {FIRST_S:g} s to {LAST_S:g} s",
         "",
@@ -90,13 +88,13 @@ def table_text(times_s: Array, values: Array) -> str:
         lines.append("| " + " | ".join([*row, f"{times_s[high]:g}", *paper]) + " |")
     lines += [
         "",
-        f"Z_alpha, M_alpha and Z_delta meet the ends of the paper's ranges within {_farthest(values):.1%};",
-        "M_delta spans less than its range: no plausible arrangement of masses reaches its ends with the",
-        "thrust and mass of Table 1.",
+        f"Z_alpha, M_alpha and Z_delta reach the ends of the paper's ranges within {_farthest(values):.1%}.",
+        "M_delta spans less than its range: with the thrust and mass of Table 1, no plausible arrangement of masses",
+        "reaches the ends.",
         "",
-        "## At the paper's nodes",
+        "## At the paper's operating points",
         "",
-        "| time (s) | " + " | ".join(names) + " |",
+        "| time, s | " + " | ".join(names) + " |",
         "|---" * (1 + len(names)) + "|",
     ]
     for time_s, row in zip(times_s[::NODE_EVERY], values[::NODE_EVERY], strict=True):
@@ -105,7 +103,7 @@ def table_text(times_s: Array, values: Array) -> str:
 
 
 def _farthest(values: Array) -> float:
-    """Largest relative distance of flown extremes from the paper's, M_delta left out."""
+    """Return the largest relative distance of flown extremes from the paper's, without M_delta."""
     flown = {key: (values[:, k].min(), values[:, k].max()) for k, key in enumerate(COLUMNS)}
     return max(
         abs(float(ours) / theirs - 1.0)
@@ -116,7 +114,7 @@ def _farthest(values: Array) -> float:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Fly, write, print. Exit code 2 for arguments it does not know."""
+    """Fly, write, print. The exit code is 2 for unknown arguments."""
     given = sys.argv[1:] if arguments is None else arguments
     if len(given) > 1 or any(item.startswith("-") for item in given):
         print((__doc__ or "").strip(), file=sys.stderr)

@@ -1,16 +1,22 @@
-"""Reference tables of the documentation, made from the code while the site is built.
+"""Reference tables of the documentation, made from the code.
 
-A page of docs/ names one where it stands: `<!-- from code: keys scenario -->`. What there is: TABLES below.
+    python -m maxq.tools.dev.documents.reference [--write]
+
+names the pages whose tables differ from the code, with exit code 1 if there are any; `--write` renews them. A page
+marks the place of a table with `<!-- from code: keys scenario -->`. The table follows, up to `<!-- end of code -->`;
+`--write` adds both where they are missing. TABLES below lists the kinds. The site is built with the same function.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from pydantic.fields import FieldInfo
@@ -33,7 +39,12 @@ from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.sim.vehicle.state import CAUSES
 from maxq.tools.schemas import MODELS
 
-_MARK = re.compile(r"^<!-- from code: (\w+) ?(.*?) -->$", re.MULTILINE)
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+_END = "<!-- end of code -->"
+_MARK = re.compile(
+    rf"^(?P<begin><!-- from code: (?P<kind>\w+) ?(?P<words>[^\n]*?) -->)$(?:(?:(?!^<!-- from code:).)*?^{_END}$)?",
+    re.MULTILINE | re.DOTALL,
+)
 _EVENTS = (IGNITION_NAME, *EVENT_NAMES, FAULT_NAME, FAULT_END_NAME, WAVE_BREAKING_NAME, SOFTWARE_NAME)
 _EVENT_MEANINGS = {
     IGNITION_NAME: "the engine of a stage begins to burn",
@@ -44,27 +55,39 @@ _EVENT_MEANINGS = {
     "impact": "the altitude falls below the ground: the lower of the site and sea level",
     "control_lost": CONTROL_LOST_CAUSE,
     "tumble": "the total angle of attack exceeds 90 deg while the dynamic pressure exceeds 5 kPa",
-    FAULT_NAME: "a fault of the scenario begins; the text says which",
-    FAULT_END_NAME: "it ends",
-    WAVE_BREAKING_NAME: "a wave in a tank is as high as it can be (docs/model.md, section 5); the text says in which",
-    SOFTWARE_NAME: "flight code from outside has ended the flight; the text says why (docs/flight-software.md)",
+    FAULT_NAME: "a fault of the scenario begins; the text names it",
+    FAULT_END_NAME: "a fault of the scenario ends",
+    WAVE_BREAKING_NAME: "a wave reaches its breaking height (docs/model.md, section 5); the text names the tank",
+    SOFTWARE_NAME: "external flight code has ended the flight; the text gives its reason (docs/flight-software.md)",
     "diverged": "the state is outside the bounds of a flight; the text gives the cause: "
     + ", or ".join(dict.fromkeys(cause for cause in CAUSES if cause)),
 }
 
 
 def fill(text: str) -> str:
-    """A page with its tables."""
-    return _MARK.sub(lambda mark: TABLES[mark[1]](*mark[2].split()), text)
+    """Return a page with its tables renewed."""
+    return _MARK.sub(_place, text)
+
+
+def _place(mark: re.Match[str]) -> str:
+    """Return a table between its marks."""
+    table = TABLES[mark["kind"]](*mark["words"].split()).strip("\n")
+    return f"{mark['begin']}\n\n{table}\n\n{_END}"
+
+
+def pages() -> list[Path]:
+    """Return the pages that contain tables from the code."""
+    found = (page for page in sorted(DOCS.rglob("*.md")) if "build" not in page.relative_to(DOCS).parts)
+    return [page for page in found if _MARK.search(page.read_text(encoding="utf-8"))]
 
 
 def keys(kind: str) -> str:
-    """Every key of a kind of file, section by section."""
-    return "\n".join(_section(MODELS[kind], ""))
+    """List every key of a kind of file, section by section."""
+    return "\n".join(_section(MODELS[kind], "", {}))
 
 
 def topics(scenario: str) -> str:
-    """Every channel that flights of a scenario log, and what its vehicle lacks."""
+    """List every channel that flights of a scenario log, and those of parts that its vehicle lacks."""
     loaded = load_scenario(scenario)
     stage = loaded.vehicle.stage[0]
     sizes = replace(stage_sizes(stage, loaded.scenario.switches), tvc_loads=1, sensors=2)
@@ -76,17 +99,17 @@ def topics(scenario: str) -> str:
 
 
 def events() -> str:
-    """Every event of a flight."""
+    """List every event of a flight."""
     return _rows(("event", "when"), [(f"`{name}`", _EVENT_MEANINGS[name]) for name in _EVENTS])
 
 
 def metrics() -> str:
-    """Every metric of a flight."""
+    """List every metric of a flight."""
     return _rows(("metric", "unit", "meaning"), [(f"`{m.name}`", m.unit, m.description) for m in METRICS.values()])
 
 
 def ranges() -> str:
-    """Return the ranges of numbers, by the names of keys and columns."""
+    """List the ranges of numbers by the names of keys and columns."""
     return "\n".join(_ranges())
 
 
@@ -103,7 +126,6 @@ def help_of(command: str) -> str:
 
 
 def _ranges() -> Iterator[str]:
-    """Yield the ranges of numbers, by the names of keys and columns."""
     yield "| names | least | most | why |"
     yield "|---|---|---|---|"
     for r in RANGES:
@@ -115,10 +137,14 @@ def _ranges() -> Iterator[str]:
     yield ""
 
 
-def _section(model: type[Section], path: str) -> Iterator[str]:
+def _section(model: type[Section], path: str, listed: dict[type[Section], str]) -> Iterator[str]:
     if path:
-        yield f"### `{path}`\n"
-    yield f"{(model.__doc__ or '').splitlines()[0]}\n"
+        yield f"## `{path}`\n"
+        yield f"{(model.__doc__ or '').splitlines()[0]}\n"
+    if model in listed:
+        yield f"The keys are those of `{listed[model]}`.\n"
+        return
+    listed[model] = path
     yield "| key | allowed | default | meaning |"
     yield "|---|---|---|---|"
     below: list[tuple[str, type[Section]]] = []
@@ -132,7 +158,7 @@ def _section(model: type[Section], path: str) -> Iterator[str]:
             below.append((f"[{inner}]" if isinstance(bare, type) else f"[[{inner}]]", section))
     yield ""
     for inner, section in below:
-        yield from _section(section, inner)
+        yield from _section(section, inner, listed)
 
 
 def _allowed(field: FieldInfo) -> str:
@@ -176,3 +202,23 @@ TABLES: dict[str, Callable[..., str]] = {
     "ranges": ranges,
     "topics": topics,
 }
+
+
+def main() -> int:
+    """Check the pages, or write them; 1 if a page is out of date and not written."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="renew the tables")
+    write, stale = parser.parse_args().write, False
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        filled = fill(text)
+        if filled != text:
+            print(f"{'written' if write else 'out of date'}: {page.relative_to(DOCS.parent)}")
+            stale = True
+            if write:
+                page.write_text(filled, encoding="utf-8")
+    return int(stale and not write)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

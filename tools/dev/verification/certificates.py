@@ -1,6 +1,6 @@
-"""Certifies the nominal scenario's design at eleven nodes in both planes, and writes its table into
+"""Certify the nominal scenario's design at eleven operating points in both planes, and write the table of
 docs/verification.md: `python -m maxq.tools.dev.verification.certificates`.
-Exit code 1 where a certificate does not stand.
+The exit code is 1 where a certificate fails.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ TIMES_S = tuple(float(t) for t in range(5, 60, 5))
 
 
 def row(c: NodeCertificate, passing: InFlightResponse) -> str:
-    """Return a line of the table: the largest differences of one node."""
+    """Return a line of the table: the largest differences of one operating point."""
     r = c.responses
     clean = np.isfinite(r.unrounded.real)
     above = clean & (np.abs(r.sampled) > 10.0**-2.5)
@@ -28,9 +28,9 @@ def row(c: NodeCertificate, passing: InFlightResponse) -> str:
     cells += [f"{np.abs(r.unrounded_db[above]).max():.3f}", f"{np.abs(r.unrounded_deg[above]).max():.2f}"]
     cells += [f"{np.nanmax(np.abs(r.nonlinear_db)):.2f}"]
     for e in c.margins:
-        cells.append(f"{100.0 * e.difference / e.held:+.2f} %" if e.unit == "s" else f"{e.difference:+.3f}")
+        cells.append(f"{100.0 * e.difference / e.held:+.2f}" if e.unit == "s" else f"{e.difference:+.3f}")
     held = next((e for e in c.margins if e.what == "gain_down"), None)
-    cells.append(f"{held.held:.1f} / {held.sampled:.1f}" if held else "")
+    cells.append(f"{held.held:.1f}, {held.sampled:.1f}" if held else "")
     cells.append(f"{np.abs(passing.difference_db).max():.1f}")
     cells.append("agrees" if c.agrees and "unexplained" not in passing.reason else "; ".join(c.unexplained))
     return f"| {' | '.join(cells)} |"
@@ -44,8 +44,8 @@ def main() -> int:
     wall_s = time.perf_counter() - begun
     through = {(f.time_s, f.plane): f for p in PLANES for f in in_flight_response(loaded, TIMES_S, p)}
     table = [
-        "| time, s | plane | below 2.7 Hz, dB | above, dB | above, deg | half amplitude, dB | gain up, dB |"
-        " gain down, dB | delay | gain down held / flown, dB | in flight, dB | |",
+        "| time, s | plane | below 2.7 Hz, dB | above, dB | above, deg | half amplitude, dB | upper gain, dB |"
+        " lower gain, dB | delay, % | lower gain margin: held, flown, dB | in flight, dB | |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|",
         *(row(c, through[c.time_s, c.plane]) for c in found),
     ]

@@ -1,13 +1,12 @@
-"""Measure how often the harness accepts a vehicle that fails too often, or rejects one that does not: `python -m
-maxq.tools.dev.verification.false_verdicts` writes the table of docs/verification.md (some minutes).
+"""Measure the rates at which the harness accepts vehicles that fail too often, or rejects others:
+`python -m maxq.tools.dev.verification.false_verdicts` writes the table of docs/verification.md (some minutes).
 
-Synthetic vehicles, whose probability of failure is known: the phase margin of a dispersed vehicle, and a metric of a
-flight, are what the harness draws for it, turned so that exactly the share p lies beyond the limit. Everything else is
-the harness itself, as the standard suite sets it up: its draws by seed, limits, verdicts on the random vehicles and on
-the campaign, and what they come to together. Only the loop and the flight are replaced by a formula.
+The vehicles are synthetic, with a known probability of failure. A formula replaces the loop and the flight: it shifts
+the drawn deviations so that exactly the share p of the phase margins and metrics exceeds the limit. All else is the
+harness with the standard suite: draws by seed, limits, verdicts on random vehicles and campaign, and their union.
 
-Users: one who runs the suite once; one who follows the advice "N more would settle it", at most `MOST_STEPS` times; one
-who has four designs judged and takes any that is accepted (`simdesign --verify`, which shares the risk among them).
+Three users: one runs the suite once; one follows the advice "N more would settle it" at most `MOST_STEPS` times; one
+verifies four designs and takes any that is accepted (`simdesign --verify`, which shares the risk among them).
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 MOST_STEPS, MOST_VEHICLES, MOST_RUNS = 6, 30_000, 100_000
 LIMIT_DEG, LIMIT_ALPHA_DEG = 15.0, 1.0  # of the phase margin, and as CAMPAIGN says
 SHARES = ((0.0, 0.0), (0.1, 0.1), (0.5, 0.5), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (0.0, 2.0), (2.0, 0.0), (2.0, 2.0))
-"""Probability of failure over what is allowed, of linear vehicles and of flights."""
+"""Probability of failure divided by the allowed one, of linear vehicles and of flights."""
 CAMPAIGN = """\
 schema = 1
 extends = "nominal.toml"
@@ -61,7 +60,7 @@ three_sigma = 0.03
 
 
 class Formula(DataSet):
-    """A data set that is not read from files: `values` of the metric, all flights flown to their end."""
+    """A data set without files: `values` of the metric, all flights complete."""
 
     def __init__(self, campaign: LoadedCampaign, values: np.ndarray) -> None:
         super().__init__(Path(), campaign)
@@ -84,7 +83,7 @@ def campaign() -> LoadedCampaign:
 
 
 def threshold(p: float) -> float:
-    """A standard normal number is above it with probability p."""
+    """Return the value that a standard normal number exceeds with probability p."""
     return float(ndtri(1.0 - p)) if p > 0.0 else 99.0
 
 
@@ -96,12 +95,12 @@ def drawn(seed: int, count: int) -> np.ndarray:
 
 
 def thrust_sigmas(loaded: LoadedCampaign, count: int) -> np.ndarray:
-    """Return as `drawn` for the seed of a campaign; those of a seed are drawn once."""
+    """Return `drawn` for the seed of a campaign; each seed is drawn once."""
     return drawn(loaded.campaign.seed, MOST_RUNS)[:count]
 
 
 def linear_part(wanted: LinearMargins, loaded: LoadedCampaign, p: float) -> list[JudgedRequirement]:
-    """Judge random vehicles whose phase margin falls short where the thrust drawn for them is too large."""
+    """Judge random vehicles whose phase margin misses its limit if the drawn thrust is too large."""
     cases = np.full((wanted.cases, 1, len(SWEPT)), np.inf)
     cases[:, 0, SWEPT.index("rigid_phase_deg")] = LIMIT_DEG + threshold(p) - thrust_sigmas(loaded, wanted.cases)
     nominal = MarginCase("", ({"rigid_phase_deg": 40.0},))
@@ -109,7 +108,7 @@ def linear_part(wanted: LinearMargins, loaded: LoadedCampaign, p: float) -> list
 
 
 def flown_part(loaded: LoadedCampaign, p: float) -> list[JudgedRequirement]:
-    """Flights that miss their limit where the thrust drawn for them is too large."""
+    """Judge flights that miss their limit if the drawn thrust is too large."""
     runs = loaded.campaign.runs
     data = Formula(loaded, LIMIT_ALPHA_DEG + thrust_sigmas(loaded, runs) - threshold(p))
     level = loaded.campaign.success, loaded.campaign.confidence
@@ -117,7 +116,7 @@ def flown_part(loaded: LoadedCampaign, p: float) -> list[JudgedRequirement]:
 
 
 def settled(changes: list[str], seed: int, shares: tuple[float, float], steps: int) -> str:
-    """The verdict of the standard suite on a vehicle; `steps`: how often the advice for more runs is followed."""
+    """Return the verdict of the standard suite on a vehicle after at most `steps` requests for more runs."""
     suite = read_suite("standard", changes).suite
     margins, flights = suite.margins, suite.campaign[0]
     assert margins is not None
@@ -179,7 +178,7 @@ def rows(suites: int) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--suites", type=int, default=200, help="judged for each row and user, with other draws each")
+    parser.add_argument("--suites", type=int, default=200, help="suites per row and user, each with its own draws")
     rewrite(VERIFICATION, "verdicts", "\n".join(rows(parser.parse_args().suites)))
 
 

@@ -1,7 +1,7 @@
-"""Flies all NESC check cases and writes what they achieve into docs/verification.md:
+"""Fly all NESC check cases and write their largest differences into docs/verification.md:
 `python -m maxq.tools.dev.verification.nesc [--check]`.
 
-Draws them into docs/pictures/verification, too. With --check nothing is written. Exit code 1 where a tolerance is
+The pictures go to docs/pictures/verification. With --check nothing is written. The exit code is 1 if a tolerance is
 missed.
 """
 
@@ -28,7 +28,7 @@ HEADER = """\
 
 
 def row(case: str, scenario: str, flight: Flight, differences: list[LargestDifference]) -> str:
-    """Return a line of the table: the variable that comes nearest to its tolerance."""
+    """Return a line of the table: the variable nearest to its tolerance."""
     worst = max(differences, key=lambda d: d.ratio)
     missed = sum(not d.ratio <= 1.0 for d in differences)
     step = flight.scenario.scenario.run.step_s
@@ -39,7 +39,7 @@ def row(case: str, scenario: str, flight: Flight, differences: list[LargestDiffe
 
 
 def insert(table: str, document: Path = DOCUMENT) -> None:
-    """Put the table between its markers; ValueError where they are missing."""
+    """Put the table between its markers. Raises ValueError where they are missing."""
     rewrite(document, "nesc", table)
 
 

@@ -1,6 +1,6 @@
 """The NESC check cases: fly them as scenarios and compare with the published time histories.
 
-Reference data and tolerances lie in tests/data/nesc (with their notice); scenarios in scenarios/checkcases.
+Reference data and tolerances are in tests/data/nesc (with their notice), scenarios in scenarios/checkcases.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class LargestDifference:
 
     @property
     def ratio(self) -> float:
-        """Return the ratio of the difference to the tolerance: at most 1 if the case is met."""
+        """Return the difference divided by the tolerance: at most 1 if the case is met."""
         return self.largest / self.tolerance
 
 
@@ -100,7 +100,7 @@ def atmospheric_errors(case: str, flight: Flight) -> list[ErrorOverTime]:
 
 
 def compare_atmospheric(case: str, flight: Flight) -> list[LargestDifference]:
-    """The largest of `atmospheric_errors`."""
+    """Return the largest of `atmospheric_errors`."""
     return [e.largest(case) for e in atmospheric_errors(case, flight)]
 
 
@@ -115,7 +115,7 @@ def orbit_errors(simulation: str, flight: Flight) -> ErrorOverTime:
 
 
 def compare_orbit_with_drag(simulation: str, flight: Flight) -> list[LargestDifference]:
-    """The largest of `orbit_errors`."""
+    """Return the largest of `orbit_errors`."""
     return [orbit_errors(simulation, flight).largest("exo 6A")]
 
 

@@ -1,4 +1,4 @@
-"""Pictures of the NESC check cases in docs/pictures/verification: ours beside NASA's, and differences over time."""
+"""Pictures of the NESC check cases in docs/pictures/verification: maxq and NASA, and differences over time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SHOWN = {
     "02": ("case 02, body rates", "deg/s", "bodyAngularRateWrtEi_deg_s_", ("Roll", "Pitch", "Yaw")),
     "09": ("case 09, velocity north, east, down", "ft/s", "feVelocity_ft_s_", ("X", "Y", "Z")),
 }
-"""By case: title, unit, and the variables' common name with its endings."""
+"""The title, the unit, and the variables' common name with its endings, by case."""
 
 
 def draw(flights: Mapping[str, Flight]) -> list[Path]:
@@ -52,7 +52,7 @@ def histories(flights: Mapping[str, Flight], stem: Path) -> list[Path]:
 
 
 def differences(flights: Mapping[str, Flight], stem: Path) -> list[Path]:
-    """The largest difference over its tolerance at each time, and the distance in orbit."""
+    """Return the largest difference over its tolerance at each time, and the distance in orbit."""
     figure, places = sheet(1, 2, height_in=2.3)
     for case in ATMOSPHERIC:
         every = atmospheric_errors(case, flights[f"nesc-{case}"])

@@ -41,7 +41,7 @@ for _axis, _ned, _letter, _turn in zip("XYZ", ("north", "east", "down"), "LMN", 
 
 
 def in_nesc_units(flight: Flight, variable: str) -> Array:
-    """A variable of the NESC time histories, from our channels. KeyError for one that we cannot make."""
+    """Return a variable of the NESC time histories from channels. Raises KeyError for an unknown one."""
     if variable == "localGravity_ft_s2":
         return _downward_gravitation_mps2(flight) / FOOT_m
     channel, unit = _CHANNELS[variable]

@@ -1,10 +1,10 @@
-"""Faults that are planted into the simulator to see whether the margin certificate finds them.
+"""Faults that are planted in the simulator to test that the margin certificate finds them.
 
-Each alters what has been packed for a flight: the table of the vehicle, the records of its components, the computer.
-Nothing is compiled again, and the linear model knows nothing of it. A fault is found where a line of the frequency
-response or a measured margin is off by more than is allowed without a reason that explains it.
+Each fault alters the packed flight: the table of the vehicle, the records of its components, the computer. Nothing is
+compiled again, and the linear model is unchanged. A fault is found if a line of the frequency response or a measured
+margin differs by more than allowed without an explanation.
 
-`size` says how large the mistake is. Signs and exchanged numbers have no size; of what has one, the mistake is small.
+Faults with a size are small. Signs and exchanged numbers have no size.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _columns(packed: Packed, columns: slice | list[int], factor: float = 1.0, sh
 
 
 def _mode(row: int, modes: slice, factor: float) -> PackedChange:
-    """A row of the pitch plane's modes times a factor."""
+    """Multiply a row of the pitch modes by a factor."""
 
     def plant(packed: Packed) -> None:
         first = schedule.mode_column(packed.parameters[0].vehicle.sizes, PITCH, row)
@@ -67,7 +67,7 @@ def _column(column: int, factor: float = 1.0, shift: float = 0.0) -> PackedChang
 
 
 def _tank(column: int, factor: float = 1.0, shift: float = 0.0) -> PackedChange:
-    """A column of every tank."""
+    """Change a column of every tank."""
 
     def plant(packed: Packed) -> None:
         for k in range(int(packed.parameters[0].vehicle.sizes.pendulums)):
@@ -77,7 +77,7 @@ def _tank(column: int, factor: float = 1.0, shift: float = 0.0) -> PackedChange:
 
 
 def _set(path: str, change: Callable[[Any], Any]) -> PackedChange:
-    """A number of the record `parameters[0]`, by its path, replaced by what `change` makes of it."""
+    """Replace a number of the record `parameters[0]`, given by its path, by `change` of it."""
 
     def plant(packed: Packed) -> None:
         *way, last = path.split(".")
@@ -129,7 +129,7 @@ def _one_sample_late(packed: Packed) -> None:
 
 
 def _without_prewarping(packed: Packed) -> None:
-    """Each section as the bilinear transform gives it without pre-warping: frequencies shifted at 9.2 Hz."""
+    """Discretise each section by the bilinear transform without prewarping, which shifts frequencies at 9.2 Hz."""
     warp_hz, period_s = 9.2, 1e-9 * float(packed.parameters[0].computer.sample_ns)
     right = np.pi * warp_hz / np.tan(np.pi * warp_hz * period_s)
     wrong = 1.0 / period_s
@@ -152,7 +152,7 @@ def _to_discrete(s: Array, c: float) -> Array:
 
 
 def _gains(rows: Callable[[Array], Array]) -> PackedChange:
-    """The gain table's columns (k_p pitch, k_d pitch, k_p yaw, k_d yaw) made again from themselves."""
+    """Replace the gain table's columns (k_p pitch, k_d pitch, k_p yaw, k_d yaw) by `rows` of them."""
 
     def plant(packed: Packed) -> None:
         table = table_in(packed.pool, packed.parameters[0].computer.law.gains).coefficients
@@ -162,7 +162,7 @@ def _gains(rows: Callable[[Array], Array]) -> PackedChange:
 
 
 def _aero_moment_sign(packed: Packed) -> None:
-    """The centre of pressure mirrored at the CG: slopes times station about twice the CG's."""
+    """Mirror the centre of pressure at the CG."""
     row = packed.parameters[0]
     of_vehicle, surfaces = table_in(packed.pool, row.vehicle.schedule), int(row.vehicle.sizes.surfaces)
     breaks = of_vehicle.breaks
@@ -189,10 +189,10 @@ FAULTS: tuple[PlantedFault, ...] = (
     PlantedFault("damping of the modes, 10 %", "bending", _times("vehicle.bending.zeta_pitch", 1.1)),
     PlantedFault("axial softening, sign", "axial load -> bending", _times("vehicle.bending.softening_factor", -1.0)),
     PlantedFault("axial softening left out", "axial load -> bending", _times("vehicle.bending.softening_factor", 0.0)),
-    PlantedFault("shapes at the lox hinge, sign", "slosh <-> bending", _mode_at("tank", 0, -1.0)),
-    PlantedFault("shapes at the fuel hinge, sign", "slosh <-> bending", _mode_at("tank", 1, -1.0)),
-    PlantedFault("slopes at the fins, sign", "bending -> angle of attack", _mode_at("slope", 1, -1.0)),
-    PlantedFault("shapes at the fins, sign", "air -> bending", _mode_at("shape", 1, -1.0)),
+    PlantedFault("mode shapes at the LOX hinge, sign", "slosh <-> bending", _mode_at("tank", 0, -1.0)),
+    PlantedFault("mode shapes at the fuel hinge, sign", "slosh <-> bending", _mode_at("tank", 1, -1.0)),
+    PlantedFault("mode slopes at the fins, sign", "bending -> angle of attack", _mode_at("slope", 1, -1.0)),
+    PlantedFault("mode shapes at the fins, sign", "air -> bending", _mode_at("shape", 1, -1.0)),
     PlantedFault(
         "local angle of attack left out",
         "bending -> angle of attack",
@@ -237,12 +237,12 @@ FAULTS: tuple[PlantedFault, ...] = (
     PlantedFault("gyro's scale, 3 %", "gyro", _set("vehicle.gyro.scale_y", lambda v: v + 0.03)),
     PlantedFault("delay 1 ms longer", "computer", _set("computer.delay_ns", lambda v: v + 1_000_000)),
     PlantedFault("no delay", "computer", _set("computer.delay_ns", lambda _: 0)),
-    PlantedFault("command a sample late", "computer", _one_sample_late),
+    PlantedFault("command one sample late", "computer", _one_sample_late),
     PlantedFault("filter not pre-warped", "filter", _without_prewarping),
     PlantedFault("b0 of the first section, 2 %", "filter", _coefficient(0, 0, 1.02)),
     PlantedFault("a2 of the second section, 2 %", "filter", _coefficient(1, 4, 1.02)),
     PlantedFault("second section left out", "filter", _set("computer.law.n_sections", lambda v: v - 1)),
-    PlantedFault("gains of the row before", "law", _gains(lambda g: g * (1.0 + 0.034 / 0.838))),
+    PlantedFault("gains of the previous row", "law", _gains(lambda g: g * (1.0 + 0.034 / 0.838))),
     PlantedFault("k_p and k_d exchanged", "law", _gains(lambda g: g[:, [1, 0, 3, 2]])),
     PlantedFault("k_d, sign", "law", _gains(lambda g: g * [1.0, -1.0, 1.0, 1.0])),
     PlantedFault("yaw's gains in pitch, 5 % apart", "law", _gains(lambda g: g * [1.05, 1.05, 1.0, 1.0])),

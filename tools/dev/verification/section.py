@@ -1,19 +1,20 @@
-"""Tables in the documents that a program writes: they stand between `<!-- name: begin -->` and `<!-- name: end -->`."""
+"""Tables that a program writes into a document, between `<!-- name: begin -->` and `<!-- name: end -->`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-VERIFICATION = Path(__file__).resolve().parents[3] / "docs" / "verification.md"
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+VERIFICATION = DOCS / "verification.md"
 
 
 def markers(name: str) -> tuple[str, str]:
-    """Lines before and after a table."""
+    """Return the lines before and after a table."""
     return f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
 
 
 def rewrite(document: Path, name: str, table: str) -> None:
-    """Put a table between its markers; ValueError where they are missing."""
+    """Put a table between its markers. Raises ValueError where they are missing."""
     begin, end = markers(name)
     text = document.read_text()
     before, found, rest = text.partition(begin)
