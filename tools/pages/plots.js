@@ -428,7 +428,7 @@
   // one key for a figure, or one for each panel where a look means several things, or panels share no name
   function keys(parent, figure, cells) {
     const named = (panel) => seriesOf(panel, figure.loops[0]).filter((s) => s.name && s.kind !== "rows");
-    const look = (s) => [s.kind, s.colour, s.dash, s.width, s.mark, s.fill].join(), meant = new Map(), have = figure.panels.map(named).filter((some) => some.length);
+    const look = (s) => [s.kind, s.colour, s.dash, s.width, s.opacity, s.mark, s.fill].join(), meant = new Map(), have = figure.panels.map(named).filter((some) => some.length);
     const apart = have.some((some) => some.some((s) => (meant.has(look(s)) ? meant : meant.set(look(s), s.name)).get(look(s)) !== s.name))
       || have.some((some) => have.some((other) => other !== some && !some.some((s) => other.some((t) => t.name === s.name))));
     if (apart && cells.length > 1 && !figure.loops.length) cells.forEach((c) => key(c.cell, [c.panel], figure));
