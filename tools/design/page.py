@@ -21,7 +21,6 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.design import figures as drawn
 from maxq.tools.design.report import GAIN_HEADS, Group, budget_rows, lobes_rows, margins_rows
-from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot
 
 _TIGHTEST = 3
@@ -109,6 +108,8 @@ def _close(one: np.ndarray, other: np.ndarray) -> bool:
 
 def write_page(path: Path, shown: DesignPage) -> Path:
     """Write the page. Raises FileError."""
+    from maxq.tools.pages.render import render  # noqa: PLC0415  # lazy: for the page only
+
     word, _, said = shown.verdict.partition(": ")
     checks = [replace(c, text=_named(g.stage, c.text)) for g in shown.groups for c in g.checks]
     bounded = [c for c in checks if not c.passed or not drawn.is_stability(c)]

@@ -227,7 +227,7 @@ def _page(made: CaseDesign, verdict: str, command: str) -> DesignPage:
             )
         for title, lines in (("Way out", way_out_table(solution)), ("In the wind of the case", wind_table(outcome))):
             texts += [(", ".join(filter(None, (title, stage))), lines[1:])] if lines else []
-    loaded = made.results[0][0].loaded
+    loaded, cases = made.results[0][0].loaded, [outcome.loaded.case for outcome, _ in made.results]
     case = loaded.case
     return DesignPage(
         name=loaded.name,
@@ -240,8 +240,8 @@ def _page(made: CaseDesign, verdict: str, command: str) -> DesignPage:
             ("scenario", loaded.scenario.name),
             ("plane", case.plane),
             ("loop", KINDS[case.loop]),
-            ("filter", case.filter.structure),
-            ("gain schedule", case.gains.schedule),
+            ("filter", ", ".join(dict.fromkeys(each.filter.structure for each in cases))),
+            ("gain schedule", ", ".join(dict.fromkeys(each.gains.schedule for each in cases))),
             ("errata; plant", f"{case.errata}; {case.plant}"),
         ),
         groups=groups,
