@@ -198,7 +198,8 @@ def relative_margin(check: Check) -> Array:
 
 def limits_over_flight(checks: Sequence[Check]) -> list[Plot]:
     """Return the margin to each limit over the flight, and each limited quantity with its limit."""
-    found = [c for c in checks if np.isfinite(c.time_s).all() and not is_stability(c)]
+    held = [c for c in checks if np.isfinite(c.time_s).all() and not is_stability(c)]
+    found = [c for c in held if np.isfinite(c.values).any()]  # a vehicle without a mode has no peak of it
     if not found:
         return []
     relative, apart = list[Series](), dict[str, list[Check]]()
@@ -220,9 +221,9 @@ def limits_over_flight(checks: Sequence[Check]) -> list[Plot]:
             Plot("utilisation", "Margin to each limit over the flight", [panel], "A limit is missed below 0.", 1, 260)
         )
     panels = [_limit_panel(some) for some in apart.values()]
-    caption = (
-        "Each limited quantity at the operating points. Red: its limit; orange: the worst dispersed vehicles found."
-    )
+    caption = "Each limited quantity at the operating points. Red: its limit"
+    dispersed = any(c.key.startswith("dispersed_") for c in found)
+    caption += "; orange: the worst dispersed vehicles found." if dispersed else "."
     return [*out, Plot("limits", "Limits over the flight", panels, caption, 2, 170)]
 
 
