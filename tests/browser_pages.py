@@ -17,7 +17,7 @@ from browser_replay import Page, page
 
 from maxq.tools.pages import render as pages
 from maxq.tools.plots import campaign
-from maxq.tools.plots.figures import Panel, Plot, as_csv, at, band, limit, line, points, shape
+from maxq.tools.plots.figures import Panel, Plot, as_csv, at, band, limit, line, loop, points, shape
 
 __all__ = ["page"]
 
@@ -74,10 +74,32 @@ def plots() -> list[Plot]:
             "|L|, dB",
             (-360.0, 0.0),
             (-40.0, 30.0),
-            nichols=True,
+            plane="nichols",
         ),
     ]
-    return [Plot(f"columns-{n}", "All", panels, "A caption.", n, 170, command="simrun --run {}") for n in (2, 3)]
+    made = [Plot(f"columns-{n}", "All", panels, "A caption.", n, 170, command="simrun --run {}") for n in (2, 3)]
+    return [*made, loops()]
+
+
+def loops() -> Plot:
+    """Return the figure of open loops, for two operating points in pitch and one in yaw."""
+    hz = np.geomspace(0.05, 50.0, 400)
+    every = []
+    for at_s, plane, gain in ((10.0, "pitch", 6.0), (20.0, "pitch", 9.0), (20.0, "yaw", 3.0)):
+        curve = gain / (2j * np.pi * hz) * np.exp(-0.03j * 2.0 * np.pi * hz)
+        level, phase = 20.0 * np.log10(np.abs(curve)), np.degrees(np.unwrap(np.angle(curve)))
+        k = int(np.argmin(np.abs(phase + 180.0)))
+        mark = {"x": hz[k], "y": level[k], "y2": -180.0, "what": "gain", "name": "upper", "colour": "limit"}
+        name = f"{at_s:g} s, {plane}"
+        every.append(loop(hz, level, phase, name, [mark], group=plane, at=at_s, text="margins", first=at_s == 10.0))
+    bode = [
+        Panel("gain", [], "frequency, Hz", "dB", (0.05, 50.0), (-40.0, 30.0), log_x=True, plane="gain"),
+        Panel("phase", [], "frequency, Hz", "deg", (0.05, 50.0), (-1080.0, 0.0), log_x=True, plane="phase"),
+        Panel("distance", [], "frequency, Hz", "|1 + L|", (0.05, 50.0), (0.0, 2.0), log_x=True, plane="distance"),
+    ]
+    nichols = Panel("Nichols plane", [], "phase, deg", "dB", (-360.0, 0.0), (-40.0, 30.0), plane="nichols")
+    nyquist = Panel("Nyquist plane", [], x_range=(-3.0, 3.0), y_range=(-3.0, 3.0), plane="nyquist", equal=True)
+    return Plot("loops", "Loops", [*bode, nichols, nyquist], "A caption.", 2, 180, loops=every, split=3)
 
 
 @pytest.fixture
@@ -147,17 +169,88 @@ def test_a_point_tells_its_values_and_its_command_and_a_panel_zooms(page: Page, 
     assert value(page, ticks) == before
 
 
-def test_the_page_gives_the_data_that_lie_beside_it(page: Page, file: Path) -> None:
+def key(page: Page, name: str) -> None:
+    codes = {"ArrowRight": 39, "ArrowLeft": 37, "ArrowDown": 40, "Enter": 13, "Escape": 27, "+": 187}
+    more = {"text": name} if len(name) == 1 else {}
+    page.do("Input.dispatchKeyEvent", type="keyDown", key=name, windowsVirtualKeyCode=codes[name], **more)
+    page.do("Input.dispatchKeyEvent", type="keyUp", key=name, windowsVirtualKeyCode=codes[name])
+
+
+CURVES = """[...document.querySelectorAll('#figure-loops .panel')]
+  .map((p) => [...p.querySelectorAll('svg[role=img] path')].map((q) => q.getAttribute('d'))
+  .reduce((a, b) => b.length > a.length ? b : a, ''))"""
+
+
+def test_a_slider_chooses_the_loop_of_every_plane(page: Page, file: Path) -> None:
+    """By keyboard: three keys show both operating points of pitch, and the choice of the plane that of yaw."""
+    shown(page, file, 1280)
+    figure = "document.getElementById('figure-loops')"
+    assert value(page, f"{figure}.querySelector('output b').textContent") == "10 s, pitch"
+    before = value(page, CURVES)
+    assert len(before) == 5
+    value(page, f"{figure}.querySelector('input').focus()")
+    key(page, "ArrowRight")
+    assert value(page, f"{figure}.querySelector('output b').textContent") == "20 s, pitch"
+    after = value(page, CURVES)
+    assert [one != other for one, other in zip(before, after, strict=True)] == [True, False, True, True, True], (
+        "the phase of a loop does not depend on its gain"
+    )
+    key(page, "ArrowLeft")
+    assert value(page, CURVES) == before
+    value(page, f"{figure}.querySelector('select').value = 'yaw'")
+    value(page, f"{figure}.querySelector('select').dispatchEvent(new Event('change'))")
+    assert value(page, f"{figure}.querySelector('output b').textContent") == "20 s, yaw"
+    assert page.errors == []
+
+
+def test_panels_of_a_column_are_aligned_and_zoom_together(page: Page, file: Path) -> None:
+    shown(page, file, 1280)
+    panels = "[...document.querySelectorAll('#figure-loops .panel')].slice(0, 3)"
+    lefts = f"{panels}.map((p) => p.querySelector('clipPath rect').getAttribute('x')).join()"
+    left, *others = value(page, lefts).split(",")
+    assert others == [left, left]
+    middles = """[...document.querySelectorAll('.under')].map((p) => {
+        const text = new Range(), frame = p.parentNode.querySelector('clipPath rect');
+        text.selectNodeContents(p);
+        const b = text.getBoundingClientRect(), s = p.parentNode.querySelector('svg[role=img]').getBoundingClientRect();
+        return Math.abs((b.left + b.right - frame.getAttribute('width')) / 2 - s.left - frame.getAttribute('x'));
+      })"""
+    assert max(value(page, middles)) < 3.0, "titles are in the middle of their axes"
+    along = "[...p.querySelectorAll('svg > text[text-anchor=middle]')].map((t) => t.textContent).join(' ')"
+    ticks = f"{panels}.map((p) => {along})"
+    before = value(page, ticks)
+    value(page, f"{panels}[0].querySelector('svg[role=img]').focus()")
+    for name in ("ArrowRight", "ArrowRight", "+", "+"):
+        key(page, name)
+    after = value(page, ticks)
+    assert all(one != other for one, other in zip(before, after, strict=True))
+    assert "|1 + L|" in value(page, "document.querySelector('.tip').textContent")
+    key(page, "Escape")
+    assert value(page, ticks) == before
+
+
+def test_a_point_is_reached_by_keyboard(page: Page, file: Path) -> None:
+    shown(page, file, 1280)
+    panel = "[...document.querySelectorAll('.panel')].find((p) => p.innerText.startsWith('runs'))"
+    value(page, f"{panel}.querySelector('svg[role=img]').focus()")
+    for name in ("ArrowRight", "ArrowRight", "ArrowRight", "Enter"):
+        key(page, name)
+    assert "run 2" in value(page, "document.querySelector('.tip').textContent").splitlines()
+    assert value(page, f"{panel}.closest('figure').querySelector('.command code').textContent") == "simrun --run 2"
+
+
+@pytest.mark.parametrize("number", [0, 2])
+def test_the_page_gives_the_data_that_lie_beside_it(page: Page, file: Path, number: int) -> None:
     shown(page, file, 1280)
     value(
         page, "window.kept = []; URL.createObjectURL = (blob) => { blob.text().then((t) => kept.push(t)); return '#'; }"
     )
-    value(page, "document.querySelector('a.data').dispatchEvent(new Event('click'))")
+    value(page, f"document.querySelectorAll('a.data')[{number}].dispatchEvent(new Event('click'))")
     deadline = time.monotonic() + 20.0
     while not value(page, "kept.length") and time.monotonic() < deadline:
         time.sleep(0.1)
     (text,) = value(page, "kept")
-    wanted = as_csv(plots()[0])
+    wanted = as_csv(plots()[number])
     rows, own = text.split("\r\n"), wanted.rstrip().split("\r\n")
     assert len(rows) == len(own)
     for a, b in zip(rows, own, strict=True):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +124,10 @@ def test_page_holds_all_pictures(built) -> None:
         assert text.count(f'id="figure-{name}"') == 1
     assert "second, fairing off" in text
     assert "held at the tail on the pad" in text
+    headings = ["Vehicle", "Stages", "Bending modes", "Control", "Assumed beyond the layout"]
+    assert re.findall(r'<h2 id="s\d">\d (.*?)</h2>', text) == headings
+    (vehicle,) = [f for f in json.loads(text.split('id="figures">')[1].split("</script>")[0]) if f["name"] == "vehicle"]
+    assert vehicle["panels"][0]["equal"], "to scale"
 
 
 def test_masses_add_up_and_the_propellant_is_burned(layout: Layout) -> None:

@@ -18,8 +18,10 @@ from maxq.design.verify.suite import read_suite
 from maxq.design.verify.verify import verify
 from maxq.sim.campaign.analysis import judged, lost
 from maxq.sim.campaign.runner import run_campaign
+from maxq.sim.input.files import builtin_files
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
+from maxq.tools import simdesign
 from maxq.tools.campaign_report import report as campaign_text
 from maxq.tools.campaign_report import write_report
 from maxq.tools.cli.terminal import Progress
@@ -120,9 +122,9 @@ class Page(HTMLParser):
         self.words += data
 
 
-def only_shows(page: str, *names: str) -> None:
+def only_shows(page: str, *names: str, acts: tuple[str, ...] = ()) -> None:
     found = Page(page)
-    assert found.acts == []
+    assert found.acts == list(acts)
     for name in names:
         assert f"{NAME} {name}".strip() in found.words, name
     for shown in (
@@ -166,6 +168,16 @@ def test_page_of_a_layout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     (tmp_path / "layout.toml").write_text(texts.replace('"structure"', f'"{QUOTED} part"'))
     page = layout_page(build(read_layout(tmp_path / "layout.toml")))
     only_shows(page, "layout", "said")
+
+
+def test_page_of_a_design(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = builtin_files("design")["ksr3-default"].read_text(encoding="utf-8")
+    named = text.replace('name = "KSR-III default"', f'name = "{QUOTED} design"')
+    Path("mine.toml").write_text(named, encoding="utf-8")
+    assert simdesign.main(["analyse", "mine.toml", "--at", "40", "--out", "out"]) == 0
+    page = Path("out/analysis.html").read_text(encoding="utf-8")
+    only_shows(page, "design", acts=("a", "a href=analysis.json"))
 
 
 @pytest.mark.slow

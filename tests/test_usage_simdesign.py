@@ -99,17 +99,18 @@ def test_equal_orders_give_equal_designs(capsys: Printed) -> None:
 
 @pytest.mark.slow
 def test_pictures_are_those_of_the_paper(capsys: Printed) -> None:
-    assert run(*SMALL[:-1], "--out", "out") == 0
+    assert run(*SMALL[:-1], "--plots", "--out", "out") == 0
     stems = ("filter", "gains", "lobes", "loop-010.0s", "loop-040.0s", "margins")
     stems += ("vehicle-bending", "vehicle-derivatives", "vehicle-slosh")
     names = {f"{stem}.{kind}" for stem in stems for kind in ("png", "svg")}
-    assert {path.name for path in Path("out").iterdir()} == names | {"design.json", "design.toml"}
+    assert {path.name for path in Path("out").iterdir()} == names | {"design.html", "design.json", "design.toml"}
+    assert capsys.readouterr().out.splitlines()[-1].endswith("; page: out/design.html")
 
 
 @pytest.mark.slow
 def test_orders_are_designed_besides(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_case, "STRUCTURES", ("F2", "F3"))
-    assert run(*SMALL[:-1], "--starts", "1", "--orders", "--out", "out") == 0
+    assert run(*SMALL[:-1], "--starts", "1", "--orders", "--plots", "--out", "out") == 0
     lines = capsys.readouterr().out.splitlines()
     table = lines[lines.index("over the filter's order, dB") + 1 :]
     assert [line.split()[0] for line in table[1:3]] == ["F2", "F3"]
@@ -197,7 +198,7 @@ def test_ctrl_c_that_a_library_swallows_is_not_lost(capsys: Printed, monkeypatch
 
     monkeypatch.setattr(search, "descend", deaf)
     Path("out").mkdir()
-    for name in ("margins.svg", "loop-010.0s.png", "mine.png"):
+    for name in ("margins.svg", "loop-010.0s.png", "design.html", "mine.png"):
         Path("out", name).write_text("of an earlier run")
     assert run(*SMALL[:-1], "--starts", "50", "--out", "out") == 130
     assert capsys.readouterr().out.splitlines()[-1].startswith("INTERRUPTED: the best so far is kept; ")

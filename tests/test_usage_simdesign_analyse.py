@@ -76,10 +76,12 @@ def test_a_design_is_judged_at_every_node(capsys: Printed) -> None:
 
 @pytest.mark.slow
 def test_pictures_and_record_go_into_a_folder(capsys: Printed) -> None:
-    assert run("analyse", "ksr3-default", "--at", "40", "--at", "20", "--out", "here", "--kind", "pade") == 0
+    assert run("analyse", "ksr3-default", "--at", "40", "--at", "20", "--out", "here", "--kind", "pade", "--plots") == 0
     names = sorted(path.name for path in Path("here").iterdir())
     stems = ("lobes", "loop-020.0s", "loop-040.0s", "margins")
-    assert names == sorted(["analysis.json", *(f"{stem}.{kind}" for stem in stems for kind in ("png", "svg"))])
+    assert names == sorted(
+        ["analysis.html", "analysis.json", *(f"{stem}.{kind}" for stem in stems for kind in ("png", "svg"))]
+    )
     told: dict[str, Any] = json.loads(Path("here/analysis.json").read_text())
     assert (told["design"], told["kind"], told["passed"]) == ("ksr3-default", "pade", True)
     assert [node["time_s"] for node in told["nodes"]] == [40.0, 20.0]

@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 import re
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -37,7 +38,15 @@ from maxq.design.verify.linear import (
 from maxq.design.verify.linear import vehicles as vehicles_of
 from maxq.design.verify.memory import PartsOnDisk
 from maxq.design.verify.parts import Parts
-from maxq.design.verify.suite import JudgedRequirement, LinearMargins, overall, read_suite, room_left, shared_risk
+from maxq.design.verify.suite import (
+    JudgedRequirement,
+    LinearMargins,
+    overall,
+    read_suite,
+    room_left,
+    set_words,
+    shared_risk,
+)
 from maxq.sim.campaign.statistics import judge_failures
 from maxq.sim.input.files import builtin_files
 from maxq.sim.run.fly import fly
@@ -466,6 +475,14 @@ def test_designs_that_are_picked_from_share_the_risk_and_have_their_own_draws() 
     assert again.startswith(
         "simverify ksr3-robust --set margins.confidence=0.975 --set margins.seed=3 --set campaign.0"
     )
+
+
+def test_commands_need_few_quotes() -> None:
+    """Double quotes inside single ones, where TOML means the same; all else as it was given."""
+    changes = ("run.stop_at=['burnout','impact']", 'name="it\'s"', "design=runs/it's.toml", r"name='\d'")
+    words = set_words(changes)
+    assert words == ["--set", 'run.stop_at=["burnout","impact"]', *(w for c in changes[1:] for w in ("--set", c))]
+    assert shlex.join(words[:2]) == """--set 'run.stop_at=["burnout","impact"]'"""
 
 
 def test_a_candidate_picked_because_it_passed_keeps_the_risk() -> None:

@@ -64,9 +64,9 @@ def _add_optimise(parser: Parser) -> None:
     add("--seed N", "seed of the starts instead of the case's", type=int)
     optimise.overrides("the case, e.g. limits.gain_margin_db=7")
     add("--orders", "also F2 to F6 with all three gain schedules: the paper's Fig. 9")
+    _add_page(optimise)
     add("--verify", "then try what was designed, best first, until simverify accepts one")
     add("--suite SUITE", "what has to be passed (default: standard)", needs=["--verify"])
-    add("--no-pictures", "tables and files only")
     add("--no-trials", "of an infeasible case: no trials with wider bounds, higher order, faster samples")
 
 
@@ -91,7 +91,14 @@ def _add_analyse(parser: Parser) -> None:
     _add_plant(analyse)
     add("--faults", "operating points of the flight with the scenario's faults")
     add("--out DIR", "where to write (default: runs/analyse-<name of the design>)")
-    add("--no-pictures", "tables and files only")
+    _add_page(analyse)
+
+
+def _add_page(parser: Parser) -> None:
+    parser.option(
+        "--plots", "also SVG and PNG pictures: loops, margins, lobes, gains, filter", without=["--no-pictures"]
+    )
+    parser.option("--no-pictures", "tables and files only, no page")
 
 
 def _add_operating_points(parser: Parser, default: str, without: Sequence[str] = ()) -> None:
@@ -171,7 +178,7 @@ def _optimise(
         raise CommandError(f"what is {cases[1]!r}? one case at a time, or several with --verify")
     from maxq.tools.design import run_case  # noqa: PLC0415  # lazy, as all imports below: --help is quick
 
-    given |= {"pictures": not no_pictures, "trials": not no_trials}
+    given |= {"page": not no_pictures, "trials": not no_trials}
     makes = [partial(run_case.make, case, out=_folder(out, case, len(cases)), **given) for case in cases]
     if not verify:
         return makes[0]().code
@@ -183,7 +190,7 @@ def _optimise(
 def _analyse(*, no_pictures: bool = False, **given: Any) -> int:
     from maxq.tools.design import analyse, report  # noqa: PLC0415  # lazy
 
-    return analyse.execute(report.AnalysisOrder(pictures=not no_pictures, given=tuple(given), **given))
+    return analyse.execute(report.AnalysisOrder(page=not no_pictures, given=tuple(given), **given))
 
 
 def _errata(**given: Any) -> int:

@@ -97,7 +97,9 @@ def design_text(design: Design, comments: Sequence[str] = ()) -> str:
 
 
 def forget_pictures(folder: Path) -> None:
-    """Take away the pictures of an earlier run: they show another design. Nothing else in the folder is touched."""
+    """Remove the pictures and the page of an earlier run: they show another design. Other files remain."""
+    for page in ("design.html", "analysis.html"):
+        (folder / page).unlink(missing_ok=True)
     for stem in ("vehicle-*", "gains", "filter", "margins", "lobes", "loop-*s", "orders-*"):
         for kind in ("svg", "png"):
             for path in folder.glob(f"{stem}.{kind}"):

@@ -106,8 +106,7 @@ def fly_suite(
     def one(flown: SuiteFlight, job: tuple[LoadedScenario, list[str]]) -> FlownResult:
         scenario, changes = job
         text = (scenario.as_flown, flown.name, flown.why, flown.design_must_keep)
-        sets = (x for change in changes for x in ("--set", change))
-        again = shlex.join(["simrun", flown.scenario or loaded_suite.suite.scenario, *sets])
+        again = shlex.join(["simrun", flown.scenario or loaded_suite.suite.scenario, *suite.set_words(changes)])
         return memory.recall("flight", (*text, again), lambda: _fly(flown, scenario, again))
 
     with ThreadPoolExecutor(max_workers=workers) as pool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
+import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -289,6 +290,22 @@ class Suite(Section):
             raise refuse("asks for nothing", "[[flight]], [margins], [certificate] or [[campaign]]", "flight")
 
 
+def set_words(changes: Iterable[str]) -> list[str]:
+    """Return the options that make these changes.
+
+    TOML strings in single quotes, which a shell quotes badly, are written with double quotes where that is the same.
+    """
+    out = []
+    for change in changes:
+        doubled = change.replace("'", '"')
+        try:
+            same = tomllib.loads(change) == tomllib.loads(doubled)
+        except tomllib.TOMLDecodeError:
+            same = False
+        out += ["--set", doubled if same else change]
+    return out
+
+
 @dataclass(frozen=True)
 class LoadedSuite:
     suite: Suite
@@ -306,7 +323,7 @@ class LoadedSuite:
         words = ["simverify", Path(design).stem if built_in else design]
         words += ["--suite", self.label] if self.label != "standard" else []
         words += ["--vehicle", vehicle] if vehicle is not None else []
-        return shlex.join([*words, *(word for change in self.overrides for word in ("--set", change)), *more])
+        return shlex.join([*words, *set_words(self.overrides), *more])
 
     def only(self, label: str) -> LoadedSuite:
         """Return the suite with one flight, one vehicle of the linear margins, or the certificate alone.

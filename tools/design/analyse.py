@@ -1,4 +1,4 @@
-"""`simdesign analyse DESIGN`: margins and pictures of a design at nodes of a flight.
+"""`simdesign analyse DESIGN`: the margins of a design at operating points of a flight, and a page of them.
 
 `simdesign errata`: what each erratum of the paper does to peaks and margins at every node.
 """
@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -21,6 +22,7 @@ from maxq.design.loop.fixed_path import Cut, fixed_path
 from maxq.design.loop.loop import close_loop
 from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import acting_at
+from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, with_cuts
 from maxq.design.model.powered import node_times, powered_flight
 from maxq.design.model.spread import campaign_of
@@ -50,18 +52,21 @@ from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit
 from maxq.tools.cli.terminal import Progress, aligned, tell
+from maxq.tools.design.page import DesignPage, other_plane, write_page
 from maxq.tools.design.report import (
+    KINDS,
     AnalysisOrder,
     Group,
     analysis_record,
     analysis_report,
     analysis_verdict,
+    uncovered_lines,
     uncovered_record,
     uncovered_table,
     write_record,
 )
 
-RECORD_NAME = "analysis.json"
+RECORD_NAME, PAGE_NAME = "analysis.json", "analysis.html"
 _FILE_WIDTH = 1_000_000  # whole rows
 _UNSTABLE = "unstable"
 QUANTITIES = {
@@ -83,7 +88,8 @@ def execute(order: AnalysisOrder) -> int:
     scenario, design = load(order.scenario, order.vehicle, order.design)
     path = Path(order.design)
     name = path.parent.name if path.name == DESIGN_NAME and path.parent.name else path.name.removesuffix(".toml")
-    folder = Path(order.out) if order.out is not None else Path("runs") / f"analyse-{name}" if order.pictures else None
+    wanted = order.page or order.plots
+    folder = Path(order.out) if order.out is not None else Path("runs") / f"analyse-{name}" if wanted else None
     bases = bases_of(scenario, design, path.name)
     order = by_basis(order, bases)
     with Progress() as progress:
@@ -118,13 +124,19 @@ def execute(order: AnalysisOrder) -> int:
             gaps = uncovered(
                 scenario, {g.judged[0].node.stage: [j.time_s for j in g.judged] for g in groups}, order.axis
             )
-        files = []
+        files, verdict, page = [], analysis_verdict(groups, loss), None
         if folder is not None:
             forget_pictures(folder)
             record = analysis_record(name, order, groups, judged_by, loss)
             files.append(write_record(folder / RECORD_NAME, record | {"not_covered": uncovered_record(gaps)}))
-            if order.pictures:
-                from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
+            if order.page:
+                progress.show("writing the page", 0, 1)
+                page = write_page(
+                    folder / PAGE_NAME, _page(name, order, scenario, design, groups, judged_by, verdict, gaps)
+                )
+                files.append(page)
+            if order.plots:
+                from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: Matplotlib, with --plots only
 
                 title = f"{scenario.vehicle.name}: {design.name or name}, {order.kind}"
                 sheets = pictures.judged_sheets(judged, title, Wanted.stated_by(design, judged[0].node.stage))
@@ -133,9 +145,56 @@ def execute(order: AnalysisOrder) -> int:
     if gaps:
         tell("", *uncovered_table(scenario.vehicle, gaps))
     tell(f"\n{len(files)} files in {folder}/" if files else "")
-    verdict = analysis_verdict(groups, loss)
-    tell(verdict)
+    tell(verdict + (f"; page: {page}" if page is not None else ""))
     return Exit.OK if verdict.startswith("PASSED") else Exit.FAILED
+
+
+def _page(
+    name: str,
+    order: AnalysisOrder,
+    scenario: LoadedScenario,
+    design: Design,
+    groups: Sequence[Group],
+    judged_by: str,
+    verdict: str,
+    gaps: Sequence[Uncovered],
+) -> DesignPage:
+    judged = [j for group in groups for j in group.judged]
+    nodes = partial(_found, scenario, order, make=operating_points.nodes)
+    return DesignPage(
+        name=f"{name}: {design.name}" if design.name not in ("", name) else name,
+        kind="Analysis of a control design",
+        about=f"{judged_by[:1].upper()}{judged_by[1:]}.",
+        verdict=verdict,
+        passed=verdict.startswith("PASSED"),
+        block=(
+            ("vehicle", scenario.vehicle.name),
+            ("scenario", scenario.name),
+            ("plane", order.axis),
+            ("loop", KINDS[order.kind]),
+            ("errata; plant", f"{order.errata}; {order.plant}"),
+        ),
+        groups=groups,
+        others=other_plane(judged, design, order.kind, lambda times_s, plane: nodes(times_s, axis=plane)),
+        wanted=partial(Wanted.stated_by, design),
+        design=design,
+        vehicle=scenario.vehicle,
+        data=[(RECORD_NAME, "limits, margins, lobes and budgets at all operating points")],
+        gaps=uncovered_lines(scenario.vehicle, gaps),
+        command=_command(order),
+    )
+
+
+def _command(order: AnalysisOrder) -> str:
+    """Return the command that repeats an analysis."""
+    words = ["simdesign", "analyse", order.design]
+    for key in (key for key in order.given if key not in ("design", "plots")):
+        if not (value := getattr(order, key)):
+            continue
+        option = f"--{_WORDS.get(key, key)}"
+        for one in value if isinstance(value, tuple) else (value,):
+            words += [option] if one is True else [option, f"{one:g}" if isinstance(one, float) else str(one)]
+    return shlex.join(words)
 
 
 def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenario, Design]:
@@ -176,6 +235,7 @@ def dispersed_checks(
 
 # the design's own basis
 
+_WORDS = {"times_s": "at", "every_s": "every"}
 _OPTIONS = {"kind": "loop", "axis": "plane", "errata": "errata", "plant": "plant"}
 """Options and the keys of a basis that they stand for."""
 
@@ -272,11 +332,17 @@ def judged_by_text(
 
 
 def _found(
-    scenario: LoadedScenario, order: AnalysisOrder, times_s: Iterable[float], make: Callable[..., list[N]]
+    scenario: LoadedScenario,
+    order: AnalysisOrder,
+    times_s: Iterable[float],
+    make: Callable[..., list[N]],
+    axis: Plane | None = None,
 ) -> list[N]:
     """Return nodes along the flight. Raises ScenarioError for a time outside the powered flight."""
     try:
-        nodes = make(scenario, times_s, plane=order.axis, errata=order.errata, plant=order.plant, faults=order.faults)
+        nodes = make(
+            scenario, times_s, plane=axis or order.axis, errata=order.errata, plant=order.plant, faults=order.faults
+        )
         for node in nodes:
             _ = node.plant  # raises where there is none, before the long work
     except ValueError as error:

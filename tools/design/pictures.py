@@ -17,7 +17,8 @@ from maxq.design.model.node import Node
 from maxq.design.verify.judging import JudgedLoop, Wanted
 from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design
-from maxq.tools.design.pictures_loop import draw_loop, picture_of
+from maxq.tools.design.open_loop import picture_of
+from maxq.tools.design.pictures_loop import draw_loop
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, RED
 from maxq.tools.plots.style import MARKERS, curve, drawing, label, plain_numbers, save, sheet
 

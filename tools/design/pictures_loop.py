@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,59 +14,11 @@ from maxq.control.kernel.records import Array
 from maxq.design.certificate.response import decibels
 from maxq.design.margins.distances import Zone
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.verify.judging import JudgedLoop
+from maxq.tools.design.open_loop import BOTTOM_DB, LOWEST_HZ, LoopPicture, Mark, unwrapped_deg
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, ON_LIGHT, PALE, RED
 from maxq.tools.plots.style import label, name_point, plain_numbers, sheet
 
-BOTTOM_DB, TOP_DB = -50.0, 50.0  # of Bode and Nichols plots, where the curve goes farther
-LOWEST_HZ = 0.02
-
-
-@dataclass(frozen=True)
-class Mark:
-    """A point of the curve with a name: the top of a lobe, or a crossing."""
-
-    frequency_hz: float
-    loop: complex
-    text: str
-    is_lobe: bool = True
-
-
-@dataclass(frozen=True)
-class LoopPicture:
-    """The content of a loop's picture. Points of the curve in rising frequency, close enough to follow every
-    resonance.
-    """
-
-    title: str
-    frequency_hz: Array
-    loop: ComplexArray
-    marks: Sequence[Mark] = ()
-    zones: Sequence[Zone] = ()
-
-
-def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> LoopPicture:
-    """The loop at a node: its lobes, and where it crosses 0 dB and the negative real axis."""
-    margins, curve = judged.margins, judged.margins.curve
-    f, loop = smooth(judged.loop.response, curve.frequency_hz, curve.loop)
-    marks: list[Mark] = []
-    for lobe in judged.lobes:
-        at, text = np.array([lobe.peak_hz]), lobe.label.replace("bending ", "mode ")
-        if marks and abs(marks[-1].frequency_hz / lobe.peak_hz - 1.0) < 1e-3:  # two pendulums that swing as one
-            text = f"{marks.pop().text}, {text}"
-        marks.append(Mark(lobe.peak_hz, complex(judged.loop.response(at)[0]), text))
-    gain, phase = margins.gain_crossings, margins.phase_crossings
-    binding = {
-        margins.gain_up_db.frequency_hz: f"{margins.gain_up_db.value:.1f} dB up",
-        margins.gain_down_db.frequency_hz: f"{margins.gain_down_db.value:.1f} dB down",
-        margins.phase_deg.frequency_hz: f"{margins.phase_deg.value:.0f} deg",
-    }
-    inner = (phase.frequency_hz >= f[0]) & (phase.frequency_hz <= f[-1])
-    for crossings, chosen in ((gain, np.ones(len(gain.frequency_hz), bool)), (phase, inner)):
-        for hz, value in zip(crossings.frequency_hz[chosen], crossings.loop[chosen], strict=True):
-            text = f"{binding[hz]}, {hz:.3g} Hz" if hz in binding else ""
-            marks.append(Mark(float(hz), complex(value), text, is_lobe=False))
-    return LoopPicture(title, f, loop, marks, zones)
+TOP_DB = 50.0  # of Bode and Nichols plots, where the curve goes farther
 
 
 def draw_loop(picture: LoopPicture) -> Figure:
@@ -84,9 +34,8 @@ def draw_loop(picture: LoopPicture) -> Figure:
 def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
     """Phase unwrapped, so that it has no jumps; dotted where it is -180 deg and whole turns from it."""
     f, loop = picture.frequency_hz, picture.loop
-    level, turned = decibels(loop), np.degrees(np.unwrap(np.angle(loop)))
+    level, turned = decibels(loop), unwrapped_deg(picture)
     seen = (f >= LOWEST_HZ) & (level > BOTTOM_DB)
-    turned -= 360.0 * np.ceil(np.median(turned[seen][:3]) / 360.0) if seen.any() else 0.0
     gain.axhline(0.0, color=GREY, linewidth=0.8)
     gain.plot(f, level, color=BLUE)
     phase.plot(f, turned, color=BLUE)
@@ -105,27 +54,26 @@ def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
     for n, mark in enumerate(picture.marks):
         level_db = float(decibels(np.array([mark.loop]))[0])
         turn = float(np.interp(mark.frequency_hz, f, turned))
+        if mark.is_lobe and level_db <= BOTTOM_DB:
+            continue
         if mark.is_lobe:
             gain.plot(mark.frequency_hz, level_db, "o", color=_colour(n), markersize=3)
             phase.plot(mark.frequency_hz, turn, "o", color=_colour(n), markersize=3)
             name_point(gain, mark.frequency_hz, min(level_db, TOP_DB), mark.text, color=_colour(n))
         elif mark.text and abs(level_db) > 1e-6:  # a gain margin: from the curve to 0 dB
-            gain.plot([mark.frequency_hz] * 2, [level_db, 0.0], color=RED, linewidth=1.6)
+            gain.plot([mark.frequency_hz] * 2, [level_db, 0.0], color=RED, linewidth=2.0)
+            name_point(gain, mark.frequency_hz, level_db, mark.text, color=RED)
         elif mark.text:  # the phase margin: from the curve to the nearest -180 deg
             nearest = 360.0 * np.round((turn + 180.0) / 360.0) - 180.0
-            phase.plot([mark.frequency_hz] * 2, [turn, nearest], color=RED, linewidth=1.6)
-    margins = [mark for mark in picture.marks if mark.text and not mark.is_lobe]
-    gains = [mark.text for mark in margins if "dB" in mark.text]
-    label(gain, y="|L|, dB")
-    gain.set_title("Bode" + "; gain margins " * bool(gains) + ";\n".join(gains), fontsize=8.5)
-    phases = [mark.text for mark in margins if "deg" in mark.text]
-    label(phase, "frequency, Hz", "phase of L, deg")
-    phase.set_title(f"phase margin {phases[0]}" if phases else "", fontsize=8.5)
+            phase.plot([mark.frequency_hz] * 2, [turn, nearest], color=RED, linewidth=2.0)
+            name_point(phase, mark.frequency_hz, nearest, mark.text, color=RED)
+    label(gain, "", "|L|, dB", "Gain")
+    label(phase, "frequency, Hz", "phase of L, deg", "Phase")
 
 
 _M_DB = (-20.0, -12.0, -6.0, -3.0, -1.0, 0.25, 0.5, 1.0, 3.0, 6.0, 12.0)
 _N_DEG = (-340.0, -300.0, -240.0, -210.0, -150.0, -120.0, -90.0, -60.0, -30.0, -10.0)
-_NAMED_HZ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+_NAMED_HZ = (0.1, 1.0, 10.0)
 
 
 def contours() -> list[tuple[str, Array, Array]]:
@@ -169,7 +117,7 @@ def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> N
     place.grid(visible=False)
     place.axhline(0.0, color=GREY, linewidth=0.8)
     place.axvline(-180.0, color=GREY, linewidth=0.8)
-    place.plot(-180.0, 0.0, "+", color=RED, markersize=9, markeredgewidth=1.5)
+    _cross(place, -180.0)
     place.plot(*_broken(turn, level)[::-1], color=BLUE, linewidth=0.9 if small else 1.3)
     place.set_xlim(-360.0, 0.0)
     place.set_xticks(range(-360, 1, 120 if small else 60))
@@ -208,7 +156,7 @@ def _nyquist(picture: LoopPicture, place: Axes) -> None:
             place.plot(radius * around.real, radius * around.imag, **style)
             name_point(place, 0.0, radius, f"{level_db:g} dB", must=False, color=GREY, fontsize=5.5)
     place.plot(curve.real, curve.imag, color=BLUE)
-    place.plot(-1.0, 0.0, "+", color=RED, markersize=9, markeredgewidth=1.5)
+    _cross(place, -1.0)
     place.set_xlim(-reach, reach)
     place.set_ylim(-reach, reach)
     for n, mark in enumerate(picture.marks):
@@ -226,9 +174,15 @@ def _nyquist(picture: LoopPicture, place: Axes) -> None:
     label(place, title="Nyquist (log radius beyond 0 dB)")
 
 
+def _cross(place: Axes, x: float) -> None:
+    """Draw the critical point as a text, which the names of points avoid."""
+    place.text(x, 0.0, "+", color=RED, fontsize=15, fontweight="bold", ha="center", va="center_baseline")
+
+
 def _mark(place: Axes, mark: Mark, n: int, x: float, y: float, *, named: bool = True) -> None:
     colour = _colour(n) if mark.is_lobe else BLACK
-    place.plot(x, y, "o" if mark.is_lobe else "x", color=colour, markersize=3.5)
+    if mark.text:  # a crossing that sets no margin has none
+        place.plot(x, y, "o" if mark.is_lobe else "x", color=colour, markersize=3.5)
     if named and mark.text:
         name_point(place, x, y, mark.text, color=colour, fontsize=6.0)
 
@@ -273,20 +227,3 @@ def _broken(wrapped_deg: Array, other: Array) -> tuple[Array, Array]:
 def _drawn_in(loop: ComplexArray) -> ComplexArray:
     size = np.maximum(np.abs(loop), 1e-300)
     return np.asarray(np.where(size > 1.0, loop / size * (1.0 + np.log(size)), loop))
-
-
-def smooth(
-    response: Callable[[Array], ComplexArray], frequency_hz: Array, loop: ComplexArray
-) -> tuple[Array, ComplexArray]:
-    """The curve with points added until no corner is to be seen: steps of 4 degrees and 1 dB at most, above -60 dB."""
-    f, values = frequency_hz, loop
-    for _ in range(8):
-        level = decibels(values)
-        steep = (np.abs(np.diff(np.unwrap(np.angle(values)))) > np.radians(4.0)) | (np.abs(np.diff(level)) > 1.0)
-        steep &= np.maximum(level[1:], level[:-1]) > BOTTOM_DB - 10.0
-        k = np.flatnonzero(steep & (np.diff(f) > 1e-9 * f[1:]))
-        if not len(k):
-            break
-        middle = np.sqrt(f[k] * f[k + 1])
-        f, values = np.insert(f, k + 1, middle), np.insert(values, k + 1, response(middle))
-    return f, values

@@ -51,13 +51,13 @@ GAIN_HEADS = {
     "accel_per_incidence_mps2": "per angle of attack, m/s2",
 }
 MET, MISSED = "met", "MISSED"
-_KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
+KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
 _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
 
 
 @dataclass(frozen=True)
 class AnalysisOrder:
-    """The options of `simdesign analyse` and of `simdesign errata`, which has no kind, axis or pictures."""
+    """The options of `simdesign analyse` and of `simdesign errata`, which has no kind, axis or page."""
 
     design: str = "ksr3-default"
     scenario: str = "nominal"
@@ -71,7 +71,8 @@ class AnalysisOrder:
     faults: bool = False
     given: tuple[str, ...] = ()  # options that differ from the design's basis by the user's wish
     out: str | None = None
-    pictures: bool = True
+    page: bool = True
+    plots: bool = False  # pictures of every operating point, too
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ def analysis_report(
     name: str, order: AnalysisOrder, design: Design, groups: Sequence[Group], judged_by: str, loss: Event | None = None
 ) -> str:
     """Return the report of `simdesign analyse`. `judged_by`: `judged_by_text`; `loss`: of the flight of the design."""
-    where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {_KINDS[order.kind]}"
+    where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {KINDS[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
         where += f"; errata: {order.errata}; plant: {order.plant}"
     parts: list[Sequence[str]] = [
@@ -148,7 +149,7 @@ def case_report(outcome: DesignOutcome, solution: Solution) -> str:
     head = [
         printable(f"{loaded.name}: {case.description}" if case.description else loaded.name),
         f"{case.filter.structure}, {case.gains.schedule} gains; along {case.scenario}, {case.plane}; "
-        f"{_KINDS[case.loop]}; errata: {case.errata}; plant: {case.plant}",
+        f"{KINDS[case.loop]}; errata: {case.errata}; plant: {case.plant}",
     ]
     off, flown = outcome.dispersed_found, outcome.flown_found
     return _joined(
@@ -259,7 +260,12 @@ def margins_table(judged: Sequence[JudgedLoop]) -> list[str]:
 
 
 def _margins_rows(title: str, found: Sequence[tuple[float, Margins]]) -> list[str]:
-    rows = [
+    return [title, *aligned(margins_rows(found), "  ", right=(0, *range(2, 12)))]
+
+
+def margins_rows(found: Sequence[tuple[float, Margins]]) -> list[tuple[str, ...]]:
+    """Return the cells of a table of margins over time (s), with two rows of heads first."""
+    rows: list[tuple[str, ...]] = [
         ("time, s", "loop", "gain up", "down", "phase", "delay", "least", "diamond", "aero", "rigid", "rigid", "cross"),
         ("", "", "dB", "dB", "deg", "ms", "|1+L|", "clear", "dB", "dB", "deg", "Hz"),
     ]
@@ -280,7 +286,7 @@ def _margins_rows(title: str, found: Sequence[tuple[float, Margins]]) -> list[st
                 number(m.crossover_hz, 3),
             )
         )
-    return [title, *aligned(rows, "  ", right=(0, *range(2, 12)))]
+    return rows
 
 
 def multiloop_table(together: Sequence[MultiloopMargins]) -> list[str]:
@@ -303,24 +309,40 @@ def multiloop_table(together: Sequence[MultiloopMargins]) -> list[str]:
 
 def lobes_table(judged: Sequence[JudgedLoop]) -> list[str]:
     """A row a node, a column a lobe: its peak, and G for gain-stabilised, or P and the phase to instability."""
-    labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
-    if not labels:
+    rows = lobes_rows(judged)
+    if not rows:
         return []
-    rows = [("time, s", *labels)]
-    for j in judged:
+    head = "lobes: peak dB, and how it is stabilised (G gain; P phase, with the turn in degrees that would harm)"
+    return [head, *aligned(rows, "  ", right=tuple(range(len(rows[0]))))]
+
+
+def lobes_rows(judged: Sequence[JudgedLoop]) -> list[tuple[str, ...]]:
+    """Return the cells of `lobes_table`, its head first; none without lobes."""
+    labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
+    rows: list[tuple[str, ...]] = [("time, s", *labels)] * bool(labels)
+    for j in judged if labels else ():
         by_label = {lobe.label: lobe for lobe in j.lobes}
         rows.append((f"{j.time_s:g}", *(_lobe(by_label.get(label), j.margins.stable) for label in labels)))
-    head = "lobes: peak dB, and how it is stabilised (G gain; P phase, with the turn in degrees that would harm)"
-    return [head, *aligned(rows, "  ", right=tuple(range(1 + len(labels))))]
+    return rows
 
 
 def budget_table(judged: Sequence[JudgedLoop], crossing: str, column: Literal["gain_db", "phase_deg"]) -> list[str]:
     """A row a node: what each part adds to gain or phase at the crossing that sets a margin, and the margin left."""
+    rows, unit = budget_rows(judged, crossing, column), "deg" if column == "phase_deg" else "dB"
+    if not rows:
+        return []
+    return [f"margin budget at the {crossing}, {unit}", *aligned(rows, "  ", right=tuple(range(len(rows[0]))))]
+
+
+def budget_rows(
+    judged: Sequence[JudgedLoop], crossing: str, column: Literal["gain_db", "phase_deg"]
+) -> list[tuple[str, ...]]:
+    """Return the cells of `budget_table`, its head first; none without such a crossing."""
     have = [j for j in judged if crossing in j.budgets]
     if not have:
         return []
     parts = list(dict.fromkeys(share.part for j in have for share in j.budgets[crossing].shares))
-    unit, digits = ("deg", 1) if column == "phase_deg" else ("dB", 2)
+    digits = 1 if column == "phase_deg" else 2
     rows = [("time, s", "at Hz", *(_PARTS.get(part, part) for part in parts), "sum", "left")]
     for j in have:
         budget = j.budgets[crossing]
@@ -328,7 +350,7 @@ def budget_table(judged: Sequence[JudgedLoop], crossing: str, column: Literal["g
         left = abs(budget.phase_margin_deg) if column == "phase_deg" else abs(budget.gain_db)
         values = [*(shares.get(part, math.nan) for part in parts), getattr(budget, column), left]
         rows.append((f"{j.time_s:g}", f"{budget.frequency_hz:.3g}", *(number(value, digits) for value in values)))
-    return [f"margin budget at the {crossing}, {unit}", *aligned(rows, "  ", right=tuple(range(len(rows[0]))))]
+    return rows
 
 
 def design_table(design: Design) -> list[str]:
@@ -349,6 +371,11 @@ def design_table(design: Design) -> list[str]:
 
 def search_table(solution: Solution) -> list[str]:
     """Return the table on the certainty of the optimum."""
+    return ["search", *aligned(search_rows(solution), "  ")]
+
+
+def search_rows(solution: Solution) -> list[tuple[str, str]]:
+    """Return names and texts of the search and of the certainty of the optimum."""
     c = solution.certificate
     counts = Counter(x.what for x in solution.constraints if x.active)
     active = [f"{what} ({n} nodes)" if n > 1 else what for what, n in counts.items()]
@@ -356,7 +383,7 @@ def search_table(solution: Solution) -> list[str]:
     worse = f"{c.worst_instant_db:.2g} dB" if c.worst_instant_db > 0.0 else "no"
     between = f"{c.instants} instants tried; {worse} worse than the worst node at most"
     between = between if c.instants else solution.unchecked
-    rows = [
+    return [
         ("objective", f"{solution.objective_db:.4f} dB"),
         ("starts", c.statement()),
         ("ends, dB", ", ".join("-" if math.isnan(x) else f"{x:.2f}" for x in sorted(c.ends_db))),
@@ -365,7 +392,6 @@ def search_table(solution: Solution) -> list[str]:
         *([("between", between)] if between else []),
         ("effort", f"{c.evaluations} evaluations, {c.seconds:.2f} s, seed {c.seed}"),
     ]
-    return ["search", *aligned(rows, "  ")]
 
 
 def wind_table(outcome: DesignOutcome) -> list[str]:
@@ -398,7 +424,7 @@ def _lobe(lobe: Lobe | None, stable: bool) -> str:
 
 def number(value: float, digits: int) -> str:
     """A value for a cell; `-` where there is none."""
-    return "-" if math.isnan(value) or value == -math.inf else f"{value:.{digits}f}"
+    return "-" if math.isnan(value) or value == -math.inf else f"{value:z.{digits}f}"
 
 
 # JSON

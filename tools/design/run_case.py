@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product, zip_longest
 from multiprocessing import get_context
 from pathlib import Path
@@ -26,6 +27,7 @@ from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.design_file import DESIGN_NAME, design_text, forget_pictures
 from maxq.design.laws.law import DesignedLaw
 from maxq.design.laws.schedule import UnsolvableError
+from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.powered import loss_text
 from maxq.design.optimise.plants import Plants
@@ -33,7 +35,7 @@ from maxq.design.optimise.search import SearchProgress as Watch
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, solve
 from maxq.design.optimise.way_out import tried
-from maxq.design.verify.judging import DesignOutcome, make_design, objective_text
+from maxq.design.verify.judging import Check, DesignOutcome, JudgedLoop, Wanted, make_design, objective_text
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.own_flight import CaseDesign, design_case
 from maxq.sim.files import check_writable, plain_name, write_whole
@@ -42,10 +44,23 @@ from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit, Interruption
 from maxq.tools.cli.terminal import Progress, aligned, tell
-from maxq.tools.design.report import case_record, case_report, comments, uncovered_record, uncovered_table, write_record
-from maxq.tools.design.way_out import trials_text
+from maxq.tools.design.page import DesignPage, PageTable, other_plane, write_page
+from maxq.tools.design.report import (
+    KINDS,
+    Group,
+    case_record,
+    case_report,
+    comments,
+    search_rows,
+    uncovered_lines,
+    uncovered_record,
+    uncovered_table,
+    wind_table,
+    write_record,
+)
+from maxq.tools.design.way_out import trials_text, way_out_table
 
-RECORD_NAME = "design.json"
+RECORD_NAME, PAGE_NAME = "design.json", "design.html"
 
 
 @dataclass(frozen=True)
@@ -67,7 +82,8 @@ def make(
     out: str | None = None,
     starts: int | None = None,
     seed: int | None = None,
-    pictures: bool = True,
+    page: bool = True,
+    plots: bool = False,
     orders: bool = False,
     trials: bool = True,
 ) -> Made:
@@ -121,8 +137,13 @@ def make(
         results = made.results
         with Interruption() as interruption:  # the result is written, whatever is pressed now
             forget_pictures(folder)
-            files = _write(folder, made, solved)
-            if pictures and not made.interrupted:
+            files, verdict, written = _write(folder, made, solved), _verdict(made, folder), list[Path]()
+            if page and not made.interrupted:
+                progress.show("writing the page", 0, 1)
+                said = verdict.splitlines()[-1]
+                written = [write_page(folder / PAGE_NAME, _page(made, said, _command(case, overrides, out)))]
+                files += written
+            if plots and not made.interrupted:
                 for (outcome, _), found in zip_longest(results, solved):
                     into = folder / f"stage-{_number(outcome) + 1}" if len(results) > 1 else folder
                     files += _draw(into, outcome, found, progress, lambda: interruption.requested)
@@ -136,7 +157,7 @@ def make(
     if made.uncovered:
         tell("", *uncovered_table(loaded.scenario.vehicle, made.uncovered))
     tell(f"\n{len(files)} files in {folder}/; {time.perf_counter() - begun_s:.1f} s in all")
-    tell(_verdict(made, folder))
+    tell(verdict + (f"; page: {written[0]}" if written else ""))
     code = Exit.INTERRUPTED if interrupted or interruption.requested else Exit.OK if made.feasible else Exit.FAILED
     return Made(code, folder, made, solved)
 
@@ -188,6 +209,64 @@ def _verdict(made: CaseDesign, folder: Path) -> str:
     return f"INFEASIBLE: {'; '.join(said)}"
 
 
+def _page(made: CaseDesign, verdict: str, command: str) -> DesignPage:
+    groups, others, more, wanted = list[Group](), list[JudgedLoop](), list[PageTable](), dict[int, Wanted]()
+    flown, texts = list[tuple[str, Sequence[Check]]](), list[tuple[str, list[str]]]()
+    vehicle = made.results[0][0].loaded.scenario.vehicle
+    for outcome, solution in made.results:
+        loaded, stage = outcome.loaded, stage_name(vehicle, _number(outcome))
+        off = [replace(c, key=f"dispersed_{c.key}", text=f"{c.text}, dispersed") for c in outcome.dispersed_found]
+        groups.append(Group(stage, outcome.judged, outcome.found, (), outcome.coupled_found, None, off))
+        nodes = partial(_nodes, loaded)
+        others += other_plane(outcome.judged, outcome.design, loaded.case.loop, nodes)
+        wanted[_number(outcome)] = outcome.wanted
+        more.append((stage, [(), *search_rows(solution)]))
+        if loaded.case.loop != "sampled":
+            flown.append(
+                (", ".join(filter(None, (stage, "the same design as it flies, sampled"))), outcome.flown_found)
+            )
+        for title, lines in (("Way out", way_out_table(solution)), ("In the wind of the case", wind_table(outcome))):
+            texts += [(", ".join(filter(None, (title, stage))), lines[1:])] if lines else []
+    loaded, cases = made.results[0][0].loaded, [outcome.loaded.case for outcome, _ in made.results]
+    case = loaded.case
+    return DesignPage(
+        name=loaded.name,
+        kind="Control design of a case",
+        about=case.description,
+        verdict=verdict,
+        passed=made.feasible,
+        block=(
+            ("vehicle", vehicle.name),
+            ("scenario", loaded.scenario.name),
+            ("plane", case.plane),
+            ("loop", KINDS[case.loop]),
+            ("filter", ", ".join(dict.fromkeys(each.filter.structure for each in cases))),
+            ("gain schedule", ", ".join(dict.fromkeys(each.gains.schedule for each in cases))),
+            ("errata; plant", f"{case.errata}; {case.plant}"),
+        ),
+        groups=groups,
+        others=others,
+        wanted=wanted.__getitem__,
+        design=made.design,
+        vehicle=vehicle,
+        data=[
+            (DESIGN_NAME, "the design, to fly, to analyse and to verify"),
+            (RECORD_NAME, "limits, margins, lobes and the search"),
+        ],
+        gaps=uncovered_lines(vehicle, made.uncovered),
+        flown=flown,
+        more=[("Search", "", more)],
+        texts=texts,
+        command=command,
+    )
+
+
+def _command(case: str, overrides: Sequence[str], out: str | None) -> str:
+    """Return the command that repeats a design."""
+    sets = [word for change in overrides for word in ("--set", change)]
+    return shlex.join(["simdesign", "optimise", case, *sets, *(("--out", out) if out is not None else ())])
+
+
 def _write(folder: Path, made: CaseDesign, orders: Sequence[FoundDesigns]) -> list[Path]:
     results = made.results
     records = [case_record(outcome, solution) for outcome, solution in results]
@@ -216,7 +295,7 @@ def _write(folder: Path, made: CaseDesign, orders: Sequence[FoundDesigns]) -> li
 def _draw(
     folder: Path, outcome: DesignOutcome, orders: FoundDesigns | None, progress: Progress, stop: Callable[[], bool]
 ) -> list[Path]:
-    from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: matplotlib, not with --no-pictures
+    from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: Matplotlib, with --plots only
 
     loaded, nodes = outcome.loaded, [j.node for j in outcome.judged]
     stage = _number(outcome)
@@ -245,8 +324,12 @@ def _along(loaded: LoadedCase, nodes: Sequence[Node]) -> list[Node]:
     """Nodes every half second between the first and the last, for curves over time."""
     case, first, last = loaded.case, nodes[0].time_s, nodes[-1].time_s
     count = max(1, round(2.0 * (last - first)))
-    times = [first + (last - first) * k / count for k in range(count + 1)]
-    return operating_points.nodes(loaded.along, times, plane=case.plane, errata=case.errata, plant=case.plant)
+    return _nodes(loaded, [first + (last - first) * k / count for k in range(count + 1)], case.plane)
+
+
+def _nodes(loaded: LoadedCase, times_s: Sequence[float], plane: Plane) -> list[Node]:
+    case = loaded.case
+    return operating_points.nodes(loaded.along, times_s, plane=plane, errata=case.errata, plant=case.plant)
 
 
 # the paper's filters and gain schedules

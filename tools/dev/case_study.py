@@ -102,7 +102,7 @@ def solve_optima() -> None:
     """Solve the sixty problems and write docs/case-study.json, the source of the tables."""
     every = []
     for plant, name in itertools.product(PLANTS, LIMITS):
-        arguments = [f"ksr3-{name}", "--orders", *set_([f"plant={plant}"])]
+        arguments = [f"ksr3-{name}", "--orders", "--plots", *set_([f"plant={plant}"])]
         found = kept(f"optima-{plant}-{name}/design.json", "simdesign", *arguments)["orders"]
         every += [{"plant": plant, "limits": name} | o for o in found]
     PARAMETERS.write_text(json.dumps({"optima": every}, separators=(",", ":")) + "\n", encoding="utf-8")
@@ -162,7 +162,7 @@ def claims() -> list[str]:
 def between() -> list[str]:
     """Return the least margins of the optima between their eleven nodes, and the cost of holding the limits there."""
     folder, at_nodes, rows = RUNS / "optima-flown-identical", orders("flown", "identical"), []
-    kept(f"{folder.name}/design.json", "simdesign", "ksr3-identical", "--orders", *set_(["plant=flown"]))
+    kept(f"{folder.name}/design.json", "simdesign", "ksr3-identical", "--orders", "--plots", *set_(["plant=flown"]))
     changes = set_(["between_nodes=hold"])
     record = kept("between/design.json", "simdesign", "ksr3-identical", "--orders", "--no-pictures", *changes)
     held = {(o["structure"], o["schedule"]): o for o in record["orders"]}
@@ -496,7 +496,7 @@ def copy_pictures() -> None:
     for kind, schedule in itertools.product(("gains", "filters"), SCHEDULES):
         shutil.copy(drawn / f"orders-{kind}-{schedule}.png", PICTURES / f"{kind}-{schedule}.png")
     for name in COMPARED:
-        kept(f"analysis-{name}/analysis.json", "simdesign", "analyse", name, "--kind", "sampled")
+        kept(f"analysis-{name}/analysis.json", "simdesign", "analyse", name, "--kind", "sampled", "--plots")
         folder = RUNS / f"analysis-{name}"
         shutil.copy(folder / "loop-040.0s.png", PICTURES / f"loop-{name}.png")
         shutil.copy(folder / "lobes.png", PICTURES / f"lobes-{name}.png")

@@ -16,7 +16,7 @@ import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -38,14 +38,21 @@ class Panel:
     log_x: bool = False
     log_y: bool = False
     down: bool = False  # y grows downwards
-    nichols: bool = False  # over M and N contours
+    plane: Literal["", "gain", "phase", "distance", "nichols", "nyquist"] = (
+        ""  # in which series of kind "loop" are drawn
+    )
+    height: int = 0  # in pixels; 0: that of the figure
+    equal: bool = False  # to scale: a unit is as long along x as along y
     rows: bool = False
     unit: str = ""  # of the bars
 
 
 @dataclass
 class Plot:
-    """A figure of several panels. `command` flies the run that stands for {}."""
+    """A figure of several panels. `command` flies the run that stands for {}.
+
+    `loops`: open loops, of which a slider chooses the one that the panels with a `plane` show.
+    """
 
     name: str  # letters, digits, hyphens
     title: str
@@ -54,6 +61,8 @@ class Plot:
     columns: int = 2
     height: int = 190  # of a panel, in pixels
     command: str = field(default="", kw_only=True)
+    loops: list[Series] = field(default_factory=list, kw_only=True)
+    split: int = field(default=0, kw_only=True)  # panels of the first column, where columns run down; 0: rows
 
 
 def look(number: int) -> Series:
@@ -84,6 +93,16 @@ def limit(value: float, name: str = "limit", **more: Any) -> Series:
 def at(value: float, name: str = "", **more: Any) -> Series:
     """The same, upright."""
     return {"kind": "at", "colour": "limit", "name": name, "value": value} | more
+
+
+def loop(hz: Any, level_db: Any, phase_deg: Any, name: str, marks: Sequence[Series] = (), **more: Any) -> Series:
+    """An open loop L over frequency, its phase without jumps, drawn in the `plane` of its panel.
+
+    `marks`: points with `x`, `y`, `y2` as those of the loop, `what` ("lobe", "gain", "phase", "least") and `name`.
+    Of a figure's `loops` also `group` and `at`, by which a reader chooses it, its `text`, and `limits`: series by
+    plane.
+    """
+    return {"kind": "loop", "name": name, "x": hz, "y": level_db, "y2": phase_deg, "marks": list(marks)} | more
 
 
 def shape(outline: Any, name: str = "", **more: Any) -> Series:
@@ -142,6 +161,9 @@ def as_csv(plot: Plot) -> str:
             columns = [_cells(s.get(key), len(s["y"])) for key in ("x", "y", "y2", "runs")]
             for row in zip(names, *columns, strict=True):
                 write((panel.title, *row))
+    for s in plot.loops:
+        for row in zip(*(_plain(s[key]) for key in ("x", "y", "y2")), strict=True):
+            write((s["name"], "L: x Hz, y dB, y2 deg", *row, ""))
     return out.getvalue()
 
 

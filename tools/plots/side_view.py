@@ -1,4 +1,4 @@
-"""A vehicle from the side as a figure: nose on the left, stations along the axis, to scale along and across apart."""
+"""A vehicle from the side as a figure: nose on the left, stations along the axis, to scale."""
 
 from __future__ import annotations
 
@@ -34,9 +34,7 @@ def fins(chord_m: Sequence[float] | Array, root_radius_m: float, tip_radius_m: f
     return [shape(np.stack([chord_m, side * across], 1), fill="grey") for side in (1.0, -1.0)]
 
 
-def figure(
-    title: str, bodies: Sequence[Series], marks: Iterable[tuple[str, float, str]], diameter_m: float, caption: str
-) -> Plot:
+def figure(title: str, bodies: Sequence[Series], marks: Iterable[tuple[str, float, str]], caption: str) -> Plot:
     """The figure "vehicle"; `marks` on the axis: name, station (m) and colour."""
     tail_m = max(float(np.max(s["x"])) for s in bodies)
     half_m = max(float(np.max(np.abs(s["y"]))) for s in bodies)
@@ -44,8 +42,8 @@ def figure(
         points([station], [0.0], f"{name}: {station:.2f} m", colour=colour, labels=[name], size=4)
         for name, station, colour in marks
     ]
-    wider = max(1.0, round(0.1 * tail_m / diameter_m))
-    height = int(min(max(60.0 + 760.0 * wider * 2.2 * half_m / tail_m, 120.0), 300.0))
-    along, across = (-0.02 * tail_m, 1.02 * tail_m), (-1.15 * half_m, 1.15 * half_m)
-    panel = Panel("", [*bodies, *marked], "station, m aft of the nose", "m", along, across)
-    return Plot("vehicle", title, [panel], f"{caption} Across not to the same scale as along.", 1, height)
+    height = int(min(max(110.0 + 960.0 * 2.0 * half_m / tail_m, 150.0), 420.0))
+    along, across = (-0.02 * tail_m, 1.02 * tail_m), (-half_m, half_m)
+    hulls = [s | {"solid": True} if s.get("fill") == "page" else s for s in bodies]  # names find places around them
+    panel = Panel("", [*hulls, *marked], "station, m aft of the nose", "m", along, across, equal=True)
+    return Plot("vehicle", title, [panel], caption, 1, height)

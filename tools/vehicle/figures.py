@@ -41,10 +41,10 @@ def _vehicle(built: Built) -> Plot:
     hardest = max((p for p in burning(built) if p.number == 0), key=lambda p: p.dynamic_pressure_Pa)
     cg_m = [(name, first.mass_properties(t).x_cg_m) for name, t in (("liftoff", 0.0), ("burnout", burn.end_s))]
     marks = [("gyro", layout.control.gyro_station_m, "green")]
-    marks += [(f"CG at {name} of {first.name}", station, "ink") for name, station in cg_m]
+    marks += [(f"CG at {name}" + f" of {first.name}" * (name == "burnout"), station, "ink") for name, station in cg_m]
     marks.append((f"CP at Mach {hardest.mach:.1f}", built.aero[0].normal(hardest.mach)[1], "red"))
-    caption = "Full: propellant at liftoff; pale: the tanks. Nozzles as wide as their exits."
-    return side_view.figure(layout.name, bodies, marks, max(s.diameter_m for s in layout.stage), caption)
+    caption = "To scale. Full: propellant at liftoff; pale: the tanks. Nozzles as wide as their exits."
+    return side_view.figure(layout.name, bodies, marks, caption)
 
 
 def _stage(stage: LayoutStage, nose_m: float, nose: str) -> list[Series]:
@@ -104,14 +104,14 @@ def _masses(built: Built) -> Plot:
 
 
 def _modes(built: Built) -> Plot:
-    """Shapes at the beginning of each burn, and frequencies over flight time."""
+    """Shapes at each ignition, and frequencies over flight time."""
     shown = [n for n, (_, modes) in enumerate(built.modes) if modes[0]]
     panels, frequencies = list[Panel](), list[Series]()
     for n in shown:
         times_s, modes = built.modes[n]
         shapes = list[Series]()
         for k, (mode, last) in enumerate(zip(modes[0], modes[-1], strict=True)):
-            name = f"{k + 1}: {mode.frequency_hz:.2f} to {last.frequency_hz:.2f} Hz"
+            name = f"mode {k + 1}: {mode.frequency_hz:.2f} to {last.frequency_hz:.2f} Hz"
             shapes.append(line(mode.station_m, mode.phi, name, **look(k)))
             hz = [now[k].frequency_hz for now in modes]
             name = f"mode {k + 1}" if n == shown[0] else ""
@@ -120,7 +120,7 @@ def _modes(built: Built) -> Plot:
             name = f"held on the pad: {mode.frequency_hz:.2f} Hz"
             shapes.append(line(mode.station_m, mode.phi, name, colour="grey", dash=("8 3 2 3", "2 2")[k]))
         shapes.append(at(built.layout.control.gyro_station_m, "gyro", colour="green", dash="6 3"))
-        panels.append(Panel(f"{built.stacks[n].name}, beginning of its burn", shapes, _STATION, "phi"))
+        panels.append(Panel(f"{built.stacks[n].name}, at ignition", shapes, _STATION, "phi"))
     frequencies.append(limit(0.5 / built.layout.control.sample_s, "half the sample rate"))
     panels.append(Panel("frequencies", frequencies, _TIME, "Hz", log_y=True))
     caption = (

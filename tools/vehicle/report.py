@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,15 +12,22 @@ from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad, spread, warnings
 
 LayoutRows = list[tuple[str, ...]]  # the first is the head
-LayoutTable = tuple[str, str, LayoutRows]  # title, note below, rows
+
+
+class LayoutTable(NamedTuple):
+    """A table of a vehicle; the first row is its head."""
+
+    heading: str
+    note: str
+    rows: LayoutRows
 
 
 def report(built: Built) -> str:
     """Return the whole text."""
     parts = [[printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))]]
-    for title, note, rows in tables(built):
+    for heading, note, rows in tables(built):
         less = [n for n, name in enumerate(rows[0]) if name in ("CG, m", "CP, m")]  # a narrow terminal goes without
-        parts.append([title, *aligned(rows, "  ", right=numbers(rows[0]), drop=less), f"  {note}"])
+        parts.append([heading.lower(), *aligned(rows, "  ", right=numbers(rows[0]), drop=less), f"  {note}"])
     parts += [[title, *(f"  {line}" for line in lines)] for title, lines in notes(built)]
     return "\n\n".join("\n".join(part) for part in parts)
 
@@ -30,8 +38,8 @@ def numbers(head: tuple[str, ...]) -> list[int]:
 
 
 def tables(built: Built) -> list[LayoutTable]:
-    """Return the tables that have rows."""
-    return [found for found in (_stages(built), _modes(built), _control(built)) if len(found[2]) > 1]
+    """Return the tables of stages, bending modes and control that have rows."""
+    return [found for found in (_stages(built), _modes(built), _control(built)) if len(found.rows) > 1]
 
 
 def notes(built: Built) -> list[tuple[str, list[str]]]:
@@ -61,14 +69,14 @@ def _stages(built: Built) -> LayoutTable:
             )
         )
     orbit = built.flight.orbit
-    note = "point mass; thrust / weight (T/W) and delta-v (dv) in vacuum; speed, altitude and path angle at burnout"
+    about = "point mass; thrust-to-weight ratio and delta-v in vacuum; speed, altitude and path angle at burnout"
     if orbit.perigee_m >= 0.0:
-        note += f"; orbit at the last burnout: {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km"
-    return "stages", note, rows
+        about += f"; orbit after the last burnout: {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km"
+    return LayoutTable("Stages", about, rows)
 
 
 def _modes(built: Built) -> LayoutTable:
-    rows: LayoutRows = [("stage", "mode", "start, Hz", "end, Hz", "mass, kg", "slope at gyro, 1/m")]
+    rows: LayoutRows = [("stage", "mode", "at ignition, Hz", "at burnout, Hz", "mass, kg", "slope at gyro, 1/m")]
     gyro = built.layout.control.gyro_station_m
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):
@@ -77,11 +85,12 @@ def _modes(built: Built) -> LayoutTable:
             rows.append((stack.name, str(k + 1), *ends, f"{slope:.3f}"))
     held = ", ".join(f"{mode.frequency_hz:.2f}" for mode in on_the_pad(built))
     on_pad = f"; held at the tail on the pad: {held} Hz" if held else ""
-    return "bending modes", f"free-free, 1 at the gimbal; start: ignition, end: burnout{on_pad}", rows
+    return LayoutTable("Bending modes", f"free-free, 1 at the gimbal{on_pad}", rows)
 
 
 def _control(built: Built) -> LayoutTable:
-    rows: LayoutRows = [("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha", "M_delta", "k_p", "k_d, s")]
+    heads = ("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha, 1/s2", "M_delta, 1/s2", "k_p", "k_d, s")
+    rows: LayoutRows = [heads]
     gains = np.array(built.gains)
     for n, stack in enumerate(built.stacks):
         for p in spread(burning(built, n), 6):
@@ -90,4 +99,4 @@ def _control(built: Built) -> LayoutTable:
             cells = (f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.2f}", f"{cp:.2f}")
             turn = (f"{m_alpha_1ps2(built, p):.3f}", f"{m_delta_1ps2(built, p):.3f}", f"{k_p:.3f}", f"{k_d:.3f}")
             rows.append((f"{p.time_s:.1f}", stack.name, *cells, *turn))
-    return ("control over time", "M_alpha and M_delta in 1/s2; M_alpha > 0: unstable without control", rows)
+    return LayoutTable("Control", "unstable where M_alpha > 0", rows)

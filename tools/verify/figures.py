@@ -10,6 +10,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design import operating_points
 from maxq.design.certificate.certificate import NodeCertificate
+from maxq.design.model.instruments import Plane
 from maxq.design.quantities import MEASURED, SWEPT
 from maxq.design.verify.flown import FlownResult
 from maxq.design.verify.judging import JudgedLoop, judge
@@ -20,37 +21,32 @@ from maxq.design.verify.verify import Verification
 from maxq.sim.campaign import analysis
 from maxq.sim.campaign.read import channel_units
 from maxq.sim.campaign.store import campaign_in
-from maxq.sim.packing.computer import bending_filter
 from maxq.tools.campaign_report import labels_of, nearest_limits, tails_of
-from maxq.tools.design.pictures_loop import LoopPicture, picture_of
+from maxq.tools.design.figures import bode_panels, diamond, filter_plot, lobe_colours, nichols_panel, open_loop
 from maxq.tools.plots import campaign as campaign_plots
 from maxq.tools.plots import side_view
-from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, limit, line, look, points, shape, thinned
+from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, limit, line, look, points, thinned
 from maxq.tools.replay.vehicle_shape import shape_of
 
 _MOST_VEHICLES = 100
 _WORST_FLIGHTS = 6
 _ALLOWED = (("dB", 0.2), ("deg", 1.5))  # differences of a certificate's lines that need no reason
-_BOTTOM_DB = -40.0
 
 
 def plots(found: Verification, command: str) -> list[Plot]:
     """All that can be drawn of what was found. `command` repeats the review."""
     out = [_vehicle(found)]
     if found.scenario.design is not None:
-        out.append(_filter(found))
+        out.append(filter_plot(found.scenario.vehicle, found.scenario.design))
     if found.flights:
         out += [_flights(found), _worst_flights(found)]
     wanted = found.suite.margins
     if wanted is not None and found.scenario.design is not None:
-        for plane in wanted.planes:
-            studies = [m for m in found.margins if m.plane == plane]
-            if not studies:
-                continue
-            out.append(_margins(studies, wanted, plane, command))
+        for name, plane, studies in _planes(found, wanted):
+            out.append(_margins(studies, wanted, name, command))
             times_s = [t for m in studies for t in m.times_s]
             judged = judge(operating_points.nodes(found.scenario, times_s, plane=plane), found.scenario.design)
-            out += [_bode(judged, plane), _nichols(judged, wanted, plane)]
+            out += [_bode(judged, name), _nichols(judged, wanted, name)]
     lines = [c for c in found.certificates if len(c.responses.lines_hz)]
     if lines:
         out.append(_certificate(lines))
@@ -81,30 +77,8 @@ def _vehicle(found: Verification) -> Plot:
     marks += [("gimbal", lowest.engine.gimbal_station_m, "purple")] if lowest.engine is not None else []
     first = [a for a in found.slosh if a.stage == 0]
     marks += [(f"CG at {a.time_s:.3g} s", a.cg_station_m, "red") for a in (*first[:1], *first[-1:])]
-    caption = "By the vehicle's file; what the file does not give (nose, fins) is drawn by custom."
-    return side_view.figure(found.scenario.vehicle.name, bodies, marks, vehicle.diameter_m, caption)
-
-
-def _filter(found: Verification) -> Plot:
-    """Draw the filter of every stage that has its own."""
-    design, computer = found.scenario.design, found.scenario.vehicle.computer
-    assert design is not None
-    assert computer is not None
-    gain, phase = list[Series](), list[Series]()
-    for number in range(len(design.stage) or 1):
-        own = design.of_stage(number)
-        sample_s = (found.scenario.vehicle.computer_of(number) or computer).sample_s
-        flt = bending_filter(own).discretize(sample_s, own.filter.discretization, own.filter.prewarp_hz)
-        hz = np.geomspace(0.1, 0.5 / sample_s * (1.0 - 1e-6), 500)
-        response = flt.frequency_response(2.0 * np.pi * hz)
-        name = f"stage {number + 1}" if design.stage else "filter"
-        gain.append(line(*thinned(hz, 20.0 * np.log10(np.maximum(np.abs(response), 1e-3))), name, **look(number)))
-        phase.append(line(*thinned(hz, np.degrees(np.unwrap(np.angle(response)))), name, **look(number)))
-    panels = [
-        Panel("gain", gain, "frequency, Hz", "dB", log_x=True),
-        Panel("phase", phase, "frequency, Hz", "deg", log_x=True),
-    ]
-    return Plot("filter", "Bending filter", panels, "As it flies, sampled, up to half the sample rate.")
+    caption = "To scale, by the vehicle file; parts that the file does not give (nose, fins) have usual shapes."
+    return side_view.figure(found.scenario.vehicle.name, bodies, marks, caption)
 
 
 # flights
@@ -161,13 +135,33 @@ def _worst_flights(found: Verification) -> Plot:
             ]
             for v in f.verdicts:
                 if v.requirement.metric == metric and abs(v.value) > 0.5 * v.bound[1]:
-                    series += [limit(side * v.bound[1]) for side in (1, -1)]
+                    series += [limit(side * v.bound[1], note=f"{side * v.bound[1]:g}") for side in (1, -1)]
             panels.append(Panel(f"{f.name}: {title}", series, "time, s", "deg"))
     caption = "The scenarios with the least room at any of their limits. Limits are drawn where half of one is used."
     return Plot("worst-flights", "Worst scenarios", panels, caption, 2, 130)
 
 
 # margins
+
+
+def _planes(found: Verification, wanted: LinearMargins) -> list[tuple[str, Plane, list[MarginStudy]]]:
+    """Return a name, the plane and its studies of each plane; planes with equal margins are one."""
+    each = {plane: [m for m in found.margins if m.plane == plane] for plane in wanted.planes}
+    have: list[tuple[str, Plane, list[MarginStudy]]] = [(str(plane), plane, s) for plane, s in each.items() if s]
+    if len(have) == 2 and len(have[0][2]) == len(have[1][2]) and all(map(_equal, have[0][2], have[1][2])):
+        return [(f"{have[0][0]}-and-{have[1][0]}", *have[0][1:])]
+    return have
+
+
+def _equal(one: MarginStudy, other: MarginStudy) -> bool:
+    """Return True where all that is drawn of two studies is the same."""
+    cases = [([m.nominal], m.corners, [m.case(k) for k in range(len(m.random))]) for m in (one, other)]
+    values = [
+        [[[n.get(key, math.nan) for key in SWEPT] for n in c.nodes] for group in groups for c in group]
+        for groups in cases
+    ]
+    a, b = (np.asarray(v, float) for v in values)
+    return a.shape == b.shape and bool(np.allclose(a, b, rtol=1e-6, atol=1e-6, equal_nan=True))
 
 
 def _margins(studies: Sequence[MarginStudy], wanted: LinearMargins, plane: str, command: str) -> Plot:
@@ -204,121 +198,51 @@ def _margins(studies: Sequence[MarginStudy], wanted: LinearMargins, plane: str, 
             if (value := getattr(limits, name)) is not None:
                 bounds.append(limit(value, text, dash=dash))
         panels.append(Panel(title, [*here, *series, *bounds], "time, s", unit))
-    caption = "Exact sampled loop at the nodes."
+    caption = "Exact sampled loop at the operating points."
     if many:
-        caption += f" Grey: {min(many, _MOST_VEHICLES)} of {many} vehicles with random deviations. Purple: what so many"
         caption += (
-            f" of all such vehicles are worse than, at each node, with {100.0 * wanted.confidence:g} % confidence."
+            f" Grey: {min(many, _MOST_VEHICLES)} of {many} vehicles with random deviations. Purple: the share of "
         )
+        caption += "all such vehicles that is worse, at each operating point, with "
+        caption += f"{100.0 * wanted.confidence:g} % confidence."
     if studies[0].corners:
         caption += " Orange: vehicles at the corners, all deviations at once."
-    return Plot(f"margins-{plane}", f"Margins over the flight, {plane}", panels, caption, 2, 170)
-
-
-def _level_and_turn(picture: LoopPicture) -> tuple[Array, Array, Array]:
-    level = 20.0 * np.log10(np.maximum(np.abs(picture.loop), 1e-300))
-    return picture.frequency_hz, level, np.degrees(np.angle(-picture.loop)) - 180.0
-
-
-def _lobe_colours(judged: Sequence[JudgedLoop]) -> dict[str, str]:
-    """Return a colour for each pole over all nodes."""
-    every = {mark.text for j in judged for mark in picture_of(j, "").marks if mark.is_lobe}
-    poles = sorted({part for text in every for part in text.split(", ")})
-    of = {pole: COLOURS[1:][n % (len(COLOURS) - 1)] for n, pole in enumerate(poles)}
-    return {text: of[text.split(", ")[0]] for text in every}
+    return Plot(f"margins-{plane}", f"Margins over the flight, {_titled(plane)}", panels, caption, 2, 170)
 
 
 def _bode(judged: Sequence[JudgedLoop], plane: str) -> Plot:
-    """At the node with the least |1 + L|, with the margins drawn."""
+    """Draw the loop at the operating point with the least |1 + L|, with its margins."""
     least = min(judged, key=lambda j: j.margins.modulus if j.margins.stable else -1.0)
-    picture = picture_of(least, "")
-    f, level, _ = _level_and_turn(picture)
-    turned = np.degrees(np.unwrap(np.angle(picture.loop)))
-    seen = (f >= 0.05) & (level > _BOTTOM_DB)
-    turned -= 360.0 * np.ceil(np.median(turned[seen][:3]) / 360.0) if seen.any() else 0.0
-    colours = _lobe_colours(judged)
-    gain = [line(*thinned(np.log10(f), level), "L")]
-    gain[0]["x"] = 10.0 ** np.asarray(gain[0]["x"])
-    phase = [line(*thinned(np.log10(f), turned), "L")]
-    phase[0]["x"] = 10.0 ** np.asarray(phase[0]["x"])
-    gain.append(limit(0.0, "0 dB", colour="grey"))
-    low, high = float(turned[seen].min()), float(turned[seen].max())
-    phase += [
-        limit(-180.0 + 360.0 * k, "-180 deg and whole turns from it", colour="grey", dash="2 2", seen=False)
-        for k in range(-12, 4)
-    ]
-    for mark in picture.marks:
-        db, turn = 20.0 * math.log10(max(abs(mark.loop), 1e-300)), float(np.interp(mark.frequency_hz, f, turned))
-        if mark.is_lobe and db > _BOTTOM_DB:
-            gain.append(points([mark.frequency_hz], [db], "", colour=colours[mark.text], labels=[mark.text]))
-        elif mark.text and not mark.is_lobe:
-            nearest = 360.0 * round((turn + 180.0) / 360.0) - 180.0
-            of, ends = (gain, [db, 0.0]) if abs(db) > 1e-6 else (phase, [turn, nearest])
-            of.append(line([mark.frequency_hz] * 2, ends, "margin", colour="limit", width=3, faint=True))
-            of.append(points([mark.frequency_hz], [ends[0]], "", colour="limit", labels=[mark.text.split(",")[0]]))
-    reach = (0.05, float(f[-1]))
-    top = float(level[f >= reach[0]].max()) + 12.0
-    turns = (90.0 * math.floor(low / 90.0), 90.0 * math.ceil(high / 90.0))
-    panels = [
-        Panel("gain", gain, "frequency, Hz", "|L|, dB", reach, (_BOTTOM_DB, top), log_x=True),
-        Panel("phase", phase, "frequency, Hz", "deg", reach, turns, log_x=True),
-    ]
+    shown = open_loop(least, lobe_colours(judged))
+    panels = bode_panels([shown])
+    for panel in panels:
+        panel.series.append(shown)
     said = f"{least.margins.modulus:.3f}" if least.margins.stable else "unstable"
     caption = (
-        f"At {least.time_s:g} s, where |1 + L| of the loop as designed is least of all nodes: {said}. Red: gain and "
-        "phase margins."
+        f"At {least.time_s:g} s, where |1 + L| of the loop as designed is least: {said}. Red: gain and phase margins."
     )
-    return Plot(f"bode-{plane}", f"Open loop where it is nearest to -1, {plane}", panels, caption, 1, 210)
+    return Plot(f"bode-{plane}", f"Open loop where it is nearest to -1, {_titled(plane)}", panels, caption, 1, 210)
 
 
 def _nichols(judged: Sequence[JudgedLoop], wanted: LinearMargins, plane: str) -> Plot:
-    colours, panels = _lobe_colours(judged), []
+    colours, panels = lobe_colours(judged), []
     asked = wanted.nominal
     up, down, phase = asked.gain_up_db, asked.gain_down_db, asked.rigid_phase_deg
+    zone = [] if up is None or phase is None else [diamond(up, up if down is None else down, phase)]
     for one in judged:
-        picture = picture_of(one, "")
-        f, level, turn = _level_and_turn(picture)
-        seen = (f >= 0.02) & (level > _BOTTOM_DB - 6.0)
-        jumps = np.flatnonzero(np.abs(np.diff(turn)) > 180.0) + 1
-        x, y, hz = (np.insert(v, jumps, np.nan) for v in (turn, level, f))
-        inside = np.insert(seen, jumps, True)
-        series = list[Series]()
-        if up is not None and phase is not None:
-            top_db = up if down is None else down
-            corners = [(-180.0 - phase, 0.0), (-180.0, -up), (-180.0 + phase, 0.0), (-180.0, top_db)]
-            series.append(shape(corners, "zone of the margins asked for", colour="limit", opacity=0.15))
-        a, b, c = x[inside], y[inside], hz[inside]
-        keep = _kept(a, b)
-        named = [f"{v:.3g} Hz" if math.isfinite(v) else "" for v in c[keep].tolist()]
-        series.append(line(a[keep], b[keep], "L", more=named))
-        series.append(points([-180.0], [0.0], "-1", mark="+", colour="limit"))
-        for mark in picture.marks:
-            at_db = 20.0 * math.log10(max(abs(mark.loop), 1e-300))
-            if at_db > _BOTTOM_DB and mark.is_lobe:
-                angle = math.degrees(np.angle(-mark.loop)) - 180.0
-                colour, hz_text = colours[mark.text], f"{mark.frequency_hz:.3g} Hz"
-                series.append(points([angle], [at_db], "", colour=colour, labels=[mark.text], more=[hz_text]))
-        top = min(max(float(level[seen].max(initial=0.0)), 10.0) + 4.0, 50.0)
+        shown = open_loop(one, colours)
         title = f"{one.time_s:.4g} s" + ("" if one.margins.stable else ", UNSTABLE")
-        reach = (_BOTTOM_DB, top)
-        panels.append(Panel(title, series, "phase of L, deg", "|L|, dB", (-360.0, 0.0), reach, nichols=True))
+        panels.append(nichols_panel([shown], [*zone, shown], title))
     caption = (
-        "Open loop at each node in the Nichols plane over M contours (|T| in dB) and N contours (phase of T). "
+        "Open loop at each operating point over M contours (|T| in dB) and N contours (phase of T). "
         "Poles are named at their lobes, each in one colour throughout. Shaded: diamond whose corners are the margins "
-        "asked for; its sides judge nothing."
+        "required; its sides judge nothing."
     )
-    return Plot(f"nichols-{plane}", f"Nichols plots, {plane}", panels, caption, 2, 270)
+    return Plot(f"nichols-{plane}", f"Nichols plots, {_titled(plane)}", panels, caption, 2, 270)
 
 
-def _kept(x: Array, y: Array) -> Array:
-    """Which points of a curve of the Nichols plane can be seen: a pixel apart, and all gaps."""
-    keep, last = [0], 0
-    for k in range(1, len(x)):
-        gap = not (math.isfinite(x[k]) and math.isfinite(x[last]))
-        if gap or math.hypot((x[k] - x[last]) / 0.9, (y[k] - y[last]) / 0.4) > 1.5 or k == len(x) - 1:
-            keep.append(k)
-            last = k
-    return np.array(keep)
+def _titled(plane: str) -> str:
+    return plane.replace("-", " ")
 
 
 def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:

@@ -27,7 +27,7 @@ from maxq.sim.files import plain_name, write_whole
 from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.run.metrics import Verdict
 from maxq.tools.cli.terminal import aligned, printable
-from maxq.tools.design.report import uncovered_lines, uncovered_record, uncovered_table, write_record
+from maxq.tools.design.report import GAIN_HEADS, uncovered_lines, uncovered_record, uncovered_table, write_record
 from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot, as_csv
 from maxq.tools.verify.outcome import headline
@@ -90,8 +90,12 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
         headline=headline(found),
         tank_name=tank_name,
         signed=signed,
+        gain_heads=GAIN_HEADS,
         summary=_summary(found),
         limiting=_limiting(found),
+        repeats=list(
+            dict.fromkeys((r.name, r.again) for r in found.requirements if r.judgement != ACCEPTED and r.again)
+        ),
         matrix=_matrix(found.flights),
         loop=_loop(found),
         not_covered=uncovered_lines(found.scenario.vehicle, found.uncovered),

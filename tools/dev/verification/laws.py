@@ -99,7 +99,7 @@ def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
     if own is not None:
         if not design.exists():
             with (out / "report.txt").open("w") as report, contextlib.redirect_stdout(report):
-                run_case.make(str(base / "sensed.toml"), overrides=tuple(keys), out=str(out), pictures=False)
+                run_case.make(str(base / "sensed.toml"), overrides=tuple(keys), out=str(out), page=False)
         row["said"] = (out / "report.txt").read_text().splitlines()[-1]
     if vehicle == "petrel" and name == "pd F4":  # what the other rows' upper stages fly
         (base / "design.toml").write_bytes(design.read_bytes())

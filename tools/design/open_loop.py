@@ -1,0 +1,96 @@
+"""The open loop at an operating point, ready to be drawn: a smooth curve with its lobes and crossings named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.design.certificate.response import decibels
+from maxq.design.margins.distances import Zone
+from maxq.design.margins.lobes import Lobe
+from maxq.design.model.state_space import ComplexArray
+from maxq.design.verify.judging import JudgedLoop
+
+BOTTOM_DB = -40.0  # of Bode and Nichols plots, where the curve goes farther
+LOWEST_HZ = 0.02
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A point of the curve with a name: the top of a lobe, or a crossing."""
+
+    frequency_hz: float
+    loop: complex
+    text: str
+    is_lobe: bool = True
+
+
+@dataclass(frozen=True)
+class LoopPicture:
+    """The content of a loop's picture. Points of the curve in rising frequency, close enough to follow every
+    resonance.
+    """
+
+    title: str
+    frequency_hz: Array
+    loop: ComplexArray
+    marks: Sequence[Mark] = ()
+    zones: Sequence[Zone] = ()
+
+
+def named(lobe: Lobe) -> str:
+    """Return the name of a lobe's pole for people."""
+    return lobe.label.replace("bending ", "mode ")
+
+
+def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> LoopPicture:
+    """Return the loop at an operating point: lobes, and crossings of 0 dB and of the negative real axis."""
+    margins, curve = judged.margins, judged.margins.curve
+    f, loop = smooth(judged.loop.response, curve.frequency_hz, curve.loop)
+    marks: list[Mark] = []
+    for lobe in judged.lobes:
+        at, text = np.array([lobe.peak_hz]), named(lobe)
+        if marks and abs(marks[-1].frequency_hz / lobe.peak_hz - 1.0) < 1e-3:  # two pendulums that swing as one
+            text = f"{marks.pop().text}, {text}"
+        marks.append(Mark(lobe.peak_hz, complex(judged.loop.response(at)[0]), text))
+    gain, phase = margins.gain_crossings, margins.phase_crossings
+    binding = {
+        margins.gain_up_db.frequency_hz: f"upper {margins.gain_up_db.value:.1f} dB",
+        margins.gain_down_db.frequency_hz: f"lower {margins.gain_down_db.value:.1f} dB",
+        margins.phase_deg.frequency_hz: f"{margins.phase_deg.value:.0f} deg",
+    }
+    inner = (phase.frequency_hz >= f[0]) & (phase.frequency_hz <= f[-1])
+    for crossings, chosen in ((gain, np.ones(len(gain.frequency_hz), bool)), (phase, inner)):
+        for hz, value in zip(crossings.frequency_hz[chosen], crossings.loop[chosen], strict=True):
+            text = f"{binding[hz]}, {hz:.3g} Hz" if hz in binding else ""
+            marks.append(Mark(float(hz), complex(value), text, is_lobe=False))
+    return LoopPicture(title, f, loop, marks, zones)
+
+
+def unwrapped_deg(picture: LoopPicture) -> Array:
+    """Return the phase without jumps, in (-360, 0] degrees where it begins."""
+    turned = np.degrees(np.unwrap(np.angle(picture.loop)))
+    seen = (picture.frequency_hz >= LOWEST_HZ) & (decibels(picture.loop) > BOTTOM_DB)
+    if seen.any():
+        turned -= 360.0 * np.ceil(np.median(turned[seen][:3]) / 360.0)
+    return np.asarray(turned)
+
+
+def smooth(
+    response: Callable[[Array], ComplexArray], frequency_hz: Array, loop: ComplexArray
+) -> tuple[Array, ComplexArray]:
+    """Return the curve with points added until no corner is visible: steps of 4 degrees and 1 dB at most."""
+    f, values = frequency_hz, loop
+    for _ in range(8):
+        level = decibels(values)
+        steep = (np.abs(np.diff(np.unwrap(np.angle(values)))) > np.radians(4.0)) | (np.abs(np.diff(level)) > 1.0)
+        steep &= np.maximum(level[1:], level[:-1]) > BOTTOM_DB - 10.0
+        k = np.flatnonzero(steep & (np.diff(f) > 1e-9 * f[1:]))
+        if not len(k):
+            break
+        middle = np.sqrt(f[k] * f[k + 1])
+        f, values = np.insert(f, k + 1, middle), np.insert(values, k + 1, response(middle))
+    return f, values

@@ -1,0 +1,221 @@
+"""The page that `simdesign` writes: outcome, limits, open loops, gains and filter, budgets and lobes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from maxq.design.loop.fixed_path import LoopKind
+from maxq.design.loop.loop import loops
+from maxq.design.model.instruments import Plane
+from maxq.design.model.node import Node
+from maxq.design.quantities import TOLERANCE
+from maxq.design.verify.judging import Check, JudgedLoop, Wanted, judge
+from maxq.sim.files import write_whole
+from maxq.sim.flight.metric_table import figures
+from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_vehicle import Vehicle
+from maxq.tools.design import figures as drawn
+from maxq.tools.design.report import GAIN_HEADS, Group, budget_rows, lobes_rows, margins_rows
+from maxq.tools.plots.figures import Plot
+
+_TIGHTEST = 3
+_SAME = 1e-6
+_MARGINS = (
+    "time, s",
+    "loop",
+    "upper gain margin, dB",
+    "lower gain margin, dB",
+    "phase margin, deg",
+    "delay margin, ms",
+    "least |1 + L|",
+    "clearance of the zone",
+    "lower gain margin of the rigid body, dB",
+    "upper gain margin of the rigid body, dB",
+    "phase margin of the rigid body, deg",
+    "crossover, Hz",
+)
+_TRIED_HZ = np.geomspace(0.02, 20.0, 40)
+PageTable = tuple[str, Sequence[tuple[str, ...]]]
+"""Caption and rows, the head first."""
+
+
+@dataclass(frozen=True)
+class DesignPage:
+    """The content of a page.
+
+    - `verdict`: the outcome in capitals, a colon and the reason.
+    - `block`: rows of the title block.
+    - `others`: the open loops of the other plane, where it differs.
+    - `wanted`: returns the limits of a stage.
+    - `data`: files in the same folder, and their content.
+    - `gaps`: intervals without operating points.
+    - `flown`: captions and limits of the same design as it flies.
+    - `more`: headings, notes and tables after all others.
+    - `texts`: headings and lines of tables as the terminal shows them.
+    """
+
+    name: str
+    kind: str
+    about: str
+    verdict: str
+    passed: bool
+    block: tuple[tuple[str, str], ...]
+    groups: Sequence[Group]
+    others: Sequence[JudgedLoop]
+    wanted: Callable[[int], Wanted]
+    design: Design
+    vehicle: Vehicle
+    data: Sequence[tuple[str, str]]
+    gaps: Sequence[str] = ()
+    flown: Sequence[tuple[str, Sequence[Check]]] = ()
+    more: Sequence[tuple[str, str, Sequence[PageTable]]] = ()
+    texts: Sequence[tuple[str, Sequence[str]]] = ()
+    command: str = ""
+
+
+def other_plane(
+    judged: Sequence[JudgedLoop],
+    design: Design,
+    kind: LoopKind,
+    nodes: Callable[[list[float], Plane], list[Node]],
+    watch: Callable[[int], None] | None = None,
+) -> list[JudgedLoop]:
+    """Return the loops of the plane that was not judged; none where it has the same loops.
+
+    `nodes` returns the operating points at vehicle times (s) in a plane.
+    """
+    plane: Plane = "yaw" if judged[0].node.plane == "pitch" else "pitch"
+    found = nodes([j.time_s for j in judged], plane)
+    pairs = zip(judged, loops(found, design, kind=kind), strict=True)
+    if all(_close(one.loop.response(_hz(one)), other.response(_hz(one))) for one, other in pairs):
+        return []
+    return judge(found, design, kind, watch)
+
+
+def _hz(judged: JudgedLoop) -> np.ndarray:
+    highest = float(judged.margins.curve.frequency_hz[-1])
+    return _TRIED_HZ[highest > _TRIED_HZ]
+
+
+def _close(one: np.ndarray, other: np.ndarray) -> bool:
+    return bool((np.abs(one - other) <= _SAME * np.abs(one)).all())
+
+
+def write_page(path: Path, shown: DesignPage) -> Path:
+    """Write the page. Raises FileError."""
+    from maxq.tools.pages.render import render  # noqa: PLC0415  # lazy: for the page only
+
+    word, _, said = shown.verdict.partition(": ")
+    checks = [replace(c, text=_named(g.stage, c.text)) for g in shown.groups for c in g.checks]
+    bounded = [c for c in checks if not c.passed or not drawn.is_stability(c)]
+    first = sorted(bounded, key=lambda c: (c.passed, _nearest(c)))[:_TIGHTEST]
+    page = render(
+        "design.html.j2",
+        _plots(shown),
+        shown=shown,
+        word=word,
+        said=f"{said[:1].upper()}{said[1:]}.",
+        tone="good" if shown.passed else "bad",
+        tightest=[(_sentence(c), _outcome(c)) for c in first],
+        limits=[
+            *((_caption(g), [_row(c) for c in g.checks]) for g in shown.groups),
+            *((caption, [_row(c) for c in checks]) for caption, checks in shown.flown if checks),
+        ],
+        tables=[*_tables(shown.groups), *shown.more],
+        gain_heads=GAIN_HEADS,
+    )
+    return write_whole(path, page)
+
+
+def _named(stage: str, text: str) -> str:
+    return f"{stage}: {text}" if stage else text
+
+
+def _caption(group: Group) -> str:
+    worst = f"dispersed: {group.worst.text}" if group.worst is not None else ""
+    return "; ".join(filter(None, (group.stage, worst)))
+
+
+def _nearest(check: Check) -> float:
+    """Return the share of the limit that is left where it is least; inf where there is no value or no share."""
+    left = drawn.relative_margin(check)
+    return float(np.nanmin(left)) if np.isfinite(left).any() else math.inf
+
+
+def _outcome(check: Check) -> str:
+    return "met" if check.passed else "missed"
+
+
+def _cells(check: Check) -> tuple[str, str, str, str]:
+    """Return the limit, the worst value, its margin and its place."""
+    k, unit = check.worst, f" {check.unit}" if check.unit else ""
+    value = float(check.values[k])
+    left = value - check.wanted if check.sense == ">=" else check.wanted - value
+    left = 0.0 if check.passed and left < TOLERANCE else left
+    at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
+    worst = f"{figures(value, 4)}{unit}" if math.isfinite(value) else "none"
+    return f"{check.sense} {check.wanted:g}{unit}", worst, f"{left:z.3g}{unit}" if math.isfinite(left) else "", at
+
+
+def _row(check: Check) -> tuple[str, ...]:
+    limit, value, left, at = _cells(check)
+    if drawn.is_stability(check):
+        limit, value, left = "none", f"{float(check.values[check.worst]):g}" if not check.passed else "none", ""
+    return check.text, limit, value, left, "" if value == "none" else at, _outcome(check)
+
+
+def _sentence(check: Check) -> str:
+    limit, value, left, at = _cells(check)
+    where = "" if at == "filter" else f" at {at}"
+    return f"{check.text}: {value}{where}, limit {limit}" + (f", margin to limit {left}" if left else "")
+
+
+def _plots(shown: DesignPage) -> list[Plot]:
+    judged, names, wanted, planes = list[JudgedLoop](), list[str](), list[Wanted](), list[str]()
+    mine = [(g.stage, j) for g in shown.groups for j in g.judged]
+    stages = {j.node.stage: stage for stage, j in mine}
+    for some in ([j for _, j in mine], shown.others):
+        for j in sorted(some, key=lambda j: j.time_s):
+            stage, plane = stages[j.node.stage], str(j.node.plane) if shown.others else "pitch and yaw"
+            judged.append(j)
+            names.append(", ".join(filter(None, (f"{j.time_s:g} s", stage, plane))))
+            wanted.append(shown.wanted(j.node.stage))
+            planes.append(plane)
+    checks = [c for g in shown.groups for c in g.checks]
+    return [
+        *drawn.limits_over_flight(checks),
+        drawn.explorer(judged, names, wanted, planes),
+        drawn.gains_plot(shown.design, GAIN_HEADS),
+        drawn.filter_plot(shown.vehicle, shown.design, [j.node for _, j in mine]),
+    ]
+
+
+def _tables(groups: Sequence[Group]) -> list[tuple[str, str, Sequence[PageTable]]]:
+    """Return margins, budgets and lobes: headings, notes and tables."""
+    margins, budgets, lobes = list[PageTable](), list[PageTable](), list[PageTable]()
+    for g in groups:
+        _, _, *rows = margins_rows([(j.time_s, j.margins) for j in g.judged])
+        margins.append((g.stage, [_MARGINS, *rows]))
+        for crossing, unit, found in (
+            ("phase margin", "deg", budget_rows(g.judged, "phase margin", "phase_deg")),
+            ("upper gain margin", "dB", budget_rows(g.judged, "upper gain margin", "gain_db")),
+        ):
+            if found:
+                budgets.append((_named(g.stage, f"Budget of the {crossing}, {unit}"), found))
+        if rows := lobes_rows(g.judged):
+            lobes.append((g.stage, [tuple(head.replace("bending", "mode") for head in rows[0]), *rows[1:]]))
+    parts = (
+        ("Margins", "Over all crossings, where not of the rigid body.", margins),
+        ("Error budgets", "Contribution of each part to gain or phase at the crossing that sets the margin.", budgets),
+        (
+            "Lobes",
+            "Peak, dB, and how it is stabilised: G by gain; P by phase, with its phase margin in degrees.",
+            lobes,
+        ),
+    )
+    return [part for part in parts if part[2]]
