@@ -27,9 +27,14 @@ from maxq.design.optimise.solve import solve
 from maxq.design.optimise.sqp import descend
 
 CASE = (
-    "nodes_s=[25.0, 35.0, 45.0]", "gains.schedule=free", "objective.kind=least-margin", "loop=sampled",
-    "filter.structure=F2", "search.starts=1", "search.leaps=0",
-)  # fmt: skip  # a line each otherwise
+    "nodes_s=[25.0, 35.0, 45.0]",
+    "gains.schedule=free",
+    "objective.kind=least-margin",
+    "loop=sampled",
+    "filter.structure=F2",
+    "search.starts=1",
+    "search.leaps=0",
+)
 BEST_DB = 4.40203
 FAR_OFF = 20.0, 0.45  # k_p, k_d
 

@@ -71,8 +71,12 @@ def test_the_used_share_of_a_limit() -> None:
     assert utilisation(-1.0, "minimum", 250.0) == float("inf")
     assert str(utilisation(0.0, "limit", 0.0)) == "nan"
     assert [share_text(share) for share in (0.9773, 0.9996, 1.0, 1.0004, 7.5)] == [
-        "98 %", "99.96 %", "100 %", "100.04 %", "750 %",
-    ]  # fmt: skip  # a table
+        "98 %",
+        "99.96 %",
+        "100 %",
+        "100.04 %",
+        "750 %",
+    ]
 
 
 # the last line

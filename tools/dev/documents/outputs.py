@@ -46,7 +46,7 @@ _NUMBER = re.compile(r"-?\d+(?:,\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?")
 _RELATIVE = 0.01  # two numbers that differ by less are equal
 _ALIKE = 0.5  # least similarity of a line to the line that it replaces
 
-Run = Callable[[str, Path], list[str]]
+QuotedRun = Callable[[str, Path], list[str]]
 
 
 class OutputError(Exception):
@@ -91,7 +91,7 @@ def run(command: str, folder: Path) -> list[str]:
     return [line.rstrip() for line in _stripped(done.stdout.splitlines()) if not PROGRESS.match(line)]
 
 
-def renew(text: str, folder: Path, run: Run = run) -> tuple[str, list[str]]:
+def renew(text: str, folder: Path, run: QuotedRun = run) -> tuple[str, list[str]]:
     """Return a page with its outputs renewed, and a line for each output that was out of date."""
     stale: list[str] = []
     for name, content in files_of(text).items():
