@@ -257,7 +257,7 @@ def test_a_fixed_number_of_runs_is_recorded_and_an_extension_said(tmp_path: Path
     for runs in (30, 20, 34):
         run_campaign(campaign.with_campaign(runs=max(runs, 30)), out)
         shown[runs] = judged(DataSet(out, campaign, limit=runs))[0].shown
-    assert (shown[20].judgement, shown[20].more) == ("not yet enough runs", 10)
+    assert (shown[20].judgement, shown[20].more) == ("undecided", 10)
     assert (shown[30].judgement, shown[30].test) == ("met", "fixed test of 30 runs")
     assert shown[34].test.startswith("any-time test at")  # 0.9^30 = 4.2 % are spent
     assert "5.8 % risk, which the fixed test of 30 runs left" in shown[34].test

@@ -24,7 +24,7 @@ from maxq.sim.campaign.schema import Disperse
 from maxq.sim.campaign.tails import fit_pareto, tail_of
 from maxq.sim.scenario.schema_scenario import RequirementSection
 
-OPEN = "not yet enough runs"
+OPEN = "undecided"
 
 Judge = Callable[[int, int, int | None], s.Shown]
 User = Callable[[np.ndarray, int | None, Judge], bool]
@@ -64,13 +64,13 @@ def test_judgements() -> None:
     assert s.judge_failures(0, 0, 0.9973, 0.9).more == 1104
     assert s.judge_failures(0, 1103, 0.9973, 0.9).more == 1
     assert s.judge_failures(0, 1104, 0.9973, 0.9).judgement == "met"
-    assert s.judge_failures(6, 60, 0.9973, 0.9).judgement == "not met"
+    assert s.judge_failures(6, 60, 0.9973, 0.9).judgement == "missed"
     assert s.judge_failures(1, 1, 0.5, 0.9).judgement == OPEN
     before, at, beyond = (s.judge_failures(4, n, 0.99, 0.9, planned=1000) for n in (999, 1000, 1001))
     assert (before.judgement, before.more, at.judgement, beyond.judgement) == (OPEN, 1, "met", OPEN)
     # five failures of 1000 are the most: P(X <= 5) = 0.0661, which leaves 3.4 %
     assert beyond.test == "any-time test at 3.4 % risk, which the fixed test of 1000 runs left"
-    assert s.judge_failures(16, 1000, 0.99, 0.9, planned=1000).judgement == "not met"  # P(X >= 16) = 0.049
+    assert s.judge_failures(16, 1000, 0.99, 0.9, planned=1000).judgement == "missed"  # P(X >= 16) = 0.049
     for k in range(40):  # what is allowed is what is judged
         n = int(np.random.default_rng(k).integers(k + 1, 4000))
         assert (s.judge_failures(k, n, 0.99, 0.9).judgement == "met") == (
@@ -198,9 +198,9 @@ def test_the_exact_test_would_not_keep_the_risk(user: User) -> None:
 
 
 def test_looking_all_the_time_rejects_no_good_vehicle_too_often() -> None:
-    """A vehicle that is just good enough: "not met" at any look."""
+    """A vehicle that is just good enough: "missed" at any look."""
     wrong = [
-        any(s.judge_failures(int(f[n - 1]), n, SUCCESS, 1.0 - RISK).judgement == "not met" for n in range(5, 1500, 40))
+        any(s.judge_failures(int(f[n - 1]), n, SUCCESS, 1.0 - RISK).judgement == "missed" for n in range(5, 1500, 40))
         for f in map(_failures, range(600))
     ]
     assert np.mean(wrong) <= RISK + 2.6 * math.sqrt(RISK * (1.0 - RISK) / 600)
@@ -237,7 +237,7 @@ def test_beyond_the_fixed_test_each_side_has_the_risk_that_is_left_of_its_own() 
     for n in range(planned + 1, 400):
         for k in range(12):
             met, missed = s.evidence_met(k, n, p), s.evidence_missed(k, n, p)
-            wanted = "not met" if missed >= -math.log(left_missed) else OPEN
+            wanted = "missed" if missed >= -math.log(left_missed) else OPEN
             wanted = "met" if wanted == OPEN and met >= -math.log(left_met) else wanted
             assert s.judge_failures(k, n, 1.0 - p, 1.0 - risk, planned).judgement == wanted
             between += min(left_met, left_missed) < math.exp(-met) < max(left_met, left_missed)

@@ -197,7 +197,7 @@ def test_wave_that_breaks_is_reported_and_changes_nothing() -> None:
     calm = fly(load_scenario("nominal", BREAKS[:1]))
     broken = fly(load_scenario("nominal", [*BREAKS, "vehicle.stage.0.tank.1.viscosity_m2ps=1e-10"]))
     found = [e for e in broken.events if e.name == "wave_breaking"]
-    assert [e.detail.split(":")[0] for e in found] == ["tank jeta1"]
+    assert [e.detail.split(":")[0] for e in found] == ["tank Jet A-1"]
     waves, time_s = broken["slosh_jeta1_wave_m"], broken.time_s("slosh_jeta1_wave_m")
     lifted = time_s >= broken.event_s("liftoff")
     first = float(time_s[lifted & (waves >= 0.02)][0])

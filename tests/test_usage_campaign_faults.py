@@ -82,7 +82,7 @@ def test_no_run_and_one_run(tmp_path: Path, runs: int, capsys: pytest.CaptureFix
     out = capsys.readouterr().out
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert (code, summary["runs"]) == (3, runs)
-    assert out.splitlines()[-1].startswith("NO RUNS" if runs == 0 else "NOT YET SETTLED")
+    assert out.splitlines()[-1].startswith("NO RUNS" if runs == 0 else "UNDECIDED: ")
     assert (tmp_path / "out" / "report.html").stat().st_size > 1000
 
 

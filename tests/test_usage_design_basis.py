@@ -243,6 +243,8 @@ def test_a_shipped_design_is_made_again_by_its_line(name: str) -> None:
 
     Those of ksr3-ringed to 1e-3: its scenario flies the file itself, so that the first flight changes with the file.
     """
+    if name == "petrel-robust":
+        Path("petrel").symlink_to(petrel.folder())
     assert simdesign.main([*again(name), "--no-pictures", "--out", "again"]) == 0
     made, kept = (tomllib.loads(p.read_text()) for p in (Path("again/design.toml"), builtin_files("design")[name]))
     for each in (made, kept):

@@ -27,12 +27,12 @@ from maxq.sim.run.fly import logged_channels
 from maxq.tools import simreplay
 from maxq.tools.replay import flight as flight_module
 from maxq.tools.replay import viewer
-from maxq.tools.replay.convert import Options, free_corner, parts_of, save, with_scale
+from maxq.tools.replay.convert import Options, colours_of, free_corner, parts_of, save, with_scale
 from maxq.tools.replay.flight import Moment, open_flight
 from maxq.tools.replay.plots import PlotAxis, PlotLine, ReplayPlot, tabs_of
 from maxq.tools.replay.sheets import write_sheets
-from maxq.tools.replay.stream import first_phase, phases
-from maxq.tools.replay.text import summary_text
+from maxq.tools.replay.stream import PHASES, first_phase, phases
+from maxq.tools.replay.text import about, summary_text
 
 FEW = 4  # flights of a family that are shown in full
 
@@ -112,7 +112,7 @@ def test_the_standard_set_has_every_subject_as_svg_and_png(capsys: Printed) -> N
         assert min(picture.shape) > 300
         ET.parse(f"sheets/{name}.svg")
     texts = "".join(Path("sheets/08-loads.svg").read_text(encoding="utf-8"))
-    for text in ("kPa deg", "bending moment of the structure: 100", "time (s)", "control lost 9.7 s"):
+    for text in ("kPa deg", "bending moment of the structure: 100", "time, s", "control lost 9.7 s"):
         assert text in texts, text
 
 
@@ -128,7 +128,7 @@ def test_equal_logs_give_equal_plots(tmp_path: Path) -> None:
 def test_summary_is_a_glance_in_plain_text(capsys: Printed) -> None:
     assert run(OLD_LOG, "--summary") == 0
     out = capsys.readouterr().out
-    assert out.startswith("loses-control: duration at 14.0 s, failed\n")
+    assert out.startswith("loses-control: duration at 14.0 s, FAILED: ")
     assert "control_lost: the attitude error exceeds 45 deg under thrust" in out
     assert re.search(r"q alpha under thrust +[▁-█ ]+ .* kPa deg !", out)
     assert "MISSED slosh angle" in out
@@ -147,13 +147,15 @@ def test_summary_fits_the_terminal_and_does_without_blocks() -> None:
 @pytest.mark.parametrize("most", [7, 15])
 @pytest.mark.parametrize("span", [(-0.09, 0.09), (-20.5, 3.2), (0.0, 13.0), (4.1, 4.9), (-1e-7, 2e-6), (80.0, 1400.0)])
 def test_every_axis_has_two_numbers(span: tuple[float, float], most: int) -> None:
-    """Multiples of the smallest power of ten of which `most` fit, off the edges; no more room than that takes."""
+    """Multiples of the smallest power of ten of which `most` fit, whole at the edges; no more room than that takes."""
     low, high = span
     bottom, top = with_scale(low, high, most)
     assert bottom <= low < high <= top
     step = next(10.0**k for k in range(-12, 9) if (high - low) / 10.0**k <= most)
     assert np.floor(top / step) - np.ceil(bottom / step) >= 1
-    assert (bottom, top) == (low, high) or top - bottom < high - low + 1.1 * step
+    assert top - bottom < 1.1 * (high - low + 1.1 * step)
+    ends = np.ceil(bottom / step) * step - bottom, top - np.floor(top / step) * step
+    assert min(ends) > 0.03 * (top - bottom)
 
 
 def test_a_glance_shows_every_pendulum() -> None:
@@ -235,6 +237,22 @@ def test_of_many_flights_a_few_are_in_memory_and_plots_are_families(monkeypatch:
     assert roots == {"/family", *(f"/flights/run-{i:06}" for i in range(FEW))}
 
 
+def test_a_failed_flight_is_red_among_few_and_many_and_its_verdict_comes_first() -> None:
+    """Three flights had the colours of a list, in which the third is green, passed or not."""
+    failed = open_flight(OLD_LOG)
+    passed = replace(failed, summary={"passed": True})
+    colours = colours_of([passed, passed, failed, failed])
+    assert len(set(colours)) == 4
+    assert colours[2:] == ["#d55e00", "#a34700"]
+    assert colours_of([passed] * 6 + [failed])[-1] == "#d55e00"
+    lines = about([failed], ["drawn"]).splitlines()
+    assert lines[0].startswith("# FAILED")
+    at = lines.index("| requirement | value | limit | used |")
+    assert at < 12
+    assert lines[at + 2].startswith("| **MISSED** ")
+    assert PHASES["ended"] != "#009e73"
+
+
 def test_each_of_a_few_flights_has_its_name_and_its_colour() -> None:
     for name in ("calm", "windy"):
         Path(name).mkdir()
@@ -246,7 +264,7 @@ def test_each_of_a_few_flights_has_its_name_and_its_colour() -> None:
     assert "2 flights" in drawn
     assert all(f">{name}" in drawn for name in ("calm", "windy"))
     assert "stroke: #000000" in drawn
-    assert "stroke: #0072b2" in drawn
+    assert "stroke: #d55e00" in drawn  # failed: never green
     assert "stroke: #e69f00" not in drawn  # which was the second curve's, whosoever it was
     assert [done for _, done, _ in told] == list(range(len(told)))
 

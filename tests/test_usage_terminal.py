@@ -231,3 +231,25 @@ def test_a_bar_after_its_block_shows_nothing(monkeypatch: pytest.MonkeyPatch) ->
     progress.show("late", 1, 2)
     time.sleep(0.01)
     assert threading.active_count() == before
+
+
+def test_a_command_shows_at_once_that_it_has_begun_and_wipes_it() -> None:
+    code = "from maxq.tools import {0}; {0}.main({1})"
+    shown = on_a_terminal(code.format("simrun", "['nowhere']"))
+    assert shown.startswith("simrun: loading\r\x1b[2Ksimrun: nowhere: neither a file nor ")
+    assert "loading" not in on_a_terminal(code.format("simrun", "['--list']"))
+    assert "loading" not in on_a_terminal(code.format("simrun", "['nowhere']"), TERM="dumb")
+
+
+@pytest.mark.parametrize(("width", "parts"), [(80, 2), (120, 3), (60, 1)])
+def test_a_note_beside_a_bar_is_shortened_by_whole_parts(width: int, parts: int) -> None:
+    notes = ("0 failed", "rate 98 % used", "another of a long name 97 % used")
+    shown = on_a_terminal(
+        "from maxq.tools.cli import terminal\n"
+        "with terminal.Progress(at_once=True) as progress:\n"
+        f"    progress.show('flying', 37, 100, {'; '.join(notes)!r}, '37 of 100, 12.3/s')\n",
+        width=width,
+    )
+    assert "; ".join(notes[:parts]) in shown
+    assert "\u2026" not in shown
+    assert parts == len(notes) or notes[parts] not in shown

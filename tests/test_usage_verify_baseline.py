@@ -9,7 +9,7 @@ from pathlib import Path
 import petrelkit as petrel
 import pytest
 
-from maxq.design.verify.baseline import Difference, against_baseline
+from maxq.design.verify.baseline import SuiteDifference, against_baseline
 from maxq.design.verify.suite import read_suite
 from maxq.sim.input.files import builtin_files, scenarios_folder
 from maxq.tools.simverify import main
@@ -145,7 +145,7 @@ def test_an_agreed_baseline_is_named_as_not_shipped() -> None:
     Path("mine.toml").write_text(f'baseline = "agreed.toml"\n{SHORT}'.replace("3.0", "2.0"))
     compared = against_baseline(read_suite("mine.toml"))
     assert compared.title == f"1 difference from the suite {Path('agreed.toml').resolve()}, not shipped"
-    assert compared.differences == (Difference("shortened", "flight three seconds: run.duration_s", "3", "2"),)
+    assert compared.differences == (SuiteDifference("shortened", "flight three seconds: run.duration_s", "3", "2"),)
 
 
 def test_a_vehicle_s_suite_is_compared_with_launcher_but_for_its_own_numbers() -> None:

@@ -1,4 +1,4 @@
-"""The results of a campaign for people: what is printed, and the report in its folder.
+"""The results of a campaign for people: the text that is printed, and the report in its folder.
 
 `write_report` leaves summary.json, report.html (one file, nothing outside it) and its figures as CSV beside the data
 set.
@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 
 from maxq.sim.campaign import analysis
-from maxq.sim.campaign.analysis import Band, DataSet, Judged, Lost, failed_runs
+from maxq.sim.campaign.analysis import Band, DataSet, Judged, Lost, failed_runs, tightest_first
 from maxq.sim.campaign.availability import Month, availability
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import Draw
 from maxq.sim.campaign.read import LoadedCampaign, channel_units
 from maxq.sim.campaign.runner import CampaignProgress
-from maxq.sim.campaign.statistics import ANY_TIME, MET, NOT_MET
+from maxq.sim.campaign.statistics import ANY_TIME, MET, NOT_MET, OPEN
 from maxq.sim.campaign.store import read_manifest, write_json
 from maxq.sim.campaign.tails import Tail, tail_of
 from maxq.sim.files import write_whole
-from maxq.sim.flight.metric_table import figures
+from maxq.sim.run.quantities import meets, number_text, quantity_text, share_text, sign_of, utilisation
 from maxq.tools.cli import terminal
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.plots import campaign as plots
@@ -38,16 +38,15 @@ _NAMED = 8  # drivers in the summary of each
 
 
 def watcher(bar: terminal.Progress) -> Callable[[CampaignProgress], None]:
-    """Shows runs, rate, time left, failures, and the worst of each requirement."""
+    """Return a function that shows runs, rate, time left, failures, and the worst runs of the tightest requirements."""
 
     def show(progress: CampaignProgress) -> None:
         interim = progress.interim
         unfinished = math.isfinite(progress.left_s) and progress.done < progress.total
         left = f", {duration(progress.left_s)} left" if unfinished else ""
-        notes = ["none failed" if interim.failed == 0 else f"{interim.failed} failed"]
-        for tally in interim.tallies:
-            if tally.requirement is not None and not math.isnan(tally.worst):
-                notes.append(f"{tally.name} {tally.worst:.4g} of {tally.requirement.bound[1]:.4g}")
+        shares = [(utilisation(t.worst, *t.requirement.bound), t) for t in interim.tallies if t.requirement is not None]
+        tightest = sorted(((s, t) for s, t in shares if not math.isnan(s)), key=lambda item: -item[0])
+        notes = [f"{interim.failed} failed", *(f"{t.name} {share_text(s)} used" for s, t in tightest)]
         count = f"{progress.done} of {progress.total} runs, {progress.rate:.1f}/s{left}"
         bar.show("flying", progress.done, progress.total, "; ".join(notes), count)
 
@@ -70,67 +69,130 @@ def labels_of(campaign: LoadedCampaign) -> dict[str, str]:
 
 
 ReportRows = list[tuple[str, ...]]  # of a table; the first is its head
+_TEXTS = ("requirement", "verdict", "limit")  # heads of columns that hold no numbers
+_DISPENSABLE = ("at least", "success", "allowed", "bound", "quantile", "median", "to go", "failed", "run")
+"""Heads, or their last words, of the columns that a narrow terminal leaves out, the first one first."""
 
 
 def requirement_rows(data: DataSet, verdicts: Sequence[Judged]) -> ReportRows:
-    """The table of verdicts."""
+    """Return the table of verdicts, those with the least margin first, without its empty columns."""
     campaign = data.campaign.campaign
-    quantile, bound = f"{100 * campaign.success:g} %", f"bound at {100 * campaign.confidence:g} %"
-    rows = [_requirement(v, quantile, bound) for v in verdicts]
-    return [tuple(rows[0]), *(tuple(row.values()) for row in rows)] if rows else [("no requirement",)]
+    quantile, bound = f"{100 * campaign.success:g} % quantile", f"{100 * campaign.confidence:g} % bound"
+    rows = [_requirement(v, quantile, bound, campaign.success) for v in tightest_first(verdicts)]
+    if not rows:
+        return [("no requirement",)]
+    heads = [head for head in rows[0] if head in _TEXTS or any(row[head] for row in rows)]
+    return [tuple(heads), *(tuple(row[head] for head in heads) for row in rows)]
 
 
-def _requirement(v: Judged, quantile: str, bound: str) -> dict[str, str]:
-    """A row of the table of verdicts, by the heads of its columns."""
-    shown, worst = v.shown, v.worst[0] if v.worst else None
-    success = f"{100 * shown.success:.4g} % ({100 * shown.success_least:.4g} .. {100 * shown.success_most:.4g})"
-    sign, unit = "<=" if v.kind == "limit" else ">=", "" if v.unit == "1" else " " + v.unit
-    settled = shown.judgement in (MET, NOT_MET)
+def number_columns(rows: ReportRows) -> list[int]:
+    """Return the columns of a table of verdicts that hold numbers."""
+    return [i for i, head in enumerate(rows[0]) if head not in _TEXTS]
+
+
+def _requirement(v: Judged, quantile: str, bound: str, success: float) -> dict[str, str]:
+    """Return a row of the table of verdicts by the heads of its columns.
+
+    A quantile between the two worst runs is an interpolation that says little: it is left out.
+    """
+    shown, (_, factor) = v.shown, v.unit_factor
+    worst, limit, unit = v.worst_text
+    known = len(v.worst) > 1 and shown.runs * (1.0 - success) >= 1.0
     return {
         "requirement": printable(v.name),
-        "verdict": shown.judgement if settled else "not yet",
-        "limit": f"{sign} {v.bound:g}{unit}" if v.metric else "",
-        "worst": value_text(worst.value) if worst else "",
-        "run": str(worst.run) if worst else "",
+        "verdict": shown.judgement,
+        "worst": worst if v.worst else "",
+        "limit": f"{sign_of(v.kind)} {limit} {unit}".rstrip() if v.metric else "",
+        "used": share_text(v.utilisation),
+        "run": str(v.worst[0].run) if _varies(v) else "",
         "failed": str(shown.failures),
         "allowed": str(shown.allowed) if shown.allowed >= 0 else "",
-        "to go": "" if settled else str(shown.more),
-        "median": value_text(v.median),
-        quantile: value_text(v.quantile),
-        bound: value_text(v.tolerance),
-        "success": success if shown.runs else "",
+        "to go": str(shown.more) if shown.more else "",
+        "median": _finite(factor * v.median),
+        quantile: _finite(factor * v.quantile) if known else "",
+        bound: _finite(factor * v.tolerance),
+        "success": f"{100 * shown.success:.4g} %" if shown.runs else "",
+        "at least": f"{100 * shown.success_least:.4g} %" if shown.runs else "",
     }
 
 
-def value_text(value: object, digits: int = 4) -> str:
-    """A number with so many digits; nothing for what is missing or nan."""
+def _varies(v: Judged) -> bool:
+    """Return True where one run is worse than others."""
+    return bool(v.worst) and v.worst[0].value != v.median
+
+
+def _finite(value: float) -> str:
+    return "" if math.isnan(value) else number_text(value)
+
+
+def value_text(value: object) -> str:
+    """Return a number with four significant digits; nothing for None or nan."""
     if isinstance(value, float):
-        return "" if math.isnan(value) else figures(value, digits)
+        return _finite(value)
     return "" if value is None else str(value)
 
 
 def headline(data: DataSet, verdicts: Sequence[Judged]) -> str:
-    """The campaign in one line."""
+    """Return the campaign in one line: the verdict, the decisive requirement with numbers, and failed runs."""
     campaign, runs = data.campaign.campaign, len(data.runs)
-    level = f"{100 * campaign.success:g} % with {100 * campaign.confidence:g} % confidence"
     if runs == 0:
         return "NO RUNS: no verdict is possible"
-    missed = [v.name for v in verdicts if v.shown.judgement == NOT_MET]
-    still = [v for v in verdicts if v.shown.judgement not in (MET, NOT_MET)]
-    failures = f"{len(failed_runs(data))} of {runs} runs failed"
+    level = f"{100 * campaign.success:g} % of flights with {100 * campaign.confidence:g} % confidence"
+    ordered, failed = tightest_first(verdicts), f"{len(failed_runs(data))} of {runs} runs failed"
+    missed = [v for v in ordered if v.shown.judgement == NOT_MET]
+    undecided = [v for v in ordered if v.shown.judgement == OPEN]
+    met = f"{len(ordered) - len(missed) - len(undecided)} of {len(ordered)} requirements met"
     if missed:
-        return f"NOT MET ({level}): {', '.join(printable(name) for name in missed)}; {failures}"
-    if still:
-        more = max(v.shown.more for v in still)
-        return f"NOT YET SETTLED ({level}): {len(still)} of {len(verdicts)} open, {more} more runs needed; {failures}"
-    return f"MET ({level}): all {len(verdicts)} requirements; {failures}"
+        said = [f"{_failures(missed[0])}; required in {level}"]
+        said += [f"also missed: {', '.join(printable(v.name) for v in missed[1:])}"] * (len(missed) > 1)
+        return f"MISSED: {'; '.join((*said, met))}"
+    if undecided:
+        first = max(undecided, key=lambda v: v.shown.more)
+        said = [f"{first.shown.more} more runs needed to show {level}"]
+        said += [_failures(undecided[0])] * (undecided[0].shown.failures > 0)
+        return f"UNDECIDED: {'; '.join((*said, met, failed, *_tightest(ordered)))}"
+    return f"MET: all {len(ordered)} requirements in {level}; {'; '.join((failed, *_tightest(ordered)))}"
+
+
+def _failures(v: Judged) -> str:
+    """Return how often a requirement is missed, and its worst run: "roll error 2.138 deg > 2 deg in 7 of 2000 runs"."""
+    often = f"in {v.shown.failures} of {v.shown.runs} runs"
+    if not v.metric or not v.worst or meets(v.worst[0].value, v.kind, v.bound):
+        return f"{printable(v.name)}: missed {often}"
+    value, limit, unit = v.worst_text
+    unit, sign = f" {unit}" if unit else "", ">" if v.kind == "limit" else "<"
+    return f"{printable(v.name)} {value}{unit} {sign} {limit}{unit} {often} (worst: run {v.worst[0].run})"
+
+
+def _tightest(ordered: Sequence[Judged]) -> list[str]:
+    """Return the used share of the requirement whose worst run has the least margin."""
+    first = next((v for v in ordered if math.isfinite(v.utilisation)), None)
+    if first is None or first.shown.failures:
+        return []
+    value, limit, unit = first.worst_text
+    least = "at least " if first.kind == "minimum" else ""
+    numbers = f"{value} of {least}{limit} {unit}".rstrip()
+    used = f"{share_text(first.utilisation)} used in run {first.worst[0].run}"
+    return [f"tightest: {printable(first.name)}, {numbers}, {used}"]
+
+
+def next_step(data: DataSet, verdicts: Sequence[Judged]) -> str:
+    """Return what to do next: fly a missed run again, fly more runs, or read the report."""
+    runs = len(data.runs)
+    missed = [v for v in tightest_first(verdicts) if v.shown.judgement == NOT_MET and v.worst]
+    if missed:
+        return f"next: {replay(data.folder, missed[0].worst[0].run)}"
+    more = max((v.shown.more for v in verdicts), default=0)
+    if runs and more:
+        return f"next: repeat the command with --runs {runs + more}"
+    return f"next: read {data.folder / 'report.html'}"
 
 
 def how_judged(data: DataSet, verdicts: Sequence[Judged]) -> str:
-    """Return a sentence on how the verdicts were reached."""
+    """Return the test by which the verdicts were reached, in a sentence."""
     said = f"judged by the {verdicts[0].shown.test}" if verdicts else ""
     if verdicts and verdicts[0].shown.test == ANY_TIME:
-        said += ": verdicts hold whenever one looks, stops or flies on"
+        said += ", which holds at any number of runs"
     missing = len(data.runs) - data.in_order
     return said + (f"; runs from {data.in_order} on are not judged: one before them is missing" if missing else "")
 
@@ -150,18 +212,19 @@ def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
 
 
 def tail_rows(tails: Tails) -> ReportRows:
-    """The table of tails."""
+    """Return the table of tails; values in the unit of the limit."""
     rows: ReportRows = [
         ("tail", "limit", "threshold", "runs beyond", "shape", "quantile", "bound", "P(limit missed)", "bound", "fit")
     ]
     for v, tail in tails:
-        head = (printable(v.name), f"{'<=' if v.kind == 'limit' else '>='} {v.bound:g}")
+        (_, limit, unit), (_, factor) = v.worst_text, v.unit_factor
+        head = (printable(v.name), f"{sign_of(v.kind)} {limit} {unit}".rstrip())
         if tail.problem:
             rows.append((*head, *[""] * 7, f"none: {tail.problem}"))
             continue
-        quantiles = (value_text(value) for value in (tail.quantile, tail.quantile_bound))
-        beyond = (value_text(value, 3) for value in (tail.beyond, tail.beyond_bound))
-        begin = (f"{tail.threshold:.4g}", str(len(tail.excesses)), value_text(tail.shape, 3))
+        quantiles = (_finite(factor * value) for value in (tail.quantile, tail.quantile_bound))
+        beyond = ("" if math.isnan(value) else f"{value:.2g}" for value in (tail.beyond, tail.beyond_bound))
+        begin = (_finite(factor * tail.threshold), str(len(tail.excesses)), f"{tail.shape + 0.0:.2f}")
         rows.append((*head, *begin, *quantiles, *beyond, f"{tail.fit:.2f}"))
     return rows
 
@@ -176,11 +239,13 @@ def month_rows(months: Sequence[Month]) -> ReportRows:
 
 
 def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], tails: Tails = ()) -> list[str]:
-    """All that is printed about a campaign's results, but the last line."""
+    """Return what is printed about a campaign's results, except the last line."""
     scenario = data.campaign.base.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
     ends = ", ".join(f"{count} {outcome}" for outcome, count in sorted(Counter(data.outcomes).items()))
-    table = aligned(requirement_rows(data, verdicts), "  ", right=range(3, 11), drop=(11, 6, 10, 9, 8, 7, 4))
+    rows = requirement_rows(data, verdicts)
+    drop = [i for word in _DISPENSABLE for i, head in enumerate(rows[0]) if head.endswith(word)]
+    table = aligned(rows, "  ", right=number_columns(rows), drop=drop)
     lines = [
         title,
         *(f"warning: {printable(warning)}" for warning in data.campaign.warnings),
@@ -197,14 +262,15 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], ta
         lines += ["", f"launch availability by month of the wind (bounds at {sure})", *shown]
     if any(not tail.problem for _, tail in tails):
         shown = aligned(tail_rows(tails), "  ", right=range(2, 9))
-        lines += ["", f"estimates by peaks over threshold, beside the verdicts ({TAIL_NOTE})", *shown]
-    rows = [(f"run {run.run}", run.outcome, printable(run.cause)[:90]) for run in losses[:5]]
-    for v in verdicts:
+        lines += ["", f"estimates by peaks over threshold, in addition to the verdicts ({TAIL_NOTE})", *shown]
+    flights = [(f"run {run.run}", run.outcome, printable(run.cause)[:90]) for run in losses[:5]]
+    for v in tightest_first(verdicts):
         if v.metric and v.shown.failures and v.worst:
-            worst = v.worst[0]
-            rows.append((f"run {worst.run}", printable(v.name), f"{worst.value:.5g} at {worst.time_s:.3f} s"))
-    if rows:
-        lines += ["", "worst flights", *aligned(rows, "  "), f"  again with a log: {replay(data.folder, 'RUN')}"]
+            worst, (value, _, unit) = v.worst[0], v.worst_text
+            reached = f"{value} {unit}".rstrip()
+            flights.append((f"run {worst.run}", printable(v.name), f"{reached} at {worst.time_s:.3f} s"))
+    if flights:
+        lines += ["", "worst flights", *aligned(flights, "  "), f"  again with a log: {replay(data.folder, 'RUN')}"]
     return lines
 
 
@@ -249,7 +315,8 @@ def write_report(
     from maxq.tools.pages.render import render  # noqa: PLC0415  # lazy: for the page only
 
     base, labels = data.campaign.base, labels_of(data.campaign)
-    drawn = plots.plots(data, verdicts, tails, over_time, channel_units(base), found, inputs, sample, labels)
+    ordered, rows = tightest_first(verdicts), requirement_rows(data, verdicts)
+    drawn = plots.plots(data, ordered, tails, over_time, channel_units(base), found, inputs, sample, labels)
     for plot in drawn:
         files.append(write_whole(data.folder / "figures" / f"{plot.name}.csv", as_csv(plot), CampaignError))
     judgements = {v.shown.judgement for v in verdicts}
@@ -257,13 +324,16 @@ def write_report(
         "campaign.html.j2",
         drawn,
         data=data,
-        verdicts=verdicts,
+        verdicts=ordered,
         losses=losses,
         found=found,
+        varies=_varies,
+        quantity_text=quantity_text,
+        number_columns=number_columns(rows),
         settled=settled,
         labels=labels,
         distribution=distribution,
-        requirements=requirement_rows(data, verdicts),
+        requirements=rows,
         tails=tail_rows(tails),
         tail_note=TAIL_NOTE,
         months=month_rows(availability(data)),
@@ -281,7 +351,7 @@ def write_report(
 
 
 def nearest_limits(verdicts: Sequence[Judged]) -> list[Judged]:
-    """Requirements whose worst run comes nearest to the limit, or exceeds it most, first."""
+    """Return requirements whose worst run comes nearest to the limit, or exceeds it most; none whose runs are equal."""
 
     def excess(v: Judged) -> float:
         if not v.worst:
@@ -290,7 +360,8 @@ def nearest_limits(verdicts: Sequence[Judged]) -> list[Judged]:
         spread = abs(worst - v.median) or 1e-300
         return (worst - v.bound) / spread if v.kind == "limit" else (v.bound - worst) / spread
 
-    return sorted((v for v in verdicts if v.metric), key=lambda v: (-v.shown.failures, -excess(v)))[:_DRIVEN]
+    varied = [v for v in verdicts if v.metric and _varies(v)]
+    return sorted(varied, key=lambda v: (-v.shown.failures, -excess(v)))[:_DRIVEN]
 
 
 def _numbers(band: Band) -> dict[str, Any]:

@@ -1,15 +1,19 @@
-"""The printed report of a flight: events, metrics, requirements, and the verdict as the last line."""
+"""The text that a command prints about a flight: requirements, events, metrics, and the verdict as the last line."""
 
 from __future__ import annotations
 
 import math
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
-from maxq.sim.flight.metric_table import figures, title_of, unit_of
+from maxq.sim.flight.metric_table import title_of, unit_of
 from maxq.sim.packing.integration import worst_error
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import DIVERGED_NAME
-from maxq.sim.run.metrics import Verdict
+from maxq.sim.run.metrics import Verdict, tightest_first
+from maxq.sim.run.quantities import number_text, quantity, share_text
+from maxq.sim.run.record import LOG_NAME
 from maxq.tools.cli.terminal import aligned, printable
 
 _FINAL = (
@@ -28,11 +32,12 @@ _FINAL = (
     "bend_pitch_gimbal_m",
     "bend_yaw_gimbal_m",
 )
-"""State shown of a flight that failed; summary.json has all of it."""
+"""The part of the state that is printed of a flight that diverged; summary.json has all of it."""
+_TIGHT = 0.95  # used share of a limit from which on a hint is given
 
 
 def report(flight: Flight, files: list[Path], total_s: float) -> str:
-    """All that is said about a flight, in plain text."""
+    """Return the text about a flight that a command prints; its last line is the verdict."""
     scenario = flight.scenario.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
     head = [title, *(f"warning: {printable(warning)}" for warning in flight.scenario.warnings)]
@@ -41,31 +46,63 @@ def report(flight: Flight, files: list[Path], total_s: float) -> str:
         parts.append(_state(flight))
     error = worst_error(scenario)
     parts.append([f"warning: {printable(error.text)}"] if error is not None and error.text else [])
-    parts.append(_timing(flight, files, total_s))
+    parts.append(_timing(flight, files, total_s) + _next_step(flight, files))
     parts.append([verdict_line(flight)])
     return "\n\n".join("\n".join(part) for part in parts if part)
 
 
 def verdict_line(flight: Flight) -> str:
-    """The flight in one line: how it ended and what was wrong."""
+    """Return the flight in one line: its outcome, the decisive requirement with numbers, and remarks."""
     if flight.outcome == "interrupted":
         return f"INTERRUPTED at {flight.end_s:.3f} s of flight"
-    missed = [v for v in flight.verdicts if not v.met]
-    wrong = list(flight.failures)
-    if len(missed) == 1:
-        wrong.append(f"requirement missed: {printable(missed[0].name)}: {_bounded(missed[0])}")
-    elif missed:
-        wrong.append(f"{len(missed)} requirements missed: {', '.join(printable(v.name) for v in missed)}")
-    beyond = "".join(f"; beyond the model: {what}" for what in flight.beyond_model)
-    if wrong:
-        return "FAILED: " + "; ".join(wrong) + beyond
-    count = len(flight.verdicts)
+    verdicts = tightest_first(flight.verdicts)
+    count, missed = len(verdicts), [v for v in verdicts if not v.met]
+    said = list(flight.failures)
+    if missed:
+        said.append(_missed(missed[0]))
+        if others := [printable(v.name) for v in missed[1:]]:
+            said.append(f"also missed: {', '.join(others)}")
+        said.append(f"{count - len(missed)} of {count} requirements met")
+    if said:
+        return "FAILED: " + "; ".join((*said, *flight.remarks))
     met = "no requirements" if count == 0 else "1 requirement met" if count == 1 else f"all {count} requirements met"
-    return f"PASSED: {met}{beyond}"
+    return "PASSED: " + "; ".join((met, *_tightest(verdicts), *flight.remarks))
+
+
+def _missed(verdict: Verdict) -> str:
+    """Return name, value, limit and time of a missed requirement: "roll error 2.138 deg > 2 deg at 59.280 s"."""
+    value, limit, unit = verdict.shown
+    unit = f" {unit}" if unit else ""
+    if math.isnan(verdict.value):
+        return f"{printable(verdict.name)} has no value, required {verdict.limit_text}"
+    sign = ">" if verdict.bound[0] == "limit" else "<"
+    return f"{printable(verdict.name)} {value}{unit} {sign} {limit}{unit}{_at(verdict.time_s, ' at ')}"
+
+
+def _tightest(verdicts: Sequence[Verdict]) -> list[str]:
+    """Return the used share of the requirement with the least margin; nothing where no limit has a share."""
+    if not verdicts or not math.isfinite(verdicts[0].utilisation):
+        return []
+    first = verdicts[0]
+    value, limit, unit = first.shown
+    least = "at least " if first.bound[0] == "minimum" else ""
+    numbers = f"{value} of {least}{limit} {unit}".rstrip()
+    return [f"tightest: {printable(first.name)}, {numbers}, {share_text(first.utilisation)} used"]
+
+
+def _next_step(flight: Flight, files: Sequence[Path]) -> list[str]:
+    """Return the command that shows the flight, and a hint where a requirement is nearly missed."""
+    lines = []
+    if any(path.name == LOG_NAME for path in files):
+        lines.append(f"next: simreplay {shlex.quote(str(files[0].parent))} --summary")
+    tight = tightest_first(flight.verdicts)[:1]
+    if flight.passed and tight and tight[0].utilisation >= _TIGHT and flight.scenario.scenario.design is not None:
+        lines.append(f"{printable(tight[0].name)} is close to its limit: examine the margins with simdesign analyse")
+    return lines
 
 
 def _events(flight: Flight) -> list[str]:
-    rows = [(e.title, f"{e.time_s:.3f} s", e.detail) for e in flight.events]
+    rows = [(e.title.replace("_", " "), f"{e.time_s:.3f} s", e.detail) for e in flight.events]
     if flight.outcome in ("duration", "interrupted"):
         rows.append((f"end ({flight.outcome})", f"{flight.end_s:.3f} s", ""))
     return ["events", *aligned(rows, "  ", right=(1,))]
@@ -74,27 +111,30 @@ def _events(flight: Flight) -> list[str]:
 def _metrics(flight: Flight) -> list[str]:
     rows = []
     for name in flight.telling_metrics:
-        unit, time_s = unit_of(name), flight.metric_times_s[name]
-        at = f"at {time_s:.3f} s" if math.isfinite(time_s) else ""
+        at = _at(flight.metric_times_s[name], "at ")
         if name.startswith(("final_", "flight_time", "range")):
             at = "at the end"
-        rows.append((title_of(name), figures(flight.metrics[name]), "" if unit == "1" else unit, at))
+        rows.append((title_of(name), *quantity(flight.metrics[name], unit_of(name)), at))
     return ["metrics", *aligned(rows, "  ", right=(1,))]
 
 
 def _requirements(verdicts: tuple[Verdict, ...]) -> list[str]:
+    """Return the table of requirements, those with the least margin first."""
     if not verdicts:
         return []
-    rows = []
-    for verdict in verdicts:
-        at = f"at {verdict.time_s:.3f} s" if math.isfinite(verdict.time_s) else ""
-        value = figures(verdict.value, 4 if verdict.met else 7)  # rounded more, a missed one may look like the limit
-        rows.append((printable(verdict.name), "met" if verdict.met else "MISSED", value, verdict.wanted, at))
-    return ["requirements", *aligned(rows, "  ", right=(2,), drop=(4,))]
+    rows = [("", "", "value", "limit", "used", "at")]
+    for v in tightest_first(verdicts):
+        mark, share, at = "met" if v.met else "MISSED", share_text(v.utilisation), _at(v.time_s)
+        rows.append((printable(v.name), mark, v.shown[0], v.limit_text, share, at))
+    return ["requirements", *aligned(rows, "  ", right=(2, 4, 5), drop=(5,))]
+
+
+def _at(time_s: float, before: str = "") -> str:
+    return f"{before}{time_s:.3f} s" if math.isfinite(time_s) else ""
 
 
 def _state(flight: Flight) -> list[str]:
-    rows = [(name, figures(flight.final[name])) for name in _FINAL if name in flight.final]
+    rows = [(name, number_text(flight.final[name])) for name in _FINAL if name in flight.final]
     return [f"state at {flight.end_s:.3f} s, before it diverged", *aligned(rows, "  ", right=(1,))]
 
 
@@ -108,11 +148,3 @@ def _timing(flight: Flight, files: list[Path], total_s: float) -> list[str]:
 
 def _size(count: int) -> str:
     return f"{count / 1e6:.1f} MB" if count >= 1e6 else f"{count / 1e3:.1f} kB"
-
-
-def _bounded(verdict: Verdict) -> str:
-    kind, bound = verdict.bound
-    sign = ">" if kind == "limit" else "<"
-    unit = unit_of(verdict.requirement.metric)
-    text = f"{verdict.value:.6g} {sign} {bound:.6g}" + ("" if unit == "1" else f" {unit}")
-    return text + (f" at {verdict.time_s:.3f} s" if math.isfinite(verdict.time_s) else "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 import time
 from types import ModuleType
@@ -11,6 +12,7 @@ from typing import Any
 
 from maxq.tools.cli.frame import Command, CommandError, Exit
 from maxq.tools.cli.parser import Parser, count, count_from_1, count_of_runs, positive
+from maxq.tools.cli.terminal import announce, tell, wipe
 
 _EXAMPLES = """\
   simrun nominal                           fly the built-in scenario of that name
@@ -25,14 +27,14 @@ _MISSED = "flown, but a requirement was missed, control was lost or the flight d
 _EXITS = {
     Exit.OK: "flown, all requirements met",
     Exit.FAILED: f"{_MISSED}, or it differs from the log",
-    Exit.UNDECIDED: "campaign: too few runs to say whether all requirements are met",
+    Exit.UNDECIDED: "campaign: undecided, more runs are needed",
     Exit.INTERRUPTED: "interrupted; a log is closed properly, a campaign resumes with the same command",
 }
 _FLIGHT = {Exit.OK: _EXITS[Exit.OK], Exit.FAILED: _MISSED, Exit.INTERRUPTED: "interrupted; the log is closed properly"}
 _CAMPAIGN = {
-    Exit.OK: "all requirements are met with the confidence asked for",
+    Exit.OK: "all requirements are met with the required confidence",
     Exit.FAILED: "a requirement is missed",
-    Exit.UNDECIDED: "too few runs to say whether all requirements are met",
+    Exit.UNDECIDED: "undecided: more runs are needed",
 }
 _RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
 _KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "flight-software")
@@ -65,7 +67,7 @@ def _add_flights(parser: Parser) -> None:
     )
     fly.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
     fly.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key")
-    fly.option("--out DIR", "where to write (default: runs/<name of the scenario>)")
+    fly.option("--out DIR", "where to write (default: runs/<name of the scenario>, with --set a folder of its own)")
     _add_views(fly)
     examples = """\
   simrun refly runs/nominal/flight.mcap    the flight in a log
@@ -104,7 +106,7 @@ def _add_campaigns(parser: Parser) -> None:
     campaign.option("--out DIR", "where to write (default: runs/<name of the campaign>)")
     _add_workers(campaign)
     campaign.option("--dask ADDRESS", "fly on the workers of a dask.distributed scheduler")
-    campaign.option("--until-settled", "stop when every verdict is settled")
+    campaign.option("--until-settled", "stop when every requirement is met or missed")
     _add_report(campaign)
 
     examples = """\
@@ -212,12 +214,26 @@ def _command_for(name: str) -> str:
     from maxq.sim.input.files import locate  # noqa: PLC0415  # lazy, as all imports below: --help is quick
     from maxq.sim.scenario.loader import is_campaign  # noqa: PLC0415  # lazy
 
+    _refuse_result(name)
     locate(name, "scenario")
     return "campaign" if is_campaign(name) else "fly"
 
 
+def _refuse_result(name: str) -> None:
+    """Raise CommandError where a log, or the path of a folder with one, is given instead of a scenario.
+
+    A name without a separator may be that of a built-in scenario, also where there is a folder of that name.
+    """
+    log = name if name.endswith(".mcap") else os.path.join(name, "flight.mcap") if os.sep in name else ""
+    if os.path.isfile(log):
+        again, shown = (f"{command} {shlex.quote(log)}" for command in ("simrun refly", "simreplay"))
+        raise CommandError(f"{name} is a flown flight, not a scenario: {again} flies it again, {shown} shows it")
+
+
 def _fly(**given: Any) -> int:
     start_s = time.perf_counter()  # before the heavy imports
+    announce("loading the simulator")
+    _refuse_result(given.get("scenario", ""))
     if command.alone:
         _load_numba_without_blas()
     from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
@@ -242,11 +258,9 @@ def _campaigns() -> ModuleType:
 
 
 def _copy(name: str, folder: str) -> int:
-    import shlex  # noqa: PLC0415  # lazy
-
     from maxq.sim.scenario.loader import copy_scenario  # noqa: PLC0415  # lazy
 
-    print(f"copied; fly it with: simrun {shlex.quote(str(copy_scenario(name, folder)))}")
+    tell(f"copied; fly it with: simrun {shlex.quote(str(copy_scenario(name, folder)))}")
     return Exit.OK
 
 
@@ -281,6 +295,7 @@ def _load_numba_without_blas() -> None:
 
 
 def _print_schema(kind: str) -> int:
+    wipe()
     if kind == "flight-software":
         from maxq.control.external import HEADER  # noqa: PLC0415  # lazy
 

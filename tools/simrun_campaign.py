@@ -19,16 +19,17 @@ from maxq.sim.campaign.investigation import flight_folder, refly, search_worst, 
 from maxq.sim.campaign.rare import rare_failure
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.campaign.runner import run_campaign
-from maxq.sim.campaign.statistics import MET, NOT_MET
+from maxq.sim.campaign.statistics import MET, NOT_MET, OPEN
 from maxq.sim.campaign.store import RUNS, campaign_in
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.files import plain_name, write_whole
-from maxq.sim.flight.metric_table import METRIC_NAMES, figures, title_of, unit_of
+from maxq.sim.flight.metric_table import METRIC_NAMES, title_of, unit_of
 from maxq.sim.input.errors import suggestion
+from maxq.sim.run.quantities import number_text, quantity_text, unit_text
 from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
 from maxq.tools import campaign_report as text
 from maxq.tools.cli.frame import Exit, Interruption, say
-from maxq.tools.cli.terminal import Progress, aligned, printable, tell
+from maxq.tools.cli.terminal import Progress, aligned, announce, printable, tell
 from maxq.tools.flight_report import report
 from maxq.tools.replay.viewer import ReplayError
 from maxq.tools.simrun_fly import show_flight, viewer_needed
@@ -57,6 +58,7 @@ def fly_campaign(
     with one line."""
     start_s = time.perf_counter()
     changes = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
+    announce(f"reading {campaign}")
     loaded = load_campaign(campaign, overrides).with_campaign(**changes)
     folder = Path(out) if out else Path("runs") / plain_name(loaded.name, "campaign")
     with Interruption() as stop:
@@ -90,12 +92,14 @@ def fly_campaign(
 
 
 def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float, settled: bool) -> int:
-    """Summary, pictures and report into the folder, the results to the terminal; returns the exit code."""
+    """Write summary, pictures and report, print the results, and return the exit code."""
+    announce("writing the report")
     verdicts, losses = judged(data), lost(data)
     tails = text.tails_of(data, verdicts)
     files = text.write_report(data, verdicts, losses, total, tails, settled=settled, pictures=pictures)
     tell(*text.report(data, verdicts, losses, tails))
     tell(f"\n{flown}; {text.duration(time.perf_counter() - start_s)} in all", *files)
+    tell(text.next_step(data, verdicts))
     if settled:
         tell("\nstopped early: every verdict was settled")
     tell("\n" + text.headline(data, verdicts))
@@ -205,8 +209,8 @@ def shrink(folder: str, run: int, *, workers: int | None = None) -> int:
         tell(*aligned(rows, "  "))
     for verdict in found.flight.verdicts:
         if verdict.name == found.failure:
-            metric, unit = verdict.requirement.metric, unit_of(verdict.requirement.metric)
-            tell(f"{title_of(metric)}: {figures(verdict.value)} {'' if unit == '1' else unit}".rstrip())
+            metric = verdict.requirement.metric
+            tell(f"{title_of(metric)}: {quantity_text(verdict.value, unit_of(metric))}")
     tell(path)
     return Exit.FAILED
 
@@ -225,6 +229,7 @@ def search(folder: str, metric: str, *, runs: int = _SEARCH_FLIGHTS, workers: in
     good = np.flatnonzero(np.isfinite(values) & ~data.void)
     at = int(good[np.argmax(values[good]) if largest else np.argmin(values[good])]) if len(good) else None
     start = None if at is None else int(data.runs[at])
+    unit = unit_of(metric)
     with Interruption() as stop, Progress() as progress:
         found = search_worst(
             campaign,
@@ -234,25 +239,25 @@ def search(folder: str, metric: str, *, runs: int = _SEARCH_FLIGHTS, workers: in
             start=start,
             workers=workers or cores(),
             stop=stop,
-            watch=lambda best, flown: progress.show("searching", flown, most, f"worst {figures(best)}"),
+            watch=lambda best, flown: progress.show("searching", flown, most, f"worst {quantity_text(best, unit)}"),
         )
     path = place / "worst" / f"{metric}.toml"
     write_whole(path, found.scenario.as_flown, CampaignError)
-    unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
-    tell(f"{title_of(metric)}, the worst within 3 sigma: {figures(found.value)}{unit} ({found.flights} flights)")
     if at is not None:
         worst = float(values[at])
-        more = f"{100.0 * (found.value / worst - 1.0):+.1f} %" if worst else f"{found.value - worst:+.4g}{unit}"
-        of = f"worst of the campaign's {len(data.runs)} runs: {figures(worst)}{unit} (run {start})"
-        tell(f"{of}; the search: {more},", "with that run's wind and noise")
+        change = f"{100.0 * (found.value / worst - 1.0):+.1f} %" if worst else quantity_text(found.value - worst, unit)
+        tell(f"worst of the campaign's {len(data.runs)} runs: {quantity_text(worst, unit)} (run {start})")
+        tell(f"the search, with the wind and noise of that run: {change}")
     boxes, labels = campaign.boxes(), text.labels_of(campaign)
     rows = []
     for name, value in found.draws.items():
         low, high = boxes[name]
         in_box = 2.0 * (value - low) / (high - low) - 1.0 if high > low else 0.0
-        rows.append((printable(labels.get(name, name)), name, figures(value), f"{in_box:+.2f}"))
-    tell("draws, and where they lie in the box (-1 .. 1):", *aligned(rows, "  ", right=(2, 3)))
-    tell("fly it with:", f"  simrun {path}")
+        rows.append((printable(labels.get(name, name)), name, number_text(value), f"{in_box:+.2f}"))
+    tell("draws, and their places within the bounds (-1 .. 1):", *aligned(rows, "  ", right=(2, 3)))
+    tell(f"next: simrun {path}")
+    how, worst_text = "PASSED" if found.flight.passed else "FAILED", quantity_text(found.value, unit)
+    tell(f"{how}: {title_of(metric)} at worst {worst_text} within 3 sigma, in {found.flights} flights")
     return Exit.OK if found.flight.passed else Exit.FAILED
 
 
@@ -280,7 +285,7 @@ def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | 
                 "sampling", min(flights, most), most, f"population {number + 1}, level {level}"
             ),
         )
-    unit = "" if unit_of(metric) == "1" else f" {unit_of(metric)}"
+    unit = f" {unit_text(unit_of(metric))}".rstrip()
     level, allowed = 100.0 * campaign.campaign.confidence, 1.0 - campaign.campaign.success
     tell(f"P({metric} {'>' if largest else '<'} {limit:g}{unit}) = {found.probability:.2g}")
     if found.undecided:
@@ -294,20 +299,23 @@ def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | 
         (f"population {n + 1}", f"{one.probability:.2g}", ", ".join(f"{limit + sign * v:.4g}" for v in one.levels))
         for n, one in enumerate(found.each)
     ]
-    tell("each, and the values that one flight in ten of the level before is beyond:", *aligned(rows, "  ", right=(1,)))
+    tell("populations, and the levels that one flight in ten exceeds in turn:", *aligned(rows, "  ", right=(1,)))
+    if any(one.stuck for one in found.each):
+        tell("a population reached a value that no flight exceeded: the lower bound is not known")
     if found.nearest is not None:
         tell(*_nearest(campaign, place, metric, found.nearest))
-    verdict, code = "undecided", Exit.UNDECIDED
+    verdict, code = OPEN, Exit.UNDECIDED
     if found.high <= allowed:
         verdict, code = MET, Exit.OK
     elif found.low > allowed:
         verdict, code = NOT_MET, Exit.FAILED
-    tell(f"allowed are {allowed:.2g}: {verdict} (an estimate, which covers only the failure modes that it found)")
+    bounds = f"probability of a miss {found.low:.2g} to {found.high:.2g}, {allowed:.2g} allowed"
+    tell(f"{verdict.upper()}: {bounds} (estimate; it covers only the failure modes found)")
     return code
 
 
 def _nearest(campaign: LoadedCampaign, folder: Path, metric: str, point: tuple[np.ndarray, int]) -> list[str]:
-    """The likeliest of the flights that missed: written, and what deviates most in it."""
+    """Write the likeliest flight that missed, and return its largest deviations."""
     z, noise = point
     drawn, _ = campaign.plan.of_scores(z[None], np.array([noise]))
     path = folder / "rare" / f"{metric}.toml"
@@ -315,4 +323,4 @@ def _nearest(campaign: LoadedCampaign, folder: Path, metric: str, point: tuple[n
     labels, names = text.labels_of(campaign), campaign.plan.score_names
     largest = np.argsort(-np.abs(z), kind="stable")[:5]
     said = ", ".join(f"{printable(labels.get(names[k], names[k]))} {z[k]:+.1f}" for k in largest)
-    return [f"likeliest miss found, {float(np.linalg.norm(z)):.1f} sigma in all: {said}", f"{path}: fly it with simrun"]
+    return [f"likeliest miss found, {float(np.linalg.norm(z)):.1f} sigma in all: {said}", f"next: simrun {path}"]

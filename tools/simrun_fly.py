@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from maxq.sim.files import check_writable, plain_name
+from maxq.sim.flight.telemetry import FAST, SLOW
 from maxq.sim.log.head import VERSION_KEY, LogError, maxq_version
 from maxq.sim.log.reader import LoggedRun, read_run
 from maxq.sim.packing.flight import pack_flight
@@ -19,8 +21,11 @@ from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
-from maxq.tools.cli.terminal import Progress, tell
+from maxq.tools.cli.terminal import Progress, announce, tell
 from maxq.tools.flight_report import report
+
+_VALUE_BYTES = 5.9  # of a log, compressed: 102 MB of the nominal flight over its values
+_LARGE_MB = 100.0
 
 
 def execute(
@@ -39,12 +44,15 @@ def execute(
 
     `start_s`: `time.perf_counter()` when the command began; the rest are the options.
     """
+    announce(f"reading {scenario or log}")
     loaded, comparison = _load(scenario, log, overrides)
     packed = pack_flight(loaded.scenario)
-    folder = _folder(log, out, loaded.name)
+    folder = _folder(log, out, loaded.name, overrides)
     if folder is not None:
         check_writable(folder, LogError)
+    loaded.warnings  # noqa: B018  # computed here: an error in them comes before the flight
     loaded_s = time.perf_counter()
+    announce("loading the compiled flight")
     live = None
     if view or view_port is not None:
         with viewer_needed():
@@ -56,6 +64,8 @@ def execute(
             run = FlightRun(loaded, packed, log=folder is not None and not no_log)
         else:
             run = live.run(packed, realtime)
+    if folder is not None and not no_log:
+        announce_log(run)
     prepared_s = time.perf_counter()
 
     def timing() -> dict[str, float]:
@@ -90,10 +100,13 @@ def execute(
 
 
 def show_flight(progress: Progress, run: FlightRun) -> None:
-    """A flight's progress. Its end is the longest that the flight may take: most flights end before, by impact."""
+    """Show a flight's progress, as a share of its duration only where no event may end it before."""
     limits = run.loaded.scenario.run
-    count = f"{run.now_s:.1f} s of at most {limits.start_s + limits.duration_s:g} s"
-    progress.show("flying", run.now_s - limits.start_s, limits.duration_s, count=count)
+    end_s = limits.start_s + limits.duration_s
+    if limits.stop_at:
+        progress.show("flying", 0.0, 0.0, count=f"{run.now_s:.1f} s of at most {end_s:g} s")
+    else:
+        progress.show("flying", run.now_s - limits.start_s, limits.duration_s, count=f"{run.now_s:.1f} of {end_s:g} s")
 
 
 @contextmanager
@@ -118,14 +131,30 @@ def _load(scenario: str, log: str | None, overrides: tuple[str, ...]) -> tuple[L
     return loaded.telling(overrides), Comparison(logged, changed=bool(overrides))
 
 
-def _folder(log: str | None, out: str | None, name: str) -> Path | None:
-    """Return the folder for the results; a log that is flown again leaves nothing unless a folder is given."""
+def _folder(log: str | None, out: str | None, name: str, overrides: tuple[str, ...]) -> Path | None:
+    """Return where to write: nothing for a log that is flown again without --out.
+
+    A scenario that --set changes has a folder of its own, named by a hash of the changes: it does not replace the
+    result of the plain scenario, and the same command replaces its own result.
+    """
     if out is None:
-        return None if log else Path("runs") / plain_name(name, "flight")
+        plain = plain_name(name, "flight")
+        if overrides and not any(change.partition("=")[0].strip() == "name" for change in overrides):
+            plain += f"-{hashlib.sha256(repr(overrides).encode()).hexdigest()[:6]}"
+        return None if log else Path("runs") / plain
     path = Path(out) / record.LOG_NAME
     if log and path.exists() and path.samefile(log):
         raise LogError(f"{path}: is the log that is to be flown again; choose another folder for --out")
     return Path(out)
+
+
+def announce_log(run: FlightRun) -> None:
+    """Print the expected size of a large log, and the options that make it smaller."""
+    scenario = run.loaded.scenario
+    values = scenario.log.fast_hz * len(run.table.columns(FAST)) + scenario.log.slow_hz * len(run.table.columns(SLOW))
+    size_MB = 1e-6 * _VALUE_BYTES * values * scenario.run.duration_s
+    if size_MB > _LARGE_MB:
+        tell(f"log: up to {size_MB:.0f} MB; --set log.fast_hz=100 makes it smaller, --no-log omits it\n")
 
 
 def _scenario_text(logged: LoggedRun) -> str:

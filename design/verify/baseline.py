@@ -41,7 +41,7 @@ KeyPath = tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Difference:
+class SuiteDifference:
     """A difference from the baseline: its kind, the key or part, and the values there and in the suite."""
 
     kind: str
@@ -51,7 +51,7 @@ class Difference:
 
     @property
     def text(self) -> str:
-        """One line for people."""
+        """Return one line for people."""
         return f"{self.kind}: {self.what}" + (f", {self.baseline} -> {self.here}" if self.baseline or self.here else "")
 
 
@@ -62,11 +62,11 @@ class Compared:
     baseline: str
     shipped: bool
     hashes: dict[str, str]
-    differences: tuple[Difference, ...]
+    differences: tuple[SuiteDifference, ...]
 
     @property
     def title(self) -> str:
-        """One line for people: the number of differences, and from which suite."""
+        """Return one line for people: the number of differences, and the suite from which they are."""
         count, suite = len(self.differences), f"suite {self.baseline}"
         suite = f"the shipped {suite}" if self.shipped else f"the {suite}, not shipped"
         return f"{count or 'no'} difference{'s' * (count != 1)} from {suite}"
@@ -142,20 +142,20 @@ def _campaign(file: str, changes: Sequence[str]) -> dict[str, Any]:
     return numbers | models | {"scenario": _scenario(loaded.base), "deviation": deviations}
 
 
-def differences(before: dict[str, Any], after: dict[str, Any]) -> list[Difference]:
+def differences(before: dict[str, Any], after: dict[str, Any]) -> list[SuiteDifference]:
     """Return the differences of `after` from `before`, both as `resolved` returns them, in the order of `KINDS`."""
     names = [each["scenario"].get("vehicle", {}).get("name", "") for each in (before, after)]
     old, new = ({path: value for path, value in _leaves(each)} for each in (before, after))
     out = []
     if names[0] != names[1]:  # whose numbers are its own
-        out += [Difference(CHANGED, f"vehicle, {_NOT_COMPARED}", *names)] if all(names) else []
+        out += [SuiteDifference(CHANGED, f"vehicle, {_NOT_COMPARED}", *names)] if all(names) else []
         old, new = ({p: v for p, v in each.items() if not _of_vehicle(p)} for each in (old, new))
     for mine, other, kind in ((old, new, REMOVED), (new, old, STRICTER)):
         for head in _parts_of(mine):
             below = [path for path in mine if path[: len(head)] == head]
             if below and not any(path[: len(head)] == head for path in other):
                 out.append(
-                    Difference(SPREAD if kind == REMOVED and "deviation" in head else kind, " ".join(head), "", "")
+                    SuiteDifference(SPREAD if kind == REMOVED and "deviation" in head else kind, " ".join(head), "", "")
                 )
                 for path in below:
                     del mine[path]
@@ -168,17 +168,17 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> list[Differenc
             alike.setdefault(key, []).append(path[1] if in_flight else "")
     for (kind, path, a, b), flights in alike.items():
         of = f"{len(flights)} flights" if len(flights) > 1 else f"flight {flights[0]}"
-        out.append(Difference(kind, f"{of}: {'.'.join(path)}" if flights[0] else _title(path), a, b))
+        out.append(SuiteDifference(kind, f"{of}: {'.'.join(path)}" if flights[0] else _title(path), a, b))
     return sorted(_joined(out), key=lambda d: KINDS.index(d.kind))
 
 
-def _joined(found: Sequence[Difference]) -> Iterator[Difference]:
+def _joined(found: Sequence[SuiteDifference]) -> Iterator[SuiteDifference]:
     """Yield removed and added flights in one difference each."""
     whole = [d for d in found if d.what.startswith("flight ") and not (d.baseline or d.here)]
     for kind in (REMOVED, STRICTER):
         names = [d.what.removeprefix("flight ") for d in whole if d.kind == kind]
         if names:
-            yield Difference(kind, f"{len(names)} flight{'s' * (len(names) != 1)}: {', '.join(names)}", "", "")
+            yield SuiteDifference(kind, f"{len(names)} flight{'s' * (len(names) != 1)}: {', '.join(names)}", "", "")
     yield from (d for d in found if d not in whole)
 
 

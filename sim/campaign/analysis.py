@@ -31,9 +31,10 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.campaign.plan import SEED_KEY
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runs import TIME_OF, VOID, input_types, schema_of
-from maxq.sim.campaign.statistics import Shown, judge_failures, tolerance_bound
+from maxq.sim.campaign.statistics import NOT_MET, Shown, judge_failures, tolerance_bound
 from maxq.sim.campaign.store import HISTORIES, parts_in, read_manifest, read_part
 from maxq.sim.flight.metric_table import unit_of
+from maxq.sim.run.quantities import against_limit, by_utilisation, engineering_unit, utilisation
 from maxq.sim.scenario.schema_scenario import RequirementSection
 
 if TYPE_CHECKING:
@@ -70,6 +71,28 @@ class Judged:
     quantile: float  # quantile of the share `success`, from the samples alone
     tolerance: float  # bound of that quantile with the verdict's confidence; nan: too few runs
     worst: tuple[Worst, ...]
+
+    @property
+    def utilisation(self) -> float:
+        """Return the share of the limit that the worst run uses; nan where there is none."""
+        return utilisation(self.worst[0].value, self.kind, self.bound) if self.worst else math.nan
+
+    @property
+    def unit_factor(self) -> tuple[str, float]:
+        """Return the engineering unit of limit and values, and the factor to it."""
+        return engineering_unit(self.unit, self.bound or (self.worst[0].value if self.worst else 0.0))
+
+    @property
+    def worst_text(self) -> tuple[str, str, str]:
+        """Return the worst value, the limit and their engineering unit for people."""
+        return against_limit(self.worst[0].value if self.worst else math.nan, self.kind, self.bound, self.unit)
+
+
+def tightest_first(verdicts: Iterable[Judged]) -> list[Judged]:
+    """Return verdicts in order: missed in a run, then those whose worst run has the least margin to the limit."""
+    return sorted(
+        verdicts, key=lambda v: (v.shown.judgement != NOT_MET, *by_utilisation(v.shown.failures == 0, v.utilisation))
+    )
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
 """Verdicts from a number of flights: tests that allow looking at any time, binomial bounds, order statistics.
 
-A requirement states that a share `success` of all flights meets a limit, shown with `confidence`. Consider all
-campaigns of a vehicle that fails with probability p0 = 1 - success or more. At most a share 1 - confidence of them may
-ever be judged met (consumer's risk: Hanson & Beard, NASA/TP-2010-216447). For a vehicle that fails less often, at most
-the same share may be judged not met. All bounds are one-sided.
+A requirement asks that a share `success` of all flights meets a limit, shown with `confidence`: of all campaigns of a
+vehicle that fails with probability p0 = 1 - success or more, a share of at most 1 - confidence may ever be called met
+(consumer's risk: Hanson & Beard, NASA/TP-2010-216447), and the same share of a vehicle that fails less often called
+missed. All bounds are one-sided.
 
 The *any-time test* is the default. An e-value is the likelihood of the data under a mixture of failure probabilities on
 one side of p0, divided by that at p0. For a vehicle on the other side it is a supermartingale, so it ever exceeds
@@ -31,10 +31,10 @@ from scipy.special import bdtr, bdtrc, betainc, betaincc, betaincinv, betaln
 
 from maxq.control.kernel.records import Array
 
-Judgement = Literal["met", "not met", "not yet enough runs"]
+Judgement = Literal["met", "missed", "undecided"]
 MET: Judgement = "met"
-NOT_MET: Judgement = "not met"
-OPEN: Judgement = "not yet enough runs"
+NOT_MET: Judgement = "missed"
+OPEN: Judgement = "undecided"
 _MOST_RUNS = 1 << 50
 _POWER = 0.5  # exponent in the density of failure probabilities below p0, p^(_POWER - 1): few runs if few fail
 

@@ -34,7 +34,7 @@ class MetricIndex(NamedTuple):
     max_computer_attitude_error_deg: Annotated[
         int, "deg", "largest attitude error of pitch or yaw in the computer under thrust"
     ]
-    max_computer_roll_error_deg: Annotated[int, "deg", "the same for roll"]
+    max_computer_roll_error_deg: Annotated[int, "deg", "the same of roll"]
     max_gimbal_deg: Annotated[int, "deg", "largest gimbal angle of either axis under thrust"]
     max_gimbal_rate_degps: Annotated[int, "deg/s", "largest gimbal rate of either axis under thrust"]
     max_bending_m: Annotated[int, "m", "largest displacement of the gimbal by bending, either plane"]
@@ -51,8 +51,10 @@ N_METRICS = len(MetricIndex._fields)
 class EndMetrics(NamedTuple):
     """The metrics of the flight's end. On a flat Earth latitude and longitude are nan, and the site is the origin."""
 
-    flight_time_s: Annotated[float, "s", "time from liftoff to the end, or from the start without hold-down"]
-    range_m: Annotated[float, "m", "distance along the ground from the launch site to the end of the flight"]
+    flight_time_s: Annotated[
+        float, "s", "time from liftoff, or from the start of a flight without hold-down, to the end"
+    ]
+    range_m: Annotated[float, "m", "distance along the ground from the launch site to where the flight ended"]
     final_latitude_deg: Annotated[float, "deg", "geodetic latitude at the end"]
     final_longitude_deg: Annotated[float, "deg", "longitude at the end, east positive"]
     final_altitude_m: Annotated[float, "m", "altitude at the end"]
@@ -60,9 +62,7 @@ class EndMetrics(NamedTuple):
 
 
 class SectionMetrics(NamedTuple):
-    """The metrics of section loads, under thrust and on the pad (with loads.coast always); nan without section
-    loads.
-    """
+    """Extremes of section loads, under thrust and on the pad (with loads.coast always); nan without them."""
 
     max_section_bending_moment_Nm: Annotated[float, "N m", "largest bending moment of a section, both planes together"]
     max_section_bending_moment_station_m: Annotated[float, "m", "its station, aft of the nose"]
@@ -79,7 +79,9 @@ class SectionMetrics(NamedTuple):
 class WaveMetrics(NamedTuple):
     """The metrics of waves over all tanks; nan for a vehicle without the shape of any tank."""
 
-    max_wave_share: Annotated[float, "1", "peak wave height / breaking height, largest of all tanks under thrust"]
+    max_wave_share: Annotated[
+        float, "1", "peak height of a wave in a tank under thrust / height at which it counts as breaking"
+    ]
 
 
 class StepMetrics(NamedTuple):
@@ -122,21 +124,25 @@ _SHORT = {  # where a name without its unit says less than it should
     "max_alpha_deg": "largest angle of attack",
     "max_q_alpha_Padeg": "largest q alpha",
     "max_powered_dynamic_pressure_Pa": "largest dynamic pressure under thrust",
+    "max_gimbal_deg": "largest gimbal angle",
+    "max_computer_attitude_error_deg": "largest attitude error in the computer",
+    "max_computer_roll_error_deg": "largest roll error in the computer",
     "max_bending_m": "largest bending at the gimbal",
     "max_slosh_deg": "largest slosh angle",
     "max_thrust_over_weight_g": "largest thrust over weight",
     "max_section_bending_moment_station_m": "station of the largest bending moment",
-    "max_section_load_ratio": "largest section load over its limit",
+    "max_section_load_ratio": "largest section load / limit",
     "max_section_load_ratio_station_m": "its station",
     "orbit_semimajor_m": "semi-major axis",
-    "max_wave_share": "largest wave over the breaking one",
-    "saturation_time_s": "gimbal command at its limit",
+    "max_wave_share": "peak wave height / breaking height",
+    "saturation_time_s": "time with the gimbal command at its limit",
 }
 
 
 def title_of(metric: str) -> str:
-    """Return a metric's title without its unit: "largest gimbal rate" for max_gimbal_rate_degps. Return any other name
-    unchanged.
+    """Return a metric's name for people, without its unit: "largest gimbal rate" for max_gimbal_rate_degps.
+
+    Any other name is returned as it is.
     """
     if metric in _SHORT or metric not in METRICS:
         return _SHORT.get(metric, metric)
@@ -145,9 +151,7 @@ def title_of(metric: str) -> str:
 
 
 def figures(value: float, digits: int = 4) -> str:
-    """Return a value with this number of significant digits, without exponent from 1e-4 to 1e7; values below 1e-6 are
-    0.
-    """
+    """Return a value with this number of significant digits, without exponent from 1e-4 to 1e7; below 1e-6 it is 0."""
     if not math.isfinite(value):
         return "-" if math.isnan(value) else f"{value}"
     if abs(value) < 1e-6:
@@ -159,5 +163,5 @@ def figures(value: float, digits: int = 4) -> str:
 
 
 def unit_of(metric: str) -> str:
-    """Return the unit of a metric; raise KeyError for an unknown name."""
+    """Return the unit of a metric. Raises KeyError for an unknown name."""
     return METRICS[metric].unit

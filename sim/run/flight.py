@@ -9,13 +9,16 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.flight.metric_table import figures, title_of, unit_of
+from maxq.sim.flight.metric_table import title_of, unit_of
+from maxq.sim.flight.parameters import BURNOUT, EVENT_NAMES, LIFTOFF, TUMBLE
 from maxq.sim.log.tabular import Tabular, html_table
-from maxq.sim.run.metrics import SectionExtreme, Verdict
+from maxq.sim.run.metrics import SectionExtreme, Verdict, tightest_first
+from maxq.sim.run.quantities import quantity
 from maxq.sim.scenario.loader import LoadedScenario
 
 WAVE_BREAKING_NAME = "wave_breaking"
 _FIRST_ROOM = 400_000  # rows
+_SPACE_M = 100e3
 
 LoggedRows = dict[str, tuple[IntArray, Array]]
 """The rows by rate group: times (n,) in ns and values (n, columns of the group) in logged units."""
@@ -101,33 +104,52 @@ class Flight(Tabular):
         return f"<Flight {self.scenario.name}: {self.outcome} at {self.end_s:.3f} s, {met}{failed}>"
 
     def _repr_html_(self) -> str:
-        """Return requirements and metrics as HTML, for notebooks."""
-        rows = [
-            (v.name, "met" if v.met else "MISSED", figures(v.value, 4 if v.met else 7), v.wanted) for v in self.verdicts
-        ]
+        """Requirements and metrics, for notebooks."""
+        verdicts = tightest_first(self.verdicts)
+        rows = [(v.name, "met" if v.met else "MISSED", v.shown[0], v.limit_text) for v in verdicts]
         for name in self.telling_metrics:
-            rows.append((title_of(name), "", figures(self.metrics[name]), unit_of(name).removeprefix("1")))
+            rows.append((title_of(name), "", *quantity(self.metrics[name], unit_of(name))))
         return html_table(repr(self).strip("<>"), ("", "", "value", "limit or unit"), rows)
 
     @property
     def telling_metrics(self) -> tuple[str, ...]:
-        """Return the names of the metrics that apply to this flight.
+        """Return the names of the metrics that describe this flight.
 
-        Left out are metrics of missing parts, of an orbit that ends below the ground, and of the next apogee if the
-        flight ended by impact.
+        Left out are those without a value, those of an orbit whose perigee is below the ground, and the apogee of such
+        an orbit where the flight has passed it or would not reach space: it counts from the equatorial radius, which
+        is up to 21 km above the ground.
         """
         orbits = self.metrics["perigee_altitude_m"] >= 0.0
-        return tuple(
+        apogee_ahead = math.isnan(self.event_s("apogee")) and self.outcome != "impact"
+        shows_apogee = orbits or (apogee_ahead and self.metrics["apogee_altitude_m"] >= _SPACE_M)
+        names = [
             name
             for name, value in self.metrics.items()
             if not math.isnan(value)
             and (orbits or not name.startswith(("orbit_", "perigee_")))
-            and (name != "apogee_altitude_m" or self.outcome != "impact")
-        )
+            and (shows_apogee or name != "apogee_altitude_m")
+        ]
+        first, then = "max_powered_dynamic_pressure_Pa", "max_dynamic_pressure_Pa"  # "max q" is that of the ascent
+        if first in names and then in names:
+            names.remove(first)
+            names.insert(names.index(then), first)
+        return tuple(names)
 
     def event_s(self, name: str) -> float:
         """Return the time of an event, the last one of several stages; nan if it has not happened."""
         return max((e.time_s for e in self.events if e.name == name), default=math.nan)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Return what a verdict mentions in addition to requirements: no liftoff, a tumble, a model that is left."""
+        tumble_s, burnout_s = self.event_s(EVENT_NAMES[TUMBLE]), self.event_s(EVENT_NAMES[BURNOUT])
+        since = f", {tumble_s - burnout_s:.3f} s after burnout" if tumble_s >= burnout_s else ""
+        said = []
+        if self.scenario.scenario.held and math.isnan(self.event_s(EVENT_NAMES[LIFTOFF])):
+            said.append("the vehicle has not lifted off")
+        if not math.isnan(tumble_s):
+            said.append(f"the vehicle tumbles from {tumble_s:.3f} s on{since}")
+        return (*said, *(f"beyond the model: {what}" for what in self.beyond_model))
 
     @property
     def beyond_model(self) -> tuple[str, ...]:

@@ -36,6 +36,7 @@ from maxq.sim.input.values import to_ns
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, LoggedRows, copied
 from maxq.sim.run.metrics import end_metrics, judge, orbit_metrics, section_extremes, section_metrics, step_failure
+from maxq.sim.run.quantities import propellant_text
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
@@ -58,7 +59,7 @@ ATTITUDE_METRICS = (  # metrics of controlled vehicles
     "max_computer_attitude_error_deg",
     "max_computer_roll_error_deg",
 )
-BROKEN_WAVE = "the wave is as high as it can be; from here on the pendulum is no picture of the liquid"
+BROKEN_WAVE = "the wave is as high as it can be; from here on the pendulum does not represent the liquid"
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
 
 _channel_table, _state_names = lru_cache(maxsize=8)(channel_table), lru_cache(maxsize=8)(state_names)
@@ -161,10 +162,7 @@ class FlightRun:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """Return all events so far in order of time.
-
-        Each stage has its ignition, burnout and separation, if they occurred.
-        """
+        """Return all events so far in order of time: an ignition, burnout and separation for each stage that had it."""
         clock, timelines = self.clock, self.packed.parameters["timeline"]
         start_ns = to_ns(self.loaded.scenario.run.start_s)
         found = []
@@ -195,7 +193,9 @@ class FlightRun:
             for name, time_ns in zip(stage.pendulum_names, broke_ns, strict=False):
                 if time_ns >= 0:
                     number = index + 1 if len(self.packed.parameters) > 1 else 0
-                    found.append(Event(WAVE_BREAKING_NAME, time_ns, number, f"tank {name}: {BROKEN_WAVE}"))
+                    found.append(
+                        Event(WAVE_BREAKING_NAME, time_ns, number, f"tank {propellant_text(name)}: {BROKEN_WAVE}")
+                    )
         return found
 
     def _largest_wave(self) -> tuple[float, float]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from maxq.control.kernel.records import Records
 from maxq.control.kernel.vectors import Vector, add, cross, dot, norm, scaled
 from maxq.sim.flight.metric_table import EndMetrics, OrbitMetrics, SectionMetrics, title_of, unit_of
+from maxq.sim.run.quantities import against_limit, by_utilisation, meets, sign_of, utilisation
 from maxq.sim.scenario.schema_environment import Site
 from maxq.sim.scenario.schema_scenario import RequirementSection
 from maxq.sim.vehicle.loads.kernel import BENDING, COMPRESSION, KINDS, SHEAR, TENSILE, SectionLoads, extreme_index
@@ -178,6 +179,22 @@ class Verdict:
         return self.requirement.bound
 
     @property
+    def utilisation(self) -> float:
+        """Return the used share of the limit; nan where there is none."""
+        return utilisation(self.value, *self.bound)
+
+    @property
+    def shown(self) -> tuple[str, str, str]:
+        """Return value, limit and their engineering unit for people."""
+        return against_limit(self.value, *self.bound, unit_of(self.requirement.metric))
+
+    @property
+    def limit_text(self) -> str:
+        """Return the limit with sign and engineering unit: "<= 100 kPa deg"."""
+        _, bound, unit = self.shown
+        return f"{sign_of(self.bound[0])} {bound} {unit}".rstrip()
+
+    @property
     def wanted(self) -> str:
         """Return the bound in words: "<= 5 deg"."""
         (kind, bound), unit = self.bound, unit_of(self.requirement.metric)
@@ -185,13 +202,14 @@ class Verdict:
 
 
 def judge(requirement: RequirementSection, values: Mapping[str, float], times_s: Mapping[str, float]) -> Verdict:
-    """Return the verdict on a requirement; a value that is not a number meets none.
+    """A value that is not a number meets no requirement. Raises KeyError for an unknown metric."""
+    value = values[requirement.metric]
+    return Verdict(requirement, value, times_s[requirement.metric], meets(value, *requirement.bound))
 
-    Raises KeyError for an unknown metric.
-    """
-    value, (kind, bound) = values[requirement.metric], requirement.bound
-    met = value <= bound if kind == "limit" else value >= bound
-    return Verdict(requirement, value, times_s[requirement.metric], met)
+
+def tightest_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
+    """Return verdicts in order: missed ones, then those with the least margin to their limits."""
+    return sorted(verdicts, key=lambda v: by_utilisation(v.met, v.utilisation))
 
 
 def geodesic_m(radius_m: float, flattening: float, start: tuple[float, float], end: tuple[float, float]) -> float:

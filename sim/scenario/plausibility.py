@@ -124,11 +124,7 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Implausible]:
 
 
 def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Implausible]:
-    """Yield implausible gimbals, centres of pressure and angles of attack.
-
-    Gimbals are checked against the CG, the centre of pressure against body and CG, and the first stage against the
-    angle of attack that it can control.
-    """
+    """Check gimbals against CG, centre of pressure against body and CG, and the angle of attack that gimbals hold."""
     mass, engines = stage.mass.table, [e for e in stage.engines if e.gimbal != "fixed"]
     if mass is None or stage.aero is None:
         return
@@ -167,8 +163,8 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Imp
     limit_deg = min(actuator.angle_limit_deg for actuator in stage.actuators)
     per_pressure = _INCIDENCE_deg * reference.area_m2 * slope[None, :] * np.abs(centre_m[None, :] - cg_m[:, None])
     held_Pa = limit_deg * thrust * arm_m / np.maximum(per_pressure.max(axis=1), 1e-9)
-    if (lowest := float(held_Pa[burns].min())) < _HELD_Pa:
-        usual = f"more: |M_alpha| / M_delta takes all of it at {_INCIDENCE_deg:g} deg of angle of attack from "
+    if np.any(burns) and (lowest := float(held_Pa[burns].min())) < _HELD_Pa:
+        usual = f"more: |M_alpha| / M_delta takes all of it at {_INCIDENCE_deg:g} deg angle of attack from "
         yield "actuator.angle_limit_deg", limit_deg, f"{usual}{lowest / 1e3:.3g} kPa on"
 
 

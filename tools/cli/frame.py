@@ -16,7 +16,7 @@ from enum import IntEnum
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn, Self
 
-from maxq.tools.cli.terminal import aligned, columns, folded, printable, tell
+from maxq.tools.cli.terminal import aligned, columns, folded, printable, tell, wipe
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,6 +46,7 @@ class CommandError(Exception):
 
 def say(command: str, text: str) -> None:
     """A message for the person, one line on stderr (folded at spaces on a terminal)."""
+    wipe()
     print(folded(f"{command}: {printable(text)}", columns(sys.stderr)), file=sys.stderr)
 
 
@@ -192,6 +193,7 @@ def process(main: Callable[[], int]) -> NoReturn:
 
     signal.signal(signal.SIGTERM, interrupt)  # like Ctrl-C, so that every `finally` runs
     code = main()
+    wipe()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):  # nobody is there to read it
             stream.flush()

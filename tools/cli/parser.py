@@ -14,8 +14,10 @@ from itertools import takewhile
 from typing import Any, NoReturn
 
 from maxq.tools.cli.frame import TRACEBACK, Exit, show_list
-from maxq.tools.cli.terminal import printable
+from maxq.tools.cli.terminal import announce, printable, tell, wipe
 
+_AT_ONCE = {"-h", "--help", "--list", "--version"}
+"""Options that are answered without loading anything."""
 _EXITS = {
     Exit.OK: "done",
     Exit.BAD_INPUT: "bad input, or files that cannot be read or written",
@@ -117,7 +119,9 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("-h", "--help", action="help", help="this text")
 
     def run(self, arguments: Sequence[str]) -> int:
-        """Do what the arguments ask for; returns the exit code."""
+        """Do what the arguments ask for, and return the exit code. A terminal shows at once that it has begun."""
+        if arguments and not _AT_ONCE.intersection(arguments):
+            announce(f"{self.prog}: loading")
         given = vars(self.read(arguments))
         do: Callable[..., int] = given.pop("do")
         return do(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if v not in (None, [])})
@@ -147,6 +151,10 @@ class Parser(argparse.ArgumentParser):
             self.error(f"{one}what is {unknown[0]!r}?")
         self._check(options)
         return options
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        wipe()
+        super()._print_message(message, file)
 
     def _first_word(self, arguments: Sequence[str]) -> int | None:
         """Return the index of the first word that is neither an option nor the value of one; None: there is none."""
@@ -291,7 +299,7 @@ class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version  # noqa: PLC0415  # lazy: --help is quick
 
-        print(f"maxq {version('maxq')}")
+        tell(f"maxq {version('maxq')}")
         parser.exit()
 
 

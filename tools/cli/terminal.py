@@ -19,11 +19,11 @@ from contextlib import ExitStack, contextmanager
 from typing import Any, Self, TextIO
 
 _PATIENCE_S = 1.0  # what is done sooner shows no progress
+_BAR, _CLOCK, _EDGE = 12, 7, 3  # columns of a progress bar, of its clock, and behind both
+_SHORTEST = 12  # columns: a note that is cut to fewer is left out
 _GOOD = "met|MET|BUILT|PASSED|ACCEPTED|accepted|DESIGNED|SAME|pass"
-_BAD = (
-    "MISSED|FAILED|FAIL|REJECTED|rejected|NOT MET|not met|TOO WEAK|INFEASIBLE|UNSTABLE|DIFFERENT|NONE ACCEPTED|NO RUNS"
-)
-_OPEN = "PASSED SCREENING|UNDECIDED|undecided|NOT YET SETTLED|NOT YET|INTERRUPTED|warning"
+_BAD = "MISSED|missed|FAILED|FAIL|REJECTED|rejected|TOO WEAK|INFEASIBLE|UNSTABLE|DIFFERENT|NONE ACCEPTED|NO RUNS"
+_OPEN = "UNDECIDED|undecided|INTERRUPTED|warning"
 _TONES = {"32": _GOOD, "1;31": _BAD, "33": _OPEN}  # green, bold red, yellow
 _VERDICTS = re.compile(  # as a cell of a table, or at the head of a line
     "|".join(rf"(?:(?<=  )|^)(?P<t{code.replace(';', '_')}>{words})(?=  |$|:| \()" for code, words in _TONES.items())
@@ -151,16 +151,39 @@ def _paint(found: re.Match[str]) -> str:
     return f"\x1b[{(found.lastgroup or 't0')[1:].replace('_', ';')}m{found[0]}\x1b[0m"
 
 
+_announced = False  # a stage is on the terminal and must be wiped before other output
+
+
+def announce(stage: str) -> None:
+    """Show on a terminal's stderr what a command is doing, until the next stage, progress bar or output."""
+    global _announced  # noqa: PLW0603  # there is one terminal
+    if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+        wipe()
+        sys.stderr.write(printable(stage)[: columns(sys.stderr) - 3])
+        sys.stderr.flush()
+        _announced = True
+
+
+def wipe() -> None:
+    """Remove the announced stage from the terminal."""
+    global _announced  # noqa: PLW0603  # there is one terminal
+    if _announced:
+        sys.stderr.write("\r\x1b[2K")
+        sys.stderr.flush()
+        _announced = False
+
+
 def tell(*texts: object) -> None:
     """Print lines for a person: folded to the terminal, verdicts in colour."""
+    wipe()
     print(painted(folded("\n".join(str(text) for text in texts))))
 
 
 class Progress:
-    """A progress bar on stderr that disappears at the end of its block; any thread may move it. Nothing is shown in the
-    first second, but for steps that take longer each (`at_once`), nor where stderr is not a terminal; there
-    `log_every_s` prints a line at this interval, for the logs of batch systems. While kernels are compiled the bar says
-    so.
+    """A progress bar on stderr that disappears at the end of its block; any thread may move it.
+
+    It appears after a second, with `at_once` immediately, and shows compilations too. Where stderr is not a terminal,
+    nothing is shown; there `log_every_s` prints a line at this interval, for the logs of batch systems.
     """
 
     def __init__(self, log_every_s: float | None = None, *, at_once: bool = False) -> None:
@@ -196,15 +219,24 @@ class Progress:
             if not self._open or (self._bar is None and not self._due()):
                 return
             count = count if count is not None else f"{done:g} of {of:g}" if of else ""
+            wipe()
             if not self._terminal:
                 print(f"{what}: {count}{'; ' if note else ''}{printable(note)}", file=sys.stderr, flush=True)
                 return
+            another, self._shown = what != self._shown["what"], {"what": what, "total": of or None, "count": count}
             if self._bar is None:
                 self._begin()
-            if what != self._shown["what"]:
-                self._bar.reset(self._task)  # the clock beside it is that of this part
-            self._shown = {"what": what, "completed": done, "total": of or None, "count": count}
-            self._bar.update(self._task, **self._shown, note=printable(note))
+            elif another:
+                self._bar.reset(self._task)  # the clock next to it is that of this part
+            self._bar.update(self._task, **self._shown, completed=done, note=self._fitting(what, count, note))
+
+    def _fitting(self, what: str, count: str, note: str) -> str:
+        """Return the parts of a note, between semicolons, for which the line has space; of one part what fits of it."""
+        space = self._bar.console.width - _EDGE - len(what) - len(count) - _BAR - _CLOCK - 4
+        parts = printable(note).split("; ")
+        while len(parts) > 1 and len("; ".join(parts)) > space:
+            parts.pop()
+        return "; ".join(parts) if space >= _SHORTEST or len(parts[0]) <= space else ""
 
     def compiling(self, functions: int) -> None:
         """Show the number of functions compiled so far; 0 ends it. A compilation of less than a second is not shown."""
@@ -212,13 +244,14 @@ class Progress:
             if not functions:
                 if self._compiling and self._bar is not None and self._open:
                     self._bar.reset(self._task)
-                    self._bar.update(self._task, **self._shown, note="")
+                    self._bar.update(self._task, completed=0, **self._shown, note="")
                 self._compiling, self._compiling_s = False, math.inf
                 return
             now_s = time.monotonic()
             self._compiling_s = min(self._compiling_s, now_s)
             if not self._open or now_s - self._compiling_s < _PATIENCE_S:
                 return
+            wipe()
             if self._bar is None:
                 self._begin()
             if not self._compiling:
@@ -244,20 +277,18 @@ class Progress:
         console = Console(stderr=True)
 
         class Narrow(Bar):
-            """A bar that leaves space for the "^C" of a terminal, which otherwise breaks the line, and of which half
-            remains.
-            """
+            """A bar with space behind it for the "^C" of a terminal, which else breaks the line."""
 
             def get_renderable(self) -> RenderableType:
-                return Constrain(super().get_renderable(), max(console.width - 3, 20))
+                return Constrain(super().get_renderable(), max(console.width - _EDGE, 20))
 
         def text(field: str, ratio: int | None = None) -> TextColumn:
             column = Column(no_wrap=True, overflow="ellipsis", ratio=ratio)
             return TextColumn(f"{{task.fields[{field}]}}", markup=False, table_column=column)
 
-        shown = (text("what"), BarColumn(20), text("count"), TimeElapsedColumn(), text("note", 1))
+        shown = (text("what"), BarColumn(_BAR), text("count"), TimeElapsedColumn(), text("note", 1))
         self._bar = Narrow(*shown, console=console, transient=True, expand=True)
-        self._task = self._bar.add_task("", **self._shown, note="")
+        self._task = self._bar.add_task("", completed=0, **self._shown, note="")
         self._bar.start()
 
 

@@ -35,6 +35,7 @@ from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import Injection
 from maxq.tools.cli.frame import Exit
+from maxq.tools.cli.terminal import tell
 from maxq.tools.design.analyse import load
 
 Format = Literal["mat", "npz", "json"]
@@ -63,7 +64,7 @@ def execute(
         changes += [f'vehicle="{vehicle}"'] if vehicle is not None else []
         files = export_c(load_scenario(scenario, changes), Path(c))
         steps = ("cmake -S {0} -B {0}/build", "cmake --build {0}/build", "ctest --test-dir {0}/build")
-        print(f"{len(files)} files in {c}/; build and test them with", *(s.format(c) for s in steps), sep="\n  ")
+        tell(f"{len(files)} files in {c}/; build and test them with", *(f"  {s.format(c)}" for s in steps))
         return Exit.OK
     path = Path(out or f"{Path(design).stem}.{form}")
     check_writable(path.parent)
@@ -71,7 +72,7 @@ def execute(
     planes: tuple[Plane, ...] = (axis,) if axis is not None else ("pitch", "yaw")
     nodes = [node for plane in planes for node in operating_points.nodes(loaded, times_s or None, plane=plane)]
     write_matrices(path, form, [described(node, gains) for node in nodes])
-    print(f"{len(nodes)} nodes in {path}")
+    tell(f"{len(nodes)} nodes in {path}")
     return Exit.OK
 
 

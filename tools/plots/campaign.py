@@ -6,6 +6,7 @@ import math
 import re
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from maxq.control.kernel.records import Array
 from maxq.sim.campaign.analysis import Band, DataSet, Driver, Judged
 from maxq.sim.campaign.tails import Tail
 from maxq.sim.flight.metric_table import title_of
+from maxq.sim.run.quantities import engineering_unit, unit_text
 from maxq.tools.plots.figures import Panel, Plot, Series, at, band, limit, line, points
 
 JudgedDrivers = Sequence[tuple[Judged, Sequence[Driver]]]
@@ -62,12 +64,13 @@ def plots(
     fitted = [(v, tail) for v, tail in tails if not tail.problem]
     driven = [(v, drivers) for v, drivers in found if drivers]
     strongest = [(v, d) for v, drivers in found[:4] for d in drivers[:3]]
+    dashed = f" Dashed: bound of the {quantile}." if any(math.isfinite(v.tolerance) for v in verdicts) else ""
     made = (
         Plot(
             "histograms",
             "Metrics of all runs",
-            [_histogram(data, v) for v in verdicts if v.metric and len(data.runs)],
-            f"Red: the limit, and runs beyond it. Dashed: bound of the {quantile}.",
+            [panel for v in verdicts if v.metric and (panel := _histogram(data, v)) is not None],
+            f"Red: the limit, and runs beyond it.{dashed} Metrics that have one value in all runs are left out.",
             columns=3,
             height=150,
         ),
@@ -125,22 +128,37 @@ def missed(values: Array, v: Judged) -> NDArray[np.bool_]:
     return np.asarray(~(values <= v.bound) if v.kind == "limit" else ~(values >= v.bound))
 
 
-def _histogram(data: DataSet, v: Judged) -> Panel:
-    """A limit that is far away stands in the title, so that it does not squeeze the bars together."""
-    values, runs = data.numbers(v.metric)[~data.void], data.runs[~data.void]
+def _shown(v: Judged) -> tuple[Judged, float]:
+    """Return a verdict with limit and bounds in the engineering unit, and the factor to that unit."""
+    unit, factor = v.unit_factor
+    scaled = {name: factor * getattr(v, name) for name in ("bound", "median", "quantile", "tolerance")}
+    return replace(v, unit=unit, **scaled), factor
+
+
+def _limit_text(v: Judged) -> str:
+    return f"{v.kind} {v.bound:.6g} {unit_text(v.unit)}".rstrip()
+
+
+def _histogram(data: DataSet, v: Judged) -> Panel | None:
+    """Return the histogram of a metric; None where all runs have one value, as without runs.
+
+    A limit that is far away is in the title, so that it does not squeeze the bars together.
+    """
+    v, factor = _shown(v)
+    values, runs = factor * data.numbers(v.metric)[~data.void], data.runs[~data.void]
     runs, values = runs[np.isfinite(values)], values[np.isfinite(values)]
-    series, title = list[Series](), v.name
-    if len(values):
-        low, high = float(values.min()), float(values.max())
-        width = high - low or max(abs(high), 1.0)
-        series = [bars(values, runs, v)]
-        if low - 0.6 * width <= v.bound <= high + 1.5 * width:
-            series.append(at(v.bound, "limit", width=1.6))
-        else:
-            title = f"{v.name} ({v.kind} {v.bound:g})"
-        if math.isfinite(v.tolerance):
-            series.append(at(v.tolerance, "bound", colour="ink", dash="5 3"))
-    return Panel(title, series, named(v.metric, v.unit), "runs", unit="" if v.unit == "1" else v.unit)
+    if not len(values) or (len(values) > 1 and np.ptp(values) == 0.0):
+        return None
+    series, title = [bars(values, runs, v)], v.name
+    low, high = float(values.min()), float(values.max())
+    width = high - low or max(abs(high), 1.0)
+    if low - 0.6 * width <= v.bound <= high + 1.5 * width:
+        series.append(at(v.bound, "limit", width=1.6))
+    else:
+        title = f"{v.name} ({_limit_text(v)})"
+    if math.isfinite(v.tolerance):
+        series.append(at(v.tolerance, "bound", colour="ink", dash="5 3"))
+    return Panel(title, series, named(v.metric, v.unit), "runs", unit=unit_text(v.unit))
 
 
 def bars(values: Array, runs: NDArray[np.int64], v: Judged) -> Series:
@@ -166,19 +184,22 @@ def bars(values: Array, runs: NDArray[np.int64], v: Judged) -> Series:
 
 
 def _tail(v: Judged, tail: Tail) -> Panel:
-    """Quantiles of a tail against those of the distribution fitted to it."""
-    ends = [min(*tail.expected, *tail.excesses), max(*tail.expected, *tail.excesses)]
-    series = [line(ends, ends, "exact fit", colour="grey", faint=True), points(tail.expected, tail.excesses, "runs")]
+    """Return the quantiles of a tail against those of the distribution fitted to it."""
+    v, factor = _shown(v)
+    fitted, flown = (factor * np.array(values) for values in (tail.expected, tail.excesses))
+    ends = [min(*fitted, *flown), max(*fitted, *flown)]
+    series = [line(ends, ends, "exact fit", colour="grey", faint=True), points(fitted, flown, "runs")]
     if ends[0] <= v.bound <= ends[1]:
         series.append(limit(v.bound))
-    title = f"{v.name}: shape {tail.shape:+.2f}, fit {tail.fit:.2f}"
+    title = f"{v.name}: shape {tail.shape + 0.0:.2f}, fit {tail.fit:.2f}"
     return Panel(title, series, f"fitted: {named(v.metric, v.unit)}", "flown")
 
 
 def _envelope(each: Band, unit: str, verdicts: Sequence[Judged]) -> Panel:
-    """The middle line, bands between the percentiles on either side of it, and the limits on the channel."""
+    """Return the middle line, bands between the percentiles on either side of it, and the limits on the channel."""
     order = np.argsort(each.percentiles)
-    lines, shares = each.lines[order], np.array(each.percentiles)[order]
+    unit, factor = engineering_unit(unit, float(np.nanmax(np.abs(each.lines))))
+    lines, shares = factor * each.lines[order], np.array(each.percentiles)[order]
     middle, series = len(shares) // 2, list[Series]()
     for k in range(middle):
         name = f"{shares[k]:g} to {shares[-1 - k]:g} %"
@@ -189,11 +210,12 @@ def _envelope(each: Band, unit: str, verdicts: Sequence[Judged]) -> Panel:
     room, beyond = max(high - low, 1e-12), list[str]()
     for v in (v for v in verdicts if v.metric and v.metric == _LIMITED.get(each.channel)):
         both = v.kind == "limit" and each.channel not in ("alpha_total_deg", "q_alpha_Padeg") and low < 0.0
-        for bound in (v.bound, -v.bound)[: 1 + both]:
+        most = factor * v.bound
+        for bound in (most, -most)[: 1 + both]:
             if low - room < bound < high + room:
                 series.append(limit(bound))
-            elif bound == v.bound:
-                beyond.append(f" ({v.kind} {'±' if both else ''}{v.bound:g})")
+            elif bound == most:
+                beyond.append(f" ({v.kind} {'±' if both else ''}{most:.6g} {unit_text(unit)})")
     return Panel(named(each.channel, unit) + "".join(beyond), series, "time, s")
 
 
@@ -224,7 +246,8 @@ def _tornado(v: Judged, drivers: Sequence[Driver], labels: dict[str, str]) -> Pa
 
 
 def _scatter(data: DataSet, v: Judged, d: Driver, x: Array, labels: dict[str, str]) -> Panel:
-    y, runs = data.numbers(v.metric)[~data.void], data.runs[~data.void]
+    v, factor = _shown(v)
+    y, runs = factor * data.numbers(v.metric)[~data.void], data.runs[~data.void]
     every, wrong = max(len(x) // _MOST_POINTS, 1), missed(y, v)
     size = 2.4 if len(x) < 500 else 1.6
     series = [points(x[::every], y[::every], "runs", runs=runs[::every], size=size, opacity=0.6)]
@@ -262,7 +285,9 @@ def _plain(name: str, labels: dict[str, str]) -> str:
 
 
 def _input(name: str, labels: dict[str, str]) -> str:
-    """An input for people, with the unit that its key ends with."""
+    """Return an input for people, with the unit that its key ends with; a factor is named as one."""
     unit = _UNITS.get(name.partition("[")[0].rpartition("_")[2], "")
     text = _plain(name, labels)
+    if re.search(r"factor(\.\d+)?$", name) and "factor" not in text:
+        return f"{text}, factor"
     return text if not unit or text.endswith(f", {unit}") else f"{text}, {unit}"

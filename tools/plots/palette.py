@@ -10,6 +10,8 @@ ON_LIGHT = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY, BLACK)
 """Curves on white, in this order."""
 ON_DARK = (SKY, ORANGE, GREEN, PURPLE, YELLOW, RED)
 """Curves on the viewer's dark background."""
+FAILED = (RED, "#a34700", "#ff7733", "#7a3500", "#ff9d6e", "#ffc9ae")
+"""Flights that failed, shown among a few others: shades of one colour, never green."""
 LIMIT = RED
 VERDICT = {"passed": GREEN, "failed": RED, "unknown": SKY}
 

@@ -17,7 +17,7 @@ from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, Timeline
 
 from maxq.control.kernel.records import Array
 from maxq.sim.log.messages import FramePath
-from maxq.tools.plots.palette import BLUE, GREY, ON_DARK, ORANGE, PURPLE, VERDICT
+from maxq.tools.plots.palette import BLUE, FAILED, GREY, ON_DARK, ORANGE, PURPLE, RED, VERDICT, WHITE
 from maxq.tools.replay import stream
 from maxq.tools.replay.flight import FEW, ReplayFlight, ShownLaunchSite, closest, has_motion, path_of, place_of
 from maxq.tools.replay.plots import PlotAxis, ReplayPlot, Tab, axis_of, own_tabs, range_of, tabs_of
@@ -35,6 +35,7 @@ _CORNERS = {  # right, top
     rrb.Corner2D.RightBottom: (True, False),
     rrb.Corner2D.LeftBottom: (False, False),
 }
+_WHOLE = 0.04  # share of an axis that half a number takes
 _BEHIND = 0.07  # of the powered flight is seen behind it: the number at its end is whole, too
 _LEGEND_LINES = 4  # a legend of more covers the curves of several flights
 _LEGEND_MOST = COLOURED = 6  # flights with a colour and a name of their own; more names would cover the plots
@@ -102,10 +103,10 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
     drawn: list[_Drawn] = []
     exaggeration = common_exaggeration([flights[i] for i in sorted(near)], options)
     family = stream.Family(span_s, interval_ns) if len(flights) - len(near) >= stream.FAMILY_FROM else None
-    roots = _roots(flights)
+    roots, colours = _roots(flights), colours_of(flights)
     plotted = [stream.FAMILY] if family is not None else []
     for i, (root, flight) in enumerate(zip(roots, flights, strict=True)):
-        colour = colour_of(i, flight, len(flights)) if many else None
+        colour = colours[i] if many else None
         own = own_tabs(tabs, flight.log.table, flight.scenario if i in near else None) if many else tabs
         if family is not None and colour is not None and i not in near:
             family.add(flight.label, colour, own, flight.log)
@@ -116,7 +117,8 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
             stream.send_curves(recording, root, own, flight.log, interval_ns)
         for plot in (plot for tab in own for plot in tab.plots):
             for name, part_s in parts.items():
-                if (found := plot.value_range(flight.log, *(round(s * 1e9) for s in part_s))) is not None:
+                seen_ns = (round(s * 1e9) for s in seen_of(part_s, span_s))
+                if (found := plot.value_range(flight.log, *seen_ns)) is not None:
                     ranges.setdefault((name, plot.key), []).append(found)
         stream.send_events(recording, root, flight.moments, f"{flight.label}: " if many else "")
         start = stream.first_phase(flight.log, round(flight.span_s[0] * 1e9))
@@ -130,7 +132,7 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
     spans = []
     for name, (start_s, end_s) in parts.items():
         axes = {p.key: axis_of(p, range_of([np.array(r) for r in ranges.get((name, p.key), [])])) for p in every}
-        seen_s = start_s, min(end_s + _BEHIND * (end_s - start_s), span_s[1])
+        seen_s = seen_of((start_s, end_s), span_s)
         corners = {p.key: free_corner(p, axes[p.key], seen_s, flights) for p in every} if len(flights) <= FEW else {}
         spans.append(TimeSpan(name, seen_s, axes, corners))
     for plot in every:
@@ -141,6 +143,11 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
     recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
     pictures = _pictures(recording, roots, drawn, exaggeration, options.side_by_side) if drawn else []
     return layout(roots, pictures, tabs, spans, plotted=plotted, tab=options.tab, bare=options.bare)
+
+
+def seen_of(part_s: tuple[float, float], span_s: tuple[float, float]) -> tuple[float, float]:
+    """Return the time that a plot of a part shows: a little more, so that the number at its end is whole."""
+    return part_s[0], min(part_s[1] + _BEHIND * (part_s[1] - part_s[0]), span_s[1])
 
 
 def parts_of(flights: Sequence[ReplayFlight], span_s: tuple[float, float]) -> dict[str, tuple[float, float]]:
@@ -205,11 +212,14 @@ def _pictures(
     return [*close, overview(roots, eyes, grid)]
 
 
-def colour_of(number: int, flight: ReplayFlight, count: int) -> str:
-    """Return the colour of one flight among several: its own or, among many, that of its verdict."""
-    if count <= COLOURED:
-        return ON_DARK[number]
-    return _NOMINAL_COLOUR if flight.is_nominal else VERDICT[flight.verdict]
+def colours_of(flights: Sequence[ReplayFlight]) -> list[str]:
+    """Return a colour for each of several flights: of a few its own, in shades of red where it failed, of many that of
+    its verdict.
+    """
+    if len(flights) > COLOURED:
+        return [_NOMINAL_COLOUR if flight.is_nominal else VERDICT[flight.verdict] for flight in flights]
+    others, failed = iter(colour for colour in (*ON_DARK, WHITE) if colour != RED), iter(FAILED)
+    return [next(failed if flight.verdict == "failed" else others) for flight in flights]
 
 
 def _roots(flights: Sequence[ReplayFlight]) -> list[str]:
@@ -270,15 +280,18 @@ def plot_view(plot: ReplayPlot, span: TimeSpan, roots: Sequence[str], legend: bo
 
 
 def with_scale(low: float, high: float, most: int) -> tuple[float, float]:
-    """The range, wide enough for two numbers on its axis. The viewer writes the multiples of one power of ten: of the
-    smallest of which at most `most` fit.
+    """Return the range, wide enough for two whole numbers on its axis.
+
+    The viewer writes the multiples of one power of ten: of the smallest of which at most `most` fit. It cuts a number
+    that is close to the edge.
     """
     step = 10.0 ** math.ceil(math.log10((high - low) / most))
     edge = 0.04 * step  # a number on the very edge is not written
     while (last := math.floor(high / step)) <= (first := math.ceil(low / step)):
         down, up = (first - 1) * step - edge, (last + 1) * step + edge
         low, high = (low, up) if up - high < low - down else (down, high)
-    return low, high
+    room = _WHOLE * (high - low)
+    return min(low, first * step - room), max(high, last * step + room)
 
 
 def free_corner(

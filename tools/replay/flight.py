@@ -14,7 +14,7 @@ import re
 import shlex
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,6 +32,7 @@ from maxq.sim.log.reader import Log, read_log
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.run import launch_frames
 from maxq.sim.run.launch_frames import ENU_NED, LaunchFrames, plain
+from maxq.sim.run.quantities import against_limit, by_utilisation, utilisation
 from maxq.sim.run.record import LOG_NAME, SCENARIO_ATTACHMENT, SUMMARY_NAME
 from maxq.sim.scenario.loader import load_scenario_text
 from maxq.sim.scenario.schema_environment import EarthSection, Site
@@ -88,9 +89,7 @@ class Moment:
 
 @dataclass(frozen=True)
 class ShownRequirement:
-    """A requirement of the scenario: `kind` "limit" or "minimum"; value and verdict are None where no summary holds
-    them.
-    """
+    """A requirement of a scenario: `kind` "limit" or "minimum"; value and verdict are None without a summary."""
 
     name: str
     kind: str
@@ -98,6 +97,21 @@ class ShownRequirement:
     unit: str
     value: float | None
     met: bool | None
+
+    @property
+    def utilisation(self) -> float:
+        """Return the used share of the limit; nan where there is none."""
+        return math.nan if self.value is None else utilisation(self.value, self.kind, self.bound)
+
+    @property
+    def shown(self) -> tuple[str, str, str]:
+        """Return value, limit and their engineering unit for people."""
+        return against_limit(math.nan if self.value is None else self.value, self.kind, self.bound, self.unit)
+
+
+def tightest_first(requirements: Iterable[ShownRequirement]) -> list[ShownRequirement]:
+    """Return requirements in order: missed ones, then those with the least margin to their limits."""
+    return sorted(requirements, key=lambda r: by_utilisation(r.met is not False, r.utilisation))
 
 
 @dataclass(frozen=True)

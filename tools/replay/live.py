@@ -24,6 +24,7 @@ from maxq.sim.run.flight import Event, Flight, LoggedRows, copied
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.record import LEVELS
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.tools.flight_report import verdict_line
 from maxq.tools.replay import convert, stream, viewer
 from maxq.tools.replay.flight import Moment, ShownLaunchSite, has_motion, launch_site, open_flight
 from maxq.tools.replay.plots import tabs_of
@@ -154,10 +155,8 @@ class LiveView:
         self._send_events(run)
         if self._table is None:
             return
-        verdict = "passed" if flight.passed else "FAILED"
-        wrong = [*flight.failures, *(f"{v.name}: {v.value:.4g}, MISSED" for v in flight.verdicts if not v.met)]
-        outcome = f"**Outcome:** {flight.outcome} at {flight.end_s:.1f} s, {verdict}"
-        self._send_about([outcome, "", *(f"- {line}" for line in wrong)])
+        outcome = f"**{verdict_line(flight)}**"
+        self._send_about([outcome, "", f"{flight.outcome} at {flight.end_s:.1f} s"])
         eyes = self._first_eyes()
         if self._scene is not None and self._scene.track:
             positions = np.concatenate(self._scene.track)

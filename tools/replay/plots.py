@@ -13,6 +13,7 @@ import numpy as np
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
+from maxq.sim.run.quantities import propellant_text
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.tools.replay.flight import Channels
 from maxq.tools.replay.vehicle_shape import PLANES, VehicleShape, shape_of, shapes_at
@@ -71,7 +72,7 @@ class ReplayPlot:
 
     @property
     def heading(self) -> str:
-        return f"{self.title} ({self.unit})" if self.unit else self.title
+        return f"{self.title}, {self.unit}" if self.unit else self.title
 
     def value_range(self, channels: Channels, from_ns: int = 0, until_ns: int = _NEVER) -> tuple[float, float] | None:
         """Smallest and largest value between two times of the curves that a flight has; None: there is no number."""
@@ -169,8 +170,8 @@ _TABLE: dict[str, list[_Row]] = {
         _Row("pressure", "dynamic pressure", "kPa", {"dynamic pressure": "dynamic_pressure_Pa"}, 1e-3,
              limits=("max_powered_dynamic_pressure_Pa", "max_dynamic_pressure_Pa"), glance=(1, "{}")),
         _Row("incidence", "angle of attack where the dynamic pressure exceeds 1 kPa", "deg",
-             {"attack": "alpha_deg", "sideslip": "beta_deg", "total": "alpha_total_deg"},
-             only=_IN_AIR, limits=("max_alpha_deg",), glance=(3, "incidence, {}")),
+             {"in pitch": "alpha_deg", "sideslip": "beta_deg", "total": "alpha_total_deg"},
+             only=_IN_AIR, limits=("max_alpha_deg",), glance=(3, "angle of attack, {}")),
         _Row("wind", "wind: motion of the air", "m/s",
              {"to north": "wind_N_north_mps", "to east": "wind_N_east_mps", "down": "wind_N_down_mps"}),
         _Row("density", "density", "kg/m3", {"density": "density_kgpm3"}),
@@ -184,12 +185,12 @@ _TABLE: dict[str, list[_Row]] = {
         _Row("rate", "body rates", "deg/s", {axis: f"body_{axis}_rate_degps" for axis in AXES}),
     ],
     "Gimbal": [
-        *(_Row(axis, f"{axis} gimbal", "deg",
-               {f"{axis} command": f"gimbal_{axis}_command_deg", f"{axis} engine": f"gimbal_{axis}_angle_deg"},
+        *(_Row(axis, f"{axis} gimbal angle", "deg",
+               {f"{axis} command": f"gimbal_{axis}_command_deg", f"{axis} angle": f"gimbal_{axis}_angle_deg"},
                limits=("max_gimbal_deg",), both=True,
                hardware=("angle_limit_deg", axis, "stop of the gimbal"), glance=(2, "gimbal, {}"))
           for axis in PLANES),
-        *(_Row(f"{axis}_rate", f"{axis} gimbal rate", "deg/s", {f"{axis} engine rate": f"gimbal_{axis}_rate_degps"},
+        *(_Row(f"{axis}_rate", f"{axis} gimbal rate", "deg/s", {f"{axis} rate": f"gimbal_{axis}_rate_degps"},
                limits=("max_gimbal_rate_degps",), both=True,
                hardware=("rate_limit_degps", axis, "largest rate of the actuator"))
           for axis in PLANES),
@@ -273,7 +274,11 @@ def _curves(row: _Row, table: ChannelTable, shape: VehicleShape | None) -> tuple
     if wild:
         pattern = re.compile(re.escape(next(iter(wild.values()))).replace(r"\{\}", "(.+)"))
         words = [match[1] for name in table.names if (match := pattern.fullmatch(name))]
-        found += [(label, label.format(w), channel.format(w)) for w in words for label, channel in wild.items()]
+        found += [
+            (label, label.format(propellant_text(w)), channel.format(w))
+            for w in words
+            for label, channel in wild.items()
+        ]
     curves = []
     for plan, label, channel in found:
         compute = row.compute.get(plan)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from maxq.tools.cli.frame import Exit, say
-from maxq.tools.cli.terminal import Progress
+from maxq.tools.cli.terminal import Progress, tell, wipe
 from maxq.tools.replay import viewer
 from maxq.tools.replay.flight import ReplayFlight, find_logs, open_flights
 from maxq.tools.replay.viewer import ReplayError
@@ -67,6 +67,7 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callab
     if given.summary:
         from maxq.tools.replay.text import summary_text  # noqa: PLC0415  # lazy
 
+        wipe()
         print("\n\n".join(summary_text(flight) for flight in flights))
         return Exit.OK
     if given.plots:
@@ -74,14 +75,14 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callab
 
         with Progress() as bar:
             files = write_sheets(flights, Path(given.plots), watch=bar.show)
-        print("\n".join(map(str, files)))
+        tell(*files)
         return Exit.OK
     if given.save:
         path = Path(given.save)
         if path.is_dir():
             raise ReplayError(f"{path}: is a folder; --save needs the name of a file")
         _convert(flights, given, path)
-        print(f"{path}   {path.stat().st_size / 1e6:.1f} MB")
+        tell(f"{path}   {path.stat().st_size / 1e6:.1f} MB")
         return Exit.OK
     with temporary_recording() as path:
         _convert(flights, given, path)
@@ -136,12 +137,13 @@ def _screenshot(client: ViewerControl, rrd: Path, given: argparse.Namespace) -> 
     for time_s, shot in zip(given.at, shots, strict=True):
         path = target if len(shots) == 1 else target.with_name(f"{target.stem}-{time_s:g}{target.suffix or '.png'}")
         path.write_bytes(shot)
-        print(path)
+        tell(path)
     return Exit.FAILED if complaints else Exit.OK
 
 
 def _web(rrd: Path, port: int) -> int:
     with viewer.served(rrd, port) as (server, url):
+        wipe()
         print(f"open {url}\n(served on {viewer.LOCAL} only; Ctrl-C ends it)", flush=True)
         try:
             return Exit.OK if server.wait() == 0 else Exit.BAD_INPUT

@@ -20,13 +20,20 @@ from matplotlib.lines import Line2D
 from scipy.signal import detrend, spectrogram
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.sim.flight.metric_table import figures
 from maxq.sim.vehicle.loads.section import LoadsSection
-from maxq.tools.plots.palette import BLACK, BLUE, GREEN, GREY, LIMIT, ON_LIGHT, RED, VERDICT, WHITE
+from maxq.tools.plots.palette import BLACK, BLUE, FAILED, GREEN, GREY, LIMIT, ON_LIGHT, RED, VERDICT, WHITE
 from maxq.tools.plots.style import curve as look_of
 from maxq.tools.plots.style import drawing, name_point, save, sheet
 from maxq.tools.replay.decimate import extremes, extremes_on_grid
-from maxq.tools.replay.flight import ConversionWatch, ReplayFlight, ShownRequirement, has_motion, path_of, place_of
+from maxq.tools.replay.flight import (
+    ConversionWatch,
+    ReplayFlight,
+    ShownRequirement,
+    has_motion,
+    path_of,
+    place_of,
+    tightest_first,
+)
 from maxq.tools.replay.plots import AXES, PlotAxis, PlotLine, ReplayPlot, Tab, axis_of, range_of, tabs_of
 from maxq.tools.replay.vehicle_shape import PLANES, borne, shape_of
 from maxq.tools.replay.viewer import ReplayError
@@ -52,7 +59,7 @@ _SPECTRA = {f"gyro_{plane}_rate_degps": f"gyro, {plane} rate" for plane in PLANE
 _SPECTRA |= {f"gimbal_{plane}_angle_deg": f"gimbal, {plane}" for plane in PLANES}
 _IN_PATH = ("max_q", "burnout", "apogee", "impact", "fault", "control_lost", "diverged", "tumble")
 _EVENTS = (*_IN_PATH, "liftoff", "separation")
-_MOST_USED = 3.0  # share of what is allowed at which a bar ends
+_MOST_USED = 3.0  # share of the limit at which a bar ends
 _SECTION_LOADS = (  # title, unit, and by which column of the limits it is bounded, with its sign
     ("axial force", "kN", {"compression_N": -1.0, "tension_N": 1.0}),
     ("shear", "kN", {"shear_N": 1.0}),
@@ -78,11 +85,17 @@ class Flights:
         return 1 < len(self.all) < _ENVELOPE_FROM
 
     def colour(self, flight: ReplayFlight) -> str:
-        """That of the reference is black."""
+        """Return a flight's colour: black for the reference, of few flights a shade of red for one that failed."""
         others = [f for f in self.all if f is not self.reference]
         if flight is self.reference:
             return BLACK
-        return ON_LIGHT[others.index(flight)] if self.few else VERDICT[flight.verdict]
+        if not self.few:
+            return VERDICT[flight.verdict]
+        failed = [f for f in others if f.verdict == "failed"]
+        if flight in failed:
+            return FAILED[failed.index(flight)]
+        good = [colour for colour in ON_LIGHT if colour != RED]
+        return good[[f for f in others if f not in failed].index(flight)]
 
     def look(self, flight: ReplayFlight) -> dict[str, Any]:
         """Return the style of a flight's line in a plot where the flight has one line."""
@@ -131,7 +144,7 @@ def _sheet(tab: Tab, shown: Flights) -> Figure:
     for place, plot in zip(places, tab.plots, strict=True):
         _draw(place, plot, shown, span_s)
     places[0].set_xlim(span_s)
-    places[-1].set_xlabel("time (s)")
+    places[-1].set_xlabel("time, s")
     figure.align_ylabels()
     _mark_events(places, shown.reference, span_s)
     for place in places:
@@ -317,8 +330,8 @@ def _path(shown: Flights) -> Figure:
                 k = min(int(np.searchsorted(path.times_ns, moment.time_ns)), len(along) - 1)
                 _point(profile, along[k], altitude[k], moment.label)
                 _point(above, east[k], north[k], moment.name.replace("_", " "))
-    profile.set(xlabel="horizontal distance from the site (km)", ylabel="altitude (km)", title="profile")
-    above.set(xlabel="east of the site (km)", ylabel="north of the site (km)", title="from above")
+    profile.set(xlabel="horizontal distance from the site, km", ylabel="altitude, km", title="profile")
+    above.set(xlabel="east of the site, km", ylabel="north of the site, km", title="from above")
     above.set_aspect("equal", adjustable="datalim")
     above.plot([0], [0], "s", color=BLACK, markersize=4)
     if profile.get_legend_handles_labels()[0]:
@@ -346,7 +359,7 @@ def _altitude(shown: Flights) -> Figure:
             label = f"to {axis}" if flight is shown.reference else None
             places[2].plot(log[f"wind_N_{axis}_mps"][rising], height, **(own | {"label": label}))
     for place, label in zip(places, ("dynamic pressure (kPa)", "Mach number", "wind (m/s)"), strict=True):
-        place.set(xlabel=label, ylabel="altitude (km)")
+        place.set(xlabel=label, ylabel="altitude, km")
     if places[2].get_legend_handles_labels()[0]:
         places[2].legend(loc="best")
     return figure
@@ -360,7 +373,7 @@ def _phase_plane(shown: Flights) -> Figure:
             k = slice(0, end, max(1, end // 6000))
             error, rate = flight.log[f"error_{axis}_deg"][k], flight.log[f"body_{axis}_rate_degps"][k]
             place.plot(error, rate, **(shown.look(flight) | {"linewidth": 0.7}))
-        place.set(xlabel=f"{axis} error (deg)", ylabel=f"{axis} rate (deg/s)", title=axis)
+        place.set(xlabel=f"{axis} error, deg", ylabel=f"{axis} rate, deg/s", title=axis)
         place.locator_params(axis="x", nbins=4)  # small angles have wide labels
         place.axhline(0.0, color=GREY, linewidth=0.6)
         place.axvline(0.0, color=GREY, linewidth=0.6)
@@ -385,12 +398,12 @@ def _spectra(channels: Sequence[str], flight: ReplayFlight) -> Figure:
         scale: Any = {"cmap": "cividis", "vmin": max(high + _FLOOR_DB, float(np.nanmin(decibel))), "vmax": high}
         image = place.pcolormesh(times, hertz, decibel, shading="nearest", rasterized=True, **scale)
         unit = flight.log.channel(channel).unit
-        place.set(ylabel="frequency (Hz)", title=f"{_SPECTRA[channel]}: amplitude, dB re 1 {unit}")
+        place.set(ylabel="frequency, Hz", title=f"{_SPECTRA[channel]}: amplitude, dB re 1 {unit}")
         place.set_ylim(0.0, min(_HIGHEST_HZ, float(hertz[-1])))
         _name_modes(place, flight, channel.split("_")[1], times)
         place.grid(False)
         figure.colorbar(image, ax=place, label="dB", pad=0.01)
-    places[-1].set_xlabel("time (s)")
+    places[-1].set_xlabel("time, s")
     return figure
 
 
@@ -413,8 +426,8 @@ def _name_modes(place: Axes, flight: ReplayFlight, axis: str, times_s: Array) ->
 
 
 def _requirements(shown: Flights) -> Figure:
-    """Each requirement as a bar: how much of what is allowed was used."""
-    names = [r.name for r in shown.reference.requirements]
+    """Return the used share of each requirement's limit as a bar, the largest first."""
+    names = [r.name for r in tightest_first(shown.reference.requirements)]
     figure, (place,) = _figure("Requirements", shown, 1, 1, 0.32 * max(len(names), 3))
     widest = 1.2
     for row, name in enumerate(names):
@@ -429,14 +442,15 @@ def _requirements(shown: Flights) -> Figure:
                 continue
             look: Any = {"color": GREEN} if r.met else {"color": RED, "hatch": "//"}
             place.barh(row, used, height=0.62, edgecolor="white", **look)
-            text = f"{figures(r.value)} of {r.bound:g}{'' if r.unit == '1' else f' {r.unit}'}"
+            value, limit, unit = r.shown
+            text = f"{value} of {limit} {unit}".rstrip()
             place.annotate(text, (used, row), (4, 0), textcoords="offset points", va="center", fontsize=7.5)
     place.axvline(1.0, color=LIMIT, linewidth=1.2)
     place.set_yticks(range(len(names)), names)
     place.invert_yaxis()
     place.set_xlim(0.0, widest + 0.35)
     black = f"; black: {shown.reference.label}" if shown.many and not shown.few else ""
-    place.set_xlabel(f"share of what is allowed{black}")
+    place.set_xlabel(f"used share of the limit{black}")
     place.grid(axis="y", visible=False)
     return figure
 

@@ -16,7 +16,7 @@ import rerun as rr
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.log.messages import Level
-from maxq.tools.plots.palette import BLUE, GREEN, GREY, LIMIT, ON_DARK, ORANGE, PURPLE, RED, SKY, rgba
+from maxq.tools.plots.palette import BLUE, GREY, LIMIT, ON_DARK, ORANGE, PALE, PURPLE, RED, SKY, rgba
 from maxq.tools.replay.decimate import extremes, extremes_on_grid, last_before
 from maxq.tools.replay.flight import Channels, Moment
 from maxq.tools.replay.plots import Limit, PlotAxis, PlotLine, ReplayPlot, Tab
@@ -34,7 +34,8 @@ PHASES = {
     "falling": BLUE,
     "control lost": RED,
     "tumbling": PURPLE,
-    "ended": GREEN,
+    "diverged": RED,
+    "ended": PALE,
 }
 _BEGUN_BY = {
     "liftoff": "powered",
@@ -44,7 +45,7 @@ _BEGUN_BY = {
     "control_lost": "control lost",
     "tumble": "tumbling",
     "impact": "ended",
-    "diverged": "ended",
+    "diverged": "diverged",
 }
 _WORSE = ("control lost", "tumbling")
 _LEVELS = {Level.WARNING: "WARN", Level.FATAL: "CRITICAL"}  # where the viewer has another name
@@ -190,9 +191,9 @@ _READ = (
     ("speed, m/s", "speed_mps", 1.0),
     ("Mach number", "mach", 1.0),
     ("dynamic pressure, kPa", "dynamic_pressure_Pa", 1e-3),
-    ("incidence, deg", "alpha_total_deg", 1.0),
-    ("pitch gimbal, deg", "gimbal_pitch_angle_deg", 1.0),
-    ("yaw gimbal, deg", "gimbal_yaw_angle_deg", 1.0),
+    ("angle of attack, deg", "alpha_total_deg", 1.0),
+    ("pitch gimbal angle, deg", "gimbal_pitch_angle_deg", 1.0),
+    ("yaw gimbal angle, deg", "gimbal_yaw_angle_deg", 1.0),
 )
 
 
@@ -212,7 +213,7 @@ def send_now(recording: rr.RecordingStream, flights: Sequence[tuple[str, Channel
             return [""] * len(at)
         values = factor * channels[name][last_before(ns, at)]
         shown = np.isfinite(values) & (at <= ns[-1] + step)
-        return [f"{v:.2f}" if ok else "" for v, ok in zip(values.tolist(), shown, strict=True)]
+        return [f"{round(v, 2) + 0.0:.2f}" if ok else "" for v, ok in zip(values.tolist(), shown, strict=True)]
 
     head = "| | " + " | ".join(label or "now" for label, _ in flights) + " |\n|---|" + "--:|" * len(flights)
     table = [(what, [cells(name, factor, channels) for _, channels in flights]) for what, name, factor in rows]
@@ -253,7 +254,7 @@ def phases(first: Phase, moments: Iterable[Moment]) -> list[Phase]:
         name, now = _BEGUN_BY.get(moment.name), out[-1].name
         if name is None or name == now or (moment.name == "ignition" and now == "held down"):
             continue
-        if now in _WORSE and name not in (*_WORSE, "ended"):
+        if now in _WORSE and name not in (*_WORSE, "diverged", "ended"):
             continue
         out.append(Phase(name, moment.time_ns))
     return out

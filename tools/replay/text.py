@@ -12,12 +12,13 @@ import numpy as np
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.metric_table import figures
 from maxq.sim.log.messages import Level
+from maxq.sim.run.quantities import share_text, sign_of
 from maxq.tools.plots.palette import ON_DARK
-from maxq.tools.replay.flight import ReplayFlight, ShownLaunchSite, ShownRequirement
+from maxq.tools.replay.flight import FEW, ReplayFlight, ShownLaunchSite, ShownRequirement, tightest_first
 from maxq.tools.replay.plots import PlotLine, ReplayPlot, range_of, tabs_of
 from maxq.tools.replay.vehicle_shape import Exaggeration
 
-_VERDICTS = {"passed": "passed", "failed": "FAILED", "unknown": "no verdict: there is no summary.json beside the log"}
+_VERDICTS = {"passed": "PASSED", "failed": "FAILED", "unknown": "no verdict: there is no summary.json next to the log"}
 _BLOCKS, _PLAIN_BLOCKS = "▁▂▃▄▅▆▇█", "_.-=+*%#"
 _NARROWEST, _WIDEST = 20, 100
 
@@ -28,7 +29,9 @@ def about(flights: Sequence[ReplayFlight], drawn: Sequence[str]) -> str:
     if len(flights) == 1:
         return "\n".join([*_about_flight(flights[0]), *drawn])
     lines = [f"# {len(flights)} flights", "", "| flight | outcome | verdict |", "|---|---|---|"]
-    lines += [f"| {f.label} | {f.outcome} at {f.span_s[1]:.1f} s | {f.verdict} |" for f in flights]
+    for f in flights:  # the reasons of many would read every log again
+        verdict = _verdict(f) if len(flights) <= FEW else _VERDICTS[f.verdict].partition(":")[0]
+        lines.append(f"| {f.label} | {f.outcome} at {f.span_s[1]:.1f} s | {verdict} |")
     if len(flights) > len(ON_DARK):  # else each has its own colour
         lines += ["", "Green: passed. Red: failed. Blue: no verdict known. Purple: the nominal."]
     lines.append("")
@@ -46,18 +49,29 @@ def _about_flight(flight: ReplayFlight) -> list[str]:
         "maxq": f"{data.get('maxq', '?')}, log schema {data.get('schema', '?')}",
         "log": flight.path.name,
     }
-    lines = [f"# {flight.label}", "", data.get("description", ""), ""]
-    lines += [f"**Outcome:** {flight.outcome} at {flight.span_s[1]:.1f} s, {_VERDICTS[flight.verdict]}", ""]
-    lines += ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in facts.items() if value), ""]
-    lines += _notes(flight.notes)
+    lines = [f"# {_verdict(flight)}", "", f"{flight.label}: {flight.outcome} at {flight.span_s[1]:.1f} s", ""]
     lines += _went_wrong([("", flight)])
     if flight.requirements:
-        lines += ["## Requirements", "", *map(_requirement, flight.requirements), ""]
-    return lines
+        lines += ["| requirement | value | limit | used |", "|---|--:|---|--:|"]
+        lines += [*(_requirement(r) for r in tightest_first(flight.requirements)), ""]
+    lines += _notes(flight.notes)
+    lines += [data.get("description", ""), "", "| | |", "|---|---|"]
+    return [*lines, *(f"| {name} | {value} |" for name, value in facts.items() if value), ""]
+
+
+def _verdict(flight: ReplayFlight) -> str:
+    """Return the verdict with its decisive requirement: "FAILED: slosh 11.2 deg, limit 10 deg"."""
+    verdict = _VERDICTS[flight.verdict]
+    missed = [r for r in tightest_first(flight.requirements) if r.met is False]
+    if not missed or flight.verdict != "failed":
+        return verdict
+    value, limit, unit = missed[0].shown
+    others = f", {len(missed) - 1} more missed" if len(missed) > 1 else ""
+    return f"{verdict}: {missed[0].name} {value} {unit}".rstrip() + f", limit {limit} {unit}".rstrip() + others
 
 
 def _went_wrong(flights: Sequence[tuple[str, ReplayFlight]]) -> list[str]:
-    """Warnings and worse in whole sentences, which the narrow list of events cuts off."""
+    """Return warnings and worse in whole sentences, which the narrow list of events cuts off."""
     said = [f"- {name}{m.line.strip()}" for name, f in flights for m in f.moments if m.level >= Level.WARNING]
     return ["## What went wrong", "", *said, ""] if said else []
 
@@ -67,15 +81,14 @@ def _notes(notes: Sequence[str]) -> list[str]:
 
 
 def _requirement(r: ShownRequirement) -> str:
-    bound = f"{r.bound:g} at {'most' if r.kind == 'limit' else 'least'}"
-    unit = "" if r.unit == "1" else f" {r.unit}"
-    value = f"{figures(r.value)}{unit}, " if isinstance(r.value, float | int) else ""
-    met = "" if r.met is None else ": met" if r.met else ": **MISSED**"
-    return f"- {r.name}{met} ({value}{bound})"
+    value, limit, unit = r.shown
+    name = f"**MISSED** {r.name}" if r.met is False else r.name
+    value = "" if r.value is None else value
+    return f"| {name} | {value} | {sign_of(r.kind)} {limit} {unit} | {share_text(r.utilisation)} |"
 
 
 def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[str]:
-    """Return the notes on exaggerations in the picture."""
+    """Return the section on scales and colours of the picture."""
     moved = ["- Axes: east, north, up where the flight began, which is far from the site."]
     return [
         "## How it is drawn",
@@ -120,7 +133,7 @@ def summary_text(flight: ReplayFlight, width: int | None = None, ascii_only: boo
     cells = min(max(width - names - numbers - 6, _NARROWEST), _WIDEST)
     start, end = flight.span_s
     span_ns = round(start * 1e9), round(end * 1e9)
-    lines = [f"{flight.label}: {flight.outcome} at {end:.1f} s, {flight.verdict}"]
+    lines = [f"{flight.label}: {flight.outcome} at {end:.1f} s, {_verdict(flight)}"]
     lines += filter(None, [flight.log.metadata.get("description", "")])
     lines += (f"incomplete: {note}" for note in flight.notes)
     left, right = f"{start:g} s", f"{end:.1f} s"
@@ -135,10 +148,11 @@ def summary_text(flight: ReplayFlight, width: int | None = None, ascii_only: boo
         marks[min(max(cell, 0), cells - 1)] = "^"
     lines.append(f"{'':{names}}  {''.join(marks)}")
     if any(row.broken for row in rows):
-        lines.append("! goes beyond what the scenario allows")
-    for r in flight.requirements:
+        lines.append("! exceeds a limit of the scenario")
+    for r in tightest_first(flight.requirements):
         if r.met is False and r.value is not None:
-            lines.append(f"MISSED {r.name}: {figures(r.value)} instead of {r.bound:g} {r.unit}")
+            value, limit, unit = r.shown
+            lines.append(f"MISSED {r.name}: {value} {unit}".rstrip() + f", limit {limit} {unit}".rstrip())
     return "\n".join("".join(c if c.isprintable() else " " for c in line).rstrip() for line in lines)
 
 

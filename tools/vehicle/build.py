@@ -156,7 +156,7 @@ def _mode_of(table: ModeTable, t: float) -> list[BeamMode]:
 
 
 def m_alpha_1ps2(built: Built, p: TrajectoryPoint) -> float:
-    """Angular acceleration per angle of attack, positive for an unstable vehicle."""
+    """Return the angular acceleration per angle of attack, positive for an unstable vehicle."""
     aero, props = built.aero[p.number], built.stacks[p.number].mass_properties(p.clock_s)
     slope, centre = aero.normal(p.mach)
     return slope * p.dynamic_pressure_Pa * aero.area_m2 * (props.x_cg_m - centre) / props.pitch_kgm2
@@ -220,9 +220,9 @@ def _assumed(built: Built) -> list[str]:
     if any(stage.aero is None for stage in layout.stage):
         factor = f", times {layout.axial_factor:g}" if layout.axial_factor != 1.0 else ""
         lines.append(f"axial force: a curve of a clean launcher over Mach number{factor}")
-        lines.append("normal force: slender-body theory and Barrowman's fins, over Mach number by a curve of our own")
+        lines.append("normal force: slender-body theory and Barrowman's fins, with an assumed Mach correction")
     lines += [
-        "propellants drain in proportion to their load; liquids do not turn about the axis but by their roll_share",
+        "propellants drain in proportion to their load; liquids contribute to the roll inertia only via roll_share",
         f"first gains: {first_hz} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
     ]
     lines.append(f"limit wind of the suite: from the west, {layout.site.jet_mps:g} m/s at 11 km; put your site's there")
@@ -248,7 +248,7 @@ def too_weak(built: Built) -> list[str]:
         worst = max(burning(built, n), key=lambda p: m_alpha_1ps2(built, p) / m_delta_1ps2(built, p))
         needed = INCIDENCE_deg * m_alpha_1ps2(built, worst) / m_delta_1ps2(built, worst)
         if needed > (limit := stack.stage.engine.angle_limit_deg):
-            held = f"{INCIDENCE_deg:g} deg of angle of attack need {needed:.1f} deg of the gimbals' {limit:g}"
+            held = f"{INCIDENCE_deg:g} deg angle of attack need {needed:.1f} deg of the gimbals' {limit:g}"
             out.append(f"{stack.name}: at {worst.time_s:.0f} s {held}")
     return out
 
@@ -259,7 +259,7 @@ def warnings(built: Built) -> list[str]:
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):
             if mode.frequency_hz > half_hz:
-                what = f"mode {k + 1} at {mode.frequency_hz:.1f} Hz lies above half the sample rate, {half_hz:g} Hz"
+                what = f"mode {k + 1} at {mode.frequency_hz:.1f} Hz is above half the sample rate, {half_hz:g} Hz"
                 out.append(f"{stack.name}: {what}")
     for stage in built.layout.stage:
         table, e = stage.engine.thrust, stage.engine

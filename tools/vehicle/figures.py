@@ -39,7 +39,7 @@ def _vehicle(built: Built) -> Plot:
         rear, r = layout.fairing.rear_station_m, 0.5 * layout.stage[-1].diameter_m
         bodies.append(line([rear, rear], [-r, r], "rear end of the fairing", colour="purple", dash="6 3"))
     hardest = max((p for p in burning(built) if p.number == 0), key=lambda p: p.dynamic_pressure_Pa)
-    cg_m = [(name, first.mass_properties(t).x_cg_m) for name, t in (("lift-off", 0.0), ("burn-out", burn.end_s))]
+    cg_m = [(name, first.mass_properties(t).x_cg_m) for name, t in (("liftoff", 0.0), ("burnout", burn.end_s))]
     marks = [("gyro", layout.control.gyro_station_m, "green")]
     marks += [(f"CG at {name} of {first.name}", station, "ink") for name, station in cg_m]
     marks.append((f"CP at Mach {hardest.mach:.1f}", built.aero[0].normal(hardest.mach)[1], "red"))
@@ -173,7 +173,7 @@ def _control(built: Built) -> Plot:
         ),
         Panel("first gains", first, _TIME),
     ]
-    caption = "Middle: above the red line the gimbals cannot hold 5 deg of incidence."
+    caption = "Middle: above the red line the gimbals cannot hold an angle of attack of 5 deg."
     return Plot("control", "Control", panels, caption, 3)
 
 

@@ -77,8 +77,8 @@ class LayoutTank(Section):
 
     name: values.ChannelPart = Field(description="name of the tank in logs")
     liquid_mass_kg: Positive = Field(description="propellant at liftoff, kg")
-    residual_kg: NotNegative = optional("remaining propellant at burnout, kg", 0.0)
-    density_kgpm3: Positive = Field(description="density of the propellant, kg/m3")
+    residual_kg: NotNegative = optional("of it left at burnout, kg", 0.0)
+    density_kgpm3: Positive = Field(description="of the propellant, kg/m3")
     radius_m: Positive = Field(description="inside, m")
     height_m: Positive = Field(description="inside, domes included, m")
     dome_m: Pair = optional("heights of half-ellipsoidal domes, bottom and top, m; 0: flat", (0.0, 0.0))
@@ -185,9 +185,9 @@ class LayoutStage(Between):
     loads: LoadSections | None = optional("absent: no section loads")
     modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes of the beam", 3)
     bending_damping: Fraction = optional("damping ratio of all modes", 0.005)
-    roll_torque_Nm: Positive | None = optional("torque of the roll thrusters, N m (default: for 5 deg/s2 at ignition)")
-    separation_after_s: values.Seconds = optional("time from burnout to separation, s", 1.0)
-    ignition_after_s: values.Seconds = optional("time from the preceding separation to ignition, s", 2.0)
+    roll_torque_Nm: Positive | None = optional("of roll thrusters, N m (default: what turns by 5 deg/s2 at ignition)")
+    separation_after_s: values.Seconds = optional("from burnout to separation, s", 1.0)
+    ignition_after_s: values.Seconds = optional("from separation of the stage before to ignition, s", 2.0)
 
     @property
     def usable_kg(self) -> float:
@@ -234,11 +234,11 @@ class Trajectory(Section):
     pitch_over_start_s: Positive = optional("end of the vertical rise, s after ignition", 5.0)
     pitch_over_s: Positive = optional("duration of the pitch-over, s", 12.0)
     final_path_angle_deg: Annotated[float, Field(gt=-30.0, lt=85.0)] = optional(
-        "flight-path angle at the last burnout, deg: sets the pitch-over", 20.0
+        "of the path above the local horizon at the last burnout, deg: sets the pitch-over", 20.0
     )
     orbit_altitude_m: Annotated[float, Field(ge=100e3, le=2e6)] | None = optional(
-        "altitude of the last burnout above the Earth's equatorial radius, with a horizontal path: the perigee of an "
-        "orbit, if the speed suffices; instead of final_path_angle_deg"
+        "of the last burnout above the Earth's equatorial radius, path level there: the perigee of an orbit, if the "
+        "speed suffices; instead of final_path_angle_deg"
     )
     apogee_altitude_m: Annotated[float, Field(ge=100e3, le=1e8)] | None = optional(
         "apogee above the equatorial radius of an orbit with perigee at orbit_altitude_m, reached by closed-loop "

@@ -1,4 +1,4 @@
-"""The printed report of `simvehicle`: stages, bending modes, control over time, and assumptions."""
+"""The text that `simvehicle` prints: stages, bending modes, control over time, and assumptions."""
 
 from __future__ import annotations
 
@@ -11,36 +11,37 @@ from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad, spread, warnings
 
 LayoutRows = list[tuple[str, ...]]  # the first is the head
+LayoutTable = tuple[str, str, LayoutRows]  # title, note below, rows
 
 
 def report(built: Built) -> str:
-    """All of it."""
+    """Return the whole text."""
     parts = [[printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))]]
-    for title, rows in tables(built):
+    for title, note, rows in tables(built):
         less = [n for n, name in enumerate(rows[0]) if name in ("CG, m", "CP, m")]  # a narrow terminal goes without
-        parts.append([title, *aligned(rows, "  ", right=numbers(rows[0]), drop=less)])
+        parts.append([title, *aligned(rows, "  ", right=numbers(rows[0]), drop=less), f"  {note}"])
     parts += [[title, *(f"  {line}" for line in lines)] for title, lines in notes(built)]
     return "\n\n".join("\n".join(part) for part in parts)
 
 
 def numbers(head: tuple[str, ...]) -> list[int]:
-    """Which columns of a table hold numbers."""
+    """Return the columns of a table that hold numbers."""
     return [n for n, name in enumerate(head) if name != "stage"]
 
 
-def tables(built: Built) -> list[tuple[str, LayoutRows]]:
-    """Titles and rows."""
-    return [found for found in (_stages(built), _modes(built), _control(built)) if len(found[1]) > 1]
+def tables(built: Built) -> list[LayoutTable]:
+    """Return the tables that have rows."""
+    return [found for found in (_stages(built), _modes(built), _control(built)) if len(found[2]) > 1]
 
 
 def notes(built: Built) -> list[tuple[str, list[str]]]:
-    """Return the assumptions, and the unusual values."""
+    """Return titles and lines of the assumptions and of unusual values."""
     both = (("assumed beyond the layout", built.assumed), ("unusual", warnings(built)))
     return [(title, lines) for title, lines in both if lines]
 
 
-def _stages(built: Built) -> tuple[str, LayoutRows]:
-    rows: LayoutRows = [("stage", "from", "to", "burn, s", "T/W", "dv", "v", "h, km", "path, deg")]
+def _stages(built: Built) -> LayoutTable:
+    rows: LayoutRows = [("stage", "from, kg", "to, kg", "burn, s", "T/W", "dv, m/s", "v, m/s", "h, km", "path, deg")]
     for n, stack in enumerate(built.stacks):
         first, last = (stack.mass_properties(t).mass_kg for t in (0.0, stack.burn.end_s))
         point = [p for p in built.flight.points if p.number == n][-1]
@@ -60,14 +61,14 @@ def _stages(built: Built) -> tuple[str, LayoutRows]:
             )
         )
     orbit = built.flight.orbit
-    about = "point mass, kg and m/s; thrust over weight and delta-v in vacuum; v, h and path at burnout"
+    note = "point mass; thrust / weight (T/W) and delta-v (dv) in vacuum; speed, altitude and path angle at burnout"
     if orbit.perigee_m >= 0.0:
-        about += f"; the last burnout is in an orbit of {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km"
-    return f"stages ({about})", rows
+        note += f"; orbit at the last burnout: {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km"
+    return "stages", note, rows
 
 
-def _modes(built: Built) -> tuple[str, LayoutRows]:
-    rows: LayoutRows = [("stage", "mode", "first, Hz", "last, Hz", "mass, kg", "slope at gyro, 1/m")]
+def _modes(built: Built) -> LayoutTable:
+    rows: LayoutRows = [("stage", "mode", "start, Hz", "end, Hz", "mass, kg", "slope at gyro, 1/m")]
     gyro = built.layout.control.gyro_station_m
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):
@@ -76,10 +77,10 @@ def _modes(built: Built) -> tuple[str, LayoutRows]:
             rows.append((stack.name, str(k + 1), *ends, f"{slope:.3f}"))
     held = ", ".join(f"{mode.frequency_hz:.2f}" for mode in on_the_pad(built))
     on_pad = f"; held at the tail on the pad: {held} Hz" if held else ""
-    return f"bending, free-free, 1 at the gimbal; first at ignition, last at burnout{on_pad}", rows
+    return "bending modes", f"free-free, 1 at the gimbal; start: ignition, end: burnout{on_pad}", rows
 
 
-def _control(built: Built) -> tuple[str, LayoutRows]:
+def _control(built: Built) -> LayoutTable:
     rows: LayoutRows = [("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha", "M_delta", "k_p", "k_d, s")]
     gains = np.array(built.gains)
     for n, stack in enumerate(built.stacks):
@@ -89,4 +90,4 @@ def _control(built: Built) -> tuple[str, LayoutRows]:
             cells = (f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.2f}", f"{cp:.2f}")
             turn = (f"{m_alpha_1ps2(built, p):.3f}", f"{m_delta_1ps2(built, p):.3f}", f"{k_p:.3f}", f"{k_d:.3f}")
             rows.append((f"{p.time_s:.1f}", stack.name, *cells, *turn))
-    return "control (M_alpha and M_delta in 1/s2; M_alpha > 0: unstable)", rows
+    return ("control over time", "M_alpha and M_delta in 1/s2; M_alpha > 0: unstable without control", rows)

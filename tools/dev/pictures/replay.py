@@ -1,4 +1,4 @@
-"""The pictures of docs/replay.md and the one README.md opens with: `python -m maxq.tools.dev.pictures.replay [DIR]`.
+"""The pictures of docs/replay.md: `python -m maxq.tools.dev.pictures.replay [DIR]`.
 
 Flies the nominal scenario, the same in the November wind and in four times that wind, one that loses control, and
 petrel in its limit wind with section loads; then takes pictures of what `simreplay` shows of them, and draws a sheet of
