@@ -104,7 +104,7 @@ class Flight(Tabular):
         return f"<Flight {self.scenario.name}: {self.outcome} at {self.end_s:.3f} s, {met}{failed}>"
 
     def _repr_html_(self) -> str:
-        """Requirements and metrics, for notebooks."""
+        """Return requirements and metrics as HTML, for notebooks."""
         verdicts = tightest_first(self.verdicts)
         rows = [(v.name, "met" if v.met else "MISSED", v.shown[0], v.limit_text) for v in verdicts]
         for name in self.telling_metrics:

@@ -162,7 +162,10 @@ class FlightRun:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """Return all events so far in order of time: an ignition, burnout and separation for each stage that had it."""
+        """Return all events so far in order of time.
+
+        Each stage has its ignition, burnout and separation, if they occurred.
+        """
         clock, timelines = self.clock, self.packed.parameters["timeline"]
         start_ns = to_ns(self.loaded.scenario.run.start_s)
         found = []

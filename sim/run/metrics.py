@@ -202,7 +202,10 @@ class Verdict:
 
 
 def judge(requirement: RequirementSection, values: Mapping[str, float], times_s: Mapping[str, float]) -> Verdict:
-    """A value that is not a number meets no requirement. Raises KeyError for an unknown metric."""
+    """Return the verdict on a requirement; a value that is not a number meets none.
+
+    Raises KeyError for an unknown metric.
+    """
     value = values[requirement.metric]
     return Verdict(requirement, value, times_s[requirement.metric], meets(value, *requirement.bound))
 
