@@ -132,7 +132,7 @@ def test_accepted_design_leaves_verdict_and_pack(
     remembered = json.loads((out / "verdict.json").read_text())
     assert remembered["parts"]["worked_out"] == 0
     assert remembered["requirements"] == verdict["requirements"]
-    assert "results reused" in told
+    assert "results recalled" in told
 
 
 @pytest.mark.slow
