@@ -123,6 +123,23 @@ def test_files_are_compared_by_their_content() -> None:
     assert "spread reduced: campaign 1 deviation vehicle.stage.0.aero.force_factor" in found_all
 
 
+def test_a_suite_without_a_scenario_of_its_own_is_compared_by_the_usual_one() -> None:
+    campaign = '[[campaign]]\nfile = "campaigns/ksr3"\nset = ["run.duration_s=1.0"]\n'
+    Path("mine.toml").write_text(f"schema = 2\n{campaign}")
+    found = _differences("mine.toml")
+    assert "shortened: campaign 1: scenario.run.duration_s, 70 -> 1" in found
+
+
+def test_another_vehicle_is_named_and_its_numbers_are_not_compared() -> None:
+    Path("other.toml").write_text('extends = "nominal.toml"\nunset = ["design"]\n[vehicle_overrides]\nname = "other"\n')
+    Path("mine.toml").write_text('schema = 2\nextends = "standard"\nscenario = "other.toml"\n')
+    (found,) = _differences("mine.toml")
+    assert found.startswith(
+        "changed: vehicle, whose own numbers, limits, winds and deviations are not compared, KSR-III"
+    )
+    assert found.endswith(" -> other")
+
+
 def test_an_agreed_baseline_is_named_as_not_shipped() -> None:
     Path("agreed.toml").write_text(SHORT)
     Path("mine.toml").write_text(f'baseline = "agreed.toml"\n{SHORT}'.replace("3.0", "2.0"))

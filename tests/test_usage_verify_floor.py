@@ -115,6 +115,7 @@ def test_the_floor_of_runs_is_the_fewest_that_show_its_level() -> None:
             ["campaign.0.set=['run.duration_s=40.0']"],
             "campaign ksr3: flown to 40 s, not to the last burnout at 59.29 s",
         ),
+        (["campaign.0.set=['run.start_s=40.0']"], "campaign ksr3: flown from 40 s, not from liftoff at 0.1069 s"),
         (["campaign.0.set=['switches.slosh=false']"], "campaign ksr3: switches.slosh = false"),
         (["campaign.0.set=['switches.actuator=linear']"], "campaign ksr3: switches.actuator = linear"),
     ],
@@ -129,11 +130,14 @@ def test_a_flight_in_wind_to_burnout_and_the_whole_model_belong_to_the_floor(sta
     (windy,) = standard.flights
     still = load_scenario("nominal").scenario
     short = load_scenario("nominal", ["wind.profile=winds/anheung-november.csv", "run.duration_s=40.0"]).scenario
-    for flights in ([], [still], [short]):
+    late = load_scenario("nominal", ["wind.profile=winds/anheung-november.csv", "run.start_s=40.0"]).scenario
+    for flights in ([], [still], [short], [late]):
         found = missing_evidence(replace(standard, flights=flights))
-        assert found == ("no flight in wind to the last burnout",)
+        assert found == ("no flight in wind from liftoff to the last burnout",)
     frozen = load_scenario("nominal", ["switches.slosh=false", "switches.bending=false"]).scenario
     assert switched_off(frozen) == ["switches.slosh = false", "switches.bending = false"]
+    held = load_scenario("nominal", ["run.freeze_vehicle_at_s=40.0"]).scenario
+    assert switched_off(held) == ["run.freeze_vehicle_at_s = 40"]
     found = missing_evidence(replace(standard, flights=[windy, frozen, frozen]))
     assert found == ("switches.slosh = false in 2 flights", "switches.bending = false in 2 flights")
     assert missing_evidence(replace(standard, in_flight=frozenset({"pitch"}))) == (
@@ -168,7 +172,7 @@ def test_a_suite_that_asks_for_next_to_nothing_accepts_nothing(tmp_path: Path) -
     assert {r.judgement for r in found.requirements} == {"accepted"}
     assert found.judgement == "passed screening"
     assert {
-        "no flight in wind to the last burnout",
+        "no flight in wind from liftoff to the last burnout",
         "campaign ksr3: 1 % with 1 % confidence, not 99.73 % with 90 %",
         "campaign ksr3: 1 run, not 852",
         "campaign ksr3: flown to 1 s, not to the last burnout at 59.29 s",
@@ -211,6 +215,10 @@ def test_the_last_line_names_outcome_reason_and_count() -> None:
     assert (
         _line(one, gust, good) == "REJECTED: gust: slosh angle 22.99 deg > 17 deg at 40.12 s; 1 of 3 requirements met"
     )
+    load = replace(gust, wanted="<= 5e+04 Pa deg", found="q alpha 5.2e+04 Pa deg", room=-0.9, where="")
+    assert _line(gust, load) == "REJECTED: gust: q alpha 5.2e+04 Pa deg > 5e+04 Pa deg; 0 of 2 requirements met"
+    lost = replace(flown, judgement="rejected", room=-0.5)
+    assert _line(lost) == "REJECTED: c: q: 4 of 60 failed, wanted <= 8, 99 % with 90 % (run 3); 0 of 1 requirement met"
     assert _line(good, flown) == (
         "UNDECIDED: c: q: 4 of 60 failed, wanted <= 8, 99 % with 90 %, 7 more runs would settle it; "
         "1 of 2 requirements met"

@@ -35,6 +35,7 @@ _COUNTS = frozenset({"success", "confidence", "availability", "runs", "cases", "
 _COUNTS |= {"corner_sigmas", "sigmas", "starts", "in_flight", "bound", "together", "planes", "between_nodes"}
 _LEAST = frozenset({"modulus", "minimum", "wind_limit_mps"})  # limits that a larger value makes stricter
 _SPREADS = frozenset({"sigma", "three_sigma", "factor"})
+_NOT_COMPARED = "whose own numbers, limits, winds and deviations are not compared"
 _MOST_SHOWN = 6  # elements of a list
 
 KeyPath = tuple[str, ...]
@@ -67,10 +68,8 @@ class Compared:
     @property
     def title(self) -> str:
         """One line for people: the number of differences, and from which suite."""
-        suite = (
-            f"the {'shipped ' if self.shipped else ''}suite {self.baseline}{'' if self.shipped else ', not shipped'}"
-        )
-        count = len(self.differences)
+        count, suite = len(self.differences), f"suite {self.baseline}"
+        suite = f"the shipped {suite}" if self.shipped else f"the {suite}, not shipped"
         return f"{count or 'no'} difference{'s' * (count != 1)} from {suite}"
 
 
@@ -80,7 +79,8 @@ def against_baseline(loaded: LoadedSuite, vehicle: str | None = None) -> Compare
     `vehicle`: flown in place of the suite's own.
     """
     baseline = read_suite(loaded.baseline)
-    before, after = resolved(baseline.asked), resolved(loaded.asked, vehicle)
+    own, named = ("scenario" in suite.asked.model_fields_set for suite in (baseline, loaded))
+    before, after = resolved(baseline.asked, own=own), resolved(loaded.asked, vehicle, own or named)
     hashes = {"baseline": _hash(before), "suite": _hash(after)}
     hashes |= {f"suite: {part.replace('_', ' ')}": _hash(content) for part, content in after.items() if content}
     shipped = loaded.baseline in builtin_files("suite")
@@ -92,14 +92,16 @@ def _hash(content: Any) -> str:
     return content_hash([[list(path), value] for path, value in _leaves(content)])
 
 
-def resolved(suite: Suite, vehicle: str | None = None) -> dict[str, Any]:
-    """Return all that a suite judges by, with the content of the files that it names. Raises ScenarioError."""
+def resolved(suite: Suite, vehicle: str | None = None, own: bool = True) -> dict[str, Any]:
+    """Return all that a suite judges by, with the content of the files that it names.
+
+    Without its `own` scenario only the switches of the whole model are in its place. Raises ScenarioError.
+    """
     changes = [f'vehicle="{vehicle}"'] if vehicle is not None else []
     out: dict[str, Any] = {key: told(getattr(suite, key)) for key in ("margins", "certificate", "wind_limit_mps")}
     if suite.margins is not None and suite.margins.three_sigma.campaign is not None:
         out["margins"]["three_sigma"]["campaign"] = _campaign(suite.margins.three_sigma.campaign, changes)
     out["dispersed_limit"] = {one.requirement: one.limit for one in suite.dispersed_limit}
-    own = "scenario" in suite.model_fields_set  # else that of the suite which extends it
     out["scenario"] = _scenario(load_scenario(suite.scenario, changes)) if own else {"switches": told(Switches())}
     if suite.limit_wind is not None:
         windy = load_scenario(suite.scenario, [*changes, f'wind.profile="{suite.limit_wind}"'])
@@ -147,16 +149,17 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> list[Differenc
     old, new = ({path: value for path, value in _leaves(each)} for each in (before, after))
     out = []
     if names[0] != names[1]:  # whose numbers are its own
-        out += [Difference(CHANGED, "vehicle, with its scenario", *names)] if all(names) else []
+        out += [Difference(CHANGED, f"vehicle, {_NOT_COMPARED}", *names)] if all(names) else []
         old, new = ({p: v for p, v in each.items() if not _of_vehicle(p)} for each in (old, new))
-    for head in _parts_of(old):
-        if any(path[: len(head)] == head for path in old) and not any(path[: len(head)] == head for path in new):
-            old = {path: value for path, value in old.items() if path[: len(head)] != head}
-            out.append(Difference(SPREAD if "deviation" in head else REMOVED, " ".join(head), "", ""))
-    for head in _parts_of(new):
-        if any(path[: len(head)] == head for path in new) and not any(path[: len(head)] == head for path in old):
-            new = {path: value for path, value in new.items() if path[: len(head)] != head}
-            out.append(Difference(STRICTER, " ".join(head), "", ""))
+    for mine, other, kind in ((old, new, REMOVED), (new, old, STRICTER)):
+        for head in _parts_of(mine):
+            below = [path for path in mine if path[: len(head)] == head]
+            if below and not any(path[: len(head)] == head for path in other):
+                out.append(
+                    Difference(SPREAD if kind == REMOVED and "deviation" in head else kind, " ".join(head), "", "")
+                )
+                for path in below:
+                    del mine[path]
     alike: dict[tuple[Any, ...], list[str]] = {}
     for path in [*old, *(path for path in new if path not in old)]:
         a, b = old.get(path), new.get(path)
@@ -172,17 +175,12 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> list[Differenc
 
 def _joined(found: Sequence[Difference]) -> Iterator[Difference]:
     """Yield removed and added flights in one difference each."""
+    whole = [d for d in found if d.what.startswith("flight ") and not (d.baseline or d.here)]
     for kind in (REMOVED, STRICTER):
-        names = [
-            d.what.removeprefix("flight ")
-            for d in found
-            if d.kind == kind and d.what.startswith("flight ") and not d.here
-        ]
+        names = [d.what.removeprefix("flight ") for d in whole if d.kind == kind]
         if names:
             yield Difference(kind, f"{len(names)} flight{'s' * (len(names) != 1)}: {', '.join(names)}", "", "")
-    for d in found:
-        if d.kind not in (REMOVED, STRICTER) or not d.what.startswith("flight ") or d.here:
-            yield d
+    yield from (d for d in found if d not in whole)
 
 
 def _parts_of(leaves: dict[KeyPath, Any]) -> list[KeyPath]:

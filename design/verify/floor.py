@@ -6,7 +6,6 @@ a floor of its own, `FLOOR`, that no suite lowers. A screening can reject a desi
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -39,8 +38,6 @@ class Floor:
 FLOOR = Floor()
 """Three sigma of a normal quantity with a consumer's risk of one in ten (NASA/TP-2010-216447), over the whole burn."""
 
-DEVIATING = ("engine", "mass", "aero", "bending", "tank", "actuator")
-"""Parts of a stage that a campaign disperses where the vehicle has them, by their keys."""
 _WHOLE = {name: field.default for name, field in Switches.model_fields.items() if field.default is not False}
 """Switches of the whole model; parts that are off by default are additions to it."""
 
@@ -86,20 +83,28 @@ def missing_evidence(e: Evidence) -> tuple[str, ...]:
 
 
 def _level(success: float, confidence: float, count: int, what: str) -> Iterator[str]:
-    least = FLOOR
-    if success < least.success or confidence < least.confidence:
-        asked = f"{100.0 * least.success:g} % with {100.0 * least.confidence:g} %"
+    if success < FLOOR.success or confidence < FLOOR.confidence:
+        asked = f"{100.0 * FLOOR.success:g} % with {100.0 * FLOOR.confidence:g} %"
         yield f"{100.0 * success:g} % with {100.0 * confidence:g} % confidence, not {asked}"
-    if count < least.runs:
-        yield f"{count} {what if count != 1 else what.removesuffix('s')}, not {least.runs}"
+    if count < FLOOR.runs:
+        yield f"{count} {what if count != 1 else what.removesuffix('s')}, not {FLOOR.runs}"
 
 
 def _flights(e: Evidence) -> Iterator[str]:
-    burnout_s = e.spans[-1].end_s if e.spans else math.inf
-    if not any(in_wind(flown) and flown.run.start_s + flown.run.duration_s >= burnout_s for flown in e.flights):
-        yield "no flight in wind to the last burnout"
+    if not any(in_wind(flown) and not list(_short(e, flown)) for flown in e.flights):
+        yield "no flight in wind from liftoff to the last burnout"
     for switch, count in Counter(s for flown in e.flights for s in switched_off(flown)).items():
         yield f"{switch} in {count} flight{'s' * (count != 1)}"
+
+
+def _short(e: Evidence, scenario: Scenario) -> Iterator[str]:
+    """Yield the parts of the powered flight that a scenario does not fly."""
+    begin_s, end_s = scenario.run.start_s, scenario.run.start_s + scenario.run.duration_s
+    if e.spans and begin_s > e.spans[0].begin_s:
+        yield f"flown from {begin_s:g} s, not from liftoff at {e.spans[0].begin_s:.4g} s"
+    if not e.spans or end_s < e.spans[-1].end_s:
+        burnout = f" at {e.spans[-1].end_s:.4g} s" if e.spans else ""
+        yield f"flown to {end_s:g} s, not to the last burnout{burnout}"
 
 
 def _campaign(e: Evidence, wanted: CampaignWanted, campaign: LoadedCampaign) -> Iterator[str]:
@@ -107,14 +112,12 @@ def _campaign(e: Evidence, wanted: CampaignWanted, campaign: LoadedCampaign) -> 
     if wanted.availability is not None:
         yield "judged by availability, not by each requirement"
     yield from _level(asked.success, asked.confidence, asked.runs, "runs")
-    end_s = scenario.run.start_s + scenario.run.duration_s
-    if e.spans and end_s < e.spans[-1].end_s:
-        yield f"flown to {end_s:g} s, not to the last burnout at {e.spans[-1].end_s:.4g} s"
+    yield from _short(e, scenario)
     if campaign.plan.wind is None and not in_wind(scenario):
         yield "no wind"
     yield from switched_off(scenario)
     wide = _wide(campaign)
-    still = [part for part in _parts(scenario.vehicle) if not any(_deviates(part, key) for key in wide)]
+    still = [text for n, text in _parts(scenario.vehicle) if not any(_deviates(n, text, key) for key in wide)]
     if still:
         yield f"no deviation of {', '.join(still)}" if wide else "no deviation"
 
@@ -126,24 +129,26 @@ def _wide(campaign: LoadedCampaign) -> list[str]:
     return [target.key for d in draws for target in d.targets]
 
 
-def _deviates(part: str, key: str) -> bool:
-    words = key.replace("spatial_modes", "bending").replace("modes", "bending").split(".")
-    return part in words or (part == "engine" and "thrust" in words)
+def _deviates(stage: int, part: str, key: str) -> bool:
+    words = key.replace("spatial_modes", "bending").split(".")
+    return words[:3] == ["vehicle", "stage", str(stage)] and part.partition(" ")[0] in words
 
 
-def _parts(vehicle: Vehicle) -> list[str]:
-    """Return the parts of `DEVIATING` that a stage of the vehicle has."""
-
-    def has(part: str) -> bool:
-        if part == "bending":
-            return any(stage.bending is not None or stage.spatial_modes is not None for stage in vehicle.stage)
-        if part == "actuator":
-            return any(stage.actuators for stage in vehicle.stage)
-        if part == "engine":
-            return any(stage.engines for stage in vehicle.stage)
-        return any(getattr(stage, part) for stage in vehicle.stage)
-
-    return [part for part in DEVIATING if has(part)]
+def _parts(vehicle: Vehicle) -> list[tuple[int, str]]:
+    """Return the stages, from 0, with their parts that a campaign disperses, by their keys."""
+    out = []
+    for n, stage in enumerate(vehicle.stage):
+        has = {
+            "engine": stage.engines,
+            "mass": stage.mass,
+            "aero": stage.aero,
+            "bending": stage.bending or stage.spatial_modes,
+            "tank": stage.tank,
+            "actuator": stage.actuators,
+        }
+        of = f" of stage {n + 1}" if len(vehicle.stage) > 1 else ""
+        out += [(n, f"{part}{of}") for part, found in has.items() if found]
+    return out
 
 
 def _margins(margins: LinearMargins) -> Iterator[str]:
@@ -188,6 +193,8 @@ def in_wind(scenario: Scenario) -> bool:
 
 
 def switched_off(scenario: Scenario) -> list[str]:
-    """Return the switches by which parts of the model are off or made ideal, `key = value` each."""
+    """Return the keys by which parts of the model are off, ideal or frozen, `key = value` each."""
     values = {name: getattr(scenario.switches, name) for name in _WHOLE}
-    return [f"switches.{name} = {str(value).lower()}" for name, value in values.items() if value != _WHOLE[name]]
+    frozen_s = scenario.run.freeze_vehicle_at_s
+    out = [] if frozen_s is None else [f"run.freeze_vehicle_at_s = {frozen_s:g}"]
+    return [*out, *(f"switches.{name} = {str(x).lower()}" for name, x in values.items() if x != _WHOLE[name])]

@@ -385,8 +385,8 @@ def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequen
         "requirements": told(section.requirement),
     }
     parts |= {f"flight {name}": text for name, text in flights.items()}
-    for loaded in campaigns:
-        parts[f"campaign {loaded.name}"] = [description_of(loaded), told(loaded.file)]
+    for n, loaded in enumerate(campaigns, 1):
+        parts[f"campaign {n}, {loaded.name}"] = [description_of(loaded), told(loaded.file)]
     out = {name: content_hash(content) for name, content in parts.items()} | {"code": code_hash()}
     computers = filter(None, (vehicle.computer_of(n) for n in range(len(vehicle.stage))))
     files = [file for computer in computers for file in (computer.library, computer.python) if file is not None]

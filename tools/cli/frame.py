@@ -82,7 +82,6 @@ def run(command: str, body: Callable[[], int], interrupted: str = "interrupted",
 def _say_notes(command: str) -> None:
     """Say each note on a name (`sim.input.files.NameNote`) once; other warnings are shown as usual."""
     usual, said = warnings.showwarning, set[str]()
-    warnings.simplefilter("always", UserWarning, append=True)
 
     def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
         if category.__name__ != "NameNote":

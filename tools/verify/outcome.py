@@ -12,7 +12,7 @@ from maxq.tools.cli.terminal import printable
 
 ONLY_REJECTS = "A screening can reject, not accept."
 MOST_REASONS = 3  # below the floor, in the line; the report lists all
-_BOUND = re.compile(r"(>=|<=) (-?[0-9.]\S*(?: [^\s,]+)?)")
+_BOUND = re.compile(r"(>=|<=) (-?[0-9.][^\s,]*(?: [^,]+)?)")
 _BEYOND = {">=": "<", "<=": ">"}
 _AT_POINT = re.compile(r"(\S+ s), (pitch|yaw)")
 
@@ -26,7 +26,7 @@ def headline(found: Verification, name: str = "") -> str:
         more = f", and {len(reasons) - MOST_REASONS} more" if len(reasons) > MOST_REASONS else ""
         texts.append(f"below the floor of an acceptance: {', '.join(reasons[:MOST_REASONS])}{more}")
     line = f"{found.judgement.upper()}: {'; '.join(filter(None, texts))}"
-    line += f". {ONLY_REJECTS}" if reasons and found.judgement != UNDECIDED else ""
+    line += f". {ONLY_REJECTS}" if reasons else ""
     return f"{printable(name)}: {line}" if name else line
 
 

@@ -351,7 +351,7 @@ def ranking(every: Sequence[Verification]) -> list[str]:
 def verdict_record(found: Verification, command: str) -> dict[str, Any]:
     """All but histories."""
     return {
-        "schema": 1,
+        "schema": 2,
         "design": found.design,
         "design_name": found.scenario.design.name if found.scenario.design else "",
         "vehicle": found.scenario.vehicle.name,
