@@ -96,7 +96,7 @@ def test_vehicle_is_the_same_with_other_flight_code() -> None:
     code = str(Path(__file__).parents[1] / "examples/flight_software/pd_law.py:Autopilot")
     external = ("design=", "vehicle.computer.law=external", f"vehicle.computer.python='{code}'")
     assert hash_of() == hash_of(*external) == hash_of("design='designs/ksr3-free.toml'")
-    assert hash_of() != hash_of("vehicle.computer.delay_s=0.003")
+    assert hash_of() != hash_of("vehicle.computer.delay_s=0.004")
 
 
 def test_an_attempt_is_written_before_it_is_flown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

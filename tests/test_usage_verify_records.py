@@ -91,9 +91,9 @@ def _differs(said: str) -> list[str]:
 def test_an_honest_pack_agrees_in_all_that_is_computed_again(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, said = _run(capsys, "--check", "pack", "--sample", "99")
     assert (code, _differs(said)) == (0, [])
-    assert "1 of 1 flights computed again, bit by bit: 'two seconds'" in said
-    assert "3 of 3 operating points computed again, bit by bit" in said
-    assert "4 of 4 runs computed again, bit by bit" in said
+    assert "1 of 1 flights, computed again: 'two seconds'" in said
+    assert "3 of 3 operating points, computed again" in said
+    assert "4 of 4 runs, computed again" in said
     assert "ledger of attempts: attempt 1 for this vehicle" in said
     assert said.rstrip().endswith("CHECK PASSED")
     assert _run(capsys, "--check", "pack/verdict.json", "--sample", "1")[0] == 0
@@ -115,20 +115,22 @@ def test_what_was_edited_in_a_pack_is_found(here: Path, capsys: pytest.CaptureFi
     assert _differs(said) == [
         "file figures/flights.csv: is missing",
         "file review.html: its SHA-256 is another",
-        "ledger of attempts: its copy in the pack does not contain this attempt with this verdict",
+        "ledger of attempts: its copy in the pack does not contain this attempt, its number or its verdict",
+        "the verdict: it does not follow from the requirements",
+        "certificate: the operating points of the pack are not those of the suite",
         "flight 'two seconds': computed again, it is another",
-        "operating point margins at 20 s, pitch: computed again, it is another",
+        "operating point margins 20 s, pitch: computed again, it is another",
     ]
-    assert said.rstrip().endswith("CHECK FAILED: 5 differences")
+    assert said.rstrip().endswith("CHECK FAILED: 7 differences")
 
 
 def test_other_inputs_are_found_and_nothing_is_computed(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("suite.toml").write_text(SUITE.replace("gain_up_db = 3.0", "gain_up_db = 2.0").replace('2.0"', '1.0"'))
     code, said = _run(capsys, "--check", "pack")
     assert code == 1
-    assert {"input: suite: margins", "input: flight two seconds", "input: campaign ksr3"} <= set(_differs(said))
+    assert {"input: suite: margins", "input: flight two seconds", "input: campaign 1, ksr3"} <= set(_differs(said))
     assert "nothing was computed again: the inputs are others" in said
-    assert "computed again, bit" not in said
+    assert "computed again: " not in said
     _verdict(lambda verdict: verdict["hashes"].update(code="0"))
     assert "code: another version of maxq" in _run(capsys, "--check", "pack")[1]
 
@@ -146,8 +148,8 @@ def test_runs_that_were_edited_are_found(here: Path, capsys: pytest.CaptureFixtu
     code, said = _run(capsys, "--check", "pack", "--sample", "99")
     assert code == 1
     assert _differs(said) == [
-        "campaign ksr3: its runs give other verdicts",
-        "run 0 of campaign ksr3: computed again, it is another",
+        "verdicts of the campaigns: the runs in the pack give others",
+        "run 0 of ksr3: computed again, it is another",
     ]
 
 

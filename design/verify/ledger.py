@@ -29,7 +29,8 @@ if sys.platform != "win32":
 
 BEGUN, ENDED, REGISTERED = "begun", "ended", "registered"
 INTERRUPTED = "not ended"
-_UNDER_TEST = frozenset({"law", "library", "python"})  # of a computer: the flight code that is judged
+_UNDER_TEST = frozenset({"law", "library", "python", "settings", "timeout_s", "guard"})
+"""Keys of a computer that are of the flight code, which is judged."""
 _LISTED = 5  # verdicts in the line on the first page; more are counted
 
 Line = dict[str, Any]
@@ -203,16 +204,20 @@ def begin(vehicle: str, content: Mapping[str, Any]) -> Attempt:
     """
     path = ledger_path(vehicle)
     line = append(path, {"state": BEGUN, "vehicle": vehicle, **content})
-    lines, damage = read_lines(path)
-    known = attempts_in(lines)
+    return attempt_of(line, *read_lines(path), path)
+
+
+def attempt_of(line: Line, lines: Sequence[Line], damage: tuple[str, ...], path: Path = Path()) -> Attempt:
+    """Return the attempt that begins with a line of a ledger, with the others that had begun before it."""
+    lines = lines[: [each["hash"] for each in lines].index(line["hash"]) + 1]
+    known, mine = attempts_in(lines), line["hashes"]["all"]
     same, other = list[tuple[str, PastAttempt]](), list[PastAttempt]()
     for key, repeats in known.items():
         past = [past for past in repeats if past.verdict != INTERRUPTED or past is repeats[0]][-1]
-        if past.hashes["vehicle"] == content["hashes"]["vehicle"]:
+        if past.hashes["vehicle"] == line["hashes"]["vehicle"]:
             same.append((key, past))
         else:
             other.append(past)
-    mine = content["hashes"]["all"]
     order = [key for key, past in same if not past.part or key == mine]
     return Attempt(
         order.index(mine) + 1,
@@ -220,7 +225,7 @@ def begin(vehicle: str, content: Mapping[str, Any]) -> Attempt:
         tuple(past for key, past in same if key != mine),
         tuple(other),
         damage,
-        vehicle,
+        line["vehicle"],
         lines[0]["date"],
         line,
         path,

@@ -47,6 +47,7 @@ from maxq.design.verify.worst import WorstVehicle, worst_requirements
 from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.campaign.runner import CampaignProgress
 from maxq.sim.files import FileError
+from maxq.sim.input.files import shown
 from maxq.sim.run.flight_software import guards
 from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
@@ -150,11 +151,16 @@ class Prepared:
     candidate: int = 0
 
     @property
+    def shown(self) -> str:
+        """The design, relative to the working folder where it is below that."""
+        return shown(Path(self.design)) if Path(self.design).is_absolute() else self.design
+
+    @property
     def asked(self) -> dict[str, Any]:
         """What was to be verified: design, vehicle, suite, its overrides, and the part that is judged alone."""
         suite = self.loaded
         return {
-            "design": self.design,
+            "design": self.shown,
             "vehicle": self.vehicle,
             "suite": suite.label,
             "overrides": suite.overrides,
@@ -165,7 +171,7 @@ class Prepared:
         """Return the content of this verification's line in the ledger of attempts."""
         part, under_test = self.loaded.part, [h for name, h in self.hashes.items() if name.startswith(UNDER_TEST)]
         return {
-            "design": self.design,
+            "design": self.shown,
             "suite": self.loaded.suite.name,
             "part": part,
             "candidate": self.candidate,
@@ -176,7 +182,7 @@ class Prepared:
                 "design": content_hash(self.hashes["design"], under_test),
                 "all": content_hash(sorted(self.hashes.items()), part),
             },
-            "command": self.loaded.command(self.design, self.vehicle, *(("--only", part) if part else ())),
+            "command": self.loaded.command(self.shown, self.vehicle, *(("--only", part) if part else ())),
         }
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -20,14 +20,16 @@ from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.measured_only import measure_node
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop, law_at
-from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.verify import flown, ledger
 from maxq.design.verify import suite as suites
 from maxq.design.verify.linear import measured
 from maxq.design.verify.memory import PartsOnDisk
+from maxq.design.verify.names import node_name
+from maxq.design.verify.parts import Parts
 from maxq.design.verify.verify import Prepared, part_alone, prepare
 from maxq.sim.campaign.analysis import DataSet
+from maxq.sim.scenario.loader import LoadedScenario
 from maxq.tools.cli.frame import CommandError, Exit
 from maxq.tools.cli.terminal import Progress, printable, tell
 from maxq.tools.design.report import plain_record
@@ -40,6 +42,7 @@ Job = tuple[str, Any, Callable[[], Any]]
 """A name, the record in the pack, and a function that computes it again."""
 
 
+_KEYS = {"verdict": "judgement"}  # of a requirement
 SAMPLE = 5
 """Flights, operating points and runs that are computed again, of each."""
 
@@ -80,14 +83,15 @@ def execute(
         _signature(folder, Path(allowed) if allowed is not None else None, found)
         _files(folder, record, found)
         _ledger(folder, record, found)
+        _verdict(record, found)
         with Progress() as progress:
             prepared = _prepared(record["asked"] | {k: value for k, value in given.items() if value is not None})
             if _hashes(record, prepared, found):
                 _sample(record, prepared, folder, sample, random.Random(seed), found, progress)
             else:
                 found.differs.append("nothing was computed again: the inputs are others")
-    except (KeyError, TypeError, AttributeError, IndexError) as error:
-        raise CommandError(f"{pack}: no verdict.json of this version of simverify ({error})") from None
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise CommandError(f"{pack}: no verdict.json of this version of simverify ({error})") from error
     tell(
         f"{pack}: {record['verdict'].upper()} by the suite {record['suite']}; sample of {sample}, drawn by seed {seed}"
     )
@@ -138,12 +142,13 @@ def _ledger(folder: Path, record: dict[str, Any], found: Findings) -> None:
     lines, damage = ledger.read_lines(folder / ATTEMPTS_NAME)
     found.differs += [f"ledger of attempts: {text}" for text in damage]
     hashes, attempt = [line["hash"] for line in lines], record["attempt"]
-    ended = [line for line in lines if line.get("attempt") == attempt["line"]]
-    whole = attempt["line"] in hashes and [line["verdict"] for line in ended] == [record["verdict"]]
+    begun = [line for line in lines if line["hash"] == attempt["line"]]
+    ended = [line["verdict"] for line in lines if line.get("attempt") == attempt["line"]]
+    text = ledger.attempt_of(begun[0], lines, damage).title if begun else ""
     found.add(
-        whole,
-        f"ledger of attempts: {attempt['text']}",
-        "ledger of attempts: its copy in the pack does not contain this attempt with this verdict",
+        (text, ended) == (attempt["text"], [record["verdict"]]),
+        f"ledger of attempts: {text}",
+        "ledger of attempts: its copy in the pack does not contain this attempt, its number or its verdict",
     )
     if lines and (own := ledger.ledger_path(lines[0].get("vehicle", ""))).exists():
         here = {line["hash"] for line in ledger.read_lines(own)[0]}
@@ -173,6 +178,18 @@ def _hashes(record: dict[str, Any], prepared: Prepared, found: Findings) -> bool
     return not set(wrong) - {"code"}
 
 
+def _verdict(record: dict[str, Any], found: Findings) -> None:
+    """Compare the verdict with the requirements, and these with the flights of the pack."""
+    rows = [suites.JudgedRequirement(**{_KEYS.get(k, k): v for k, v in row.items()}) for row in record["requirements"]]
+    same = suites.overall(rows, record["missing_evidence"]) == record["verdict"]
+    passed = {flight["name"]: flight["passed"] for flight in record["flights"]}
+    scenarios = [row for row in rows if row.part == "scenarios" and row.name in passed]
+    same &= all((row.judgement == suites.ACCEPTED) == passed[row.name] for row in scenarios)
+    found.add(
+        same, "the verdict, by the requirements in the pack", "the verdict: it does not follow from the requirements"
+    )
+
+
 def _sample(
     record: dict[str, Any],
     prepared: Prepared,
@@ -183,80 +200,103 @@ def _sample(
     progress: Progress,
 ) -> None:
     """Compute a sample of each kind again, and judge the campaigns of the pack again."""
-    kinds = {"flight": list(_flights(record, prepared)), "operating point": list(_points(record, prepared)), "run": []}
-    for n, _ in enumerate(record["campaigns"]):
-        place, wanted, campaign = campaign_folder(folder, n), prepared.loaded.suite.campaign[n], prepared.campaigns[n]
-        if not place.is_dir():
-            found.agrees.append(f"campaign {campaign.name}: its runs are not in the pack and were not checked")
-            continue
-        data = DataSet(place, campaign, campaign.campaign.runs)
-        name = f"of campaign {campaign.name}"
-        kinds["run"] += [(f"{run} {name}", True, partial(flown.same_run, data, run)) for run in data.runs.tolist()]
-        again = flown.campaign_requirements(flown.result_of(wanted, campaign, place))
-        same = _judged(record["requirements"], campaign.name) == _judged(
-            plain_record([vars(r) for r in again]), campaign.name
-        )
+    suite = prepared.loaded.suite
+    jobs = {
+        "flights": _flights(record, prepared, found),
+        "operating points": _points(record, prepared, found, progress),
+        "runs": [],
+    }
+    judged = list[suites.JudgedRequirement]()
+    places = [campaign_folder(folder, n) for n in range(len(suite.campaign))]
+    if all(place.is_dir() for place in places):
+        for place, wanted, campaign in zip(places, suite.campaign, prepared.campaigns, strict=False):
+            data = DataSet(place, campaign, campaign.campaign.runs)
+            name = f"of {campaign.name}"
+            jobs["runs"] += [(f"{run} {name}", True, partial(flown.same_run, data, run)) for run in data.runs.tolist()]
+            judged += flown.campaign_requirements(flown.result_of(wanted, campaign, place))
         found.add(
-            same,
-            f"campaign {campaign.name}: {len(data.runs)} runs, judged again",
-            f"campaign {campaign.name}: its runs give other verdicts",
+            _said(plain_record([vars(r) for r in judged])) == _said(record["requirements"]),
+            f"verdicts of the campaigns, by the {len(jobs['runs'])} runs in the pack",
+            "verdicts of the campaigns: the runs in the pack give others",
         )
-    for kind, jobs in kinds.items():
-        chosen = draw.sample(jobs, min(most, len(jobs)))
-        good = []
+    else:
+        found.differs.append("campaigns: their runs are not in the pack")
+    for kind, every in jobs.items():
+        chosen, good = draw.sample(every, min(most, len(every))), list[str]()
         for done, (name, known, compute) in enumerate(chosen):
-            progress.show(f"{kind}s computed again", done, len(chosen))
+            progress.show(f"{kind} computed again", done, len(chosen))
             if plain_record(compute()) == known:
                 good.append(name)
             else:
-                found.differs.append(f"{kind} {name}: computed again, it is another")
-        if jobs:
-            found.agrees.append(f"{len(good)} of {len(jobs)} {kind}s computed again, bit by bit: {'; '.join(good)}")
+                found.differs.append(f"{kind.removesuffix('s')} {name}: computed again, it is another")
+        if chosen:
+            found.agrees.append(f"{len(good)} of {len(every)} {kind}, computed again: {', '.join(good)}")
 
 
-def _judged(rows: Sequence[dict[str, Any]], campaign: str) -> list[tuple[Any, ...]]:
-    """Return name, wanted, found and verdict of the requirements of a campaign."""
-    mine = (row for row in rows if row["part"] == "campaign" and row["name"].startswith(f"{campaign}: "))
+def _said(rows: Sequence[dict[str, Any]]) -> list[tuple[Any, ...]]:
+    """Return name, wanted, found and verdict of the requirements of campaigns."""
+    mine = (row for row in rows if row["part"] == "campaign")
     return [(row["name"], row["wanted"], row["found"], row.get("verdict", row.get("judgement"))) for row in mine]
 
 
-def _flights(record: dict[str, Any], prepared: Prepared) -> Iterator[Job]:
-    for known, wanted, (loaded, _) in zip(
-        record["flights"], prepared.loaded.suite.flight, prepared.flights, strict=True
-    ):
+def _flights(record: dict[str, Any], prepared: Prepared, found: Findings) -> list[Job]:
+    wanted, known = prepared.loaded.suite.flight, {flight["name"]: flight for flight in record["flights"]}
+    if list(known) != [flight.name for flight in wanted]:
+        found.differs.append("flights: those of the pack are not those of the suite")
 
-        def compute(wanted: suites.SuiteFlight = wanted, loaded: Any = loaded, again: str = known["again"]) -> Any:
-            flight = flown.fly_alone(wanted, loaded, again)
-            return {key: getattr(flight, key) for key in FLIGHT}
+    def compute(flight: suites.SuiteFlight, loaded: LoadedScenario, again: str) -> Any:
+        result = flown.fly_alone(flight, loaded, again)
+        return {key: getattr(result, key) for key in FLIGHT}
 
-        yield f"'{wanted.name}'", known, compute
+    return [
+        (f"'{f.name}'", known[f.name], partial(compute, f, loaded, known[f.name]["again"]))
+        for f, (loaded, _) in zip(wanted, prepared.flights, strict=True)
+        if f.name in known
+    ]
 
 
-def _points(record: dict[str, Any], prepared: Prepared) -> Iterator[Job]:
-    """Yield the linear margins as designed, the certificates and the measurements of flight code."""
-    scenario, design, wanted = prepared.scenario, prepared.scenario.design, prepared.loaded.suite.margins
+def _points(record: dict[str, Any], prepared: Prepared, found: Findings, progress: Progress) -> list[Job]:
+    """Return the linear margins as designed, the certificates and the measurements of flight code.
 
-    def node(time_s: float, plane: Plane) -> Node:
-        (found,) = operating_points.nodes(prepared.along, [time_s], plane=plane)
-        return found
+    The operating points are those of the suite: a pack that lacks one differs.
+    """
+    scenario, design, suite = prepared.scenario, prepared.scenario.design, prepared.loaded.suite
+    changes = flown.design_changes(prepared.design, prepared.vehicle)
+    first = next(iter(prepared.campaigns), None)
+    job = Parts(suite, scenario, prepared.along, PartsOnDisk(None), progress.show, 1, first, changes)
 
-    def linear(time_s: float, plane: Plane) -> Any:
-        at = node(time_s, plane)
-        assert wanted is not None
+    def linear(node: Node) -> Any:
+        assert suite.margins is not None
         assert design is not None
-        return measured(Loop(fixed_path(at), law_at(design, at)), wanted.dispersed.slosh_peak_db)
+        return measured(Loop(fixed_path(node), law_at(design, node)), suite.margins.dispersed.slosh_peak_db)
 
-    def certificate(time_s: float, plane: Plane) -> Any:
-        return certificate_record(certify_node(scenario, node(time_s, plane)))
+    def certificate(node: Node) -> Any:
+        return certificate_record(certify_node(scenario, node))
 
-    def code(time_s: float, plane: Plane) -> Any:
-        return measured_record(measure_node(scenario, node(time_s, plane)))
+    def code(node: Node) -> Any:
+        return measured_record(measure_node(scenario, node))
 
-    for study in record["margins"]:
-        plane = study["plane"]
-        for time_s, known in zip(study["times_s"], study["as_designed"], strict=True):
-            yield f"margins at {time_s:g} s, {plane}", known, partial(linear, time_s, plane)
-    for kind, compute in (("certificate", certificate), ("measured_only", code)):
-        for known in record[kind]:
-            time_s, plane = known["time_s"], known["plane"]
-            yield f"{kind.replace('_', ' ')} at {time_s:g} s, {plane}", known, partial(compute, time_s, plane)
+    out, expected = list[Job](), dict[str, list[Node]]()
+    if suite.margins is not None and design is not None and not prepared.loaded.part:
+        expected["margins"] = [node for plane in suite.margins.planes for node in job.nodes(plane)]
+    if suite.certificate is not None:
+        times_s, planes = job.times_s(suite.certificate), suite.certificate.planes
+        nodes = [node for plane in planes for node in operating_points.nodes(prepared.along, times_s, plane=plane)]
+        expected["certificate" if design is not None else "measured_only"] = nodes
+    margins = [
+        {"time_s": time_s, "plane": study["plane"], "found": known}
+        for study in record["margins"]
+        for time_s, known in zip(study["times_s"], study["as_designed"], strict=True)
+    ]
+    for kind, nodes in expected.items():
+        rows = margins if kind == "margins" else record[kind]
+        known = {(row["time_s"], row["plane"]): row.get("found", row) for row in rows}
+        compute = {"margins": linear, "certificate": certificate, "measured_only": code}[kind]
+        if {(node.time_s, node.plane) for node in nodes} != set(known):
+            found.differs.append(f"{kind}: the operating points of the pack are not those of the suite")
+        out += [
+            (f"{kind.replace('_', ' ')} {node_name(node)}", known[at], partial(compute, node))
+            for node in nodes
+            if (at := (node.time_s, node.plane)) in known
+        ]
+    return out
