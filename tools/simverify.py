@@ -85,7 +85,7 @@ def _verify(designs: tuple[str, ...] = (), check: str | None = None, allowed: st
         named = {key: given[key] for key in ("suite", "vehicle", "sample") if key in given}
         return execute_check(check, designs, allowed=allowed, **named)
     if not designs:
-        raise CommandError("give a DESIGN, or a pack with --check")
+        raise CommandError("give a DESIGN, e.g. simverify ksr3-robust, or a pack with --check")
     from maxq.tools.verify.run import execute  # noqa: PLC0415  # lazy, too
 
     return execute(designs, **given)
