@@ -1,8 +1,8 @@
 """The seeds of a verification: declared before it, registered in the ledger, or chosen by hand.
 
 A seed is declared where it is that of the baseline, of a shipped campaign, or the default. Seeds are declared and not
-derived from a hash of what is verified: a derived seed changes with an irrelevant digit of a design, and so could be
-searched without a trace.
+derived from a hash of the inputs: a derived seed changes with an irrelevant digit of a design, which would then choose
+the draws.
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ class Verification:
     cpus_s: dict[str, float]  # of all threads
     attempt: ledger.Attempt = field(repr=False)  # and the other attempts for the vehicle
     seeds: tuple[seeds.Seed, ...]
-    asked: dict[str, Any]  # what was to be verified, as `prepare` takes it
+    asked: dict[str, Any]  # design, vehicle, suite, overrides and part, by name
     deviations: str = ""  # the description of the dispersed vehicles, for people
     part: str = ""  # that was judged alone
 
@@ -157,7 +157,7 @@ class Prepared:
 
     @property
     def asked(self) -> dict[str, Any]:
-        """What was to be verified: design, vehicle, suite, its overrides, and the part that is judged alone."""
+        """The input by name: design, vehicle, suite, its overrides, and the part that is judged alone."""
         suite = self.loaded
         return {
             "design": self.shown,

@@ -49,7 +49,7 @@ SAMPLE = 5
 
 @dataclass
 class Findings:
-    """What agrees with a pack and what does not, a sentence each."""
+    """The agreements and differences of a pack, a sentence each."""
 
     agrees: list[str] = field(default_factory=list)
     differs: list[str] = field(default_factory=list)
@@ -67,7 +67,7 @@ def execute(
     sample: int = SAMPLE,
     allowed: str | None = None,
 ) -> int:
-    """Check a pack, print what agrees and what does not, and return the exit code.
+    """Check a pack, print agreements and differences, and return the exit code.
 
     The arguments are the options of `simverify`; design, suite and vehicle are in place of those that the pack names.
     Raises CommandError or ScenarioError for what cannot be read.
