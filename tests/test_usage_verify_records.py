@@ -138,7 +138,7 @@ def test_other_inputs_are_found_and_nothing_is_computed(here: Path, capsys: pyte
 @pytest.mark.slow
 def test_runs_that_were_edited_are_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also where the hashes of the files were computed again."""
-    (part,) = Path("pack/campaign-1/runs").glob("*.parquet")
+    (part,) = Path("pack/verdict-runs/1/runs").glob("*.parquet")
     table = pq.read_table(part)
     at = table.schema.get_field_index("max_attitude_error_deg")
     values = [10.0, *table.column(at).to_pylist()[1:]]  # beyond the limit

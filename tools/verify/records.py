@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from maxq.design.verify.verify import Verification
 from maxq.sim.campaign.store import MANIFEST, parts_in
 from maxq.sim.files import write_whole
 
-ATTEMPTS_NAME = "attempts.jsonl"
+ATTEMPTS_NAME, RUNS_NAME = "attempts.jsonl", "verdict-runs"
 MOST_NAMES = 6  # of recalled results in a line; verdict.json lists all
 
 
@@ -70,7 +69,7 @@ def write_attempts(found: Verification, folder: Path) -> Path:
 
 def campaign_folder(folder: Path, number: int) -> Path:
     """Return the folder of a campaign in a pack; `number` from 0."""
-    return folder / f"campaign-{number + 1}"
+    return folder / RUNS_NAME / str(number + 1)
 
 
 def write_runs(found: Verification, folder: Path) -> list[Path]:
@@ -82,7 +81,8 @@ def write_runs(found: Verification, folder: Path) -> list[Path]:
             *(part.path for part in parts_in(campaign.folder) if part.first < campaign.runs),
         ]
         place = campaign_folder(folder, n)
-        shutil.rmtree(place, ignore_errors=True)
+        for part in parts_in(place):  # of an earlier pack
+            part.path.unlink()
         out += [write_whole(place / path.relative_to(campaign.folder), path.read_bytes()) for path in copied]
     return out
 
