@@ -194,7 +194,7 @@ def test_packs_are_signed_and_their_signers_checked(here: Path, capsys: pytest.C
         Path(f"{name}.allowed").write_text(f"board@example.org {Path(f'{name}.pub').read_text()}")
     code, said = _run(capsys, "--check", "pack", "--sample", "0", "--allowed", "key.allowed")
     assert (code, _differs(said)) == (1, ["signature: the pack has none"])
-    words = ["ksr3-robust", "--suite", "suite.toml", "--out", "pack", "--no-pack"]
+    words = ["ksr3-robust", "--suite", "suite.toml", "--out", "pack"]
     assert _run(capsys, *words, "--sign", "missing")[1].startswith("simverify: missing: cannot sign: ")
     assert _run(capsys, *words, "--sign", "key")[0] == 3
     code, said = _run(capsys, "--check", "pack", "--sample", "0", "--allowed", "key.allowed")
@@ -206,7 +206,9 @@ def test_packs_are_signed_and_their_signers_checked(here: Path, capsys: pytest.C
     _verdict(lambda verdict: verdict.update(more_runs=0))
     code, said = _run(capsys, "--check", "pack", "--sample", "0", "--allowed", "key.allowed")
     assert (code, len(_differs(said))) == (1, 1)
-    assert _run(capsys, *words)[0] == 3
+    assert _run(capsys, *words, "--no-pack")[0] == 3
+    code, said = _run(capsys, "--check", "pack", "--sample", "0")
+    assert _differs(said) == ["campaigns: their runs are not in the pack"]  # those in the folder are of another
     assert not Path("pack/verdict.json.sig").exists()  # of what is no longer there
 
 

@@ -29,6 +29,7 @@ from maxq.design.verify.names import node_name
 from maxq.design.verify.parts import Parts
 from maxq.design.verify.verify import Prepared, part_alone, prepare
 from maxq.sim.campaign.analysis import DataSet
+from maxq.sim.campaign.store import MANIFEST, parts_in
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.tools.cli.frame import CommandError, Exit
 from maxq.tools.cli.terminal import Progress, printable, tell
@@ -208,7 +209,8 @@ def _sample(
     }
     judged = list[suites.JudgedRequirement]()
     places = [campaign_folder(folder, n) for n in range(len(suite.campaign))]
-    if all(place.is_dir() for place in places):
+    parts = [path for place in places for path in (place / MANIFEST, *(part.path for part in parts_in(place)))]
+    if all(path.relative_to(folder).as_posix() in record["files"] for path in parts):
         for place, wanted, campaign in zip(places, suite.campaign, prepared.campaigns, strict=False):
             data = DataSet(place, campaign, campaign.campaign.runs)
             name = f"of {campaign.name}"
@@ -216,7 +218,7 @@ def _sample(
             judged += flown.campaign_requirements(flown.result_of(wanted, campaign, place))
         found.add(
             _said(plain_record([vars(r) for r in judged])) == _said(record["requirements"]),
-            f"verdicts of the campaigns, by the {len(jobs['runs'])} runs in the pack",
+            f"verdicts of {len(places)} campaigns, by the {len(jobs['runs'])} runs in the pack",
             "verdicts of the campaigns: the runs in the pack give others",
         )
     else:
