@@ -76,7 +76,7 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         """Declare an option as the usage has it, and its help: "--out DIR", "--axis pitch|yaw", a flag "--orders",
         "--at T..." for one that may be repeated, "--realtime [X]"; "SCENARIO" or "LOG..." for a word that is required,
-        "[DESIGN]" for one that is not.
+        "[DESIGN]" for one that is not, "[DESIGN]..." for any number.
 
         `needs`: options one of which has to be given as well. `without`: options that it excludes. `how`: further
         arguments of add_argument; `dest` names what `do` takes.
@@ -84,7 +84,8 @@ class Parser(argparse.ArgumentParser):
         name, *values = usage.removesuffix("...").split()
         repeated = usage.endswith("...")
         if not name.startswith("-"):
-            how |= {"nargs": "+"} if repeated else {"nargs": "?"} if name.startswith("[") else {}
+            optional = name.startswith("[")
+            how |= {"nargs": "*" if optional else "+"} if repeated else {"nargs": "?"} if optional else {}
             metavar = name.strip("[]")
             action = self.add_argument(how.pop("dest", metavar.lower()), metavar=metavar, help=text, **how)
             self._usages[action.dest] = usage
@@ -147,7 +148,7 @@ class Parser(argparse.ArgumentParser):
             self.error(f"give a {self._otherwise}, e.g. {self._example}")
         if unknown:
             takes = [action for action in self._actions if not action.option_strings]
-            one = f"one {takes[0].metavar} at a time: " if len(takes) == 1 and takes[0].nargs != "+" else ""
+            one = f"one {takes[0].metavar} at a time: " if len(takes) == 1 and takes[0].nargs not in ("+", "*") else ""
             self.error(f"{one}what is {unknown[0]!r}?")
         self._check(options)
         return options
