@@ -328,7 +328,7 @@ def longest_delay_s(held: HeldFlight) -> float:
 
 
 def alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> None:
-    """Alter the packed flight's computer in place, on the held axis, by sections behind those of the filter."""
+    """Alter the packed flight's computer in place, on the held axis, by sections downstream of those of the filter."""
     row, axis = packed.parameters[0].computer, held.axis
     sections, used = row.law.sections[axis], int(row.law.n_sections[axis])
     if what != "delay":
@@ -346,9 +346,9 @@ def alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> 
 
 @dataclass(frozen=True)
 class Drift:
-    """Growth of the slowest root in 1/s, by the linear loop and in flight, and its change per decibel of gain.
+    """The growth rate (1/s) of the slowest root, by the linear loop and in flight, and its change per decibel of gain.
 
-    `others`: margins of the held loop without that root.
+    `others` are the margins of the held loop without that root.
     """
 
     linear_1ps: float
@@ -358,12 +358,13 @@ class Drift:
 
 
 def drift(held: HeldFlight, loop: Loop, of_held: Margins) -> Drift | None:
-    """Measure a held loop whose slowest root alone is unstable, and slowly; None for every other loop.
+    """Measure a held loop in which only the slowest root is unstable and its growth is slow. Return None for every
+    other loop.
 
-    In a held flight the axial load acts as gravity (held_flight.py), several times the real one. That moves the slowest
-    root, sometimes across the axis, although the loop at the flown instant is stable. Such a root takes minutes to grow
-    e-fold, so everything else about the loop can still be measured, and the root by its growth rate: a wrong sign or a
-    wrong gravity in the slow motion shows there.
+    In a held flight, the axial load acts as gravity (held_flight.py) and is several times the real gravity. The slowest
+    root then sometimes crosses the imaginary axis, although the loop at the flown instant is stable. Such a root takes
+    minutes to grow e-fold, so that all other properties of the loop can still be measured. The growth rate of the root
+    is measured too, since it shows a wrong sign or a wrong gravity in the slow motion.
     """
     if of_held.stable or of_held.growth_hz >= DRIFT_HZ or not 0.0 < of_held.growth_1ps <= SLOWEST_1PS:
         return None
@@ -377,9 +378,10 @@ def drift(held: HeldFlight, loop: Loop, of_held: Margins) -> Drift | None:
 
 @dataclass(frozen=True)
 class LimitCycle:
-    """`kind`: "decays", "limit cycle", "grows" (not settled at the end), "lost".
+    """The end of an excited flight. `kind` is "decays", "limit cycle", "grows" (not settled at the end) or "lost".
 
-    `gimbal_deg` and `slosh_deg` (largest of all tanks) are amplitudes at the end, `frequency_hz` that of the command.
+    `gimbal_deg` and `slosh_deg` (the largest of all tanks) are amplitudes at the end. `frequency_hz` is that of the
+    command.
     """
 
     kind: str
@@ -401,7 +403,7 @@ class LimitCycle:
 def limit_cycle(
     held: HeldFlight, frequency_hz: float, change: PackedChange = unchanged, watched_s: float = WATCHED_S
 ) -> LimitCycle:
-    """Excite the held flight by a burst at a frequency and see where it ends; `change` may make it unstable."""
+    """Excite the held flight by a burst at a frequency and classify its end. `change` may make the flight unstable."""
     run, rows = held.fly(watched_s, (excitation.sine_burst(held, frequency_hz),), change)
     command = rows[:, run.table.index(f"gimbal_{held.plane}_command_deg")]
     slosh = slosh_columns(run, held.plane)
@@ -422,7 +424,7 @@ def limit_cycle(
 
 
 def amplitude(samples: Array) -> float:
-    """Half the peak-to-peak value."""
+    """Return half the peak-to-peak value."""
     return float(0.5 * np.ptp(samples)) if len(samples) else 0.0
 
 

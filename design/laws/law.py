@@ -6,19 +6,20 @@
 | `DesignedLaw` | the law of a design file, over the whole flight | everything that judges a design |
 | `LawVariables` | a family of laws as a vector of numbers, with gradients | the optimiser |
 
-A law lives in one module here and one in control/laws (its kernel); `registry.LAWS` lists the modules, and the `law` of
-a design or of a case chooses. Nothing else in design/ depends on which law it is.
+Each law has one module here and one in control/laws (its kernel). `registry.LAWS` lists the modules, and the `law` of a
+design or of a case selects one. No other module of design/ depends on the choice of the law.
 
-**Inputs.** A law works on measurements, by name: those that a `FixedPath` offers (design/loop/fixed_path.py). Today
-these are `angle_rad`, the counted attitude less the commanded one, `rate_radps`, the mean rate over a sample, and
-`angle_integral_rads`, the sum of the angle over the samples; of a vehicle with further sensors also `rate_2_radps` and
-so on, the mean rates of further gyros, and `accel_mps2`, the mean lateral specific force at the accelerometer, to the
-side that a positive command of the plane's model pushes to. A law may take any of them, in any order.
+**Inputs.** A law has named measurements as its inputs, which a `FixedPath` provides (design/loop/fixed_path.py).
+Available are `angle_rad`, the counted attitude less the commanded one, `rate_radps`, the mean rate over a sample, and
+`angle_integral_rads`, the sum of the angle over the samples. A vehicle with further sensors also provides
+`rate_2_radps` and so on, the mean rates of further gyros, and `accel_mps2`. The latter is the mean lateral specific
+force at the accelerometer, positive in the direction of the push of a positive command of the plane's model. A law may
+use any of these, in any order.
 
 **Sign.** C is positive for negative feedback: the gimbal command is -C times the measurements, and L = sum of C_i P_i.
 
-**Outputs.** A loop is opened at one command, so a `Controller` gives one output: a law with several (gimbals in pitch
-and yaw, engines) gives a controller for each plane or engine that is asked for.
+**Outputs.** A loop is opened at one command, so a `Controller` has one output. A law with several outputs (gimbals in
+pitch and yaw, engines) returns a controller for each plane or engine requested.
 """
 
 from __future__ import annotations
@@ -36,43 +37,48 @@ from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.quantities import QUANTITIES, Quantity
 
 MEASUREMENTS = ("angle_rad", "rate_radps", "angle_integral_rads")
-ANGLES = MEASUREMENTS[::2]  # what follows from the angle
+ANGLES = MEASUREMENTS[::2]  # quantities derived from the angle
 
 
 class Controller(Protocol):
-    """A law at one instant, from the measurements `inputs` to a gimbal command (rad); linear and time-invariant.
+    """A law at one instant, from the measurements `inputs` to a gimbal command (rad). The law is linear and
+    time-invariant.
 
-    `sample_s` arguments are the loop's period, None for a continuous loop.
+    The arguments `sample_s` are the period of the loop, or None for a continuous loop.
     """
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the measurements that it takes, without those whose gain is zero."""
+        """Return the names of the measurements that the law uses, without those whose gain is zero."""
 
     @property
     def gains(self) -> Mapping[str, float]:
-        """Gains in use by name, for reports."""
+        """Return the gains in use by name, for reports."""
 
     def check(self, sample_s: float | None) -> None:
-        """Raises ValueError where the law is not one for a loop of this period."""
+        """Check the sample period. Raises ValueError if the law is not valid for a loop of this period."""
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """C, (..., inputs) for frequencies of shape (...); of a continuous law they may be complex, s / (2 pi j)."""
+        """Return C, (..., inputs), for frequencies of shape (...). For a continuous law, the frequencies s / (2 pi j)
+        may be complex.
+        """
 
     def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """The factor that all inputs have in common (bending filter), same shape as the frequencies; 1 without one."""
+        """Return the factor that all inputs have in common (bending filter), in the shape of the frequencies, or 1
+        without a filter.
+        """
 
     def static_gain(self, name: str) -> float:
-        """C at zero frequency of one input; 0 for one that it does not take."""
+        """Return C at zero frequency of one input, or 0 for a measurement that the law does not use."""
 
     def poles(self) -> ComplexArray:
-        """Poles of C, rad/s; those of a discrete law at z are log(z) / T."""
+        """Return the poles of C, rad/s. The poles of a discrete law at z are log(z) / T."""
 
     def state_space(self) -> StateSpace:
-        """From `inputs` to `command_rad`; in z for a discrete law."""
+        """Return the state space from `inputs` to `command_rad`, in z for a discrete law."""
 
     def scaled(self, factor: float) -> Controller:
-        """The same law with all its gains times a factor."""
+        """Return the same law with all its gains multiplied by a factor."""
 
 
 class DesignedLaw(Protocol):
@@ -83,14 +89,15 @@ class DesignedLaw(Protocol):
         """Return the quantity over which its gains are scheduled."""
 
     def at(self, at: float, plane: Plane, sample_s: float | None) -> Controller:
-        """The law with the gains at a value of `over`, such as a vehicle time (`Node.scheduled`): as the flight
-        computer runs it at the period, or continuous for None."""
+        """Return the law with the gains at a value of `over`, such as a vehicle time (`Node.scheduled`). The law is
+        discrete at the given period of the flight computer, or continuous for None.
+        """
 
     def tables(self) -> dict[str, Any]:
         """Return the law's tables in a design file: keys such as `gains` and `filter`."""
 
     def record(self) -> dict[str, Any]:
-        """The same for reports, as columns of numbers."""
+        """Return the tables for reports, as columns of numbers."""
 
 
 Axis = tuple[ComplexArray, ...]
@@ -99,8 +106,8 @@ Axis = tuple[ComplexArray, ...]
 
 @dataclass(frozen=True)
 class LogResponse:
-    """C_i = exp(common) gains_i at points. `common` (points,) and `gains` (points, inputs), each with its first and
-    second derivative by x = ln f; None: zero.
+    """The response C_i = exp(common) gains_i at points. `common` (points,) and `gains` (points, inputs) each include
+    the first and second derivatives by x = ln f. None means zero.
     """
 
     common: tuple[ComplexArray, ComplexArray, ComplexArray]
@@ -109,7 +116,8 @@ class LogResponse:
 
 @dataclass(frozen=True)
 class LawLimit:
-    """A limit that belongs to no frequency. `linear`: its gradient by the own parameters is constant.
+    """A limit that is independent of frequency. `linear` is True if its gradient by the law's own parameters is
+    constant.
 
     `objective`: it is made small instead.
     """
