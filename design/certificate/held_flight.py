@@ -166,7 +166,7 @@ def hold(
 
 
 def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, object]:
-    """Changes of the scenario."""
+    """Return the changes of the scenario."""
     air = node.condition
     temperature = (air.airspeed_mps / air.mach) ** 2 / (HEAT_RATIO * GAS_CONSTANT_Jpkg_K) if air.mach > 0 else 288.15
     fast = 1.0 / node.instruments.sample_s
@@ -200,10 +200,11 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
 
 
 def _step_s(scenario: Scenario, node: Node) -> float:
-    """The scenario's step, or one at which the integrator moves no mode by more than DETUNED of its bandwidth.
+    """Return the scenario's step, or one at which the integrator changes no mode by more than DETUNED of its bandwidth.
 
-    It lowers a frequency by the share (w h)^4 / 120 (docs/model.md, section 10): at 80 Hz and 1 ms by a tenth of what a
-    damping ratio of 0.005 makes of the mode, which a loop that is sampled at 100 Hz shows at 20 Hz.
+    The integrator lowers a frequency by the share (w h)^4 / 120 (docs/model.md, section 10). At 80 Hz and 1 ms this is
+    a tenth of the half bandwidth of a mode with a damping ratio of 0.005. A loop that is sampled at 100 Hz shows the
+    mode at 20 Hz.
     """
     modes = zip(node.vehicle.omega_radps, node.vehicle.damping_ratio, strict=True)
     most_s = min(((120.0 * DETUNED * zeta) ** 0.25 / omega for omega, zeta in modes if zeta > 0.0), default=math.inf)
@@ -212,7 +213,9 @@ def _step_s(scenario: Scenario, node: Node) -> float:
 
 
 def linear_limits(held: HeldFlight) -> tuple[float, float]:
-    """Gimbal command (rad) and commanded servo rate (rad/s) at which actuator or computer stop being linear."""
+    """Return the gimbal command (rad) and the commanded servo rate (rad/s) at which actuator or computer cease to be
+    linear.
+    """
     actuator, computer = held.node.instruments.actuator, held.loaded.scenario.vehicle.computer_of(0)
     command = math.inf if computer is None else math.radians(computer.command_limit_deg)
     if actuator.ideal:

@@ -119,7 +119,7 @@ class LawLimit:
     """A limit that is independent of frequency. `linear` is True if its gradient by the law's own parameters is
     constant.
 
-    `objective`: it is made small instead.
+    `objective` is True if the quantity is minimised instead.
     """
 
     text: str
@@ -139,9 +139,10 @@ class LawLimit:
 
 @dataclass(frozen=True)
 class LimitValues:
-    """Limit number `number` of a law at some plants, (rows,): in the limit's own unit, and what it is exceeded by.
+    """The values of limit number `number` of a law at some plants, (rows,), in the limit's own unit, and the excess
+    over the limit.
 
-    `plant` -1: of the law itself. `gradient` (rows, own parameters) of the excess.
+    `plant` -1 denotes the law itself. `gradient` (rows, own parameters) is that of the excess.
     """
 
     number: int
@@ -153,88 +154,98 @@ class LimitValues:
 
 
 class LawVariables(Protocol):
-    """Laws of one form as a vector of variables, for all plants of a task.
+    """A family of laws as a vector of variables, for all plants of a task.
 
-    At one plant a law has `own` parameters: numbers such as filter frequencies and logarithms of gains, which follow
-    from the variables (the gain schedules at that plant's time). The optimiser differentiates by the own parameters
-    of a plant, and goes on to the variables by `jacobian` and `bend`.
+    At one plant a law has `own` parameters, such as filter frequencies and logarithms of gains. They follow from the
+    variables (the gain schedules at that plant's time). The optimiser differentiates with respect to the own parameters
+    of a plant, then applies the chain rule to the variables with `jacobian` and `bend`.
 
-    L must be free of poles in the right half plane that come from the law, and of poles at zero but those of the
-    measurements and `poles_at_zero`; the count of unstable poles relies on it.
+    The law must not add poles of L in the right half plane. Its only poles at zero must be those of the measurements
+    and `poles_at_zero`. The count of unstable poles relies on both conditions.
     """
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Measurements, as of `Controller`; all of them."""
+        """Return the names of all measurements, as in `Controller`."""
 
     @property
     def poles_at_zero(self) -> int:
-        """Poles of C at s = 0 (z = 1)."""
+        """Return the number of poles of C at s = 0 (z = 1)."""
 
     @property
     def limits(self) -> tuple[LawLimit, ...]:
-        """Limits that the law knows of."""
+        """Return the limits that the law itself defines."""
 
     @property
     def lower(self) -> Array:
-        """Bounds of the variables."""
+        """Return the lower bounds of the variables."""
 
     @property
     def upper(self) -> Array:
-        """Bounds of the variables."""
+        """Return the upper bounds of the variables."""
 
     @property
     def own_size(self) -> int:
-        """Number of own parameters."""
+        """Return the number of own parameters."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Return the names of the variables."""
 
     def own(self, variables: Array) -> Array:
-        """Own parameters of each plant, (plants, own)."""
+        """Return the own parameters of each plant, (plants, own)."""
 
     def jacobian(self, variables: Array) -> Array:
-        """d own / d variables, (plants, own, variables)."""
+        """Return d own / d variables, (plants, own, variables)."""
 
     def bend(self, variables: Array, slopes: Array) -> Array:
-        """Sum of the second derivatives of all own parameters, weighted with `slopes` (plants, own), (size, size)."""
+        """Return the sum of the second derivatives of all own parameters, weighted with `slopes` (plants, own), (size,
+        size).
+        """
 
     def axis(self, x: Array) -> Axis:
         """Return the precomputed values that `response` and `log_response` need at points x = ln f."""
 
     def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
-        """C on a mesh, as a common factor (points,) and gains (points, inputs); `plant` is each point's."""
+        """Return C on a mesh, as a common factor (points,) and gains (points, inputs). `plant` is the plant of each
+        point.
+        """
 
     def log_response(self, own: Array, axis: Axis) -> LogResponse:
-        """C at points of own parameters (points, own)."""
+        """Return C at points of own parameters (points, own)."""
 
     def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
-        """d ln L / d own, (points, own). `weights` (points, inputs): ratio of measurement i over sum of gains_k P_k."""
+        """Return d ln L / d own, (points, own). `weights` (points, inputs) are the ratios of measurement i to the sum
+        of gains_k P_k.
+        """
 
     def limit_values(self, own: Array) -> list[LimitValues]:
-        """All limits that are asked for, at own parameters (plants, own)."""
+        """Return the values of all limits that are set, at own parameters (plants, own)."""
 
     def controllers(self, variables: Array) -> list[Controller]:
-        """The law at each plant."""
+        """Return the law at each plant."""
 
     def designed(self, variables: Array) -> DesignedLaw:
-        """The law of the design file that these variables mean."""
+        """Return the law of the design file that these variables represent."""
 
     def variables_of(self, law: DesignedLaw) -> Array | None:
-        """Variables of a law that has been designed with as much freedom or less; None where it does not fit."""
+        """Return the variables of a law that was designed with at most the same freedom, or None if it does not fit."""
 
     def starts(self, count: int, seed: int) -> list[Array]:
-        """Beginnings of the search, the most promising first."""
+        """Return the starting points of the search, the most promising first."""
 
     def beside(self, variables: Array, lost: IntArray) -> Array | None:
         """Return the variables with the gains of the plants number `lost` interpolated between those of the others.
 
-        None where every gain belongs to one of them.
+        Returns None if every gain belongs to one of the removed plants.
         """
 
     def leap_size(self, number: int) -> Array:
-        """Standard deviations of the variables for a leap from an optimum; sizes vary from leap to leap."""
+        """Return the standard deviations of the variables for a random step away from an optimum. The sizes vary from
+        step to step.
+        """
 
     def simpler(self) -> tuple[LawVariables, Callable[[Array], Array]] | None:
-        """Laws of fewer variables for rough searches, and how their variables become these; None: not worth it."""
+        """Return laws of fewer variables for rough searches and the conversion of their variables, or None if such a
+        search is not worthwhile.
+        """

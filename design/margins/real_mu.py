@@ -1,12 +1,12 @@
-"""Structured singular value over real numbers, from above.
+"""An upper bound of the structured singular value over real numbers.
 
-mu(M) is 1 / the least r for which 1 - M D is singular with a diagonal D of real numbers up to r, each on as many rows
-as it acts on. An upper bound (Fan, Tits & Doyle, IEEE Trans. Autom. Control 36, 1991) is the root of the greatest
+mu(M) is 1 / the least r for which 1 - M D is singular with a diagonal D of real numbers up to r, each repeated over its
+number of rows. An upper bound (Fan, Tits & Doyle, IEEE Trans. Autom. Control 36, 1991) is the root of the greatest
 eigenvalue of
 
     N^H N + j (G N - N^H G),      N = T M T^-1,
 
-with T and G = G^H block by block: any of them give one, descent looks for the least.
+with T and G = G^H block by block. Any T and G give an upper bound, and descent searches for the least.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ Scaling = tuple[ComplexArray, ComplexArray]
 def real_mu_upper(
     m: ComplexArray, ranks: Sequence[int], start: Scaling | None = None, enough: float = 0.0
 ) -> tuple[float, Scaling]:
-    """Upper bound of mu of `m` (n, n) over real numbers, each on so many rows (`ranks`), and the scaling behind it.
+    """Return an upper bound of mu of `m` (n, n) over real numbers, each repeated over its rank (`ranks`), and the
+    scaling that gives the bound.
 
-    Descent begins with rows and columns balanced, and ends where the bound is below `enough`.
+    Descent begins with rows and columns balanced, and ends if the bound is below `enough`.
     """
     owner = np.repeat(np.arange(len(ranks)), ranks)
     inside = owner[:, None] == owner
