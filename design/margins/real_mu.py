@@ -65,7 +65,7 @@ def _form(n: ComplexArray, g: ComplexArray) -> ComplexArray:
 
 
 def _hermitian(x: Array, inside: Array) -> ComplexArray:
-    """Real parts in the lower triangle, imaginary ones in the upper."""
+    """Return a matrix with the real parts in the lower triangle and the imaginary parts in the upper."""
     whole = np.zeros(inside.shape)
     whole[inside] = x
     lower, upper = np.tril(whole, -1), np.triu(whole, 1)
@@ -73,7 +73,7 @@ def _hermitian(x: Array, inside: Array) -> ComplexArray:
 
 
 def _slopes(q: ComplexArray, inside: Array) -> Array:
-    """Derivative by the numbers of `_hermitian` of Re tr(q H)."""
+    """Return the derivative of Re tr(q H) by the numbers of `_hermitian`."""
     both = (q + q.conj().T).real
     return np.asarray((np.tril(both, -1) + np.diag(q.diagonal().real) + np.triu((q - q.T).imag, 1))[inside])
 
@@ -87,7 +87,9 @@ def _exp(h: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
 def descent(
     m: ComplexArray, inside: Array, start: Scaling, value: float, sharpness: float = 30.0
 ) -> Callable[[Array], tuple[float, Array]]:
-    """The smoothed bound squared, over `value` squared, and its slope, as a function of how T turns and G moves."""
+    """Return the smoothed bound squared, over `value` squared, and its slope, as a function of the turn of T and the
+    change of G.
+    """
     before, scale, count = start[0] @ m @ np.linalg.inv(start[0]), max(value * value, 1e-12), int(inside.sum())
     sharp = sharpness / scale
 
@@ -106,7 +108,7 @@ def descent(
 
 
 def _descended(m: ComplexArray, inside: Array, start: Scaling, value: float, sharpness: float) -> Scaling:
-    """T and G after a descent that is short, since slopes by T are those at its begin."""
+    """Return T and G after a descent. The descent is short, since the slopes by T are those at its beginning."""
     count = int(inside.sum())
     found = scipy.optimize.minimize(
         descent(m, inside, start, value, sharpness),

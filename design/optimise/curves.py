@@ -1,9 +1,9 @@
-"""The fixed part of every plant's loop as a smooth curve over frequency, quick to evaluate anywhere.
+"""The fixed part of every plant's loop as a smooth curve over frequency that is fast to evaluate.
 
-Peaks, crossings and their gradients are asked for hundreds of times at a few hundred frequencies while the law changes
-and the vehicle does not. So the exact response is computed once on a mesh that resolves every resonance, and ln P and
-ln of each other measurement over P are joined by quintic splines over ln f. The mesh is halved wherever the spline
-misses the exact response by more than `TOLERANCE`: 2e-6 dB and 1e-5 deg, far below the 0.01 of the margins.
+The optimiser needs peaks, crossings and their gradients hundreds of times at a few hundred frequencies while the law
+changes and the vehicle does not. So the exact response is computed once on a mesh that resolves every resonance.
+Quintic splines over ln f interpolate ln P, and ln of each other measurement over P. The mesh is halved wherever the
+spline misses the exact response by more than `TOLERANCE`: 2e-6 dB and 1e-5 deg, far below the 0.01 of the margins.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from maxq.design.model.state_space import ComplexArray
 
 CurveIndices = NDArray[np.int64]
 
-BASE = "rate_radps"  # the measurement that the fixed path's response is to
+BASE = "rate_radps"  # the measurement whose response the fixed path gives
 TOLERANCE = 2e-7  # of ln P
 HIGHEST_HZ = 200.0  # of a loop that has no Nyquist frequency
 PER_DECADE = 24
