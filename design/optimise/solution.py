@@ -27,10 +27,10 @@ EITHER_WAY = ("gain margin", "phase margin")
 
 @dataclass(frozen=True)
 class Constraint:
-    """The worst of one limit at one plant (`plant` None: of the law itself). `value` and `limit` in `unit`.
+    """The worst case of one limit at one plant (`plant` None: of the law itself). `value` and `limit` are in `unit`.
 
-    `excess_db` > 0 is a violation. `multiplier`: dB of the objective per dB by which the limit is moved; of an
-    infeasible design the limit's share in the conflict.
+    `excess_db` > 0 is a violation. `multiplier` is the change of the objective in dB per dB by which the limit is
+    moved. For an infeasible design, it is the limit's share in the conflict.
     """
 
     what: str
@@ -50,8 +50,8 @@ class Constraint:
 class ActiveBound:
     """A variable at its bound `value` (Hz, ratio or gain).
 
-    `multiplier`: dB that moving it by one unit (of ln Hz, of ln gain, of damping ratio or weight) would bring, of the
-    objective, or of the least violation of an infeasible design.
+    `multiplier` is the improvement in dB if the bound is moved by one unit (of ln Hz, of ln gain, of damping ratio or
+    weight). It applies to the objective, or to the least violation of an infeasible design.
     """
 
     variable: str
@@ -61,17 +61,19 @@ class ActiveBound:
 
     @property
     def _unit(self) -> tuple[float, str]:
-        """Units of the variable in the change that `price_db` is about, and that change in words."""
+        """Return the units of the variable in the change to which `price_db` refers, and that change in words."""
         return (math.log(2.0), "octave") if is_logarithmic(self.variable) else (0.1, "0.1")
 
     @property
     def price_db(self) -> float:
-        """The dB that moving the bound would bring: by an octave of a frequency or a gain, by 0.1 of others."""
+        """Return the improvement in dB if the bound is moved: by an octave of a frequency or a gain, by 0.1 of
+        others.
+        """
         return self._unit[0] * self.multiplier
 
     @property
     def text(self) -> str:
-        """Name the bound and its price."""
+        """Return the bound and its price as text."""
         unit = " Hz" if self.variable.endswith("_hz") else ""
         what = f"{self.variable} at its {self.side} bound {self.value:.4g}{unit}"
         return f"{what} ({self.price_db:.2g} dB per {self._unit[1]})"
