@@ -1,10 +1,11 @@
-"""Results that are kept for later runs: parts stored under the hash of everything on which they depend.
+"""Results that are kept for later runs: parts stored under the hash of all data on which they depend.
 
     memory = Memory(folder)
     answer = memory.recall("node", (packed, node, loop), lambda: certify(...))
 
-A key is the content of the arguments, bit by bit, and the source code of maxq. A part whose inputs are the same is the
-same part, whatever design or scenario asks for it: of a design with one changed gain, only the nodes beside it are new.
+A key is the content of the arguments, bit by bit, and the source code of maxq. A part with the same inputs is the same
+part for every design and scenario. For a design with one changed gain, only the adjacent operating points are computed
+again.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ T = TypeVar("T")
 
 
 def default_folder() -> Path:
-    """Beside the compiled kernels. Raises PermissionError where another user may write to it."""
+    """Return a folder next to the compiled kernels. Raises PermissionError if another user may write to it."""
     return own_cache("verified")
 
 
@@ -48,9 +49,9 @@ def code_hash() -> str:
 
 
 def content_hash(*things: Any) -> str:
-    """SHA-256 of values: numbers, texts, arrays, records, dataclasses, and collections of them.
+    """Return the SHA-256 of values: numbers, texts, arrays, records, dataclasses, and collections of them.
 
-    Raises TypeError for anything else, rather than to tell two different things for one.
+    Raises TypeError for any other type, since different values could then have the same hash.
     """
     return hashlib.sha256(json.dumps(to_plain(things, records=True)).encode()).hexdigest()
 
