@@ -57,10 +57,11 @@ def content_hash(*things: Any) -> str:
 
 
 def to_plain(thing: Any, records: bool = False) -> Any:
-    """Return a result as JSON holds it: a type that JSON lacks is an object with one key, the name of the type.
+    """Return a result in the form that JSON can represent. A type that JSON lacks becomes an object with one key, the
+    name of the type.
 
-    Raises TypeError for a type that `from_plain` would not know; with `records`, for a hash, it takes NumPy records and
-    bytes too.
+    Raises TypeError for a type that `from_plain` does not support. With `records`, for a hash, NumPy records and bytes
+    are permitted too.
     """
     plain = partial(to_plain, records=records)
     if isinstance(thing, np.ndarray | np.generic) and thing.dtype.kind in ("biufcSUV" if records else "biufc"):
@@ -88,8 +89,8 @@ def to_plain(thing: Any, records: bool = False) -> Any:
 
 
 def from_plain(plain: Any) -> Any:
-    """Return the object from which `to_plain` made this. Raises ValueError or TypeError for anything that it cannot
-    have written.
+    """Return the object from which `to_plain` made this. Raises ValueError or TypeError for input that `to_plain`
+    cannot have written.
     """
     if isinstance(plain, list):
         return [from_plain(item) for item in plain]
@@ -130,7 +131,9 @@ def _fields(kind: Any) -> list[str]:
 
 
 def counted(work: Callable[..., T], watch: Callable[[int, int], None], of: int, each: int = 1) -> Callable[..., T]:
-    """`work` for threads, which tells `watch` after every job how much of all is done; a job counts `each`."""
+    """Return `work` for threads, with a call of `watch` after every job that reports the completed share. A job counts
+    as `each`.
+    """
     done = itertools.count(each, each)
     watch(0, of)
 
@@ -143,10 +146,10 @@ def counted(work: Callable[..., T], watch: Callable[[int, int], None], of: int, 
 
 
 class PartsOnDisk:
-    """Parts in a folder, a file each; `folder` None remembers nothing. Threads may share one.
+    """The parts in a folder, one file each. A `folder` of None stores nothing. Threads may share one instance.
 
-    A file is the SHA-256 of the rest, the hash of what the part depends on, and the part as JSON, a line each. One that
-    is damaged or belongs elsewhere is worked out again. No file can name code to run.
+    A file contains, one line each, the SHA-256 of the other lines, the hash of the inputs of the part, and the part as
+    JSON. A part whose file is damaged or belongs elsewhere is computed again. No file can name code to be executed.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -155,7 +158,7 @@ class PartsOnDisk:
         self.worked_out = 0
 
     def recall(self, kind: str, depends_on: Any, work_out: Callable[[], T]) -> T:
-        """The part of that kind, from the folder or worked out now and kept."""
+        """Return the part of that kind, from the folder or computed now and stored."""
         if self._folder is None:
             self.worked_out += 1
             return work_out()
@@ -168,10 +171,10 @@ class PartsOnDisk:
                 self.recalled += 1
                 return found
         except (OSError, ValueError, TypeError, ImportError, LookupError, AttributeError, RecursionError):
-            pass  # no part that `to_plain` wrote
+            pass  # not a part that `to_plain` wrote
         found = work_out()
         self.worked_out += 1
         rest = f"{key}\n{json.dumps(to_plain(found))}".encode()
-        with contextlib.suppress(FileError):  # a memory that cannot be written costs time, no more
+        with contextlib.suppress(FileError):  # an unwritable memory costs only time
             write_whole(path, hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest)
         return found

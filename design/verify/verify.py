@@ -1,4 +1,4 @@
-"""A design judged by a suite: flights, linear margins, certificate, campaigns; what each says, and the verdict.
+"""The judgement of a design by a suite: flights, linear margins, certificate, campaigns, their results and the verdict.
 
 found = verify("ksr3-robust", read_suite("standard"))
 found.judgement, [r.reason for r in found.requirements if r.judgement == "rejected"]
@@ -53,9 +53,9 @@ from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
 
 @dataclass(frozen=True, repr=False)
 class Verification:
-    """A design, the requirements on it, and the results. Parts that the suite does not ask for are empty."""
+    """A design, the requirements on it, and the results. Parts that the suite does not require are empty."""
 
-    design: str  # as the user named it
+    design: str  # the name given by the user
     suite: Suite
     scenario: LoadedScenario = field(repr=False)
     requirements: tuple[JudgedRequirement, ...]
@@ -69,17 +69,17 @@ class Verification:
     worst: tuple[WorstVehicle, ...] = field(repr=False)
     measured: tuple[MeasuredNode, ...] = field(repr=False)  # of flight code without a linear model
     uncovered: tuple[Uncovered, ...]  # intervals of the flight of the operating points without any
-    left_out: tuple[str, ...]  # of the suite, for what the vehicle does not have
+    left_out: tuple[str, ...]  # of the suite, for parts that the vehicle does not have
     missing_evidence: tuple[str, ...]  # below the floor of an acceptance (`floor`)
     compared: Compared  # the suite with its baseline
-    hashes: dict[str, str]  # SHA-256 of all that the verdict depends on, by name
+    hashes: dict[str, str]  # SHA-256 of all inputs of the verdict, by name
     versions: dict[str, str]
     recalled: int
     worked_out: int
     wall_s: float
     walls_s: dict[str, float]
     cpus_s: dict[str, float]  # of all threads
-    deviations: str = ""  # the description of the dispersed vehicles, for people
+    deviations: str = ""  # the description of the dispersed vehicles, as text
     part: str = ""  # that was judged alone
 
     def __repr__(self) -> str:
@@ -94,7 +94,7 @@ class Verification:
 
     @property
     def more_runs(self) -> int:
-        """Campaign runs that would settle what is undecided, if none of them fails."""
+        """Return the number of campaign runs that would decide the undecided requirements, if none of them fails."""
         return max((r.more_runs for r in self.requirements), default=0)
 
     def of(self, judgement: SuiteVerdict) -> list[JudgedRequirement]:
@@ -102,7 +102,9 @@ class Verification:
 
     @property
     def merit(self) -> tuple[int, int, float]:
-        """For ranking: fewer rejected, fewer undecided, then more room at the tightest requirement."""
+        """Return the key for ranking: fewer rejected, fewer undecided, then a larger margin of the tightest
+        requirement.
+        """
         rooms = [r.room for r in self.requirements if math.isfinite(r.room)]
         undecided = sum(r.judgement not in (ACCEPTED, REJECTED) for r in self.requirements)
         return (-len(self.of(REJECTED)), -undecided, min(rooms, default=math.nan))
@@ -118,10 +120,10 @@ def verify(
     stop: Callable[[], bool] = lambda: False,
     workers: int = 2,
 ) -> Verification:
-    """Judge a design by a suite. `design` as a scenario names it. `memory`: folder of parts, None for none.
+    """Judge a design by a suite. `design` is as a scenario names it. `memory` is the folder of parts, None for none.
 
-    Raises ScenarioError before anything is flown where an input is wrong; KeyboardInterrupt soon after `stop` returns
-    True (results up to then are kept).
+    Raises ScenarioError before any flight if an input is wrong. Raises KeyboardInterrupt soon after `stop` returns True
+    (results up to then are kept).
     """
     begun, walls, cpus = time.perf_counter(), {}, {}
 
@@ -160,7 +162,7 @@ def verify(
     scenarios = [flown.load_flight(loaded, flight, design, vehicle) for flight in suite.flight]
     with timed("scenarios"):
         flights = flown.fly_suite(loaded, scenarios, kept, partial(interruptible, "scenarios"), workers)
-    with timed("linear margins"):  # nothing but what was asked for, where a part alone is repeated
+    with timed("linear margins"):  # only the requested part is repeated
         alone = suite.margins is not None and suite.margins.only in (WORST, CERTIFICATE)
         margin, limits, slosh = ([], [], []) if alone else (job.margins(), job.authority(), job.slosh())
     with timed("worst vehicle"):
@@ -191,7 +193,7 @@ def verify(
 
     def at_node(c: NodeCertificate | InFlightResponse) -> str:
         changes = [f"certificate.times_s=[{c.time_s!r}]", f"certificate.planes=['{c.plane}']"]
-        if isinstance(c, NodeCertificate):  # which may lie too near to the ends of thrust for the other
+        if isinstance(c, NodeCertificate):  # which may be too near to the ends of thrust for the other
             changes.append("certificate.in_flight=false")
         return loaded.command(
             design, vehicle, *(x for change in changes for x in ("--set", change)), "--only", CERTIFICATE
@@ -276,8 +278,8 @@ def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequen
 
 
 def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:
-    """Return the flight that the nodes and marks of a suite are on: its scenario with its own design, unless it has
-    none or that flight is lost; then with the one that is judged.
+    """Return the flight that gives a suite its operating points and marks: its scenario with its own design. If there
+    is none, or if that flight is lost, it is the flight with the judged design.
     """
     own = load_scenario(suite.scenario, [f'vehicle="{vehicle}"'] if vehicle is not None else [])
     if own.design is not None and powered_flight(own)[1] is None:
@@ -286,7 +288,9 @@ def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:
 
 
 def flight_requirement(along: LoadedScenario) -> list[JudgedRequirement]:
-    """Reject a design where the flight that gives the nodes is lost: no margin after the loss is known."""
+    """Reject a design if the flight that gives the operating points is lost, since no margin after the loss is
+    known.
+    """
     loss = powered_flight(along)[1]
     if loss is None:
         return []
