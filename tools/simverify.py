@@ -1,5 +1,6 @@
-"""The command `simverify`: accept or reject control designs, and say why. Nothing heavy is imported before it is known
-what to do."""
+"""The command `simverify`: accept or reject control designs, with the reasons. Expensive modules are imported only once
+the task is known.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +52,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _date(text: str) -> str:
-    """A date, as it was given."""
+    """Return a date, unchanged after a check."""
     try:
         datetime.date.fromisoformat(text)
     except ValueError:
@@ -60,7 +61,7 @@ def _date(text: str) -> str:
 
 
 def _verify(**given: Any) -> int:
-    from maxq.tools.verify.run import execute  # noqa: PLC0415  # lazy: --help is quick
+    from maxq.tools.verify.run import execute  # noqa: PLC0415  # lazy: --help is fast
 
     return execute(**given)
 

@@ -1,5 +1,5 @@
-"""Colours of everything that is drawn, on paper and in the viewer: those of Okabe & Ito, which colour-blind people can
-tell apart. Nothing is imported here, so that the viewer's side does not load Matplotlib.
+"""The colours of all pictures, on paper and in the viewer: those of Okabe & Ito, which colour-blind people can
+distinguish. Nothing is imported here, so that the viewer's side does not load Matplotlib.
 """
 
 from __future__ import annotations
@@ -17,5 +17,5 @@ VERDICT = {"passed": GREEN, "failed": RED, "unknown": SKY}
 
 
 def rgba(colour: str, alpha: float = 1.0) -> list[int]:
-    """Four bytes of a `#rrggbb`."""
+    """Return the four bytes of a `#rrggbb`."""
     return [*bytes.fromhex(colour[1:]), round(255 * alpha)]
