@@ -23,7 +23,7 @@ _BLOCKS, _PLAIN_BLOCKS = "▁▂▃▄▅▆▇█", "_.-=+*%#"
 _NARROWEST, _WIDEST = 20, 100
 
 
-# -- beside the pictures -------------------------------------------------------------------------------------------
+# -- next to the pictures ------------------------------------------------------------------------------------------
 def about(flights: Sequence[ReplayFlight], drawn: Sequence[str]) -> str:
     """Return a Markdown page on one flight or several, which ends with the section `drawn`."""
     if len(flights) == 1:
