@@ -62,8 +62,9 @@ class MeasuredLoop(Protocol):
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that can be limited. `value` evaluates it from a measured loop. None means that it needs more than a
-    loop.
+    """A quantity that can be limited.
+
+    `value` evaluates it from a measured loop. None means that it needs more than a loop.
 
     `heading` is that of a column. `law` is True if the optimiser evaluates the quantity from the law and the vehicle
     alone.

@@ -352,8 +352,9 @@ def write_report(
 
 
 def nearest_limits(verdicts: Sequence[Judged]) -> list[Judged]:
-    """Return the requirements whose worst run comes nearest to the limit, or exceeds it most. Requirements with equal
-    runs are omitted.
+    """Return the requirements whose worst run comes nearest to the limit, or exceeds it most.
+
+    Requirements with equal runs are omitted.
     """
 
     def excess(v: Judged) -> float:

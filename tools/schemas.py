@@ -62,6 +62,7 @@ _KEPT = ("default", "enum", "required")  # values, no schemas
 
 def _as_written(node: Any, name: str = "") -> Any:
     """Return the schema of values that TOML can represent: without null (optional keys are omitted) and without titles.
+
     Each number has the range for the `name` of its key or column, if it has no bound of its own.
     """
     if isinstance(node, list):

@@ -1,5 +1,6 @@
-"""The command `simdesign`: optimise a control design, or judge one. Expensive modules are imported only once the task
-is known.
+"""The command `simdesign`: optimise a control design, or judge one.
+
+Expensive modules are imported only once the task is known.
 """
 
 from __future__ import annotations

@@ -54,8 +54,9 @@ def fly_campaign(
     keep: tuple[str, ...] = (),
     no_report: bool = False,
 ) -> int:
-    """Fly, resume or enlarge a campaign. Return the exit code, as all functions here do. They raise the errors that
-    `cli.frame.run` reports on one line.
+    """Fly, resume or enlarge a campaign.
+
+    Return the exit code, as all functions here do. They raise the errors that `cli.frame.run` reports on one line.
     """
     start_s = time.perf_counter()
     changes = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
@@ -179,8 +180,9 @@ def fly_run(
 
 
 def shrink(folder: str, run: int, *, workers: int | None = None) -> int:
-    """Find the fewest dispersions with which a run fails, as DIR/shrunk/run-000417.toml. Exit code 1 means that it
-    fails.
+    """Find the fewest dispersions with which a run fails, as DIR/shrunk/run-000417.toml.
+
+    Exit code 1 means that it fails.
     """
     place = Path(folder)
     campaign = campaign_in(place)
@@ -219,8 +221,9 @@ def shrink(folder: str, run: int, *, workers: int | None = None) -> int:
 
 
 def search(folder: str, metric: str, *, runs: int = _SEARCH_FLIGHTS, workers: int | None = None) -> int:
-    """Find the worst flight within 3 sigma, as DIR/worst/METRIC.toml. Exit code 1 means that it misses a
-    requirement.
+    """Find the worst flight within 3 sigma, as DIR/worst/METRIC.toml.
+
+    Exit code 1 means that it misses a requirement.
     """
     if metric not in METRIC_NAMES:
         hint = suggestion(metric, METRIC_NAMES)

@@ -183,8 +183,9 @@ class Comparison:
             self._hash = run.state_hash()
 
     def verdict(self, flight: Flight) -> bool:
-        """Print the result of the comparison. Return False if the flight differs, or could not be compared as
-        required.
+        """Print the result of the comparison.
+
+        Return False if the flight differs, or could not be compared as required.
         """
         if self._logged is None:
             return True

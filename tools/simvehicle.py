@@ -1,5 +1,6 @@
-"""The command `simvehicle`: build a vehicle that flies from a layout. Expensive modules are imported only when they are
-needed.
+"""The command `simvehicle`: build a vehicle that flies from a layout.
+
+Expensive modules are imported only when they are needed.
 """
 
 from __future__ import annotations

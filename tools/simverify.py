@@ -1,5 +1,6 @@
-"""The command `simverify`: accept or reject control designs, with the reasons. Expensive modules are imported only once
-the task is known.
+"""The command `simverify`: accept or reject control designs, with the reasons.
+
+Expensive modules are imported only once the task is known.
 """
 
 from __future__ import annotations

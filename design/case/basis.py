@@ -233,8 +233,9 @@ def _what_sets(value: Any) -> Any:
 
 
 def limit_of(limits: LoadLimits, key: str | float) -> Any:
-    """Return a limit by its key, or the limit of a bending moment by its station (m). Return None if the limit is not
-    set.
+    """Return a limit by its key, or the limit of a bending moment by its station (m).
+
+    Return None if the limit is not set.
     """
     if isinstance(key, str):
         return None if key in getattr(limits, "without", ()) else getattr(limits, key)

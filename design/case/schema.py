@@ -1,5 +1,6 @@
-"""The schema of case files, and functions that read them. A case states problem (42) to (50) of Lee, Ahn & Roh and
-extensions.
+"""The schema of case files, and functions that read them.
+
+A case states problem (42) to (50) of Lee, Ahn & Roh and extensions.
 
     loaded = read_case("ksr3-identical", ["filter.structure='F6'"])
 
@@ -297,8 +298,9 @@ class Case(Basis, CaseHead):
         return self.nodes_s
 
     def of_stage(self, number: int, nodes_s: tuple[float, ...]) -> Case:
-        """Return the case of one stage, counted from 0. Raises ValidationError if the keys of the stage are
-        incompatible with the others.
+        """Return the case of one stage, counted from 0.
+
+        Raises ValidationError if the keys of the stage are incompatible with the others.
         """
         own = self.stage[number] if number < len(self.stage) else StageCase()
         changed = _laid_over(self, own).model_copy(update={"stage": (), "stages": None, "nodes_s": nodes_s})
@@ -316,8 +318,9 @@ def _laid_over(below: Model, over: Section) -> Model:
 
 @dataclass(frozen=True)
 class LoadedCase:
-    """A case and its scenario. `flight` provides the operating points; its default is the scenario with its own
-    design.
+    """A case and its scenario.
+
+    `flight` provides the operating points; its default is the scenario with its own design.
     """
 
     case: Case

@@ -67,9 +67,10 @@ class MarginRow:
 
 @dataclass(frozen=True)
 class NodeCertificate:
-    """The certificate of an operating point at a total gain of 1. `stable` is True if the loop at the flown instant is
-    stable. `cycle` describes how a held loop ends in flight if it is unstable by more than a drift. `total_gain_db`
-    gives the range of the adaptive total gain, downwards and upwards.
+    """The certificate of an operating point at a total gain of 1.
+
+    `stable` is True if the loop at the flown instant is stable. `cycle` describes how a held loop ends in flight if it
+    is unstable by more than a drift. `total_gain_db` gives the range of the adaptive total gain, downwards and upwards.
     """
 
     time_s: float
@@ -82,8 +83,10 @@ class NodeCertificate:
     rings: tuple[RingLine, ...] = ()
 
     def total_gain_room_db(self, end: int) -> float:
-        """Return the gain margin beyond the least (`end` 0) or the largest (1) total gain. The margin is the measured
-        one, or that of the linear loop if none was measured. It is minus infinity for a loop without margins.
+        """Return the gain margin beyond the least (`end` 0) or the largest (1) total gain.
+
+        The margin is the measured one, or that of the linear loop if none was measured. It is minus infinity for a loop
+        without margins.
         """
         row = next((m for m in self.margins if m.what == ("gain_down", "gain_up")[end]), None)
         if row is None:
@@ -130,8 +133,9 @@ def certify(
     one: Callable[[LoadedScenario, Node], NodeCertificate] | None = None,
     along: LoadedScenario | None = None,
 ) -> list[NodeCertificate]:
-    """Return the certificates of the scenario's design, ordered by operating point, then plane. The number of workers
-    does not change the result.
+    """Return the certificates of the scenario's design, ordered by operating point, then plane.
+
+    The number of workers does not change the result.
 
     `times_s` are vehicle times; None selects times that suit the flight (`operating_points.nodes`). `one` certifies an
     operating point, by default `certify_node`. `along` is the scenario whose flight provides the speed and the air of
@@ -151,8 +155,9 @@ def certify_node(
     bands: tuple[LineBand, ...] = BANDS,
     names: tuple[MarginName, ...] = MARGIN_NAMES,
 ) -> NodeCertificate:
-    """Return the certificate at one operating point, in its plane. Raises ValueError if the point cannot be held
-    (held_flight.py).
+    """Return the certificate at one operating point, in its plane.
+
+    Raises ValueError if the point cannot be held (held_flight.py).
 
     `fault` alters the flights and not the linear model, to test that the certificate detects the fault. `bands` and
     `names` select the responses and the margins to be measured.
@@ -202,9 +207,10 @@ def certify_node(
 
 
 def _with_noise(row: MarginRow, fine: MarginRow) -> MarginRow:
-    """Return a row that disagrees, remeasured without rounding. Near the stability boundary, converter counts sustain
-    an oscillation, and its growth rate is then unreliable. Rounding is the cause if the row without rounding agrees and
-    the row with rounding differs little.
+    """Return a row that disagrees, remeasured without rounding.
+
+    Near the stability boundary, converter counts sustain an oscillation, and its growth rate is then unreliable.
+    Rounding is the cause if the row without rounding agrees and the row with rounding differs little.
     """
     near = abs(row.difference) <= (NOISE_WITHIN_DB if row.unit == "dB" else NOISE_WITHIN * row.held)
     return dataclasses.replace(row, reason=NOISE) if fine.agrees and near else row

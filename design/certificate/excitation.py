@@ -202,8 +202,10 @@ def sine_burst(held: HeldFlight, frequency_hz: float, scale: float = 1.0) -> Inj
 
 
 def sine(held: HeldFlight, frequency_hz: float, amplitude_rad: float, stop_s: float) -> Injection:
-    """Return a sine that starts immediately and has the given duration. Near half the sample rate it starts a quarter
-    period late: at half the sample rate, all samples of a sine that starts at phase zero are 0.
+    """Return a sine that starts immediately and has the given duration.
+
+    Near half the sample rate it starts a quarter period late: at half the sample rate, all samples of a sine that
+    starts at phase zero are 0.
     """
     late_s = 0.25 / frequency_hz if frequency_hz > 0.45 / held.sample_s else 0.0
     times = {"start_s": round(late_s, 9), "stop_s": round(stop_s, 6)}
@@ -211,15 +213,17 @@ def sine(held: HeldFlight, frequency_hz: float, amplitude_rad: float, stop_s: fl
 
 
 def burst_rad(held: HeldFlight, frequency_hz: float, growth: float = 1.0) -> float:
-    """Return the amplitude (rad) of a burst at one frequency. It is far below every limit even if the loop amplifies it
-    by `growth`.
+    """Return the amplitude (rad) of a burst at one frequency.
+
+    It is far below every limit even if the loop amplifies it by `growth`.
     """
     return SHARE_OF_BURST * min(linear_room(held, frequency_hz)) / growth
 
 
 def linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
-    """Return the amplitudes (rad) of the gimbal command at a frequency that reach the limits. The limits are a share of
-    the linear range of actuator and computer, and INCIDENCE_RAD.
+    """Return the amplitudes (rad) of the gimbal command at a frequency that reach the limits.
+
+    The limits are a share of the linear range of actuator and computer, and INCIDENCE_RAD.
     """
     line = np.array([max(frequency_hz, LOWEST_BURST_HZ)])
     servo, incidence = (float(np.abs(x[..., 0]).max()) for x in _servo_and_incidence(held.node, line))
@@ -247,9 +251,10 @@ def _peaks(held: HeldFlight, loop: Excited, groups: Groups, band: LineBand) -> t
 
 
 def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Return the servo rate and the angle of attack per gimbal command. The servo rate of each drive has the shape
-    (drives, lines), in 1/s, as if all drives had the lowest rate limit (sim/vehicle/actuator/kernel.py). The angle of
-    attack is w / U.
+    """Return the servo rate and the angle of attack per gimbal command.
+
+    The servo rate of each drive has the shape (drives, lines), in 1/s, as if all drives had the lowest rate limit
+    (sim/vehicle/actuator/kernel.py). The angle of attack is w / U.
     """
     s = np.asarray(2j * np.pi * lines_hz, np.complex128)
     records, inputs = node.instruments.actuators, node.plant.inputs

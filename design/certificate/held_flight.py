@@ -101,16 +101,18 @@ class HeldFlight:
     def fly(
         self, duration_s: float, injections: tuple[Injection, ...], change: PackedChange = unchanged
     ) -> tuple[FlightRun, Array]:
-        """Run the flight to its end, with the arguments of `run`. Return the flight and its rows at the computer's
-        sample rate (samples, channels).
+        """Run the flight to its end, with the arguments of `run`.
+
+        Return the flight and its rows at the computer's sample rate (samples, channels).
         """
         run = self.run(duration_s, injections, change)
         return run, fast_rows(run)
 
 
 def fast_rows(run: FlightRun) -> Array:
-    """Fly to the end and return all rows of the fast channels, (rows, channels). `run.table.index(name)` gives a
-    column.
+    """Fly to the end and return all rows of the fast channels, (rows, channels).
+
+    `run.table.index(name)` gives a column.
     """
     kept = GrowingRows()
     while not run.finished:
@@ -132,8 +134,9 @@ def hold(
     along_body: bool = False,
     rings_by_law: bool = False,
 ) -> HeldFlight:
-    """Hold the scenario at an operating point of its flight, in the plane of the point. `along_body` removes the
-    gravity turn.
+    """Hold the scenario at an operating point of its flight, in the plane of the point.
+
+    `along_body` removes the gravity turn.
 
     Valid under thrust: of several stages, the stage that burns at the operating point is held alone. Raises ValueError
     if the axial load is not positive. Raises ValueError if the scenario has neither a design nor external flight code.

@@ -136,8 +136,9 @@ def _of_stage(loaded: LoadedScenario, design: Design, points: Sequence[Node], pl
 
 
 def converters_share(reasons: Sequence[str], fine: Sequence[str]) -> tuple[str, ...]:
-    """Return the reasons of lines. A difference that is explained with infinitely fine counts and steps (`fine`) is due
-    to the converters.
+    """Return the reasons of lines.
+
+    A difference that is explained with infinitely fine counts and steps (`fine`) is due to the converters.
 
     The errors of converters repeat with the excitation, so that they occur on its lines and not between them.
     """
@@ -169,8 +170,9 @@ def _window(time_s: float, spans: Sequence[Span]) -> tuple[float, float]:
 
 
 def _amplitude_deg(loaded: LoadedScenario) -> float:
-    """Return the amplitude of each line. The sum of the amplitudes stays below the share of every stage's gimbal rate
-    and angle that a burst may use.
+    """Return the amplitude of each line.
+
+    The sum of the amplitudes stays below the share of every stage's gimbal rate and angle that a burst may use.
     """
     together = math.sqrt(2.0 * len(LINES_HZ))  # crest of many sines
     actuators = [actuator for stage in loaded.vehicle.stage for actuator in stage.actuators]
@@ -208,8 +210,9 @@ def _flown(
 
 
 def _at_lines(samples: Array, lines_hz: Array, sample_s: float) -> tuple[ComplexArray, float]:
-    """Return the phasors at the lines and their standard deviations, from the residual. The least-squares fit includes
-    a cubic trend and weights that taper at both ends.
+    """Return the phasors at the lines and their standard deviations, from the residual.
+
+    The least-squares fit includes a cubic trend and weights that taper at both ends.
     """
     n = len(samples)
     time = sample_s * np.arange(n)

@@ -84,6 +84,7 @@ class BurstTest:
 
 def burst_test(frequency_hz: float, build_up_1ps: float = 0.0) -> BurstTest:
     """Return a burst of at least three periods, a waiting time of six and an observation time of 25 s and 24 periods.
+
     Below LOWEST_BURST_HZ, where periods are long, the numbers are a third of these. A real root has a step and 160 s.
 
     `build_up_1ps` is the rate at which a burst builds up at the stability boundary (`build_up_rate`).
@@ -249,8 +250,9 @@ def _slope(loop: Loop, what: MarginName, bound: LeastValue) -> float:
 def measured_growth(
     held: HeldFlight, loop: excitation.Excited, test: BurstTest, change: PackedChange = unchanged
 ) -> float:
-    """Return the growth rate (1/s) of the free response in flight, or NaN if the flight ended early. `loop` sets the
-    dither.
+    """Return the growth rate (1/s) of the free response in flight, or NaN if the flight ended early.
+
+    `loop` sets the dither.
     """
     amplitude = excitation.burst_rad(held, test.frequency_hz, test.growth)
     swings = test.frequency_hz > 0.0
@@ -368,8 +370,9 @@ class Drift:
 
 
 def drift(held: HeldFlight, loop: Loop, of_held: Margins) -> Drift | None:
-    """Measure a held loop in which only the slowest root is unstable and its growth is slow. Return None for every
-    other loop.
+    """Measure a held loop in which only the slowest root is unstable and its growth is slow.
+
+    Return None for every other loop.
 
     In a held flight, the axial load acts as gravity (held_flight.py) and is several times the real gravity. The slowest
     root then sometimes crosses the imaginary axis, although the loop at the flown instant is stable. Such a root takes

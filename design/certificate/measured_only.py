@@ -65,9 +65,11 @@ class _Loop:
 
 @dataclass(frozen=True)
 class MeasuredNode:
-    """The measurement of flight code at an operating point. L at lines (Hz) has a standard error relative to L. The
-    margins are measured in flight, and their `linear` is NaN. The limit cycles give the outcome of a burst at each
-    slosh frequency. All are empty if the unaltered loop is unstable.
+    """The measurement of flight code at an operating point.
+
+    L at lines (Hz) has a standard error relative to L. The margins are measured in flight, and their `linear` is NaN.
+    The limit cycles give the outcome of a burst at each slosh frequency. All are empty if the unaltered loop is
+    unstable.
     """
 
     time_s: float
@@ -80,8 +82,9 @@ class MeasuredNode:
     cycles: tuple[measured_margins.LimitCycle, ...]
 
     def margin(self, what: MarginName) -> float:
-        """Return a margin in its unit. It is infinite if no limit was found in the range tried, and NaN if it was not
-        determined.
+        """Return a margin in its unit.
+
+        It is infinite if no limit was found in the range tried, and NaN if it was not determined.
         """
         found = next((m for m in self.margins if m.what == what), None)
         if found is None:
@@ -111,8 +114,9 @@ def measure_node(
     bands: tuple[LineBand, ...] = BANDS,
     names: tuple[MarginName, ...] = MARGIN_NAMES,
 ) -> MeasuredNode:
-    """Measure the loop at an operating point, in its plane. Raises ValueError if the point cannot be held
-    (held_flight.py).
+    """Measure the loop at an operating point, in its plane.
+
+    Raises ValueError if the point cannot be held (held_flight.py).
     """
     held = hold(loaded, node, fault)
     path = fixed_path(held.node, "sampled")

@@ -108,8 +108,10 @@ def _spectra(band: LineBand, sample_s: float, back: Array, sent: Array) -> tuple
 
 
 def _settled(spectra: ComplexArray, band: LineBand, closed_poles: ComplexArray) -> ComplexArray:
-    """Return the mean over the periods, (bins,), without transients. Each root's part changes by exp(p times the
-    period). The slowest roots are removed first, since there are too few periods for all.
+    """Return the mean over the periods, (bins,), without transients.
+
+    Each root's part changes by exp(p times the period). The slowest roots are removed first, since there are too few
+    periods for all.
     """
     distinct = np.abs(closed_poles.real) * band.duration_s > _DISTINCT
     slow = closed_poles[distinct & (-closed_poles.real * band.settle_s < _DECAYED)]
@@ -122,8 +124,9 @@ def _settled(spectra: ComplexArray, band: LineBand, closed_poles: ComplexArray) 
 def _estimated(
     band: LineBand, out: ComplexArray, into: ComplexArray, saturated_s: float, outcome: str
 ) -> MeasuredResponse:
-    """Return the estimates at the lines. Between the lines no signal is sent, and U = E is noise that has passed around
-    the loop: N / (1 + L).
+    """Return the estimates at the lines.
+
+    Between the lines no signal is sent, and U = E is noise that has passed around the loop: N / (1 + L).
     """
     lines = np.round(band.lines_hz * band.period_s).astype(int)
     response = -out[lines] / into[lines]
@@ -304,8 +307,9 @@ def _without_rounding(held: HeldFlight) -> HeldFlight:
 
 
 def _reason(error: float, coherence: float, ratio: complex, clean: complex, saturated: bool) -> str:
-    """Return the reason for which a line is not used. `ratio` is that of measured to sampled L, and `clean` is the same
-    without rounding.
+    """Return the reason for which a line is not used.
+
+    `ratio` is that of measured to sampled L, and `clean` is the same without rounding.
     """
     if not math.isfinite(error):
         return ENDED

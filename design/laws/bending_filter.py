@@ -34,8 +34,9 @@ FASTEST = 1e-6  # below this |z|, a pole is one that a delay has left out, or ne
 
 
 def check_period(filter_: AnyFilter, sample_s: float | None) -> None:
-    """Check the sample period of a filter. Raises ValueError for a continuous filter in a sampled loop, and for a
-    discrete filter of another period.
+    """Check the sample period of a filter.
+
+    Raises ValueError for a continuous filter in a sampled loop, and for a discrete filter of another period.
     """
     if isinstance(filter_, BendingFilter) and sample_s is not None:
         raise ValueError("a sampled loop needs a discrete filter: BendingFilter.discretize makes one")
@@ -44,8 +45,9 @@ def check_period(filter_: AnyFilter, sample_s: float | None) -> None:
 
 
 def filter_state_space(filter_: AnyFilter) -> StateSpace:
-    """Return the filter as a cascade of its sections. Discrete sections are in transposed direct form II, as in
-    flight.
+    """Return the filter as a cascade of its sections.
+
+    Discrete sections are in transposed direct form II, as in flight.
     """
     one = StateSpace(
         np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), (), ("law_rad",), ("command_rad",)
@@ -343,8 +345,9 @@ def random_ranges(layout: FilterVariables, lower: Array, upper: Array, mode_hz: 
 
 
 def lifted(filter_: BendingFilter, layout: FilterVariables, mode_hz: float) -> BendingFilter | None:
-    """Return a filter of `layout` with the same response, by adding cancelling pairs. Return None if this is not
-    sufficient.
+    """Return a filter of `layout` with the same response, by adding cancelling pairs.
+
+    Return None if this is not sufficient.
 
     A first-order section without a matching section becomes a quadratic section with a cancelling pair.
     """

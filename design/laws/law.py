@@ -41,8 +41,9 @@ ANGLES = MEASUREMENTS[::2]  # quantities derived from the angle
 
 
 class Controller(Protocol):
-    """A law at one instant, from the measurements `inputs` to a gimbal command (rad). The law is linear and
-    time-invariant.
+    """A law at one instant, from the measurements `inputs` to a gimbal command (rad).
+
+    The law is linear and time-invariant.
 
     The arguments `sample_s` are the period of the loop, or None for a continuous loop.
     """
@@ -59,8 +60,9 @@ class Controller(Protocol):
         """Check the sample period. Raises ValueError if the law is not valid for a loop of this period."""
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Return C, (..., inputs), for frequencies of shape (...). For a continuous law, the frequencies s / (2 pi j)
-        may be complex.
+        """Return C, (..., inputs), for frequencies of shape (...).
+
+        For a continuous law, the frequencies s / (2 pi j) may be complex.
         """
 
     def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
@@ -89,8 +91,9 @@ class DesignedLaw(Protocol):
         """Return the quantity over which its gains are scheduled."""
 
     def at(self, at: float, plane: Plane, sample_s: float | None) -> Controller:
-        """Return the law with the gains at a value of `over`, such as a vehicle time (`Node.scheduled`). The law is
-        discrete at the given period of the flight computer, or continuous for None.
+        """Return the law with the gains at a value of `over`, such as a vehicle time (`Node.scheduled`).
+
+        The law is discrete at the given period of the flight computer, or continuous for None.
         """
 
     def tables(self) -> dict[str, Any]:
@@ -106,8 +109,10 @@ Axis = tuple[ComplexArray, ...]
 
 @dataclass(frozen=True)
 class LogResponse:
-    """The response C_i = exp(common) gains_i at points. `common` (points,) and `gains` (points, inputs) each include
-    the first and second derivatives by x = ln f. None means zero.
+    """The response C_i = exp(common) gains_i at points.
+
+    `common` (points,) and `gains` (points, inputs) each include the first and second derivatives by x = ln f. None
+    means zero.
     """
 
     common: tuple[ComplexArray, ComplexArray, ComplexArray]
@@ -116,8 +121,9 @@ class LogResponse:
 
 @dataclass(frozen=True)
 class LawLimit:
-    """A limit that is independent of frequency. `linear` is True if its gradient by the law's own parameters is
-    constant.
+    """A limit that is independent of frequency.
+
+    `linear` is True if its gradient by the law's own parameters is constant.
 
     `objective` is True if the quantity is minimised instead.
     """
@@ -207,16 +213,18 @@ class LawVariables(Protocol):
         """Return the precomputed values that `response` and `log_response` need at points x = ln f."""
 
     def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
-        """Return C on a mesh, as a common factor (points,) and gains (points, inputs). `plant` is the plant of each
-        point.
+        """Return C on a mesh, as a common factor (points,) and gains (points, inputs).
+
+        `plant` is the plant of each point.
         """
 
     def log_response(self, own: Array, axis: Axis) -> LogResponse:
         """Return C at points of own parameters (points, own)."""
 
     def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
-        """Return d ln L / d own, (points, own). `weights` (points, inputs) are the ratios of measurement i to the sum
-        of gains_k P_k.
+        """Return d ln L / d own, (points, own).
+
+        `weights` (points, inputs) are the ratios of measurement i to the sum of gains_k P_k.
         """
 
     def limit_values(self, own: Array) -> list[LimitValues]:
@@ -241,8 +249,9 @@ class LawVariables(Protocol):
         """
 
     def leap_size(self, number: int) -> Array:
-        """Return the standard deviations of the variables for a random step away from an optimum. The sizes vary from
-        step to step.
+        """Return the standard deviations of the variables for a random step away from an optimum.
+
+        The sizes vary from step to step.
         """
 
     def simpler(self) -> tuple[LawVariables, Callable[[Array], Array]] | None:

@@ -37,8 +37,9 @@ BANKS = ("attitude", "rate", "acceleration")
 
 @dataclass(frozen=True)
 class Pd:
-    """The law at one instant (`law.Controller`). A `filter` of None is 1. Raises ValueError for gains that are not
-    finite.
+    """The law at one instant (`law.Controller`).
+
+    A `filter` of None is 1. Raises ValueError for gains that are not finite.
 
     `blend` contains the weights of the first gyro and of further ones. `lag` is that of the acceleration, with a gain
     k_a or k_alpha. The latter needs `percussion_m` and `accel_per_incidence_mps2` of control/laws/load_relief.py.
@@ -197,8 +198,9 @@ class PdDesign:
 
     @staticmethod
     def frozen(design: Design, at: float) -> Design:
-        """Return the design with the gains of one instant at all times and a total gain of 1. `at` is as in
-        `law.DesignedLaw`.
+        """Return the design with the gains of one instant at all times and a total gain of 1.
+
+        `at` is as in `law.DesignedLaw`.
         """
         law = PdDesign.of(design)
         laws = [law.at(at, "pitch", None), law.at(at, "yaw", None)]

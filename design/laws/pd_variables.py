@@ -1,5 +1,7 @@
 """The variables of the proportional-derivative law (pd.py) for the optimiser: gains at nodes, bending filter, gyro
-weights, filters of each loop. With an integral they are those of pid.py, with load relief those of load_relief.py.
+weights, filters of each loop.
+
+With an integral they are those of pid.py, with load relief those of load_relief.py.
 """
 
 from __future__ import annotations
@@ -59,8 +61,10 @@ class PdVariables:
     poles_at_zero = 0
 
     def __init__(self, task: Task, like: PdVariables | None = None, schedule: str | None = None) -> None:
-        """Set up the variables. `like` is another instance of the same case; its results are reused: the gains of a
-        two-phase design, and the frequency at which its filter is prewarped.
+        """Set up the variables.
+
+        `like` is another instance of the same case; its results are reused: the gains of a two-phase design, and the
+        frequency at which its filter is prewarped.
 
         `schedule` replaces that of the case.
         """
@@ -386,8 +390,9 @@ class PdVariables:
         return self._clipped(np.concatenate([self.filter.variables(filter_), known, weights, loops]))
 
     def _lifted_loops(self, filters: Sequence[BendingFilter | None]) -> Array | None:
-        """Return the variables of the loops' filters from these, where None means a filter of 1. Return None if they do
-        not fit.
+        """Return the variables of the loops' filters from these, where None means a filter of 1.
+
+        Return None if they do not fit.
         """
         parts: list[Array] = []
         for loop, own in zip(self.loops, filters, strict=True):

@@ -17,9 +17,11 @@ from maxq.sim.scenario.schema_design import Design
 
 @dataclass(frozen=True)
 class LawKind:
-    """The parts of a law. `variables` returns those of a task, optionally like others of the same case. `of_design`
-    reads the law from a design file. `frozen` returns the design with the gains of one instant, at a value of the
-    scheduling quantity (`DesignedLaw.at`). `inputs` are all measurements that the law may use.
+    """The parts of a law.
+
+    `variables` returns those of a task, optionally like others of the same case. `of_design` reads the law from a
+    design file. `frozen` returns the design with the gains of one instant, at a value of the scheduling quantity
+    (`DesignedLaw.at`). `inputs` are all measurements that the law may use.
     """
 
     variables: Callable[[Task, Any], LawVariables]

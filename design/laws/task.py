@@ -28,8 +28,9 @@ class Rigid:
 
 
 class PlantLimits:
-    """The limits of all plants by name, or by station (m) for a bending moment. Each has the shape (plants,) and is nan
-    if it is not set.
+    """The limits of all plants by name, or by station (m) for a bending moment.
+
+    Each has the shape (plants,) and is nan if it is not set.
 
     `times_s` are those of the plants, since limits may change over time.
     """

@@ -68,9 +68,10 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class WindResponse:
-    """The wind response of a plant at x = ln f (F,), without the law. `paths` and `measured` (F, inputs) are those of
-    its measurements per command and per wind. `by_command` and `by_wind` (outputs, F) are those of load, drift, and
-    moments at `stations_m`.
+    """The wind response of a plant at x = ln f (F,), without the law.
+
+    `paths` and `measured` (F, inputs) are those of its measurements per command and per wind. `by_command` and
+    `by_wind` (outputs, F) are those of load, drift, and moments at `stations_m`.
     """
 
     x: Array

@@ -165,8 +165,10 @@ class FixedPath(abc.ABC):
         return StateSpace(a, b, c, np.zeros((len(c), 1)), states, path.inputs, measurements)
 
     def named_poles(self) -> list[NamedPole]:
-        """Return the poles of actuator, vehicle and gyro and their owners, rad/s, not folded. Each part is treated
-        separately, since a series connection preserves the poles. The poles of a pure delay are omitted.
+        """Return the poles of actuator, vehicle and gyro and their owners, rad/s, not folded.
+
+        Each part is treated separately, since a series connection preserves the poles. The poles of a pure delay are
+        omitted.
         """
         out = list(self._vehicle_poles)
         if self._actuator is not None:
@@ -265,8 +267,9 @@ class FixedPath(abc.ABC):
 
 
 class _ContinuousFixedPath(FixedPath):
-    """The product of factors, each exact. No digit is lost by cancellation, in contrast to a sum of partial
-    fractions.
+    """The product of factors, each exact.
+
+    No digit is lost by cancellation, in contrast to a sum of partial fractions.
     """
 
     def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
@@ -401,8 +404,9 @@ def delayed(path: StateSpace, output: int, samples: int) -> StateSpace:
 
 
 def fixed_path(node: Node, kind: LoopKind = "sampled", cut: Cut = "gimbal_command", senses: bool = False) -> FixedPath:
-    """Return the fixed path of an operating point. `senses` adds further sensors. Raises ValueError for an unknown kind
-    or cut.
+    """Return the fixed path of an operating point.
+
+    `senses` adds further sensors. Raises ValueError for an unknown kind or cut.
     """
     kinds = {one.kind: one for one in (SampledFixedPath, PadeFixedPath, ExactFixedPath)}
     if kind not in kinds:

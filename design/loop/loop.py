@@ -113,6 +113,7 @@ class Loop:
 
     def state_space(self) -> StateSpace:
         """Return L as a state space, from the gimbal command around the loop to its negative, in z for a sampled loop.
+
         The kind `exact` has none.
         """
         return self._state_space

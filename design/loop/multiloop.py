@@ -44,8 +44,9 @@ _HELD = ("x_I_m", "y_I_m", "z_I_m", "u_mps")  # position and speed, as in the mo
 
 @dataclass(frozen=True)
 class Multiloop:
-    """The loops of `axes`, each with its law, around one plant. `path` leads from commands to mean rates in the order
-    of the axes.
+    """The loops of `axes`, each with its law, around one plant.
+
+    `path` leads from commands to mean rates in the order of the axes.
 
     `sensed` lists the measurements of further sensors, by name, in pitch and yaw, and samples of latency. They are
     outputs of `path` after the rates.

@@ -1,5 +1,6 @@
-"""The separation of crossings that occur in pairs between two points of a curve. Bounds on derivatives exclude such
-pairs or separate them.
+"""The separation of crossings that occur in pairs between two points of a curve.
+
+Bounds on derivatives exclude such pairs or separate them.
 
 If all zeros and poles p of L are known, the derivatives of ln |L| and of the phase along the frequency axis are sums
 with one term for each. The term of a factor (j w - p) is the real and imaginary part of j / (j w - p). That of a factor

@@ -33,8 +33,10 @@ _DECADES = 4.0
 
 @dataclass(frozen=True)
 class Share:
-    """The share of one part. Degrees below 0 are lag. The phase of a part in series is unwrapped from low frequency (a
-    delay may exceed 180 deg). That of a build-up step is within +-180 deg.
+    """The share of one part.
+
+    Degrees below 0 are lag. The phase of a part in series is unwrapped from low frequency (a delay may exceed 180 deg).
+    That of a build-up step is within +-180 deg.
     """
 
     part: str
@@ -44,8 +46,9 @@ class Share:
 
 @dataclass(frozen=True)
 class Budget:
-    """The budget at one frequency. `left_db` and `left_deg` are L itself less the sum of the shares, which is
-    rounding.
+    """The budget at one frequency.
+
+    `left_db` and `left_deg` are L itself less the sum of the shares, which is rounding.
     """
 
     frequency_hz: float

@@ -33,8 +33,9 @@ class GainCrossings:
 
     @property
     def phase_margin_deg(self) -> Array:
-        """Return the phase margins in (-180, 180]. A positive value is the lag that reaches -1, a negative one the
-        smaller lead that does so.
+        """Return the phase margins in (-180, 180].
+
+        A positive value is the lag that reaches -1, a negative one the smaller lead that does so.
         """
         return solving.from_minus_one_deg(self.loop)
 
@@ -51,8 +52,9 @@ class GainCrossings:
 
 @dataclass(frozen=True)
 class PhaseCrossings:
-    """The crossings of the negative real axis, (n,) each. Frequencies 0 and infinity are limits, and the highest one is
-    Nyquist.
+    """The crossings of the negative real axis, (n,) each.
+
+    Frequencies 0 and infinity are limits, and the highest one is Nyquist.
 
     `turn` is +1 if the curve crosses from above to below (anticlockwise about the origin) and -1 otherwise. It is 0 at
     the ends, which the curve only reaches.
@@ -64,15 +66,17 @@ class PhaseCrossings:
 
     @property
     def gain_margin_db(self) -> Array:
-        """Return the gain margins. A positive value is the increase of gain that reaches -1, a negative one the
-        decrease that does.
+        """Return the gain margins.
+
+        A positive value is the increase of gain that reaches -1, a negative one the decrease that does.
         """
         return np.asarray(-solving.DB * solving.log_size(self.loop))
 
 
 class Crossings(NamedTuple):
-    """All crossings, those of the gain first. `way` is 1 where |L| rises and -1 where it falls, or the turn of a phase
-    crossing.
+    """All crossings, those of the gain first.
+
+    `way` is 1 where |L| rises and -1 where it falls, or the turn of a phase crossing.
     """
 
     gain_hz: Array

@@ -73,8 +73,9 @@ class Trace(NamedTuple):
 
 @dataclass(frozen=True)
 class LoopCurve:
-    """The response L at rising frequencies, and the poles (rad/s) on which the grid is based. `finite_end` is True if
-    the curve ends at Nyquist.
+    """The response L at rising frequencies, and the poles (rad/s) on which the grid is based.
+
+    `finite_end` is True if the curve ends at Nyquist.
 
     `at_zero` is the limit of L at zero frequency if `slope_at_zero` is 0 (L is then real there and even in f).
     `slope_at_zero` and `slope_at_end` are n of the asymptotes L ~ (j f)^n. The slope at the end is 0 at Nyquist.

@@ -76,8 +76,9 @@ class ManyLoops:
     def measure(
         self, every: Sequence[Dispersion], peak_db: float, flight: Node | None = None, *, distances: bool = False
     ) -> tuple[NDArray[np.void], IntArray]:
-        """Return the margins of vehicles, (vehicles,) of many.MEASURES, and the status of each. With `distances`, only
-        these are computed, and all others are NaN.
+        """Return the margins of vehicles, (vehicles,) of many.MEASURES, and the status of each.
+
+        With `distances`, only these are computed, and all others are NaN.
 
         `flight` is the operating point in another flight of the same stage, with the same instruments.
         """

@@ -1,5 +1,6 @@
-"""Lobes: the loops that lightly damped poles draw in the Nyquist plane. Each lobe is found, named and judged
-separately.
+"""Lobes: the loops that lightly damped poles draw in the Nyquist plane.
+
+Each lobe is found, named and judged separately.
 
 Near a pole at p = -sigma + j w0, the response is R / (s - p) plus the contribution of the rest of the loop. The second
 difference over the half width, u = 2 L(w0) - L(w0 + sigma) - L(w0 - sigma), is R / sigma up to the curvature of the
@@ -175,8 +176,9 @@ def find_lobes(
 def _strengths(
     t: Trace, centre: Array, width: Array, part: ComplexArray, on_axis: Array, source: LoopResponse
 ) -> tuple[ComplexArray, Array]:
-    """Return u, or the own part, and its magnitude relative to L at the pole's frequency. A fold at Nyquist maps L to
-    its conjugate.
+    """Return u, or the own part, and its magnitude relative to L at the pole's frequency.
+
+    A fold at Nyquist maps L to its conjugate.
     """
     n, top, low = len(centre), t.frequency_hz[len(t.frequency_hz) - 1], t.frequency_hz[0]
     f = np.concatenate((centre, centre + width, centre - width))
@@ -208,8 +210,9 @@ def _valley(loop: ComplexArray, k: int, deep: float) -> bool:
 
 @routine
 def _ends(t: Trace, terms: Array, source: LoopResponse) -> Array:
-    """Return the ends of the run that contains the centre, (lobes, 2), or the centre twice without such a run. The run
-    is bounded by valleys. In it, the term is large relative to the rest and is the largest of all.
+    """Return the ends of the run that contains the centre, (lobes, 2), or the centre twice without such a run.
+
+    The run is bounded by valleys. In it, the term is large relative to the rest and is the largest of all.
     """
     f, loop, n, last = t.frequency_hz, t.loop, len(terms), len(t.frequency_hz) - 1
     out = np.empty((n, 2))
@@ -307,8 +310,10 @@ def _judge_mode(
     limit_db: float,
     out: Array,
 ) -> None:
-    """Enter peak, lag and lead of a bending mode, number j of all `modes`. The peak is that in its band. The turns are
-    those of the crossings at which its term is large relative to the rest and the largest of all modes.
+    """Enter peak, lag and lead of a bending mode, number j of all `modes`.
+
+    The peak is that in its band. The turns are those of the crossings at which its term is large relative to the rest
+    and the largest of all modes.
     """
     begin, stop = np.searchsorted(f, band[0]), np.searchsorted(f, band[1], side="right")
     top = begin + int(np.argmax(np.abs(loop[begin:stop])))
@@ -329,8 +334,9 @@ def _judge_mode(
 def _turns(
     f: Array, loop: ComplexArray, every: Crossings, low: float, high: float, source: LoopResponse
 ) -> tuple[float, float]:
-    """Return the least lag and lead that turn a point to the phase of -1. The point is a crossing, or without one a
-    point above 0 dB or the peak.
+    """Return the least lag and lead that turn a point to the phase of -1.
+
+    The point is a crossing, or without one a point above 0 dB or the peak.
     """
     lag = lead = np.inf
     for k in range(len(every.gain_hz)):

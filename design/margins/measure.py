@@ -41,8 +41,9 @@ BENDING_KINDS = ("bending", "slosh")
 
 @dataclass(frozen=True)
 class LeastValue:
-    """The least of several values and its frequency. It is infinite at NaN without a bound, and NaN for an unstable
-    loop.
+    """The least of several values and its frequency.
+
+    It is infinite at NaN without a bound, and NaN for an unstable loop.
     """
 
     value: float

@@ -53,16 +53,18 @@ class LoopAtPoint:
         return max((lobe.peak_db for n, lobe in self.bending.items() if first <= n <= last), default=-math.inf)
 
     def mode_phase_deg(self, mode: int) -> float:
-        """Return the least lag or lead over the crossings of 0 dB that belong to a mode. It is inf without a crossing,
-        and NaN for an unstable loop.
+        """Return the least lag or lead over the crossings of 0 dB that belong to a mode.
+
+        It is inf without a crossing, and NaN for an unstable loop.
         """
         if not self.margins.stable:
             return math.nan
         return self.bending[mode].phase_deg if mode in self.bending else math.inf
 
     def slosh_phase_deg(self, peak_db: float) -> float:
-        """Return the least lag or lead of the slosh lobes with a peak above `peak_db`. It is inf without such a lobe,
-        and NaN for an unstable loop.
+        """Return the least lag or lead of the slosh lobes with a peak above `peak_db`.
+
+        It is inf without such a lobe, and NaN for an unstable loop.
         """
         if not self.margins.stable:
             return math.nan

@@ -32,8 +32,9 @@ _CLOSE = 1e-9  # relative, of mu
 
 @dataclass(frozen=True)
 class MultiloopMargins:
-    """The margins of each axis with the others closed, in the order of `axes`, and the disk of all. They are NaN for an
-    unstable loop.
+    """The margins of each axis with the others closed, in the order of `axes`, and the disk of all.
+
+    They are NaN for an unstable loop.
     """
 
     time_s: float
@@ -47,8 +48,9 @@ class MultiloopMargins:
 
 
 def multiloop_margins(loop: Multiloop) -> MultiloopMargins:
-    """Return the margins. The disk is searched for where any of the single loops turns, and between these
-    frequencies.
+    """Return the margins.
+
+    The disk is searched for where any of the single loops turns, and between these frequencies.
     """
     single = [loop.one(axis) for axis in loop.axes]
     each = tuple(margins(one, zones=(), lowest_hz=_begin_hz(one.open_poles())) for one in single)
@@ -59,8 +61,9 @@ def multiloop_margins(loop: Multiloop) -> MultiloopMargins:
 
 
 def _begin_hz(open_poles: ComplexArray) -> float:
-    """Return a frequency near LOWEST_HZ and apart from slow roots. A curve that begins at a slow root makes half a turn
-    about -1.
+    """Return a frequency near LOWEST_HZ and apart from slow roots.
+
+    A curve that begins at a slow root makes half a turn about -1.
     """
     roots = np.abs(open_poles[np.isfinite(open_poles) & (open_poles != 0.0)]) / (2.0 * np.pi)
     apart = [np.abs(np.log(roots / hz)).min(initial=np.inf) for hz in _BEGINS]
@@ -97,8 +100,9 @@ def _half(loop: Multiloop, frequencies_hz: Array) -> ComplexArray:
 
 
 def structured_singular_value(matrix: ComplexArray) -> float:
-    """Return an upper bound of mu for complex scalars on the diagonal, with a relative accuracy of 1e-9. It equals mu
-    for up to three scalars.
+    """Return an upper bound of mu for complex scalars on the diagonal, with a relative accuracy of 1e-9.
+
+    It equals mu for up to three scalars.
     """
     scales = log_scales(matrix[None])[0]
 

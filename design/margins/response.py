@@ -38,8 +38,9 @@ _MOST_ROUNDS = 60
 
 
 class LoopResponse(NamedTuple):
-    """The numbers on which L depends. `ask` is the address of the callback and `token` its argument; 0 means no
-    callback.
+    """The numbers on which L depends.
+
+    `ask` is the address of the callback and `token` its argument; 0 means no callback.
     """
 
     sample_s: float
@@ -86,8 +87,9 @@ _ADDRESS = ctypes.cast(_ANSWER, ctypes.c_void_p).value or 0
 
 @contextmanager
 def asking(loop: OpenLoop) -> Iterator[LoopResponse]:
-    """Provide the response of any loop to compiled code. Raises the exception that the loop raised, and ValueError for
-    a response that is not finite or has another shape.
+    """Provide the response of any loop to compiled code.
+
+    Raises the exception that the loop raised, and ValueError for a response that is not finite or has another shape.
     """
     token, asked = next(_TOKENS), _Asked(loop)
     _ASKED[token] = asked

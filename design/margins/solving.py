@@ -98,8 +98,9 @@ def lobe_excess(j: int, hz: float, x: complex, lobes: Array) -> float:
 
 @routine
 def objective(kind: int, hz: float, x: complex, shapes: Array) -> float:
-    """Return an objective at a frequency and value of L. `shapes` contains zones (zones, 3) by shape and half axes in
-    deg and dB, or the lobes of `lobe_excess`.
+    """Return an objective at a frequency and value of L.
+
+    `shapes` contains zones (zones, 3) by shape and half axes in deg and dB, or the lobes of `lobe_excess`.
     """
     if kind == SENSITIVITY:
         return log_abs(1.0 + x)
@@ -141,8 +142,9 @@ def objectives(kind: int, loop: ComplexArray, zones: Array) -> Array:
 
 @routine
 def roots(kind: IntArray, ends: Array, values: Array, loop: LoopResponse, shapes: Array) -> Array:
-    """Return a root of each objective in its bracket. `ends` and `values` have the shape (problems, 2), the values with
-    opposite signs.
+    """Return a root of each objective in its bracket.
+
+    `ends` and `values` have the shape (problems, 2), the values with opposite signs.
 
     Zero counts as either sign. Chandrupatla's method is used: inverse quadratic interpolation if it is safe, bisection
     otherwise (T. R. Chandrupatla, Advances in Engineering Software 28, 1997). A jump through zero is found like a root.
@@ -187,8 +189,9 @@ def roots(kind: IntArray, ends: Array, values: Array, loop: LoopResponse, shapes
 
 @routine
 def minima(kind: IntArray, points: Array, values: Array, loop: LoopResponse, shapes: Array) -> Array:
-    """Return the lowest point within each bracket. `points` and `values` have the shape (problems, 3), and the middle
-    value is the least.
+    """Return the lowest point within each bracket.
+
+    `points` and `values` have the shape (problems, 3), and the middle value is the least.
 
     The method uses parabolas, and a golden section if they stall. The value is accurate to VALUE_TOLERANCE, the place
     to its square root.

@@ -266,8 +266,9 @@ def deviations_of(campaign: LoadedCampaign, node: Node) -> Deviations:
 
 
 def acting_at(campaign: LoadedCampaign, spread: Spread, node: Node) -> LoadedCampaign:
-    """Return the campaign. Raises ScenarioError if `spread` names the campaign and it changes nothing at an operating
-    point.
+    """Return the campaign.
+
+    Raises ScenarioError if `spread` names the campaign and it changes nothing at an operating point.
     """
     if spread.campaign is not None and not deviations_of(campaign, node).places:
         source, at = spread.where

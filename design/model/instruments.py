@@ -35,8 +35,9 @@ def sensed(number: int, sensor: Any) -> str:
 
 @dataclass(frozen=True)
 class Instruments:
-    """The actuators, gyro and timing of the flight computer in one plane. `ideal` actuators and gyros have no
-    dynamics.
+    """The actuators, gyro and timing of the flight computer in one plane.
+
+    `ideal` actuators and gyros have no dynamics.
     """
 
     actuators: tuple[Actuator, ...]  # of each drive: those of equal groups of engines are one
@@ -138,6 +139,7 @@ def actuator_poles(record: Any) -> list[tuple[float, float]]:
 
 def actuator(record: Any) -> StateSpace:
     """Return the system from command to angle, rate and acceleration of the engine, with as many states as the order.
+
     `record` is a packed `Actuator`.
 
     The system is a chain of second-order sections, each with its position and rate as states. Their order matters to
@@ -168,8 +170,9 @@ def actuator(record: Any) -> StateSpace:
 
 
 def gyro(record: Any) -> StateSpace:
-    """Return the system from local angular rate to sensed rate (29), with two states. `record` is a packed `Gyro`,
-    whose errors are not included.
+    """Return the system from local angular rate to sensed rate (29), with two states.
+
+    `record` is a packed `Gyro`, whose errors are not included.
     """
     w, zeta = float(record.omega_radps), float(record.zeta)
     a: Array = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])

@@ -145,8 +145,9 @@ def state_of(sizes: Counts, spin_radps: float, reference: Quaternion, x: Array, 
 
 @routine
 def rates_of(sizes: Counts, spin_radps: float, turning: Vector, x: Array, y: Array, dy: Array, out: Array) -> None:
-    """Return the time derivative of the coordinates from that of the state. The reference attitude rotates at
-    `turning`, in B.
+    """Return the time derivative of the coordinates from that of the state.
+
+    The reference attitude rotates at `turning`, in B.
     """
     m, n = sizes.pitch_modes, sizes.yaw_modes
     eta, xi, w, w_rate = states.eta_index(sizes), states.xi_index(sizes), vector_at(x, RATE), vector_at(dy, W_BI_B)
@@ -236,8 +237,10 @@ def motion(
     columns: Array,
     out: Array,
 ) -> None:
-    """Compute the rates of the coordinates at `x`, then the outputs. `reference` contains attitude and angular
-    velocity. `command` is the point of the inputs, to which the inputs in `x` are added.
+    """Compute the rates of the coordinates at `x`, then the outputs.
+
+    `reference` contains attitude and angular velocity. `command` is the point of the inputs, to which the inputs in `x`
+    are added.
     """
     sizes = counts(p.vehicle.sizes)
     n, groups, spin = coordinate_count(sizes), 1 + sizes.further_groups, p.environment.earth.rate_radps

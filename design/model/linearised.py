@@ -56,8 +56,9 @@ _STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3
 
 @dataclass(frozen=True)
 class LinearModel(StateSpace):
-    """The linear model x' = rate + A x + B u, y = C x + D u about a state. `rate` is the derivative at the state
-    itself.
+    """The linear model x' = rate + A x + B u, y = C x + D u about a state.
+
+    `rate` is the derivative at the state itself.
 
     Outputs are OUTPUTS, and bending moments about y and z if section loads are switched on.
     """

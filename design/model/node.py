@@ -166,8 +166,9 @@ class Node:
         return self.speed_mps if over == "speed_mps" else 0.5 * self.condition.density_kgpm3 * self.speed_mps**2
 
     def steps(self) -> list[Node]:
-        """Return the vehicle built up: rigid body, air, slosh, engine inertia, bending. The last model is that of the
-        operating point.
+        """Return the vehicle built up: rigid body, air, slosh, engine inertia, bending.
+
+        The last model is that of the operating point.
 
         Without slosh, the liquid is frozen at its bobs. Without aerodynamics, the axial force remains, since it sets
         the axial load on liquid and engine. Without engine inertia, the gimbal moves a massless engine.
@@ -283,8 +284,9 @@ def equivalent_swing(rate_radps: Array, omega_radps: float) -> float:
 
 
 def disperse(node: Node, by: Dispersion) -> Node:
-    """Return the operating point with the deviations applied (`Node.with_`: by keywords). Raises ValueError for too
-    many factors.
+    """Return the operating point with the deviations applied (`Node.with_`: by keywords).
+
+    Raises ValueError for too many factors.
     """
     if by == NOMINAL:
         return node

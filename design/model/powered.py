@@ -77,8 +77,9 @@ def _powered_flight(scenario: LoadedScenario, faults: bool) -> tuple[tuple[Span,
 
 
 def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
-    """Return the powered span of each stage that burns, in a flight without faults. The spans end at a loss of the
-    flight.
+    """Return the powered span of each stage that burns, in a flight without faults.
+
+    The spans end at a loss of the flight.
     """
     return powered_flight(scenario)[0]
 
@@ -112,7 +113,9 @@ def node_times(
     scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None, edges: tuple[float, float] = EDGES
 ) -> tuple[float, ...]:
     """Return times of operating points that suit a flight: `count` in each stage (or one of them), evenly spaced under
-    full thrust. A single point is in the middle.
+    full thrust.
+
+    A single point is in the middle.
 
     Stages with fixed engines have none. Raises ValueError if no stage remains.
     """

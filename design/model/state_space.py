@@ -72,8 +72,10 @@ def chain(*systems: StateSpace) -> StateSpace:
 
 
 def zeros_and_poles(system: StateSpace) -> tuple[ComplexArray, ComplexArray]:
-    """Return zeros and poles of a system with one input and one output. The zeros are generalised eigenvalues of its
-    matrix (Emami-Naeini & Van Dooren, Automatica 18(4), 1982), and the poles eigenvalues of A.
+    """Return zeros and poles of a system with one input and one output.
+
+    The zeros are generalised eigenvalues of its matrix (Emami-Naeini & Van Dooren, Automatica 18(4), 1982), and the
+    poles eigenvalues of A.
     """
     a, (scale, _) = scipy.linalg.matrix_balance(system.a, permute=False, separate=True)
     b, c, n = system.b[:, 0] / scale, system.c[0] * scale, len(system.a)

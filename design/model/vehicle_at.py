@@ -42,8 +42,9 @@ class Pendulums:
 
 @dataclass(frozen=True)
 class VehicleAt:
-    """A stage at one instant, in one plane. Stations are in m aft of the nose. CG and inertia are those with the liquid
-    frozen.
+    """A stage at one instant, in one plane.
+
+    Stations are in m aft of the nose. CG and inertia are those with the liquid frozen.
     """
 
     total_mass_kg: float
@@ -220,7 +221,9 @@ def incidence_by_acceleration(
     vehicle: VehicleAt, derivatives: StabilityDerivatives, speed_mps: float
 ) -> tuple[float, float]:
     """Return the coefficients that give the angle of attack from an accelerometer and the pitch acceleration
-    (control/laws/load_relief.py). They are `percussion_m` and `accel_per_incidence_mps2` of the rigid body.
+    (control/laws/load_relief.py).
+
+    They are `percussion_m` and `accel_per_incidence_mps2` of the rigid body.
 
     Raises ValueError without an accelerometer, without air, and without an engine that turns the vehicle.
     """

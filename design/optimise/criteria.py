@@ -118,8 +118,9 @@ class Objective:
 
 
 def _peak(key: str, first: int, last: int) -> Callable[[Seen], list[JudgedFeatures]]:
-    """Return the rows of the peaks of bending modes `first` to `last`. `key` is that of the limit, or none for an
-    objective.
+    """Return the rows of the peaks of bending modes `first` to `last`.
+
+    `key` is that of the limit, or none for an objective.
     """
 
     def parts(seen: Seen) -> list[JudgedFeatures]:

@@ -1,5 +1,6 @@
-"""The features by which a loop is judged: its peaks, crossings and nearest approaches to -1. Each is solved for, with
-its gradient.
+"""The features by which a loop is judged: its peaks, crossings and nearest approaches to -1.
+
+Each is solved for, with its gradient.
 
 A feature is found on the mesh of `Curves` by a change of sign or a local extreme, and refined by Newton's method on the
 splines. Its value then depends smoothly on the variables:
@@ -179,7 +180,9 @@ class Bands:
         self, number: int, plant: CurveIndices, x: Array, value: ComplexArray, loop: ComplexArray
     ) -> Mask:
         """Return True for points (x = ln f, L = `value`) of plants at which a mode's own part is larger than SHARE
-        times the rest and the largest of all modes. `loop` is L on the mesh. The rule is that of `margins.lobes`.
+        times the rest and the largest of all modes.
+
+        `loop` is L on the mesh. The rule is that of `margins.lobes`.
         """
         numbers, centre, part, hz, width = self._by_plant
         if number not in numbers:

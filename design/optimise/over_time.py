@@ -1,5 +1,6 @@
-"""The optimisation of a design that also meets its limits between its nodes. Instants at which it is worse are searched
-for and become nodes.
+"""The optimisation of a design that also meets its limits between its nodes.
+
+Instants at which it is worse are searched for and become nodes.
 
 The exchange method is that for dispersed plants (robust.py; Blankenship & Falk, J. Optim. Theory Appl. 19, 1976), with
 time as the parameter. The result depends on the grid of instants, and the certificate states their number.
@@ -59,8 +60,9 @@ class Instants:
 def solve_over_time(
     loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
 ) -> Solution:
-    """Return the best design found that meets its limits at all instants tried between the first and the last node. Its
-    objective there is at most WORSE_DB worse.
+    """Return the best design found that meets its limits at all instants tried between the first and the last node.
+
+    Its objective there is at most WORSE_DB worse.
 
     Gains that are free at every node remain free at the nodes of the case only.
     """
@@ -113,8 +115,9 @@ def plants_at(instants: Instants, loaded: LoadedCase) -> Plants:
 
 
 def gains_at_nodes(loaded: LoadedCase, nominal: Plants) -> LoadedCase:
-    """Return the case with gains that were free at every node made free at its present nodes. Linear gains over a
-    quantity other than time keep their ends there, since added nodes may be beyond them.
+    """Return the case with gains that were free at every node made free at its present nodes.
+
+    Linear gains over a quantity other than time keep their ends there, since added nodes may be beyond them.
     """
     case, gains = loaded.case, loaded.case.gains
     if gains.schedule == "free" and gains.over == "time_s":

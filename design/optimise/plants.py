@@ -56,8 +56,9 @@ class Plant:
 
 
 def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
-    """Return the plant of an operating point. Raises ValueError for a point without a first bending mode if that is the
-    objective.
+    """Return the plant of an operating point.
+
+    Raises ValueError for a point without a first bending mode if that is the objective.
     """
     measured = (*law_kind(case.law).inputs, *(_further_gyros(node) if case.blend is not None else ()))
     path = fixed_path(node, case.loop, senses=any(name not in MEASUREMENTS for name in measured))
@@ -80,8 +81,9 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
 
 
 def wind_of(path: FixedPath, case: Basis) -> WindResponse:
-    """Return the path in the case's wind, with the bending moments that the case requires. Raises ValueError if there
-    are none. The message names the operating point.
+    """Return the path in the case's wind, with the bending moments that the case requires.
+
+    Raises ValueError if there are none. The message names the operating point.
     """
     assert case.wind is not None
     try:

@@ -39,8 +39,9 @@ MISSED_DB = 1e-4  # a limit that is missed by less is met, at a plant or an inst
 
 @dataclass(frozen=True)
 class ProblemRows:
-    """The rows of a problem. `excess_db` of a limit is 0 or less if the limit is met. That of an objective row is its
-    value.
+    """The rows of a problem.
+
+    `excess_db` of a limit is 0 or less if the limit is met. That of an objective row is its value.
 
     `what` is the row's number in `Problem.kinds`. `own` is its gradient by the own parameters of its plant. Features
     contain the data that are needed to find them again after a small change: `feature` is the kind (-1: none), `cell`,
@@ -110,8 +111,10 @@ class Problem:
     """The loops with an objective and limits. The variables are those of the law."""
 
     def __init__(self, loops: Loops, bands: Bands, limits: PlantLimits, common: Limits, objective: Objective) -> None:
-        """Set up the problem. `limits` are those of each plant. `common` are those of the case, for quantities that do
-        not depend on the plant.
+        """Set up the problem.
+
+        `limits` are those of each plant. `common` are those of the case, for quantities that do not depend on the
+        plant.
         """
         self.loops, self.bands, self.limits, self.law = loops, bands, limits, loops.law
         self.lower, self.upper = self.law.lower, self.law.upper
@@ -147,8 +150,9 @@ class Problem:
         return np.flatnonzero(self.loops.unstable_poles(self.loops.response(variables))).astype(np.int64)
 
     def evaluate(self, variables: Array, complete: bool = False) -> ProblemAtPoint:
-        """Return the problem at a point. `complete` includes rows that are met by a large margin. Raises ValueError for
-        variables that are not finite.
+        """Return the problem at a point.
+
+        `complete` includes rows that are met by a large margin. Raises ValueError for variables that are not finite.
         """
         if not np.isfinite(variables).all():
             raise ValueError("variables are not finite")

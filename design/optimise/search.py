@@ -39,8 +39,9 @@ SearchProgress = Callable[[int, int, float, str], None]
 
 @dataclass(frozen=True)
 class BestPoint:
-    """The best point and the evidence for it. `ends_db` contains the end of each start, nan without a stable design
-    there.
+    """The best point and the evidence for it.
+
+    `ends_db` contains the end of each start, nan without a stable design there.
 
     An infeasible best point is that of the least violation, and `optimality` is that of the violation.
     """
@@ -136,7 +137,9 @@ def search(
 
 def _mended(problem: Problem, at: ProblemAtPoint) -> ProblemAtPoint | None:
     """Return the end of a descent from an unstable point, with the gains of its lost plants interpolated from their
-    neighbours. Return None if this makes no loop stable.
+    neighbours.
+
+    Return None if this makes no loop stable.
 
     The rows of an unstable loop lead away from -1 on the wrong side. Then a plant that has its own gains is lost, while
     all others end well.

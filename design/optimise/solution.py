@@ -86,8 +86,9 @@ def is_logarithmic(variable: str) -> bool:
 
 @dataclass(frozen=True)
 class Trial:
-    """A short search from the best effort of an infeasible case with one change. It claims only the violation that it
-    reached.
+    """A short search from the best effort of an infeasible case with one change.
+
+    It claims only the violation that it reached.
 
     `settings` is the change as keys of the case, or of the vehicle. `missing_db` is the least violation reached, 0 if
     all limits are met. `problem` is the reason for which the change could not be tried.
@@ -145,8 +146,9 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Solution:
-    """A design for a case. `objective_db` is the minimised objective of the case (`criteria.OBJECTIVES`), over all
-    plants.
+    """A design for a case.
+
+    `objective_db` is the minimised objective of the case (`criteria.OBJECTIVES`), over all plants.
     """
 
     case: Case

@@ -48,8 +48,9 @@ def each_stage(loaded: LoadedCase, before_s: float = math.inf) -> list[LoadedCas
 
 
 def nominal_plants(loaded: LoadedCase) -> Plants:
-    """Return the plants at the operating points of a case of one stage. Raises ValueError, naming the point, if there
-    is none.
+    """Return the plants at the operating points of a case of one stage.
+
+    Raises ValueError, naming the point, if there is none.
     """
     return make_plants([make_plant(node, loaded.case) for node in nodes_of(loaded, loaded.case.times_s)])
 

@@ -1,5 +1,7 @@
 """The descent from one start to a local optimum: sequential quadratic programming for minimax problems within a trust
-region. Newton's method on the active rows completes it and gives the residual of the optimality conditions.
+region.
+
+Newton's method on the active rows completes it and gives the residual of the optimality conditions.
 
 Each step minimises t + penalty v + d'Bd/2 with every linearised peak of the objective at most t and every other excess
 at most v >= 0. B is the matrix of the Lagrangian's second derivatives made positive semidefinite. If rows curve so much
@@ -64,8 +66,9 @@ class Merit:
     penalty: float
 
     def of(self, at: ProblemAtPoint) -> float:
-        """Return the merit of a point. Unstable points are worse than any stable one; fewer unstable poles are
-        better.
+        """Return the merit of a point.
+
+        Unstable points are worse than any stable one; fewer unstable poles are better.
         """
         value = self.objective * at.objective_db + self.penalty * at.violation_db
         return value + 1e7 * at.unstable
@@ -111,6 +114,7 @@ def descend(
     give_up: Callable[[int, ProblemAtPoint], bool] | None = None,
 ) -> ProblemAtPoint:
     """Descend from a start until no step promises `tolerance_db`, or until `give_up` stops it after a number of steps.
+
     Return the end point.
 
     `limits_only` lowers the largest excess and ignores the objective.

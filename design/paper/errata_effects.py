@@ -46,8 +46,9 @@ class Effect:
 
 
 def errata_effects(nodes: Iterable[PaperNode], measure: Measure) -> list[Effect]:
-    """Return the effects by operating point, with errata in the order of EXPLAINED. The points' own errata have no
-    effect.
+    """Return the effects by operating point, with errata in the order of EXPLAINED.
+
+    The points' own errata have no effect.
     """
     cut: Cut = "gimbal_command"
     out = []

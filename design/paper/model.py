@@ -81,8 +81,9 @@ class PlaneModes:
 
 @dataclass(frozen=True)
 class PlaneVehicle:
-    """The coefficients of the equations: a stage at one instant in one plane. The core is the vehicle without the
-    bobs.
+    """The coefficients of the equations: a stage at one instant in one plane.
+
+    The core is the vehicle without the bobs.
     """
 
     core_mass_kg: float

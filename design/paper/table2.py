@@ -51,8 +51,9 @@ class DerivativeTable:
 
 
 def read_derivatives(file: str | Path = TABLE_2_FILE) -> DerivativeTable:
-    """Read a CSV file with columns time_s and COLUMNS. A relative name is also searched for among the built-in
-    scenarios.
+    """Read a CSV file with columns time_s and COLUMNS.
+
+    A relative name is also searched for among the built-in scenarios.
 
     Raises ValueError, naming the file, if it is not such a table.
     """
@@ -78,8 +79,9 @@ def imposed(nodes: Iterable[N], table: DerivativeTable) -> list[N]:
 
 
 def impose(node: N, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: float, m_delta_1ps2: float) -> N:
-    """Return the operating point with these `Node.derivatives` and its own M_q. Raises ValueError if they are
-    impossible.
+    """Return the operating point with these `Node.derivatives` and its own M_q.
+
+    Raises ValueError if they are impossible.
     """
     before, vehicle = node.derivatives, node.vehicle
     if min(before.z_delta_1ps, before.m_delta_1ps2, -before.z_alpha_1ps, z_delta_1ps, m_delta_1ps2) <= 0.0:

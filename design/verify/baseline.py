@@ -57,8 +57,9 @@ class SuiteDifference:
 
 @dataclass(frozen=True)
 class Compared:
-    """A suite compared with its baseline. `hashes` are those of the resolved content of both, and of each part of the
-    suite.
+    """A suite compared with its baseline.
+
+    `hashes` are those of the resolved content of both, and of each part of the suite.
     """
 
     baseline: str

@@ -18,8 +18,9 @@ NORMAL = "normal deviations of [margins.three_sigma]"
 
 @dataclass(frozen=True)
 class DescribedVehicles:
-    """The dispersed vehicles of `wanted` in a suite that flies `campaign`. `changes` are those of design and vehicle,
-    key=value.
+    """The dispersed vehicles of `wanted` in a suite that flies `campaign`.
+
+    `changes` are those of design and vehicle, key=value.
 
     `base` is the scenario to which the suite's own deviations apply.
     """

@@ -141,8 +141,9 @@ def _changed(value: Any, by: float, how: Callable[[float, float], float]) -> Any
 
 
 def _places(at: Any, parts: list[str], path: str = "") -> Iterator[tuple[str, Any]]:
-    """Return the keys and values that match a pattern. `*` at a section that could be a list matches the section
-    itself.
+    """Return the keys and values that match a pattern.
+
+    `*` at a section that could be a list matches the section itself.
     """
     if not parts:
         yield path, at
@@ -250,8 +251,9 @@ def _tones_hz(node: Node) -> dict[str, float]:
 
 
 def _computers(base: LoadedScenario) -> Marks:
-    """Return the first computer's sample, and half of it or the remainder that every computer's delay permits. Return
-    also the least limits of the gimbals, if there are any.
+    """Return the first computer's sample, and half of it or the remainder that every computer's delay permits.
+
+    Return also the least limits of the gimbals, if there are any.
     """
     vehicle = base.vehicle
     computers = [c for n in range(len(vehicle.stage)) if (c := vehicle.computer_of(n)) is not None]

@@ -26,8 +26,9 @@ from maxq.sim.scenario.schema_vehicle import Vehicle
 
 @dataclass(frozen=True)
 class Floor:
-    """The least evidence of an acceptance. `gap` is the share of a stage's powered flight without an operating
-    point.
+    """The least evidence of an acceptance.
+
+    `gap` is the share of a stage's powered flight without an operating point.
     """
 
     success: float = 0.9973
@@ -67,8 +68,9 @@ class Evidence:
 
 
 def missing_evidence(e: Evidence) -> tuple[str, ...]:
-    """Return a phrase for each piece of evidence that is missing for an acceptance. The result is empty if the floor is
-    reached.
+    """Return a phrase for each piece of evidence that is missing for an acceptance.
+
+    The result is empty if the floor is reached.
     """
     out = [*_flights(e), *([] if e.guarded else ["flight code ran in the process that judges it"])]
     out += [] if e.campaigns else ["no dispersed flight flown"]

@@ -73,8 +73,9 @@ def _room(v: Verdict) -> float:
 
 
 def design_changes(design: str, vehicle: str | None) -> list[str]:
-    """Return the overrides of a scenario or campaign: the design, and the vehicle instead of its own. `design` may be
-    flight code (`flight_code_key`), which flies without a design.
+    """Return the overrides of a scenario or campaign: the design, and the vehicle instead of its own.
+
+    `design` may be flight code (`flight_code_key`), which flies without a design.
     """
     key = flight_code_key(design)
     flown = [f'design="{design}"']
@@ -164,8 +165,9 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequiremen
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """The result of a flown campaign, and its verdict on each requirement. The first requirement is that control is
-    kept.
+    """The result of a flown campaign, and its verdict on each requirement.
+
+    The first requirement is that control is kept.
     """
 
     name: str

@@ -144,8 +144,9 @@ class Check:
 def judge(
     nodes: Sequence[Node], design: Design, kind: LoopKind = "sampled", tell: Callable[[int], None] | None = None
 ) -> list[JudgedLoop]:
-    """Return the margins of the design at every operating point, by the axis of each. `tell` is called with the number
-    done.
+    """Return the margins of the design at every operating point, by the axis of each.
+
+    `tell` is called with the number done.
     """
     out = []
     for n, loop in enumerate(loops(nodes, design, kind=kind)):
@@ -288,9 +289,10 @@ class DesignOutcome:
 
 
 def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] = ()) -> Design:
-    """Return the design to be written, from one solution per stage. Roll control, and stages that were not designed,
-    are those of the scenario's own design. `missed` contains the stages, from 0, that miss limits along the design's
-    own flight.
+    """Return the design to be written, from one solution per stage.
+
+    Roll control, and stages that were not designed, are those of the scenario's own design. `missed` contains the
+    stages, from 0, that miss limits along the design's own flight.
     """
     case, own, stages = loaded.case, loaded.scenario.design, loaded.scenario.vehicle.stage
     made = []
@@ -363,8 +365,9 @@ def with_law(own: Design, other: Design) -> Design:
 
 
 def objective_text(solution: Solution) -> str:
-    """Return the objective that was reached, with its name. For a robust case, it is that of the worst plant found and
-    the nominal one.
+    """Return the objective that was reached, with its name.
+
+    For a robust case, it is that of the worst plant found and the nominal one.
     """
     reached = OBJECTIVES[solution.case.objective.kind].reached
     text = reached(solution.objective_db)

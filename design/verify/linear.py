@@ -305,8 +305,9 @@ class SweptVehicles:
             return None
 
     def measure(self, flight: Node, every: Sequence[Dispersion], table: Array, rows: IntArray) -> int:
-        """Measure vehicles at `flight`, the operating point in some flight, into rows of a table. Return the number of
-        exact measurements.
+        """Measure vehicles at `flight`, the operating point in some flight, into rows of a table.
+
+        Return the number of exact measurements.
         """
         if not len(rows):
             return 0
@@ -447,8 +448,9 @@ class Authority:
 
 
 def authority(nodes: Sequence[Node], command_limits_rad: Sequence[float]) -> list[Authority]:
-    """Return the authority at the operating points. The limit is the smaller one of the stage's computer and
-    actuator.
+    """Return the authority at the operating points.
+
+    The limit is the smaller one of the stage's computer and actuator.
     """
     out = []
     for node in nodes:

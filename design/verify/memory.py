@@ -57,8 +57,9 @@ def content_hash(*things: Any) -> str:
 
 
 def to_plain(thing: Any, records: bool = False) -> Any:
-    """Return a result in the form that JSON can represent. A type that JSON lacks becomes an object with one key, the
-    name of the type.
+    """Return a result in the form that JSON can represent.
+
+    A type that JSON lacks becomes an object with one key, the name of the type.
 
     Raises TypeError for a type that `from_plain` does not support. With `records`, for a hash, NumPy records and bytes
     are permitted too.
@@ -89,8 +90,9 @@ def to_plain(thing: Any, records: bool = False) -> Any:
 
 
 def from_plain(plain: Any) -> Any:
-    """Return the object from which `to_plain` made this. Raises ValueError or TypeError for input that `to_plain`
-    cannot have written.
+    """Return the object from which `to_plain` made this.
+
+    Raises ValueError or TypeError for input that `to_plain` cannot have written.
     """
     if isinstance(plain, list):
         return [from_plain(item) for item in plain]
@@ -131,8 +133,9 @@ def _fields(kind: Any) -> list[str]:
 
 
 def counted(work: Callable[..., T], watch: Callable[[int, int], None], of: int, each: int = 1) -> Callable[..., T]:
-    """Return `work` for threads, with a call of `watch` after every job that reports the completed share. A job counts
-    as `each`.
+    """Return `work` for threads, with a call of `watch` after every job that reports the completed share.
+
+    A job counts as `each`.
     """
     done = itertools.count(each, each)
     watch(0, of)

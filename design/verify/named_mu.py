@@ -128,8 +128,9 @@ def uncertain(node: Node, campaign: LoadedCampaign) -> Uncertain:
 def uncertain_together(
     flown: Packed, base: LoadedScenario, design: Design, node: Node, campaign: LoadedCampaign
 ) -> Uncertain:
-    """Return the same for pitch, yaw and roll together. Each deviation is that of the scenario that flies it, at
-    `flown`.
+    """Return the same for pitch, yaw and roll together.
+
+    Each deviation is that of the scenario that flies it, at `flown`.
 
     Raises ValueError if a deviated vehicle has other states: different engines of a group, each on a TVC load.
     """

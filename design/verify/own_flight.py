@@ -293,8 +293,9 @@ class _Judged:
 def _judged(
     loaded: LoadedCase, stages: Sequence[LoadedCase], plants: Sequence[Plants], found: dict[int, Solution]
 ) -> _Judged:
-    """Fly the design of the solutions. Judge it along that flight, or along the flight of the search if that flight is
-    lost.
+    """Fly the design of the solutions.
+
+    Judge it along that flight, or along the flight of the search if that flight is lost.
     """
     design, by_stage = make_design(loaded, *found.values()), {}
     flight = with_design(loaded.scenario, design)

@@ -83,8 +83,9 @@ def judgement_of(shown: str) -> SuiteVerdict:
 
 
 def room_left(value: float, bound: float, sense: str, unit: str = "") -> float:
-    """Return the share of a bound that remains, negative beyond it, and NaN for a bound of zero. `sense` is "<=" or
-    ">=".
+    """Return the share of a bound that remains, negative beyond it, and NaN for a bound of zero.
+
+    `sense` is "<=" or ">=".
 
     `unit` is that of a margin. If it is met within the tolerance of `violation`, the remaining share is zero.
     """
@@ -165,8 +166,9 @@ TIMES = "vehicle times, s (default: chosen from the flight, in every stage under
 
 
 class WorstWanted(Section):
-    """A search for the worst vehicle within the dispersions, with independent modes and tanks. The worst vehicle is
-    flown.
+    """A search for the worst vehicle within the dispersions, with independent modes and tanks.
+
+    The worst vehicle is flown.
     """
 
     sigmas: Positive = optional("limit of the search, sigma", 3.0)
@@ -414,8 +416,9 @@ def shared_risk(loaded: LoadedSuite, campaigns: Sequence[Campaign], designs: int
 
 
 def limit_changes(loaded: LoadedSuite, which: str, scenario: Scenario) -> list[str]:
-    """Return the overrides of the scenario's requirements by those of the suite. `which` is "own" (none) or
-    "dispersed".
+    """Return the overrides of the scenario's requirements by those of the suite.
+
+    `which` is "own" (none) or "dispersed".
 
     Raises ScenarioError if the scenario has no such requirement, or if the requirement is no upper limit.
     """

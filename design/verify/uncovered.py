@@ -105,8 +105,9 @@ def _unstable_coasts(flight: LoadedScenario, spans: Sequence[Span], plane: Plane
 
 
 def _flies_to(run: FlightRun, time_s: float) -> bool:
-    """Continue the flight to the step nearest to a time. Return False if the flight, or its examined part, has
-    ended.
+    """Continue the flight to the step nearest to a time.
+
+    Return False if the flight, or its examined part, has ended.
     """
     step_ns = int(run.packed.parameters[0].timeline.step_ns)
     at_ns = round(time_s * 1e9 / step_ns) * step_ns

@@ -278,8 +278,9 @@ def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequen
 
 
 def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:
-    """Return the flight that gives a suite its operating points and marks: its scenario with its own design. If there
-    is none, or if that flight is lost, it is the flight with the judged design.
+    """Return the flight that gives a suite its operating points and marks: its scenario with its own design.
+
+    If there is none, or if that flight is lost, it is the flight with the judged design.
     """
     own = load_scenario(suite.scenario, [f'vehicle="{vehicle}"'] if vehicle is not None else [])
     if own.design is not None and powered_flight(own)[1] is None:

@@ -96,8 +96,10 @@ Looks = list[tuple[float, Array]]
 
 
 def distances(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Sequence[Array]], Looks]:
-    """Return a function of scores (places,), in units of three sigma. It returns the distances of loops from -1, and
-    the frequencies (Hz) of the minima of each, the least first. The distance is negative if the loop is unstable.
+    """Return a function of scores (places,), in units of three sigma.
+
+    It returns the distances of loops from -1, and the frequencies (Hz) of the minima of each, the least first. The
+    distance is negative if the loop is unstable.
     """
     one, deviations = distance(node, design, campaign), deviations_of(campaign, node)
     try:

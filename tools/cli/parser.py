@@ -47,8 +47,10 @@ class Parser(argparse.ArgumentParser):
         self.set_defaults(do=do)
 
     def commands(self, otherwise: str, default: Callable[[str], str]) -> None:
-        """Declare that the command has subcommands. `default` returns the subcommand for a first word that names none.
-        `otherwise` is the name of such a word in the usage.
+        """Declare that the command has subcommands.
+
+        `default` returns the subcommand for a first word that names none. `otherwise` is the name of such a word in the
+        usage.
         """
         self._otherwise, self._default = otherwise, default
         self._listed = self.add_subparsers(title="commands", metavar="COMMAND", prog=self.prog, parser_class=Parser)
@@ -177,8 +179,9 @@ class Parser(argparse.ArgumentParser):
         return None
 
     def _refuse_unknown(self, arguments: Sequence[str]) -> None:
-        """Reject an option that this command does not have. Name the subcommand that has it, or the most similar
-        option.
+        """Reject an option that this command does not have.
+
+        Name the subcommand that has it, or the most similar option.
         """
         mine = self._option_string_actions
         for word in takewhile("--".__ne__, arguments):
@@ -273,8 +276,9 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
 
 def _hung(head: str, text: str, width: int, indent: int | None = None) -> str:
-    """Return `text` after `head`, folded at spaces that are not in brackets or that follow a bar. Further lines are
-    indented by `indent`.
+    """Return `text` after `head`, folded at spaces that are not in brackets or that follow a bar.
+
+    Further lines are indented by `indent`.
     """
     depth, whole = 0, ""
     for letter in text:

@@ -83,8 +83,9 @@ def aligned(
 
 
 def _fitted(rows: Sequence[Sequence[str]], shown: Sequence[int], right: Sequence[int], room: int) -> list[int]:
-    """Return the widths of columns. Columns of text are narrowed where this adds the fewest lines, down to their
-    longest words.
+    """Return the widths of columns.
+
+    Columns of text are narrowed where this adds the fewest lines, down to their longest words.
     """
     widths = [max(len(row[i]) for row in rows) for i in shown]
     least = [
@@ -123,8 +124,9 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 
 def folded(text: str, width: int | None = None) -> str:
-    """Return `text` with its long lines broken at spaces and indented. Commands remain whole so that they can be
-    copied.
+    """Return `text` with its long lines broken at spaces and indented.
+
+    Commands remain whole so that they can be copied.
     """
     room, lines = columns() if width is None else width, []
     for line in text.split("\n"):
@@ -218,8 +220,9 @@ class Progress:
                 self._bar.stop()
 
     def show(self, what: str, done: float, of: float, note: str = "", count: str | None = None) -> None:
-        """Show `done` of `of` steps of `what`, followed by `note`. `count` replaces the text "done of of". An `of` of 0
-        means an unknown number of steps.
+        """Show `done` of `of` steps of `what`, followed by `note`.
+
+        `count` replaces the text "done of of". An `of` of 0 means an unknown number of steps.
         """
         with self._lock:
             if not self._open or (self._bar is None and not self._due()):
@@ -245,8 +248,9 @@ class Progress:
         return "; ".join(parts) if space >= _SHORTEST or len(parts[0]) <= space else ""
 
     def compiling(self, functions: int) -> None:
-        """Show the number of functions compiled so far. 0 ends the display. A compilation of less than a second is not
-        shown.
+        """Show the number of functions compiled so far. 0 ends the display.
+
+        A compilation of less than a second is not shown.
         """
         with self._lock:
             if not functions:

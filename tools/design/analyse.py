@@ -269,7 +269,9 @@ def operating_points_s(
     scenario: LoadedScenario, design: Design, order: AnalysisOrder, bases: Mapping[int, Basis]
 ) -> list[float]:
     """Return the vehicle times for the judgement, s: those of the order, else those of each stage's basis that are
-    under thrust. Without these, return the rows of the gain tables and every `every_s` between their ends.
+    under thrust.
+
+    Without these, return the rows of the gain tables and every `every_s` between their ends.
     """
     if order.times_s:
         return list(dict.fromkeys(order.times_s))

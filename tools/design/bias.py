@@ -106,8 +106,9 @@ def execute(scenario: str, *, wind: str | None = None, share: float = 1.0, out: 
 
 
 def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
-    """Return the scenario's programme with a bias for its wind. `share` is the share of the wind's contribution to be
-    removed.
+    """Return the scenario's programme with a bias for its wind.
+
+    `share` is the share of the wind's contribution to be removed.
 
     Raises ScenarioError if there is no wind, no programme, or one to which a bias in pitch and yaw cannot be added.
     """

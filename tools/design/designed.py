@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Designed:
-    """A design for a case. `outcome.design` is the flown design, and `outcome.judged` its margins at each operating
-    point of its own flight. For several stages, these are those of the first.
+    """A design for a case.
+
+    `outcome.design` is the flown design, and `outcome.judged` its margins at each operating point of its own flight.
+    For several stages, these are those of the first.
     """
 
     outcome: DesignOutcome

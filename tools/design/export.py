@@ -82,8 +82,9 @@ def execute(
 
 
 def export_c(loaded: LoadedScenario, folder: Path) -> list[Path]:
-    """Write the sources of the law that `loaded` flies, tables and unit test to a folder. Files of these names are
-    replaced.
+    """Write the sources of the law that `loaded` flies, tables and unit test to a folder.
+
+    Files of these names are replaced.
 
     Raises ScenarioError if the scenario has no such law.
     """
@@ -251,8 +252,9 @@ def _vectors(loaded: LoadedScenario, said: str) -> Iterator[str]:
 
 
 def _array(declared: str, values: np.ndarray) -> Iterator[str]:
-    """Return a C array. A double is written with enough digits to read it back, and read as a float if that is the
-    type.
+    """Return a C array.
+
+    A double is written with enough digits to read it back, and read as a float if that is the type.
     """
     yield f"{declared} = {{"
     for row in values:

@@ -30,8 +30,9 @@ class Mark:
 
 @dataclass(frozen=True)
 class LoopPicture:
-    """The content of a loop's picture. The points of the curve are in rising frequency, close enough to follow every
-    resonance.
+    """The content of a loop's picture.
+
+    The points of the curve are in rising frequency, close enough to follow every resonance.
     """
 
     title: str

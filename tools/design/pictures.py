@@ -187,8 +187,9 @@ def _bode(
 
 
 def peaks_over_order(series: Mapping[str, Mapping[str, float]]) -> Figure:
-    """Draw Fig. 9: worst first-mode peak of each design over the filter's structure. `series` maps name to structure to
-    dB.
+    """Draw Fig. 9: worst first-mode peak of each design over the filter's structure.
+
+    `series` maps name to structure to dB.
     """
     structures = sorted({structure for each in series.values() for structure in each})
     figure, (place,) = sheet(1, 1, height_in=3.2)
@@ -293,8 +294,9 @@ def judged_sheets(judged: Sequence[JudgedLoop], title: str, wanted: Wanted) -> l
 
 
 def loop_picture(judged: JudgedLoop, title: str, wanted: Wanted) -> Figure:
-    """Draw Bode, Nichols and Nyquist plots of one operating point. Its zones are the required ones, else those
-    measured.
+    """Draw Bode, Nichols and Nyquist plots of one operating point.
+
+    Its zones are the required ones, else those measured.
     """
     zones = (wanted.zone,) if wanted.zone is not None else tuple(c.zone for c in judged.margins.clearances)
     return draw_loop(picture_of(judged, f"{title}, {judged.node.plane}, {judged.time_s:g} s", zones))

@@ -32,8 +32,9 @@ def draw_loop(picture: LoopPicture) -> Figure:
 
 
 def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
-    """Draw the Bode plot with unwrapped phase, which has no jumps. Dotted lines are at -180 deg and whole turns from
-    it.
+    """Draw the Bode plot with unwrapped phase, which has no jumps.
+
+    Dotted lines are at -180 deg and whole turns from it.
     """
     f, loop = picture.frequency_hz, picture.loop
     level, turned = decibels(loop), unwrapped_deg(picture)
@@ -79,8 +80,10 @@ _NAMED_HZ = (0.1, 1.0, 10.0)
 
 
 def contours() -> list[tuple[str, Array, Array]]:
-    """Return the M and N contours of the Nichols plane as (name, phase of L in deg, |L| in dB). T = L / (1 + L) has a
-    constant magnitude, named in dB, or a constant phase, without a name. The contours follow from L = T / (1 - T).
+    """Return the M and N contours of the Nichols plane as (name, phase of L in deg, |L| in dB).
+
+    T = L / (1 + L) has a constant magnitude, named in dB, or a constant phase, without a name. The contours follow from
+    L = T / (1 - T).
     """
     out = []
     for m_db in _M_DB:
@@ -146,8 +149,9 @@ def _name_frequencies(place: Axes, picture: LoopPicture, curve: Array) -> None:
 
 
 def _nyquist(picture: LoopPicture, place: Axes) -> None:
-    """Draw the Nyquist plot. The radius is true up to 1 and logarithmic beyond, r = 1 + ln|L|, so that lobes of any
-    size fit.
+    """Draw the Nyquist plot.
+
+    The radius is true up to 1 and logarithmic beyond, r = 1 + ln|L|, so that lobes of any size fit.
     """
     seen = picture.frequency_hz >= LOWEST_HZ
     curve = _drawn_in(picture.loop[seen])

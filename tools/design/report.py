@@ -77,8 +77,9 @@ class AnalysisOrder:
 
 @dataclass(frozen=True)
 class Group:
-    """The results of a stage, with its name for texts, "" for a single stage. `together` contains the margins of all
-    axes.
+    """The results of a stage, with its name for texts, "" for a single stage.
+
+    `together` contains the margins of all axes.
 
     `worst` and `dispersed` are the dispersed vehicles found by the search, and the limits on them.
     """
@@ -99,8 +100,9 @@ class Group:
 def analysis_report(
     name: str, order: AnalysisOrder, design: Design, groups: Sequence[Group], judged_by: str, loss: Event | None = None
 ) -> str:
-    """Return the report of `simdesign analyse`. `judged_by` is `judged_by_text`. `loss` is that of the design's
-    flight.
+    """Return the report of `simdesign analyse`.
+
+    `judged_by` is `judged_by_text`. `loss` is that of the design's flight.
     """
     where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {KINDS[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
@@ -228,8 +230,9 @@ def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
 
 
 def nodes_table(checks: Sequence[Check], judged: Sequence[JudgedLoop]) -> list[str]:
-    """Return a table with a row per operating point and a column per limit. A value that misses its limit is marked
-    with !, and so is the row.
+    """Return a table with a row per operating point and a column per limit.
+
+    A value that misses its limit is marked with !, and so is the row.
     """
     shown = [check for check in checks if math.isfinite(check.time_s[0]) and check.key != "unstable_poles"]
     stable = next((check for check in checks if check.key == "unstable_poles"), None)
@@ -253,8 +256,9 @@ def _bound(check: Check) -> str:
 
 
 def margins_table(judged: Sequence[JudgedLoop]) -> list[str]:
-    """Return a row per operating point: margins up and down, by class, and the distances to -1. With adaptation, they
-    include the margins at the limits of the total gain.
+    """Return a row per operating point: margins up and down, by class, and the distances to -1.
+
+    With adaptation, they include the margins at the limits of the total gain.
     """
     out = _margins_rows("margins over all crossings", [(j.time_s, j.margins) for j in judged])
     for end in (0, 1):

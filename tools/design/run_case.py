@@ -65,8 +65,9 @@ RECORD_NAME, PAGE_NAME = "design.json", "design.html"
 
 @dataclass(frozen=True)
 class Made:
-    """The result of a case: the exit code, the design in its folder, and the outcome. `orders` are those of --orders,
-    of each stage, else none.
+    """The result of a case: the exit code, the design in its folder, and the outcome.
+
+    `orders` are those of --orders, of each stage, else none.
     """
 
     code: Exit
@@ -87,8 +88,9 @@ def make(
     orders: bool = False,
     trials: bool = True,
 ) -> Made:
-    """Optimise the case, write and print the result. The arguments are the options of `simdesign optimise`. Raises
-    ScenarioError and FileError.
+    """Optimise the case, write and print the result.
+
+    The arguments are the options of `simdesign optimise`. Raises ScenarioError and FileError.
     """
     begun_s = time.perf_counter()
     search = (("starts", starts), ("seed", seed))
@@ -356,8 +358,9 @@ def order_cases(stage: LoadedCase) -> dict[tuple[str, str], LoadedCase]:
 def solve_orders(
     cases: Mapping[tuple[str, str], LoadedCase], plants: Plants, watch: Callable[[int, int], None]
 ) -> FoundDesigns:
-    """Solve fifteen problems, on all cores. Each also starts from the solutions that it contains, so that more freedom
-    is never worse.
+    """Solve fifteen problems, on all cores.
+
+    Each also starts from the solutions that it contains, so that more freedom is never worse.
     """
     contained = {
         (f, s): [c for c in ((_before(STRUCTURES, f), s), (f, _before(tuple(SCHEDULES), s))) if c in cases]

@@ -18,8 +18,9 @@ EXTRAS = ("dask",)
 
 
 def lowest_versions(pyproject: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Return name and lowest version of each requirement of the package and its build. Raises ValueError without
-    one.
+    """Return name and lowest version of each requirement of the package and its build.
+
+    Raises ValueError without one.
     """
     project = pyproject["project"]
     extras = [line for extra in EXTRAS for line in project["optional-dependencies"][extra]]

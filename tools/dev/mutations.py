@@ -266,8 +266,9 @@ def named(first: int) -> list[Mutant]:
 
 
 def found_again(mutants: list[dict[str, Any]], first: int) -> list[Mutant]:
-    """Return mutants of an earlier tree at the present position of their line. Those without their line are omitted and
-    reported.
+    """Return mutants of an earlier tree at the present position of their line.
+
+    Those without their line are omitted and reported.
     """
     out = list[Mutant]()
     for m in mutants:

@@ -1,5 +1,6 @@
-"""Figures of a campaign: histograms with limits, tails, envelopes over time, sensitivities. None means that there is
-nothing to show.
+"""Figures of a campaign: histograms with limits, tails, envelopes over time, sensitivities.
+
+None means that there is nothing to show.
 """
 
 from __future__ import annotations

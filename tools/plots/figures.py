@@ -27,8 +27,10 @@ Series = dict[str, Any]
 
 @dataclass
 class Panel:
-    """A panel of a figure. `x` and `y` are labels with units. Ranges of None are those of the data. `rows` means bars
-    along x, one below another.
+    """A panel of a figure.
+
+    `x` and `y` are labels with units. Ranges of None are those of the data. `rows` means bars along x, one below
+    another.
     """
 
     title: str
@@ -73,8 +75,10 @@ def look(number: int) -> Series:
 
 
 def line(x: Any, y: Any, name: str = "", **more: Any) -> Series:
-    """Return a curve, with a gap if a value is not finite. `mark` is "o", "x" or "+" at each point. `faint` is True for
-    a curve whose values are not shown. `who` is the text under the pointer, if not the name.
+    """Return a curve, with a gap if a value is not finite.
+
+    `mark` is "o", "x" or "+" at each point. `faint` is True for a curve whose values are not shown. `who` is the text
+    under the pointer, if not the name.
     """
     return {"kind": "line", "colour": "blue", "name": name, "x": x, "y": y} | more
 

@@ -1,5 +1,7 @@
 """The colours of all pictures, on paper and in the viewer: those of Okabe & Ito, which colour-blind people can
-distinguish. Nothing is imported here, so that the viewer's side does not load Matplotlib.
+distinguish.
+
+Nothing is imported here, so that the viewer's side does not load Matplotlib.
 """
 
 from __future__ import annotations

@@ -122,8 +122,10 @@ _FLOATING = "floating"
 
 
 def name_point(place: Axes, x: float, y: float, text: str, *, must: bool = True, **look: Any) -> None:
-    """Name a point of a curve. The position of the name is determined when the figure is finished (`settle`): near the
-    point, over no curve and no other text. A name without a free position is omitted, unless `must` is True.
+    """Name a point of a curve.
+
+    The position of the name is determined when the figure is finished (`settle`): near the point, over no curve and no
+    other text. A name without a free position is omitted, unless `must` is True.
     """
     style: dict[str, Any] = {"fontsize": 6.5, "color": BLACK} | look
     line: Any = {"arrowstyle": "-", "linewidth": 0.4, "color": style["color"], "shrinkA": 0.0, "shrinkB": 1.5}

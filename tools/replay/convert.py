@@ -146,8 +146,9 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
 
 
 def seen_of(part_s: tuple[float, float], span_s: tuple[float, float]) -> tuple[float, float]:
-    """Return the time that a plot of a part shows. It is slightly longer than the part, so that the number at its end
-    is whole.
+    """Return the time that a plot of a part shows.
+
+    It is slightly longer than the part, so that the number at its end is whole.
     """
     return part_s[0], min(part_s[1] + _BEHIND * (part_s[1] - part_s[0]), span_s[1])
 
@@ -215,8 +216,9 @@ def _pictures(
 
 
 def colours_of(flights: Sequence[ReplayFlight]) -> list[str]:
-    """Return a colour for each of several flights. A few flights have separate colours, in shades of red if they
-    failed. Many have that of their verdict.
+    """Return a colour for each of several flights.
+
+    A few flights have separate colours, in shades of red if they failed. Many have that of their verdict.
     """
     if len(flights) > COLOURED:
         return [_NOMINAL_COLOUR if flight.is_nominal else VERDICT[flight.verdict] for flight in flights]
@@ -267,8 +269,9 @@ def eyes_for(length_m: float, azimuth_deg: float, positions_m: Array) -> Eyes:
 
 
 def plot_view(plot: ReplayPlot, span: TimeSpan, roots: Sequence[str], legend: bool, rows: int) -> rrb.TimeSeriesView:
-    """Return a plot over a span. The viewer sets the axis if the span has none. `rows` is the number of plots in the
-    window.
+    """Return a plot over a span.
+
+    The viewer sets the axis if the span has none. `rows` is the number of plots in the window.
     """
     axis = span.axes.get(plot.key)
     beyond = axis.beyond_text("") if axis is not None else ""

@@ -116,9 +116,10 @@ def tightest_first(requirements: Iterable[ShownRequirement]) -> list[ShownRequir
 
 @dataclass(frozen=True)
 class ReplayFlight:
-    """A flight to be shown. `label` names the flight. `moments` are its events and those derived from its channels
-    (largest dynamic pressure), in order. `span_s` is its first and last time. `damage` describes the missing parts of
-    the log, a sentence each.
+    """A flight to be shown.
+
+    `label` names the flight. `moments` are its events and those derived from its channels (largest dynamic pressure),
+    in order. `span_s` is its first and last time. `damage` describes the missing parts of the log, a sentence each.
     """
 
     path: Path
@@ -206,8 +207,9 @@ def open_flight(path: Path, label: str = "", read: Callable[[Path], Log] | None 
 
 
 def _keeping(most: int | None) -> Callable[[Path], Log]:
-    """Return a reader of logs that keeps the `most` last used in memory (None: all). Raises ReplayError if a log cannot
-    be read.
+    """Return a reader of logs that keeps the `most` last used in memory (None: all).
+
+    Raises ReplayError if a log cannot be read.
     """
 
     @functools.lru_cache(most)
@@ -249,8 +251,9 @@ def _scenario_text(log: Log) -> str | None:
 
 
 def launch_of(log: Log) -> tuple[EarthSection, Site]:
-    """Return Earth and launch site from two tables of the scenario. Reading the whole scenario takes a third of a
-    second.
+    """Return Earth and launch site from two tables of the scenario.
+
+    Reading the whole scenario takes a third of a second.
 
     If the tables cannot be read, the result is WGS-84 and the site that the log's metadata name.
     """

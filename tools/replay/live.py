@@ -60,8 +60,9 @@ class FlownView:
         self._port = viewer.listening(port)
 
     def show(self, log: Path) -> None:
-        """Show the log. The function returns when a new window is closed. Raises ReplayError if the log or the viewer
-        fails.
+        """Show the log.
+
+        The function returns when a new window is closed. Raises ReplayError if the log or the viewer fails.
         """
         flight = open_flight(log)
         if self._port is None:

@@ -117,8 +117,9 @@ def _lateral(channels: Channels, name: str, shape: VehicleShape | None) -> Times
 
 
 def _distance_km(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
-    """Return the great-circle distance from the first point, accurate to half a percent. Blocks of a running flight
-    pass the point on.
+    """Return the great-circle distance from the first point, accurate to half a percent.
+
+    Blocks of a running flight pass the point on.
     """
     lat, lon = np.radians(channels[name]), np.radians(channels["longitude_deg"])
     start = getattr(channels, "start_place_deg", None)
@@ -133,8 +134,9 @@ def _in_motion(channels: Channels, name: str, shape: VehicleShape | None) -> Tim
 
 
 def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
-    """Return the angular rate at the gyro by one mode: its slope there times the modal rate. `name` is like
-    eta_pitch_1_mps.
+    """Return the angular rate at the gyro by one mode: its slope there times the modal rate.
+
+    `name` is like eta_pitch_1_mps.
     """
     _, axis, mode, _ = name.split("_")
     ns, rate = channels.time_ns(name), channels[name]
@@ -149,8 +151,9 @@ def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None
 
 
 def _largest_section(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
-    """Return the largest of all stations, kN or kN m: axial compression, or magnitude of both planes. `name` is that of
-    station 1.
+    """Return the largest of all stations, kN or kN m: axial compression, or magnitude of both planes.
+
+    `name` is that of station 1.
     """
     of_all = [n for n in channels.table.names if re.fullmatch(name.replace("_1_", r"_\d+_"), n)]
     if "_axial_" in name:

@@ -175,8 +175,9 @@ class Scene:
         self._send("trail", at, rr.LineStrips3D.columns(strips=list(strips), colors=colours, radii=radii))
 
     def _arrows(self, channels: Channels) -> None:
-        """Send the velocity over the ground in its direction, and the wind to scale. Both are labelled with their
-        magnitude.
+        """Send the velocity over the ground in its direction, and the wind to scale.
+
+        Both are labelled with their magnitude.
         """
         if not all(f"v_N_{a}_mps" in channels for a in _NED):
             return
@@ -376,8 +377,9 @@ def _at(channels: Channels, name: str, at_ns: IntArray) -> Array:
 
 # -- the ground ----------------------------------------------------------------------------------------------------
 def send_ground(recording: rr.RecordingStream, place: ShownLaunchSite, reach_m: float, drop_m: float) -> str:
-    """Send a grid on the Earth's surface over the range of the flight, and the pad, as static data. Return the grid's
-    spacing.
+    """Send a grid on the Earth's surface over the range of the flight, and the pad, as static data.
+
+    Return the grid's spacing.
 
     The simulation begins with the CG at the site's altitude. The ground is drawn `drop_m` lower, under the vehicle.
     """

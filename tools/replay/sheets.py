@@ -181,8 +181,9 @@ def _figure(
 
 
 def _span(tab: Tab, shown: Flights) -> tuple[float, float]:
-    """Return the whole flight for quantities that concern all of it. For others, end shortly after burnout, if the rest
-    is zero.
+    """Return the whole flight for quantities that concern all of it.
+
+    For others, end shortly after burnout, if the rest is zero.
     """
     start, end = min(f.span_s[0] for f in shown.all), max(f.span_s[1] for f in shown.all)
     burnouts = [m.time_s for f in shown.all if (m := f.moment("burnout")) is not None]
@@ -206,8 +207,9 @@ def _draw(place: Axes, plot: ReplayPlot, shown: Flights, span_s: tuple[float, fl
 
 
 def _draw_curve(place: Axes, curve: PlotLine, number: int, shown: Flights, span_s: tuple[float, float]) -> list[Array]:
-    """Draw lines of a few flights, or the envelope of many with the failed ones and the reference as lines. Return the
-    values.
+    """Draw lines of a few flights, or the envelope of many with the failed ones and the reference as lines.
+
+    Return the values.
     """
     span_ns = round(span_s[0] * 1e9), round(span_s[1] * 1e9) + 1
     look = look_of(number)
@@ -241,8 +243,9 @@ def _draw_curve(place: Axes, curve: PlotLine, number: int, shown: Flights, span_
 
 
 def envelope(times_ns: IntArray, values: Array, span_ns: tuple[int, int], bins: int = _BINS) -> tuple[Array, Array]:
-    """Return the smallest and largest value in each of `bins` intervals of a span. An interval without samples has the
-    interpolated value.
+    """Return the smallest and largest value in each of `bins` intervals of a span.
+
+    An interval without samples has the interpolated value.
     """
     width_ns = -((span_ns[0] - span_ns[1]) // bins)
     ends = extremes_on_grid(times_ns, values, span_ns[0], width_ns, bins).reshape(bins, 2)

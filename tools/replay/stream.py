@@ -94,8 +94,9 @@ def send_styles(
     prefix: str = "",
     alpha: float = 1.0,
 ) -> None:
-    """Send names and colours: one `colour` for all curves of a flight, or one for each (None). `prefix` precedes the
-    names.
+    """Send names and colours: one `colour` for all curves of a flight, or one for each (None).
+
+    `prefix` precedes the names.
     """
     for entity, i, _, curve in _curves(root, tabs):
         own = rgba(colour or ON_DARK[i % len(ON_DARK)], alpha)

@@ -181,8 +181,9 @@ def _row(plot: ReplayPlot, curve: PlotLine, flight: ReplayFlight) -> _TextRow | 
 
 
 def sparkline(ns: IntArray, values: Array, span_ns: tuple[int, int], cells: int, blocks: str = _BLOCKS) -> str:
-    """Return a character for each of `cells` intervals. For an oscillation, it shows the largest excursion, so that no
-    peak is lost.
+    """Return a character for each of `cells` intervals.
+
+    For an oscillation, it shows the largest excursion, so that no peak is lost.
     """
     found, finite = range_of([values]), np.isfinite(values)
     if found is None:

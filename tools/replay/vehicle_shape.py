@@ -62,8 +62,9 @@ class Fins:
 
 @dataclass(frozen=True)
 class EngineShape:
-    """An engine. `channels` is the prefix of its gimbal's channels, and `follows` contains the planes in which it
-    moves.
+    """An engine.
+
+    `channels` is the prefix of its gimbal's channels, and `follows` contains the planes in which it moves.
     """
 
     gimbal_station_m: float

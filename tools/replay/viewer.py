@@ -300,8 +300,9 @@ def _local_page(port: int, inner_port: int, grpc_port: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def headless(window: str = WINDOW) -> Iterator[Callable[[], ViewerControl]]:
-    """Run a viewer without a window. It starts immediately; the returned object controls it, and waits until it
-    responds.
+    """Run a viewer without a window.
+
+    It starts immediately; the returned object controls it, and waits until it responds.
 
     The viewer ends with its block, and with the thread that made it. Raises ReplayError if it cannot run.
     """
@@ -327,8 +328,9 @@ def headless(window: str = WINDOW) -> Iterator[Callable[[], ViewerControl]]:
 
 
 def steady_picture(viewer: ViewerControl, view_id: str | None = None) -> bytes:
-    """Return a PNG once two successive pictures are equal and all data is loaded. Raises ReplayError if that never
-    happens.
+    """Return a PNG once two successive pictures are equal and all data is loaded.
+
+    Raises ReplayError if that never happens.
 
     Painting takes half a second without a graphics card. The data of views is fetched at their first layout, with or
     without painting, and each query of the viewer's state causes a layout. Therefore, the state is queried a few times

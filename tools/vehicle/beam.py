@@ -1,5 +1,6 @@
-"""The free-free bending modes of a stack: Euler-Bernoulli elements with cubic shapes (Hermite). The engines are locked
-as a rigid mass behind the last node, and sloshing masses are removed.
+"""The free-free bending modes of a stack: Euler-Bernoulli elements with cubic shapes (Hermite).
+
+The engines are locked as a rigid mass behind the last node, and sloshing masses are removed.
 
 Shear, rotary inertia of the sections, and compliance of joints beyond EI are neglected. Shapes are 1 at the gimbal; the
 slope is d(phi)/d(station). (Przemieniecki, Theory of Matrix Structural Analysis, sections 5.6 and 11.5.)
@@ -51,8 +52,9 @@ class Beam:
         return Beam(nodes, stiffness)
 
     def modes(self, rods: Sequence[Rod], count: int, *, clamped: bool = False) -> list[BeamMode]:
-        """Return the first `count` bending modes with these masses on the beam. `clamped` fixes its end, where the
-        vehicle is held down.
+        """Return the first `count` bending modes with these masses on the beam.
+
+        `clamped` fixes its end, where the vehicle is held down.
 
         Free shapes are 1 at the gimbal, clamped ones at the nose.
         """

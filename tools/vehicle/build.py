@@ -49,8 +49,9 @@ class Built:
         return float(np.mean(found)) if found else math.inf
 
     def rigid_hz(self, p: TrajectoryPoint) -> float:
-        """Return the rigid-body frequency of the first gains: that of the layout. Its default is an eighth of mode 1
-        and of the actuator at that time, at most 0.4 Hz.
+        """Return the rigid-body frequency of the first gains: that of the layout.
+
+        Its default is an eighth of mode 1 and of the actuator at that time, at most 0.4 Hz.
         """
         times, modes = self.modes[p.number]
         own = [of[0].frequency_hz for of in modes if of]
@@ -201,9 +202,10 @@ def _gains(built: Built) -> list[tuple[float, float, float]]:
 
 
 def least_rigid_hz(built: Built, aero_gain_db: float) -> tuple[list[float], list[float]]:
-    """Return flight times and the least required frequency of the rigid body. It is SHARE of that of the first gains,
-    or the frequency that an unstable vehicle needs for its lower gain margin, M_delta k_p = g M_alpha: omega^2 = (g -
-    1) M_alpha.
+    """Return flight times and the least required frequency of the rigid body.
+
+    It is SHARE of that of the first gains, or the frequency that an unstable vehicle needs for its lower gain margin,
+    M_delta k_p = g M_alpha: omega^2 = (g - 1) M_alpha.
 
     Of instants on a straight line, only the ends are kept.
     """

@@ -92,8 +92,9 @@ def _times_s(stack: Stack) -> list[float]:
 
 
 def _continued(stack: Stack, rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
-    """Return rows of a table over time. If the burn continues in the next part, they include one more for a faster
-    burn.
+    """Return rows of a table over time.
+
+    If the burn continues in the next part, they include one more for a faster burn.
     """
     if not stack.drops_fairing:
         return rows
@@ -365,8 +366,9 @@ def _filter(built: Built, n: int) -> dict[str, Any]:
 
 
 def _roll(built: Built, n: int) -> dict[str, Any]:
-    """Return the roll control of a stage: by thrusters, and by the gimbals if engines are off the axis. Frequency and
-    damping are similar to those of the first gains of pitch.
+    """Return the roll control of a stage: by thrusters, and by the gimbals if engines are off the axis.
+
+    Frequency and damping are similar to those of the first gains of pitch.
     """
     out: dict[str, Any] = {"roll": {"k_rate_s": 0.5, "dead_band_deg": 1.0, "hysteresis_deg": 0.2, "minimum_on_s": 0.02}}
     stack, e = built.stacks[n], built.stacks[n].stage.engine
@@ -434,8 +436,9 @@ def _scenario(built: Built) -> dict[str, Any]:
 
 
 def _closed_loop(built: Built) -> dict[str, Any]:
-    """Return guidance to the layout's orbit. Raises ScenarioError for an apogee that the point-mass ascent does not
-    reach.
+    """Return guidance to the layout's orbit.
+
+    Raises ScenarioError for an apogee that the point-mass ascent does not reach.
     """
     wanted, last = built.layout.trajectory, built.flight.stacks[-1].burn
     if wanted.apogee_altitude_m is None:

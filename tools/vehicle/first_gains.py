@@ -1,5 +1,6 @@
-"""First gains that control their own flight. The linear model checks them there, and a search replaces them if the
-formula fails.
+"""First gains that control their own flight.
+
+The linear model checks them there, and a search replaces them if the formula fails.
 
 `build` sets frequency and damping of the rigid body, without slosh or the phase of a bending mode. If the sampled loop
 is unstable at an operating point of the flight, or the flight is lost, the case of the vehicle is solved. The solution

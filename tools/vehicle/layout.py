@@ -1,5 +1,6 @@
-"""The layout of a launcher: the data that a designer has before there are tables. Stations are in m aft of the nose of
-the whole vehicle. A stage flies with all parts ahead of it.
+"""The layout of a launcher: the data that a designer has before there are tables.
+
+Stations are in m aft of the nose of the whole vehicle. A stage flies with all parts ahead of it.
 """
 
 from __future__ import annotations

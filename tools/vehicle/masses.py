@@ -46,8 +46,9 @@ def ring(mass_kg: float, front_m: float, rear_m: float, radius_m: float) -> Rod:
 
 @dataclass(frozen=True)
 class MassProperties:
-    """The mass properties about the CG in body axes. The liquids are frozen laterally and do not rotate about the
-    axis.
+    """The mass properties about the CG in body axes.
+
+    The liquids are frozen laterally and do not rotate about the axis.
     """
 
     mass_kg: float
@@ -58,8 +59,9 @@ class MassProperties:
 
 @dataclass(frozen=True)
 class ThrustCurve:
-    """The thrust in vacuum and the flow of all engines of a stage over its clock. PCHIP between the rows defines the
-    thrust.
+    """The thrust in vacuum and the flow of all engines of a stage over its clock.
+
+    PCHIP between the rows defines the thrust.
 
     The flow is proportional to the thrust. `used_shares` are those of the usable propellant, burned before and at the
     end.
@@ -110,8 +112,9 @@ class ThrustCurve:
 
 
 def burn_of(stage: LayoutStage, ignition_s: float) -> ThrustCurve:
-    """Return a curve with smooth steps up and down. The duration of full thrust gives the impulse of the usable
-    propellant.
+    """Return a curve with smooth steps up and down.
+
+    The duration of full thrust gives the impulse of the usable propellant.
 
     Between the steps, the thrust falls linearly to `thrust_end_share` of its initial value.
     """

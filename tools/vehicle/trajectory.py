@@ -1,6 +1,7 @@
 """The point-mass ascent of a layout in the plane of the launch, over a round, rotating Earth: vertical rise,
-pitch-over, gravity turn. The upper stages reach an orbit by a linear tangent law. There is no wind, and the air rotates
-with the Earth.
+pitch-over, gravity turn.
+
+The upper stages reach an orbit by a linear tangent law. There is no wind, and the air rotates with the Earth.
 
 Speed and path angle are relative to the Earth, the path angle above the local horizon, in rad. Gravity has its J2 term
 along the vertical. The Earth's rotation adds a speed across the plane, which affects only the orbit.
@@ -212,8 +213,9 @@ class _Model:
         return TrajectoryPoint(n, t, time_s, reach, altitude, speed, path, thrust, q, mach, incidence, excess, horizon)
 
     def fly(self, points: int) -> tuple[list[TrajectoryPoint], list[float], tuple[int, float] | None]:
-        """Fly all stages, with `points` per burn. Return the points, the start of each stage, and stack and clock of
-        the fairing separation.
+        """Fly all stages, with `points` per burn.
+
+        Return the points, the start of each stage, and stack and clock of the fairing separation.
         """
         fairing, wanted = self.layout.fairing, self.layout.trajectory
         jettison_m = math.inf if fairing is None else fairing.jettison_altitude_m

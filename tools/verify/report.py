@@ -62,6 +62,7 @@ class Signed:
 
 def write_pack(found: Verification, folder: Path, command: str, pack: bool, signed: Signed = Signed()) -> list[Path]:
     """Write verdict.json and, with `pack`, the review as HTML and PDF (if a browser can print), and its figures as CSV.
+
     Raises FileError.
     """
     files = [write_record(folder / VERDICT_NAME, verdict_record(found, command))]
@@ -135,8 +136,9 @@ def _limiting(found: Verification) -> list[JudgedRequirement]:
 
 
 def _matrix(flights: Sequence[FlownResult]) -> dict[str, Any]:
-    """Return the values of all flights, with a column for each requirement. `used` is the share of the limit in
-    percent.
+    """Return the values of all flights, with a column for each requirement.
+
+    `used` is the share of the limit in percent.
     """
 
     def bound_text(v: Verdict) -> str:
@@ -228,8 +230,10 @@ def print_page(page: Path, pdf: Path) -> Path | None:
 
 
 def _headings(part: Sequence[JudgedRequirement]) -> list[str]:
-    """Return the plane of each requirement of a part, as the end of its heading. A requirement without a plane has that
-    of the next one with a plane, if all but the first few have one. Otherwise there is none.
+    """Return the plane of each requirement of a part, as the end of its heading.
+
+    A requirement without a plane has that of the next one with a plane, if all but the first few have one. Otherwise
+    there is none.
     """
     planes = [(r.where.rpartition(", ")[2] if r.where.endswith((", pitch", ", yaw")) else "") for r in part]
     if 2 * sum(map(bool, planes)) < len(planes):

@@ -130,8 +130,9 @@ def folder_of(design: str, out: str | None, only: str | None, designs: int) -> P
 
 @dataclass(frozen=True)
 class Candidate:
-    """A design in a folder. `objective_db` is that of the case, and less is better. `modulus` is the least |1 + L| as
-    it flies.
+    """A design in a folder.
+
+    `objective_db` is that of the case, and less is better. `modulus` is the least |1 + L| as it flies.
     """
 
     folder: Path
@@ -157,8 +158,9 @@ def candidates(made: run_case.Made) -> Iterator[Candidate]:
 
 
 def in_order(found: Sequence[Candidate]) -> list[Candidate]:
-    """Return candidates that meet their cases' limits first. The order is by the objective if all have the same, else
-    by the least |1 + L|, which is comparable.
+    """Return candidates that meet their cases' limits first.
+
+    The order is by the objective if all have the same, else by the least |1 + L|, which is comparable.
     """
     same = len({c.kind for c in found}) < 2
     return sorted(found, key=lambda c: (not c.meets_limits, c.objective_db if same else -c.modulus))

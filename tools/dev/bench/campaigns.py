@@ -90,8 +90,9 @@ PARTS: dict[str, tuple[Any, str]] = {
 
 
 def profile(runs: int = RUNS // 2) -> dict[str, float]:
-    """Return processor time by part, ms per run, of a campaign on one worker. "other" is the remainder of the process's
-    time.
+    """Return processor time by part, ms per run, of a campaign on one worker.
+
+    "other" is the remainder of the process's time.
     """
     campaign = _ksr3().with_campaign(runs=runs)
     load_kernels(campaign)

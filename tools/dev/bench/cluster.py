@@ -70,8 +70,9 @@ async def _workers(address: str, count: int) -> None:
 
 
 def _measured(workers: int, processes: int, runs: int, flight_s: float | None, kill: bool) -> dict[str, Any]:
-    """Measure a campaign on `workers` Dask workers in the given number of processes. One process is killed after a
-    third of the flights.
+    """Measure a campaign on `workers` Dask workers in the given number of processes.
+
+    One process is killed after a third of the flights.
     """
     from distributed import Client  # noqa: PLC0415  # an extra
 

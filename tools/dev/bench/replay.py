@@ -1,5 +1,6 @@
-"""The benchmark of the replay: `simreplay` from command to picture, conversion, memory, size, many flights. It prints
-JSON.
+"""The benchmark of the replay: `simreplay` from command to picture, conversion, memory, size, many flights.
+
+It prints JSON.
 
 The picture is that of the headless viewer of the tests. Without a graphics card, it is drawn in software, which is
 slower.

@@ -1,5 +1,6 @@
-"""The runner of all benchmarks: `make bench`. Results go to docs/performance.json, tables and picture to
-docs/performance.md.
+"""The runner of all benchmarks: `make bench`.
+
+Results go to docs/performance.json, tables and picture to docs/performance.md.
 
 Every part runs in separate processes, so that no part uses the memory and caches of another.
 """

@@ -108,7 +108,9 @@ REFINED = (
 
 def accuracy(peers_python: Path, flights: int = 3) -> list[dict[str, Any]]:
     """Return by program and method the least CPU time of some flights, `cpu_s`, and the distance of the flight's end
-    from that with its finest steps, `position_m` and `attitude_deg`. A skipped program has the reason in `skipped`.
+    from that with its finest steps, `position_m` and `attitude_deg`.
+
+    A skipped program has the reason in `skipped`.
     """
     return [
         row for each in REFINED for row in _refined(each, Path(sys.executable) if each.ours else peers_python, flights)

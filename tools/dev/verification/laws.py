@@ -120,8 +120,9 @@ def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
 
 
 def _certified(loaded: LoadedScenario, times_s: list[float], kept: Path) -> dict[str, Any]:
-    """Return the content of each operating point's certificate, by time and plane. Those in `kept` that agree are not
-    repeated.
+    """Return the content of each operating point's certificate, by time and plane.
+
+    Those in `kept` that agree are not repeated.
     """
     found = json.loads(kept.read_text()) if kept.exists() else {}
     for plane in PLANES:
