@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 from collections.abc import Iterator
 
 import pytest
@@ -25,6 +26,7 @@ settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", derandomize=False, deadline=None, print_blob=True)  # its own default in CI is True
 settings.load_profile(os.environ.get("MAXQ_EXAMPLES") or "same")
 
+os.environ.setdefault("MAXQ_LEDGER", tempfile.mkdtemp(prefix="maxq-ledger-"))  # attempts of tests are none of a user's
 os.environ.pop("COLUMNS", None)  # workers of pytest-xdist are told 80, as if they wrote to a terminal
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

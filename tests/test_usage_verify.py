@@ -53,7 +53,6 @@ from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.simverify import main
 from maxq.tools.verify import report as pack_report
-from maxq.tools.verify import run as verify_run
 from maxq.tools.verify.report import page_of, ranked
 from maxq.tools.verify.run import campaigns_of
 
@@ -141,7 +140,7 @@ def test_accepted_design_leaves_verdict_and_pack(
     remembered = json.loads((out / "verdict.json").read_text())
     assert remembered["parts"]["worked_out"] == 0
     assert remembered["requirements"] == verdict["requirements"]
-    assert "results reused" in told
+    assert "results recalled" in told
 
 
 @pytest.mark.slow
@@ -220,7 +219,7 @@ def test_the_pack_of_another_vehicle_has_no_word_of_the_first(
 def test_a_wrong_part_is_refused_before_anything_is_flown(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(verify_run, "fit", lambda *given: pytest.fail("flown for the marks"))
+    monkeypatch.setattr(verify_module, "fit", lambda *given: pytest.fail("flown for the marks"))
     design, suite = str(petrel.folder() / "design.toml"), str(petrel.folder() / "suite.toml")
     code, _, err = _run(capsys, design, "--suite", suite, "--only", "pitch gyro dead for 0.2 s, third")
     assert code == 2

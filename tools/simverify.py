@@ -9,19 +9,20 @@ import argparse
 import datetime
 from typing import Any
 
-from maxq.tools.cli.frame import Command, Exit
-from maxq.tools.cli.parser import Parser
+from maxq.tools.cli.frame import Command, CommandError, Exit
+from maxq.tools.cli.parser import Parser, count
 
 _EXAMPLES = """\
   simverify ksr3-robust                           judge a built-in design
   simverify runs/mine --suite quick               one of simdesign, by a shorter suite
   simverify ksr3-robust ksr3-free ksr3-two-phase  several, and rank them
   simverify ksr3-robust --set margins.cases=1000  with more random vehicles
+  simverify --check runs/verify-ksr3-robust       compute a sample of a pack again
 """
 _EXITS = {
     Exit.OK: "accepted: every requirement is met, and shown with the confidence that is asked for "
     "(of several designs: by the best); with less evidence than an acceptance needs: passed the screening",
-    Exit.FAILED: "rejected: at least one requirement is not met",
+    Exit.FAILED: "rejected: at least one requirement is not met; of --check: something differs",
     Exit.BAD_INPUT: "bad input, nothing flown, or files that cannot be read or written",
     Exit.UNDECIDED: "undecided: more runs are needed; it says how many",
     Exit.INTERRUPTED: "interrupted; what was worked out is kept, the same command resumes",
@@ -33,7 +34,7 @@ def _parser() -> Parser:
     parser = Parser("simverify", about, _EXAMPLES, _EXITS, _verify)
     add = parser.option
     about = "design file, folder with a design.toml, or a built-in design; or flight code: libfsw.so, my_fsw.py:Class"
-    add("DESIGN...", about, dest="designs")
+    add("[DESIGN]...", about, dest="designs")
     add("--suite SUITE", "suite file or name of a built-in one (default: standard)")
     add("--vehicle V", "vehicle folder instead of the scenario's")
     parser.overrides("the suite, e.g. margins.cases=1000")
@@ -44,6 +45,24 @@ def _parser() -> Parser:
     add("--date YYYY-MM-DD", "of the review (default: today)", type=_date)
     add("--no-pack", "verdict.json only, no review pack")
     add("--afresh", "compute everything again, and keep nothing")
+    add("--register", "write seeds chosen by --set into the ledger of the vehicle before they are flown; fly nothing")
+    add("--sign KEY", "sign the pack with this SSH key (ssh-keygen -Y sign)")
+    judging = (
+        "--set",
+        "--only",
+        "--out",
+        "--author",
+        "--revision",
+        "--date",
+        "--no-pack",
+        "--afresh",
+        "--register",
+        "--sign",
+    )
+    add("--check PACK", "check a pack, a folder or its verdict.json, in place of a verification", without=judging)
+    add("--allowed FILE", "signers whose signature --check accepts (ssh-keygen(1), ALLOWED SIGNERS)", needs=["--check"])
+    about = "results of each kind to compute again and compare: of a pack (default 5), of recalled ones (default 2)"
+    add("--sample N", about, type=count)
     parser.about_itself({"suite": "suites (simverify --suite SUITE)", "design": "designs (simverify DESIGN)"})
     return parser
 
@@ -61,10 +80,17 @@ def _date(text: str) -> str:
     return text
 
 
-def _verify(**given: Any) -> int:
-    from maxq.tools.verify.run import execute  # noqa: PLC0415  # lazy: --help is fast
+def _verify(designs: tuple[str, ...] = (), check: str | None = None, allowed: str | None = None, **given: Any) -> int:
+    if check is not None:
+        from maxq.tools.verify.check import execute as execute_check  # noqa: PLC0415  # lazy: --help is fast
 
-    return execute(**given)
+        named = {key: given[key] for key in ("suite", "vehicle", "sample") if key in given}
+        return execute_check(check, designs, allowed=allowed, **named)
+    if not designs:
+        raise CommandError("give a DESIGN, e.g. simverify ksr3-robust, or a pack with --check")
+    from maxq.tools.verify.run import execute  # noqa: PLC0415  # lazy, too
+
+    return execute(designs, **given)
 
 
 command = Command("simverify", _run, "interrupted; what was worked out is kept, the same command resumes")

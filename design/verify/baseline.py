@@ -23,9 +23,10 @@ from maxq.sim.scenario.loader import load_scenario, told
 from maxq.sim.scenario.schema_scenario import Switches
 
 OFF, EXCUSED, REMOVED = "physics switched off", "design_must_keep = false", "removed"
+SEED = "seed chosen by hand"
 LOOSENED, SPREAD, LOWERED, SHORTENED = "limit loosened", "spread reduced", "level or number lowered", "shortened"
 CHANGED, STRICTER = "changed", "added or stricter"
-KINDS = (OFF, EXCUSED, REMOVED, LOOSENED, SPREAD, LOWERED, SHORTENED, CHANGED, STRICTER)
+KINDS = (OFF, EXCUSED, SEED, REMOVED, LOOSENED, SPREAD, LOWERED, SHORTENED, CHANGED, STRICTER)
 """The kinds of differences, in the order in which they are listed."""
 
 _WORDS = frozenset({"why", "description", "name", "schema", "schema_version", "source", "only", "log", "design"})
@@ -225,6 +226,8 @@ def _title(path: KeyPath) -> str:
 
 def _kind(path: KeyPath, before: Any, after: Any) -> str:
     key = path[-1]
+    if key.rpartition(".")[2] == "seed":
+        return SEED
     if "switches" in path or key.startswith("switches."):
         return OFF if after in (False, "false", "ideal", "linear", "'ideal'", "'linear'") else STRICTER
     if key == "design_must_keep":

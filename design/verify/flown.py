@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import random
 import shlex
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,10 @@ from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash, coun
 from maxq.design.verify.suite import CampaignWanted, JudgedRequirement, LoadedSuite, SuiteFlight, judgement_of
 from maxq.sim.campaign.analysis import DataSet, Judged, Lost, judged, lost
 from maxq.sim.campaign.availability import Month, availability
+from maxq.sim.campaign.investigation import differing
 from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
 from maxq.sim.campaign.runner import CampaignProgress, run_campaign
+from maxq.sim.campaign.runs import fly_rows, schema_of, table_of
 from maxq.sim.campaign.statistics import Shown
 from maxq.sim.files import plain_name
 from maxq.sim.flight.metric_table import unit_of
@@ -108,13 +111,14 @@ def fly_suite(
         scenario, changes = job
         text = (scenario.as_flown, flown.name, flown.why, flown.design_must_keep)
         again = shlex.join(["simrun", flown.scenario or loaded_suite.suite.scenario, *suite.set_words(changes)])
-        return memory.recall("flight", (*text, again), lambda: _fly(flown, scenario, again))
+        return memory.recall("flight", (*text, again), lambda: fly_alone(flown, scenario, again), flown.name)
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         return list(pool.map(counted(one, watch, len(loaded)), flights, loaded))
 
 
-def _fly(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownResult:
+def fly_alone(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownResult:
+    """Fly one flight of a suite; `again`: the command that repeats it."""
     log = LogSection(fast_hz=KEPT_HZ, slow_hz=KEPT_HZ, transform_hz=1.0)
     scenario = loaded.scenario.model_copy(update={"log": log})
     flight = fly(LoadedScenario(scenario, loaded.label, loaded.files))
@@ -183,6 +187,9 @@ class CampaignResult:
     months: tuple[Month, ...] = ()
     availability: float | None = None  # that is required in each of them
     fixed: bool = True  # the number of runs was recorded beforehand
+    recalled: int = 0  # runs that an earlier verification had flown
+    reflown: tuple[int, ...] = ()  # of these, flown again and compared
+    differing: tuple[str, ...] = ()
 
 
 def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, vehicle: str | None) -> LoadedCampaign:
@@ -216,21 +223,35 @@ def fly_campaign(
     watch: Callable[[CampaignProgress], None],
     stop: Callable[[], bool],
     afresh: bool,
+    sample: int = 0,
 ) -> CampaignResult:
-    """Fly the missing runs of a campaign, or all of them into a new folder. Raises ScenarioError, CampaignError."""
+    """Fly the missing runs of a campaign, or all of them into a new folder.
+
+    `sample` is the number of earlier runs that are flown again and compared. Raises ScenarioError, CampaignError.
+    """
     loaded = load_wanted(loaded_suite, wanted, design, vehicle)
     folder = known = campaign_folder(loaded, parts)
     count = 1
     while afresh and folder.exists():
         folder = known.with_name(f"{known.name}-{(count := count + 1)}")
+    earlier = DataSet(folder, loaded, loaded.campaign.runs).runs.tolist() if folder.exists() else []
     outcome = run_campaign(loaded, folder, watch=watch, stop=stop, elsewhere="fly it again with simverify --afresh")
+    result = result_of(wanted, loaded, folder, outcome.stopped)
+    again = sorted(random.SystemRandom().sample(earlier, min(sample, len(earlier))))
+    data = DataSet(folder, loaded, loaded.campaign.runs)
+    wrong = tuple(f"run {run}" for run in again if not same_run(data, run))
+    return replace(result, recalled=len(earlier), reflown=tuple(again), differing=wrong)
+
+
+def result_of(wanted: CampaignWanted, loaded: LoadedCampaign, folder: Path, stopped: bool = False) -> CampaignResult:
+    """Judge the runs in a folder as a campaign of a suite. Raises CampaignError."""
     data = DataSet(folder, loaded, loaded.campaign.runs)
     return CampaignResult(
         wanted.name or loaded.name,
         wanted.file,
         folder,
         len(data.runs),
-        outcome.stopped,
+        stopped,
         loaded.campaign.success,
         loaded.campaign.confidence,
         tuple(judged(data)),
@@ -240,6 +261,12 @@ def fly_campaign(
         wanted.availability,
         data.planned is not None and data.planned == data.in_order,
     )
+
+
+def same_run(data: DataSet, run: int) -> bool:
+    """Fly a run of a data set again, and return True where every recorded value has the same bits."""
+    before, now = data.row(run), fly_rows(data.campaign, [(data.campaign.plan.draw(run, 1), run)])
+    return before is not None and not differing(before, table_of(now, schema_of(data.campaign)).to_pylist()[0])
 
 
 def _of_campaign(

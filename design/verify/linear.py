@@ -39,6 +39,7 @@ from maxq.design.model.powered import flown_run, flown_to
 from maxq.design.quantities import MEASURED, SWEPT, Convention, LoopLimits
 from maxq.design.verify import suite
 from maxq.design.verify.memory import PartsOnDisk, counted
+from maxq.design.verify.names import node_name
 from maxq.design.verify.suite import AS_DESIGNED, JudgedRequirement, LinearMargins
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.statistics import allowed_failures, judge_failures, tolerance_bound
@@ -265,7 +266,7 @@ def study(
             return nominal, table, exact
 
         depends = (node, law, flown, dispersed_by, first, len(corners), told(wanted.dispersed))
-        return memory.recall("margins", depends, work_out)
+        return memory.recall("margins", depends, work_out, node_name(node))
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         table = list(pool.map(counted(at_node, watch, loops * len(nodes), loops), range(len(nodes))))

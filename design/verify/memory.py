@@ -17,6 +17,7 @@ import hashlib
 import importlib
 import itertools
 import json
+import random
 from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
 from pathlib import Path
@@ -148,6 +149,14 @@ def counted(work: Callable[..., T], watch: Callable[[int, int], None], of: int, 
     return one
 
 
+def _text_of(result: Any) -> bytes:
+    return json.dumps(to_plain(result)).encode()
+
+
+def _digest(text: bytes) -> str:
+    return hashlib.sha256(text).hexdigest()
+
+
 class PartsOnDisk:
     """The parts in a folder, one file each. A `folder` of None stores nothing. Threads may share one instance.
 
@@ -157,11 +166,27 @@ class PartsOnDisk:
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
-        self.recalled = 0
+        self._recalled: list[tuple[str, Callable[[], Any], str]] = []  # name, computation, hash of the result
         self.worked_out = 0
 
-    def recall(self, kind: str, depends_on: Any, work_out: Callable[[], T]) -> T:
-        """Return the part of that kind, from the folder or computed now and stored."""
+    @property
+    def recalled(self) -> int:
+        """Return the number of parts from the folder."""
+        return len(self._recalled)
+
+    @property
+    def recalled_names(self) -> tuple[str, ...]:
+        """Return the names of the parts from the folder, in their order."""
+        return tuple(sorted(name for name, _, _ in self._recalled))
+
+    def recheck(self, most: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Compute a random sample of the recalled parts again. Return the names of these, and of those that differ."""
+        sample = random.SystemRandom().sample(self._recalled, min(most, len(self._recalled)))
+        wrong = [name for name, work_out, known in sample if _digest(_text_of(work_out())) != known]
+        return tuple(sorted(name for name, _, _ in sample)), tuple(sorted(wrong))
+
+    def recall(self, kind: str, depends_on: Any, work_out: Callable[[], T], label: str = "") -> T:
+        """Return the part of that kind, from the folder or computed now and stored. `label` describes it."""
         if self._folder is None:
             self.worked_out += 1
             return work_out()
@@ -169,15 +194,16 @@ class PartsOnDisk:
         path = self._folder / f"{kind}-{key[:32]}.json"
         try:
             checksum, _, rest = path.read_bytes().partition(b"\n")
-            if checksum.decode() == hashlib.sha256(rest).hexdigest() and rest.startswith(key.encode()):
-                found: T = from_plain(json.loads(rest[len(key) :]))
-                self.recalled += 1
+            if checksum.decode() == _digest(rest) and rest.startswith(key.encode()):
+                text = rest[len(key) + 1 :]
+                found: T = from_plain(json.loads(text))
+                self._recalled.append((f"{kind} {label}".rstrip(), work_out, _digest(text)))
                 return found
         except (OSError, ValueError, TypeError, ImportError, LookupError, AttributeError, RecursionError):
             pass  # not a part that `to_plain` wrote
         found = work_out()
         self.worked_out += 1
-        rest = f"{key}\n{json.dumps(to_plain(found))}".encode()
+        rest = f"{key}\n".encode() + _text_of(found)
         with contextlib.suppress(FileError):  # an unwritable memory costs only time
-            write_whole(path, hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest)
+            write_whole(path, _digest(rest).encode() + b"\n" + rest)
         return found

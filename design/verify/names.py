@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from maxq.design.model.node import Node
 from maxq.sim.scenario.schema_vehicle import Vehicle
 
 
@@ -17,3 +18,8 @@ def tank_name(vehicle: Vehicle, stage: int, tank: int) -> str:
     """Return the name of a slosh mode for texts, with its stage if there are several."""
     name = vehicle.stage[stage].pendulum_names[tank]
     return name if len(vehicle.stage) == 1 else f"{name}, stage {stage + 1}"
+
+
+def node_name(node: Node) -> str:
+    """Return an operating point for people: time and plane."""
+    return f"{node.time_s:g} s, {node.plane}"

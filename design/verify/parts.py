@@ -25,7 +25,7 @@ from maxq.design.model.powered import EDGES, node_times, powered_spans
 from maxq.design.verify import linear
 from maxq.design.verify.described import DescribedVehicles
 from maxq.design.verify.memory import PartsOnDisk, counted
-from maxq.design.verify.names import stage_name
+from maxq.design.verify.names import node_name, stage_name
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
 from maxq.design.verify.suite import CERTIFICATE, WORST, CertificateWanted, LinearMargins, Suite
 from maxq.design.verify.uncovered import Uncovered, uncovered
@@ -93,7 +93,7 @@ class Parts:
                 return tuple(t for mine in by_stage for t in linear.worst_instants(along, design, mine, wanted.nominal))
 
             limits = told(wanted.nominal)
-            found = self.memory.recall("instants", (*depends, repr(design), limits), between)
+            found = self.memory.recall("instants", (*depends, repr(design), limits), between, plane)
             times_s = tuple(sorted({*times_s, *found}))
         return along(times_s)
 
@@ -197,7 +197,7 @@ class Parts:
                 between,
                 flown_along,
             )
-            out.append(self.memory.recall("worst", depends, search))
+            out.append(self.memory.recall("worst", depends, search, f"{at[0].plane} {name}"))
         return out
 
     def points_s(self, *parts: LinearMargins | CertificateWanted | None) -> dict[int, list[float]]:
@@ -259,7 +259,7 @@ class Parts:
             held = hold(loaded, node)
             law, computer = law_at(design, node), repr(loaded.vehicle.computer)
             depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law, computer)
-            return memory.recall("node", depends, lambda: certify_node(loaded, node))
+            return memory.recall("node", depends, lambda: certify_node(loaded, node), node_name(node))
 
         one_told = counted(one, partial(self.watch, "certificate"), len(times_s) * len(planes))
         found = certify(scenario, times_s, planes, workers=self.workers, one=one_told, along=self.along)
@@ -270,7 +270,7 @@ class Parts:
         through: list[InFlightResponse] = []
         for plane in planes if wanted.in_flight and stable else ():
             fly = partial(in_flight_response, scenario, stable, plane)
-            through += memory.recall("through", (scenario.as_flown, stable, plane), fly)
+            through += memory.recall("through", (scenario.as_flown, stable, plane), fly, plane)
         return found, through
 
     def measured(self) -> list[MeasuredNode]:
@@ -283,7 +283,7 @@ class Parts:
 
         def one(node: Node) -> MeasuredNode:
             depends = (self.scenario.as_flown, node)
-            return self.memory.recall("measured", depends, partial(measure_node, self.scenario, node))
+            return self.memory.recall("measured", depends, partial(measure_node, self.scenario, node), node_name(node))
 
         with ThreadPoolExecutor(max_workers=self.workers) as pool:
             return list(pool.map(counted(one, partial(self.watch, "measuring in flight"), len(nodes)), nodes))

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,10 @@ from maxq.design.certificate.in_flight import InFlightResponse
 from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.model.powered import loss_text, powered_flight, powered_spans
 from maxq.design.quantities import LoopLimits
-from maxq.design.verify import flown, linear
+from maxq.design.verify import flown, ledger, linear, seeds
 from maxq.design.verify.baseline import Compared, against_baseline
 from maxq.design.verify.certified import certificate_requirements, measured_requirements
-from maxq.design.verify.fitted import fit
+from maxq.design.verify.fitted import fit, named
 from maxq.design.verify.floor import Evidence, missing_evidence
 from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash
 from maxq.design.verify.parts import Parts, Watch
@@ -46,9 +46,24 @@ from maxq.design.verify.uncovered import Uncovered
 from maxq.design.verify.worst import WorstVehicle, worst_requirements
 from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.campaign.runner import CampaignProgress
+from maxq.sim.files import FileError
+from maxq.sim.input.files import shown
 from maxq.sim.run.flight_software import guards
 from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
+
+UNDER_TEST = "code under test"
+SAMPLE = 2
+"""Recalled results of each kind that are computed again."""
+
+
+@dataclass(frozen=True)
+class Reused:
+    """Parts that were recalled from the cache, by name; those computed again, and those that differ."""
+
+    names: tuple[str, ...]
+    computed_again: tuple[str, ...]
+    differing: tuple[str, ...]
 
 
 @dataclass(frozen=True, repr=False)
@@ -74,11 +89,14 @@ class Verification:
     compared: Compared  # the suite with its baseline
     hashes: dict[str, str]  # SHA-256 of all inputs of the verdict, by name
     versions: dict[str, str]
-    recalled: int
+    reused: Reused
     worked_out: int
     wall_s: float
     walls_s: dict[str, float]
     cpus_s: dict[str, float]  # of all threads
+    attempt: ledger.Attempt = field(repr=False)  # and the other attempts for the vehicle
+    seeds: tuple[seeds.Seed, ...]
+    asked: dict[str, Any]  # design, vehicle, suite, overrides and part, by name
     deviations: str = ""  # the description of the dispersed vehicles, as text
     part: str = ""  # that was judged alone
 
@@ -87,6 +105,11 @@ class Verification:
         return (
             f"<Verification of {self.design} by the suite {self.suite.name}: {self.judgement}; requirements: {counts}>"
         )
+
+    @property
+    def recalled(self) -> int:
+        """The number of parts that were recalled from the cache."""
+        return len(self.reused.names)
 
     @property
     def judgement(self) -> SuiteVerdict:
@@ -110,6 +133,82 @@ class Verification:
         return (-len(self.of(REJECTED)), -undecided, min(rooms, default=math.nan))
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """All that a verification depends on, loaded before anything is judged, with its hashes by name.
+
+    `loaded` is the suite fitted to the vehicle. `flights`: scenario and changes of each flight.
+    """
+
+    design: str
+    vehicle: str | None
+    loaded: LoadedSuite
+    compared: Compared
+    scenario: LoadedScenario
+    along: LoadedScenario
+    campaigns: tuple[LoadedCampaign, ...]
+    flights: tuple[tuple[LoadedScenario, list[str]], ...]
+    seeds: tuple[seeds.Seed, ...]
+    hashes: dict[str, str]
+    candidate: int = 0
+
+    @property
+    def shown(self) -> str:
+        """The design, relative to the working folder where it is below that."""
+        return shown(Path(self.design)) if Path(self.design).is_absolute() else self.design
+
+    @property
+    def asked(self) -> dict[str, Any]:
+        """The input by name: design, vehicle, suite, its overrides, and the part that is judged alone."""
+        suite = self.loaded
+        return {
+            "design": self.shown,
+            "vehicle": self.vehicle,
+            "suite": suite.label,
+            "overrides": suite.overrides,
+            "part": suite.part,
+        }
+
+    def entry(self) -> dict[str, Any]:
+        """Return the content of this verification's line in the ledger of attempts."""
+        part, under_test = self.loaded.part, [h for name, h in self.hashes.items() if name.startswith(UNDER_TEST)]
+        return {
+            "design": self.shown,
+            "suite": self.loaded.suite.name,
+            "part": part,
+            "candidate": self.candidate,
+            "seeds": seeds.drawn(self.seeds),
+            "hashes": {
+                "vehicle": ledger.vehicle_hash(self.scenario.vehicle),
+                "suite": self.hashes["suite"],
+                "design": content_hash(self.hashes["design"], under_test),
+                "all": content_hash(sorted(self.hashes.items()), part),
+            },
+            "command": self.loaded.command(self.shown, self.vehicle, *(("--only", part) if part else ())),
+        }
+
+
+def prepare(design: str, loaded: LoadedSuite, vehicle: str | None, kept: PartsOnDisk, candidate: int = 0) -> Prepared:
+    """Load all that a verification depends on. Raises ScenarioError where an input is wrong."""
+    compared = against_baseline(loaded, vehicle)
+    scenario = load_scenario(loaded.suite.scenario, flown.design_changes(design, vehicle))
+    along = flight_of(loaded.suite, design, vehicle)
+    loaded = fit(loaded, along, kept)
+    suite = loaded.suite
+    campaigns = tuple(
+        flown.load_wanted(loaded, wanted, design, vehicle) for wanted in suite.campaign or filter(None, [loaded.along])
+    )
+    flights = tuple(flown.load_flight(loaded, flight, design, vehicle) for flight in suite.flight)
+    by_name = {flight.name: one for flight, (one, _) in zip(suite.flight, flights, strict=True)}
+    hashes = _hashes(scenario, {name: one.as_flown for name, one in by_name.items()}, campaigns) | compared.hashes
+    hashes |= {
+        "overrides": content_hash(loaded.overrides),
+        "limits off the nominal flight": content_hash(suite.dispersed_limit),
+    }
+    drawn = tuple(seeds.seeds_of(loaded, by_name, campaigns, candidate))
+    return Prepared(design, vehicle, loaded, compared, scenario, along, campaigns, flights, drawn, hashes, candidate)
+
+
 def verify(
     design: str,
     loaded: LoadedSuite,
@@ -119,12 +218,45 @@ def verify(
     watch: Watch = lambda what, done, of: None,
     stop: Callable[[], bool] = lambda: False,
     workers: int = 2,
+    candidate: int = 0,
+    sample: int = SAMPLE,
 ) -> Verification:
-    """Judge a design by a suite. `design` is as a scenario names it. `memory` is the folder of parts, None for none.
+    """Judge a design by a suite, and write begin and end of the attempt to the ledger (`ledger`).
 
-    Raises ScenarioError before any flight if an input is wrong. Raises KeyboardInterrupt soon after `stop` returns True
-    (results up to then are kept).
+    `design` is as a scenario names it. `memory` is the folder of parts, None for none. `candidate` is the number of a
+    candidate of `simdesign --verify`, after the first. `sample` is the number of recalled parts, and of recalled runs
+    of each campaign, that are computed again and compared.
+
+    Raises ScenarioError before any flight if an input is wrong. Raises FileError if the ledger cannot be written, or if
+    a recalled result differs from its computation. Raises KeyboardInterrupt soon after `stop` returns True (results up
+    to then are kept).
     """
+    kept = PartsOnDisk(memory)
+    prepared = prepare(design, loaded, vehicle, kept, candidate)
+    entry, name = prepared.entry(), prepared.scenario.vehicle.name
+    hashes, lines = entry["hashes"], ledger.known_lines(ledger.ledger_path(name))
+    drawn = seeds.chosen(prepared.seeds, lines, hashes["vehicle"], hashes["design"])
+    attempt = ledger.begin(name, entry)
+    found = _verify(replace(prepared, seeds=drawn), attempt, kept, memory, watch, stop, workers, sample)
+    wrong = [*found.reused.differing, *(f"{c.name} {run}" for c in found.campaigns for run in c.differing)]
+    if wrong:
+        attempt.end("none: recalled results differ from their computation")
+        problem = f"{', '.join(wrong)}: kept results differ from their computation; verify with --afresh"
+        raise FileError(f"{memory}: {problem}")
+    attempt.end(found.judgement, f"{len(found.of(ACCEPTED))} of {len(found.requirements)}")
+    return found
+
+
+def _verify(
+    prepared: Prepared,
+    attempt: ledger.Attempt,
+    kept: PartsOnDisk,
+    memory: Path | None,
+    watch: Watch,
+    stop: Callable[[], bool],
+    workers: int,
+    sample: int,
+) -> Verification:
     begun, walls, cpus = time.perf_counter(), {}, {}
 
     def interruptible(what: str, done: int, of: int) -> None:
@@ -140,15 +272,8 @@ def verify(
         if stop():
             raise KeyboardInterrupt
 
-    suite, kept = loaded.suite, PartsOnDisk(memory)
-    compared = against_baseline(loaded, vehicle)
-    scenario = load_scenario(suite.scenario, flown.design_changes(design, vehicle))
-    along = flight_of(suite, design, vehicle)
-    loaded = fit(loaded, along, kept)
-    suite = loaded.suite
-    campaigns_loaded = [
-        flown.load_wanted(loaded, wanted, design, vehicle) for wanted in suite.campaign or filter(None, [loaded.along])
-    ]
+    design, vehicle, loaded = prepared.design, prepared.vehicle, prepared.loaded
+    suite, scenario, along, scenarios = loaded.suite, prepared.scenario, prepared.along, prepared.flights
     job = Parts(
         suite,
         scenario,
@@ -156,10 +281,9 @@ def verify(
         kept,
         interruptible,
         workers,
-        next(iter(campaigns_loaded), None),
+        next(iter(prepared.campaigns), None),
         flown.design_changes(design, vehicle),
     )
-    scenarios = [flown.load_flight(loaded, flight, design, vehicle) for flight in suite.flight]
     with timed("scenarios"):
         flights = flown.fly_suite(loaded, scenarios, kept, partial(interruptible, "scenarios"), workers)
     with timed("linear margins"):  # only the requested part is repeated
@@ -177,7 +301,9 @@ def verify(
                 watch(f"campaign {k + 1}", progress.done, progress.total)
 
             parts, afresh = memory or Path("runs"), memory is None
-            campaigns.append(flown.fly_campaign(loaded, asked, design, vehicle, parts, show, stop, afresh))
+            campaigns.append(flown.fly_campaign(loaded, asked, design, vehicle, parts, show, stop, afresh, sample))
+    with timed("recalled results computed again"):
+        reused = Reused(kept.recalled_names, *kept.recheck(sample))
     requirements = [*flight_requirement(along), *flown.flight_requirements(flights)]
 
     def again(label: str) -> str:
@@ -218,16 +344,11 @@ def verify(
         job.described_by_stage(),
         job.design is not None,
         counted,
-        campaigns_loaded if suite.campaign else (),
+        prepared.campaigns if suite.campaign else (),
         frozenset(response.plane for response in through),
         guards(scenario) or not any(c.law == "external" for c in computers),
     )
-    flown_as = {flight.name: one.as_flown for flight, (one, _) in zip(suite.flight, scenarios, strict=True)}
-    hashes = _hashes(scenario, flown_as, campaigns_loaded) | compared.hashes
-    hashes |= {
-        "overrides": content_hash(loaded.overrides),
-        "limits off the nominal flight": content_hash(suite.dispersed_limit),
-    }
+    records = [*seeds.missing(prepared.seeds), *(f"the ledger of attempts is damaged: {d}" for d in attempt.damage)]
     return Verification(
         design,
         suite,
@@ -244,15 +365,18 @@ def verify(
         tuple(measured),
         gaps,
         loaded.left_out,
-        (f"'{loaded.part}' was judged alone",) if loaded.part else missing_evidence(evidence),
-        compared,
-        hashes=hashes,
+        (f"'{loaded.part}' was judged alone",) if loaded.part else (*missing_evidence(evidence), *records),
+        prepared.compared,
+        hashes=prepared.hashes,
         versions=versions(),
-        recalled=kept.recalled,
+        reused=reused,
         worked_out=kept.worked_out,
         wall_s=time.perf_counter() - begun,
         walls_s=walls,
         cpus_s=cpus,
+        attempt=attempt,
+        seeds=prepared.seeds,
+        asked=prepared.asked,
         deviations=job.deviations,
         part=loaded.part,
     )
@@ -274,7 +398,14 @@ def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequen
     out = {name: content_hash(content) for name, content in parts.items()} | {"code": code_hash()}
     computers = filter(None, (vehicle.computer_of(n) for n in range(len(vehicle.stage))))
     files = [file for computer in computers for file in (computer.library, computer.python) if file is not None]
-    return out | {f"code under test: {file.title}": file.sha256 for file in files}
+    return out | {f"{UNDER_TEST}: {file.title}": file.sha256 for file in files}
+
+
+def part_alone(loaded: LoadedSuite, part: str, design: str, vehicle: str | None, kept: PartsOnDisk) -> LoadedSuite:
+    """Return a suite fitted to its vehicle with one part alone (`LoadedSuite.only`). Raises ScenarioError."""
+    along = flight_of(loaded.suite, design, vehicle)
+    named(loaded, along).only(part)  # a wrong name is rejected before the flight that the marks need
+    return fit(loaded, along, kept).only(part)
 
 
 def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:

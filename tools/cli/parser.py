@@ -77,9 +77,11 @@ class Parser(argparse.ArgumentParser):
         group: argparse._ActionsContainer | None = None,
         **how: Any,
     ) -> None:
-        """Declare an option in the form of the usage, and its help: "--out DIR", "--axis pitch|yaw", a flag "--orders",
-        "--at T..." for a repeatable one, "--realtime [X]"; "SCENARIO" or "LOG..." for a required word, "[DESIGN]" for
-        an optional one.
+        """Declare an option in the form of the usage, and its help.
+
+        Examples are "--out DIR", "--axis pitch|yaw", a flag "--orders", "--at T..." for a repeatable one, and
+        "--realtime [X]". "SCENARIO" and "LOG..." are required words, "[DESIGN]" is an optional one, and "[DESIGN]..."
+        means any number.
 
         `needs` lists options of which one must be given as well. `without` lists options that it excludes. `how`
         contains further arguments of add_argument; `dest` is the argument name of `do`.
@@ -87,7 +89,8 @@ class Parser(argparse.ArgumentParser):
         name, *values = usage.removesuffix("...").split()
         repeated = usage.endswith("...")
         if not name.startswith("-"):
-            how |= {"nargs": "+"} if repeated else {"nargs": "?"} if name.startswith("[") else {}
+            optional = name.startswith("[")
+            how |= {"nargs": "*" if optional else "+"} if repeated else {"nargs": "?"} if optional else {}
             metavar = name.strip("[]")
             action = self.add_argument(how.pop("dest", metavar.lower()), metavar=metavar, help=text, **how)
             self._usages[action.dest] = usage
@@ -150,7 +153,7 @@ class Parser(argparse.ArgumentParser):
             self.error(f"give a {self._otherwise}, e.g. {self._example}")
         if unknown:
             takes = [action for action in self._actions if not action.option_strings]
-            one = f"one {takes[0].metavar} at a time: " if len(takes) == 1 and takes[0].nargs != "+" else ""
+            one = f"one {takes[0].metavar} at a time: " if len(takes) == 1 and takes[0].nargs not in ("+", "*") else ""
             self.error(f"{one}what is {unknown[0]!r}?")
         self._check(options)
         return options

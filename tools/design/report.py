@@ -561,16 +561,17 @@ def case_record(outcome: DesignOutcome, solution: Solution) -> dict[str, Any]:
 
 def write_record(path: Path, record: dict[str, Any]) -> Path:
     """Write JSON that any reader accepts: NaN is null, infinity the text "inf". Raises FileError."""
-    return write_whole(path, json.dumps(_plain(record), indent=1, allow_nan=False) + "\n")
+    return write_whole(path, json.dumps(plain_record(record), indent=1, allow_nan=False) + "\n")
 
 
-def _plain(value: Any) -> Any:
+def plain_record(value: Any) -> Any:
+    """Return a value as `write_record` writes it and `json` reads it back."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain_record(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain_record(item) for item in value]
     if isinstance(value, float):  # NumPy's float64 is one, too
         return None if math.isnan(value) else float(value) if math.isfinite(value) else "inf" if value > 0 else "-inf"
     if hasattr(value, "item"):
-        return _plain(value.item())
+        return plain_record(value.item())
     return value

@@ -31,6 +31,8 @@ from maxq.tools.design.report import GAIN_HEADS, uncovered_lines, uncovered_reco
 from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot, as_csv
 from maxq.tools.verify.outcome import headline
+from maxq.tools.verify.records import file_hashes, record_lines, records, write_attempts, write_runs
+from maxq.tools.verify.signing import SUFFIX
 
 VERDICT_NAME, PAGE_NAME, PDF_NAME, FIGURES_NAME = "verdict.json", "review.html", "review.pdf", "figures"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -38,7 +40,7 @@ _PRINT_S = 60.0
 _RANKED = ("upper gain margin", "phase margin", "phase margin at mode 1")
 WORDS = {ACCEPTED: MET, REJECTED: REJECTED, UNDECIDED: UNDECIDED}  # of a single requirement
 _KEYS = {"judgement": "verdict"}  # of a requirement, as in verdict.json
-_FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
+FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
 _LINE = (
     "difference_db",
     "difference_deg",
@@ -61,11 +63,13 @@ class Signed:
 
 
 def write_pack(found: Verification, folder: Path, command: str, pack: bool, signed: Signed = Signed()) -> list[Path]:
-    """Write verdict.json and, with `pack`, the review as HTML and PDF (if a browser can print), and its figures as CSV.
+    """Write verdict.json with the hashes of the other files of the pack, and these files. Return their paths.
 
-    Raises FileError.
+    They are a copy of the ledger, the worst vehicles and, with `pack`, the review as HTML and PDF (if a browser can
+    print) and its figures as CSV. Raises FileError.
     """
-    files = [write_record(folder / VERDICT_NAME, verdict_record(found, command))]
+    (folder / f"{VERDICT_NAME}{SUFFIX}").unlink(missing_ok=True)  # of an earlier pack
+    files = [write_attempts(found, folder), *(write_runs(found, folder) if pack else [])]
     for w in found.worst:
         name = plain_name("-".join(filter(None, ("worst", w.plane, w.stage))), "worst")
         files.append(write_whole(folder / f"{name}.toml", w.text))
@@ -77,7 +81,8 @@ def write_pack(found: Verification, folder: Path, command: str, pack: bool, sign
         page = write_whole(folder / PAGE_NAME, page_of(found, command, drawn, signed))
         printed = print_page(page, folder / PDF_NAME)
         files += [page] if printed is None else [page, printed]
-    return files
+    record = verdict_record(found, command) | {"files": file_hashes(folder, files)}
+    return [write_record(folder / VERDICT_NAME, record), *files]
 
 
 def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Signed = Signed()) -> str:
@@ -89,6 +94,7 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
         found=found,
         command=command,
         headline=headline(found),
+        record_lines=record_lines(found),
         tank_name=tank_name,
         signed=signed,
         gain_heads=GAIN_HEADS,
@@ -257,6 +263,7 @@ def report(found: Verification, title: str) -> list[str]:
             rows.append((printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
     return [
         title,
+        *map(printable, record_lines(found)),
         *baseline_lines(found),
         *([printable(from_here(found.deviations))] if found.deviations else []),
         "",
@@ -366,6 +373,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "not_covered": uncovered_record(found.uncovered),
         "more_runs": found.more_runs,
         "command": command,
+        "asked": found.asked,
         "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],
         "baseline": {
             "suite": found.compared.baseline,
@@ -373,9 +381,13 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
             "differences": [vars(d) for d in found.compared.differences],
         },
         "against_basis": against_basis(found.suite, found.scenario),
-        "flights": [{key: getattr(f, key) for key in _FLIGHT} for f in found.flights],
-        "certificate": [_node(c) for c in found.certificates],
-        "measured_only": [_measured(n) for n in found.measured],
+        "flights": [{key: getattr(f, key) for key in FLIGHT} for f in found.flights],
+        "margins": [
+            {"plane": m.plane, "stage": m.stage, "times_s": m.times_s, "as_designed": m.nominal.nodes}
+            for m in found.margins
+        ],
+        "certificate": [certificate_record(c) for c in found.certificates],
+        "measured_only": [measured_record(n) for n in found.measured],
         "authority": [vars(a) for a in found.authority],
         "worst": [_worst(w) for w in found.worst],
         "slosh": [vars(a) | {"in_band": a.in_band} for a in found.slosh],
@@ -383,6 +395,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "hashes": found.hashes,
         "versions": found.versions,
         "parts": {"recalled": found.recalled, "worked_out": found.worked_out},
+        **records(found),
         "wall_s": found.wall_s,
         "walls_s": found.walls_s,
         "cpus_s": found.cpus_s,
@@ -393,8 +406,8 @@ def _worst(w: WorstVehicle) -> dict[str, Any]:
     return {key: value for key, value in vars(w).items() if key != "text"}
 
 
-def _measured(n: MeasuredNode) -> dict[str, Any]:
-    """Return the measurements of flight code without a linear model."""
+def measured_record(n: MeasuredNode) -> dict[str, Any]:
+    """Return a measurement of flight code without a linear model as verdict.json has it."""
     return {
         "time_s": n.time_s,
         "plane": n.plane,
@@ -409,7 +422,8 @@ def _measured(n: MeasuredNode) -> dict[str, Any]:
     }
 
 
-def _node(c: NodeCertificate) -> dict[str, Any]:
+def certificate_record(c: NodeCertificate) -> dict[str, Any]:
+    """Return a certificate as verdict.json has it."""
     r = c.responses
     return {
         "time_s": c.time_s,

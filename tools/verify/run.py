@@ -12,14 +12,13 @@ from pathlib import Path
 
 from maxq.design.laws.design_file import DESIGN_NAME, design_path
 from maxq.design.optimise.solution import Solution
-from maxq.design.verify import memory
+from maxq.design.verify import ledger, memory, seeds
 from maxq.design.verify import suite as suites
 from maxq.design.verify.compared import against_basis
-from maxq.design.verify.fitted import fit, named
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.judging import judge
 from maxq.design.verify.parts import Watch
-from maxq.design.verify.verify import Verification, flight_of, verify
+from maxq.design.verify.verify import SAMPLE, Verification, part_alone, prepare, verify
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.files import check_writable, plain_name
 from maxq.sim.input.errors import ScenarioError
@@ -28,7 +27,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, aligned, printable, tell
 from maxq.tools.design import run_case
-from maxq.tools.verify import report
+from maxq.tools.verify import report, signing
 from maxq.tools.verify.outcome import headline
 
 _EXIT: dict[suites.SuiteVerdict, Exit] = {
@@ -49,6 +48,9 @@ def execute(
     only: str | None = None,
     no_pack: bool = False,
     afresh: bool = False,
+    sample: int = SAMPLE,
+    register: bool = False,
+    sign: str | None = None,
     author: str = "",
     revision: str = "",
     date: str = "",
@@ -56,7 +58,7 @@ def execute(
     """Verify designs and rank them. Return the exit code. The arguments are the options of `simverify`."""
     if len(set(designs)) < len(designs):
         raise CommandError("a design is named twice")
-    paths = [name if flight_code_key(name) else design_path(name) for name in designs]
+    paths = [design_name(name) for name in designs]
     folders = [folder_of(name, out, only, len(designs)) for name in designs]
     loaded = suites.read_suite(suite, overrides)
     changes = suites.shared_risk(loaded, campaigns_of(loaded, paths[0], vehicle), len(paths))
@@ -65,9 +67,11 @@ def execute(
         tell(f"{len(paths)} designs share the risk of a wrong acceptance: {', '.join(changes)}\n")
     words = ("--only", only) if only else ()
     if only:
-        along, kept = flight_of(loaded.suite, paths[0], vehicle), memory.PartsOnDisk(memory.default_folder())
-        named(loaded, along).only(only)  # an invalid name is rejected before the flight that the marks need
-        loaded = fit(loaded, along, kept).only(only)
+        loaded = part_alone(loaded, only, paths[0], vehicle, memory.PartsOnDisk(memory.default_folder()))
+    if register:
+        return _register(paths, loaded, vehicle)
+    if sign is not None:
+        signing.check_key(Path(sign))
     for folder in folders:
         check_writable(folder)
     found: list[Verification] = []
@@ -82,6 +86,7 @@ def execute(
                     memory=None if afresh else memory.default_folder(),
                     watch=progress.show,
                     stop=stop,
+                    sample=sample,
                 )
             except ValueError as error:
                 if not str(error).startswith("node at"):
@@ -91,6 +96,8 @@ def execute(
             progress.show(f"writing {name}", 0, 1)
             signed = report.Signed(author, revision, date)
             files = report.write_pack(one, folder, loaded.command(name, vehicle, *words), not no_pack, signed)
+            if sign is not None:
+                files.append(signing.sign(files[0], Path(sign)))
             tell(
                 *against_basis(one.suite, one.scenario),
                 *report.report(one, f"{name} by the suite {one.suite.name}"),
@@ -102,11 +109,33 @@ def execute(
                 tell(f"warning: {printable(warning)}")
             tell(
                 f"\n{len(files)} file{'s' * (len(files) > 1)} in {folder}/; {time.perf_counter() - begun:.1f} s, "
-                f"{one.recalled} results reused from earlier runs\n{headline(one)}\n"
+                f"{one.recalled} results recalled from the cache\n{headline(one)}\n"
             )
     if len(found) > 1:
         tell(*report.ranking(found))
     return _EXIT[report.ranked(found)[0].judgement]
+
+
+def design_name(given: str) -> str:
+    """Return a design or flight code as `verify` takes it. Raises ScenarioError."""
+    return given if flight_code_key(given) else design_path(given)
+
+
+def _register(designs: Sequence[str], loaded: suites.LoadedSuite, vehicle: str | None) -> int:
+    """Write the seeds that were chosen by hand into the ledger, before any attempt with them."""
+    for design in designs:
+        prepared = prepare(design, loaded, vehicle, memory.PartsOnDisk(memory.default_folder()))
+        name, vehicle_hash = prepared.scenario.vehicle.name, prepared.entry()["hashes"]["vehicle"]
+        path = ledger.ledger_path(name)
+        try:
+            line = seeds.registered(prepared.seeds, ledger.known_lines(path), vehicle_hash)
+        except ValueError as error:
+            raise CommandError(str(error)) from None
+        if not line["seeds"]:
+            raise CommandError("no seed is chosen by hand; give one, such as --set campaign.0.seed=7")
+        ledger.append(path, line)
+        tell(f"registered for {name}: " + ", ".join(f"seed {value} of {of}" for of, value in line["seeds"].items()))
+    return Exit.OK
 
 
 def campaigns_of(loaded: suites.LoadedSuite, design: str, vehicle: str | None = None) -> list[Campaign]:
@@ -232,7 +261,7 @@ def try_in_order(
     every: list[Verification] = []
     for number, (design, path) in enumerate(zip(designs, paths, strict=True)):
         loaded = suites.read_suite(suite, [*given, *suites.shared_risk(wanted, campaigns, len(paths), number)])
-        found = verify(path, loaded, memory=memory.default_folder(), watch=watch, stop=stop)
+        found = verify(path, loaded, memory=memory.default_folder(), watch=watch, stop=stop, candidate=number)
         every.append(found)
         keep(design, found, loaded)
         for line in (headline(found, design), *report.reasons(found)):

@@ -1,0 +1,232 @@
+"""The ledger of attempts: every verification of a vehicle, with its verdict, written before the verdict is shown.
+
+A ledger is a file of JSON lines for each vehicle's name, in the user's data folder and so independent of `--out`. Each
+line contains the hash of the line before it: a line that was edited, or removed from the middle, is detected. Nothing
+prevents that the whole file, or its end, is deleted; earlier packs contain copies.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import hashlib
+import json
+import os
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from maxq.design.verify.memory import content_hash
+from maxq.sim.files import plain_name, write_whole
+from maxq.sim.scenario.loader import told
+from maxq.sim.scenario.schema_vehicle import Vehicle
+
+if sys.platform != "win32":
+    import fcntl
+
+BEGUN, ENDED, REGISTERED = "begun", "ended", "registered"
+INTERRUPTED = "not ended"
+_UNDER_TEST = frozenset({"law", "library", "python", "settings", "timeout_s", "guard"})
+"""Keys of a computer that are of the flight code, which is judged."""
+_LISTED = 5  # verdicts in the line on the first page; more are counted
+
+Line = dict[str, Any]
+
+
+def ledger_path(vehicle: str) -> Path:
+    """Return the ledger of a vehicle's name: in `$MAXQ_LEDGER`, else `maxq/attempts` in the user's data folder."""
+    data = os.environ.get("XDG_DATA_HOME") or os.path.join(os.path.expanduser("~"), ".local", "share")
+    folder = os.environ.get("MAXQ_LEDGER") or os.path.join(data, "maxq", "attempts")
+    return Path(folder) / f"{plain_name(vehicle, 'vehicle')}.jsonl"
+
+
+def vehicle_hash(vehicle: Vehicle) -> str:
+    """Return the SHA-256 of a vehicle without the flight code that it flies."""
+
+    def kept(value: Any, in_computer: bool = False) -> Any:
+        if isinstance(value, dict):
+            left = {k: v for k, v in value.items() if not (in_computer and k in _UNDER_TEST)}
+            return {k: kept(v, k == "computer") for k, v in left.items()}
+        return [kept(v, in_computer) for v in value] if isinstance(value, list) else value
+
+    return content_hash(kept(told(vehicle)))
+
+
+def _hash(line: Mapping[str, Any]) -> str:
+    content = {key: value for key, value in line.items() if key != "hash"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def read_lines(path: Path) -> tuple[list[Line], tuple[str, ...]]:
+    """Return the lines of a ledger, and a sentence for each place where its chain of hashes is broken.
+
+    A missing file has no lines. Raises OSError where it cannot be read.
+    """
+    lines, damage, previous = list[Line](), list[str](), ""
+    text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+    for number, row in enumerate(text.splitlines(), 1):
+        try:
+            line = json.loads(row)
+            whole, follows = line["hash"] == _hash(line), line["previous"] == previous
+        except (ValueError, LookupError, TypeError, AttributeError):
+            damage.append(f"line {number} is no line of a ledger")
+            continue
+        if not follows:
+            damage.append(f"lines before line {number} were removed or changed")
+        if not whole:
+            damage.append(f"line {number} was changed")
+        else:
+            lines.append(line)
+        previous = line["hash"]
+    return lines, tuple(damage)
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Keep other processes from the ledger, where the system has locks."""
+    if sys.platform == "win32":
+        yield
+        return
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    handle = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def known_lines(path: Path) -> list[Line]:
+    """Return the lines of attempts and registrations in a ledger, oldest first."""
+    return [line for line in read_lines(path)[0] if line.get("state") in (BEGUN, REGISTERED)]
+
+
+def append(path: Path, content: Mapping[str, Any]) -> Line:
+    """Append a line to a ledger, with date and chain, and return it. The file is replaced as a whole.
+
+    Raises FileError where it cannot be written, OSError where it cannot be read or locked.
+    """
+    with _locked(path):
+        text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+        lines, _ = read_lines(path)
+        date = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        line = {"previous": lines[-1]["hash"] if lines else "", "date": date, **content}
+        line["hash"] = _hash(line)
+        text += "\n" if text and not text.endswith("\n") else ""
+        write_whole(path, f"{text}{json.dumps(line)}\n", durable=True)
+    return line
+
+
+@dataclass(frozen=True)
+class PastAttempt:
+    """An attempt in the ledger. `verdict`: "not ended" of one that was interrupted or is still running."""
+
+    date: str
+    design: str
+    suite: str
+    part: str  # that was judged alone
+    verdict: str
+    seeds: dict[str, int]
+    hashes: dict[str, str]
+    command: str
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A verification in the ledger, and the other attempts for its vehicle.
+
+    `others`: of the same vehicle, each once, however often it was repeated. `versions`: attempts for vehicles of the
+    same name and with another hash. `damage`: of the chain.
+    """
+
+    number: int = 1
+    repeated: bool = False
+    others: tuple[PastAttempt, ...] = ()
+    versions: tuple[PastAttempt, ...] = ()
+    damage: tuple[str, ...] = ()
+    vehicle: str = ""
+    since: str = ""  # date of the first line
+    line: Line = field(default_factory=dict, repr=False)
+    path: Path = field(default=Path(), repr=False)
+
+    @property
+    def whole(self) -> list[PastAttempt]:
+        """The other attempts that judged by a whole suite."""
+        return [one for one in self.others if not one.part]
+
+    @property
+    def title(self) -> str:
+        """One line for people: the number of the attempt, and the verdicts of the others."""
+        whole, alone = self.whole, len(self.others) - len(self.whole)
+        verdicts = [one.verdict.upper() for one in whole]
+        said = ", ".join(verdicts)
+        if len(verdicts) > _LISTED:
+            said = ", ".join(f"{count} {verdict}" for verdict, count in Counter(verdicts).items())
+        plural = "s" * (len(whole) != 1)
+        if self.line.get("part"):
+            texts = [f"a part alone; {len(whole)} attempt{plural} for this vehicle{': ' if whole else ''}{said}"]
+        elif self.repeated:
+            texts = [f"attempt {self.number} of {len(whole) + 1} for this vehicle, repeated"]
+            texts += [f"{len(whole)} other{plural}: {said}"] if whole else []
+        else:
+            texts = [f"attempt {self.number} for this vehicle"]
+            texts += [f"{len(whole)} earlier one{plural}: {said}"] if whole else []
+        texts += [f"{alone} of part{'s' * (alone != 1)} alone"] if alone else []
+        texts += [f"{len(self.versions)} for other versions of {self.vehicle}"] if self.versions else []
+        texts += [f"LEDGER DAMAGED: {text}" for text in self.damage]
+        return "; ".join(texts)
+
+    def end(self, verdict: str, met: str = "") -> None:
+        """Write the end of the attempt. Raises FileError."""
+        append(self.path, {"state": ENDED, "attempt": self.line["hash"], "verdict": verdict, "met": met})
+
+
+def attempts_in(lines: Sequence[Line]) -> dict[str, list[PastAttempt]]:
+    """Return the attempts in a ledger by the hash of all that they depend on, each with its repetitions."""
+    verdicts = {line.get("attempt"): str(line.get("verdict")) for line in lines if line.get("state") == ENDED}
+    out: dict[str, list[PastAttempt]] = {}
+    for line in lines:
+        if line.get("state") == BEGUN:
+            kept = {key: line[key] for key in ("date", "design", "suite", "part", "seeds", "hashes", "command")}
+            past = PastAttempt(**kept, verdict=verdicts.get(line["hash"], INTERRUPTED))
+            out.setdefault(past.hashes["all"], []).append(past)
+    return out
+
+
+def begin(vehicle: str, content: Mapping[str, Any]) -> Attempt:
+    """Write the begin of an attempt, and return it with the others for the vehicle.
+
+    `vehicle`: its name. `content`: `design`, `suite`, `part`, `seeds`, `command`, and `hashes`, which has `vehicle` and
+    `all`. Raises FileError or OSError where the ledger cannot be written: no verdict without its line.
+    """
+    path = ledger_path(vehicle)
+    line = append(path, {"state": BEGUN, "vehicle": vehicle, **content})
+    return attempt_of(line, *read_lines(path), path)
+
+
+def attempt_of(line: Line, lines: Sequence[Line], damage: tuple[str, ...], path: Path = Path()) -> Attempt:
+    """Return the attempt that begins with a line of a ledger, with the others that had begun before it."""
+    lines = lines[: [each["hash"] for each in lines].index(line["hash"]) + 1]
+    known, mine = attempts_in(lines), line["hashes"]["all"]
+    same, other = list[tuple[str, PastAttempt]](), list[PastAttempt]()
+    for key, repeats in known.items():
+        past = [past for past in repeats if past.verdict != INTERRUPTED or past is repeats[0]][-1]
+        if past.hashes["vehicle"] == line["hashes"]["vehicle"]:
+            same.append((key, past))
+        else:
+            other.append(past)
+    order = [key for key, past in same if not past.part or key == mine]
+    return Attempt(
+        order.index(mine) + 1,
+        len(known[mine]) > 1,
+        tuple(past for key, past in same if key != mine),
+        tuple(other),
+        damage,
+        line["vehicle"],
+        lines[0]["date"],
+        line,
+        path,
+    )

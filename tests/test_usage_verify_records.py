@@ -1,0 +1,299 @@
+"""Records of a verification: a pack that someone else checks, its signature, results from a cache that was edited."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from maxq.design.verify import ledger
+from maxq.design.verify.memory import PartsOnDisk
+from maxq.tools.simverify import main
+
+SUITE = """
+schema = 2
+[margins]
+times_s = [20.0, 40.0]
+between_nodes = "ignore"
+cases = 0
+corner_sigmas = 0.0
+[margins.nominal]
+gain_up_db = 3.0
+[certificate]
+times_s = [30.0]
+planes = ["pitch"]
+in_flight = false
+[[flight]]
+name = "two seconds"
+set = ["run.duration_s=2.0"]
+[[campaign]]
+file = "campaigns/ksr3"
+runs = 4
+set = ["run.duration_s=2.0", "campaign.keep=[]"]
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a suite, a cache, a ledger, and the pack that was made by them."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "suite.toml").write_text(SUITE)
+    with pytest.MonkeyPatch.context() as patch:
+        _at(folder, patch)
+        assert main(["ksr3-robust", "--suite", "suite.toml", "--out", "pack"]) == 3
+    return folder
+
+
+def _at(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    patch.chdir(folder)
+    patch.setenv("MAXQ_LEDGER", str(folder / "ledger"))
+    patch.setattr("maxq.design.verify.memory.default_folder", lambda: folder / "memory")
+
+
+@pytest.fixture
+def here(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a copy of that folder, in which the test runs."""
+    shutil.copytree(made, tmp_path / "copy")
+    _at(tmp_path / "copy", monkeypatch)
+    return tmp_path / "copy"
+
+
+def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    capsys.readouterr()
+    try:
+        code = main(list(words))
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    out, err = capsys.readouterr()
+    return code, out + err
+
+
+def _verdict(change: Callable[[dict[str, Any]], None] = lambda verdict: None) -> dict[str, Any]:
+    path = Path("pack/verdict.json")
+    verdict: dict[str, Any] = json.loads(path.read_text())
+    change(verdict)
+    path.write_text(json.dumps(verdict))
+    return verdict
+
+
+def _differs(said: str) -> list[str]:
+    return [line.strip().removeprefix("DIFFERS: ") for line in said.splitlines() if "DIFFERS" in line]
+
+
+@pytest.mark.slow
+def test_an_honest_pack_agrees_in_all_that_is_computed_again(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = _run(capsys, "--check", "pack", "--sample", "99")
+    assert (code, _differs(said)) == (0, [])
+    assert "1 of 1 flights, computed again: 'two seconds'" in said
+    assert "3 of 3 operating points, computed again" in said
+    assert "4 of 4 runs, computed again" in said
+    assert "ledger of attempts: attempt 1 for this vehicle" in said
+    assert said.rstrip().endswith("CHECK PASSED")
+    assert _run(capsys, "--check", "pack/verdict.json", "--sample", "1")[0] == 0
+
+
+def test_what_was_edited_in_a_pack_is_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def better(verdict: dict[str, Any]) -> None:
+        verdict["flights"][0]["metrics"]["max_attitude_error_deg"] = 0.01
+        verdict["margins"][0]["as_designed"][0]["gain_up_db"] = 9.0
+        verdict["certificate"] = []
+        verdict["verdict"] = "accepted"
+
+    _verdict(better)
+    with Path("pack/review.html").open("a") as page:
+        page.write("<p>And well done.</p>")
+    Path("pack/figures/flights.csv").unlink()
+    code, said = _run(capsys, "--check", "pack", "--sample", "99")
+    assert code == 1
+    assert _differs(said) == [
+        "file figures/flights.csv: is missing",
+        "file review.html: its SHA-256 is another",
+        "ledger of attempts: its copy in the pack does not contain this attempt, its number or its verdict",
+        "the verdict: it does not follow from the requirements",
+        "certificate: the operating points of the pack are not those of the suite",
+        "flight 'two seconds': computed again, it is another",
+        "operating point margins 20 s, pitch: computed again, it is another",
+    ]
+    assert said.rstrip().endswith("CHECK FAILED: 7 differences")
+
+
+def test_other_inputs_are_found_and_nothing_is_computed(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("suite.toml").write_text(SUITE.replace("gain_up_db = 3.0", "gain_up_db = 2.0").replace('2.0"', '1.0"'))
+    code, said = _run(capsys, "--check", "pack")
+    assert code == 1
+    assert {"input: suite: margins", "input: flight two seconds", "input: campaign 1, ksr3"} <= set(_differs(said))
+    assert "nothing was computed again: the inputs are others" in said
+    assert "flights, computed again" not in said
+    _verdict(lambda verdict: verdict["hashes"].update(code="0"))
+    assert "code: another version of maxq" in _run(capsys, "--check", "pack")[1]
+
+
+@pytest.mark.slow
+def test_runs_that_were_edited_are_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also where the hashes of the files were computed again."""
+    (part,) = Path("pack/verdict-runs/1/runs").glob("*.parquet")
+    table = pq.read_table(part)
+    at = table.schema.get_field_index("max_attitude_error_deg")
+    values = [10.0, *table.column(at).to_pylist()[1:]]  # beyond the limit
+    pq.write_table(table.set_column(at, table.schema.field(at), [values]), part)
+    name = part.relative_to("pack").as_posix()
+    _verdict(lambda verdict: verdict["files"].update({name: hashlib.sha256(part.read_bytes()).hexdigest()}))
+    code, said = _run(capsys, "--check", "pack", "--sample", "99")
+    assert code == 1
+    assert _differs(said) == [
+        "verdicts of the campaigns: the runs in the pack give others",
+        "run 0 of ksr3: computed again, it is another",
+    ]
+
+
+def test_a_ledger_that_lost_attempts_of_a_pack_is_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (own,) = Path("ledger").glob("*.jsonl")
+    lines = own.read_text().splitlines()
+    own.write_text(lines[0] + "\n")
+    assert "ledger of this machine: lacks 1 lines of the pack" in _run(capsys, "--check", "pack", "--sample", "0")[1]
+    copy = Path("pack/attempts.jsonl")
+    copy.write_text(copy.read_text().replace("undecided", "accepted"))
+    _verdict(lambda verdict: verdict.update(verdict="accepted"))
+    found = _differs(_run(capsys, "--check", "pack", "--sample", "0")[1])
+    assert found[:2] == ["file attempts.jsonl: its SHA-256 is another", "ledger of attempts: line 2 was changed"]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "pack/verdict.json: cannot be read: no such file or directory"),
+        ("{", "pack/verdict.json: is no JSON: "),
+        ("[]", "pack/verdict.json: no verdict.json that can be checked: it has no asked"),
+        ('{"asked": {}, "files": {}, "hashes": {}, "attempt": {}, "flights": []}', "of this version of simverify"),
+    ],
+)
+def test_what_cannot_be_read_has_an_exit_code_of_its_own(
+    content: str | None, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("pack").mkdir()
+    if content is not None:
+        Path("pack/verdict.json").write_text(content)
+    code, text = _run(capsys, "--check", "pack")
+    assert (code, len(text.splitlines())) == (2, 1)
+    assert said in text
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="no ssh-keygen")
+def test_packs_are_signed_and_their_signers_checked(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("key", "other"):
+        subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", name], check=True)
+        Path(f"{name}.allowed").write_text(f"board@example.org {Path(f'{name}.pub').read_text()}")
+    code, said = _run(capsys, "--check", "pack", "--sample", "0", "--allowed", "key.allowed")
+    assert (code, _differs(said)) == (1, ["signature: the pack has none"])
+    words = ["ksr3-robust", "--suite", "suite.toml", "--out", "pack"]
+    assert _run(capsys, *words, "--sign", "missing")[1].startswith("simverify: missing: cannot sign: ")
+    assert _run(capsys, *words, "--sign", "key")[0] == 3
+    code, said = _run(capsys, "--check", "pack", "--sample", "0", "--allowed", "key.allowed")
+    assert code == 0
+    assert 'Good "maxq-verdict" signature for board@example.org' in said
+    assert "--allowed FILE names those allowed" in _run(capsys, "--check", "pack", "--sample", "0")[1]
+    code, said = _run(capsys, "--check", "pack", "--sample", "0", "--allowed", "other.allowed")
+    assert (code, _differs(said)[0][:46]) == (1, "signature: the signer is not in other.allowed:")
+    _verdict(lambda verdict: verdict.update(more_runs=0))
+    code, said = _run(capsys, "--check", "pack", "--sample", "0", "--allowed", "key.allowed")
+    assert (code, len(_differs(said))) == (1, 1)
+    assert _run(capsys, *words, "--no-pack")[0] == 3
+    code, said = _run(capsys, "--check", "pack", "--sample", "0")
+    assert _differs(said) == ["campaigns: their runs are not in the pack"]  # those in the folder are of another
+    assert not Path("pack/verdict.json.sig").exists()  # of what is no longer there
+
+
+def test_signing_without_ssh_keygen_is_a_one_line_error(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(here / "memory"))
+    code, said = _run(capsys, "ksr3-robust", "--suite", "suite.toml", "--sign", "key")
+    assert (code, said.splitlines()) == (
+        2,
+        ["simverify: ssh-keygen is missing: install OpenSSH 8.1 or later to sign packs and check them"],
+    )
+
+
+def _verify(capsys: pytest.CaptureFixture[str], *more: str) -> tuple[int, str]:
+    return _run(capsys, "ksr3-robust", "--suite", "suite.toml", "--out", "again", "--no-pack", *more)
+
+
+@pytest.mark.slow
+def test_recalled_results_are_named_and_a_sample_is_computed_again(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, said = _verify(capsys, "--sample", "1")
+    assert code == 3
+    assert "NOT COMPUTED AFRESH: 6 of 6 parts and 4 of 4 runs of campaign ksr3 recalled from the cache; 2 comp" in said
+    recalled = json.loads(Path("again/verdict.json").read_text())["recalled"]
+    assert recalled["parts"] == [
+        "flight two seconds", "margins 20 s, pitch", "margins 40 s, pitch", "node 30 s, pitch", "slosh", "uncovered",
+    ]  # fmt: skip  # a list of names
+    assert len(recalled["computed_again"]) == len(recalled["runs"]["ksr3"]["flown_again"]) == 1
+    assert "computed afresh" in _verify(capsys, "--afresh")[1]
+
+
+@pytest.mark.slow
+def test_a_forged_part_in_the_cache_is_found_in_the_sample(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The attack: a metric of a kept flight is edited, and the checksum computed again."""
+    (part,) = Path("memory").glob("flight-*.json")
+    _, _, rest = part.read_bytes().partition(b"\n")
+    before = json.loads(Path("pack/verdict.json").read_text())["flights"][0]["metrics"]["max_attitude_error_deg"]
+    forged = rest.replace(json.dumps(before).encode(), b"0.01")
+    assert forged != rest
+    part.write_bytes(hashlib.sha256(forged).hexdigest().encode() + b"\n" + forged)
+    code, said = _verify(capsys, "--sample", "0")
+    assert "none computed again" in said  # and nothing is found
+    code, said = _verify(capsys, "--sample", "99")
+    assert code == 2
+    assert said.splitlines()[-1].endswith(
+        "flight two seconds: kept results differ from their computation; verify with --afresh"
+    )
+    (own,) = Path("ledger").glob("*.jsonl")
+    assert ledger.read_lines(own)[0][-1]["verdict"] == "none: recalled results differ from their computation"
+
+
+@pytest.mark.slow
+def test_a_forged_run_in_the_cache_is_found_in_the_sample(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (part,) = Path("memory").glob("campaign-*/runs/*.parquet")
+    table = pq.read_table(part)
+    at = table.schema.get_field_index("max_attitude_error_deg")
+    values = [*table.column(at).to_pylist()[:-1], 0.01]
+    pq.write_table(table.set_column(at, table.schema.field(at), [values]), part)
+    code, said = _verify(capsys, "--sample", "99")
+    assert (code, "ksr3 run 3: kept results differ from their computation" in said) == (2, True)
+
+
+def test_a_sample_of_recalled_parts_is_compared(tmp_path: Path) -> None:
+    PartsOnDisk(tmp_path).recall("part", 1.0, lambda: 7, "a")
+    memory = PartsOnDisk(tmp_path)
+    memory.recall("part", 1.0, lambda: 8, "a")  # as if the file had been forged
+    memory.recall("part", 2.0, lambda: 9, "b")
+    assert memory.recalled_names == ("part a",)
+    assert memory.recheck(0) == ((), ())
+    assert memory.recheck(5) == (("part a",), ("part a",))
+
+
+@pytest.mark.slow
+def test_registered_seed_is_on_the_first_page(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    seed = ("--set", "campaign.0.seed=7")
+    by_hand = "seed 7 of campaign.0, not the declared 20021128: "
+    assert _run(capsys, "ksr3-robust", "--suite", "suite.toml", "--register")[0] == 2
+    code, said = _run(capsys, "ksr3-robust", "--suite", "suite.toml", *seed, "--register")
+    assert (code, said) == (0, "registered for KSR-III (reconstruction): seed 7 of campaign.0\n")
+    assert f"{by_hand}registered on 20" in _verify(capsys, *seed)[1]
+    said = _verify(capsys, "--set", "campaign.0.seed=8")[1]
+    assert f"{by_hand.replace('7', '8', 1)}chosen by hand, not registered before" in said
+    assert "attempt 3 for this vehicle; 2 earlier ones: UNDECIDED, UNDECIDED" in said
+    verdict = json.loads(Path("again/verdict.json").read_text())
+    assert "seed 8 of campaign.0 chosen by hand, not registered before" in verdict["missing_evidence"]
+    assert [one["seeds"]["campaign.0"] for one in verdict["attempt"]["others"]] == [20021128, 7]
