@@ -20,7 +20,7 @@ _EXAMPLES = """\
   simverify --check runs/verify-ksr3-robust       compute a sample of a pack again
 """
 _EXITS = {
-    Exit.OK: "accepted: every requirement is met, and shown with the confidence that is asked for "
+    Exit.OK: "accepted: every requirement is met, and shown with the required confidence "
     "(of several designs: by the best); with less evidence than an acceptance needs: passed the screening",
     Exit.FAILED: "rejected: at least one requirement is not met; of --check: something differs",
     Exit.BAD_INPUT: "bad input, nothing flown, or files that cannot be read or written",

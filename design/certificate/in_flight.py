@@ -105,7 +105,7 @@ def _of_stage(loaded: LoadedScenario, design: Design, points: Sequence[Node], pl
     across = [tuple(t + share * (w[1] - w[0]) for share in ACROSS) for t, w in zip(times_s, windows, strict=True)]
     begun_s = [next(span.begin_s for span in spans if span.holds(t)) for t in times_s]
     nodes = operating_points.nodes(loaded, [x for each in across for x in each], plane=plane)
-    excited_by = loaded.scenario.model_copy(update={"injection": (signal,)})  # rings damp by its waves
+    excited_by = loaded.scenario.model_copy(update={"injection": (signal,)})  # sets the waves of rings
     nodes = with_swings(nodes, dataclasses.replace(loaded, scenario=excited_by))
     out = []
     for k, (time_s, (begin, end)) in enumerate(zip(times_s, windows, strict=True)):
@@ -235,5 +235,5 @@ def _reason(ratio: complex, error: float, spread_db: float, spread_deg: float, r
         return TIME_VARIATION
     if rings:
         return SETTLING
-    noise = NOISE_SIGMAS * error * abs(ratio)  # the error is a share of what was measured, `ratio` of the linear loop's
+    noise = NOISE_SIGMAS * error * abs(ratio)  # `error` is relative to the measured, `ratio` to the linear loop
     return NOISE if abs(ratio - 1.0) <= noise + 10.0 ** (spread_db / 20.0) - 1.0 else UNEXPLAINED

@@ -76,7 +76,7 @@ class PdVariables:
         self.prewarp_hz: float = case.filter.prewarp_hz or own_hz
         if task.sample_s is not None and self.prewarp_hz >= 0.5 / task.sample_s:
             raise UnsolvableError(
-                f"filter.prewarp_hz = {self.prewarp_hz:g}: lies above half the sample rate; "
+                f"filter.prewarp_hz = {self.prewarp_hz:g}: is above half the sample rate; "
                 f"allowed are frequencies below {0.5 / task.sample_s:g} Hz"
             )
         self.loops = tuple(FilterVariables(*sections) for sections in case.loop_filters.each)

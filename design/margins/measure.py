@@ -134,7 +134,7 @@ def margins(
     lowest_hz = curves.lowest_hz_of(open_poles) if lowest_hz is None else lowest_hz
     end = float(loop.highest_hz)
     if not 0.0 < lowest_hz < end:
-        raise ValueError(f"lowest_hz is {lowest_hz:g}: must lie between 0 and the loop's end at {end:g} Hz")
+        raise ValueError(f"lowest_hz is {lowest_hz:g}: must be between 0 and the loop's end at {end:g} Hz")
     closed_poles = curves.finite(loop.closed_poles(), "closed")
     named = None if resonances is None else [r for r in resonances if r.kind in BENDING_KINDS]
     known = lightly_damped(open_poles, 2.0 * np.pi * lowest_hz) if named is None else named

@@ -25,7 +25,7 @@ from maxq.design.margins.distances import Disk, symmetric_disk
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.state_space import ComplexArray
 
-LOWEST_HZ = 1e-3  # slower than any flight: what gravity, place and speed do there is held, and roots are drift
+LOWEST_HZ = 1e-3  # slower than any flight: gravity, position and speed are held there, and roots are drift
 _BEGINS = LOWEST_HZ * np.array([1.0, 2.0, 0.5, 4.0, 0.25])
 _CLOSE = 1e-9  # relative, of mu
 

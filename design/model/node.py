@@ -379,7 +379,7 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
     pitch = math.asin(max(-1.0, min(1.0, float(-forward @ gravitation) / gravity))) if gravity > 0.0 else 0.0
     u, v, w = (float(x) for x in air.flow_B_mps)
     row, trim = packed.parameters[stage], (math.atan2(w, u), math.atan2(v, math.hypot(u, w)))
-    flies = air.airspeed_mps >= row.vehicle.aero.airspeed_floor_mps  # below it no air acts, and its pressure does
+    flies = air.airspeed_mps >= row.vehicle.aero.airspeed_floor_mps  # below it, only the pressure of the air acts
     carried = ground_velocity(row.environment.earth, *packed.state[R_I : R_I + 2])
     condition = FlightCondition(
         time_s=time_s,

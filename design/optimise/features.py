@@ -1,17 +1,15 @@
 """The features by which a loop is judged: its peaks, crossings and nearest approaches to -1.
 
-Each is solved for, with its gradient.
-
-A feature is found on the mesh of `Curves` by a change of sign or a local extreme, and refined by Newton's method on the
-splines. Its value then depends smoothly on the variables:
+Each feature is solved for, with its gradient. A feature is found on the mesh of `Curves` by a change of sign or a local
+extreme, and refined by Newton's method on the splines. Its value then depends smoothly on the variables:
 
 | feature | at | value |
 |---|---|---|
 | peak | d ln|L| = 0 within a band, or its end | ln|L| |
 | gain crossing | arg L = 180 deg (mod 360) | ln|L| |
 | phase crossing | |L| = 1 | arg L - 180 deg |
-| turn of gain | d ln|L| = 0 near 0 dB, beside 180 deg | ln|L| |
-| turn of phase | d arg L = 0 near 180 deg, beside 0 dB | arg L - 180 deg |
+| turn of gain | d ln|L| = 0 near 0 dB, close to 180 deg | ln|L| |
+| turn of phase | d arg L = 0 near 180 deg, close to 0 dB | arg L - 180 deg |
 | end | zero frequency, Nyquist frequency: L is real | ln|L| where it is negative |
 | modulus | d |1 + L| = 0 | ln|1 + L| |
 | zone | least of the zone's function along the curve | that function |

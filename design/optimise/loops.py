@@ -108,7 +108,7 @@ class Loops:
                 change = -residual / slope
             change = np.where(np.isfinite(change) & ~places.fixed, change, 0.0)
             x = np.clip(x + change, left, right)
-            if np.abs(change).max(initial=0.0) < SMALL:  # the next change is below rounding: no need to look again
+            if np.abs(change).max(initial=0.0) < SMALL:  # the next change is below rounding
                 return x, at.beside(change)
         return x, self.log_loop(own, cell, x)
 

@@ -241,7 +241,7 @@ def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = Fal
         leads = rows.objective & (rows.excess_db > at.objective_db - ACTIVE_DB)
         others = ~rows.objective & (rows.excess_db > -ACTIVE_DB)
     lead, other = np.flatnonzero(leads), np.flatnonzero(others)
-    if not len(lead):  # an unstable point may have none (SciPy's nnls ends the process on a matrix without columns)
+    if not len(lead):  # as at an unstable point (SciPy's nnls ends the process on a matrix without columns)
         return Optimality(np.zeros(len(rows)), np.zeros(n), np.zeros(n), math.inf)
     low = np.flatnonzero(at.variables <= problem.lower + AT_BOUND)
     high = np.flatnonzero(at.variables >= problem.upper - AT_BOUND)

@@ -112,7 +112,7 @@ def worst_of_basis(
         fields, look = deviations_of(campaign, node).fields, looked(node)
         rng = np.random.default_rng([SEED, round(1e3 * node.time_s)])
         starts = [rng.choice([-1.0, 1.0], len(fields)) for _ in range(CORNERS)]
-        for end, start in zip((-1.0, 1.0), starts, strict=False):  # modes off: at one end, well seen by the gyro
+        for end, start in zip((-1.0, 1.0), starts, strict=False):  # modes off: at one end, large at the gyro
             start[[k for k, name in enumerate(fields) if name == "bending_frequency"]] = end
             start[[k for k, name in enumerate(fields) if name == "bending_slope"]] = 1.0
         found = [to_corner(look, start, region) for start in starts]

@@ -33,7 +33,7 @@ class Floor:
 
     success: float = 0.9973
     confidence: float = 0.90
-    runs: int = 852  # the fewest that show this success with this confidence, by the fixed test and without failure
+    runs: int = 852  # the fewest for this success and confidence, by the fixed test and without failure
     gap: float = 0.15
     planes: tuple[Plane, ...] = ("pitch", "yaw")
     limits: tuple[str, ...] = ("gain_up_db", "gain_down_db", "rigid_phase_deg", "delay_ms")

@@ -169,7 +169,7 @@ class Parts:
         parts = list(self._by_stage("worst vehicle", wanted))
         flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts])
         for (at, name, watch), flown_along in zip(parts, flights or itertools.repeat([]), strict=False):
-            end_s = next(span.end_s for span in spans if span.holds(at[0].time_s))  # flown as far as that stage burns
+            end_s = next(span.end_s for span in spans if span.holds(at[0].time_s))  # flown until that stage's burnout
             run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
             loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
             held = wanted.between_nodes == "hold"

@@ -317,7 +317,7 @@ class LoadedSuite:
     suite: Suite
     label: str  # the name given by the user
     overrides: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why; parts by `only`
+    left_out: tuple[str, ...] = ()  # flights whose parts the vehicle lacks (`fitted.fit`); parts by `only`
     part: str = ""  # that is judged alone (`only`)
     along: CampaignWanted | None = None  # whose draws and flights apply to a vehicle that is measured alone
     asked: Suite = field(default_factory=Suite.model_construct)  # as it was read: not fitted, and whole

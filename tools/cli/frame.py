@@ -184,7 +184,7 @@ def process(main: Callable[[], int]) -> NoReturn:
     By then, all files are written and closed. The omitted step, in which Python and LLVM free each object and module
     separately, took a quarter of a second.
     """
-    gc.set_threshold(50_000)  # imports make much that stays: looking through it every 700 objects takes 0.05 s
+    gc.set_threshold(50_000)  # imports create many permanent objects: a search every 700 takes 0.05 s
     sys.setswitchinterval(5e-4)  # a thread of a campaign that returns from the kernel waits no longer
     _keep_freed_memory()
 

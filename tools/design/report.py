@@ -420,7 +420,7 @@ def wind_table(outcome: DesignOutcome) -> list[str]:
         cells = [_worst(values, times, unit) if values is not None else ("-", "") for values in (one.rms, one.before)]
         rows.append((text.removesuffix(", rms"), *cells[0], *cells[1]))
     before = outcome.loaded.scenario.design
-    named = f" (before: {before.name or 'design'}, which the scenario flies by itself)" if before is not None else ""
+    named = f" (before: {before.name or 'design'}, the scenario's own design)" if before is not None else ""
     return [printable(f"in the case's wind{named}"), *aligned(rows, "  ", right=(1, 2, 3, 4))]
 
 

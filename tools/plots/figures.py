@@ -66,7 +66,7 @@ class Plot:
     height: int = 190  # of a panel, in pixels
     command: str = field(default="", kw_only=True)
     loops: list[Series] = field(default_factory=list, kw_only=True)
-    split: int = field(default=0, kw_only=True)  # panels of the first column, where columns run down; 0: rows
+    split: int = field(default=0, kw_only=True)  # panels of the first column, if ordered in columns; 0: in rows
 
 
 def look(number: int) -> Series:

@@ -392,7 +392,7 @@ def send_ground(recording: rr.RecordingStream, place: ShownLaunchSite, reach_m: 
         step *= 5.0
     count = math.ceil(1.15 * reach_m / step)
     along, drop = np.linspace(-count * step, count * step, 16 * count + 1), np.array([0.0, 0.0, drop_m])
-    offsets = [np.full(len(along), (i + 0.5) * step) for i in range(-count, count + 1)]  # beside the site
+    offsets = [np.full(len(along), (i + 0.5) * step) for i in range(-count, count + 1)]  # off the site
     pairs = [pair for across in offsets for pair in ((along, across), (across, along))]
     thin = rr.Radius.ui_points(0.5)
     lines("grid", (place.ground(*pair) - drop for pair in pairs), _GRID, thin)

@@ -40,7 +40,7 @@ from maxq.tools.replay.viewer import ReplayError
 
 WIDTH_IN, ROW_IN = 8.0, 1.9
 """Of a sheet; of one plot in it."""
-_SETTINGS = {"lines.linewidth": 1.1, "figure.dpi": 160, "svg.fonttype": "none"}  # text stays text: it is searched
+_SETTINGS = {"lines.linewidth": 1.1, "figure.dpi": 160, "svg.fonttype": "none"}  # text remains searchable
 _LEGEND: dict[str, Any] = {  # in one row above the plot
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.985),

@@ -32,7 +32,7 @@ from maxq.tools.vehicle.trajectory import TrajectoryPoint
 SUITE = "launcher"
 MASS_ROWS, SHAPE_STATIONS = 41, 41
 DIGITS = ".12g"  # of numbers that a table and vehicle.toml may share
-ROOM_DB, ROOM_DEG = 0.5, 2.0  # by which a case asks for more than its suite: nodes differ, and what is rounded
+ROOM_DB, ROOM_DEG = 0.5, 2.0  # added by a case to its suite: points and rounding differ
 ROLL_SHARE = 0.25  # of the gimbals' angle, available to roll
 FASTER = 0.1  # share of its burn by which a part's tables continue if the next part continues the burn
 SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
@@ -225,7 +225,7 @@ def _lead_rad(built: Built, p: TrajectoryPoint, k_p: float, k_d: float, rate_rad
 def _programme(built: Built) -> CsvFile:
     """Return the pitch rate with which the law flies the point-mass path."""
     every, gains = built.flight.points, np.array(built.gains)
-    points = [p for p, q in pairwise(every) if p.time_s < q.time_s] + every[-1:]  # a separation may take no time
+    points = [p for p, q in pairwise(every) if p.time_s < q.time_s] + every[-1:]  # a separation may be instantaneous
     t, end = np.array([p.time_s for p in points]), built.flight.points[-1].time_s
     k_p, k_d = (np.interp(t, gains[:, 0], gains[:, k]) for k in (1, 2))
     incidence = [_lead_rad(built, p, k_p[k], k_d[k], 0.0)[0] for k, p in enumerate(points)]

@@ -227,7 +227,7 @@ def _part(part: DryMass, radius_m: float) -> Rod:
 
 
 def _grain(grain: Grain, mass_kg: float, radius_m: float) -> Rod:
-    square = 0.5 * (grain.radius_m or radius_m) ** 2  # a solid cylinder's; a bore widens as it burns, which is left out
+    square = 0.5 * (grain.radius_m or radius_m) ** 2  # of a solid cylinder; the burning of a bore is neglected
     return Rod(mass_kg, grain.front_station_m, grain.rear_station_m, square, 0.5 * square)
 
 

@@ -225,7 +225,7 @@ class _Model:
         def above(_: float, y: Array) -> float:
             return float(y[1]) - jettison_m
 
-        above.terminal, above.direction = True, 1.0  # type: ignore[attr-defined]  # so SciPy ends the integration there
+        above.terminal, above.direction = True, 1.0  # type: ignore[attr-defined]  # SciPy ends the integration there
         for n, stack in enumerate(self.stacks):
             burn, stage = stack.burn, stack.stage
             begins.append(time_s)

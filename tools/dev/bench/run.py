@@ -70,7 +70,7 @@ def main() -> int:
         "--search-seconds",
         type=float,
         default=20.0,
-        help="CPU time of each search beside the optimiser (default 20; long run: 1800)",
+        help="CPU time of each search compared with the optimiser (default 20; long run: 1800)",
     )
     parser.add_argument("--only", default="", help="comma-separated parts; the others keep their last results")
     choice = parser.parse_args()
