@@ -2,8 +2,8 @@
 
 `QUANTITIES` is the table. Case, design file and suite take their keys from the sections below. The judge, the margin
 sweep, the reports and the optimiser (`optimise.criteria`, by key) take label, unit, sense and value from the table. A
-quantity that does not exist in a loop (the peak of a mode that the vehicle lacks) is infinite on the good side, so that
-it meets every limit. NaN denotes a margin of an unstable loop, which meets no limit.
+quantity that does not exist in a loop (the peak of an absent mode) is infinite on the good side, so that it meets every
+limit. NaN denotes a margin of an unstable loop, which meets no limit.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ def _as_written(node: Any, name: str = "") -> Any:
 
 
 def _campaign() -> dict[str, Any]:
-    """A scenario with the sections of a campaign."""
+    """Return the JSON Schema of a scenario with the sections of a campaign."""
     schema = json_schema("scenario")
     further = _as_written(CampaignFile.model_json_schema(by_alias=True))
     further["$defs"]["Campaign"].pop("required")  # the extended file may be a campaign already

@@ -162,7 +162,7 @@ class ObjectiveSection(Section):
 
 
 class ReferencePhase(Section):
-    """Phase 1 of the two-phase design: the smallest gains, linear in time, that meet these limits."""
+    """The settings of phase 1 of the two-phase design: the smallest gains, linear in time, that meet these limits."""
 
     rigid_hz: Positive = optional("natural frequency at every operating point, Hz (paper, 5.1)", 0.5)
     rigid_zeta: Positive = optional("damping ratio at every operating point (paper, 5.1)", 0.7)

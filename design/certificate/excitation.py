@@ -204,8 +204,8 @@ def sine_burst(held: HeldFlight, frequency_hz: float, scale: float = 1.0) -> Inj
 def sine(held: HeldFlight, frequency_hz: float, amplitude_rad: float, stop_s: float) -> Injection:
     """Return a sine that starts immediately and has the given duration.
 
-    Near half the sample rate it starts a quarter period late: at half the sample rate, all samples of a sine that
-    starts at phase zero are 0.
+    Near half the sample rate, it starts a quarter period late. At half the sample rate, all samples of a sine with
+    phase zero are 0.
     """
     late_s = 0.25 / frequency_hz if frequency_hz > 0.45 / held.sample_s else 0.0
     times = {"start_s": round(late_s, 9), "stop_s": round(stop_s, 6)}

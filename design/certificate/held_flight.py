@@ -1,17 +1,17 @@
 """The held flight: the nonlinear simulator with vehicle, gains, air and speed frozen at one instant.
 
-A linear model has frozen coefficients, but a rocket in flight loses mass, gains speed and leaves the air. To measure a
-frequency response over many periods of 0.05 Hz, or the growth of a loop close to its stability boundary, the simulator
-must fly for minutes at constant conditions. Therefore, the vehicle's tables are frozen and the air is uniform. The
+A linear model has frozen coefficients, but a rocket in flight loses mass, gains speed and leaves the air. Two
+measurements need minutes of flight at constant conditions: a frequency response over many periods of 0.05 Hz, and the
+growth of a loop close to its stability boundary. Therefore, the vehicle's tables are frozen and the air is uniform. The
 vehicle flies straight up over a flat Earth whose uniform gravity equals its axial specific force. Its speed is
 constant, and its parts are under the axial load of the real flight, since uniform gravity acts on every particle alike.
 
 One term differs from the flown instant: gravity times the pitch angle in w' (design/model/held.py). It affects the
-slowest root alone and cannot be avoided. A vehicle that keeps its airspeed moves with its air, and in a frame that
-moves with the air all parts fall with the axial load, whatever its cause. (For a vehicle that gains speed, an updraught
-with dW/dt = a - g adds the missing part of gravity to w'.) The linear model of the held flight, `HeldFlight.node`,
-contains the same term, so that the two can be compared to the last digit. The linear model of the flight itself shows
-the effect of the term, and in_flight.py shows the remaining effect in the ascent.
+slowest root alone and cannot be avoided. A vehicle that keeps its airspeed moves with its air. In a frame that moves
+with the air, all parts fall with the axial load, whatever its cause. (For a vehicle that gains speed, an updraught with
+dW/dt = a - g adds the missing part of gravity to w'.) The linear model of the held flight, `HeldFlight.node`, contains
+the same term, so that the two can be compared to the last digit. The linear model of the flight itself shows the effect
+of the term, and in_flight.py shows the remaining effect in the ascent.
 
 A law with load relief turns into the wind, so that this term becomes a gravity turn. Under several times the real
 gravity, the vehicle topples within seconds. Such a loop is held with `along_body`: gravity acts aft along the vehicle's

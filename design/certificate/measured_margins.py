@@ -3,7 +3,7 @@
 The nonlinear simulator flies a held flight (held_flight.py) with the loop altered inside its flight computer. A burst
 at the critical frequency excites the loop, and the growth rate of its free response is measured. The margin is the
 alteration at which that rate is zero. The secant rule finds it, starting from the margin of the linear loop. Near the
-stability boundary the rate is nearly linear in the alteration, so that three or four flights give the margin to a few
+stability boundary, the rate is nearly linear in the alteration. Three or four flights thus give the margin to a few
 hundredths of a dB.
 
 Some loops have no measurable margin. A slowly growing root is measured by its rate (`drift`). A loop that grows faster
@@ -218,8 +218,8 @@ def following_trial(tried: list[tuple[float, float]], slope: float, most: float,
 
 
 def build_up_rate(boundary: Loop, frequency_hz: float) -> float:
-    """Return the rate (1/s) at which a sine at the frequency of a pole on the axis builds up: the magnitude of the
-    residue of 1 / (1 + L).
+    """Return the build-up rate (1/s) of a sine at the frequency of a pole on the axis: the magnitude of the residue of
+    1 / (1 + L).
     """
     if frequency_hz < SLOWEST_HZ:
         return 0.0

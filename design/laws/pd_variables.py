@@ -207,7 +207,7 @@ class PdVariables:
 
     def _on_measurements(self, own: Array, axis: Axis) -> tuple[ValueAndSlopes, ComplexArray]:
         """Return the gains (points, inputs) at own parameters (points, own), with both derivatives by x, and their
-        slopes by the own parameters that follow those of the filter.
+        slopes. The slopes are with respect to the own parameters that follow those of the filter.
         """
         n, keys, points = self.filter.size, self.keys, len(own)
         k, weights = np.exp(own[:, n : n + len(keys)]), own[:, n + len(keys) : n + len(keys) + self.further]

@@ -45,8 +45,8 @@ class OpenLoop(Protocol):
         """Return the period of a sampled loop."""
 
     def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
-        """Return all zeros and all poles of L, in s or in z, with which no pair of crossings is missed, or None if they
-        are not known.
+        """Return all zeros and all poles of L, in s or in z, or None if they are not known. With them, no pair of
+        crossings is missed.
         """
 
 

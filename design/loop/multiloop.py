@@ -4,9 +4,9 @@
 
 closed on det(1 + L) = 0. P is the sampled response from the law's commands, through allocation, to the mean rates that
 the computer counts about all axes. The plant is the linearised simulator (design/model/linearised.py) with products of
-inertia, a roll rate, spatial modes with their torsion and axial motion, engines off the axis, and tanks that swing in
-both planes. Attitude angles are sums of the counts about each body axis (attitude = "rate-integral"). An error by
-quaternion also turns with the roll rate, which has no effect if it is slow relative to the loops' crossovers.
+inertia and a roll rate. It includes spatial modes with their torsion and axial motion, engines off the axis, and tanks
+that swing in both planes. Attitude angles are sums of the counts about each body axis (attitude = "rate-integral"). An
+error by quaternion also turns with the roll rate, which has no effect if it is slow relative to the loops' crossovers.
 
 Roll is included if gimbals control it. Thrusters that switch have no linear loop. The roll rate is then free, as it is
 inside their dead band. The roll angle, which acts through gravity alone, is held.

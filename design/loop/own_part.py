@@ -1,6 +1,6 @@
 """The own part of a bending mode in L, and the share of L that is attributed to the mode.
 
-The own part of a bending mode is the response through its pair of poles alone: the term of the vehicle's partial
+The own part of a bending mode is the response through its pair of poles alone. It is a term of the vehicle's partial
 fractions, through actuators, sensor and computer. At the mode's frequency it is `part` times the whole response. A law
 on one gyro multiplies both by the same factor, so that the ratio belongs to the plant and not to the design.
 

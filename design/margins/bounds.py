@@ -2,18 +2,19 @@
 
 Bounds on derivatives exclude such pairs or separate them.
 
-If all zeros and poles p of L are known, the derivatives of ln |L| and of the phase along the frequency axis are sums
-with one term for each. The term of a factor (j w - p) is the real and imaginary part of j / (j w - p). That of a factor
-(z - p) of a sampled loop, z = exp(j t), is the real and imaginary part of j z / (z - p). Each term is monotone in t
-between a few known places:
+All zeros and poles p of L must be known. The derivatives of ln |L| and of the phase along the frequency axis are then
+sums with one term for each. The term of a factor (j w - p) is the real and imaginary part of j / (j w - p). That of a
+factor (z - p) of a sampled loop, z = exp(j t), is the real and imaginary part of j z / (z - p). Each term is monotone
+in t between a few known places:
 
     s   ln |.|: +-1 / (2 |Re p|) at w = Im p +- |Re p|         phase: -1 / Re p at w = Im p
     z   ln |.|: +-r / |1 - r^2| where cos (t - u) = 2 r / (1 + r^2)    phase: 1 / (1 -+ r) at t = u, u + pi,
 
 p = r exp(j u). So every term, and their sum, has bounds that hold over a whole interval (interval arithmetic up to
-rounding: R. E. Moore, Interval Analysis, 1966). An interval is settled if a function is monotone in it, or has the same
-sign at both ends and too small a slope to reach zero in between. Any other interval is halved. An interval that remains
-at a relative width of NARROW touches zero rather than crosses it, within double precision.
+rounding: R. E. Moore, Interval Analysis, 1966). An interval is settled if a function is monotone in it. It is also
+settled if the function has the same sign at both ends and too small a slope to reach zero in between. Any other
+interval is halved. An interval that remains at a relative width of NARROW touches zero rather than crosses it, within
+double precision.
 """
 
 from __future__ import annotations
@@ -162,10 +163,10 @@ def slopes(low_hz: float, high_hz: float, by: ZerosAndPoles) -> tuple[float, flo
 
 @routine
 def separated(f: Array, loop: ComplexArray, by: ZerosAndPoles, source: LoopResponse) -> tuple[Array, ComplexArray]:
-    """Return a curve with added points, such that no step hides two crossings of |L| = 1, or two of the negative real
-    axis where |L| is above FLOOR.
+    """Return a curve with added points, such that no step hides two crossings.
 
-    The curve is unchanged if the zeros and poles of L are unknown, or are not those of the curve.
+    The crossings are those of |L| = 1, and those of the negative real axis where |L| is above FLOOR. The curve is
+    unchanged if the zeros and poles of L are unknown, or are not those of the curve.
     """
     if len(by.at) == 0:
         return f, loop

@@ -327,9 +327,9 @@ def course(kind: int, loop: ComplexArray) -> Array:
 def with_extremes(f: Array, loop: ComplexArray, distances: int, source: LoopResponse) -> tuple[Array, ComplexArray]:
     """Return the curve with its turning points solved for and added.
 
-    The turning points include the minima of the first `distances` of |1 + L|, |1 + 1/L| and |1 + L|/|1 - L| that may be
-    the global minimum. They also include the maxima of |L|, and those extremes of |L| and of the phase that may reach 1
-    and 180 degrees although the points of the grid do not.
+    The turning points include minima of the first `distances` of |1 + L|, |1 + 1/L| and |1 + L|/|1 - L|. Only minima
+    that may be global are included. Further points are the maxima of |L|, and extremes of |L| and of the phase. These
+    extremes may reach 1 and 180 degrees although the points of the grid do not.
     """
     n, m, none = len(f), 0, np.zeros((0, 3))
     kinds, points, values = np.empty(7 * n, np.int64), np.empty((7 * n, 3)), np.empty((7 * n, 3))

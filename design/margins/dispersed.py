@@ -156,8 +156,8 @@ class ManyLoops:
 
     @cached_property
     def _kept(self) -> tuple[IntArray, IntArray, IntArray, Array, int]:
-        """Return the states and inputs of the vehicle that are on the path, the code of each owner of states, its
-        states (owners, states), and the row of the output.
+        """Return the states and inputs of the vehicle that are on the path, and the row of the output. Return also the
+        code of each owner of states and its states (owners, states).
         """
         body, plant = self._nominal.fixed.vehicle, self.node.plant
         states = np.array([plant.states.index(name) for name in body.states])
@@ -171,8 +171,8 @@ class ManyLoops:
     def _modes(
         self, node: Node, by: Dispersion, delay_s: Array
     ) -> tuple[ComplexArray, ComplexArray, IntArray, ComplexArray, NDArray[np.bool_]]:
-        """Return the poles of the continuous path, (vehicles, poles), their residues and owners, the own parts of modes
-        (`resonance.Resonance.part` times the path), and True where all of these are exact.
+        """Return the poles of the continuous path, (vehicles, poles), their residues and owners, and True where all
+        results are exact. Return also the own parts of modes (`resonance.Resonance.part` times the path).
         """
         n = len(delay_s)
         states, inputs, code, member, row = self._kept

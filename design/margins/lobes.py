@@ -42,10 +42,10 @@ class Lobe:
     """A resonance in the loop. The margins are those of the lobe alone, infinite if nothing in it bounds them.
 
     `stabilised` is "gain" if the peak is at least the limit below 0 dB, whatever its phase, and "phase" otherwise. Lag
-    and lead margins of a phase-stabilised lobe are the least over its crossings of |L| = 1, or, without one inside it,
-    over its points above 0 dB. Those of a gain-stabilised lobe are infinite. The crossings of a bending mode count only
-    where its own part is larger than SHARE times the rest and the largest of all modes. `conditional` is True if less
-    gain would destabilise the loop, because the lobe crosses the negative real axis beyond -1.
+    and lead margins of a phase-stabilised lobe are the least over its crossings of |L| = 1. Without a crossing, they
+    are the least over its points above 0 dB. Those of a gain-stabilised lobe are infinite. The crossings of a bending
+    mode count only where its own part is larger than SHARE times the rest and the largest of all modes. `conditional`
+    is True if less gain would destabilise the loop, because the lobe crosses the negative real axis beyond -1.
     """
 
     label: str

@@ -1,9 +1,9 @@
 """The margins of many vehicles at one operating point: those of `measure.margins`, of L from poles and residues
 (response.py).
 
-The bounds of bounds.py, disks and zones are omitted, so that two crossings that are closer to each other than the
-points of the grid can be missed. If these formulae do not support a vehicle (repeated poles, zeros that do not
-converge), the vehicle is returned for `measure.margins`.
+Disks, zones and the bounds of bounds.py are omitted. Two crossings that are closer than the points of the grid can thus
+be missed. If these formulae do not support a vehicle (repeated poles, zeros that do not converge), the vehicle is
+returned for `measure.margins`.
 """
 
 from __future__ import annotations

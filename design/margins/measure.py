@@ -250,8 +250,8 @@ def _measure(
 def counted(
     t: Trace, open_: ComplexArray, closed: ComplexArray, source: LoopResponse
 ) -> tuple[Crossings, Trace, int, int]:
-    """Return the crossings of a curve with its turning points, the curve with them added, and the poles to the right of
-    the axis, from their list and from the encirclements.
+    """Return the crossings of a curve with its turning points, and the curve with them added. Return also the numbers
+    of poles to the right of the axis, from their list and from the encirclements.
     """
     past = crossings.steps_past_poles(t.frequency_hz, open_, closed)
     every, f, loop = crossings.crossings(t, past, source)

@@ -1,14 +1,14 @@
 """The margins of several loops: each with the others closed, and the disk margin of the whole.
 
-The disk margin of several loops (Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE CSM 40(5), 2020) is
-the largest alpha for which the loops stay stable while each command is multiplied by its own factor,
+The disk margin of several loops is that of Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE CSM 40(5),
+2020. It is the largest alpha for which the loops stay stable while each command is multiplied by its own factor,
 
     f_i = (1 + d_i / 2) / (1 - d_i / 2),   |d_i| < alpha,   alpha = 1 / (largest mu(S - 1/2) over frequency)
 
-with S = (1 + L)^-1 and mu the structured singular value for complex d_i on the diagonal. For up to three loops, mu
-equals its upper bound, the least of the greatest singular value of D (S - 1/2) D^-1 over diagonal D (Packard & Doyle,
-Automatica 29(1), 1993). A law that treats each axis separately has the same margin at its measurements, because the law
-itself is such a D.
+with S = (1 + L)^-1 and mu the structured singular value for complex d_i on the diagonal. The upper bound of mu is the
+least of the greatest singular value of D (S - 1/2) D^-1 over diagonal D. For up to three loops, mu equals this bound
+(Packard & Doyle, Automatica 29(1), 1993). A law that treats each axis separately has the same margin at its
+measurements, because the law itself is such a D.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """An upper bound of the structured singular value over real numbers.
 
-mu(M) is 1 / the least r for which 1 - M D is singular with a diagonal D of real numbers up to r, each repeated over its
+mu(M) is 1 / the least r for which 1 - M D is singular. D is a diagonal of real numbers up to r, each repeated over its
 number of rows. An upper bound (Fan, Tits & Doyle, IEEE Trans. Autom. Control 36, 1991) is the root of the greatest
 eigenvalue of
 

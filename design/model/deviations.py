@@ -2,14 +2,14 @@
 parameters.
 
 Vehicle N of a sweep is run N of the campaign: `drawn` takes the same draws, by `Plan.draw`. It changes the record
-through the key paths of the table `RULES` for many vehicles at once, with the same result as drawing, rebuilding and
+through the key paths of the table `RULES` for many vehicles at once. The result equals that of drawing, rebuilding and
 packing the scenario. Air, wind and noise of a run belong to its flight and are not changed here.
 
-Corners, ellipsoids and bounds need a scale for each deviation. The scale is the score of a normal distribution: a
-deviation of k sigma is the value that the campaign's distribution exceeds as often as a normal quantity exceeds k sigma
-(`Plan.of_scores`). A normal deviation is k times its standard deviation. A uniform one is at 0.86 of its half-range at
-1.5 sigma and at 0.997 of it at 3 sigma, and never beyond its bound. A log-normal or triangular one has its own tails.
-The middle is the median of every distribution, which is the nominal value if the campaign is symmetric about it.
+Corners, ellipsoids and bounds need a scale for each deviation. The scale is the score of a normal distribution. The
+campaign's distribution exceeds a deviation of k sigma as often as a normal quantity exceeds k sigma (`Plan.of_scores`).
+A normal deviation is k times its standard deviation. A uniform one is at 0.86 of its half-range at 1.5 sigma and at
+0.997 of it at 3 sigma, and never beyond its bound. A log-normal or triangular one has its own tails. The middle is the
+median of every distribution, which is the nominal value if the campaign is symmetric about it.
 
 `campaign_of` (spread.py) writes a campaign of normal deviations by their three sigma.
 """

@@ -3,7 +3,7 @@
 `HeldStage` has the packed parameters and properties with which the simulator flies, of one vehicle or of many that
 deviate from it. For the linear model, the vehicle flies straight over a flat Earth in uniform gravity, through uniform
 air, without rotation. Its speed and pitch angle are those of a `FlightCondition`. The plant then contains every effect
-of the flown instant except the Earth's rotation and curvature, and the vehicle of one plane does not depend on its
+of the flown instant except the Earth's rotation and curvature. The vehicle of one plane does not depend on its
 position. Modes, pendulums and engines are at rest. Spatial modes, and canted engines on a TVC load, are at the
 positions where the axial loads hold them. The instruments are ideal. The actuators are unit oscillators, which separate
 the derivatives by an engine's angle, rate and acceleration.

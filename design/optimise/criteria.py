@@ -1,6 +1,6 @@
 """The use of `design.quantities` by the optimiser: the tables of objectives and of limits.
 
-Each entry gives, by the key of its quantity, the features that are searched for on the curves, and the function that
+Each entry has the key of its quantity. It gives the features that are searched for on the curves, and the function that
 judges them: as parts of (where, value, limit, excess in dB). Limits that are independent of frequency are part of the
 law (`LawVariables.limits`).
 

@@ -177,8 +177,8 @@ class Bands:
     def own_crossings(
         self, number: int, plant: CurveIndices, x: Array, value: ComplexArray, loop: ComplexArray
     ) -> Mask:
-        """Return True for points (x = ln f, L = `value`) of plants at which a mode's own part is larger than SHARE
-        times the rest and the largest of all modes.
+        """Return True for points (x = ln f, L = `value`) of plants at which a mode dominates. Its own part must be
+        larger than SHARE times the rest and the largest of all modes.
 
         `loop` is L on the mesh. The rule is that of `margins.lobes`.
         """

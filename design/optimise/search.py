@@ -1,11 +1,11 @@
 """The search from many starts for one optimum, with measures of its reliability.
 
-Descents from all starts are rough at first, with fewer variables if the law has a simpler form (with PD, gains linear
-in time: the filter decides to which optimum a start leads). All starts that end at the same optimum are one candidate.
-Each candidate that can still win is then optimised to convergence with all its variables. From the best point, part of
-the variables is moved far away at random, and the descent is repeated. Some of these steps find a better optimum
-nearby. If the others return to the best point, this is the strongest evidence that no better one exists. Newton's
-method refines the best point.
+Descents from all starts are rough at first, with fewer variables if the law has a simpler form. With PD, this form has
+gains linear in time, since the filter decides to which optimum a start leads. All starts that end at the same optimum
+are one candidate. Each candidate that can still win is then optimised to convergence with all its variables. From the
+best point, part of the variables is moved far away at random, and the descent is repeated. Some of these steps find a
+better optimum nearby. If the others return to the best point, this is the strongest evidence that no better one exists.
+Newton's method refines the best point.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ Each step minimises t + penalty v + d'Bd/2 with every linearised peak of the obj
 at most v >= 0. B is the matrix of the Lagrangian's second derivatives made positive semidefinite. If rows curve so much
 that the step gains little, the step is repeated once with the rows as evaluated at the trial point (second-order
 correction). Without it, the penalty on a curved limit makes steps very short (Maratos' effect). A step is accepted only
-for its effect on the real problem: all peaks and crossings are found and solved for again, and the closed loop must
+for its effect on the real problem. All peaks and crossings are found and solved for again, and the closed loop must
 stay stable.
 
 Linear programmes alone (B = 0) converge slowly wherever fewer rows are active than there are variables. From one start

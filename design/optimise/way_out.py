@@ -2,9 +2,9 @@
 
 `conflict` states which limits determine the least violation, and the gain by relaxing each, by the multipliers of the
 minimax problem (`sqp.optimality`). They are derivatives, exact for small changes. `tried` makes short searches from the
-best effort with wider bounds of the filter, with a filter of the next order, and with a computer that samples twice as
-fast. A trial begins at the best effort and continues from the law's own starts until it has used its share of the
-search's evaluations. A failed trial does not prove that a change is insufficient.
+best effort. They have wider bounds of the filter, a filter of the next order, or a computer that samples twice as fast.
+A trial begins at the best effort and continues from the law's own starts until it has used its share of the search's
+evaluations. A failed trial does not prove that a change is insufficient.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Body axes are at the core's CG, x forward, z down (pitch plane). Stations are in metres aft of the nose. The vehicle
 flies along x at the speed U without turning, under the specific axial force a = (T - D) / m. The equations have the
-paper's form: forces and moments on a body of mass m and inertia I (1, 2), a modal force (14), and pendulums driven by
-the motion of their hinges (21). With `PAPER` they are the equations as printed. With `CORRECTED` they are the linear
-model of the simulator, with which tests/test_oracle_design_model_printed.py compares them.
+paper's form. They are forces and moments on a body of mass m and inertia I (1, 2), a modal force (14), and pendulums
+driven by their hinges (21). With `PAPER` they are the equations as printed. With `CORRECTED` they are the linear model
+of the simulator, with which tests/test_oracle_design_model_printed.py compares them.
 
 The constant g cos(theta_0) acts on every particle alike and is omitted: it bends the path (gravity turn). Gravity does
 no work on a free-free mode (erratum 3). Thrust T acts at the displaced gimbal along the bent axis, each lifting surface
@@ -17,12 +17,13 @@ Eq. (27) prints the hinge's arm l_p for both forces (erratum 22), which is wrong
 the liquid's friction acts at the bob, l_p - L forward of the CG. The printed pair of damping forces is not collinear
 and so does not conserve angular momentum.
 
-The paper leaves the following open: delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16, 17), phi at
-the surface, gimbal or hinge at which a force acts, the derivatives (4 to 8) of the whole vehicle with its liquid
-frozen, I_E as that about the engine's CG (20), a_x = (T - D) / m, and W' - g_z - U q in (21) from (1).
+The paper leaves several definitions open. Here, delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16,
+17). phi is that at the surface, gimbal or hinge at which a force acts. The derivatives (4 to 8) are those of the whole
+vehicle with its liquid frozen. I_E is that about the engine's CG (20), a_x = (T - D) / m, and W' - g_z - U q in (21)
+follows from (1).
 
-The lateral slosh of an upright cylinder is modelled as a pendulum (22, 23, 25, with errata 6 and 7), with the tank's
-radius R, the liquid's depth h and xi the first root of J1' (NASA SP-106, ch. 6; Dodge, The New "Dynamic Behavior of
+The lateral slosh of an upright cylinder is modelled as a pendulum (22, 23, 25, with errata 6 and 7). R is the tank's
+radius, h the liquid's depth and xi the first root of J1' (NASA SP-106, ch. 6; Dodge, The New "Dynamic Behavior of
 Liquids in Moving Containers", 2000),
 
     L = R / (xi tanh(xi h / R)),    m_p = m 2 R tanh(xi h / R) / (xi h (xi^2 - 1)),

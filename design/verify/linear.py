@@ -2,8 +2,8 @@
 
 Margins are measured for the nominal vehicle, at the corners of the dispersions, and for random vehicles. A dispersed
 vehicle has the same deviations at every operating point. The corners are a two-level screening design (Plackett &
-Burman, Biometrika 33, 1946) of twelve runs and their mirror images, in which every pair of factors is uncorrelated.
-Random vehicle N is run N of the campaign (design/model/deviations.py), along one of a few dispersed trajectories
+Burman, Biometrika 33, 1946) of twelve runs and their mirror images. Every pair of factors in it is uncorrelated. Random
+vehicle N is run N of the campaign (design/model/deviations.py), along one of a few dispersed trajectories
 (`conditions_of`). The compiled margins of design/margins/dispersed.py measure these vehicles. Vehicles whose margin is
 within `NEAR` of a limit, and those that the compiled margins do not support, are measured once more by `margins`.
 

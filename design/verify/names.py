@@ -21,5 +21,5 @@ def tank_name(vehicle: Vehicle, stage: int, tank: int) -> str:
 
 
 def node_name(node: Node) -> str:
-    """Return an operating point for people: time and plane."""
+    """Return an operating point as text: time and plane."""
     return f"{node.time_s:g} s, {node.plane}"

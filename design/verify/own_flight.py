@@ -1,9 +1,9 @@
 """The design of a case along the flight of the design itself. Design and flight are repeated until both agree.
 
 Operating points need a flight, and a flight needs a design. The first flight is that of the scenario with its own
-design. Design and flight agree if no limit that the design meets at its operating points is missed at the same times of
-its own flight (`quantities.violation`: within 5e-4 dB or deg). Stages that disagree are designed again along the flight
-of the last design, from its values. If limits must hold between the operating points, they are judged there at the
+design. Design and flight agree if all limits met at the operating points are also met at the same times of the design's
+own flight (`quantities.violation`: within 5e-4 dB or deg). Stages that disagree are designed again along the flight of
+the last design, from its values. If limits must hold between the operating points, they are judged there at the
 instants of `simdesign analyse`. An instant that misses a limit becomes an operating point of the next round.
 
 The search applies the limits to the loop of one plane. `simdesign analyse` judges each axis with the loops of the

@@ -1,9 +1,9 @@
 """Slosh: the positions at which it destabilises the control loop, the damping that it needs, and its limit cycle.
 
-A liquid takes energy from the control loop if its pendulum bob is between the vehicle's CG and its centre of percussion
-(I / (m l_c) forward of the CG, l_c from the CG to the gimbal). Elsewhere it returns energy to the loop (Bauer, NASA TR
-R-187; SP-8031). The effect depends on the loop at hand. The tank's damping is lowered until the closed loop is
-marginally stable, and this is the required damping (`advise`).
+A liquid takes energy from the control loop if its pendulum bob is between the vehicle's CG and its centre of
+percussion. This centre is I / (m l_c) forward of the CG, with l_c from the CG to the gimbal. Elsewhere it returns
+energy to the loop (Bauer, NASA TR R-187; SP-8031). The effect depends on the loop at hand. The tank's damping is
+lowered until the closed loop is marginally stable, and this is the required damping (`advise`).
 
 The damping of a ring baffle increases with the wave height (Miles, J. Aero. Sci. 25, 1958; NASA SP-106, eq. 4.10),
 

@@ -1,9 +1,9 @@
 """The intervals of a flight without operating points, which the report of a design lists.
 
-Under thrust, these are the times before the first operating point of a stage and after its last, the tail-off in which
-the thrust decays, and stages without any points. Without thrust, they are the coasts in which the airframe is unstable.
-No gimbal can control it there, and a disturbance grows by exp(integral of sqrt(M_alpha) dt), with M_alpha the restoring
-derivative of the rigid body along the flight. Aerodynamic damping is neglected.
+Under thrust, these are the times before the first operating point of a stage and after its last. They include the
+tail-off, in which the thrust decays, and stages without any points. Without thrust, they are the coasts in which the
+airframe is unstable. No gimbal can control it there, and a disturbance grows by exp(integral of sqrt(M_alpha) dt), with
+M_alpha the restoring derivative of the rigid body along the flight. Aerodynamic damping is neglected.
 """
 
 from __future__ import annotations

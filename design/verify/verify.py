@@ -59,7 +59,7 @@ SAMPLE = 2
 
 @dataclass(frozen=True)
 class Reused:
-    """Parts that were recalled from the cache, by name; those computed again, and those that differ."""
+    """The parts that were recalled from the cache, by name, those computed again, and those that differ."""
 
     names: tuple[str, ...]
     computed_again: tuple[str, ...]
@@ -108,7 +108,7 @@ class Verification:
 
     @property
     def recalled(self) -> int:
-        """The number of parts that were recalled from the cache."""
+        """Return the number of parts that were recalled from the cache."""
         return len(self.reused.names)
 
     @property
@@ -135,9 +135,9 @@ class Verification:
 
 @dataclass(frozen=True)
 class Prepared:
-    """All that a verification depends on, loaded before anything is judged, with its hashes by name.
+    """The inputs of a verification, loaded before any judgement, with their hashes by name.
 
-    `loaded` is the suite fitted to the vehicle. `flights`: scenario and changes of each flight.
+    `loaded` is the suite fitted to the vehicle. `flights` contains scenario and changes of each flight.
     """
 
     design: str
@@ -154,12 +154,12 @@ class Prepared:
 
     @property
     def shown(self) -> str:
-        """The design, relative to the working folder where it is below that."""
+        """Return the design, relative to the working folder if it is below that folder."""
         return shown(Path(self.design)) if Path(self.design).is_absolute() else self.design
 
     @property
     def asked(self) -> dict[str, Any]:
-        """The input by name: design, vehicle, suite, its overrides, and the part that is judged alone."""
+        """Return the input by name: design, vehicle, suite, its overrides, and the part that is judged alone."""
         suite = self.loaded
         return {
             "design": self.shown,
@@ -189,7 +189,7 @@ class Prepared:
 
 
 def prepare(design: str, loaded: LoadedSuite, vehicle: str | None, kept: PartsOnDisk, candidate: int = 0) -> Prepared:
-    """Load all that a verification depends on. Raises ScenarioError where an input is wrong."""
+    """Load the inputs of a verification. Raises ScenarioError if an input is wrong."""
     compared = against_baseline(loaded, vehicle)
     scenario = load_scenario(loaded.suite.scenario, flown.design_changes(design, vehicle))
     along = flight_of(loaded.suite, design, vehicle)

@@ -1,18 +1,18 @@
 """The worst vehicle within the dispersions: a search at each operating point for the least distance of L from -1.
 
-Each draw of the campaign that changes the vehicle deviates independently, within an ellipsoid (together no less likely
-than one deviation alone at that many sigma) or a box (each up to that many). The search is among the independent scores
-that determine the deviations (`deviations.py`), in which a uniform draw stays within its bounds. From each start, the
-search follows the gradient to the point of that region where the linearised distance is least. It moves back towards
-the start until the distance has fallen, and repeats (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956). In a box, it
-continues to the corner that no single deviation makes worse. The gradient is that of L at the frequency nearest to -1,
-by differences of the vehicle's continuous response, without closing the loop. The best point of an operating point is
-the start of a local descent on measured distances, inside the region and along its surface (descent.py). Trials are
-measured together (margins/dispersed.py). An unstable loop counts as beyond -1 by its distance. Every operating point
-has a start at the nominal vehicle. Those with the worst results (`FURTHER` of them) have all other starts too. The
-worst vehicles are then measured at instants between the operating points and along dispersed trajectories, and the
-descent is repeated where they are worst. The search gives no lower bound: it shows only that this number of searches
-found no worse vehicle.
+Each draw of the campaign that changes the vehicle deviates independently, within an ellipsoid or a box. In an
+ellipsoid, all deviations together are no less likely than one alone at the given number of sigma. In a box, each
+deviation extends to this number. The search is among the independent scores that determine the deviations
+(`deviations.py`), in which a uniform draw stays within its bounds. From each start, the search follows the gradient to
+the point of that region where the linearised distance is least. It moves back towards the start until the distance has
+fallen, and repeats (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956). In a box, it continues to the corner that no single
+deviation makes worse. The gradient is that of L at the frequency nearest to -1, by differences of the vehicle's
+continuous response, without closing the loop. The best point of an operating point is the start of a local descent on
+measured distances, inside the region and along its surface (descent.py). Trials are measured together
+(margins/dispersed.py). An unstable loop counts as beyond -1 by its distance. Every operating point has a start at the
+nominal vehicle. Those with the worst results (`FURTHER` of them) have all other starts too. The worst vehicles are then
+measured at instants between the operating points and along dispersed trajectories, and the descent is repeated where
+they are worst. The search gives no lower bound: it shows only that this number of searches found no worse vehicle.
 """
 
 from __future__ import annotations

@@ -2,12 +2,13 @@
 meets it head on.
 
 With a programme for still air, the wind adds to the angle of attack. Here the commanded attitude is turned until angle
-of attack and sideslip in the measured profile equal those in still air, or until a share of the difference is removed:
+of attack and sideslip in the measured profile equal those in still air. Alternatively, a share of the difference is
+removed:
 
     theta_b <- theta_b + d,    d = W (e + v / V),    v' = a d + Z (V d - v),    e = alpha_wanted - alpha
 
-in pitch, in yaw with beta reversed, flight after flight. e is the missing angle of attack. A vehicle turned by d is
-pushed off its path by the axial load a and the normal force V Z per mass and angle, which reduces the turn by v / V. a
+in pitch, in yaw with beta reversed, flight after flight. e is the missing angle of attack. The axial load a and the
+normal force V Z per mass and angle push a vehicle turned by d off its path. This motion reduces the turn by v / V. a
 and Z are those of the linear model. W fades with the dynamic pressure: it is 1 at `FULL_FROM` of the largest value and
 above, and 0 at none. Liftoff and the later flight thus keep their attitude. e is averaged over `SMOOTHED_S`, since a
 programme can follow the profile, but not slosh or gusts. The profile flies as it was measured, without gusts and

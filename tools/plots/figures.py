@@ -1,4 +1,4 @@
-"""The figures of the pages as data. tools/pages/plots.js draws them in the reader's browser, so that a figure fits the
+"""The figures of the pages as data. In the reader's browser, tools/pages/plots.js draws them. A figure thus fits the
 width of the page, is readable in the dark mode, shows its values, and is available as data.
 
     figure = Plot("margins", "Margins over the flight", [Panel("phase margin", [line(t, y)], x="time, s", y="deg")])

@@ -1,5 +1,5 @@
-"""The writer of the files of a layout: the tables of the vehicle, a pitch programme, a first design, a scenario, a
-campaign, a case and a suite, as simrun, simdesign and simverify read them.
+"""The writer of the files of a layout, as simrun, simdesign and simverify read them. The files are the tables of the
+vehicle, a pitch programme, a first design, a scenario, a campaign, a case and a suite.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ class LayoutTank(Section):
 
 
 class Grain(Between):
-    """Solid propellant, which burns uniformly and does not slosh."""
+    """A solid propellant grain, which burns uniformly and does not slosh."""
 
     mass_kg: Positive = Field(description="kg")
     radius_m: Positive | None = optional("outside, m (default: the radius of its stage)")

@@ -1,9 +1,9 @@
 """Campaigns on a Dask scheduler: eight worker processes that fly, and a thousand simulated workers that wait instead.
 
 A simulated worker is an ordinary worker of Dask, with many of them per process. It takes real tasks, draws their runs,
-and waits for the time that their flights would take on a separate core (one batch in fifty ten times as long). It then
-returns real rows. Scheduler, client, data set and verdicts thus work as with this number of cores. In one case, a
-quarter of the workers is killed during the campaign.
+and waits for the time of their flights on a separate core. One batch in fifty takes ten times as long. It then returns
+real rows. Scheduler, client, data set and verdicts thus work as with this number of cores. In one case, a quarter of
+the workers is killed during the campaign.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The RocketPy worker: a rigid rocket of about KSR-III's size with a 100 Hz controller for 60 s.
 
-With `--causal`, every controller call ends an integration step (`time_overshoot=False`), with the fastest of its
-methods for such short steps (RK23; RK45 takes 1.6 times as long, LSODA 2.5, DOP853 3). Without it, as by RocketPy's
-default, the step extends past the controller's instants. The controller is then called on interpolated points, which is
-faster, but its output is too late for the step of the call.
+With `--causal`, every controller call ends an integration step (`time_overshoot=False`). RK23 is the fastest of its
+methods for such short steps: RK45 takes 1.6 times as long, LSODA 2.5, DOP853 3. Without it, as by RocketPy's default,
+the step extends past the controller's instants. The controller is then called on interpolated points, which is faster,
+but its output is too late for the step of the call.
 """
 
 from __future__ import annotations

@@ -2,13 +2,13 @@
 
     python -m maxq.tools.dev.bench.optimise [--seconds 20] [--seeds 1] [--workers 2] [--only F4/free,...]
 
-The module prints seconds as JSON: for one F6 with free gains, at four times the operating points, for the fifteen
-optima of one table of docs/case-study, and for a robust design. It compares F2 to F4, with all three gain schedules,
-with two searches without gradients, from random populations: differential evolution (SciPy) and CMA-ES with restarts
-(pycma). They share only the exact responses of the fixed paths with the optimiser. Limits are a penalty, and crossings
-between grid points are interpolated linearly. A search exploits the interpolation error: in F2, a margin missed by 0.01
-dB gains 0.08 dB. Its best point is therefore judged after a descent to a point that meets the limits exactly. The long
-run takes `--seconds 1800`.
+The module prints seconds as JSON: for one F6 with free gains, and at four times the operating points. It adds those of
+the fifteen optima of one table of docs/case-study, and of a robust design. It compares F2 to F4, with all three gain
+schedules, with two searches without gradients, from random populations: differential evolution (SciPy) and CMA-ES with
+restarts (pycma). They share only the exact responses of the fixed paths with the optimiser. Limits are a penalty, and
+crossings between grid points are interpolated linearly. A search exploits the interpolation error: in F2, a margin
+missed by 0.01 dB gains 0.08 dB. Its best point is therefore judged after a descent to a point that meets the limits
+exactly. The long run takes `--seconds 1800`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The pictures of docs/replay.md: `python -m maxq.tools.dev.pictures.replay [DIR]`.
 
-The module flies the nominal scenario without wind, in the November wind and in four times that wind, a scenario that
-loses control, and petrel in its limit wind with section loads. It then takes pictures of `simreplay` showing these
-flights, and draws a sheet of the standard set. It needs no display.
+The module flies the nominal scenario without wind, in the November wind and in four times that wind. It also flies a
+scenario that loses control, and petrel in its limit wind with section loads. It then takes pictures of `simreplay`
+showing these flights, and draws a sheet of the standard set. It needs no display.
 """
 
 from __future__ import annotations
