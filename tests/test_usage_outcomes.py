@@ -128,7 +128,7 @@ def test_a_flight_without_thrust_has_an_outcome(capsys: pytest.CaptureFixture[st
     assert simrun.main([*words, "--out", "out", "--no-log"]) == 0
     said = capsys.readouterr().out
     assert "the vehicle has not lifted off" in said.splitlines()[-1]
-    assert "or it is never let go" in said
+    assert "or it is never released" in said
     assert json.loads(Path("out/summary.json").read_text())["outcome"] == "duration"
 
 

@@ -188,6 +188,6 @@ def _allowed(run: FlightRun) -> str:
     for row in run.packed.parameters:
         begin_ns, end_ns = int(row.timeline.burn_start_ns), int(row.timeline.burnout_ns)
         if begin_ns < end_ns:
-            begin = f"{max(begin_ns, 0) / 1e9:.6g} s" if spans else "lift-off"
+            begin = f"{max(begin_ns, 0) / 1e9:.6g} s" if spans else "liftoff"
             spans.append(f"{begin} to {f'{end_ns / 1e9:.6g} s' if end_ns < NEVER else 'the end'}")
     return f"allowed are times under thrust: {', '.join(spans) or 'there are none'}"

@@ -28,7 +28,7 @@ def work_precision(precision: dict[str, Any], path: Path) -> None:
                 look = curve(k) | {"marker": "os"[k]}
                 place.loglog(work, [row["largest"][key] for row in rows], label=f"{name}, largest in flight", **look)
                 at_end = [row["burnout"][key] for row in rows]
-                place.loglog(work, at_end, label=f"{name}, burn-out", alpha=0.45, **look)
+                place.loglog(work, at_end, label=f"{name}, burnout", alpha=0.45, **look)
             for row in precision["steps"]:
                 at = row["evaluations_per_s"], row["largest"][key]
                 place.annotate(f"{row['step_ms']:g} ms", at, (3, 4), textcoords="offset points", fontsize=7)
