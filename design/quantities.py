@@ -53,7 +53,7 @@ class MeasuredLoop(Protocol):
         """Return the least phase margin of slosh lobes with a peak above `peak_db`, or inf without such a lobe."""
 
     def rigid(self, body: RigidBody) -> tuple[float, float]:
-        """Return frequency (Hz) and damping ratio of the rigid body's motion."""
+        """Return the frequency (Hz) and damping ratio of the rigid body's motion."""
 
     @property
     def integral_hz(self) -> float:

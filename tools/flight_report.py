@@ -70,7 +70,7 @@ def verdict_line(flight: Flight) -> str:
 
 
 def _missed(verdict: Verdict) -> str:
-    """Return name, value, limit and time of a missed requirement: "roll error 2.138 deg > 2 deg at 59.280 s"."""
+    """Return the name, value, limit and time of a missed requirement: "roll error 2.138 deg > 2 deg at 59.280 s"."""
     value, limit, unit = verdict.shown
     unit = f" {unit}" if unit else ""
     if math.isnan(verdict.value):

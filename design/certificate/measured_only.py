@@ -132,8 +132,8 @@ def measure_node(
 
 
 def measured_loop(held: HeldFlight, path: FixedPath, bands: tuple[LineBand, ...]) -> tuple[Array, ComplexArray, Array]:
-    """Return lines, L and its relative standard error, measured first at a low level, then at a level that suits the
-    first result.
+    """Return the lines, L and its relative standard error, measured first at a low level, then at a level that suits
+    the first result.
     """
     if not bands:
         return np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)

@@ -267,7 +267,7 @@ class PdVariables:
         return np.concatenate([self.filter.gradient(own[:, :n], axis[0]), by_gains], axis=1)
 
     def _in_wind(self, own: Array) -> list[LimitValues]:
-        """Return load, drift and moments of all plants that have such limits."""
+        """Return the load, drift and moments of all plants that have such limits."""
         if not self._of_wind:
             return []
         n, axis = self.filter.size, self.axis(self.task.winds[0].x)

@@ -109,7 +109,7 @@ class FixedPath(abc.ABC):
 
     @abc.abstractmethod
     def integrator(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Return angle over mean rate, s, in the shape of `frequencies_hz`."""
+        """Return the ratio of angle to mean rate, s, in the shape of `frequencies_hz`."""
 
     @abc.abstractmethod
     def state_space(self) -> StateSpace:
@@ -227,11 +227,11 @@ class FixedPath(abc.ABC):
 
     @abc.abstractmethod
     def computer_at(self, s: ComplexArray) -> ComplexArray:
-        """Return converter, delay and hold at complex s, rad/s, without aliasing."""
+        """Return the converter, delay and hold at complex s, rad/s, without aliasing."""
 
     @cached_property
     def continuous(self) -> StateSpace:
-        """Return actuator, vehicle and gyro in series."""
+        """Return the actuator, vehicle and gyro in series."""
         parts = []
         if self._actuator is not None:
             parts.append(channels(self._actuator, self.vehicle.inputs))
@@ -243,7 +243,7 @@ class FixedPath(abc.ABC):
         return chain(*parts)
 
     def _lags(self) -> StateSpace:
-        """Return gyro and further sensors in parallel. Sensors without dynamics pass their inputs on."""
+        """Return the gyro and further sensors in parallel. Sensors without dynamics pass their inputs on."""
         each = [self._gyro, *(None if lag.ideal else gyro(lag) for _, lag, _ in self.sensors)]
         through = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), (), ("rate",), ("rate",))
         filled = [one or through for one in each]
@@ -302,7 +302,7 @@ class _ContinuousFixedPath(FixedPath):
         return np.asarray(self.plant_at(s) * self.computer_at(s))
 
     def plant_at(self, s: ComplexArray, output: int = 0) -> ComplexArray:
-        """Return actuator, vehicle and gyro, or further sensor number `output`."""
+        """Return the actuator, vehicle and gyro, or further sensor number `output`."""
         return self._sensed(s, self._turning(s)[..., output, :] + self.vehicle.d[output], output)
 
 
@@ -422,7 +422,7 @@ def folded(poles_radps: ComplexArray, sample_s: float) -> ComplexArray:
 
 
 def sampled_computer(s: ComplexArray, sample_s: float, delay_s: Array | float) -> ComplexArray:
-    """Return converter, delay and hold of a sampled path for one of its images, at complex s, rad/s."""
+    """Return the converter, delay and hold of a sampled path for one of its images, at complex s, rad/s."""
     return np.asarray(average(s, sample_s) ** 2 * np.exp(-delay_s * np.asarray(s)))
 
 

@@ -74,7 +74,7 @@ def factors_of(loop: OpenLoop) -> ZerosAndPoles:
 
 
 def with_extremes(at: ComplexArray, sign: Array, period_s: float) -> ZerosAndPoles:
-    """Return zeros and poles with the places and values of the extremes of their derivatives."""
+    """Return the zeros and poles with the places and values of the extremes of their derivatives."""
     with np.errstate(all="ignore"):
         if period_s == 0.0:
             a, w = np.abs(at.real), at.imag

@@ -174,7 +174,7 @@ def _in_radps(roots: ComplexArray, sample_s: float) -> ComplexArray:
 def _resonances(
     poles: ComplexArray, owner: IntArray, own_part: ComplexArray, fold: float
 ) -> tuple[Array, Array, ComplexArray, IntArray]:
-    """Return frequency (Hz), half width, own part and owner of the lightly damped poles of modes and tanks."""
+    """Return the frequency (Hz), half width, own part and owner of the lightly damped poles of modes and tanks."""
     centre, width, whose, n = np.empty(len(poles)), np.empty(len(poles)), np.zeros(len(poles), np.int64), 0
     own = np.empty(len(poles), np.complex128)
     for i in range(len(poles)):

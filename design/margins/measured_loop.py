@@ -72,7 +72,7 @@ class LoopAtPoint:
         return min(turns, default=math.inf)
 
     def rigid(self, body: RigidBody) -> tuple[float, float]:
-        """Return frequency (Hz) and damping ratio of the rigid body under the law's static gains, or NaN at rest.
+        """Return the frequency (Hz) and damping ratio of the rigid body under the law's static gains, or NaN at rest.
 
         `paper` means eqs 35 and 36, and `aerodynamic` includes M_alpha and M_q (erratum 12).
         """

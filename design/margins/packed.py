@@ -20,7 +20,7 @@ _PROBES = 40
 
 
 def controller_factors(loop: Loop) -> tuple[ComplexArray, ComplexArray, float]:
-    """Return zeros and poles of the law with the integrators of the angle, in w = z - 1, and its gain.
+    """Return the zeros and poles of the law with the integrators of the angle, in w = z - 1, and its gain.
 
     Raises ValueError if these do not give the law's response to nine digits.
     """

@@ -282,7 +282,7 @@ def _sum_terms(f: Array, loop: LoopResponse, out: ComplexArray) -> None:
 def _newton(
     w: complex, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray, every: ComplexArray, loop: LoopResponse
 ) -> complex:
-    """Return derivative over value, by w, of (1 + L) times the factors of `every` pole."""
+    """Return the ratio of derivative to value, by w, of (1 + L) times the factors of `every` pole."""
     late = reciprocal(1.0 + w)
     total, slope = loop.direct[0] + loop.direct[1] * late, -loop.direct[1] * late * late
     for i in range(len(mu)):

@@ -259,7 +259,7 @@ def _deviate_engines(held: HeldStage, thrust: Array, mass_flow: Array) -> None:
 
 
 def disperse_instruments(instruments: Instruments, by: Dispersion) -> Instruments:
-    """Return actuators, gyro and delay with the deviations applied."""
+    """Return the actuators, gyro and delay with the deviations applied."""
     g = instruments.gyro
     count = 1 + max(group for groups in instruments.groups for group in groups)
     factors = section_factors(by, count)[..., 0]

@@ -117,7 +117,7 @@ def actuators(records: Sequence[Any]) -> StateSpace:
 
 
 def actuator_response(record: Any, s: ComplexArray) -> ComplexArray:
-    """Return angle over command at complex s, rad/s, as a product of its factors."""
+    """Return the ratio of angle to command at complex s, rad/s, as a product of its factors."""
     out: ComplexArray = np.ones(np.shape(s), np.complex128)
     for omega, zeta in actuator_poles(record):
         out = out * lag(s, omega, zeta)
@@ -131,7 +131,7 @@ def lag(s: ComplexArray, omega: Array | float, zeta: Array | float) -> ComplexAr
 
 
 def actuator_poles(record: Any) -> list[tuple[float, float]]:
-    """Return frequency (rad/s) and damping ratio of each pair of poles of a packed `Actuator`."""
+    """Return the frequency (rad/s) and damping ratio of each pair of poles of a packed `Actuator`."""
     return [
         (getattr(record, f"omega_{k}_radps"), getattr(record, f"zeta_{k}")) for k in range(1, record.order // 2 + 1)
     ]

@@ -286,8 +286,8 @@ def differentiate(
     rate: Array,
     slopes: Array,
 ) -> None:
-    """Compute rates and outputs at states `y` (vehicles, MAX_STATE) into `rate` (vehicles, rows), and the derivatives
-    of those that are `wanted` into `slopes` (vehicles, wanted, columns).
+    """Compute the rates and outputs at states `y` (vehicles, MAX_STATE) into `rate` (vehicles, rows), and the
+    derivatives of those that are `wanted` into `slopes` (vehicles, wanted, columns).
 
     Vehicle k has row `memory.clock.stage` + k of `P` and row k of `y` and `properties`. `which` contains the
     coordinates and inputs of the columns, with their first `steps`. `read` is 1 to read the `properties` of the vehicle

@@ -104,7 +104,8 @@ def differentiate(
     levels: int = jacobian.LEVELS,
     properties: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Return rates and outputs (rows,) at a state, and the derivatives (wanted, columns); see `jacobian.differentiate`.
+    """Return the rates and outputs (rows,) at a state, and the derivatives (wanted, columns); see
+    `jacobian.differentiate`.
 
     `properties` are those of the vehicle at the instant and replace those of its schedule. With states (vehicles,
     MAX_STATE) and the same number of parameters and properties, results have the vehicles along their first axis.

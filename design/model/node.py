@@ -112,7 +112,7 @@ class Node:
 
     @cached_property
     def vehicle(self) -> VehicleAt:
-        """Return masses, modes and pendulums in the plane."""
+        """Return the masses, modes and pendulums in the plane."""
         return vehicle_at(self.held, self.plane)
 
     @cached_property

@@ -72,7 +72,7 @@ def chain(*systems: StateSpace) -> StateSpace:
 
 
 def zeros_and_poles(system: StateSpace) -> tuple[ComplexArray, ComplexArray]:
-    """Return zeros and poles of a system with one input and one output.
+    """Return the zeros and poles of a system with one input and one output.
 
     The zeros are generalised eigenvalues of its matrix (Emami-Naeini & Van Dooren, Automatica 18(4), 1982), and the
     poles eigenvalues of A.

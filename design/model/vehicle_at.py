@@ -99,8 +99,8 @@ def pendulums_of(held: HeldStage) -> Pendulums:
 
 
 def total_of(held: HeldStage) -> tuple[Array, Array, Array]:
-    """Return mass (vehicles,), station of the CG (vehicles,) and inertia about y and z (vehicles, 2), with the liquid
-    frozen.
+    """Return the mass (vehicles,), station of the CG (vehicles,) and inertia about y and z (vehicles, 2), with the
+    liquid frozen.
     """
     p = held.properties
     core, station = p[:, schedule.CORE_MASS], p[:, schedule.CORE_CG]

@@ -41,7 +41,7 @@ class Effect:
         return EXPLAINED[self.erratum]
 
     def change(self, name: str) -> float:
-        """Return printed less corrected, or nan if either is missing."""
+        """Return the printed value less the corrected one, or nan if either is missing."""
         return self.printed.get(name, float("nan")) - self.corrected.get(name, float("nan"))
 
 

@@ -141,7 +141,7 @@ def fly_alone(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownRe
 
 
 def _said(v: Verdict) -> str:
-    """Return name, value and unit of a flight's requirement."""
+    """Return the name, value and unit of a flight's requirement."""
     unit = unit_of(v.requirement.metric)
     return f"{v.name} {v.value:.4g}" + (f" {unit}" if unit != "1" else "")
 

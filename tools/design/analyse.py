@@ -379,7 +379,7 @@ def effects(nodes: Sequence[PaperNode], design: Design) -> list[Effect]:
     """
 
     def measure(node: Node, cut: Cut) -> Mapping[str, float]:
-        """Return peaks, and for the whole loop its margins. `unstable` is 1 if it is not stable."""
+        """Return the peaks, and for the whole loop its margins. `unstable` is 1 if it is not stable."""
         loop = close_loop(fixed_path(node, "pade", cut), design)
         peaks = peaks_db(loop)
         out = {f"peak {i}": peaks[f"bending {i}"] for i in (1, 2, 3) if f"bending {i}" in peaks}

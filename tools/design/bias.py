@@ -61,7 +61,7 @@ class Incidence:
 
     @property
     def load_Padeg(self) -> Array:
-        """Return dynamic pressure times total angle of attack."""
+        """Return the dynamic pressure times the total angle of attack."""
         return self.dynamic_pressure_Pa * np.degrees(np.hypot(self.alpha_rad, self.beta_rad))
 
 

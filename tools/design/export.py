@@ -270,7 +270,7 @@ def _braced(value: Any) -> str:
 
 
 def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
-    """Return inputs and outputs of the law in a flight of `TEST_SAMPLES`, read from the computer's memory at each."""
+    """Return the inputs and outputs of the law in a flight of `TEST_SAMPLES`, read from the memory at each sample."""
     scenario = loaded.scenario
     assert scenario.vehicle.computer is not None
     own = scenario.vehicle.computer.model_copy(
@@ -320,7 +320,7 @@ def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
 
 
 def described(node: Node, design: Any) -> dict[str, Any]:
-    """Return plant (continuous), path from gimbal command to measurements, law and open loop (all sampled) at an
+    """Return the plant (continuous), path from gimbal command to measurements, law and open loop (all sampled) at an
     operating point.
     """
     loop = close_loop(fixed_path(node, "sampled"), design)

@@ -196,7 +196,7 @@ def _plots(shown: DesignPage) -> list[Plot]:
 
 
 def _tables(groups: Sequence[Group]) -> list[tuple[str, str, Sequence[PageTable]]]:
-    """Return margins, budgets and lobes: headings, notes and tables."""
+    """Return the margins, budgets and lobes: headings, notes and tables."""
     margins, budgets, lobes = list[PageTable](), list[PageTable](), list[PageTable]()
     for g in groups:
         _, _, *rows = margins_rows([(j.time_s, j.margins) for j in g.judged])

@@ -203,7 +203,7 @@ def peaks_over_order(series: Mapping[str, Mapping[str, float]]) -> Figure:
 
 
 def margins_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "") -> Figure:
-    """Draw upper and lower gain margins, phase and delay margin and the least |1 + L|, with dotted limits.
+    """Draw the upper and lower gain margins, phase and delay margin and the least |1 + L|, with dotted limits.
 
     An unstable loop has no margin and is marked by a cross at the bottom.
     """
@@ -282,7 +282,7 @@ def draw_all(
 
 
 def judged_sheets(judged: Sequence[JudgedLoop], title: str, wanted: Wanted) -> list[Sheet]:
-    """Draw margins and lobes over time, and Bode, Nichols and Nyquist plots at every operating point."""
+    """Draw the margins and lobes over time, and Bode, Nichols and Nyquist plots at every operating point."""
     over_time: list[Sheet] = [
         ("margins", lambda: margins_over_time(judged, wanted, f"Margins: {title}, {judged[0].node.plane}")),
         ("lobes", lambda: lobes_over_time(judged, wanted, f"Lobes: {title}, {judged[0].node.plane}")),
@@ -305,7 +305,7 @@ def loop_picture(judged: JudgedLoop, title: str, wanted: Wanted) -> Figure:
 def case_sheets(
     name: str, design: Design, nodes: Sequence[Node], along: Sequence[Node], tanks: Sequence[str], vehicle: str = ""
 ) -> list[Sheet]:
-    """Draw gains and filter of a design at `nodes`, and derivatives, bending and slosh frequencies `along` the
+    """Draw the gains and filter of a design at `nodes`, and derivatives, bending and slosh frequencies `along` the
     flight.
     """
     sheets: list[Sheet] = [("vehicle-derivatives", lambda: derivatives(along, f"Stability derivatives: {vehicle}"))]

@@ -97,7 +97,7 @@ def contours() -> list[tuple[str, Array, Array]]:
 
 
 def _placed(loop: ComplexArray) -> tuple[Array, Array]:
-    """Return phase in [-360, 0) and level, with gaps where the phase jumps."""
+    """Return the phase in [-360, 0) and level, with gaps where the phase jumps."""
     turn, level = _turn(loop), decibels(loop)
     jump = np.flatnonzero(np.abs(np.diff(turn)) > 180.0) + 1
     return np.insert(turn, jump, np.nan), np.insert(level, jump, np.nan)

@@ -391,7 +391,7 @@ def search_table(solution: Solution) -> list[str]:
 
 
 def search_rows(solution: Solution) -> list[tuple[str, str]]:
-    """Return names and texts of the search and of the certainty of the optimum."""
+    """Return the names and texts of the search and of the certainty of the optimum."""
     c = solution.certificate
     counts = Counter(x.what for x in solution.constraints if x.active)
     active = [f"{what} ({n} nodes)" if n > 1 else what for what, n in counts.items()]
@@ -459,7 +459,7 @@ _NUMBERS = ("stable", "unstable_poles", "growth_1ps", "growth_hz", "crossover_hz
 
 
 def margins_record(m: Margins) -> dict[str, Any]:
-    """Return stability and margins with their frequencies."""
+    """Return the stability and margins with their frequencies."""
     record: dict[str, Any] = {key: getattr(m, key) for key in _NUMBERS}
     for key, unit in _BOUNDS.items():
         bound = getattr(m, f"{key}_{unit}")

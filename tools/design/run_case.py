@@ -405,7 +405,7 @@ def _before(names: Sequence[str], name: str) -> str:
 
 
 def order_designs(orders: Sequence[FoundDesigns]) -> Iterator[tuple[str, str, Design, list[Solution]]]:
-    """Return structure, schedule, design and the solution of each stage, if every stage meets its limits with them."""
+    """Return the structure, schedule, design and solution of each stage, if every stage meets its limits with them."""
     for structure, schedule in orders[0] if orders else ():
         solutions = [found[structure, schedule][1] for found in orders]
         if all(solution.feasible for solution in solutions):

@@ -50,7 +50,7 @@ def trials_text(solution: Solution) -> str:
 
 
 def way_out_record(solution: Solution) -> dict[str, Any]:
-    """Return conflict and trials for design.json."""
+    """Return the conflict and trials for design.json."""
     limits = [
         {
             "limit": each.name,

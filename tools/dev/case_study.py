@@ -188,7 +188,7 @@ def between() -> list[str]:
 
 
 def parameters() -> list[str]:
-    """Return gains at the first and last node, and the filter, of the optima with identical limits."""
+    """Return the gains at the first and last node, and the filter, of the optima with identical limits."""
     rows = []
     for (structure, schedule), o in orders("flown", "identical").items():
         ends = [f"{o['gains'][k][0]:.4f} to {o['gains'][k][-1]:.4f}" for k in ("k_p", "k_d_s")]
@@ -357,7 +357,7 @@ def tvc_load() -> list[str]:
 
 
 def worst(nodes: Sequence[Node], design: Design) -> tuple[float, float, float]:
-    """Return gain margin, dB, phase margin, deg, and least |1 + L|, or NaN if an operating point is unstable."""
+    """Return the gain margin, dB, phase margin, deg, and least |1 + L|, or NaN if an operating point is unstable."""
     judged = judge(nodes, design, "sampled")
     if not all(j.margins.stable for j in judged):
         return math.nan, math.nan, math.nan

@@ -18,7 +18,7 @@ EXTRAS = ("dask",)
 
 
 def lowest_versions(pyproject: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Return name and lowest version of each requirement of the package and its build.
+    """Return the name and lowest version of each requirement of the package and its build.
 
     Raises ValueError without one.
     """

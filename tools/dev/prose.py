@@ -76,7 +76,7 @@ class Sources:
 
 @cache
 def strings(sources: Sources) -> tuple[tuple[str, str, bool], ...]:
-    """Return place and text of every string, and True for a docstring."""
+    """Return the place and text of every string, and True for a docstring."""
     found = []
     for name, (_, tree) in sources.modules.items():
         bare: set[int] = set()  # strings that are statements, such as docstrings

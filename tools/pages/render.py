@@ -84,7 +84,7 @@ def _in_css(text: Any) -> Markup:
 
 
 def _signs(value: Any) -> Any:
-    """Return comparison signs as they are printed, never separated from their number."""
+    """Return the comparison signs as they are printed, never separated from their number."""
     if not isinstance(value, str) or isinstance(value, Markup):
         return value
     return value.replace("<= ", "≤\u00a0").replace(">= ", "≥\u00a0")

@@ -70,7 +70,7 @@ class Plot:
 
 
 def look(number: int) -> Series:
-    """Return colour and dashes of the curve of that number."""
+    """Return the colour and dashes of the curve of that number."""
     return {"colour": COLOURS[number % len(COLOURS)], "dash": DASHES[number % len(DASHES)]}
 
 

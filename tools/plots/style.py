@@ -263,5 +263,5 @@ def plain_numbers(axis: Axis) -> None:
 
 
 def curve(number: int) -> dict[str, Any]:
-    """Return colour and dashes of the curve of that number."""
+    """Return the colour and dashes of the curve of that number."""
     return {"color": ON_LIGHT[number % len(ON_LIGHT)], "linestyle": DASHES[number % len(DASHES)]}

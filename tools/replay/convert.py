@@ -179,7 +179,7 @@ def _send_scene(
     *,
     near: bool,
 ) -> _Drawn:
-    """Send vehicle and trajectory. `colour` is that of one flight among others."""
+    """Send the vehicle and trajectory. `colour` is that of one flight among others."""
     place = place_of(flight)
     scenario = flight.scenario if near else None
     shape = shape_of(scenario.vehicle) if scenario is not None else None

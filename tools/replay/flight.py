@@ -78,12 +78,12 @@ class Moment:
 
     @property
     def label(self) -> str:
-        """Return name and time, for a picture."""
+        """Return the name and time, for a picture."""
         return f"{self.name.replace('_', ' ')} {self.time_s:.1f} s"
 
     @property
     def line(self) -> str:
-        """Return time and text, for a list."""
+        """Return the time and text, for a list."""
         return f"{self.time_s:9.3f} s  {self.text}"
 
 
@@ -105,7 +105,7 @@ class ShownRequirement:
 
     @property
     def shown(self) -> tuple[str, str, str]:
-        """Return value, limit and their engineering unit, as text."""
+        """Return the value, limit and their engineering unit, as text."""
         return against_limit(math.nan if self.value is None else self.value, self.kind, self.bound, self.unit)
 
 
@@ -251,7 +251,7 @@ def _scenario_text(log: Log) -> str | None:
 
 
 def launch_of(log: Log) -> tuple[EarthSection, Site]:
-    """Return Earth and launch site from two tables of the scenario.
+    """Return the Earth and launch site from two tables of the scenario.
 
     Reading the whole scenario takes a third of a second.
 

@@ -33,7 +33,7 @@ class Mesh:
 
     @property
     def normals(self) -> Array:
-        """Return outward normals (n, 3): the means of the normals of the adjoining faces."""
+        """Return the outward normals (n, 3): the means of the normals of the adjoining faces."""
         a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
         normals = np.zeros_like(self.vertices)
         for k in range(3):
@@ -219,7 +219,7 @@ def _fins(stage: StageShape, a: float, b: float) -> list[Mesh]:
 
 
 def _bell(length: float, exit_radius: float) -> list[tuple[float, float]]:
-    """Return chamber, throat and bell of a nozzle, from the exit to the gimbal at x = 0."""
+    """Return the chamber, throat and bell of a nozzle, from the exit to the gimbal at x = 0."""
     throat = 0.4 * exit_radius
     x = np.linspace(-length, -0.35 * length, 8)
     share = (x + length) / (0.65 * length)

@@ -47,7 +47,7 @@ class PlotLine:
     compute: Callable[[Channels], TimesAndValues] | None = None
 
     def values(self, channels: Channels) -> TimesAndValues:
-        """Return times (n,) in ns and values (n,) in the plot's unit."""
+        """Return the times (n,) in ns and values (n,) in the plot's unit."""
         if self.compute is not None:
             return self.compute(channels)
         return channels.time_ns(self.channel), channels[self.channel]
@@ -335,7 +335,7 @@ def _limits(row: _Row, scenario: Scenario | None) -> tuple[Limit, ...]:
 
 # -- ranges --------------------------------------------------------------------------------------------------------
 def range_of(values: Sequence[Array]) -> tuple[float, float] | None:
-    """Return smallest and largest of all finite values, or None if there are none."""
+    """Return the smallest and largest of all finite values, or None if there are none."""
     ends = [(float(some.min()), float(some.max())) for v in values if len(some := v[np.isfinite(v)])]
     return (min(a for a, _ in ends), max(b for _, b in ends)) if ends else None
 

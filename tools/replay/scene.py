@@ -258,7 +258,7 @@ class Scene:
         self._rec.reset_time()
 
     def _bend(self, shape: VehicleShape, channels: Channels, begin_ns: int, end_ns: int) -> None:
-        """Send pieces, engine and liquids of the stage that flies between two times."""
+        """Send the pieces, engine and liquids of the stage that flies between two times."""
         number, stage = self._stage, shape.stages[self._stage]
         hull = f"vehicle/body/hull/stage{number + 1}"
         ns = channels.time_ns("gimbal_pitch_angle_deg" if "gimbal_pitch_angle_deg" in channels else "cg_station_m")

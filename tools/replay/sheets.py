@@ -296,7 +296,7 @@ def _mark_events(places: Sequence[Axes], flight: ReplayFlight, span_s: tuple[flo
 
 # -- plots that are not over time ------------------------------------------------------------------------------------
 def special_sheets(shown: Flights) -> Iterator[tuple[str, Figure]]:
-    """Return name of the file and figure of each sheet for which the logs have channels."""
+    """Return the name of the file and figure of each sheet for which the logs have channels."""
     reference, has = shown.reference, shown.reference.log
     if moving := [f for f in shown.all if has_motion(f.log)]:
         yield "10-path", _path(Flights(moving, reference))
@@ -466,7 +466,7 @@ def _requirements(shown: Flights) -> Figure:
 
 
 def _sections(shown: Flights, stage: int, loads: LoadsSection) -> Figure:
-    """Draw envelopes of the section loads over the stations, on the pad and under thrust, with the permissible
+    """Draw the envelopes of the section loads over the stations, on the pad and under thrust, with the permissible
     loads.
     """
     radius, stations = borne(loads, "radius_m"), np.array(loads.stations_m)

@@ -79,7 +79,7 @@ def send_scalars(recording: rr.RecordingStream, entity: str, times_ns: IntArray,
 
 # -- curves --------------------------------------------------------------------------------------------------------
 def _curves(root: str, tabs: Sequence[Tab]) -> Iterator[tuple[str, int, ReplayPlot, PlotLine]]:
-    """Return entity and number of every curve of these tabs."""
+    """Return the entity and number of every curve of these tabs."""
     for tab in tabs:
         for plot in tab.plots:
             for i, curve in enumerate(plot.curves):
@@ -94,7 +94,7 @@ def send_styles(
     prefix: str = "",
     alpha: float = 1.0,
 ) -> None:
-    """Send names and colours: one `colour` for all curves of a flight, or one for each (None).
+    """Send the names and colours: one `colour` for all curves of a flight, or one for each (None).
 
     `prefix` precedes the names.
     """

@@ -192,7 +192,7 @@ def _surface(stage: Stage, part: str) -> AeroSurface | None:
 
 
 def _nose(stage: Stage, radius: float, end: float) -> Array:
-    """Return stations and radii (n, 2) of a tangent ogive."""
+    """Return the stations and radii (n, 2) of a tangent ogive."""
     surface = _surface(stage, "nose")
     length = 1.5 * float(np.median(surface.table["station_m"])) if surface is not None else 5.0 * radius
     length = min(max(length, radius), 0.5 * end)

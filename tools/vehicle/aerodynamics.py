@@ -60,7 +60,7 @@ class Aerodynamics:
         return 0.25 * math.pi * self.diameter_m**2
 
     def normal(self, mach: float) -> tuple[float, float]:
-        """Return slope, 1/rad, and centre of pressure, m aft of the nose."""
+        """Return the slope, 1/rad, and centre of pressure, m aft of the nose."""
         slopes = [float(np.interp(mach, self.mach, s.slope_pr)) for s in self.surfaces]
         stations = [float(np.interp(mach, self.mach, s.station_m)) for s in self.surfaces]
         return sum(slopes), float(np.dot(slopes, stations)) / (sum(slopes) or math.nan)
@@ -205,7 +205,7 @@ def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]
 
 
 def _fins(fins: LayoutFins, name: str, radius_m: float, reference_m: float) -> tuple[Surface, Array, float]:
-    """Return surface, Clp and the area of one fin, by Barrowman (equations 3-57, 3-31 and strip theory in roll)."""
+    """Return the surface, Clp and the area of one fin, by Barrowman (equations 3-57, 3-31 and strip theory in roll)."""
     s, root, tip = fins.semispan_m, fins.root_chord_m, fins.tip_chord_m
     middle = math.hypot(s, fins.sweep_m + 0.5 * (tip - root))  # length of the mid-chord line
     interference = 1.0 + radius_m / (s + radius_m)

@@ -72,7 +72,7 @@ class Beam:
         return out
 
     def _matrices(self, density_kgpm: Array) -> tuple[Array, Array]:
-        """Return stiffness and consistent mass over (displacement, slope) of each node."""
+        """Return the stiffness and consistent mass over (displacement, slope) of each node."""
         h = float(self.nodes_m[1] - self.nodes_m[0])
         k_unit = (
             np.array(

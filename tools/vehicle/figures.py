@@ -104,7 +104,7 @@ def _masses(built: Built) -> Plot:
 
 
 def _modes(built: Built) -> Plot:
-    """Return shapes at each ignition, and frequencies over flight time."""
+    """Return the shapes at each ignition, and frequencies over flight time."""
     shown = [n for n, (_, modes) in enumerate(built.modes) if modes[0]]
     panels, frequencies = list[Panel](), list[Series]()
     for n in shown:

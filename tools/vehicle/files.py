@@ -155,7 +155,7 @@ def _aero(built: Built, n: int, tables: Tables) -> dict[str, Any]:
 
 
 def _loads(stack: Stack, prefix: str, tables: Tables) -> dict[str, Any]:
-    """Return masses along the body, the strength of the shells, and the liquids, for section loads."""
+    """Return the masses along the body, the strength of the shells, and the liquids, for section loads."""
     stage, layout = stack.stage, stack.layout
     assert stage.loads is not None
     dry = sorted((r.front_station_m, r.rear_station_m, r.mass_kg) for r in stack.dry)

@@ -175,7 +175,7 @@ class Stack:
 
     @cached_property
     def dry(self) -> list[Rod]:
-        """Return structure, engines and, of the stages ahead, full tanks."""
+        """Return the structure, engines and, of the stages ahead, full tanks."""
         rods = []
         if self.fairing and (f := self.layout.fairing) is not None:
             rods.append(ring(f.mass_kg, f.front_station_m, f.rear_station_m, 0.5 * self.layout.stage[-1].diameter_m))
@@ -264,7 +264,7 @@ def without_fairing(every: Sequence[Stack], number: int, clock_s: float) -> list
 
 
 def engine_inertia(e: LayoutEngines) -> tuple[float, float, float]:
-    """Return gimballed mass, its CG aft of the gimbal, and transverse inertia about the gimbal, of one engine."""
+    """Return the gimballed mass, its CG aft of the gimbal, and transverse inertia about the gimbal, of one engine."""
     length = e.exit_station_m - e.gimbal_station_m
     mass = 0.8 * e.mass_kg if e.gimballed_mass_kg is None else e.gimballed_mass_kg
     arm = 0.3 * length if e.cg_from_gimbal_m is None else e.cg_from_gimbal_m

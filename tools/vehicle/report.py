@@ -43,7 +43,7 @@ def tables(built: Built) -> list[LayoutTable]:
 
 
 def notes(built: Built) -> list[tuple[str, list[str]]]:
-    """Return titles and lines of the assumptions and of unusual values."""
+    """Return the titles and lines of the assumptions and of unusual values."""
     both = (("assumed beyond the layout", built.assumed), ("unusual", warnings(built)))
     return [(title, lines) for title, lines in both if lines]
 

@@ -135,7 +135,7 @@ class _Model:
 
     @cached_property
     def masses(self) -> list[tuple[Array, Array]]:
-        """Return clock and mass of each stack."""
+        """Return the clock and mass of each stack."""
         out = []
         for stack in self.stacks:
             clock = np.linspace(0.0, stack.burn.end_s, 201)
@@ -154,7 +154,7 @@ class _Model:
         return begin + self.stacks[1].burn.start_s, begin + sum(ends) - self.stacks[-1].stage.separation_after_s
 
     def acts(self, n: int, t: float, altitude: float, speed: float) -> tuple[float, float, float, float]:
-        """Return thrust N, drag N, dynamic pressure Pa, Mach number."""
+        """Return the thrust (N), the drag (N), the dynamic pressure (Pa) and the Mach number."""
         density, pressure, sound = air(altitude)
         mach, q = speed / sound, 0.5 * density * speed**2
         burn, e, aero = self.stacks[n].burn, self.layout.stage[n].engine, self.aero[n]
@@ -282,7 +282,9 @@ _standard, _upper = from_python(us1976), upper_air()
 
 
 def air(altitude_m: float) -> tuple[float, float, float]:
-    """Return density, pressure, speed of sound of US Standard Atmosphere 1976. Its end values apply above 1000 km."""
+    """Return the density, pressure and speed of sound of US Standard Atmosphere 1976. Its end values apply above 1000
+    km.
+    """
     if altitude_m >= TOP_m:
         log_density, log_pressure, _ = _upper(min(altitude_m, 999e3))
         density, pressure = math.exp(log_density), math.exp(log_pressure)
@@ -358,8 +360,8 @@ def _steer_to(model: _Model, altitude_m: float) -> None:
     radius, flown = earth.WGS84_RADIUS_m + altitude_m, dict[tuple[float, ...], Array]()
 
     def ends(x: Array) -> Array:
-        """Return height above the required altitude, path angle and speed at the end, each over its scale. x is scaled
-        likewise.
+        """Return the height above the required altitude, path angle and speed at the end, each over its scale. x is
+        scaled likewise.
         """
         given = tuple(float(v) for v in x)
         if given not in flown:

@@ -273,7 +273,7 @@ def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:
 
 
 def _lines(nodes: Sequence[NodeCertificate], n: int, *, rounded: bool) -> Iterator[tuple[float, float, str, str]]:
-    """Return frequency, difference, reason and operating point of every line that is judged."""
+    """Return the frequency, difference, reason and operating point of every line that is judged."""
     for c in nodes:
         r = c.responses
         flown, clean = ((r.difference_db, r.unrounded_db), (r.difference_deg, r.unrounded_deg))[n]

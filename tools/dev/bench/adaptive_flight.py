@@ -74,7 +74,7 @@ class AdaptiveFlight:
         return self._dy[: self._n].copy()
 
     def until(self, end_ns: int, every_ns: int) -> Iterator[tuple[int, Array]]:
-        """Return time (ns) and state at every multiple of `every_ns` up to `end_ns`, which must be instants."""
+        """Return the time (ns) and state at every multiple of `every_ns` up to `end_ns`, which must be instants."""
         packed, clock = self.run.packed, self.run.memory.clock
         arguments = (packed.parameters, packed.pool, packed.memory, packed.state, self._scratch)
         while int(clock.now_ns) < end_ns:

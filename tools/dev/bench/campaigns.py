@@ -39,7 +39,7 @@ def _ksr3(*overrides: str) -> LoadedCampaign:
 
 
 def local(runs: int = RUNS) -> dict[str, float]:
-    """Return rates and overhead with threads."""
+    """Return the rates and overhead with threads."""
     campaign = _ksr3().with_campaign(runs=runs)
     load_kernels(campaign)
     workers = cores()
@@ -90,7 +90,7 @@ PARTS: dict[str, tuple[Any, str]] = {
 
 
 def profile(runs: int = RUNS // 2) -> dict[str, float]:
-    """Return processor time by part, ms per run, of a campaign on one worker.
+    """Return the processor time by part, ms per run, of a campaign on one worker.
 
     "other" is the remainder of the process's time.
     """

@@ -36,7 +36,7 @@ def prepare() -> Callable[[], tuple[int, State]]:
 
 
 def _state(read: Callable[[str], float]) -> State:
-    """Return position in the Earth's frame, attitude in the local one."""
+    """Return the position in the Earth's frame and the attitude in the local frame."""
     half = [0.5 * read(f"attitude/{name}-rad") for name in ("phi", "theta", "psi")]
     (cr, cp, cy), (sr, sp, sy) = ([f(a) for a in half] for f in (math.cos, math.sin))
     position_m = [M_PER_FT * read(f"position/ecef-{axis}-ft") for axis in "xyz"]

@@ -22,7 +22,7 @@ IN_MEMORY = "maxq.tools.dev.bench.fly_in_memory"
 
 
 def _run(command: list[str], environment: dict[str, str], codes: tuple[int, ...]) -> dict[str, float]:
-    """Return wall and CPU time (s) and peak memory (MB) of a command, with its children included in the CPU time.
+    """Return the wall and CPU time (s) and peak memory (MB) of a command, with its children included in the CPU time.
 
     Raises RuntimeError if the exit code is not one of `codes`.
     """

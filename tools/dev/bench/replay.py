@@ -42,7 +42,7 @@ def _memory_of(process: subprocess.Popen[bytes]) -> float:
 
 
 def _timed(*arguments: str) -> dict[str, float]:
-    """Return wall and processor time and memory of a command with its children, the best of a few rounds.
+    """Return the wall and processor time and memory of a command with its children, the best of a few rounds.
 
     Raises RuntimeError if the command fails.
     """
