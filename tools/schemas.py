@@ -32,7 +32,7 @@ MODELS: dict[str, type[Section]] = {
     "layout": Layout,
 }
 KINDS = tuple(MODELS)
-_EXTENDS = {"type": "string", "description": "file on top of which this one lies"}
+_EXTENDS = {"type": "string", "description": "file that this one extends"}
 _UNSET = {"type": "array", "items": {"type": "string"}, "description": "keys of the extended file to remove"}
 
 

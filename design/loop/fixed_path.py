@@ -130,7 +130,7 @@ class FixedPath(abc.ABC):
             return np.asarray(all_of_them[..., 1 + further.index(measurement)] / all_of_them[..., 0])
         if measurement not in MEASUREMENTS:
             known = ", ".join((*MEASUREMENTS, *further))
-            raise ValueError(f"a law takes {measurement}: what is measured is {known}")
+            raise ValueError(f"a law uses {measurement}; measured are {known}")
         if measurement in ANGLES:
             return self.integrator(f) ** (1 + ANGLES.index(measurement))
         return np.full(f.shape, 1.0 if self.takes_rate else 0.0, np.complex128)

@@ -201,7 +201,7 @@ def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, w
             if len(found) >= count:
                 return found[:count]
     if not found:
-        problem, allowed = "none of its flights is under thrust at all nodes", "0, or a campaign that flies so far"
+        problem, allowed = "none of its flights is under thrust at all nodes", "0, or a campaign that flies longer"
         raise ScenarioError(campaign.name, problem, "margins.trajectories", value=count, allowed=allowed)
     return found
 

@@ -143,7 +143,7 @@ class SuiteFlight(Section):
     def _check(self) -> None:
         for key in self.each:
             if f"${key}" not in self.name:
-                raise refuse(f"does not tell the flights of ${key} apart", f"a name with ${key}", "name")
+                raise refuse(f"does not distinguish the flights of ${key}", f"a name with ${key}", "name")
 
     def flights(self) -> list[SuiteFlight]:
         """Return one flight for each combination of `each`, or this one."""

@@ -402,7 +402,7 @@ def errata_report(found: Sequence[Effect], order: AnalysisOrder, width: int | No
     by_place = {(e.erratum, e.node.time_s): e for e in found}
     about = {e.erratum: e.about for e in found}
     head = [
-        "errata of Lee, Ahn & Roh: what each does, left in alone, to the open loop (cut at the gimbal command,",
+        "errata of Lee, Ahn & Roh: effect of each, left in alone, on the open loop (cut at the gimbal command,",
         f"paper's Pade approximants) of {order.design} along {order.scenario}; plant: {order.plant}",
     ]
     rows = [("nr", "switch", "equations", "as printed", "corrected")]

@@ -26,7 +26,7 @@ def way_out_table(solution: Solution) -> list[str]:
         if (residual := solution.certificate.kkt_residual) > UNSETTLED:
             lines.append(f"  uncertain: the optimality conditions are met to {residual:.1e} only")
         if solution.bounds:
-            lines.append("  bounds of variables, and what moving them gains")
+            lines.append("  active bounds of variables, and the gain by moving them")
             lines += [f"    {bound.text}" for bound in _dearest(solution)]
     if solution.trials:
         lines.append(f"  short trials from the best effort, which misses {solution.violation_db:.3g} dB")

@@ -43,7 +43,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Passage:
-    """A piece of prose: where it is, and whether it consists of sentences."""
+    """A piece of prose, its place, and a flag for text that consists of sentences."""
 
     place: str
     words: str

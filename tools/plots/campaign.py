@@ -73,7 +73,7 @@ def plots(
             "histograms",
             "Metrics of all runs",
             [panel for v in verdicts if v.metric and (panel := _histogram(data, v)) is not None],
-            f"Red: the limit, and runs beyond it.{dashed} Metrics that have one value in all runs are left out.",
+            f"Red: the limit, and runs beyond it.{dashed} Metrics with one value in all runs are omitted.",
             columns=3,
             height=150,
         ),
@@ -95,7 +95,7 @@ def plots(
         ),
         Plot(
             "drivers",
-            "What drives each metric",
+            "Drivers of each metric",
             [_tornado(v, drivers[:8], labels) for v, drivers in driven],
             "Rank correlation of the inputs with the metric. Grey: 95 % of inputs without influence stay within the "
             "band.",

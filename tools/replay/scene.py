@@ -113,7 +113,7 @@ class Scene:
         colours = load_colours(0.5 * (share[1:] + share[:-1])) | np.uint32(255)
         strips = rr.LineStrips3D(np.stack([points[:-1], points[1:]], axis=1), colors=colours, radii=0.012 * self._size)
         self._log("vehicle/legend", strips)
-        largest = f"{self._largest_moment_Nm / 1e3:.3g} kN m: the largest so far"
+        largest = f"{self._largest_moment_Nm / 1e3:.3g} kN m: largest value so far"
         labels = ["bending moment: 0", "50 %", largest if sections.limit_Nm is None else "100 % of the limit"]
         marks = rr.Points3D(points[::10], labels=labels, show_labels=True, radii=0.0, colors=rgba(WHITE))
         self._log("vehicle/legend/shares", marks)

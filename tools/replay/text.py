@@ -73,11 +73,11 @@ def _verdict(flight: ReplayFlight) -> str:
 def _went_wrong(flights: Sequence[tuple[str, ReplayFlight]]) -> list[str]:
     """Return warnings and more severe events in whole sentences, which the narrow list of events truncates."""
     said = [f"- {name}{m.line.strip()}" for name, f in flights for m in f.moments if m.level >= Level.WARNING]
-    return ["## What went wrong", "", *said, ""] if said else []
+    return ["## Problems", "", *said, ""] if said else []
 
 
 def _notes(notes: Sequence[str]) -> list[str]:
-    return ["## What is missing", "", *(f"- {note}" for note in notes), ""] if notes else []
+    return ["## Missing data", "", *(f"- {note}" for note in notes), ""] if notes else []
 
 
 def _requirement(r: ShownRequirement) -> str:
@@ -89,7 +89,7 @@ def _requirement(r: ShownRequirement) -> str:
 
 def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[str]:
     """Return the section on scales and colours of the picture."""
-    moved = ["- Axes: east, north, up where the flight began, which is far from the site."]
+    moved = ["- Axes: east, north, up at the start of the flight, which is far from the site."]
     return [
         "## How it is drawn",
         "",
@@ -102,7 +102,7 @@ def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[s
         *(moved if place is not None and place.moved else []),
         "- The ground is drawn under the vehicle; the simulation begins with the CG at the site's altitude.",
         "- Red, green and blue axes: x, y and z of the body, from its CG.",
-        "- Skin, nose and fins follow the file of the vehicle; what it does not say has customary proportions.",
+        "- Skin, nose and fins follow the vehicle file; missing dimensions have customary proportions.",
         "",
     ]
 

@@ -130,7 +130,7 @@ def _that_count(
             out[n] = modes[n][0], [at[:kept] for at in modes[n][1]]
         if kept < stage.modes:
             above = f"from {lowest[kept]:.0f} Hz, above the computer's {highest_hz:g} samples a second"
-            words.append(f"{stage.name}: bending modes from number {kept + 1} on are left out ({above})")
+            words.append(f"{stage.name}: bending modes from number {kept + 1} on are omitted ({above})")
     return out, words
 
 
@@ -232,7 +232,7 @@ def _assumed(built: Built) -> list[str]:
         "propellants drain in proportion to their load; liquids contribute to the roll inertia only via roll_share",
         f"first gains: {first_hz} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
     ]
-    lines.append(f"limit wind of the suite: from the west, {layout.site.jet_mps:g} m/s at 11 km; put your site's there")
+    lines.append(f"limit wind of the suite: from the west, {layout.site.jet_mps:g} m/s at 11 km; use that of your site")
     if layout.fairing is not None:
         dropped = [n for n, stack in enumerate(built.stacks) if stack.drops_fairing]
         at = f"dropped at {built.flight.begins_s[dropped[0] + 1]:.1f} s" if dropped else "never dropped: too low"

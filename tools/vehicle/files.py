@@ -137,7 +137,7 @@ def _aero(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         "Clp": aero.roll_damping,
         "C_crossflow": np.full(len(aero.mach), aero.crossflow),
     }
-    if given is not None and given.coefficients:  # what stands there acts besides
+    if given is not None and given.coefficients:  # the given coefficients act in addition
         worked_out = {key: worked_out[key] for key in ("Cmq", "Clp", "C_crossflow")}
     out = {} if given is None else _copied(given, name, tables)
     if missing := {key: column for key, column in worked_out.items() if key not in table}:
@@ -447,7 +447,7 @@ def _closed_loop(built: Built) -> dict[str, Any]:
     if wanted.apogee_altitude_m > reached_m:
         raise ScenarioError(
             built.layout.name,
-            "is beyond what all propellant reaches",
+            "exceeds the altitude that all propellant reaches",
             "trajectory.apogee_altitude_m",
             value=wanted.apogee_altitude_m,
             allowed=f"up to {reached_m:.6g}",
@@ -501,9 +501,9 @@ def _suite(built: Built) -> dict[str, Any]:
         "file": "campaign.toml",
         "limits": "dispersed",
         "success": 0.95,
-        "why": "what a hundred flights can show if none of them fails; for 99.73 % more runs are needed",
+        "why": "demonstrated by a hundred flights without failure; 99.73 % needs more runs",
     }
-    why = "what 60 vehicles can show with none or one that fails"
+    why = "demonstrated by 60 vehicles with at most one failure"
     margins: dict[str, Any] = {"nodes_per_stage": 7, "cases": 60, "success": 0.95, "why": why}
     return {
         "schema": 2,

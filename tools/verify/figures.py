@@ -137,7 +137,7 @@ def _worst_flights(found: Verification) -> Plot:
                 if v.requirement.metric == metric and abs(v.value) > 0.5 * v.bound[1]:
                     series += [limit(side * v.bound[1], note=f"{side * v.bound[1]:g}") for side in (1, -1)]
             panels.append(Panel(f"{f.name}: {title}", series, "time, s", "deg"))
-    caption = "The scenarios with the least room at any of their limits. Limits are drawn where half of one is used."
+    caption = "The scenarios with the least margin to any of their limits. Limits are drawn if half of one is used."
     return Plot("worst-flights", "Worst scenarios", panels, caption, 2, 130)
 
 
@@ -350,7 +350,7 @@ def _slosh(found: Verification) -> Plot:
         here, name = [a.time_s for a in mine], tank_name(found.scenario.vehicle, stage, tank)
         stations.append(line(here, [a.bob_station_m for a in mine], name, **look(n)))
         damping.append(line(here, [a.needed for a in mine], f"{name}", **look(n)))
-        damping.append(line(here, [a.damping for a in mine], "what the tank has (thin)", **(look(n) | {"width": 0.7})))
+        damping.append(line(here, [a.damping for a in mine], "of the tank (thin)", **(look(n) | {"width": 0.7})))
     panels = [
         Panel("where the liquid swings", stations, "time, s", "m aft of the nose", down=True),
         Panel("damping ratio that the loop needs", damping, "time, s", ""),
