@@ -23,9 +23,9 @@ ZoneName = Literal["none", "ellipse", "diamond", "rectangle"]
 Degrees = Annotated[float, Field(gt=0.0, le=90.0)]
 Negative = Annotated[float, Field(lt=0.0)]
 LAST_MODE = 999
-"""Number beyond that of any bending mode."""
+"""A number beyond that of any bending mode."""
 TOLERANCE = 5e-4
-"""Tolerance of a limit in dB and deg: rounding of the digits of a file is far less."""
+"""The tolerance of a limit in dB and deg. The rounding of the digits of a file is far less."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _integral_hz(loop: MeasuredLoop, _: Convention) -> float:
 
 
 MEASURED = _declared(LoopLimits)
-"""Quantities that the margins of a loop give, by key, in the order of reports."""
+"""The quantities that the margins of a loop give, by key, in the order of reports."""
 SWEPT = (
     "gain_up_db",
     "gain_down_db",
@@ -195,7 +195,7 @@ SWEPT = (
     "first_mode_phase_deg",
     "modes_from_2_db",
 )
-"""Quantities of dispersed vehicles: fields of `margins.many.MEASURES`, the delay there in s."""
+"""The quantities of dispersed vehicles: fields of `margins.many.MEASURES`, the delay there in s."""
 QUANTITIES: dict[str, Quantity] = MEASURED | {
     "unstable_poles": Quantity("unstable poles", "unstable", "", "<="),
     "zone": Quantity("Nichols zone", "zone", "", ">="),
@@ -206,4 +206,4 @@ QUANTITIES: dict[str, Quantity] = MEASURED | {
     "drift_mps": Quantity("drift in wind, rms", "drift", "m/s", "<="),
     "bending_moment": Quantity("bending moment in wind, rms", "M", "N m", "<="),
 }
-"""All quantities: also those of the filter, the law and the wind."""
+"""All quantities, including those of the filter, the law and the wind."""

@@ -70,7 +70,7 @@ def labels_of(campaign: LoadedCampaign) -> dict[str, str]:
 ReportRows = list[tuple[str, ...]]  # of a table; the first is its head
 _TEXTS = ("requirement", "verdict", "limit")  # heads of columns that hold no numbers
 _DISPENSABLE = ("at least", "success", "allowed", "bound", "quantile", "median", "to go", "failed", "run")
-"""Heads, or their last words, of the columns that a narrow terminal leaves out, the first one first."""
+"""The heads, or their last words, of the columns that a narrow terminal omits, in this order."""
 
 
 def requirement_rows(data: DataSet, verdicts: Sequence[Judged]) -> ReportRows:

@@ -32,7 +32,7 @@ _FINAL = (
     "bend_pitch_gimbal_m",
     "bend_yaw_gimbal_m",
 )
-"""The part of the state that is printed of a flight that diverged; summary.json has all of it."""
+"""The part of the state of a diverged flight that is printed. summary.json contains all of it."""
 _TIGHT = 0.95  # used share of a limit from which on a hint is given
 
 

@@ -31,7 +31,7 @@ BETWEEN = (
     "paper"
 )
 WIND_KEYS = ("q_alpha_Padeg", "drift_mps", "bending_moment")
-"""Limits that need a wind."""
+"""The limits that need a wind."""
 
 
 def check_range(value: BetweenTimes, key: str, lowest: float) -> None:

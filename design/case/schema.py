@@ -38,7 +38,7 @@ from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
 from maxq.sim.scenario.schema_design import Design, LoadReliefSection
 
 ObjectiveName = Literal["first-mode-peak", "least-margin", "load", "bending-moment"]
-"""Keys of `design.optimise.criteria.OBJECTIVES`."""
+"""The keys of `design.optimise.criteria.OBJECTIVES`."""
 
 Model = TypeVar("Model", bound=Section)
 CORNER = 0.1  # of the lowest rigid-body frequency: corner of the integral if the case gives none

@@ -38,7 +38,7 @@ DITHER_COUNTS = 6.0  # largest increment per sample of each dither tone, in puls
 LOWEST_BURST_HZ = 0.05
 
 Groups = list[tuple[float, Array]]
-"""Amplitudes (rad), each with its lines (Hz)."""
+"""The amplitudes (rad), each with its lines (Hz)."""
 
 
 class Excited(Protocol):

@@ -52,7 +52,7 @@ _NOSE_UP_DEG = (0.0, 90.0, 0.0)
 
 
 PackedChange = Callable[[Packed], None]
-"""Alters a packed flight in place."""
+"""A function that alters a packed flight in place."""
 
 
 def unchanged(packed: Packed) -> None:

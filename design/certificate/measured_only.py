@@ -36,7 +36,7 @@ TRIALS: dict[MarginName, tuple[float, ...]] = {
     "gain_down": _TRIALS_DB,
     "delay": (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.04, 0.055, 0.075, 0.1, 0.13, 0.16),
 }
-"""Alterations that are tried one after the other, dB and s."""
+"""The alterations that are tried one after the other, dB and s."""
 WATCHED_S = 48.0  # after the burst of a trial
 GROWS = 1.25  # amplitude of the last quarter of a trial relative to the second quarter
 UNSTABLE = "the loop is unstable as it is"

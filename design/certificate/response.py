@@ -27,7 +27,9 @@ BANDS = (
     band(2.75, 12.0, 16, 80.0, 12.0, 1, dithered=True),
     band(12.5, 49.5, 12, 120.0, 12.0, 1, dithered=True),
 )
-"""Long enough for the lowest line, strong enough for the highest: what limits the level differs from band to band."""
+"""The bands of lines, long enough for the lowest line and strong enough for the highest. The quantity that limits
+the level differs from band to band.
+"""
 UNROUNDED_FROM_HZ = 2.7
 UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S = 40.0, 40.0
 

@@ -24,7 +24,7 @@ from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 
 FrequencyAndDamping = tuple[float, float]
 AnyFilter = BendingFilter | DiscreteFilter | None
-"""Continuous, discrete at the flight computer's period, or none: 1."""
+"""A filter, continuous or discrete at the flight computer's period, or none: 1."""
 
 QUADRATIC, FIRST_ORDER = 4, 2  # variables of a section
 TWO_PI = 2.0 * np.pi

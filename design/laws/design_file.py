@@ -19,7 +19,7 @@ from maxq.sim.scenario.schema_design import Design, DesignBasis, RollSection, St
 DESIGN_NAME = "design.toml"
 _DIGITS = 9
 _PLAIN_LIST = re.compile(r"\[\n((?: +[-+.\w\"]+,\n)+) *\]")
-"""A list of numbers or words, each in a line of its own."""
+"""A list of numbers or words, each on its own line."""
 
 
 def design_path(name: str) -> str:

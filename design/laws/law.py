@@ -104,7 +104,7 @@ class DesignedLaw(Protocol):
 
 
 Axis = tuple[ComplexArray, ...]
-"""What a law needs of frequencies, in arrays (points,); a law's own choice (`LawVariables.axis`)."""
+"""The data that a law needs of frequencies, in arrays (points,). The law chooses its content (`LawVariables.axis`)."""
 
 
 @dataclass(frozen=True)

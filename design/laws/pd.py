@@ -31,7 +31,7 @@ from maxq.sim.packing.computer import bending_filter, gain_schedules
 from maxq.sim.scenario.schema_design import Design
 
 LoopFilter = tuple[BendingFilter, Discretization, float | None]
-"""A loop's own continuous filter, how it is discretised, and where it is prewarped."""
+"""A loop's own continuous filter, its discretisation, and its prewarping frequency."""
 BANKS = ("attitude", "rate", "acceleration")
 
 

@@ -28,15 +28,16 @@ from maxq.design.model.instruments import ACCELERATION, further_rate
 from maxq.design.model.state_space import ComplexArray
 
 LEAPS = ((0.3, 0.0), (0.2, 0.1), (0.03, 0.15))
-"""Sizes of leaps, taken in turn: of the filter's variables and of the gains'. Of sixteen leaps of each kind from the
-second-best end of F3 with free gains, 6, 5 and 3 found the best."""
+"""The sizes of random steps, used in turn: of the filter's variables and of the gains. Of sixteen steps of each
+kind from the second-best end of F3 with free gains, 6, 5 and 3 found the best.
+"""
 START_HZ, START_ZETA = 0.3, 0.5  # of the rigid body with its aerodynamics, if no limit requires more
 GAIN_FACTOR = 1.02  # of the starting gains relative to the least that meet the limits
 HERTZ, ZETA, AT_INFINITY = range(3)  # numbers of `PdVariables.limits`
 GAIN_OF = {"angle_rad": "k_p", "angle_integral_rads": "k_i_ps"}
 AIR = ("percussion_m", "accel_per_incidence_mps2")
 ValueAndSlopes = tuple[ComplexArray, ComplexArray, ComplexArray]
-"""Values at points with their first and second derivative by x = ln f."""
+"""The values at points with their first and second derivatives by x = ln f."""
 
 
 def _product(a: ValueAndSlopes, b: ValueAndSlopes) -> ValueAndSlopes:

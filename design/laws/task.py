@@ -73,5 +73,5 @@ class Task:
     further_gyros: int = 0  # whose weights in the blended rate are variables
     at: Array = field(default_factory=lambda: np.zeros(0))  # (plants,): the quantity over which the gains are scheduled
     incidence: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(plants, 2): `incidence_by_acceleration`, for a law that takes it."""
+    """The coefficients `incidence_by_acceleration` (plants, 2), for a law that uses them."""
     winds: Winds = ()  # of each plant, if the case defines wind

@@ -25,7 +25,7 @@ LOWEST_HZ, HIGHEST_HZ, POINTS = 0.02, 5.0, 96
 FINE = 0.004  # step of ln f above it, at bending modes: 8e-4 of the mean square at a damping ratio of 0.005
 LOAD, DRIFT, MOMENTS = 0, 1, 2  # outputs: moments have this index and those after it
 Key = str | float
-"""A quantity: by the name of its limit, or a bending moment by its station."""
+"""The key of a quantity: the name of its limit, or the station of a bending moment."""
 WIND_LIMITS = ("q_alpha_Padeg", "drift_mps")
 
 

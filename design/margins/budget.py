@@ -26,7 +26,7 @@ from maxq.design.model.state_space import ComplexArray, Resolvent, channels
 Response = Callable[[Array], ComplexArray]
 
 BUILD_UP = ("rigid body", "aerodynamics", "slosh", "engine inertia", "bending")
-"""Steps in which the vehicle is built up."""
+"""The steps in which the vehicle is built up."""
 _PATH = 400  # points, and decades below the frequency, along which a phase is unwrapped
 _DECADES = 4.0
 

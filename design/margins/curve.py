@@ -56,7 +56,7 @@ TAN_TURN = float(np.tan(TURN_RAD))
 _RATIO = 1.0 + np.sqrt(2.0)
 _STEPS = 25
 IMPROPER, WINDING = 1, 2
-"""Problems of a curve: |L| grows without bound; its phase turns too often to be followed."""
+"""The problems of a curve: |L| grows without bound, or its phase turns too often to be followed."""
 
 
 class Trace(NamedTuple):

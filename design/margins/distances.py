@@ -55,7 +55,7 @@ class Disks:
 
 _NO_DISK = Disk(np.nan, np.nan, np.nan, np.nan, np.nan)
 NO_DISKS = Disks(_NO_DISK, _NO_DISK, _NO_DISK)
-"""Of an unstable loop."""
+"""The disks of an unstable loop."""
 
 
 def disks_of(least: Array) -> Disks:

@@ -90,7 +90,7 @@ COLUMNS = (
     "contribution",
     "number",
 )
-"""The columns of a table of lobes; `number`: of the pole."""
+"""The columns of a table of lobes. `number` is that of the pole."""
 (LOW, HIGH, PEAK_DB, PEAK_HZ, PEAK_PHASE, GAIN_STABILISED, UP, DOWN, LAG, LEAD, MODULUS, CONTRIBUTION, NUMBER) = range(
     len(COLUMNS)
 )

@@ -197,7 +197,7 @@ def margins(
 
 
 BOUNDS = ("gain_up_db", "gain_down_db", "phase_deg", "delay_s", "aero_gain_db", "rigid_gain_db", "rigid_phase_deg")
-"""The rows of `bounds_of`, by the fields of `Margins`; then the crossover frequency."""
+"""The rows of `bounds_of`, by the fields of `Margins`, then the crossover frequency."""
 GAIN_UP, GAIN_DOWN, PHASE, DELAY, AERO_GAIN, RIGID_GAIN, RIGID_PHASE, CROSSOVER = range(len(BOUNDS) + 1)
 
 

@@ -24,7 +24,7 @@ _SHARPNESS = (10.0, 30.0, 100.0, 300.0)  # of the greatest eigenvalue, one after
 _ROUNDS, _STEPS, _TURN, _GAIN = 12, 60, 1.0, 0.01
 
 Scaling = tuple[ComplexArray, ComplexArray]
-"""T and G, zero off their blocks."""
+"""The scalings T and G, zero off their blocks."""
 
 
 def real_mu_upper(

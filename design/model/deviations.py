@@ -88,13 +88,13 @@ RULES = {
     "mass.y_cg_m": Rule("centre_of_gravity_y_m"),
     "mass.z_cg_m": Rule("centre_of_gravity_z_m"),
 }
-"""By key of a stage, without the number of an only engine or actuator; # is a number."""
+"""The rules by key of a stage, without the number of a single engine or actuator. # is a number."""
 UNREAD = re.compile(
     r"engine(\.#)?\.misalignment_deg\.#|actuator(\.#)?(\.yaw)?\.(rate_limit_degps|angle_limit_deg|stop_deg|backlash_deg|bias_deg\.#)"
     r"|gyro\.(bias_degph|scale_factor|misalignment_deg)\.#|gyro\.noise_deg_rt_h|computer\.command_limit_deg"
     r"|mass\.table\.I(xy|xz|yz)_kgm2"
 )
-"""Keys of a stage that no margin depends on: errors and limits of instruments, which a linear model leaves out."""
+"""The keys of a stage on which no margin depends: errors and limits of instruments, which a linear model omits."""
 _ACTUATOR, _OF_ONE = re.compile(r"^(actuator|engine)\.(?!#\.)"), r"\1.#."
 
 

@@ -18,7 +18,7 @@ from maxq.sim.packing.schedule import without_bobs
 from maxq.sim.vehicle import schedule
 
 Factors = float | Sequence[float]
-"""One for all modes, tanks, engines or groups of engines, or one each; 1 for those beyond the last."""
+"""A value for all modes, tanks, engines or groups of engines, or one each. It is 1 for those beyond the last."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ ADDED = (
     "centre_of_gravity_y_m",
     "centre_of_gravity_z_m",
 )
-"""The fields that are added; all others multiply."""
+"""The fields that are added. All others multiply."""
 SIGNED = (*ADDED, "bending_slope", "bending_shape", "normal_force")
 POSITIVE = (
     "bending_frequency",
@@ -95,7 +95,7 @@ POSITIVE = (
 )
 _RATE_STEP_S = 1e-3
 SECTIONS = 8
-"""Numbers of an actuator in `Dispersion.actuator_sections`."""
+"""The numbers of an actuator in `Dispersion.actuator_sections`."""
 
 NOMINAL = Dispersion()
 

@@ -37,11 +37,11 @@ from maxq.sim.world.earth import FLAT, UNIFORM
 from maxq.sim.world.turbulence import BODY
 
 Trim = tuple[float, float]
-"""Angles of attack and sideslip, rad."""
+"""The angles of attack and sideslip, rad."""
 OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
 WIND = "wind_mps"
 Drives = Sequence[Sequence[tuple[int, float]]]
-"""Of each drive: the actuators that it moves (twice the group, one more in yaw) with the angle per command."""
+"""The actuators that each drive moves (twice the group, one more in yaw) with the angle per command."""
 
 _NOISE = 3e-14  # of the largest entry of a row, each times its step: smaller entries are rounding
 _SETTLING = 3  # steps of Newton's method
@@ -294,7 +294,7 @@ class HeldStage:
 
 
 Names = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
-"""Of states, inputs and outputs."""
+"""The names of states, inputs and outputs."""
 
 
 class _PlaneOf:

@@ -21,7 +21,7 @@ Plane = Literal["pitch", "yaw"]
 
 ACCELERATION = "accel_mps2"  # lateral specific force at the accelerometer
 DERIVATIVES = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
-"""Of an actuator's angle: what it puts out, and what drives the vehicle."""
+"""The angle of an actuator and its derivatives, which drive the vehicle."""
 
 
 def further_rate(number: int) -> str:

@@ -35,7 +35,7 @@ class Span:
 
 
 LOSSES = (CONTROL_LOST_NAME, EVENT_NAMES[TUMBLE], DIVERGED_NAME)
-"""Events from which on a flight gives no operating points."""
+"""The events from which on a flight gives no operating points."""
 
 
 def loss_of(events: Iterable[Event]) -> Event | None:

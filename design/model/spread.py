@@ -24,12 +24,12 @@ from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.sim.vehicle.actuator.section import ActuatorAxis
 
 RelativeDeviation = Annotated[float, Field(ge=0.0, lt=1.0)]
-"""A relative deviation; one of 1 would turn the sign of what deviates."""
+"""A relative deviation. A deviation of 1 would reverse the sign of the quantity."""
 Shares = Annotated[
     Annotated[RelativeDeviation, Tag(TABLE_FORM)] | Annotated[tuple[RelativeDeviation, ...], Tag(LIST_FORM)],
     Discriminator(lambda value: LIST_FORM if isinstance(value, list | tuple) else TABLE_FORM),
 ]
-"""One for all modes, tanks, engines or groups of engines, or one each, the last for all beyond."""
+"""A value for all modes, tanks, engines or groups of engines, or one each, the last for all beyond."""
 _LEAST = 0.05  # of the nominal value
 
 
@@ -72,7 +72,7 @@ class Spread(Section):
 
 
 DEVIATIONS = tuple(key for key in Spread.model_fields if key not in ("correlated", "campaign"))
-"""Keys of what deviates."""
+"""The keys of the deviating quantities."""
 _ADDED = ("centre_of_pressure_m", "delay_s")
 
 

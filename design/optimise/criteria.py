@@ -75,7 +75,9 @@ class Seen:
 
 
 JudgedFeatures = tuple[Mask, Array, Array, Array]
-"""Which features, value, limit, excess (dB); an objective's excess is what is made small. nan: not judged."""
+"""The features, the value, the limit and the excess (dB). The excess of an objective is the minimised value. nan:
+not judged.
+"""
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,10 @@ FURTHER_DB = 0.002  # a rough end of a random step that is better by more is a b
 UNSETTLED = 1e-3  # residual of the optimality conditions of a best effort from which a further search is promising
 
 SearchProgress = Callable[[int, int, float, str], None]
-"""Called with how much is done, of how much, the best objective so far in dB (nan: none), and of what: "starts",
-"leaps", or of a robust case "worst plants, round 1" (what was best for fewer plants is not for more)."""
+"""A function that is called with the steps done, the total, the best objective so far in dB (nan: none), and the
+kind. The kind is "starts", "leaps", or of a robust case "worst plants, round 1" (the best for fewer plants is not
+that for more).
+"""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ Status = Literal["optimal", "infeasible", "interrupted"]
 ACTIVE_DB = 1e-4
 MET_DB = 1e-6  # a limit that is missed by less is met
 EITHER_WAY = ("gain margin", "phase margin")
-"""Limits whose values have a sign that tells the side of -1."""
+"""The limits whose values have a sign that gives the side of -1."""
 
 
 @dataclass(frozen=True)

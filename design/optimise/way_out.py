@@ -31,7 +31,7 @@ WIDER = {
     "zero_hz": (1.0, 100.0), "zero_zeta": (0.1, 2.0), "pole_hz": (1.0, 100.0), "pole_zeta": (0.05, 2.0),
     "first_order_zero_hz": (1.0, 200.0), "first_order_pole_hz": (1.0, 200.0),
 }  # fmt: skip  # a table
-"""Bounds of the filter's variables in a trial, by key of `filter.bounds`; a case that has wider ones keeps them."""
+"""The bounds of the filter's variables in a trial, by key of `filter.bounds`. A case with wider bounds keeps them."""
 FASTER = 2  # times the sample rate
 LEAST_SHARE = 1e-3  # smaller multipliers are not shown
 

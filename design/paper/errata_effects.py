@@ -15,7 +15,7 @@ from maxq.design.paper.errata import ABOUT, CORRECTED, PAPER, Erratum, one_at_a_
 from maxq.design.paper.nodes import PaperNode
 
 Measure = Callable[[PaperNode, Cut], Mapping[str, float]]
-"""Named numbers of the loop that stands at a node, opened at a cut."""
+"""A measure that returns named numbers of the loop at an operating point, opened at a cut."""
 
 OPENED = Erratum("16", "42", "opened from q_c to q", "opened at the gimbal command")
 TOGETHER = Erratum("all", "1 to 28", "every switch of the preset paper", "every switch of the preset corrected")

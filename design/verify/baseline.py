@@ -30,7 +30,7 @@ KINDS = (OFF, EXCUSED, SEED, REMOVED, LOOSENED, SPREAD, LOWERED, SHORTENED, CHAN
 """The kinds of differences, in the order in which they are listed."""
 
 _WORDS = frozenset({"why", "description", "name", "schema", "schema_version", "source", "only", "log", "design"})
-"""Keys that change no verdict, and the design, which is what is judged."""
+"""The keys that change no verdict, and the design, which is judged."""
 _COUNTS = frozenset({"success", "confidence", "availability", "runs", "cases", "trajectories", "nodes_per_stage"})
 _COUNTS |= {"corner_sigmas", "sigmas", "starts", "in_flight", "bound", "together", "planes", "between_nodes"}
 _LEAST = frozenset({"modulus", "minimum", "wind_limit_mps"})  # limits that a larger value makes stricter

@@ -18,9 +18,9 @@ IMPLIED = {
     "second_mode_db": ("modes_from_2_db",),
     "modes_from_3_db": ("modes_from_2_db",),
 }
-"""Limits of a suite that together are one of a design."""
+"""The limits of a suite that together correspond to one of a design."""
 OF_THE_LAW = ("filter_gain_at_infinity", "integral_hz", "most_integral_hz")
-"""Limits that are the law's own: no suite asks for them."""
+"""The limits of the law itself, which no suite requires."""
 
 
 def against_basis(suite: Suite, scenario: LoadedScenario) -> list[str]:

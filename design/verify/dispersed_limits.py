@@ -35,7 +35,9 @@ SEED = 1
 _LOST, _FREE = -1.0, 10.0  # value of an unstable loop, and of one that nothing limits
 
 Rooms = Callable[[Sequence[Array]], list[float]]
-"""The least share of a limit that is left at scores (places,) in units of three sigma; -1 of an unstable loop."""
+"""A function that returns the least remaining share of a limit at scores (places,) in units of three sigma, or -1
+for an unstable loop.
+"""
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ NAMES = (
     "stage_burnout_s",  # end of its burn
     "gimbal_moment_Nm",  # by one degree of all gimbals, at the strongest instant
 )
-"""What a suite may name."""
+"""The marks that a suite may contain."""
 _MARK = re.compile(r"\$\{\s*([\w.]+)\s*(?:([+*-])\s*([0-9.eE+-]+)\s*)?\}|\$(\w+)")
 _LONGEST_M = 1000.0  # of a gust; beyond it is the wind profile
 _STRONG = 0.8  # of the largest dynamic pressure

@@ -40,10 +40,12 @@ class Floor:
 
 
 FLOOR = Floor()
-"""Three sigma of a normal quantity with a consumer's risk of one in ten (NASA/TP-2010-216447), over the whole burn."""
+"""The three-sigma level of a normal quantity with a consumer's risk of one in ten (NASA/TP-2010-216447), over the
+whole burn.
+"""
 
 _WHOLE = {name: field.default for name, field in Switches.model_fields.items() if field.default is not False}
-"""Switches of the whole model; parts that are off by default are additions to it."""
+"""The switches of the whole model. Parts that are off by default are additions to it."""
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import AdaptiveSection, Design, LoopFiltersSection, StageLaw
 
 JUDGED = (*MEASURED, "filter_gain_at_infinity", "integral_hz", "most_integral_hz")
-"""Keys of the limits that a design is judged by at its operating points, in the order in which they are shown."""
+"""The keys of the limits by which a design is judged at its operating points, in the order in which they are shown."""
 ZONE = "clear of the {0.shape} {0.gain_db:g} dB, {0.phase_deg:g} deg"
 
 

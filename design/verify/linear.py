@@ -49,11 +49,11 @@ from maxq.sim.scenario.loader import told
 from maxq.sim.scenario.schema_design import Design
 
 INSTANTS_S = (0.5, 0.05, 0.005)
-"""Steps of the search for the worst instant between nodes, coarse to fine."""
+"""The steps of the search for the worst instant between operating points, coarse to fine."""
 NEAR = 0.01
-"""How near to its limit a margin is measured once more, dB, deg or ms."""
+"""The distance from its limit within which a margin is measured once more, dB, deg or ms."""
 WORSE = {"dB": 0.02, "deg": 0.1, "ms": 0.05, "Hz": 0.002, "": 0.005}
-"""The amount by which an instant must be worse to become a node, by unit."""
+"""The amount by which an instant must be worse to become an operating point, by unit."""
 _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett-Burman design of twelve runs
 _FACTORS = (
     "bending_frequency",
@@ -81,11 +81,13 @@ _WITH = {
     "mass_kg": "inertia",
     "roll_inertia": "inertia",
 }
-"""The factor with which a deviation goes that has none of its own; any other one stays in the middle."""
+"""The factor with which a deviation without its own factor changes. Any other deviation stays in the middle."""
 
 
 Measured = dict[str, float]
-"""Quantities of a loop by key (`MEASURED`); empty where it is unstable, infinite where nothing limits them."""
+"""The quantities of a loop by key (`MEASURED`). They are empty if the loop is unstable, and infinite if nothing
+limits them.
+"""
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,7 @@ def worst_instants(
 
 
 Met = tuple[FlightCondition, Trim]
-"""Air and path of a flight at a node, and its angles of attack and sideslip."""
+"""The air and path of a flight at an operating point, and its angles of attack and sideslip."""
 
 
 def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, workers: int = 2) -> list[list[Met]]:

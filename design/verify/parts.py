@@ -35,7 +35,7 @@ from maxq.sim.scenario.loader import LoadedScenario, told
 from maxq.sim.scenario.schema_design import Design
 
 Watch = Callable[[str, int, int], None]
-"""Called with what is under way, how much of it is done, and of how much."""
+"""A function that is called with the present activity, the steps done, and the total."""
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ def _damp(slosh: Any, tank: int, ratio: float) -> None:
 
 
 NEAR, MIDWAY = Baffle(0.1, 0.25), Baffle(0.5, 0.25)
-"""Rings an eighth of the radius wide: just below the surface, and with the surface midway between two."""
+"""The rings, an eighth of the radius wide: just below the surface, and with the surface midway between two."""
 
 
 @dataclass(frozen=True)

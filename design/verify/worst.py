@@ -53,7 +53,7 @@ _AROUND = np.array([-8.0, -4.0, -2.0, -1.2, -0.6, -0.2, 0.2, 0.6, 1.2, 2.0, 4.0,
 _MINIMA, _GOALS = 8, 2  # over frequency that are refined, and of these that a step makes for
 FURTHER = 6  # nodes of a plane and stage that are searched from all starts
 INSTANTS_S, _MOST_INSTANTS = (0.5, 0.05), 300
-"""Steps between instants of the search between nodes, along the stage and about the worst instant of it."""
+"""The steps between instants of the search between operating points, along the stage and about its worst instant."""
 _STEP = 1e-4  # of the region, in which the gradient is taken: at one frequency, a mode must not move by its width
 _ROUNDS = 12
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 FIRST = ("nominal", "campaigns/first", "ksr3-identical", "ksr3-default", "standard")
-"""Built-in files with which to begin: --list names them first."""
+"""The built-in files for beginners, which --list names first."""
 TRACEBACK = "MAXQ_TRACEBACK"
-"""Environment variable with which an error shows its traceback, too."""
+"""The environment variable with which an error shows its traceback, too."""
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # options of glibc's malloc.h, in bytes
 
 
@@ -165,7 +165,7 @@ class Command:
         self, name: str, body: Callable[[list[str]], int], interrupted: str = "interrupted", memory: str = ""
     ) -> None:
         self.alone = False
-        """Whether the process ends with the command, so that nothing needs to be loaded or kept for others."""
+        """True if the process ends with the command, so that nothing needs to be loaded or kept for others."""
         self._name, self._body, self._interrupted, self._memory = name, body, interrupted, memory
 
     def __call__(self) -> NoReturn:

@@ -17,7 +17,7 @@ from maxq.tools.cli.frame import TRACEBACK, Exit, show_list
 from maxq.tools.cli.terminal import announce, printable, tell, wipe
 
 _AT_ONCE = {"-h", "--help", "--list", "--version"}
-"""Options that are answered without loading anything."""
+"""The options that need no further imports."""
 _EXITS = {
     Exit.OK: "done",
     Exit.BAD_INPUT: "bad input, or files that cannot be read or written",

@@ -240,7 +240,7 @@ def dispersed_checks(
 
 _WORDS = {"times_s": "at", "every_s": "every"}
 _OPTIONS = {"kind": "loop", "axis": "plane", "errata": "errata", "plant": "plant"}
-"""Options and the keys of a basis that they stand for."""
+"""The options and the corresponding keys of a basis."""
 
 
 def designed_along(design: str) -> str:

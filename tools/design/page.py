@@ -41,7 +41,7 @@ _MARGINS = (
 )
 _TRIED_HZ = np.geomspace(0.02, 20.0, 40)
 PageTable = tuple[str, Sequence[tuple[str, ...]]]
-"""Caption and rows, the head first."""
+"""The caption and the rows, the head first."""
 
 
 @dataclass(frozen=True)

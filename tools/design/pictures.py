@@ -261,7 +261,7 @@ def lobes_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "
 
 
 Sheet = tuple[str, Callable[[], Figure]]
-"""Name of the files without suffix, and what draws the picture."""
+"""The name of the files without suffix, and the function that draws the picture."""
 
 
 def draw_all(

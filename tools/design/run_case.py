@@ -340,7 +340,7 @@ def _nodes(loaded: LoadedCase, times_s: Sequence[float], plane: Plane) -> list[N
 STRUCTURES = tuple(name for name, sections in KNOWN.items() if sum(sections))
 SCHEDULES = {"two-phase": "two-phase", "linear": "Subcase 1", "free": "Subcase 2"}
 FoundDesigns = Mapping[tuple[str, str], tuple[LoadedCase, Solution]]
-"""By structure and schedule."""
+"""The results by structure and schedule."""
 
 
 def order_cases(stage: LoadedCase) -> dict[tuple[str, str], LoadedCase]:

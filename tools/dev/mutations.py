@@ -158,7 +158,7 @@ class Mutant:
     old: str
     new: str
     source: str
-    """Return the original line."""
+    """The original line."""
 
 
 # --- what is changed

@@ -9,11 +9,11 @@ from __future__ import annotations
 BLUE, ORANGE, GREEN, RED, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9"
 PURPLE, YELLOW, BLACK, WHITE, GREY, PALE = "#cc79a7", "#f0e442", "#000000", "#ffffff", "#777777", "#dddddd"
 ON_LIGHT = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY, BLACK)
-"""Curves on white, in this order."""
+"""The colours of curves on white, in this order."""
 ON_DARK = (SKY, ORANGE, GREEN, PURPLE, YELLOW, RED)
-"""Curves on the viewer's dark background."""
+"""The colours of curves on the viewer's dark background."""
 FAILED = (RED, "#a34700", "#ff7733", "#7a3500", "#ff9d6e", "#ffc9ae")
-"""Flights that failed, shown among a few others: shades of one colour, never green."""
+"""The colours of flights that failed, shown among a few others: shades of one colour, never green."""
 LIMIT = RED
 VERDICT = {"passed": GREEN, "failed": RED, "unknown": SKY}
 

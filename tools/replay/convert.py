@@ -62,7 +62,7 @@ class TimeSpan:
     span_s: tuple[float, float]
     axes: Mapping[str, PlotAxis]
     corners: Mapping[str, rrb.Corner2D] = field(default_factory=dict)
-    """Where the legend of a plot hides least, if not at the upper right."""
+    """The corner where the legend of a plot hides least, if not at the upper right."""
 
 
 @dataclass(frozen=True)

@@ -42,13 +42,13 @@ from maxq.tools.replay.viewer import ReplayError
 
 KEPT = ("flights", "kept")  # folders of a campaign that contain whole flights
 MOST = 200
-"""Flights shown at once: more cannot be read in one window, and take much memory."""
+"""The number of flights shown at once. More are illegible in one window, and need much memory."""
 FEW = 4
-"""Flights of which every vehicle is drawn."""
+"""The number of flights whose vehicles are all drawn."""
 FAR_KM = 20.0
-"""A flight that begins farther from its site than this is shown in the axes of the place where it begins."""
+"""The distance from its site beyond which the start of a flight becomes the origin of its axes."""
 ConversionWatch = Callable[[str, int, int], None]
-"""What is under way, steps done, steps in all."""
+"""A function that is called with the activity, the steps done and the total."""
 _FAULTS = ("control_lost", "diverged")
 _NEEDED = tuple(f"r_E_{a}_m" for a in "xyz") + tuple(f"q_BI_{c}" for c in "wxyz")
 

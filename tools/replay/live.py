@@ -36,7 +36,7 @@ from maxq.tools.replay.viewer import LOCAL, ReplayError
 
 BLOCK_NS = 200_000_000
 BENDING, SLOSH = 1000.0, 5.0
-"""Exaggeration of a flight whose largest bending and slosh angle are not known yet."""
+"""The exaggeration of a flight whose largest bending and slosh angle are not known yet."""
 _ROOT = "flight"
 _PATIENCE_S, _FLOWN_PATIENCE_S = 5.0, 30.0
 _SCENE_EVERY_S, _PLOTS_EVERY_S = 0.15, 0.9

@@ -19,7 +19,7 @@ from maxq.tools.replay.flight import Channels
 from maxq.tools.replay.vehicle_shape import PLANES, VehicleShape, shape_of, shapes_at
 
 NEAR = 3.0
-"""A limit farther away than so many times the largest value is named, not drawn."""
+"""The ratio to the largest value above which a limit is named, not drawn."""
 TimesAndValues = tuple[IntArray, Array]
 Computed = Callable[[Channels, str, VehicleShape | None], TimesAndValues]
 

@@ -38,7 +38,7 @@ from maxq.tools.replay.vehicle_shape import (
 
 MOTION_NS, ARROWS_NS, TRAIL_NS = 20_000_000, 40_000_000, 200_000_000
 FAR_NS = 100_000_000
-"""Between positions of flights that are not seen closely."""
+"""The period of positions of flights that are not seen closely."""
 _BEND_STEP_M, _LEVEL_STEP_M, _ANGLE_STEP_DEG = 2e-4, 1e-3, 2e-3  # smaller changes are not sent
 _LOAD_STEP = 0.02  # of the limit
 _STEEPEST = math.tan(math.radians(60.0))
@@ -68,7 +68,7 @@ class Scene:
         self._trail_colours = [rgba(colour) for colour in trail]  # under thrust, coasting
         self._frames: LaunchFrames | None = None
         self.track: list[Array] = []
-        """Positions so far."""
+        """The positions so far."""
         self._last: dict[str, int] = {}  # period of the last row that was sent, by its kind
         self._largest_thrust_N, self._largest_moment_Nm = 1.0, 0.0
         self._loaded = False

@@ -39,7 +39,7 @@ from maxq.tools.replay.vehicle_shape import PLANES, borne, shape_of
 from maxq.tools.replay.viewer import ReplayError
 
 WIDTH_IN, ROW_IN = 8.0, 1.9
-"""Of a sheet; of one plot in it."""
+"""The sizes of a sheet and of one plot in it."""
 _SETTINGS = {"lines.linewidth": 1.1, "figure.dpi": 160, "svg.fonttype": "none"}  # text remains searchable
 _LEGEND: dict[str, Any] = {  # in one row above the plot
     "loc": "lower right",

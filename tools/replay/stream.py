@@ -25,9 +25,9 @@ from maxq.tools.replay.plots import Limit, PlotAxis, PlotLine, ReplayPlot, Tab
 TIMELINE = "sim_time"
 APPLICATION = "maxq"
 FAMILY = "family"
-"""Root of the curves of many flights."""
+"""The root of the curves of many flights."""
 FAMILY_FROM = 20
-"""So many flights, apart from those seen closely, become families."""
+"""The number of flights, apart from those seen closely, from which on they become families."""
 PHASES = {
     "held down": GREY,
     "powered": ORANGE,

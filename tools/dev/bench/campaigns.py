@@ -86,7 +86,7 @@ PARTS: dict[str, tuple[Any, str]] = {
     "metrics, verdicts, row": (campaign_runs._Run, "recorded"),
     "Arrow tables, Parquet files": (Store, "write"),
 }
-"""Where a campaign's time goes: functions that each do one part of it, called one after the other."""
+"""The parts of a campaign's time: functions that each do one part of it, called one after the other."""
 
 
 def profile(runs: int = RUNS // 2) -> dict[str, float]:

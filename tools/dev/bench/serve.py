@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 State = list[float]
-"""At the end of a flight: position, m, then the quaternion of the attitude, both of any frame that stands still."""
+"""The end of a flight: position, m, then the quaternion of the attitude, both in any frame at rest."""
 Prepare = Callable[[], Callable[[], tuple[int, State]]]
 
 

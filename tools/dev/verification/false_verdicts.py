@@ -42,7 +42,7 @@ from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 MOST_STEPS, MOST_VEHICLES, MOST_RUNS = 6, 30_000, 100_000
 LIMIT_DEG, LIMIT_ALPHA_DEG = 15.0, 1.0  # of the phase margin, and as CAMPAIGN says
 SHARES = ((0.0, 0.0), (0.1, 0.1), (0.5, 0.5), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (0.0, 2.0), (2.0, 0.0), (2.0, 2.0))
-"""Probability of failure divided by the allowed one, of linear vehicles and of flights."""
+"""The probability of failure divided by the allowed one, of linear vehicles and of flights."""
 CAMPAIGN = """\
 schema = 1
 extends = "nominal.toml"

@@ -155,7 +155,7 @@ ALL_CASES: dict[str, tuple[str, Callable[[Flight], list[LargestDifference]]]] = 
     },
     **{f"exo {run}": (scenario, partial(compare_jeod, run)) for run, scenario in JEOD.items()},
 }
-"""Scenario of each case and the comparison that judges its flight."""
+"""The scenario of each case and the comparison that judges its flight."""
 
 
 def _rows_at(flight: Flight, time_s: Array) -> Array:
