@@ -66,7 +66,15 @@ def test_no_view_complains_at_any_time(shown: tuple) -> None:
         assert picture.std() > 10.0
         assert viewer.complaints_of(client) == []
     names = {view.name.split(" (")[0].split(", ")[0] for view in client.get_state().views}
-    assert {"Vehicle", "Trajectory", "Phases", "Events", "About", "pitch gimbal angle", "q alpha under thrust"} <= names, names
+    assert {
+        "Vehicle",
+        "Trajectory",
+        "Phases",
+        "Events",
+        "About",
+        "pitch gimbal angle",
+        "q alpha under thrust",
+    } <= names, names
 
 
 @pytest.mark.slow

@@ -236,8 +236,13 @@ def test_recalled_results_are_named_and_a_sample_is_computed_again(
     assert "NOT COMPUTED AFRESH: 6 of 6 parts and 4 of 4 runs of campaign ksr3 recalled from the cache; 2 comp" in said
     recalled = json.loads(Path("again/verdict.json").read_text())["recalled"]
     assert recalled["parts"] == [
-        "flight two seconds", "margins 20 s, pitch", "margins 40 s, pitch", "node 30 s, pitch", "slosh", "uncovered",
-    ]  # fmt: skip  # a list of names
+        "flight two seconds",
+        "margins 20 s, pitch",
+        "margins 40 s, pitch",
+        "node 30 s, pitch",
+        "slosh",
+        "uncovered",
+    ]
     assert len(recalled["computed_again"]) == len(recalled["runs"]["ksr3"]["flown_again"]) == 1
     assert "computed afresh" in _verify(capsys, "--afresh")[1]
 

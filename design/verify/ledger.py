@@ -159,7 +159,7 @@ class Attempt:
 
     @property
     def title(self) -> str:
-        """One line for people: the number of the attempt, and the verdicts of the others."""
+        """Return one line for people: the number of the attempt, and the verdicts of the others."""
         whole, alone = self.whole, len(self.others) - len(self.whole)
         verdicts = [one.verdict.upper() for one in whole]
         said = ", ".join(verdicts)
