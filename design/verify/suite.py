@@ -166,10 +166,7 @@ TIMES = "vehicle times, s (default: chosen from the flight, in every stage under
 
 
 class WorstWanted(Section):
-    """A search for the worst vehicle within the dispersions, with independent modes and tanks.
-
-    The worst vehicle is flown.
-    """
+    """A search for the worst vehicle within the dispersions, with independent modes and tanks, and its flight."""
 
     sigmas: Positive = optional("limit of the search, sigma", 3.0)
     region: Literal["ellipsoid", "box"] = optional(
