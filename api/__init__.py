@@ -1,4 +1,4 @@
-"""maxq from Python: functions that do what the commands do.
+"""The Python interface of maxq: functions that correspond to the commands.
 
 ::
 
@@ -12,9 +12,9 @@
     made.bode(40.0), made.save("mine.toml")
     maxq.verify("mine.toml", "quick").judgement
 
-The names in ``__all__`` are the public API; docs/python.md states what may change and when. What they need is imported
-when they are first used. Wrong input raises a :class:`ScenarioError`, :class:`CampaignError` or :class:`LogError` of
-one line, which names file, key, value and what is allowed.
+The names in ``__all__`` are the public API; docs/python.md states which changes are possible and when. Their
+dependencies are imported at first use. Invalid input raises a :class:`ScenarioError`, :class:`CampaignError` or
+:class:`LogError` of one line, which names file, key, value and the permitted values.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # for type checkers and editors; _HOMES says the same to the interpreter
+if TYPE_CHECKING:  # for type checkers and editors; _HOMES provides the same to the interpreter
     from pathlib import Path
 
     from distributed import Client
@@ -129,7 +129,7 @@ def load(path: str | Path, *overrides: str) -> LoadedScenario | LoadedCampaign:
 
 
 def fly(scenario: LoadedScenario | str | Path, *overrides: str, folder: str | Path | None = None) -> Flight:
-    """Fly a scenario. With `folder`: log and summary are written there, and the channels are in the log (`read`).
+    """Fly a scenario. With `folder`, log and summary are written there, and the channels are in the log (`read`).
 
     The first flight of an installation compiles the simulator (about twenty seconds).
     """
@@ -155,10 +155,10 @@ def campaign(
 ) -> DataSet:
     """Fly a campaign into its folder (None: runs/NAME), or the runs that are missing there.
 
-    `runs` and `seed` replace those of the file. `workers`: threads of this process, by default one for each core.
-    `cluster`: a client of dask.distributed, or the address of a scheduler (``tcp://head:8786``), whose workers fly in
-    their place; a client remains open. The data set is the same, bit for bit.
-    Raises CampaignError, and ValueError for `workers` together with `cluster`.
+    `runs` and `seed` replace those of the file. `workers` is the number of threads of this process, by default one per
+    core. `cluster` is a client of dask.distributed, or the address of a scheduler (``tcp://head:8786``), whose workers
+    fly the runs instead; a client remains open. The data set is the same, bit for bit. Raises CampaignError, and
+    ValueError for `workers` together with `cluster`.
     """
     from pathlib import Path
 
@@ -178,7 +178,7 @@ def campaign(
 
 
 def read(path: str | Path) -> Log | DataSet:
-    """Read what was flown: a log, the folder of a flight, or that of a campaign."""
+    """Read the results of a flight: a log, the folder of a flight, or that of a campaign."""
     from pathlib import Path
 
     from maxq.sim.campaign.analysis import DataSet
@@ -193,10 +193,10 @@ def read(path: str | Path) -> Log | DataSet:
 
 
 def plot(of: Flight | Log, *names: str) -> Figure:
-    """Draw channels over time, those of one unit in one panel, with the events of the flight as dotted lines.
+    """Draw channels over time, one panel per unit, with the events of the flight as dotted lines.
 
-    `names`: channels or topics ("/truth"); none: the key channels. Returns a Matplotlib figure, which a notebook shows
-    and `.savefig(path)` writes. Raises KeyError for an unknown name.
+    `names` are channels or topics ("/truth"). Without names, the key channels are drawn. Returns a Matplotlib figure,
+    which a notebook shows and `.savefig(path)` writes. Raises KeyError for an unknown name.
     """
     from maxq.tools.plots.channels import channel_plot
 
@@ -211,10 +211,10 @@ def replay(*places: str | Path, save: str | Path | None = None) -> None:
 
 
 def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:
-    """Work out a vehicle from a layout, a file or a built-in one, into its folder (None: runs/NAME), which is returned.
+    """Build a vehicle from a layout, a file or a built-in one, in its folder (None: runs/NAME). Return the folder.
 
-    It holds `scenario.toml` to fly, `case.toml` to optimise, `suite.toml` to verify and `campaign.toml`. Raises
-    ScenarioError, and ValueError for a layout that cannot fly.
+    The folder contains `scenario.toml` to fly, `case.toml` to optimise, `suite.toml` to verify and `campaign.toml`.
+    Raises ScenarioError, and ValueError for a layout that cannot fly.
     """
     from pathlib import Path
 
@@ -237,7 +237,7 @@ def optimise(case: str | Path, *overrides: str) -> Designed:
 
 
 def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) -> Verification:
-    """Judge a design by a suite (`simverify`). Parts that are known from an earlier call are not computed again."""
+    """Judge a design by a suite (`simverify`). Parts with results from an earlier call are not computed again."""
     from maxq.design.laws.design_file import design_path
     from maxq.design.verify import memory
     from maxq.design.verify.suite import read_suite
@@ -266,9 +266,9 @@ def loop(
 ) -> Loop:
     """Return a design's loop at one operating point.
 
-    `where`: an operating point (`nodes`), which brings its own time, plane, errata and plant; or a scenario, flown up
-    to `time_s`. `design`: loaded, a file, a built-in name, or None for the scenario's own. The other arguments are
-    those of `nodes` and `loops`. Raises ScenarioError, and ValueError for what is missing or not allowed.
+    `where` is an operating point (`nodes`) with its own time, plane, errata and plant, or a scenario, flown up to
+    `time_s`. `design` is loaded, a file, a built-in name, or None for the scenario's own. The other arguments are those
+    of `nodes` and `loops`. Raises ScenarioError, and ValueError for arguments that are missing or not allowed.
     """
     from pathlib import Path
 
@@ -296,7 +296,7 @@ def loop(
     return loops([node], design, kind=kind, cut=cut)[0]
 
 
-if not TYPE_CHECKING:  # a type checker would take any name for there
+if not TYPE_CHECKING:  # a type checker would accept any name there
 
     def __getattr__(name: str) -> Any:
         for module, names in _HOMES.items():

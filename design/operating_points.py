@@ -28,11 +28,11 @@ def nodes(
 ) -> list[Node]:
     """Return the operating points of a scenario's flight in one plane, in the order of `times_s`.
 
-    `scenario`: loaded, a file, or the name of a built-in one. `times_s`: vehicle times, s; None: times under full
-    thrust, stage by stage (`node_times`). `plant`: the vehicle as flown, or with the derivatives of the paper's Table 2
-    (design/paper/table2.py). `errata`: switches, or the name of a preset; with one left in, the plant is the published
-    equations (design/paper). `faults`: fly with the failures of the scenario.
-    Raises ScenarioError, and ValueError for a time outside the powered flight.
+    `scenario` is loaded, a file, or the name of a built-in one. `times_s` are vehicle times, s. None selects times
+    under full thrust, stage by stage (`node_times`). `plant` is the vehicle as flown, or with the derivatives of the
+    paper's Table 2 (design/paper/table2.py). `errata` are switches, or the name of a preset. If an erratum is left in,
+    the plant is the published equations (design/paper). `faults` includes the failures of the scenario. Raises
+    ScenarioError, and ValueError for a time outside the powered flight.
     """
     if plant not in ("flown", "table2"):
         raise ValueError(f"plant = {plant!r}: allowed is flown, table2")
@@ -53,13 +53,13 @@ def published_nodes(
     plant: PlantKind = "flown",
     faults: bool = False,
 ) -> list[PaperNode]:
-    """Return nodes as `nodes`, on the published planar equations even where no erratum is left in."""
+    """Return operating points as `nodes` does, on the published planar equations even if no erratum is left in."""
     found = paper_nodes(scenario, times_s, plane, preset(errata), faults)
     return imposed(found, read_derivatives()) if plant == "table2" else found
 
 
 def preset(errata: Errata | str) -> Errata:
-    """Return the switches of a preset; switches themselves are returned unchanged. Raises ValueError."""
+    """Return the switches of a preset. Switches themselves are returned unchanged. Raises ValueError."""
     if isinstance(errata, Errata):
         return errata
     if errata not in PRESETS:

@@ -1,9 +1,9 @@
-"""The quantities of a loop that a limit can be set on: each one once, with the key that names it in every file.
+"""The quantities of a loop on which a limit can be set, each defined once with the key that names it in every file.
 
-`QUANTITIES` is the table. Case, design file and suite take their keys from the sections below; the judge, the margin
-sweep, the reports and the optimiser (`optimise.criteria`, by key) take label, unit, sense and value from the table.
-A quantity that does not exist in a loop (the peak of a mode that the vehicle lacks) is infinite on the good side, so
-that it meets every limit; NaN stands for a margin of an unstable loop, which meets none.
+`QUANTITIES` is the table. Case, design file and suite take their keys from the sections below. The judge, the margin
+sweep, the reports and the optimiser (`optimise.criteria`, by key) take label, unit, sense and value from the table. A
+quantity that does not exist in a loop (the peak of an absent mode) is infinite on the good side, so that it meets every
+limit. NaN denotes a margin of an unstable loop, which meets no limit.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ ZoneName = Literal["none", "ellipse", "diamond", "rectangle"]
 Degrees = Annotated[float, Field(gt=0.0, le=90.0)]
 Negative = Annotated[float, Field(lt=0.0)]
 LAST_MODE = 999
-"""Number beyond that of any bending mode."""
+"""A number beyond that of any bending mode."""
 TOLERANCE = 5e-4
-"""Tolerance of a limit in dB and deg: rounding of the digits of a file is far less."""
+"""The tolerance of a limit in dB and deg. The rounding of the digits of a file is far less."""
 
 
 @dataclass(frozen=True)
@@ -41,30 +41,33 @@ class MeasuredLoop(Protocol):
 
     @property
     def margins(self) -> Any:
-        """The `margins.measure.Margins` of the loop."""
+        """Return the `margins.measure.Margins` of the loop."""
 
     def mode_peak_db(self, first: int, last: int) -> float:
         """Return the largest peak of bending modes `first` to `last`, -inf without one."""
 
     def mode_phase_deg(self, mode: int) -> float:
-        """Return the phase margin of a mode's lobe, inf where it is gain-stabilised or absent."""
+        """Return the phase margin of a mode's lobe, or inf if it is gain-stabilised or absent."""
 
     def slosh_phase_deg(self, peak_db: float) -> float:
-        """Return the least phase margin of slosh lobes that peak above `peak_db`, inf without one."""
+        """Return the least phase margin of slosh lobes with a peak above `peak_db`, or inf without such a lobe."""
 
     def rigid(self, body: RigidBody) -> tuple[float, float]:
-        """Return frequency (Hz) and damping ratio of the rigid body's motion."""
+        """Return the frequency (Hz) and damping ratio of the rigid body's motion."""
 
     @property
     def integral_hz(self) -> float:
-        """The corner of the law's integral, Hz."""
+        """Return the corner of the law's integral, Hz."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that can be limited. `value` evaluates it from a measured loop; None: it needs more than that.
+    """A quantity that can be limited.
 
-    `heading` is that of a column. `law` tells that the optimiser evaluates it from the law and the vehicle alone.
+    `value` evaluates it from a measured loop. None means that it needs more than a loop.
+
+    `heading` is that of a column. `law` is True if the optimiser evaluates the quantity from the law and the vehicle
+    alone.
     """
 
     label: str
@@ -74,7 +77,7 @@ class Quantity:
     value: Callable[[MeasuredLoop, Convention], float] | None = None
 
     def violation(self, value: Any, limit: Any) -> Any:
-        """Return the amount by which a value misses a limit, less the tolerance; see `violation`."""
+        """Return the amount by which a value misses a limit, less the tolerance. See the function `violation`."""
         return violation(value, limit, self.sense, self.unit)
 
     def badness(self, value: float) -> float:
@@ -83,10 +86,10 @@ class Quantity:
 
 
 def violation(value: Any, limit: Any, sense: str, unit: str) -> Any:
-    """Return the amount by which a value misses a limit; at 0 or less the limit is met. NaN stays.
+    """Return the amount by which a value misses a limit. At 0 or less, the limit is met. NaN remains NaN.
 
-    A value on its limit, within the tolerance of the search that put it there, meets it: TOLERANCE in dB and deg, 1e-4
-    of the limit in other units. simdesign and simverify both judge by this.
+    A value within the tolerance of its limit meets the limit, since the search places values on limits. TOLERANCE
+    applies in dB and deg, 1e-4 of the limit in other units. simdesign and simverify both judge by this function.
 
     Args:
         value, limit: numbers or arrays in `unit`.
@@ -101,7 +104,7 @@ def _in_db(ratio: float) -> float:
 
 
 class CommonLimits(Section):
-    """Limits that cases, design files and suites can set; an absent key sets none."""
+    """The limits that cases, design files and suites can set. An absent key sets none."""
 
     gain_margin_db: Annotated[
         Positive | None, Quantity("gain margin", "gain dB", "dB", ">=", lambda j, _: j.margins.gain_db)
@@ -140,7 +143,7 @@ class CommonLimits(Section):
 
 
 class LoopLimits(CommonLimits):
-    """Limits of a suite; an absent key sets none."""
+    """The limits of a suite. An absent key sets none."""
 
     renamed: ClassVar[dict[str, str]] = {
         "aero_gain_db": "gain_down_db", "phase_deg": "rigid_phase_deg", "higher_modes_db": "modes_from_2_db",
@@ -172,7 +175,7 @@ class LoopLimits(CommonLimits):
 
 
 def _declared(section: type[Section]) -> dict[str, Quantity]:
-    """Return the quantities that the fields of a section are annotated with, by key."""
+    """Return the quantities in the annotations of the fields of a section, by key."""
     found = {key: [m for m in about.metadata if isinstance(m, Quantity)] for key, about in section.model_fields.items()}
     return {key: marks[0] for key, marks in found.items() if marks}
 
@@ -182,7 +185,7 @@ def _integral_hz(loop: MeasuredLoop, _: Convention) -> float:
 
 
 MEASURED = _declared(LoopLimits)
-"""Quantities that the margins of a loop give, by key, in the order of reports."""
+"""The quantities that the margins of a loop give, by key, in the order of reports."""
 SWEPT = (
     "gain_up_db",
     "gain_down_db",
@@ -192,7 +195,7 @@ SWEPT = (
     "first_mode_phase_deg",
     "modes_from_2_db",
 )
-"""Quantities of dispersed vehicles: fields of `margins.many.MEASURES`, the delay there in s."""
+"""The quantities of dispersed vehicles: fields of `margins.many.MEASURES`, the delay there in s."""
 QUANTITIES: dict[str, Quantity] = MEASURED | {
     "unstable_poles": Quantity("unstable poles", "unstable", "", "<="),
     "zone": Quantity("Nichols zone", "zone", "", ">="),
@@ -203,4 +206,4 @@ QUANTITIES: dict[str, Quantity] = MEASURED | {
     "drift_mps": Quantity("drift in wind, rms", "drift", "m/s", "<="),
     "bending_moment": Quantity("bending moment in wind, rms", "M", "N m", "<="),
 }
-"""All quantities: also those of the filter, the law and the wind."""
+"""All quantities, including those of the filter, the law and the wind."""

@@ -221,7 +221,7 @@ def test_skin_has_the_colour_of_its_bending_moment(
         assert said[-1] == "100 % of the limit"
     else:
         assert abs(int(colours[-1] >> 24) - 205) < 8, "the flight's largest, less a thirty-second: all but red"
-        assert said[-1] == f"{largest_Nm / 1e3:.3g} kN m: the largest so far"
+        assert said[-1] == f"{largest_Nm / 1e3:.3g} kN m: largest value so far"
     assert (sent["vehicle/body/hull/stage1/piece_00/skin"][1] & 255 < 90).all(), "a thirty-second of it: all but plain"
 
 

@@ -449,7 +449,7 @@ def test_a_flight_for_each_value(tmp_path: Path) -> None:
     assert [f.name for f in flights] == ["pitch at 1", "yaw at 1", "pitch at 2.5", "yaw at 2.5"]
     assert flights[3].set == ("x=2.5", "a='yaw'")
     path.write_text(flight.format("at $v"))
-    with pytest.raises(ScenarioError, match=r"does not tell the flights of \$axis apart"):
+    with pytest.raises(ScenarioError, match=r"does not distinguish the flights of \$axis"):
         read_suite(path)
 
 

@@ -1,7 +1,6 @@
-"""The results of a campaign for people: the text that is printed, and the report in its folder.
+"""The results of a campaign as text: the printed summary, and the report in its folder.
 
-`write_report` leaves summary.json, report.html (one file, nothing outside it) and its figures as CSV beside the data
-set.
+`write_report` writes summary.json, report.html (one self-contained file) and its figures as CSV next to the data set.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ def watcher(bar: terminal.Progress) -> Callable[[CampaignProgress], None]:
 
 
 def duration(seconds: float) -> str:
-    """A time span in words."""
+    """Return a time span in words."""
     whole = round(seconds)
     if whole < 100:
         return f"{whole} s"
@@ -64,14 +63,14 @@ def duration(seconds: float) -> str:
 
 
 def labels_of(campaign: LoadedCampaign) -> dict[str, str]:
-    """Names for people, by column."""
+    """Return names for texts, by column."""
     return {d.name: d.label for d in campaign.plan.draws}
 
 
 ReportRows = list[tuple[str, ...]]  # of a table; the first is its head
 _TEXTS = ("requirement", "verdict", "limit")  # heads of columns that hold no numbers
 _DISPENSABLE = ("at least", "success", "allowed", "bound", "quantile", "median", "to go", "failed", "run")
-"""Heads, or their last words, of the columns that a narrow terminal leaves out, the first one first."""
+"""The heads, or their last words, of the columns that a narrow terminal omits, in this order."""
 
 
 def requirement_rows(data: DataSet, verdicts: Sequence[Judged]) -> ReportRows:
@@ -93,7 +92,7 @@ def number_columns(rows: ReportRows) -> list[int]:
 def _requirement(v: Judged, quantile: str, bound: str, success: float) -> dict[str, str]:
     """Return a row of the table of verdicts by the heads of its columns.
 
-    A quantile between the two worst runs is an interpolation that says little: it is left out.
+    A quantile between the two worst runs is an interpolation of little value and is omitted.
     """
     shown, (_, factor) = v.shown, v.unit_factor
     worst, limit, unit = v.worst_text
@@ -117,7 +116,7 @@ def _requirement(v: Judged, quantile: str, bound: str, success: float) -> dict[s
 
 
 def _varies(v: Judged) -> bool:
-    """Return True where one run is worse than others."""
+    """Return True if one run is worse than others."""
     return bool(v.worst) and v.worst[0].value != v.median
 
 
@@ -126,7 +125,7 @@ def _finite(value: float) -> str:
 
 
 def value_text(value: object) -> str:
-    """Return a number with four significant digits; nothing for None or nan."""
+    """Return a number with four significant digits, or "" for None or nan."""
     if isinstance(value, float):
         return _finite(value)
     return "" if value is None else str(value)
@@ -155,7 +154,9 @@ def headline(data: DataSet, verdicts: Sequence[Judged]) -> str:
 
 
 def _failures(v: Judged) -> str:
-    """Return how often a requirement is missed, and its worst run: "roll error 2.138 deg > 2 deg in 7 of 2000 runs"."""
+    """Return the frequency with which a requirement is missed, and its worst run: "roll error 2.138 deg > 2 deg in 7 of
+    2000 runs".
+    """
     often = f"in {v.shown.failures} of {v.shown.runs} runs"
     if not v.metric or not v.worst or meets(v.worst[0].value, v.kind, v.bound):
         return f"{printable(v.name)}: missed {often}"
@@ -177,7 +178,7 @@ def _tightest(ordered: Sequence[Judged]) -> list[str]:
 
 
 def next_step(data: DataSet, verdicts: Sequence[Judged]) -> str:
-    """Return what to do next: fly a missed run again, fly more runs, or read the report."""
+    """Return the next step: fly a missed run again, fly more runs, or read the report."""
     runs = len(data.runs)
     missed = [v for v in tightest_first(verdicts) if v.shown.judgement == NOT_MET and v.worst]
     if missed:
@@ -189,7 +190,7 @@ def next_step(data: DataSet, verdicts: Sequence[Judged]) -> str:
 
 
 def how_judged(data: DataSet, verdicts: Sequence[Judged]) -> str:
-    """Return the test by which the verdicts were reached, in a sentence."""
+    """Return the test that gave the verdicts, in a sentence."""
     said = f"judged by the {verdicts[0].shown.test}" if verdicts else ""
     if verdicts and verdicts[0].shown.test == ANY_TIME:
         said += ", which holds at any number of runs"
@@ -201,7 +202,7 @@ Tails = Sequence[tuple[Judged, Tail]]
 
 
 def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
-    """Peaks over threshold of the requirements nearest to their limits, or that miss them most."""
+    """Return the peaks over threshold of the requirements nearest to their limits, or with the largest excess."""
     campaign = data.campaign.campaign
 
     def tail(v: Judged) -> Tail:
@@ -212,7 +213,7 @@ def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
 
 
 def tail_rows(tails: Tails) -> ReportRows:
-    """Return the table of tails; values in the unit of the limit."""
+    """Return the table of tails, with values in the unit of the limit."""
     rows: ReportRows = [
         ("tail", "limit", "threshold", "runs beyond", "shape", "quantile", "bound", "P(limit missed)", "bound", "fit")
     ]
@@ -230,7 +231,7 @@ def tail_rows(tails: Tails) -> ReportRows:
 
 
 def month_rows(months: Sequence[Month]) -> ReportRows:
-    """The table of launch availability."""
+    """Return the table of launch availability."""
     rows: ReportRows = [("month", "flights", "all limits met", "at least", "at most", "first that missed")]
     for m in months:
         shares = (f"{100.0 * share:.1f} %" for share in (m.share, m.least, m.most))
@@ -239,7 +240,7 @@ def month_rows(months: Sequence[Month]) -> ReportRows:
 
 
 def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], tails: Tails = ()) -> list[str]:
-    """Return what is printed about a campaign's results, except the last line."""
+    """Return the printed text about a campaign's results, without the last line."""
     scenario = data.campaign.base.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
     ends = ", ".join(f"{count} {outcome}" for outcome, count in sorted(Counter(data.outcomes).items()))
@@ -287,9 +288,9 @@ def write_report(
     settled: bool = False,
     pictures: bool = True,
 ) -> list[Path]:
-    """Write all, or without `pictures` the summary alone; returns the files. Raises CampaignError.
+    """Write all results, or without `pictures` the summary alone. Return the files. Raises CampaignError.
 
-    `settled`: the campaign was stopped as soon as every verdict was settled.
+    `settled` is True if the campaign was stopped as soon as every verdict was settled.
     """
     sample = analysis.sample_of(data)
     inputs = analysis.inputs_of(sample) if len(data.runs) else {}
@@ -351,7 +352,10 @@ def write_report(
 
 
 def nearest_limits(verdicts: Sequence[Judged]) -> list[Judged]:
-    """Return requirements whose worst run comes nearest to the limit, or exceeds it most; none whose runs are equal."""
+    """Return the requirements whose worst run comes nearest to the limit, or exceeds it most.
+
+    Requirements with equal runs are omitted.
+    """
 
     def excess(v: Judged) -> float:
         if not v.worst:
@@ -375,7 +379,7 @@ def _numbers(band: Band) -> dict[str, Any]:
 
 
 def distribution(d: Draw) -> str:
-    """A distribution in a few words."""
+    """Return a distribution in a few words."""
     s = d.spec
     act = {"set": "", "scale": "times ", "add": "plus "}[s.apply]
     if d.group is not None and s.covariance is not None:

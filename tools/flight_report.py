@@ -32,12 +32,12 @@ _FINAL = (
     "bend_pitch_gimbal_m",
     "bend_yaw_gimbal_m",
 )
-"""The part of the state that is printed of a flight that diverged; summary.json has all of it."""
+"""The part of the state of a diverged flight that is printed. summary.json contains all of it."""
 _TIGHT = 0.95  # used share of a limit from which on a hint is given
 
 
 def report(flight: Flight, files: list[Path], total_s: float) -> str:
-    """Return the text about a flight that a command prints; its last line is the verdict."""
+    """Return the text about a flight that a command prints. Its last line is the verdict."""
     scenario = flight.scenario.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
     head = [title, *(f"warning: {printable(warning)}" for warning in flight.scenario.warnings)]
@@ -70,7 +70,7 @@ def verdict_line(flight: Flight) -> str:
 
 
 def _missed(verdict: Verdict) -> str:
-    """Return name, value, limit and time of a missed requirement: "roll error 2.138 deg > 2 deg at 59.280 s"."""
+    """Return the name, value, limit and time of a missed requirement: "roll error 2.138 deg > 2 deg at 59.280 s"."""
     value, limit, unit = verdict.shown
     unit = f" {unit}" if unit else ""
     if math.isnan(verdict.value):
@@ -80,7 +80,7 @@ def _missed(verdict: Verdict) -> str:
 
 
 def _tightest(verdicts: Sequence[Verdict]) -> list[str]:
-    """Return the used share of the requirement with the least margin; nothing where no limit has a share."""
+    """Return the used share of the requirement with the least margin, or None if no limit has a share."""
     if not verdicts or not math.isfinite(verdicts[0].utilisation):
         return []
     first = verdicts[0]
@@ -91,7 +91,7 @@ def _tightest(verdicts: Sequence[Verdict]) -> list[str]:
 
 
 def _next_step(flight: Flight, files: Sequence[Path]) -> list[str]:
-    """Return the command that shows the flight, and a hint where a requirement is nearly missed."""
+    """Return the command that shows the flight, and a hint if a requirement is nearly missed."""
     lines = []
     if any(path.name == LOG_NAME for path in files):
         lines.append(f"next: simreplay {shlex.quote(str(files[0].parent))} --summary")

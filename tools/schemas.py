@@ -1,4 +1,4 @@
-"""JSON Schemas of all files that a person writes, made from the models that check them: `simrun schema KIND`."""
+"""JSON Schemas of all files that a user writes, made from the models that check them: `simrun schema KIND`."""
 
 from __future__ import annotations
 
@@ -32,12 +32,14 @@ MODELS: dict[str, type[Section]] = {
     "layout": Layout,
 }
 KINDS = tuple(MODELS)
-_EXTENDS = {"type": "string", "description": "file on top of which this one lies"}
+_EXTENDS = {"type": "string", "description": "file that this one extends"}
 _UNSET = {"type": "array", "items": {"type": "string"}, "description": "keys of the extended file to remove"}
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """JSON Schema (2020-12) of a file as a person writes it: with `extends`, and files where the model has content."""
+    """Return the JSON Schema (2020-12) of a file as a user writes it, with `extends`, and file names in place of
+    content.
+    """
     if kind == "campaign":
         return _campaign()
     schema = MODELS[kind].model_json_schema(by_alias=True)
@@ -59,8 +61,9 @@ _KEPT = ("default", "enum", "required")  # values, no schemas
 
 
 def _as_written(node: Any, name: str = "") -> Any:
-    """The schema of what TOML can hold: without null (optional keys are left out) and without titles; each number with
-    the range that goes by the `name` of its key or column, where it has no bound of its own.
+    """Return the schema of values that TOML can represent: without null (optional keys are omitted) and without titles.
+
+    Each number has the range for the `name` of its key or column, if it has no bound of its own.
     """
     if isinstance(node, list):
         return [_as_written(item, name) for item in node]
@@ -86,10 +89,10 @@ def _as_written(node: Any, name: str = "") -> Any:
 
 
 def _campaign() -> dict[str, Any]:
-    """A scenario with the sections that make it a campaign."""
+    """Return the JSON Schema of a scenario with the sections of a campaign."""
     schema = json_schema("scenario")
     further = _as_written(CampaignFile.model_json_schema(by_alias=True))
-    further["$defs"]["Campaign"].pop("required")  # the file that is extended may be a campaign already
+    further["$defs"]["Campaign"].pop("required")  # the extended file may be a campaign already
     return schema | {
         "description": CampaignFile.__doc__,
         "properties": schema["properties"] | further["properties"],

@@ -1,5 +1,7 @@
-"""The command `simdesign`: optimise a control design, or judge one. Nothing heavy is imported before it is known what
-to do."""
+"""The command `simdesign`: optimise a control design, or judge one.
+
+Expensive modules are imported only once the task is known.
+"""
 
 from __future__ import annotations
 
@@ -155,7 +157,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _between(least: float, text: str, most: float = float("inf")) -> float:
-    """A number of at least `least` and at most `most`."""
+    """Return a parser of numbers of at least `least` and at most `most`."""
     value = number(text)
     if value < least or value > most:
         raise argparse.ArgumentTypeError(f"{text!r} is not from {least:g} to {most:g}")
@@ -176,7 +178,7 @@ def _optimise(
         raise CommandError("a case is named twice")
     if len(cases) > 1 and not verify:
         raise CommandError(f"what is {cases[1]!r}? one case at a time, or several with --verify")
-    from maxq.tools.design import run_case  # noqa: PLC0415  # lazy, as all imports below: --help is quick
+    from maxq.tools.design import run_case  # noqa: PLC0415  # lazy, as all imports below: --help is fast
 
     given |= {"page": not no_pictures, "trials": not no_trials}
     makes = [partial(run_case.make, case, out=_folder(out, case, len(cases)), **given) for case in cases]
@@ -212,7 +214,7 @@ def _bias(**given: Any) -> int:
 
 
 def _folder(out: str | None, case: str, cases: int) -> str | None:
-    """Several cases get a folder each inside --out."""
+    """Return the folder of a case: with several cases, each has one inside --out."""
     if out is None or cases == 1:
         return out
     return os.path.join(out, os.path.basename(case).removesuffix(".toml"))

@@ -1,4 +1,4 @@
-"""The command `simreplay`: look at flights. Nothing heavy is imported before it is known what to do."""
+"""The command `simreplay`: view flights. Expensive modules are imported only once the task is known."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _parser() -> Parser:
 
 
 def show(arguments: list[str]) -> int:
-    """Run the command from Python: wrong input raises."""
+    """Run the command from Python. Invalid input raises."""
     options = _parser().read(arguments)
     from maxq.tools.replay.run import execute  # noqa: PLC0415  # lazy
 

@@ -1,4 +1,4 @@
-"""The command `simrun`: fly a scenario. Nothing heavy is imported before it is known what to do."""
+"""The command `simrun`: fly a scenario. Expensive modules are imported only once the task is known."""
 
 from __future__ import annotations
 
@@ -210,8 +210,8 @@ def _in_present_form(arguments: list[str]) -> list[str]:
 
 
 def _command_for(name: str) -> str:
-    """Return the subcommand that flies this scenario or campaign. Raises ScenarioError where there is no such file."""
-    from maxq.sim.input.files import locate  # noqa: PLC0415  # lazy, as all imports below: --help is quick
+    """Return the subcommand that flies this scenario or campaign. Raises ScenarioError if there is no such file."""
+    from maxq.sim.input.files import locate  # noqa: PLC0415  # lazy, as all imports below: --help is fast
     from maxq.sim.scenario.loader import is_campaign  # noqa: PLC0415  # lazy
 
     _refuse_result(name)
@@ -220,9 +220,9 @@ def _command_for(name: str) -> str:
 
 
 def _refuse_result(name: str) -> None:
-    """Raise CommandError where a log, or the path of a folder with one, is given instead of a scenario.
+    """Raise CommandError if a log, or the path of a folder with one, is given instead of a scenario.
 
-    A name without a separator may be that of a built-in scenario, also where there is a folder of that name.
+    A name without a separator may be that of a built-in scenario, even if a folder of that name exists.
     """
     log = name if name.endswith(".mcap") else os.path.join(name, "flight.mcap") if os.sep in name else ""
     if os.path.isfile(log):
@@ -271,7 +271,7 @@ def _upgrade(file: str) -> int:
 
 
 def _kept(text: str) -> str:
-    """Runs to keep."""
+    """Return the numbers of the runs to keep."""
     from maxq.sim.campaign.schema import KEEP_ALLOWED, keep_is_known  # noqa: PLC0415  # lazy
 
     if not keep_is_known(text):
@@ -280,16 +280,17 @@ def _kept(text: str) -> str:
 
 
 def _load_numba_without_blas() -> None:
-    """Numba looks for BLAS where it first meets compiled code, by importing scipy.linalg: a fifth of a second.
+    """Load Numba without its search for BLAS, which imports scipy.linalg and takes a fifth of a second.
 
-    Kernels use no linear algebra (CONTRIBUTING.md), so this process, which flies and ends, tells it that there is none.
+    Kernels use no linear algebra (CONTRIBUTING.md). Therefore, this process, which ends after the flight, marks
+    scipy.linalg as unavailable.
     """
     blas = "scipy.linalg.cython_blas"
     if blas in sys.modules:
         return
-    sys.modules[blas] = None  # type: ignore[assignment]  # Python's way of saying "cannot be imported"
+    sys.modules[blas] = None  # type: ignore[assignment]  # Python's marker for "cannot be imported"
     try:
-        import numba.np.arraymath  # noqa: F401, PLC0415  # its import is what looks
+        import numba.np.arraymath  # noqa: F401, PLC0415  # its import makes the search
     finally:
         del sys.modules[blas]
 

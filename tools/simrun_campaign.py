@@ -1,6 +1,6 @@
-"""The subcommands of `simrun` on campaigns: fly, resume, judge, report; one run again, reduced, or searched from.
+"""The subcommands of `simrun` on campaigns: fly, resume, judge, report, and repeat, reduce or search from one run.
 
-`simrun` imports this module only where a campaign is asked for.
+`simrun` imports this module only for a campaign.
 """
 
 from __future__ import annotations
@@ -54,8 +54,10 @@ def fly_campaign(
     keep: tuple[str, ...] = (),
     no_report: bool = False,
 ) -> int:
-    """Fly, resume or enlarge a campaign; returns the exit code, as all here. They raise what `cli.frame.run` answers
-    with one line."""
+    """Fly, resume or enlarge a campaign.
+
+    Return the exit code, as all functions here do. They raise the errors that `cli.frame.run` reports on one line.
+    """
     start_s = time.perf_counter()
     changes = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
     announce(f"reading {campaign}")
@@ -110,7 +112,7 @@ def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float,
 
 
 def report_again(folder: str, *, keep: tuple[str, ...] = (), no_report: bool = False) -> int:
-    """Judge a campaign that was flown, and write its report, once more."""
+    """Judge a campaign that was flown, and write its report again."""
     start_s = time.perf_counter()
     place = Path(folder)
     data = DataSet(place, campaign_in(place))
@@ -172,13 +174,16 @@ def fly_run(
     if seen is not None:
         try:
             seen.show(again.folder / LOG_NAME)
-        except ReplayError as error:  # the flight is flown and its log is written: the verdict stays as it is
+        except ReplayError as error:  # the flight is complete and its log is written: the verdict remains
             say("simrun", f"--view: {error}")
     return Exit.OK if again.flight.passed and again.same is not False else Exit.FAILED
 
 
 def shrink(folder: str, run: int, *, workers: int | None = None) -> int:
-    """Find the fewest dispersions with which a run fails, as DIR/shrunk/run-000417.toml. Exit code 1: it fails."""
+    """Find the fewest dispersions with which a run fails, as DIR/shrunk/run-000417.toml.
+
+    Exit code 1 means that it fails.
+    """
     place = Path(folder)
     campaign = campaign_in(place)
     count = len(campaign.input_names)
@@ -216,7 +221,10 @@ def shrink(folder: str, run: int, *, workers: int | None = None) -> int:
 
 
 def search(folder: str, metric: str, *, runs: int = _SEARCH_FLIGHTS, workers: int | None = None) -> int:
-    """Find the worst flight within 3 sigma, as DIR/worst/METRIC.toml. Exit code 1: it misses a requirement."""
+    """Find the worst flight within 3 sigma, as DIR/worst/METRIC.toml.
+
+    Exit code 1 means that it misses a requirement.
+    """
     if metric not in METRIC_NAMES:
         hint = suggestion(metric, METRIC_NAMES)
         raise CampaignError(f"{metric}: there is no such metric; {hint or ', '.join(METRIC_NAMES)}")
@@ -262,7 +270,7 @@ def search(folder: str, metric: str, *, runs: int = _SEARCH_FLIGHTS, workers: in
 
 
 def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | None = None) -> int:
-    """Estimate how rarely a requirement is missed, by subset simulation. The exit code is that of a campaign."""
+    """Estimate the probability of missing a requirement, by subset simulation. The exit code is that of a campaign."""
     place, start_s = Path(folder), time.perf_counter()
     campaign = campaign_in(place)
     asked = [r for r in campaign.base.scenario.requirement if r.metric == metric]
@@ -315,7 +323,7 @@ def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | 
 
 
 def _nearest(campaign: LoadedCampaign, folder: Path, metric: str, point: tuple[np.ndarray, int]) -> list[str]:
-    """Write the likeliest flight that missed, and return its largest deviations."""
+    """Write the most probable flight that missed, and return its largest deviations."""
     z, noise = point
     drawn, _ = campaign.plan.of_scores(z[None], np.array([noise]))
     path = folder / "rare" / f"{metric}.toml"

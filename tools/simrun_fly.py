@@ -1,6 +1,6 @@
-"""`simrun fly SCENARIO` and `simrun refly LOG`: load, fly, write, compare, report.
+"""The subcommands `simrun fly SCENARIO` and `simrun refly LOG`: load, fly, write, compare, report.
 
-`simrun` imports this module only where a flight is asked for.
+`simrun` imports this module only for a flight.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ def execute(
     view_port: int | None = None,
     realtime: float | None = None,
 ) -> int:
-    """Fly a scenario, or the one in a log; returns the exit code.
+    """Fly a scenario, or the one in a log. Return the exit code.
 
-    `start_s`: `time.perf_counter()` when the command began; the rest are the options.
+    `start_s` is `time.perf_counter()` at the start of the command. The other arguments are the options.
     """
     announce(f"reading {scenario or log}")
     loaded, comparison = _load(scenario, log, overrides)
@@ -50,7 +50,7 @@ def execute(
     folder = _folder(log, out, loaded.name, overrides)
     if folder is not None:
         check_writable(folder, LogError)
-    loaded.warnings  # noqa: B018  # computed here: an error in them comes before the flight
+    loaded.warnings  # noqa: B018  # computed here, so that an error in them precedes the flight
     loaded_s = time.perf_counter()
     announce("loading the compiled flight")
     live = None
@@ -59,7 +59,7 @@ def execute(
             from maxq.tools.replay.live import LiveView  # noqa: PLC0415  # lazy: rerun takes half a second
 
             live = LiveView(loaded, view_port)
-    with Progress():  # which says so where kernels are compiled
+    with Progress():  # which reports the compilation of kernels
         if live is None:
             run = FlightRun(loaded, packed, log=folder is not None and not no_log)
         else:
@@ -100,7 +100,7 @@ def execute(
 
 
 def show_flight(progress: Progress, run: FlightRun) -> None:
-    """Show a flight's progress, as a share of its duration only where no event may end it before."""
+    """Show a flight's progress. It is a share of the duration only if no event may end the flight before."""
     limits = run.loaded.scenario.run
     end_s = limits.start_s + limits.duration_s
     if limits.stop_at:
@@ -111,8 +111,8 @@ def show_flight(progress: Progress, run: FlightRun) -> None:
 
 @contextmanager
 def viewer_needed() -> Iterator[None]:
-    """The viewer is opened in here, before anything is flown. Raises CommandError where there is none."""
-    from maxq.tools.replay.viewer import check_installed  # noqa: PLC0415  # lazy: flights without a view need none
+    """Open the viewer before the flight. Raises CommandError if there is none."""
+    from maxq.tools.replay.viewer import check_installed  # noqa: PLC0415  # lazy: flights without a view do not need it
 
     try:
         check_installed()
@@ -132,10 +132,10 @@ def _load(scenario: str, log: str | None, overrides: tuple[str, ...]) -> tuple[L
 
 
 def _folder(log: str | None, out: str | None, name: str, overrides: tuple[str, ...]) -> Path | None:
-    """Return where to write: nothing for a log that is flown again without --out.
+    """Return the folder for the results, or None for a log that is flown again without --out.
 
-    A scenario that --set changes has a folder of its own, named by a hash of the changes: it does not replace the
-    result of the plain scenario, and the same command replaces its own result.
+    A scenario that --set changes has its own folder, named by a hash of the changes. It does not replace the result of
+    the plain scenario, and the same command replaces its own result.
     """
     if out is None:
         plain = plain_name(name, "flight")
@@ -158,7 +158,7 @@ def announce_log(run: FlightRun) -> None:
 
 
 def _scenario_text(logged: LoggedRun) -> str:
-    """The scenario as flown that a log holds. Raises LogError where it holds none."""
+    """Return the scenario as flown from a log. Raises LogError if the log contains none."""
     attachment = logged.attachments.get(record.SCENARIO_ATTACHMENT)
     if attachment is None:
         raise LogError(f"{logged.path}: the log holds no scenario ({record.SCENARIO_ATTACHMENT})")
@@ -178,12 +178,15 @@ class Comparison:
         self._hash = ""
 
     def look(self, run: FlightRun) -> None:
-        """Call before the flight and after every segment."""
+        """Update the comparison. Call it before the flight and after every segment."""
         if int(run.memory.clock.now_ns) == self._end_ns:
             self._hash = run.state_hash()
 
     def verdict(self, flight: Flight) -> bool:
-        """Print how the flight compares. False where it differs, or cannot be compared though it should."""
+        """Print the result of the comparison.
+
+        Return False if the flight differs, or could not be compared as required.
+        """
         if self._logged is None:
             return True
         path = self._logged.path

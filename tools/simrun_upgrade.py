@@ -1,4 +1,6 @@
-"""`simrun upgrade FILE`: bring a design, case or suite of an earlier version of maxq to the present format."""
+"""The subcommand `simrun upgrade FILE`: convert a design, case or suite of an earlier version of maxq to the present
+format.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ _OF_SUITES = ("flight", "margins", "certificate", "dispersed_limit")
 
 
 def execute(name: str) -> int:
-    """Convert a file where it stands; returns the exit code. Raises ScenarioError and FileError."""
+    """Convert a file in place. Return the exit code. Raises ScenarioError and FileError."""
     path, reading = Path(name), Reading()
     if kind(path) != "file":
         raise ScenarioError(name or '""', "no such file", allowed=_ALLOWED)
@@ -46,7 +48,7 @@ def role_of(path: Path, label: str, reading: Reading) -> str:
     for role in ("suite", "case", "design", "scenario"):
         try:
             found = _role_by_keys(reading.document(path, label, role, ignore_unset=True))
-        except ScenarioError as error:  # what it extends is of another kind
+        except ScenarioError as error:  # the extended file is of another kind
             problem = problem or error
             continue
         if found == role:

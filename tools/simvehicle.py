@@ -1,4 +1,7 @@
-"""The command `simvehicle`: from a layout to a vehicle that flies. Nothing heavy is imported before it has to be."""
+"""The command `simvehicle`: build a vehicle that flies from a layout.
+
+Expensive modules are imported only when they are needed.
+"""
 
 from __future__ import annotations
 

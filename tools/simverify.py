@@ -1,5 +1,7 @@
-"""The command `simverify`: accept or reject control designs, and say why. Nothing heavy is imported before it is known
-what to do."""
+"""The command `simverify`: accept or reject control designs, with the reasons.
+
+Expensive modules are imported only once the task is known.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ _EXAMPLES = """\
   simverify --check runs/verify-ksr3-robust       compute a sample of a pack again
 """
 _EXITS = {
-    Exit.OK: "accepted: every requirement is met, and shown with the confidence that is asked for "
+    Exit.OK: "accepted: every requirement is met, and shown with the required confidence "
     "(of several designs: by the best); with less evidence than an acceptance needs: passed the screening",
     Exit.FAILED: "rejected: at least one requirement is not met; of --check: something differs",
     Exit.BAD_INPUT: "bad input, nothing flown, or files that cannot be read or written",
@@ -70,7 +72,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _date(text: str) -> str:
-    """A date, as it was given."""
+    """Return a date, unchanged after a check."""
     try:
         datetime.date.fromisoformat(text)
     except ValueError:
@@ -80,7 +82,7 @@ def _date(text: str) -> str:
 
 def _verify(designs: tuple[str, ...] = (), check: str | None = None, allowed: str | None = None, **given: Any) -> int:
     if check is not None:
-        from maxq.tools.verify.check import execute as execute_check  # noqa: PLC0415  # lazy: --help is quick
+        from maxq.tools.verify.check import execute as execute_check  # noqa: PLC0415  # lazy: --help is fast
 
         named = {key: given[key] for key in ("suite", "vehicle", "sample") if key in given}
         return execute_check(check, designs, allowed=allowed, **named)

@@ -1,7 +1,8 @@
-"""The basis of a design: plant, loop, operating points and limits that a law is designed under and judged by.
+"""The basis of a design: the plant, the loop, the operating points and the limits under which a law is designed and
+verified.
 
-A case is a basis with a problem to be solved; a design file carries the basis of its law in `[basis]`, or one of each
-stage in `[stage.basis]`. `stated_basis` reads it.
+A case is a basis with an optimisation problem. A design file contains the basis of its law in `[basis]`, or one basis
+per stage in `[stage.basis]`. `stated_basis` reads it.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ BETWEEN = (
     "paper"
 )
 WIND_KEYS = ("q_alpha_Padeg", "drift_mps", "bending_moment")
-"""Limits that need a wind."""
+"""The limits that need a wind."""
 
 
 def check_range(value: BetweenTimes, key: str, lowest: float) -> None:
@@ -54,7 +55,7 @@ class SectionLimit(Section):
 
 
 class LoadLimits(CommonLimits):
-    """Limits of one plant in still air and in wind; a key that is absent sets none."""
+    """The load limits of one plant in still air and in wind. An absent key sets no limit."""
 
     renamed: ClassVar[dict[str, str]] = {"higher_modes_db": "modes_from_3_db"}
 
@@ -66,7 +67,7 @@ class LoadLimits(CommonLimits):
 
 
 class DesignLimits(LoadLimits):
-    """Limits of a design; an absent key sets none."""
+    """The limits of a design. An absent key sets no limit."""
 
     zone: ZoneName = optional(
         "exclusion zone of L around -1 in the Nichols plane, half axes gain_margin_db, phase_margin_deg", "none"
@@ -90,12 +91,12 @@ class DesignLimits(LoadLimits):
 
     @property
     def asked(self) -> tuple[str, ...]:
-        """Keys of the limits that are set."""
+        """Return the keys of the limits that are set."""
         return tuple(k for k, v in dict(self).items() if k != "rigid_body" and v not in (None, (), "none"))
 
 
 class MarginLimits(LoadLimits):
-    """Limits of a loop; margins hold at every crossing, and the closed loop must be stable."""
+    """The limits of a loop. The margins hold at every crossing, and the closed loop must be stable."""
 
     gain_margin_db: Positive = optional("GM_R (44): customary, the paper gives none", 6.0)
     phase_margin_deg: Degrees = optional("PM_R (45): customary, the paper gives none", 30.0)
@@ -110,7 +111,7 @@ class MarginLimits(LoadLimits):
 
 
 class Limits(MarginLimits, DesignLimits):
-    """Limits of the nominal plants, of the filter and of the method."""
+    """The limits of the nominal plants, of the filter and of the method."""
 
     filter_gain_at_infinity: Positive = optional(
         "P^F, largest |F(j inf)| (46): 1 for a filter that does not amplify noise; not in the paper", 1.0
@@ -118,7 +119,7 @@ class Limits(MarginLimits, DesignLimits):
 
 
 class CaseWind(Section):
-    """Lateral wind for the limits of load and drift: a spectrum of MIL-F-8785C."""
+    """The lateral wind for the limits of load and drift: a spectrum of MIL-F-8785C."""
 
     sigma_mps: Positive = Field(description="intensity, m/s")
     length_v_m: Positive = optional("scale length, m", 533.0)
@@ -134,7 +135,7 @@ class CaseWind(Section):
 
 
 class DispersedLimits(MarginLimits):
-    """Limits of the dispersed plants: customarily half the nominal ones."""
+    """The limits of the dispersed plants, customarily half the nominal limits."""
 
     gain_margin_db: Positive = optional("customary: half the nominal one", 3.0)
     phase_margin_deg: Degrees = optional("customary: half the nominal one", 15.0)
@@ -143,11 +144,12 @@ class DispersedLimits(MarginLimits):
 
 
 class Robust(Spread):
-    """Dispersed plants for which the design must hold: half ranges, relative unless a unit is named.
+    """The dispersed plants for which the design must meet its limits. Half ranges are relative unless a unit is named.
 
-    Every mode and every tank by itself. The defaults are 3-sigma ranges after a modal survey: bending 5, 10, 15 %,
-    slopes 20 %. Plants are corners at which all deviate at once: n deviations of one sigma each are sqrt(n) sigma away.
-    Where some go together, corners are those of the independent scores behind them, and as likely.
+    Every mode and every tank deviates independently. The defaults are 3-sigma ranges after a modal survey: bending 5,
+    10, 15 %, slopes 20 %. The plants are corners at which all parameters deviate simultaneously: n deviations of one
+    sigma each have a distance of sqrt(n) sigma. If parameters are correlated, the corners are those of the underlying
+    independent scores and are equally probable.
     """
 
     where: ClassVar[tuple[str, str]] = ("case", "robust")
@@ -194,13 +196,13 @@ class Basis(Section):
 
     @property
     def bends(self) -> bool:
-        """Bending moments are limited."""
+        """Return True if bending moments are limited."""
         return len(self._stations_m(())) > 0
 
     def bending_stations_m(self, known: tuple[float, ...]) -> tuple[float, ...]:
-        """Return where moments are asked for, in one stage, which has the stations `known`.
+        """Return the stations at which bending moments are required in one stage, which has the stations `known`.
 
-        Raises ValueError for a station that is not among them.
+        Raises ValueError for a station that is not in `known`.
         """
         asked = self._stations_m(known)
         if not asked <= set(known):
@@ -212,18 +214,18 @@ class Basis(Section):
         return tuple(sorted(asked))
 
     def _stations_m(self, known: tuple[float, ...]) -> set[float]:
-        del known  # the objective of a case may be about all of them
+        del known  # the objective of a case may apply to all of them
         limits: list[LoadLimits] = [self.limits, *([] if self.robust is None else [self.robust.limits])]
         return {one.station_m for each in limits for one in each.bending_moment}
 
     def as_table(self) -> dict[str, Any]:
-        """Return the basis as a design file has it: keys that set nothing are left out."""
+        """Return the basis as it is written to a design file, without the keys that set nothing."""
         table: dict[str, Any] = _what_sets(plain(told(self)))
         return table
 
 
 def _what_sets(value: Any) -> Any:
-    """Return a table without keys that set nothing, and without limits that are not asked for."""
+    """Return a table without the keys that set nothing and without the limits that are not set."""
     if not isinstance(value, dict):
         return value
     left_out = value.get("without", ())
@@ -231,16 +233,19 @@ def _what_sets(value: Any) -> Any:
 
 
 def limit_of(limits: LoadLimits, key: str | float) -> Any:
-    """Return a limit by its key, or of a bending moment by its station (m); None where it is not asked for."""
+    """Return a limit by its key, or the limit of a bending moment by its station (m).
+
+    Return None if the limit is not set.
+    """
     if isinstance(key, str):
         return None if key in getattr(limits, "without", ()) else getattr(limits, key)
     return next((one.rms_Nm for one in limits.bending_moment if one.station_m == key), None)
 
 
 def stated_basis(design: Design, stage: int = 0, label: str = "") -> Basis | None:
-    """Return the basis that a design states for a stage, from 0; None where it states none.
+    """Return the basis that a design states for a stage, counted from 0, or None if the design states no basis.
 
-    Raises ScenarioError, about a file that is called `label`, for one that is wrong.
+    Raises ScenarioError for an invalid basis. The message names the file by `label`.
     """
     given = design.of_stage(stage).basis
     if given is None:

@@ -1,8 +1,10 @@
-"""Case files: what they may hold, problem (42) to (50) of Lee, Ahn & Roh and what goes beyond it, and reading them.
+"""The schema of case files, and functions that read them.
+
+A case states problem (42) to (50) of Lee, Ahn & Roh and extensions.
 
     loaded = read_case("ksr3-identical", ["filter.structure='F6'"])
 
-The paper leaves the values of its limits and bounds open; each description says what is assumed and why.
+The paper does not state the values of its limits and bounds. Each description gives the assumed value and the reason.
 """
 
 from __future__ import annotations
@@ -36,10 +38,10 @@ from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
 from maxq.sim.scenario.schema_design import Design, LoadReliefSection
 
 ObjectiveName = Literal["first-mode-peak", "least-margin", "load", "bending-moment"]
-"""Keys of `design.optimise.criteria.OBJECTIVES`."""
+"""The keys of `design.optimise.criteria.OBJECTIVES`."""
 
 Model = TypeVar("Model", bound=Section)
-CORNER = 0.1  # of the rigid body's least frequency: corner of the integral where the case does not say
+CORNER = 0.1  # of the lowest rigid-body frequency: corner of the integral if the case gives none
 
 
 class CaseGains(Section):
@@ -68,11 +70,11 @@ class CaseGains(Section):
 
 
 class FilterBounds(Section):
-    """Bounds of the filter's variables (50), frequencies in Hz; the paper gives none.
+    """The bounds of the variables of the filter (50), with frequencies in Hz. The paper gives none.
 
-    They matter. Frequencies begin well above the rigid body's crossover: lower ones would change the gains that (35)
-    and (36) reckon with, and an optimiser makes use of that (with roots from 1 Hz, F4 came 8 dB lower as a lag
-    network).
+    The bounds affect the result. The frequencies begin well above the crossover of the rigid body. Lower frequencies
+    would change the gains that (35) and (36) assume, and an optimiser exploits this. With roots from 1 Hz, F4 became a
+    lag network and was 8 dB lower.
     """
 
     zero_hz: BetweenTimes = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
@@ -93,7 +95,7 @@ class FilterBounds(Section):
 
 
 class FilterSections(Section):
-    """A filter's form."""
+    """The structure of a filter."""
 
     structure: DesignedStructure = optional(
         "F2 to F6: of the paper (37 to 41); sections: numbers given by quadratic and first_order", "F4"
@@ -109,12 +111,12 @@ class FilterSections(Section):
 
     @property
     def sections(self) -> tuple[int, int]:
-        """Quadratic and first-order ones."""
+        """Return the numbers of quadratic and of first-order sections."""
         return STRUCTURES.get(self.structure, (self.quadratic or 0, self.first_order or 0))
 
 
 class CaseFilter(FilterSections):
-    """The bending filter's form."""
+    """The structure of the bending filter."""
 
     prewarp_hz: Positive | None = optional(
         "frequency at which the discrete filter equals the continuous one, Hz (default: mean frequency of mode 1)"
@@ -123,7 +125,7 @@ class CaseFilter(FilterSections):
 
 
 class CaseLoopFilters(Section):
-    """Filters of the inputs of the law, by loop, with the bounds and prewarping of [filter]."""
+    """The filters of the inputs of the law, by loop, with the bounds and the prewarping of [filter]."""
 
     attitude: FilterSections | None = optional("filter of the attitude error")
     rate: FilterSections | None = optional("filter of the (blended) rate")
@@ -133,7 +135,7 @@ class CaseLoopFilters(Section):
 
     @property
     def each(self) -> tuple[tuple[int, int], ...]:
-        """Quadratic and first-order sections of each."""
+        """Return the numbers of quadratic and of first-order sections of each filter."""
         return tuple((0, 0) if f is None else f.sections for f in (self.attitude, self.rate, self.acceleration))
 
 
@@ -160,14 +162,14 @@ class ObjectiveSection(Section):
 
 
 class ReferencePhase(Section):
-    """Phase 1 of the two-phase design: the smallest gains linear in time that meet these limits."""
+    """The settings of phase 1 of the two-phase design: the smallest gains, linear in time, that meet these limits."""
 
     rigid_hz: Positive = optional("natural frequency at every operating point, Hz (paper, 5.1)", 0.5)
     rigid_zeta: Positive = optional("damping ratio at every operating point (paper, 5.1)", 0.7)
 
 
 class SearchSettings(Section):
-    """The optimiser's starts."""
+    """The settings of the optimiser's search, such as its starts."""
 
     starts: Annotated[int, Field(ge=1, le=1000)] = optional("number of starts of the whole problem", 8)
     leaps: Annotated[int, Field(ge=0, le=1000)] = optional(
@@ -199,7 +201,7 @@ class CaseHead(Section):
 
 
 class Case(Basis, CaseHead):
-    """A case file, in designs/cases/."""
+    """A case file of designs/cases/."""
 
     earlier: ClassVar[dict[str, str]] = {"between_nodes": "ignore"}
 
@@ -240,7 +242,7 @@ class Case(Basis, CaseHead):
         objective = {"load": WIND_KEYS[0], "bending-moment": WIND_KEYS[2]}.get(self.objective.kind)
         if objective is not None and self.wind is None:
             raise refuse("needs a wind", "a table [wind]", ("objective", "kind"))
-        small_m = self.objective.stations_m  # a limit of a moment may be about another station
+        small_m = self.objective.stations_m  # a limit of a moment may apply to another station
         made_small = small_m is None or any(one.station_m in small_m for one in self.limits.bending_moment)
         if objective is not None and made_small and getattr(self.limits, objective) not in (None, ()):
             raise refuse("is the objective", "no limit of it", ("limits", objective))
@@ -255,7 +257,7 @@ class Case(Basis, CaseHead):
 
     @property
     def bends(self) -> bool:
-        """Bending moments are limited, or the objective, in any stage."""
+        """Return True if bending moments are limited or are the objective in any stage."""
         limits = [stage.limits for stage in self.stage if stage.limits is not None]
         objectives = [self.objective, *(stage.objective for stage in self.stage if stage.objective is not None)]
         asked = any(each.bending_moment for each in limits) or any(o.kind == "bending-moment" for o in objectives)
@@ -265,20 +267,21 @@ class Case(Basis, CaseHead):
         return super()._stations_m(known) | set(self.objective_stations_m(known))
 
     def objective_stations_m(self, known: tuple[float, ...]) -> tuple[float, ...]:
-        """Those where the moment is made small."""
+        """Return the stations at which the bending moment is minimised."""
         if self.objective.kind != "bending-moment":
             return ()
         return known if self.objective.stations_m is None else self.objective.stations_m
 
     def integral_hz(self, times_s: Any) -> float:
-        """Return the least corner of the integral of the law pid, at vehicle times (s), Hz."""
+        """Return the lowest corner frequency (Hz) of the integral of the law pid at vehicle times (s)."""
         least = self.limits.integral_hz
         return CORNER * float(at_time(self.limits.rigid_hz, times_s).min()) if least is None else least
 
     def basis(self, scenario: str, nodes_s: tuple[float, ...]) -> Basis:
-        """Return what a design of this case states: the limits that were imposed, at the nodes of one stage.
+        """Return the basis of a design of this case: the imposed limits at the operating points of one stage.
 
-        A two-phase design is held to the rigid-body motion of [reference]. `scenario`: its name.
+        The limits of a two-phase design include the rigid-body motion of [reference]. `scenario` is the name of the
+        scenario.
         """
         stated = {key: limit_of(self.limits, key) for key in DesignLimits.model_fields}
         if self.gains.schedule == "two-phase":
@@ -290,19 +293,22 @@ class Case(Basis, CaseHead):
 
     @property
     def times_s(self) -> tuple[float, ...]:
-        """Nodes of a case of one stage (`optimise.solve.each_stage`)."""
+        """Return the vehicle times (s) of the operating points of a case of one stage (`optimise.solve.each_stage`)."""
         assert self.nodes_s is not None
         return self.nodes_s
 
     def of_stage(self, number: int, nodes_s: tuple[float, ...]) -> Case:
-        """The case of one stage, from 0. Raises ValidationError where what differs does not go with the rest."""
+        """Return the case of one stage, counted from 0.
+
+        Raises ValidationError if the keys of the stage are incompatible with the others.
+        """
         own = self.stage[number] if number < len(self.stage) else StageCase()
         changed = _laid_over(self, own).model_copy(update={"stage": (), "stages": None, "nodes_s": nodes_s})
         return type(self).model_validate({k: v for k, v in dict(changed).items() if k != "schema_version"})
 
 
 def _laid_over(below: Model, over: Section) -> Model:
-    """A section with the keys that another one says, sections within it likewise."""
+    """Return a section with the keys of another section laid over it, recursively for nested sections."""
     update = {}
     for key in over.model_fields_set:
         mine, value = getattr(below, key), getattr(over, key)
@@ -312,7 +318,10 @@ def _laid_over(below: Model, over: Section) -> Model:
 
 @dataclass(frozen=True)
 class LoadedCase:
-    """A case and its scenario. `flight`: gives the operating points, by default the scenario with its own design."""
+    """A case and its scenario.
+
+    `flight` provides the operating points; its default is the scenario with its own design.
+    """
 
     case: Case
     label: str
@@ -326,14 +335,14 @@ class LoadedCase:
 
     @property
     def along(self) -> LoadedScenario:
-        """The scenario with the design whose flight gives the operating points."""
+        """Return the scenario with the design whose flight provides the operating points."""
         return self.flight or self.scenario
 
 
 def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
-    """The case in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError.
+    """Read the case in a file, or the built-in case of that name, with `key=value` overrides. Raises ScenarioError.
 
-    Its scenario is one beside the case, or as `load_scenario` finds it.
+    The scenario is searched for in the folder of the case, then as `load_scenario` does.
     """
     case, tree, file, label, _ = load_file(Case, "case", name, overrides)
     given = tree.get("scenario")
@@ -344,10 +353,10 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
         case = case.model_copy(update={"robust": case.robust.model_copy(update=update)})
     try:
         scenario = load_scenario(flown)
-        if case.bends:  # its masses along the body are the vehicle's
+        if case.bends:  # its masses along the body are those of the vehicle
             load_scenario(flown, ["switches.section_loads=true"])
     except ScenarioError as error:
-        if error.file == case.scenario:  # the name itself is wrong
+        if error.file == case.scenario:  # the name itself is invalid
             source, allowed = tree.sources.get("scenario", tree.source), error.allowed
             layout = Path(case.scenario).parts[0]
             if layout in builtin_files("layout"):

@@ -1,4 +1,6 @@
-"""The margin certificate of a design: linear, sampled and measured side by side, node by node and axis by axis."""
+"""The margin certificate of a design: linear, sampled and measured margins at each operating point and in each
+plane.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ from maxq.sim.scenario.loader import LoadedScenario
 
 PLANES: tuple[Plane, ...] = ("pitch", "yaw")
 MARGIN_WITHIN_DB, DELAY_WITHIN = 0.2, 0.02
-NOISE_WITHIN_DB, NOISE_WITHIN = 0.5, 0.05  # where without rounding the two agree to the above
+NOISE_WITHIN_DB, NOISE_WITHIN = 0.5, 0.05  # for rows in which the two agree to the above tolerance without rounding
 HELD_GRAVITY = "held gravity"
 
 
@@ -34,14 +36,14 @@ class MarginRow:
     """A margin in `unit`: of the linear loop at the flown instant (continuous and sampled), of the linear loop of the
     held flight, and measured in the held flight.
 
-    `reason` is "" where flight and linear loop agree; "held gravity" where they do, but the margin at the flown instant
-    differs, because the slowest root is under the axial load in the held flight and under gravity in the ascent;
-    "longer than can be inserted" for a delay margin of more samples than the computer's filter has room for, which is
-    not measured; "converter noise" where they agree without rounding and are less than 0.5 dB or 5 % apart with it;
-    otherwise what is wrong.
+    `reason` is "" if flight and linear loop agree. "held gravity" means that they agree, but the margin at the flown
+    instant differs: the axial load acts on the slowest root in the held flight, and gravity acts on it in the ascent.
+    "longer than can be inserted" marks a delay margin of more samples than the computer's filter can hold; it is not
+    measured. "converter noise" means that they agree without rounding and differ by less than 0.5 dB or 5 % with
+    rounding. Any other reason states the fault.
 
-    `what` is "gain_up", "gain_down" or "delay", or "drift" (1/s): the growth rate of the slowest root of a loop that is
-    stable at the flown instant and unstable in the held flight.
+    `what` is "gain_up", "gain_down", "delay" or "drift". A drift (1/s) is the growth rate of the slowest root of a loop
+    that is stable at the flown instant and unstable in the held flight.
     """
 
     what: str
@@ -55,7 +57,7 @@ class MarginRow:
 
     @property
     def difference(self) -> float:
-        """Measured less linear, both held."""
+        """Return the measured margin less the linear margin, both in the held flight."""
         return self.measured - self.held
 
     @property
@@ -65,8 +67,10 @@ class MarginRow:
 
 @dataclass(frozen=True)
 class NodeCertificate:
-    """`stable`: the loop at the flown instant. `cycle`: how a loop that is unstable when held, by more than a drift,
-    ends in flight. All at a total gain of 1; `total_gain_db`: how far down and up adaptation may take it.
+    """The certificate of an operating point at a total gain of 1.
+
+    `stable` is True if the loop at the flown instant is stable. `cycle` describes how a held loop ends in flight if it
+    is unstable by more than a drift. `total_gain_db` gives the range of the adaptive total gain, downwards and upwards.
     """
 
     time_s: float
@@ -79,8 +83,11 @@ class NodeCertificate:
     rings: tuple[RingLine, ...] = ()
 
     def total_gain_room_db(self, end: int) -> float:
-        """Gain margin beyond the least (`end` 0) or the most (1) total gain: in flight, by the linear loop where it is
-        not measured; minus infinity of a loop without margins."""
+        """Return the gain margin beyond the least (`end` 0) or the largest (1) total gain.
+
+        The margin is the measured one, or that of the linear loop if none was measured. It is minus infinity for a loop
+        without margins.
+        """
         row = next((m for m in self.margins if m.what == ("gain_down", "gain_up")[end]), None)
         if row is None:
             return -math.inf
@@ -88,7 +95,7 @@ class NodeCertificate:
 
     @property
     def unexplained(self) -> tuple[str, ...]:
-        """Differences without a reason, in words; empty where flight and linear loop agree."""
+        """Return a description of the differences that have no reason, or "" if flight and linear loop agree."""
         r = self.responses
         out = [
             f"L at {r.lines_hz[i]:.4g} Hz is {r.difference_db[i]:+.2f} dB and {r.difference_deg[i]:+.1f} deg off "
@@ -126,10 +133,13 @@ def certify(
     one: Callable[[LoadedScenario, Node], NodeCertificate] | None = None,
     along: LoadedScenario | None = None,
 ) -> list[NodeCertificate]:
-    """Certificates of the scenario's design, planes within nodes, whatever the number of workers.
+    """Return the certificates of the scenario's design, ordered by operating point, then plane.
 
-    `times_s`: vehicle times; None for such as suit the flight (`operating_points.nodes`). `one` certifies a node, by
-    default `certify_node`. `along`: the scenario whose flight gives the nodes their speed and air, by default the same.
+    The number of workers does not change the result.
+
+    `times_s` are vehicle times; None selects times that suit the flight (`operating_points.nodes`). `one` certifies an
+    operating point, by default `certify_node`. `along` is the scenario whose flight provides the speed and the air of
+    the operating points, by default the same scenario.
     """
     times = node_times(along or loaded) if times_s is None else tuple(times_s)
     found = [operating_points.nodes(along or loaded, times, plane=plane) for plane in planes]
@@ -145,10 +155,12 @@ def certify_node(
     bands: tuple[LineBand, ...] = BANDS,
     names: tuple[MarginName, ...] = MARGIN_NAMES,
 ) -> NodeCertificate:
-    """Certificate at one node, in its plane. Raises ValueError where the node cannot be held (held_flight.py).
+    """Return the certificate at one operating point, in its plane.
 
-    `fault` alters the flights and not the linear loop, to test whether the certificate detects it. `bands` and `names`:
-    which responses and which margins are measured.
+    Raises ValueError if the point cannot be held (held_flight.py).
+
+    `fault` alters the flights and not the linear model, to test that the certificate detects the fault. `bands` and
+    `names` select the responses and the margins to be measured.
     """
     if loaded.design is None:
         raise ValueError(f"{loaded.label}: there is no design to certify")
@@ -195,8 +207,11 @@ def certify_node(
 
 
 def _with_noise(row: MarginRow, fine: MarginRow) -> MarginRow:
-    """A row that disagrees, and the same without rounding: near the boundary counts keep an oscillation going, whose
-    growth then says little. It is their doing where the fine one agrees, and the other is not far off."""
+    """Return a row that disagrees, remeasured without rounding.
+
+    Near the stability boundary, converter counts sustain an oscillation, and its growth rate is then unreliable.
+    Rounding is the cause if the row without rounding agrees and the row with rounding differs little.
+    """
     near = abs(row.difference) <= (NOISE_WITHIN_DB if row.unit == "dB" else NOISE_WITHIN * row.held)
     return dataclasses.replace(row, reason=NOISE) if fine.agrees and near else row
 

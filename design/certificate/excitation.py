@@ -1,13 +1,13 @@
-"""Excitation of a loop at the gimbal command: its lines, and its level.
+"""The excitation of a loop at the gimbal command: its lines and its level.
 
-A periodic signal that fits the record exactly needs no window and leaks nothing: at its own lines the discrete Fourier
-transform of a period is the response, and what shows between them is noise (Pintelon & Schoukens, System
+A periodic signal that fits the record exactly needs no window and causes no leakage. At its own lines, the discrete
+Fourier transform of a period is the response. The content between the lines is noise (Pintelon & Schoukens, System
 Identification, ch. 2).
 
-The level is high against the converter's counts and low against every limit. The linear loop predicts what the injected
-lines do to engine, angle of attack and gyro. Lines are shaped for equal response at the gyro, within bounds, then
-scaled so that gimbal command, servo rate and angle of attack stay at a stated share of where the simulator stops being
-linear.
+The level is high relative to the converter's counts and low relative to every limit. The linear loop predicts the
+response of engine, angle of attack and gyro to the injected lines. The lines are shaped for equal response at the gyro,
+within bounds. They are then scaled so that gimbal command, servo rate and angle of attack stay at a stated share of the
+limits of linearity of the simulator.
 """
 
 from __future__ import annotations
@@ -28,21 +28,23 @@ from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.scenario.schema_scenario import Injection
 
-MOST_LEVELS, MOST_TONES = 16, 64  # of the simulator: signals at a time, tones of each
-DITHER_HZ = (0.525, 0.825)  # off the slosh of the built-in vehicles, where a loop responds and does not ring
+MOST_LEVELS, MOST_TONES = 16, 64  # of the simulator: simultaneous signals, tones of each
+DITHER_HZ = (0.525, 0.825)  # off the slosh of the built-in vehicles, where a loop responds without resonance
 SHARE_OF_LIMITS = 0.85
 SHARE_OF_BURST = 0.4
-INCIDENCE_RAD = 0.004  # small against the angle of attack at which cross-flow lift adds a tenth to the slope
+INCIDENCE_RAD = 0.004  # small relative to the angle of attack at which cross-flow lift adds a tenth to the slope
 SPREAD = 20.0  # between the strongest and the weakest line
-DITHER_COUNTS = 6.0  # largest increment of a sample by each dither tone, in pulses
+DITHER_COUNTS = 6.0  # largest increment per sample of each dither tone, in pulses
 LOWEST_BURST_HZ = 0.05
 
 Groups = list[tuple[float, Array]]
-"""Amplitudes (rad), each with its lines (Hz)."""
+"""The amplitudes (rad), each with its lines (Hz)."""
 
 
 class Excited(Protocol):
-    """The known parts of a loop that is excited: the vehicle's part, and L, as a linear model or as measured before."""
+    """The known parts of an excited loop: the response of the vehicle, and L from a linear model or from an earlier
+    measurement.
+    """
 
     @property
     def fixed(self) -> FixedPath: ...
@@ -52,15 +54,15 @@ class Excited(Protocol):
 
 @dataclass(frozen=True)
 class LineBand:
-    """Lines (Hz), each an even multiple of 1 / `period_s`, and how long they are played.
+    """The lines (Hz) of an excitation, each an even multiple of 1 / `period_s`, and its duration.
 
-    The odd multiples stay silent: what shows there is noise. One long period is better than many short ones: the
-    converter's rounding repeats with the signal, and is spread over all bins of the period.
+    The odd multiples are not excited and contain only noise. One long period is better than many short ones: the
+    rounding of the converter repeats with the signal and is spread over all bins of the period.
 
-    `dithered`: too weak at the gyro for the converter, which carries its remainder over: a signal of less than a pulse
-    a sample then vanishes or comes out as whole pulses, depending on the remainder, and has no gain that a linear loop
-    could predict (tests/test_invariants_certificate.py). Slow tones that make many pulses a sample are played along;
-    with them rounding is noise.
+    `dithered` marks lines that are too weak at the gyro for the converter, which carries its remainder over. A signal
+    of less than one pulse per sample then vanishes or appears as whole pulses, depending on the remainder. A linear
+    loop cannot predict its gain (tests/test_invariants_certificate.py). Slow tones of many pulses per sample are added,
+    so that the rounding becomes noise.
     """
 
     lines_hz: Array
@@ -71,12 +73,16 @@ class LineBand:
 
     @property
     def duration_s(self) -> float:
-        """With a second to spare: the last command takes effect after the last sample."""
+        """Return the duration (s) with a margin of one second, since the last command takes effect after the last
+        sample.
+        """
         return self.settle_s + self.period_s * self.periods + 1.0
 
     @property
     def dither_hz(self) -> Array:
-        """Tones at odd multiples of 1 / `period_s`, so that rounding errors are spread over odd and even ones alike."""
+        """Return tones at odd multiples of 1 / `period_s`, which spread rounding errors over odd and even multiples
+        alike.
+        """
         odd = 2.0 * np.round(0.5 * (np.array(DITHER_HZ) * self.period_s - 1.0)) + 1.0
         return np.asarray(odd / self.period_s) if self.dithered else np.zeros(0)
 
@@ -84,7 +90,7 @@ class LineBand:
 def band(
     low_hz: float, high_hz: float, lines: int, period_s: float, settle_s: float, periods: int, dithered: bool = False
 ) -> LineBand:
-    """About `lines` lines from low to high, evenly on a logarithmic scale.
+    """Return about `lines` lines from low to high, evenly spaced on a logarithmic scale.
 
     Raises ValueError if the lowest line does not fit the period.
     """
@@ -96,17 +102,16 @@ def band(
 
 
 def below(bands: tuple[LineBand, ...], highest_hz: float) -> tuple[LineBand, ...]:
-    """With the lines that a computer of this sample rate can send."""
+    """Return the band with the lines that a computer of this sample rate can send."""
     kept = (dataclasses.replace(band, lines_hz=band.lines_hz[band.lines_hz < 0.995 * highest_hz]) for band in bands)
     return tuple(band for band in kept if len(band.lines_hz))
 
 
 @dataclass(frozen=True)
 class ExcitationLevel:
-    """Amplitudes with their lines, and the largest gimbal command and servo rate that the linear loop predicts.
+    """The amplitudes with their lines, and the largest gimbal command and servo rate that the linear loop predicts.
 
-    `servo_radps` is the rate that the servo commands, which is what the actuator limits. `dither` is played along, at
-    its own amplitudes.
+    `servo_radps` is the rate that the servo commands and the actuator limits. `dither` is added at its own amplitudes.
     """
 
     groups: Groups
@@ -116,7 +121,7 @@ class ExcitationLevel:
 
 
 def excitation_level(held: HeldFlight, loop: Excited, band: LineBand, scale: float = 1.0) -> ExcitationLevel:
-    """Amplitudes for a band; `scale` below 1 plays the same at a lower level."""
+    """Return the amplitudes for a band. A `scale` below 1 lowers the level of the same signal."""
     lines = band.lines_hz
     at_gyro = np.abs(loop.fixed.response(lines)) / np.abs(1.0 + loop.response(lines))
     wanted = 1.0 / np.sqrt(np.maximum(at_gyro, at_gyro.max() * 1e-12))
@@ -132,7 +137,9 @@ def excitation_level(held: HeldFlight, loop: Excited, band: LineBand, scale: flo
 
 
 def dither(held: HeldFlight, loop: Excited, tones_hz: Array) -> Groups:
-    """Slow tones that each make `DITHER_COUNTS` pulses a sample at the gyro, within limits; none without rounding."""
+    """Return slow tones that each make `DITHER_COUNTS` pulses per sample at the gyro, within limits, or no tones
+    without rounding.
+    """
     count = float(held.packed.parameters[0].computer.converter.count_rad)
     if not len(tones_hz) or count == 0.0:
         return []
@@ -147,9 +154,9 @@ def dither(held: HeldFlight, loop: Excited, tones_hz: Array) -> Groups:
 
 
 def grouped(amplitude_rad: Array, lines_hz: Array) -> Groups:
-    """Amplitudes in at most half of `MOST_LEVELS` levels.
+    """Return the amplitudes, grouped in at most half of `MOST_LEVELS` levels.
 
-    Levels are geometric; a level's amplitude is the least of its lines'.
+    The levels are geometric. The amplitude of a level is the least amplitude of its lines.
     """
     if len(amplitude_rad) == 0:
         return []
@@ -165,23 +172,23 @@ def grouped(amplitude_rad: Array, lines_hz: Array) -> Groups:
 
 
 def phasors(groups: Groups) -> tuple[Array, ComplexArray]:
-    """Lines (Hz) and phasors (rad) of the sum that the simulator will play: Im sum a exp(j 2 pi f t)."""
+    """Return the lines (Hz) and phasors (rad) of the sum that the simulator injects: Im sum a exp(j 2 pi f t)."""
     lines, out = [np.zeros(0)], [np.zeros(0, np.complex128)]
     for amplitude, members in groups:
-        number = np.arange(1, len(members) + 1)  # phases as sim/packing/computer.py gives them
+        number = np.arange(1, len(members) + 1)  # phases as in sim/packing/computer.py
         out.append(amplitude * np.exp(-1j * np.pi * number * (number - 1) / len(members)))
         lines.append(members)
     return np.concatenate(lines), np.concatenate(out)
 
 
 def gimbal_injection(axis: str, kind: str, amplitude_rad: float, **more: Any) -> Injection:
-    """A signal added to the gimbal command, as a scenario has it; `more` fields by its kind."""
+    """Return a signal added to the gimbal command, as a scenario states it. `more` contains the fields of its kind."""
     given = {"at": "gimbal_command", "axis": axis, "kind": kind, "amplitude_deg": math.degrees(amplitude_rad)}
     return Injection.model_validate(given | more)
 
 
 def injections(groups: Groups, axis: str) -> tuple[Injection, ...]:
-    """The groups as multisines."""
+    """Return the groups as multisines."""
     return tuple(
         gimbal_injection(axis, "multisine", amplitude, frequencies_hz=tuple(float(f) for f in lines))
         for amplitude, lines in groups
@@ -189,27 +196,35 @@ def injections(groups: Groups, axis: str) -> tuple[Injection, ...]:
 
 
 def sine_burst(held: HeldFlight, frequency_hz: float, scale: float = 1.0) -> Injection:
-    """Three turns of a sine at `scale` times the amplitude of `burst_rad`; at least LOWEST_BURST_HZ."""
+    """Return three periods of a sine at `scale` times the amplitude of `burst_rad`, at no less than LOWEST_BURST_HZ."""
     hz = max(frequency_hz, LOWEST_BURST_HZ)
     return sine(held, hz, scale * burst_rad(held, frequency_hz), 3.0 / hz)
 
 
 def sine(held: HeldFlight, frequency_hz: float, amplitude_rad: float, stop_s: float) -> Injection:
-    """A sine from the beginning on, for so long. Near half the sample rate it begins a quarter turn late: at half of it
-    all samples of a sine that begins at one are 0."""
+    """Return a sine that starts immediately and has the given duration.
+
+    Near half the sample rate, it starts a quarter period late. At half the sample rate, all samples of a sine with
+    phase zero are 0.
+    """
     late_s = 0.25 / frequency_hz if frequency_hz > 0.45 / held.sample_s else 0.0
     times = {"start_s": round(late_s, 9), "stop_s": round(stop_s, 6)}
     return gimbal_injection(held.plane, "sine", amplitude_rad, frequency_hz=frequency_hz, **times)
 
 
 def burst_rad(held: HeldFlight, frequency_hz: float, growth: float = 1.0) -> float:
-    """Amplitude of a burst at one frequency, far from every limit even after the loop has amplified it by `growth`."""
+    """Return the amplitude (rad) of a burst at one frequency.
+
+    It is far below every limit even if the loop amplifies it by `growth`.
+    """
     return SHARE_OF_BURST * min(linear_room(held, frequency_hz)) / growth
 
 
 def linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
-    """Amplitudes (rad) of the gimbal command at a frequency: those that reach a share of the limits beyond which the
-    actuator or the computer is not linear, and INCIDENCE_RAD."""
+    """Return the amplitudes (rad) of the gimbal command at a frequency that reach the limits.
+
+    The limits are a share of the linear range of actuator and computer, and INCIDENCE_RAD.
+    """
     line = np.array([max(frequency_hz, LOWEST_BURST_HZ)])
     servo, incidence = (float(np.abs(x[..., 0]).max()) for x in _servo_and_incidence(held.node, line))
     angle, rate = linear_limits(held)
@@ -217,11 +232,13 @@ def linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
 
 
 def _peaks(held: HeldFlight, loop: Excited, groups: Groups, band: LineBand) -> tuple[float, float, float]:
-    """Largest command (rad), servo rate (rad/s) and angle of attack (rad) over a period, by the linear loop."""
+    """Return the largest command (rad), servo rate (rad/s) and angle of attack (rad) over a period, by the linear
+    loop.
+    """
     lines, injected = phasors(groups)
     command = injected / (1.0 + loop.response(lines))
     servo, incidence = _servo_and_incidence(held.node, lines)
-    # one long transform instead of a sum of sines: the bins are the multiples of 1 / period
+    # a single long transform replaces a sum of sines: the bins are the multiples of 1 / period
     bins = np.round(lines * band.period_s).astype(int)
     samples = 2 * max(round(band.period_s / held.sample_s), int(bins.max()) + 1)
 
@@ -234,8 +251,10 @@ def _peaks(held: HeldFlight, loop: Excited, groups: Groups, band: LineBand) -> t
 
 
 def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Rate that each drive's servo commands, (drives, lines) in 1/s as if all had the lowest limit of it
-    (sim/vehicle/actuator/kernel.py), and angle of attack w / U, per gimbal command.
+    """Return the servo rate and the angle of attack per gimbal command.
+
+    The servo rate of each drive has the shape (drives, lines), in 1/s, as if all drives had the lowest rate limit
+    (sim/vehicle/actuator/kernel.py). The angle of attack is w / U.
     """
     s = np.asarray(2j * np.pi * lines_hz, np.complex128)
     records, inputs = node.instruments.actuators, node.plant.inputs
@@ -251,7 +270,7 @@ def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, Com
         angle = actuator(record).channel("delta_rad", "command_rad", lines_hz)
         followed = 1.0 / (1.0 + x * (2.0 * record.zeta_1 + x))
         commanded = record.omega_1_radps / (2.0 * record.zeta_1) * (1.0 - followed)
-        ahead = angle / followed if record.limits_on_engine else np.ones_like(s)  # sections that come before the servo
+        ahead = angle / followed if record.limits_on_engine else np.ones_like(s)  # sections upstream of the servo
         share = 1.0 if math.isinf(lowest) else lowest / record.rate_limit_radps
         servos.append(gain * share * ahead * commanded)
         incidence = incidence + angle * per_angle

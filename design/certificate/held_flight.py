@@ -1,25 +1,25 @@
-"""Held flight: the nonlinear simulator flown with vehicle, gains, air and speed frozen at one instant.
+"""The held flight: the nonlinear simulator with vehicle, gains, air and speed frozen at one instant.
 
-A linear model has frozen coefficients; a rocket in flight loses mass, gains speed and leaves the air within seconds.
-To measure a frequency response over many periods of 0.05 Hz, or the growth of a loop close to its stability boundary,
-the simulator must fly for minutes without any of that changing. So the vehicle's tables are frozen, the air is uniform,
-and the vehicle flies straight up over a flat Earth whose uniform gravity equals its axial specific force: it neither
-gains nor loses speed, while its parts are under the axial load of the real flight, since uniform gravity acts on every
-particle alike.
+A linear model has frozen coefficients, but a rocket in flight loses mass, gains speed and leaves the air. Two
+measurements need minutes of flight at constant conditions: a frequency response over many periods of 0.05 Hz, and the
+growth of a loop close to its stability boundary. Therefore, the vehicle's tables are frozen and the air is uniform. The
+vehicle flies straight up over a flat Earth whose uniform gravity equals its axial specific force. Its speed is
+constant, and its parts are under the axial load of the real flight, since uniform gravity acts on every particle alike.
 
-One term differs from the flown instant, gravity times the pitch angle in w' (design/model/held.py); it moves the
-slowest root alone. No held flight avoids it: one that keeps its airspeed moves with its air, and in a frame that moves
-with the air everything falls with the axial load, however the load comes about. (An updraught for a vehicle that really
-gains speed, dW/dt = a - g, adds to w' what gravity lacks.) The linear node of the held flight, `HeldFlight.node`, has
-the same term, so that the two can be compared to the last digit; the node of the flight itself shows its effect, and
-in_flight.py what remains of it in the ascent.
+One term differs from the flown instant: gravity times the pitch angle in w' (design/model/held.py). It affects the
+slowest root alone and cannot be avoided. A vehicle that keeps its airspeed moves with its air. In a frame that moves
+with the air, all parts fall with the axial load, whatever its cause. (For a vehicle that gains speed, an updraught with
+dW/dt = a - g adds the missing part of gravity to w'.) The linear model of the held flight, `HeldFlight.node`, contains
+the same term, so that the two can be compared to the last digit. The linear model of the flight itself shows the effect
+of the term, and in_flight.py shows the remaining effect in the ascent.
 
-A law with load relief turns into the wind, and so makes that term a gravity turn: under several times the real gravity
-it topples within seconds. Such a loop is held with `along_body`: gravity acts aft along the vehicle's axis wherever it
-points, on every particle as before, and w' has no term of it at all, in flight as in `HeldFlight.node`.
+A law with load relief turns into the wind, so that this term becomes a gravity turn. Under several times the real
+gravity, the vehicle topples within seconds. Such a loop is held with `along_body`: gravity acts aft along the vehicle's
+axis in every attitude, on every particle as before. Then w' contains no such term, in flight and in `HeldFlight.node`.
 
-Ring baffles damp by the wave, and the wave is that of the excitation. So they are frozen too, at the damping that they
-have in the flown swing; `rings_by_law` leaves them as they fly (response.py compares both with the linear loop).
+The damping of ring baffles depends on the wave height, and the excitation sets this height. Therefore, the baffles are
+frozen too, at their damping in the flown swing. `rings_by_law` keeps their dependence on the wave (response.py compares
+both with the linear loop).
 """
 
 from __future__ import annotations
@@ -46,24 +46,25 @@ from maxq.sim.scenario.schema_scenario import Geodetic, Guidance, Initial, Injec
 from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K
 from maxq.sim.world.earth import ALONG_BODY
 
-ALTITUDE_M = 1.0e6  # high enough never to meet the ground; the air does not depend on it
+ALTITUDE_M = 1.0e6  # high enough never to reach the ground; the air does not depend on the altitude
 DETUNED = 0.02  # share of half the bandwidth of a mode, its damping ratio times its frequency
 _NOSE_UP_DEG = (0.0, 90.0, 0.0)
 
 
 PackedChange = Callable[[Packed], None]
-"""Alters a packed flight in place."""
+"""A function that alters a packed flight in place."""
 
 
 def unchanged(packed: Packed) -> None:
-    """No fault."""
+    """Apply no fault."""
 
 
 @dataclass(frozen=True)
 class HeldFlight:
-    """A scenario held at the time of its node, packed; `run` and `fly` fly copies of it.
+    """A scenario held at the time of its operating point, packed. `run` and `fly` fly copies of it.
 
-    `node` is its linear model, in `plane`. `fault` alters every flight and not the linear model: a planted fault.
+    `node` is its linear model, in `plane`. `fault` alters every flight and not the linear model; it plants a fault for
+    tests.
     """
 
     loaded: LoadedScenario
@@ -74,7 +75,7 @@ class HeldFlight:
 
     @property
     def axis(self) -> int:
-        """Index of the gimbal axis."""
+        """Return the index of the gimbal axis."""
         return 0 if self.plane == "pitch" else 1
 
     @property
@@ -82,9 +83,9 @@ class HeldFlight:
         return self.node.instruments.sample_s
 
     def run(self, duration_s: float, injections: tuple[Injection, ...], change: PackedChange = unchanged) -> FlightRun:
-        """A new flight with signals injected; `change` may alter the packed parameters before it flies.
+        """Return a new flight with signals injected. `change` may alter the packed parameters before the flight.
 
-        Only what differs is packed again: tables take longer than the flight.
+        Only the changed parameters are packed again, since packing the tables takes longer than the flight.
         """
         run = self.loaded.scenario.run.model_copy(update={"duration_s": duration_s})
         scenario = self.loaded.scenario.model_copy(update={"injection": injections, "run": run})
@@ -100,13 +101,19 @@ class HeldFlight:
     def fly(
         self, duration_s: float, injections: tuple[Injection, ...], change: PackedChange = unchanged
     ) -> tuple[FlightRun, Array]:
-        """As `run`, flown to its end: the flight, and its rows at the computer's sample rate (samples, channels)."""
+        """Run the flight to its end, with the arguments of `run`.
+
+        Return the flight and its rows at the computer's sample rate (samples, channels).
+        """
         run = self.run(duration_s, injections, change)
         return run, fast_rows(run)
 
 
 def fast_rows(run: FlightRun) -> Array:
-    """Fly to the end: all rows of the fast channels, (rows, channels); a column by `run.table.index(name)`."""
+    """Fly to the end and return all rows of the fast channels, (rows, channels).
+
+    `run.table.index(name)` gives a column.
+    """
     kept = GrowingRows()
     while not run.finished:
         kept.add(run.fly_segment())
@@ -114,7 +121,7 @@ def fast_rows(run: FlightRun) -> Array:
 
 
 def with_ideal_converters(loaded: LoadedScenario) -> LoadedScenario:
-    """The scenario without counts and steps."""
+    """Return the scenario without counts and quantisation steps."""
     switches = loaded.scenario.switches.model_copy(update={"converter": "ideal"})
     return dataclasses.replace(loaded, scenario=loaded.scenario.model_copy(update={"switches": switches}))
 
@@ -127,11 +134,13 @@ def hold(
     along_body: bool = False,
     rings_by_law: bool = False,
 ) -> HeldFlight:
-    """Hold the scenario at a node of its flight, in the node's plane; with `along_body` without gravity turn.
+    """Hold the scenario at an operating point of its flight, in the plane of the point.
 
-    Valid under thrust: of several stages the one that burns at the node is held, by itself. Raises ValueError where
-    the axial load is not positive, or the scenario has neither design nor flight code from outside, which is told the
-    node's time and stage throughout.
+    `along_body` removes the gravity turn.
+
+    Valid under thrust: of several stages, the stage that burns at the operating point is held alone. Raises ValueError
+    if the axial load is not positive. Raises ValueError if the scenario has neither a design nor external flight code.
+    Flight code receives the time and the stage of the operating point throughout.
     """
     scenario, computer = loaded.scenario, loaded.vehicle.computer
     external = computer is not None and computer.law == "external"
@@ -160,7 +169,7 @@ def hold(
 
 
 def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, object]:
-    """Changes of the scenario."""
+    """Return the changes of the scenario."""
     air = node.condition
     temperature = (air.airspeed_mps / air.mach) ** 2 / (HEAT_RATIO * GAS_CONSTANT_Jpkg_K) if air.mach > 0 else 288.15
     fast = 1.0 / node.instruments.sample_s
@@ -194,10 +203,11 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
 
 
 def _step_s(scenario: Scenario, node: Node) -> float:
-    """The scenario's step, or one at which the integrator moves no mode by more than DETUNED of its bandwidth.
+    """Return the scenario's step, or one at which the integrator changes no mode by more than DETUNED of its bandwidth.
 
-    It lowers a frequency by the share (w h)^4 / 120 (docs/model.md, section 10): at 80 Hz and 1 ms by a tenth of what a
-    damping ratio of 0.005 makes of the mode, which a loop that is sampled at 100 Hz shows at 20 Hz.
+    The integrator lowers a frequency by the share (w h)^4 / 120 (docs/model.md, section 10). At 80 Hz and 1 ms this is
+    a tenth of the half bandwidth of a mode with a damping ratio of 0.005. A loop that is sampled at 100 Hz shows the
+    mode at 20 Hz.
     """
     modes = zip(node.vehicle.omega_radps, node.vehicle.damping_ratio, strict=True)
     most_s = min(((120.0 * DETUNED * zeta) ** 0.25 / omega for omega, zeta in modes if zeta > 0.0), default=math.inf)
@@ -206,7 +216,9 @@ def _step_s(scenario: Scenario, node: Node) -> float:
 
 
 def linear_limits(held: HeldFlight) -> tuple[float, float]:
-    """Gimbal command (rad) and commanded servo rate (rad/s) at which actuator or computer stop being linear."""
+    """Return the gimbal command (rad) and the commanded servo rate (rad/s) at which actuator or computer cease to be
+    linear.
+    """
     actuator, computer = held.node.instruments.actuator, held.loaded.scenario.vehicle.computer_of(0)
     command = math.inf if computer is None else math.radians(computer.command_limit_deg)
     if actuator.ideal:

@@ -1,12 +1,13 @@
-"""In-flight response: the loop measured in the ascent itself, while mass, speed, air and gains change.
+"""The in-flight response: the loop measured in the ascent itself, while mass, speed, air and gains change.
 
-The ascent is flown twice, with the excitation and without, both without adaptation, and the difference is evaluated:
-guidance, wind and path drop out, the response to the excitation stays. In a window around the node's time the lines of
-a multisine are estimated by least squares together with a slow trend. The window is short, so only lines of half a
-hertz and more can be resolved.
+The ascent is flown twice without adaptation, once with the excitation and once without, and the difference is
+evaluated. Guidance, wind and path cancel, and the response to the excitation remains. In a window around the time of
+the operating point, least squares estimate the lines of a multisine together with a slow trend. The window is short, so
+only lines of half a hertz and more can be resolved.
 
-It differs from the held flight for two reasons, which the linear loop accounts for: the vehicle changes during the
-window (the sampled loop at nodes across it says by how much), and gravity is the real one (lowest lines only).
+The response differs from that of the held flight for two reasons, which the linear loop accounts for. First, the
+vehicle changes during the window; the sampled loop at operating points across the window gives the change. Second,
+gravity is the real one, which affects the lowest lines only.
 """
 
 from __future__ import annotations
@@ -36,21 +37,22 @@ from maxq.sim.scenario.schema_scenario import Injection, LogSection
 
 WINDOW_S = 8.0
 SETTLE_S = 2.5  # after liftoff
-ACROSS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of a window: places of the linear loop
+ACROSS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of a window: points of the linear loop
 LINES_HZ = tuple(n / WINDOW_S for n in (4, 7, 11, 18, 29, 46, 62, 74, 90))  # 0.5 .. 11 Hz
-COMMAND_DEG = 0.35  # of each line at most; fewer than half of any limit together
+COMMAND_DEG = 0.35  # upper bound of each line; fewer than half of any limit together
 WITHIN_DB, WITHIN_DEG = 0.5, 4.0
 TIME_VARIATION, SETTLING = "time variation", "settling"
 
 
 @dataclass(frozen=True)
 class InFlightResponse:
-    """L at lines (Hz) measured in the ascent around `time_s`, beside the sampled loop at that instant, `frozen`.
+    """The response L at lines (Hz), measured in the ascent around `time_s`, and the sampled loop at that instant,
+    `frozen`.
 
-    `reason` is "" where the two agree to 0.5 dB and 4 deg, "time variation" where the loop's own change in the window
-    is as large as the difference, "converter noise" where that together with its standard errors is or the same flights
-    with ideal converters leave nothing unexplained, "settling" where an oscillation near a line has not decayed since
-    liftoff, else "unexplained".
+    `reason` is "" if the two agree to 0.5 dB and 4 deg. "time variation" means that the loop's own change in the window
+    is as large as the difference. "converter noise" means that this change and the standard errors together explain the
+    difference, or that flights with ideal converters leave no difference. "settling" means that an oscillation near a
+    line has not decayed since liftoff. Otherwise it is "unexplained".
     """
 
     time_s: float
@@ -71,10 +73,11 @@ class InFlightResponse:
 
 
 def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: Plane) -> list[InFlightResponse]:
-    """Measure around each time.
+    """Measure the response around each time.
 
-    Two ascents serve all times of a stage: one without excitation, one excited from the stage's ignition on. The stages
-    before it fly without excitation, whose rest an airframe that coasts unstable would let grow until control is lost.
+    Two ascents serve all times of a stage: one without excitation, and one excited from the stage's ignition on. The
+    earlier stages fly without excitation. A coasting airframe that is unstable would otherwise amplify the remaining
+    motion until control is lost.
     """
     design = loaded.design
     if design is None:
@@ -86,11 +89,11 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
 
 
 def _of_stage(loaded: LoadedScenario, design: Design, points: Sequence[Node], plane: Plane) -> list[InFlightResponse]:
-    """Measure around the operating points of one stage."""
+    """Measure the response around the operating points of one stage."""
     times_s, sample_s = [node.time_s for node in points], points[0].instruments.sample_s
     whole = powered_spans(loaded)
     for time_s in times_s:
-        _window(time_s, whole)  # refused before it is flown
+        _window(time_s, whole)  # rejected before it is flown
     start_s = round(min(span.begin_s for span in whole if any(map(span.holds, times_s))), 9)
     lines = np.array(LINES_HZ)
     lasting = {"frequencies_hz": LINES_HZ, "start_s": start_s}
@@ -102,7 +105,7 @@ def _of_stage(loaded: LoadedScenario, design: Design, points: Sequence[Node], pl
     across = [tuple(t + share * (w[1] - w[0]) for share in ACROSS) for t, w in zip(times_s, windows, strict=True)]
     begun_s = [next(span.begin_s for span in spans if span.holds(t)) for t in times_s]
     nodes = operating_points.nodes(loaded, [x for each in across for x in each], plane=plane)
-    excited_by = loaded.scenario.model_copy(update={"injection": (signal,)})  # rings damp by its waves
+    excited_by = loaded.scenario.model_copy(update={"injection": (signal,)})  # sets the waves of rings
     nodes = with_swings(nodes, dataclasses.replace(loaded, scenario=excited_by))
     out = []
     for k, (time_s, (begin, end)) in enumerate(zip(times_s, windows, strict=True)):
@@ -133,15 +136,17 @@ def _of_stage(loaded: LoadedScenario, design: Design, points: Sequence[Node], pl
 
 
 def converters_share(reasons: Sequence[str], fine: Sequence[str]) -> tuple[str, ...]:
-    """Reasons of lines: what is explained where counts and steps are infinitely fine (`fine`) is the converters' doing.
+    """Return the reasons of lines.
 
-    Their errors repeat with the excitation, so that they stand on its lines and not between them.
+    A difference that is explained with infinitely fine counts and steps (`fine`) is due to the converters.
+
+    The errors of converters repeat with the excitation, so that they occur on its lines and not between them.
     """
     return tuple(NOISE if a == UNEXPLAINED != b else a for a, b in zip(reasons, fine, strict=True))
 
 
 def _half(time_s: float, span: Span) -> float:
-    """Half the length of the window about a time."""
+    """Return half the length of the window about a time."""
     return min(0.5 * WINDOW_S, time_s - span.begin_s - SETTLE_S, span.end_s - time_s - 0.1)
 
 
@@ -151,7 +156,7 @@ def fits(time_s: float, spans: Sequence[Span]) -> bool:
 
 
 def _window(time_s: float, spans: Sequence[Span]) -> tuple[float, float]:
-    """About a time, of equal length on both sides."""
+    """Return the window about a time, of equal length on both sides."""
     if not fits(time_s, spans):
         least, allowed = SETTLE_S + 0.2 * WINDOW_S, []
         for span in spans:
@@ -165,8 +170,9 @@ def _window(time_s: float, spans: Sequence[Span]) -> tuple[float, float]:
 
 
 def _amplitude_deg(loaded: LoadedScenario) -> float:
-    """Return the amplitude of each line: together they stay below the share of every stage's gimbal rate and angle that
-    a burst may take.
+    """Return the amplitude of each line.
+
+    The sum of the amplitudes stays below the share of every stage's gimbal rate and angle that a burst may use.
     """
     together = math.sqrt(2.0 * len(LINES_HZ))  # crest of many sines
     actuators = [actuator for stage in loaded.vehicle.stage for actuator in stage.actuators]
@@ -176,7 +182,9 @@ def _amplitude_deg(loaded: LoadedScenario) -> float:
 
 @dataclass(frozen=True)
 class _Ascent:
-    """Filter output and gimbal command (deg), one entry a sample from time zero, and where stages were powered."""
+    """The filter output and gimbal command (deg) of an ascent, one entry per sample from time zero, and the powered
+    spans of the stages.
+    """
 
     filtered: Array
     command: Array
@@ -202,8 +210,10 @@ def _flown(
 
 
 def _at_lines(samples: Array, lines_hz: Array, sample_s: float) -> tuple[ComplexArray, float]:
-    """Phasors at the lines by least squares, with a cubic trend and a weight that tapers at both ends; and the standard
-    deviation of each, from the residual."""
+    """Return the phasors at the lines and their standard deviations, from the residual.
+
+    The least-squares fit includes a cubic trend and weights that taper at both ends.
+    """
     n = len(samples)
     time = sample_s * np.arange(n)
     x = np.linspace(-1.0, 1.0, n)
@@ -225,5 +235,5 @@ def _reason(ratio: complex, error: float, spread_db: float, spread_deg: float, r
         return TIME_VARIATION
     if rings:
         return SETTLING
-    noise = NOISE_SIGMAS * error * abs(ratio)  # the error is a share of what was measured, `ratio` of the linear loop's
+    noise = NOISE_SIGMAS * error * abs(ratio)  # `error` is relative to the measured, `ratio` to the linear loop
     return NOISE if abs(ratio - 1.0) <= noise + 10.0 ** (spread_db / 20.0) - 1.0 else UNEXPLAINED

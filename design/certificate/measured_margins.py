@@ -1,13 +1,14 @@
-"""Margins measured in flight: gain raised, gain lowered, delay added until the loop grows instead of decaying.
+"""Margins measured in flight: the gain is raised, the gain is lowered, or delay is added until the loop grows.
 
-The nonlinear simulator is flown held (held_flight.py) with the loop altered inside its flight computer. A burst at the
-critical frequency excites it; the growth rate of its free response is measured. The margin is where that rate is zero,
-found by the secant rule from the linear loop's own margin: near the stability boundary the rate is nearly linear in the
-alteration, so that three or four flights give it to a few hundredths of a dB.
+The nonlinear simulator flies a held flight (held_flight.py) with the loop altered inside its flight computer. A burst
+at the critical frequency excites the loop, and the growth rate of its free response is measured. The margin is the
+alteration at which that rate is zero. The secant rule finds it, starting from the margin of the linear loop. Near the
+stability boundary, the rate is nearly linear in the alteration. Three or four flights thus give the margin to a few
+hundredths of a dB.
 
-Where no margin can be measured: a slowly growing root is measured by its rate (`drift`), a loop that grows faster by
-what becomes of it, a limit cycle or the loss of the vehicle (`limit_cycle`). Slosh that is unstable by the linear loop
-is judged by that amplitude, not by a margin.
+Some loops have no measurable margin. A slowly growing root is measured by its rate (`drift`). A loop that grows faster
+is described by its end, a limit cycle or the loss of the vehicle (`limit_cycle`). If slosh is unstable by the linear
+loop, its amplitude is judged instead of a margin.
 """
 
 from __future__ import annotations
@@ -38,43 +39,43 @@ UNITS: dict[MarginName, str] = {"gain_up": "dB", "gain_down": "dB", "delay": "s"
 MARGIN_NAMES: tuple[MarginName, ...] = tuple(UNITS)
 
 MOST_FLIGHTS = 10
-DRIFT_HZ = 0.02  # a critical frequency below it is that of the drift, which gravity moves (held_flight.py)
-SLOWEST_HZ = 0.004  # an oscillation below it does not show in a flight of minutes, a real root does
-BEYOND_DB = 6.0  # how far beyond its boundary a root must stay slow to be too slow to be seen
+DRIFT_HZ = 0.02  # a critical frequency below it is that of the drift, which gravity affects (held_flight.py)
+SLOWEST_HZ = 0.004  # an oscillation below it is not visible in a flight of minutes, a real root is
+BEYOND_DB = 6.0  # range beyond its boundary in which a root must stay slow to be too slow to be seen
 DITHER_ABOVE_HZ = 2.0  # undithered, the converter sustains an oscillation of some pulses half a dB inside the boundary
-FINE_BELOW_HZ = 0.25  # far below the dither's tones, commands of few steps of the converter are dithered, too
-# such a command, and the amplitude of its dither's weaker tone, as far as limits leave room: under tones of A and of
-# B steps rounding has a mean gain of 1 + 2 J0(2 pi A) J0(2 pi B) cos(2 pi x) at x steps, 0.2 % off for 50 and 79
+FINE_BELOW_HZ = 0.25  # far below the dither's tones; commands of few steps of the converter are dithered, too
+# such a command, and the amplitude of its dither's weaker tone, as far as the limits permit: under tones of A and of B
+# steps, rounding has a mean gain of 1 + 2 J0(2 pi A) J0(2 pi B) cos(2 pi x) at x steps, an error of 0.2 % for 50 and 79
 FEW_STEPS, FINE_STEPS = 100.0, 50.0
 FINE_SHARE = 0.2  # of that room
-RINGS_UP = 4.0  # a burst lasts until the loop at its boundary has amplified it so often, if that is not too long
+RINGS_UP = 4.0  # growth factor of a burst in the loop at its boundary, which sets its length unless that is too long
 LONGEST_BURST_S = 6.0
 TOO_LONG = "longer than can be inserted"  # reason for a delay margin that is not measured
 UNBOUNDED = "nothing bounds it"
-TOO_SMALL = "commands less than a step of the converter"  # reason for a margin of so little gain: not measured
-TOO_SLOW = "grows too slowly to be seen"  # reason for a margin that a slow root bounds, and a flight cannot show
+TOO_SMALL = "commands less than a step of the converter"  # reason for a margin of very low gain: not measured
+TOO_SLOW = "grows too slowly to be seen"  # reason for a margin that a slow root bounds and a flight cannot show
 NOT_MEASURED = UNBOUNDED, TOO_LONG, TOO_SMALL, TOO_SLOW
 NOT_SETTLED = "not settled"
-SATURATED = math.inf  # growth rate where limits are met before it can be measured
-DECAYED = -math.inf  # where the response has decayed before
+SATURATED = math.inf  # growth rate if limits are met before it can be measured
+DECAYED = -math.inf  # if the response has decayed before
 SLOWEST_1PS = 1.0 / 160.0  # of a drift: e-fold within the longest flight of a certificate
-FASTEST_UNSEEN_1PS = SLOWEST_1PS + 1.0 / 48.0  # what drifts away evenly is t long at t, from the end of the wait on
+FASTEST_UNSEEN_1PS = SLOWEST_1PS + 1.0 / 48.0  # a uniform drift is t at the time t, from the end of the wait on
 WATCHED_S = 240.0  # for a limit cycle
-STEADY = 0.01  # share by which the amplitudes of the last two quarters of a limit cycle may differ
+STEADY = 0.01  # largest relative difference between the last two quarters of a settled limit cycle
 _LEAST_WINDOWS = 6
 _STEP_DB = 0.1
 
 
 @dataclass(frozen=True)
 class BurstTest:
-    """An excitation burst and the free response after it: all times in s."""
+    """An excitation burst and the free response after it. All times are in s."""
 
     frequency_hz: float  # 0: a step, and the response of a real root
     burst_s: float
     wait_s: float
     watch_s: float
     window_s: float
-    growth: float = 1.0  # amplitude at the end of the burst, in amplitudes of the burst
+    growth: float = 1.0  # amplitude at the end of the burst, relative to the burst
 
     @property
     def duration_s(self) -> float:
@@ -82,13 +83,14 @@ class BurstTest:
 
 
 def burst_test(frequency_hz: float, build_up_1ps: float = 0.0) -> BurstTest:
-    """At least three turns of burst, six to wait, 25 s and 24 turns to watch; a third of that below LOWEST_BURST_HZ,
-    where turns are long; a step and 160 s for a real root.
+    """Return a burst of at least three periods, a waiting time of six and an observation time of 25 s and 24 periods.
 
-    `build_up_1ps`: how fast a burst builds up at the stability boundary (`build_up_rate`).
+    Below LOWEST_BURST_HZ, where periods are long, the numbers are a third of these. A real root has a step and 160 s.
+
+    `build_up_1ps` is the rate at which a burst builds up at the stability boundary (`build_up_rate`).
     """
     if frequency_hz < SLOWEST_HZ:
-        return BurstTest(0.0, 8.0, 40.0, 120.0, 40.0 / 3.0)  # whole turns of the dither's tones in a window
+        return BurstTest(0.0, 8.0, 40.0, 120.0, 40.0 / 3.0)  # whole periods of the dither's tones in a window
     turn, slow = 1.0 / frequency_hz, frequency_hz < excitation.LOWEST_BURST_HZ
     burst_s = max(3.0 * turn, min(RINGS_UP / build_up_1ps if build_up_1ps > 0.0 else 0.0, LONGEST_BURST_S))
     wait_s, watch_s = (2.0 * turn, 8.0 * turn) if slow else (6.0 * turn, max(25.0, 24.0 * turn))
@@ -98,9 +100,9 @@ def burst_test(frequency_hz: float, build_up_1ps: float = 0.0) -> BurstTest:
 
 @dataclass(frozen=True)
 class MeasuredMargin:
-    """A margin by the linear loop and by flight, in `unit`, and the flights that it follows from.
+    """A margin by the linear loop and by flight, in `unit`, and the flights from which it was determined.
 
-    `tried` holds alteration and measured growth (1/s). `measured` is NaN, with a `reason`, where no boundary was found.
+    `tried` contains alteration and measured growth (1/s). `measured` is NaN, with a `reason`, if no boundary was found.
     """
 
     what: MarginName
@@ -117,12 +119,12 @@ class MeasuredMargin:
 
 
 def bound_of(of: Margins, what: MarginName) -> LeastValue:
-    """A margin of the linear loop by name."""
+    """Return a margin of the linear loop by name."""
     return {"gain_up": of.gain_up_db, "gain_down": of.gain_down_db, "delay": of.delay_s}[what]
 
 
 def measure_margin(held: HeldFlight, loop: Loop, of_loop: Margins, what: MarginName) -> MeasuredMargin:
-    """Find the margin in flight, unless the linear loop is unstable or has an infinite one."""
+    """Find the margin in flight, unless the linear loop is unstable or its margin is infinite."""
     bound = bound_of(of_loop, what)
     linear, frequency = float(bound.value), float(bound.frequency_hz)
     tried: list[tuple[float, float]] = []
@@ -165,10 +167,10 @@ def settle(
     within: tuple[float, float],
     flights: int = MOST_FLIGHTS,
 ) -> tuple[float, bool]:
-    """Return the alteration from which the loop neither grows nor decays, and whether the search settled there.
+    """Return the alteration at which the loop neither grows nor decays, and True if the search converged.
 
-    `grow` flies an alteration and returns its growth rate (1/s); NaN ends the search with NaN. `tried` collects both.
-    `slope`, `most`: see `following_trial`; `within`: bounds of the alteration.
+    `grow` flies an alteration and returns its growth rate (1/s). NaN ends the search with NaN. `tried` collects both.
+    `slope` and `most` are as in `following_trial`. `within` gives the bounds of the alteration.
     """
     for _ in range(flights):
         growth = grow(at)
@@ -183,10 +185,11 @@ def settle(
 
 
 def is_too_slow(loop: Loop, what: MarginName, bound: LeastValue) -> bool:
-    """Return True if a margin is bounded by a slow oscillation that grows e-fold in no flight, for any change of the
+    """Return True if a slow oscillation bounds the margin and does not grow e-fold in any flight, for any change of the
     gain.
 
-    Seen at the boundary and BEYOND_DB past it. In thin air an attitude that nothing holds drifts away like that.
+    The condition is tested at the boundary and BEYOND_DB past it. In thin air, an attitude without restoring moment
+    drifts in this way.
     """
     if what == "delay" or not bound.frequency_hz < SLOWEST_HZ:
         return False
@@ -196,9 +199,10 @@ def is_too_slow(loop: Loop, what: MarginName, bound: LeastValue) -> bool:
 
 
 def following_trial(tried: list[tuple[float, float]], slope: float, most: float, apart: float) -> float:
-    """The next alteration: by the secant rule, kept between what decayed and what grew, else midway between them.
+    """Return the next alteration by the secant rule, bounded by alterations that decayed and grew, or else midway
+    between them.
 
-    `slope` (1/s per unit) is used until two tries at least `apart` give a better one; no step is larger than `most`.
+    `slope` (1/s per unit) is used until two tries at least `apart` give a better one. No step exceeds `most`.
     """
     at, growth = tried[-1]
     known = [t for t in tried if math.isfinite(t[1])]
@@ -214,7 +218,9 @@ def following_trial(tried: list[tuple[float, float]], slope: float, most: float,
 
 
 def build_up_rate(boundary: Loop, frequency_hz: float) -> float:
-    """Rate (1/s) at which a sine at the frequency of a pole on the axis builds up: residue of 1 / (1 + L), its size."""
+    """Return the build-up rate (1/s) of a sine at the frequency of a pole on the axis: the magnitude of the residue of
+    1 / (1 + L).
+    """
     if frequency_hz < SLOWEST_HZ:
         return 0.0
     apart = 1e-4 * frequency_hz
@@ -223,7 +229,7 @@ def build_up_rate(boundary: Loop, frequency_hz: float) -> float:
 
 
 def altered(loop: Loop, what: MarginName, amount: float) -> Loop:
-    """The linear loop with gain (dB) added or removed, or a delay (s) added to the computer's."""
+    """Return the linear loop with gain (dB) added or removed, or a delay (s) added to the computer's delay."""
     if what == "delay":
         path = fixed_path(disperse(loop.fixed.node, Dispersion(delay_s=amount)), loop.fixed.kind, loop.fixed.cut)
         return dataclasses.replace(loop, fixed=path)
@@ -235,7 +241,7 @@ def _gain(what: MarginName, amount_db: float) -> float:
 
 
 def _slope(loop: Loop, what: MarginName, bound: LeastValue) -> float:
-    """Rate of change of the linear loop's critical pole with the alteration, 1/s per unit."""
+    """Return the rate of change of the linear loop's critical pole with the alteration, 1/s per unit."""
     step, place = 1e-3 * bound.value, 2j * np.pi * bound.frequency_hz
     low, high = (altered(loop, what, x).closed_poles() for x in (bound.value - step, bound.value + step))
     return float(np.ptp([p[np.argmin(np.abs(p - place))].real for p in (low, high)]) / (2.0 * step))
@@ -244,7 +250,10 @@ def _slope(loop: Loop, what: MarginName, bound: LeastValue) -> float:
 def measured_growth(
     held: HeldFlight, loop: excitation.Excited, test: BurstTest, change: PackedChange = unchanged
 ) -> float:
-    """Growth rate (1/s) of the free response in flight; NaN where the flight ended early. `loop` sets the dither."""
+    """Return the growth rate (1/s) of the free response in flight, or NaN if the flight ended early.
+
+    `loop` sets the dither.
+    """
     amplitude = excitation.burst_rad(held, test.frequency_hz, test.growth)
     swings = test.frequency_hz > 0.0
     signals: tuple[Injection, ...] = (
@@ -262,7 +271,7 @@ def measured_growth(
     first = round((test.burst_s + test.wait_s) / held.sample_s)
     limit = math.degrees(excitation.linear_room(held, test.frequency_hz)[0])
     over = np.flatnonzero(np.abs(response) > limit)
-    if swings and test.frequency_hz < FINE_BELOW_HZ and len(over):  # what comes after it is another motion
+    if swings and test.frequency_hz < FINE_BELOW_HZ and len(over):  # the motion after it is a different one
         response = response[: over[0]]
     elif len(response) - first < 0.9 * test.watch_s / held.sample_s:
         return SATURATED if len(over) else math.nan
@@ -271,11 +280,12 @@ def measured_growth(
 
 
 def fine_dither(held: HeldFlight) -> excitation.Groups:
-    """Two tones under which rounding has hardly a gain of its own, and that begin without a kick.
+    """Return two tones that start without an impulse and under which the gain of rounding is close to 1.
 
-    A tone A sin(w t) that begins at rest leaves slow motion with the angular velocity of the impulse A / w, the mean of
-    its integral. These have opposite signs, and amplitudes as their frequencies: the impulses cancel. Two alike of 50
-    steps swung petrel at 125.6 s to nine times the burst's goal, from where cross-flow lift turned it over.
+    A tone A sin(w t) that starts at rest gives the slow motion the angular velocity of the impulse A / w, the mean of
+    its integral. The two tones have opposite signs, and their amplitudes are proportional to their frequencies, so that
+    the impulses cancel. Two equal tones of 50 steps moved petrel at 125.6 s to nine times the goal of the burst, from
+    which cross-flow lift turned it over.
     """
     low, high = excitation.DITHER_HZ
     rooms = (FINE_SHARE * min(excitation.linear_room(held, hz)) * low / hz for hz in excitation.DITHER_HZ)
@@ -286,12 +296,14 @@ def fine_dither(held: HeldFlight) -> excitation.Groups:
 def growth_rate(
     samples: Array, sample_s: float, frequency_hz: float, window_s: float, limit: float = math.inf, least: float = 0.0
 ) -> float:
-    """Growth rate (1/s) of an oscillation near a frequency, or at 0 Hz of a drift: slope of its envelope's logarithm.
+    """Return the growth rate (1/s) of an oscillation near a frequency, or of a drift at 0 Hz: the slope of its
+    envelope's logarithm.
 
-    The envelope is that of windows with a raised-cosine weight, which rejects drifts and what is more than a turn a
-    window away in frequency. It is used while above a tenth of its initial value, where noise would hide the decay,
-    and below `limit` (in the unit of the samples), where saturation would hide the growth: a limit cycle does not
-    grow. `SATURATED` if it is above `limit` from the beginning or at once, `DECAYED` if it begins below `least`.
+    The envelope is that of windows with a raised-cosine weight. The weight rejects drifts, and motions whose frequency
+    differs by more than one period per window. Values below a tenth of the initial value are not used, since noise
+    would hide the decay. Values above `limit` (in the unit of the samples) are not used, since saturation would hide
+    the growth: a limit cycle does not grow. The result is `SATURATED` if the envelope exceeds `limit` from the
+    beginning or immediately after, and `DECAYED` if it begins below `least`.
     """
     window = max(round(window_s / sample_s), 8)
     weight = np.hanning(window)
@@ -317,18 +329,18 @@ def growth_rate(
 
 
 def _step_rad(held: HeldFlight) -> float:
-    """Return the step of the converter that turns commands into angles; 0 for an ideal one."""
+    """Return the step of the converter that turns commands into angles, or 0 for an ideal converter."""
     return float(held.packed.parameters[0].computer.dac_step_rad)
 
 
 def longest_delay_s(held: HeldFlight) -> float:
-    """Delay for which the filter has sections left, two samples each."""
+    """Return the longest delay for which the filter has free sections, two samples each."""
     free = MAX_SECTIONS - int(held.packed.parameters[0].computer.law.n_sections[held.axis])
     return 2.0 * free * held.sample_s
 
 
 def alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> None:
-    """Alter the packed flight's computer in place, on the held axis, by sections behind those of the filter."""
+    """Alter the packed flight's computer in place, on the held axis, by sections downstream of those of the filter."""
     row, axis = packed.parameters[0].computer, held.axis
     sections, used = row.law.sections[axis], int(row.law.n_sections[axis])
     if what != "delay":
@@ -346,9 +358,9 @@ def alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> 
 
 @dataclass(frozen=True)
 class Drift:
-    """Growth of the slowest root in 1/s, by the linear loop and in flight, and its change per decibel of gain.
+    """The growth rate (1/s) of the slowest root, by the linear loop and in flight, and its change per decibel of gain.
 
-    `others`: margins of the held loop without that root.
+    `others` are the margins of the held loop without that root.
     """
 
     linear_1ps: float
@@ -358,12 +370,14 @@ class Drift:
 
 
 def drift(held: HeldFlight, loop: Loop, of_held: Margins) -> Drift | None:
-    """Measure a held loop whose slowest root alone is unstable, and slowly; None for every other loop.
+    """Measure a held loop in which only the slowest root is unstable and its growth is slow.
 
-    In a held flight the axial load acts as gravity (held_flight.py), several times the real one. That moves the slowest
-    root, sometimes across the axis, although the loop at the flown instant is stable. Such a root takes minutes to grow
-    e-fold, so everything else about the loop can still be measured, and the root by its growth rate: a wrong sign or a
-    wrong gravity in the slow motion shows there.
+    Return None for every other loop.
+
+    In a held flight, the axial load acts as gravity (held_flight.py) and is several times the real gravity. The slowest
+    root then sometimes crosses the imaginary axis, although the loop at the flown instant is stable. Such a root takes
+    minutes to grow e-fold, so that all other properties of the loop can still be measured. The growth rate of the root
+    is measured too, since it shows a wrong sign or a wrong gravity in the slow motion.
     """
     if of_held.stable or of_held.growth_hz >= DRIFT_HZ or not 0.0 < of_held.growth_1ps <= SLOWEST_1PS:
         return None
@@ -377,9 +391,10 @@ def drift(held: HeldFlight, loop: Loop, of_held: Margins) -> Drift | None:
 
 @dataclass(frozen=True)
 class LimitCycle:
-    """`kind`: "decays", "limit cycle", "grows" (not settled at the end), "lost".
+    """The end of an excited flight. `kind` is "decays", "limit cycle", "grows" (not settled at the end) or "lost".
 
-    `gimbal_deg` and `slosh_deg` (largest of all tanks) are amplitudes at the end, `frequency_hz` that of the command.
+    `gimbal_deg` and `slosh_deg` (the largest of all tanks) are amplitudes at the end. `frequency_hz` is that of the
+    command.
     """
 
     kind: str
@@ -401,7 +416,7 @@ class LimitCycle:
 def limit_cycle(
     held: HeldFlight, frequency_hz: float, change: PackedChange = unchanged, watched_s: float = WATCHED_S
 ) -> LimitCycle:
-    """Excite the held flight by a burst at a frequency and see where it ends; `change` may make it unstable."""
+    """Excite the held flight by a burst at a frequency and classify its end. `change` may make the flight unstable."""
     run, rows = held.fly(watched_s, (excitation.sine_burst(held, frequency_hz),), change)
     command = rows[:, run.table.index(f"gimbal_{held.plane}_command_deg")]
     slosh = slosh_columns(run, held.plane)
@@ -422,7 +437,7 @@ def limit_cycle(
 
 
 def amplitude(samples: Array) -> float:
-    """Half the peak-to-peak value."""
+    """Return half the peak-to-peak value."""
     return float(0.5 * np.ptp(samples)) if len(samples) else 0.0
 
 

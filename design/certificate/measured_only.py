@@ -1,13 +1,14 @@
-"""Flight code without a linear model: its loop measured in held flights, and broken there.
+"""The measured loop of flight code without a linear model, examined in held flights up to its stability boundary.
 
-What a certificate (certificate.py) compares with a linear loop is measured here by itself: the open loop at lines by
-excitation, the margins by raising gain, lowering gain and adding delay behind the flight code until the loop grows. The
-vehicle's linear model is used for the level of the excitation only, and for the frequencies of slosh.
+A certificate (certificate.py) compares measurements with a linear loop; this module only measures. The open loop is
+measured at lines by excitation. The margins are measured by raising the gain, lowering the gain and adding delay behind
+the flight code until the loop grows. The vehicle's linear model only sets the level of the excitation and gives the
+slosh frequencies.
 
-Limits: what no excitation has reached is not known. Lines leave resonances between them unseen in the response; margins
-do not, because a loop that is broken oscillates wherever it breaks. A growth slower than e-fold in some 20 s passes for
-stable (`GROWS`), and so do one that the burst at its start does not wake, and an oscillation within the rounding of the
-gyro's converter (`FLOOR_COUNTS`).
+Limits: motions that no excitation has reached remain unknown. The response does not show resonances between the lines.
+The margins include them, because an unstable loop oscillates at whichever resonance is unstable. A growth slower than
+e-fold in some 20 s counts as stable (`GROWS`). So do a growing motion that the initial burst does not excite, and an
+oscillation within the rounding of the gyro's converter (`FLOOR_COUNTS`).
 """
 
 from __future__ import annotations
@@ -35,20 +36,20 @@ TRIALS: dict[MarginName, tuple[float, ...]] = {
     "gain_down": _TRIALS_DB,
     "delay": (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.04, 0.055, 0.075, 0.1, 0.13, 0.16),
 }
-"""Alterations that are tried one after the other, dB and s."""
+"""The alterations that are tried one after the other, dB and s."""
 WATCHED_S = 48.0  # after the burst of a trial
-GROWS = 1.25  # amplitude of the last quarter of a trial over that of the second
+GROWS = 1.25  # amplitude of the last quarter of a trial relative to the second quarter
 UNSTABLE = "the loop is unstable as it is"
 MOST_FLIGHTS = measured_margins.MOST_FLIGHTS + 4  # between two trials
-FLOOR_COUNTS = 2.0  # of the gyro's converter: rounding alone sustains such an oscillation, now and then
+FLOOR_COUNTS = 2.0  # of the gyro's converter: rounding alone occasionally sustains such an oscillation
 _PROBE = 0.15  # of the level at which the loop would be excited if it had no feedback
-_ACROSS = 0.3  # of a limit: beyond it an oscillation has grown
+_ACROSS = 0.3  # of a limit: a larger oscillation has grown
 _TOLERANCE = {"dB": 0.02, "s": 1e-4}
 
 
 @dataclass(frozen=True)
 class _Loop:
-    """The loop as the excitation needs it: its response so far, at `lines_hz`; an empty response is no feedback."""
+    """The loop as the excitation needs it: its response so far, at `lines_hz`. An empty response means no feedback."""
 
     fixed: FixedPath
     lines_hz: Array
@@ -64,8 +65,11 @@ class _Loop:
 
 @dataclass(frozen=True)
 class MeasuredNode:
-    """Flight code at a node: L at lines (Hz) with the standard error relative to L; margins in flight (their `linear`
-    is NaN); what becomes of a burst at each frequency of slosh. Empty where the loop is unstable as it is.
+    """The measurement of flight code at an operating point.
+
+    L at lines (Hz) has a standard error relative to L. The margins are measured in flight, and their `linear` is NaN.
+    The limit cycles give the outcome of a burst at each slosh frequency. All are empty if the unaltered loop is
+    unstable.
     """
 
     time_s: float
@@ -78,7 +82,10 @@ class MeasuredNode:
     cycles: tuple[measured_margins.LimitCycle, ...]
 
     def margin(self, what: MarginName) -> float:
-        """In its unit; infinite where nothing bounds it as far as was tried, NaN where none was found."""
+        """Return a margin in its unit.
+
+        It is infinite if no limit was found in the range tried, and NaN if it was not determined.
+        """
         found = next((m for m in self.margins if m.what == what), None)
         if found is None:
             return math.nan
@@ -86,7 +93,9 @@ class MeasuredNode:
 
     @property
     def phase_deg(self) -> float:
-        """Least phase margin at the crossings of |L| = 1 between neighbouring lines; infinite without one."""
+        """Return the least phase margin (deg) at the crossings of |L| = 1 between neighbouring lines, infinite without
+        a crossing.
+        """
         size = np.log(np.abs(self.response))
         turn = np.unwrap(np.angle(self.response))
         out = math.inf
@@ -105,7 +114,10 @@ def measure_node(
     bands: tuple[LineBand, ...] = BANDS,
     names: tuple[MarginName, ...] = MARGIN_NAMES,
 ) -> MeasuredNode:
-    """Measure at a node, in its plane. Raises ValueError where the node cannot be held (held_flight.py)."""
+    """Measure the loop at an operating point, in its plane.
+
+    Raises ValueError if the point cannot be held (held_flight.py).
+    """
     held = hold(loaded, node, fault)
     path = fixed_path(held.node, "sampled")
     floor = _trial(held, path, unchanged)
@@ -120,7 +132,9 @@ def measure_node(
 
 
 def measured_loop(held: HeldFlight, path: FixedPath, bands: tuple[LineBand, ...]) -> tuple[Array, ComplexArray, Array]:
-    """Lines, L and its relative standard error: first at a low level, then at one that suits what was found."""
+    """Return the lines, L and its relative standard error, measured first at a low level, then at a level that suits
+    the first result.
+    """
     if not bands:
         return np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)
     unknown = np.zeros(0, np.complex128)
@@ -143,9 +157,10 @@ class _Trial:
 
 
 def _trial(held: HeldFlight, path: FixedPath, change: PackedChange, floor_deg: float = 0.0) -> _Trial:
-    """Wake all motions by a doublet, and tell if the command grows beyond what rounding sustains.
+    """Excite all motions by a doublet. Return True if the command grows beyond the level that rounding sustains.
 
-    `floor_deg`: amplitude of the loop as it is. Commands that turn the gyro by less than `FLOOR_COUNTS` do not grow.
+    `floor_deg` is the amplitude of the unaltered loop. Commands that turn the gyro by less than `FLOOR_COUNTS` do not
+    count as growth.
     """
     kick = gimbal_injection(held.plane, "doublet", 0.5 * burst_rad(held, 1.0), stop_s=0.3)
     run, rows = held.fly(WATCHED_S, (kick,), change)
@@ -174,7 +189,7 @@ def _without_trend(samples: Array) -> Array:
 
 
 def _strongest(samples: Array, sample_s: float) -> float:
-    """Frequency of the strongest line, Hz, finer than a bin."""
+    """Return the frequency (Hz) of the strongest line, with a resolution finer than a bin."""
     if len(samples) < 16:
         return 1.0
     spectrum = np.abs(np.fft.rfft(_without_trend(samples) * np.hanning(len(samples)), 8 * len(samples)))
@@ -182,7 +197,9 @@ def _strongest(samples: Array, sample_s: float) -> float:
 
 
 def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) -> MeasuredMargin:
-    """Return the alteration at which the loop neither grows nor decays: between two trials, then by its growth rate."""
+    """Return the alteration at which the loop neither grows nor decays, by bisection between two trials, then from its
+    growth rate.
+    """
     tried: list[tuple[float, float]] = []
 
     def found(measured: float, frequency_hz: float, reason: str = "") -> MeasuredMargin:
@@ -218,7 +235,7 @@ def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) ->
             break
         inside = _trial(
             held, loop.fixed, change(within), floor_deg
-        )  # what has grown fastest may not be what breaks first
+        )  # the fastest-growing motion may not be the first to become unstable
         if not inside.grows:
             break
         high, trial = within, inside

@@ -1,7 +1,7 @@
-"""The open loop measured in a held flight, beside the paper's continuous loop and the exact sampled one.
+"""The open loop measured in a held flight, compared with the paper's continuous loop and with the exact sampled loop.
 
-The signal is injected at the gimbal command; what returns is compared with what was sent, line by line. Each difference
-from the sampled loop is given its reason, or is unexplained.
+The signal is injected at the gimbal command, and the returned signal is compared with it, line by line. Each difference
+from the sampled loop has a stated reason or is unexplained.
 """
 
 from __future__ import annotations
@@ -27,31 +27,33 @@ BANDS = (
     band(2.75, 12.0, 16, 80.0, 12.0, 1, dithered=True),
     band(12.5, 49.5, 12, 120.0, 12.0, 1, dithered=True),
 )
-"""Long enough for the lowest line, strong enough for the highest: what limits the level differs from band to band."""
+"""The bands of lines, long enough for the lowest line and strong enough for the highest. The quantity that limits
+the level differs from band to band.
+"""
 UNROUNDED_FROM_HZ = 2.7
 UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S = 40.0, 40.0
 
 COHERENT = 0.99
 WITHIN_DB, WITHIN_DEG = 0.2, 1.5
 NOISE_SIGMAS = 4.5  # estimated from ten bins of noise: exceeded by one line in 60,000; a certificate has 1,000
-HALF = 0.5  # of the excitation level, to see what depends on it
-RING_SHARE = 0.1  # of it, for waves that are lower than rings are deep
+HALF = 0.5  # of the excitation level, to show what depends on the level
+RING_SHARE = 0.1  # of the level, for waves that are lower than the depth of the rings
 AGREED, NOISE, INCOHERENT, UNEXPLAINED = "", "converter noise", "incoherent", "unexplained"
 SATURATION, ENDED = "saturation", "flight ended"
 FAULTY = UNEXPLAINED, SATURATION, ENDED
 
-_NEAR_HZ, _NEAR = 0.125, 5  # on either side in which noise is looked for, and at least so many bins
+_NEAR_HZ, _NEAR = 0.125, 5  # on either side, the range of the noise estimate, and the least number of its bins
 _DECAYED = 9.0  # exp(-9) = 1e-4 of the initial amplitude
-_DISTINCT = 0.01  # a root that changes less than this over the record cannot be told from the mean
+_DISTINCT = 0.01  # a root that changes less than this over the record cannot be separated from the mean
 
 
 @dataclass(frozen=True)
 class MeasuredResponse:
-    """L at lines, (lines,), with its quality.
+    """The response L at lines, (lines,), and its quality.
 
-    `error` is the standard error of L relative to L, `coherence` the share of the return that L explains: both from
-    the spectrum between the lines, where nothing was sent. `saturated_s` is how long a command was at its limit,
-    `outcome` that of the flight.
+    `error` is the standard error of L relative to L, and `coherence` is the share of the return that L explains. Both
+    are estimated from the spectrum between the lines, where no signal was sent. `saturated_s` is the time during which
+    a command was at its limit. `outcome` is that of the flight.
     """
 
     lines_hz: Array
@@ -65,11 +67,11 @@ class MeasuredResponse:
 def measure(held: HeldFlight, band: LineBand, level: ExcitationLevel, closed_poles: ComplexArray) -> MeasuredResponse:
     """Fly with the signal injected at the gimbal command, and compare filter output and gimbal command.
 
-    L = -U / E with U the output of the bending filter and E = U + injected, limited and quantised: the command that
-    the actuator receives, so that limits and the output converter do not bias L.
+    L = -U / E with U the output of the bending filter and E = U + injected, limited and quantised. E is the command
+    that the actuator receives, so that limits and the output converter do not bias L.
 
-    `closed_poles` (rad/s) of the linear loop tell which transients are left when the record begins: a root of 0.02
-    rad/s would take minutes. They are removed from the spectra, not waited for.
+    `closed_poles` (rad/s) of the linear loop show which transients remain when the record begins. The decay of a root
+    of 0.02 rad/s would take minutes. Therefore, such transients are removed from the spectra.
     """
     run, values = held.fly(band.duration_s, injections([*level.groups, *level.dither], held.plane))
     return _measured(held, band, closed_poles, run, values)
@@ -93,9 +95,9 @@ def _measured(
 
 
 def _spectra(band: LineBand, sample_s: float, back: Array, sent: Array) -> tuple[ComplexArray, ComplexArray] | None:
-    """(periods, bins) of the return and of the command; None if the flight ended before.
+    """Return the spectra (periods, bins) of the return and of the command, or None if the flight ended before.
 
-    A command is logged after its tick: it is read one row later.
+    A command is logged after its tick and is therefore read one row later.
     """
     n, first = round(band.period_s / sample_s), round(band.settle_s / sample_s)
     if first + band.periods * n + 1 > len(sent):
@@ -108,8 +110,11 @@ def _spectra(band: LineBand, sample_s: float, back: Array, sent: Array) -> tuple
 
 
 def _settled(spectra: ComplexArray, band: LineBand, closed_poles: ComplexArray) -> ComplexArray:
-    """Mean over the periods, (bins,), without transients: each root's part changes by exp(p times the period). The
-    slowest roots first: there are not periods enough for all."""
+    """Return the mean over the periods, (bins,), without transients.
+
+    Each root's part changes by exp(p times the period). The slowest roots are removed first, since there are too few
+    periods for all.
+    """
     distinct = np.abs(closed_poles.real) * band.duration_s > _DISTINCT
     slow = closed_poles[distinct & (-closed_poles.real * band.settle_s < _DECAYED)]
     slow = slow[np.argsort(-slow.real, kind="stable")]
@@ -121,7 +126,10 @@ def _settled(spectra: ComplexArray, band: LineBand, closed_poles: ComplexArray) 
 def _estimated(
     band: LineBand, out: ComplexArray, into: ComplexArray, saturated_s: float, outcome: str
 ) -> MeasuredResponse:
-    """At the lines; between them nothing is sent, and U = E is noise that has gone round the loop: N / (1 + L)."""
+    """Return the estimates at the lines.
+
+    Between the lines no signal is sent, and U = E is noise that has passed around the loop: N / (1 + L).
+    """
     lines = np.round(band.lines_hz * band.period_s).astype(int)
     response = -out[lines] / into[lines]
     silent = np.ones(len(out), bool)
@@ -140,12 +148,12 @@ def _estimated(
 
 @dataclass(frozen=True)
 class ResponseTable:
-    """L at lines, (lines,): continuous, exactly sampled, in flight, and in flight without rounding.
+    """The response L at lines, (lines,): continuous, exactly sampled, in flight, and in flight without rounding.
 
-    `unrounded` is measured with fine resolution of converter and output, NaN where that was not done: a difference due
-    to the converter's noise vanishes there. `nonlinear_db` is the change of L at half the excitation level, NaN
-    likewise. `reason` of each difference above the tolerance: "" agreed, "incoherent" not judged, "converter noise"
-    within 4.5 standard errors, "saturation", "flight ended", or "unexplained".
+    `unrounded` is measured with fine resolution of converter and output, and is NaN if not measured. A difference due
+    to the noise of the converter vanishes in it. `nonlinear_db` is the change of L at half the excitation level, and is
+    NaN likewise. `reason` explains each difference above the tolerance: "" agreed, "incoherent" not judged, "converter
+    noise" within 4.5 standard errors, "saturation", "flight ended", or "unexplained".
     """
 
     lines_hz: Array
@@ -176,24 +184,24 @@ class ResponseTable:
 
     @property
     def faulty(self) -> list[int]:
-        """Lines with a difference that neither noise nor tolerance explains."""
+        """Return the lines with a difference that neither noise nor tolerance explains."""
         return [i for i, why in enumerate(self.reason) if why in FAULTY]
 
 
 def decibels(ratio: ComplexArray) -> Array:
-    """20 log10 of the size."""
+    """Return 20 log10 of the magnitude."""
     return np.asarray(20.0 * np.log10(np.maximum(np.abs(ratio), 1e-300)))
 
 
 def degrees(ratio: ComplexArray) -> Array:
-    """The angle."""
+    """Return the angle in degrees."""
     return np.asarray(np.degrees(np.angle(ratio)))
 
 
 def measured_response(
     held: HeldFlight, loop: Loop, pade: Loop, bands: tuple[LineBand, ...] = BANDS, *, at_half: bool = True
 ) -> ResponseTable:
-    """All bands measured, as they fly and without rounding, and judged. `at_half`: at half the level as well."""
+    """Measure and judge all bands, with and without rounding. `at_half` measures them at half the level as well."""
     if not bands:
         empty, none = np.zeros(0), np.zeros(0, np.complex128)
         return ResponseTable(empty, none, none, none, none, empty, empty, empty, ())
@@ -229,10 +237,12 @@ def measured_response(
 
 @dataclass(frozen=True)
 class RingLine:
-    """L at a pendulum's frequency with ring baffles as they fly, excited by a sine, beside the linear loop.
+    """The response L at the frequency of a pendulum with ring baffles that follow their law, excited by a sine, and
+    that of the linear loop.
 
-    `linear` has the rings' damping at the swing that was flown (rad, of each pendulum). `difference_db` and `_deg`:
-    measured less linear; `rings_db`: what the rings are worth there, linear less that without any.
+    `linear` has the damping of the rings at the flown swing (rad, of each pendulum). `difference_db` and `_deg` are
+    measured less linear. `rings_db` is the effect of the rings at this frequency: linear less the same loop without
+    rings.
     """
 
     line_hz: float
@@ -256,7 +266,7 @@ class RingLine:
 
 
 def ring_lines(by_law: HeldFlight, loop: Loop) -> tuple[RingLine, ...]:
-    """A line at each frequency of pendulums with rings, in a flight held with them by their law."""
+    """Return a line at each frequency of pendulums with rings, in a held flight in which the rings follow their law."""
     node, found = by_law.node, []
     omega = 2.0 * np.pi * SWING_PERIODS / swing_window_s(node)
     ringed = node.vehicle.pendulums.ring * node.vehicle.pendulums.mass_kg > 0.0
@@ -281,12 +291,12 @@ def ring_lines(by_law: HeldFlight, loop: Loop) -> tuple[RingLine, ...]:
 
 
 def _even(lines_hz: Array) -> Array:
-    """The nearest lines that fit the period of the measurement without rounding."""
+    """Return the nearest lines that fit the period of the measurement without rounding."""
     return np.asarray(2.0 * np.round(0.5 * lines_hz * UNROUNDED_PERIOD_S) / UNROUNDED_PERIOD_S)
 
 
 def _without_rounding(held: HeldFlight) -> HeldFlight:
-    """The same with infinitely fine pulses and output steps."""
+    """Return the scenario with infinitely fine pulses and output steps."""
 
     def fault(packed: Packed) -> None:
         held.fault(packed)
@@ -299,8 +309,9 @@ def _without_rounding(held: HeldFlight) -> HeldFlight:
 
 
 def _reason(error: float, coherence: float, ratio: complex, clean: complex, saturated: bool) -> str:
-    """Return the reason for which a line is not used: `ratio` is that of measured to sampled L, `clean` the same
-    without rounding.
+    """Return the reason for which a line is not used.
+
+    `ratio` is that of measured to sampled L, and `clean` is the same without rounding.
     """
     if not math.isfinite(error):
         return ENDED

@@ -1,7 +1,9 @@
-"""The bending filter (paper, eqs 37 to 41): its state space and poles, and the filter as a vector of variables.
+"""The bending filter (paper, eqs 37 to 41): its state space, its poles, and its representation as a vector of
+variables.
 
-Each quadratic section brings the variables ln(zero_hz), zero_zeta, ln(pole_hz), pole_zeta, then each first-order
-section ln(zero_hz), ln(pole_hz). In these ln|F(j inf)| is linear, and a trust region means the same everywhere.
+Each quadratic section has the variables ln(zero_hz), zero_zeta, ln(pole_hz), pole_zeta. Each first-order section
+follows with ln(zero_hz), ln(pole_hz). In these variables, ln|F(j inf)| is linear, and a trust region has the same
+meaning everywhere.
 """
 
 from __future__ import annotations
@@ -22,17 +24,20 @@ from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 
 FrequencyAndDamping = tuple[float, float]
 AnyFilter = BendingFilter | DiscreteFilter | None
-"""Continuous, discrete at the flight computer's period, or none: 1."""
+"""A filter, continuous or discrete at the flight computer's period, or none: 1."""
 
 QUADRATIC, FIRST_ORDER = 4, 2  # variables of a section
 TWO_PI = 2.0 * np.pi
-SPAN = 2.0  # random frequencies lie within this factor squared around the first mode
+SPAN = 2.0  # random frequencies are within this factor squared around the first mode
 
-FASTEST = 1e-6  # |z| below it is a pole that a delay has left out, or as good as
+FASTEST = 1e-6  # below this |z|, a pole is one that a delay has left out, or nearly so
 
 
 def check_period(filter_: AnyFilter, sample_s: float | None) -> None:
-    """Raises ValueError for a continuous filter in a sampled loop, and for a discrete one of another period."""
+    """Check the sample period of a filter.
+
+    Raises ValueError for a continuous filter in a sampled loop, and for a discrete filter of another period.
+    """
     if isinstance(filter_, BendingFilter) and sample_s is not None:
         raise ValueError("a sampled loop needs a discrete filter: BendingFilter.discretize makes one")
     if isinstance(filter_, DiscreteFilter) and (sample_s is None or abs(filter_.sample_s / sample_s - 1) > 1e-9):
@@ -40,7 +45,10 @@ def check_period(filter_: AnyFilter, sample_s: float | None) -> None:
 
 
 def filter_state_space(filter_: AnyFilter) -> StateSpace:
-    """The filter as a cascade of its sections; discrete ones in transposed direct form II, as they are flown."""
+    """Return the filter as a cascade of its sections.
+
+    Discrete sections are in transposed direct form II, as in flight.
+    """
     one = StateSpace(
         np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), (), ("law_rad",), ("command_rad",)
     )
@@ -73,7 +81,7 @@ def _section(a: Array, b: Array, c: Array, through: float, k: int) -> StateSpace
 
 
 def filter_poles(filter_: AnyFilter) -> ComplexArray:
-    """Poles in rad/s; those of a discrete filter as log(z) / T."""
+    """Return the poles in rad/s. The poles of a discrete filter are log(z) / T."""
     if filter_ is None:
         return np.zeros(0, np.complex128)
     found: list[complex] = []
@@ -89,7 +97,7 @@ def filter_poles(filter_: AnyFilter) -> ComplexArray:
 
 @dataclass(frozen=True)
 class FilterVariables:
-    """Layout of the vector: `quadratic` sections of four variables, then `first_order` of two."""
+    """The layout of the vector: `quadratic` sections of four variables, then `first_order` sections of two."""
 
     quadratic: int
     first_order: int
@@ -105,9 +113,10 @@ class FilterVariables:
         return (*out, *(f"first_order[{i}].{key}" for i in range(self.first_order) for key in ("zero_hz", "pole_hz")))
 
     def _coefficients(self, y: Array) -> tuple[Array, Array, Array]:
-        """n1, n2 of every polynomial 1 + n1 s + n2 s^2, (..., polynomials), quadratics first, and their signs.
+        """Return n1, n2 of every polynomial 1 + n1 s + n2 s^2, (..., polynomials), quadratic sections first, and their
+        signs.
 
-        The sign is +1 for zeros, -1 for poles. `y` (..., size).
+        The sign is +1 for zeros and -1 for poles. `y` has the shape (..., size).
         """
         split, lead = QUADRATIC * self.quadratic, y.shape[:-1]
         q = y[..., :split].reshape(*lead, 2 * self.quadratic, 2)
@@ -122,7 +131,7 @@ class FilterVariables:
         return np.array([1.0, -1.0] * (self.quadratic + self.first_order))
 
     def response(self, y: Array, s: ComplexArray) -> ComplexArray:
-        """F, same shape as `s`; `y` (size,)."""
+        """Return F in the shape of `s`. `y` has the shape (size,)."""
         first, second, sign = self._coefficients(y)
         above, below = np.ones_like(s), np.ones_like(s)
         for a, b, side in zip(first, second, sign, strict=True):
@@ -134,9 +143,9 @@ class FilterVariables:
         return np.asarray(above / below)
 
     def slopes(self, y: Array, s: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """ln F (principal sum), and its first and second derivative by s; each (points,).
+        """Return ln F (principal sum) and its first and second derivatives with respect to s, each (points,).
 
-        `y` (size,), or (points, size) where each point has variables of its own.
+        `y` has the shape (size,), or (points, size) if each point has its own variables.
         """
         first, second, sign = self._coefficients(y)
         n = 1.0 + s[:, None] * (first + s[:, None] * second)
@@ -145,7 +154,7 @@ class FilterVariables:
         return _complex(np.log(n) @ sign), _complex(d1 @ sign), _complex(d2 @ sign)
 
     def gradient(self, y: Array, s: ComplexArray) -> ComplexArray:
-        """d ln F / d y (points, size); `y` as in `slopes`."""
+        """Return d ln F / d y (points, size). `y` is as in `slopes`."""
         first, second, sign = self._coefficients(y)
         column = s[:, None]
         n = 1.0 + column * (first + column * second)
@@ -159,7 +168,7 @@ class FilterVariables:
         return out
 
     def log_gain_at_infinity(self) -> Array:
-        """Coefficients (size,) of ln|F(j inf)|, which is linear in the variables."""
+        """Return the coefficients (size,) of ln|F(j inf)|, which is linear in the variables."""
         out = np.zeros(self.size)
         split = QUADRATIC * self.quadratic
         out[:split:QUADRATIC], out[2:split:QUADRATIC] = -2.0, 2.0
@@ -167,7 +176,7 @@ class FilterVariables:
         return out
 
     def filter(self, y: Array) -> BendingFilter:
-        """The filter that these variables mean."""
+        """Return the filter that these variables represent."""
         split = QUADRATIC * self.quadratic
         q, f = y[:split].reshape(-1, QUADRATIC), np.exp(y[split:].reshape(-1, FIRST_ORDER))
         return BendingFilter(
@@ -176,7 +185,7 @@ class FilterVariables:
         )
 
     def variables(self, filter_: BendingFilter) -> Array:
-        """The vector of a filter with these numbers of sections and zeros in the left half plane."""
+        """Return the vector of a filter with these numbers of sections and zeros in the left half plane."""
         if (len(filter_.quadratic), len(filter_.first_order)) != (self.quadratic, self.first_order):
             raise ValueError(
                 f"the filter has {len(filter_.quadratic)} quadratic and {len(filter_.first_order)} first-order "
@@ -195,7 +204,7 @@ def _complex(values: NDArray[Any]) -> ComplexArray:
 
 
 def laplace_axis(x: Array, sample_s: float | None, prewarp_hz: float | None) -> tuple[ComplexArray, ...]:
-    """s at which the filter's continuous form has the response at x = ln f, and its two derivatives by x.
+    """Return s at which the continuous form of the filter has the response at x = ln f, and its two derivatives by x.
 
     A bilinear filter is the continuous one on a warped axis: s = j c tan(pi f T).
     """
@@ -213,19 +222,19 @@ def laplace_axis(x: Array, sample_s: float | None, prewarp_hz: float | None) -> 
 
 @dataclass(frozen=True)
 class Lag:
-    """First-order lag of a measurement, continuous or sampled exactly (control/laws/load_relief.py)."""
+    """A first-order lag of a measurement, continuous or sampled exactly (control/laws/load_relief.py)."""
 
     corner_hz: float
     sample_s: float | None
 
     @property
     def share(self) -> float:
-        """g of a sampled one."""
+        """Return the coefficient g of a sampled lag."""
         assert self.sample_s is not None
         return lag_share(self.corner_hz, self.sample_s)
 
     def with_slopes(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Response at x = ln f, with its first and second derivative by x."""
+        """Return the response at x = ln f, with its first and second derivatives by x."""
         s = 2j * np.pi * np.exp(x)
         if self.sample_s is None:
             a = 2.0 * math.pi * self.corner_hz
@@ -237,7 +246,9 @@ class Lag:
         return np.asarray(gain / rest), first, first * (1.0 - u - 2.0 * u * left / rest)
 
     def change_with_slopes(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """The same for the rate of change behind the lag, 1/s: s, or (1 - 1/z) / T, times the lag."""
+        """Return the response of the rate of change downstream of the lag, 1/s, with its derivatives: the lag times s,
+        or times (1 - 1/z) / T.
+        """
         (h, h1, h2), s = self.with_slopes(x), np.asarray(2j * np.pi * np.exp(x), np.complex128)
         parts: list[ComplexArray] = [s, s, s]
         if self.sample_s is not None:
@@ -247,7 +258,9 @@ class Lag:
         return h * d, h1 * d + h * d1, h2 * d + 2.0 * h1 * d1 + h * d2
 
     def with_change(self, direct: float, change: float) -> StateSpace:
-        """direct + change * rate of change behind the lag, from a rate to what a law makes of it."""
+        """Return direct + change * rate of change downstream of the lag, which maps a rate to the quantity that a law
+        forms from it.
+        """
         if self.sample_s is None:
             a = -self.pole_radps
             parts = np.array([[-a]]), np.array([[-a * a * change]]), np.eye(1), np.array([[direct + a * change]])
@@ -274,7 +287,9 @@ class Lag:
 
 
 def drawn_filters(layout: FilterVariables, mode_hz: float) -> Iterator[BendingFilter]:
-    """Notches at the first mode, with poles below it and lead or lag round it: what optima have come to look like."""
+    """Return notches at the first mode with poles below it and lead or lag around it, a form typical of optimal
+    filters.
+    """
     lead, lag, mild, roll_off = (0.5, 5.0), (0.3, 0.22), (4.0, 2.0), (1.2, 20.0)
     notch, shelf = (1.0, 0.1, 0.5, 0.3), (0.65, 0.7, 0.5, 0.3)
     shapes: tuple[tuple[tuple[tuple[float, ...], ...], tuple[tuple[float, float], ...]], ...] = (
@@ -298,11 +313,13 @@ def drawn_filters(layout: FilterVariables, mode_hz: float) -> Iterator[BendingFi
 
 
 def random_ranges(layout: FilterVariables, lower: Array, upper: Array, mode_hz: float) -> tuple[Array, Array]:
-    """Lower and upper ends of random starts' variables, (2, size) each: everywhere, and like a notch.
+    """Return the lower and upper ends of the variables of random starts, (2, size) each: for general and for notch-like
+    starts.
 
-    Everywhere: the bounds, but for frequencies farther than `SPAN` squared from the mode. Like a notch: a first
-    section that is a notch at the mode with poles below it; the others lead, lag or notch anywhere. With gains linear
-    in time, every second such start ends in the best valley of F3 to F5, every tenth of the whole bounds.
+    General starts have the bounds as their range, except for frequencies farther than `SPAN` squared from the mode.
+    Notch-like starts have a first section that is a notch at the mode with poles below it; the other sections are
+    leads, lags or notches anywhere. With gains linear in time, half of the notch-like starts and a tenth of the starts
+    from the whole bounds reach the best optimum of F3 to F5.
     """
     low, high = lower.copy(), upper.copy()
     frequency = np.array([name.endswith("_hz") for name in layout.names], bool)
@@ -328,9 +345,11 @@ def random_ranges(layout: FilterVariables, lower: Array, upper: Array, mode_hz: 
 
 
 def lifted(filter_: BendingFilter, layout: FilterVariables, mode_hz: float) -> BendingFilter | None:
-    """The same response from a filter of `layout`: cancelling pairs are added; None where that is not enough.
+    """Return a filter of `layout` with the same response, by adding cancelling pairs.
 
-    A first-order section that has no place becomes a quadratic one with a cancelling pair of its own.
+    Return None if this is not sufficient.
+
+    A first-order section without a matching section becomes a quadratic section with a cancelling pair.
     """
     quadratic, first_order = list(filter_.quadratic), list(filter_.first_order)
     while len(first_order) > layout.first_order and len(quadratic) < layout.quadratic:

@@ -1,4 +1,4 @@
-"""Designs as files: which one a person means, and how one is written so that simrun flies it as it is."""
+"""Design files: the search for a design by its name, and the writing of a design that simrun flies unaltered."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from maxq.sim.scenario.schema_design import Design, DesignBasis, RollSection, St
 DESIGN_NAME = "design.toml"
 _DIGITS = 9
 _PLAIN_LIST = re.compile(r"\[\n((?: +[-+.\w\"]+,\n)+) *\]")
-"""A list of numbers or words, each in a line of its own."""
+"""A list of numbers or words, each on its own line."""
 
 
 def design_path(name: str) -> str:
-    """Return the path with which a scenario names the design that a person calls `name`.
+    """Return the path with which a scenario names the design that a user calls `name`.
 
-    That is a built-in name, a design file, or a folder with a design.toml that a case has written.
+    The name is that of a built-in design, of a design file, or of a folder with a design.toml that a case has written.
     """
     path, known = Path(name), builtin_files("design")
     if not name:
@@ -48,9 +48,9 @@ def design_path(name: str) -> str:
 
 
 def load_design(name: str | Path, beside: LoadedScenario | str | Path = "nominal") -> Design:
-    """Return the design in a file, or the built-in one (`designs/...`). Raises ScenarioError.
+    """Load the design in a file, or the built-in one (`designs/...`). Raises ScenarioError.
 
-    A design is read as part of a scenario, `beside`, whose folder is one of those in which the file is looked for.
+    A design is read as part of a scenario, `beside`. The folder of this scenario is among those searched for the file.
     """
     label = beside.label if isinstance(beside, LoadedScenario) else beside
     design = load_scenario(label, [f'design="{Path(name).as_posix()}"']).design
@@ -67,7 +67,7 @@ def design_of(
     roll: RollSection | None = None,
     basis: DesignBasis | None = None,
 ) -> Design:
-    """A design with numbers of nine digits: what is written, judged and flown are the same numbers."""
+    """Return a design with numbers of nine digits, so that the numbers written, judged and flown are the same."""
     rounded = json.loads(json.dumps(law.tables()), parse_float=lambda text: float(f"{float(text):.{_DIGITS}g}"))
     given = {"schema": 2, "name": name, "description": description, "vehicle": vehicle, **rounded}
     design = Design.model_validate(plain(adopt(given, Source("design"))))
@@ -75,7 +75,7 @@ def design_of(
 
 
 def design_text(design: Design, comments: Sequence[str] = ()) -> str:
-    """The design as TOML that reads back to the same numbers; `comments` go above it."""
+    """Return the design as TOML that reads back to the same numbers. `comments` precede it."""
     kept = design.model_dump(by_alias=True, exclude_none=True).items()
     content = {key: value for key, value in kept if value not in ("", ())}
     laws: list[Design | StageLaw] = [design, *design.stage]
@@ -97,7 +97,7 @@ def design_text(design: Design, comments: Sequence[str] = ()) -> str:
 
 
 def forget_pictures(folder: Path) -> None:
-    """Remove the pictures and the page of an earlier run: they show another design. Other files remain."""
+    """Remove the pictures and the page of an earlier run, since they show another design. Other files remain."""
     for page in ("design.html", "analysis.html"):
         (folder / page).unlink(missing_ok=True)
     for stem in ("vehicle-*", "gains", "filter", "margins", "lobes", "loop-*s", "orders-*"):

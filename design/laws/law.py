@@ -6,19 +6,20 @@
 | `DesignedLaw` | the law of a design file, over the whole flight | everything that judges a design |
 | `LawVariables` | a family of laws as a vector of numbers, with gradients | the optimiser |
 
-A law lives in one module here and one in control/laws (its kernel); `registry.LAWS` lists the modules, and the `law` of
-a design or of a case chooses. Nothing else in design/ depends on which law it is.
+Each law has one module here and one in control/laws (its kernel). `registry.LAWS` lists the modules, and the `law` of a
+design or of a case selects one. No other module of design/ depends on the choice of the law.
 
-**Inputs.** A law works on measurements, by name: those that a `FixedPath` offers (design/loop/fixed_path.py). Today
-these are `angle_rad`, the counted attitude less the commanded one, `rate_radps`, the mean rate over a sample, and
-`angle_integral_rads`, the sum of the angle over the samples; of a vehicle with further sensors also `rate_2_radps` and
-so on, the mean rates of further gyros, and `accel_mps2`, the mean lateral specific force at the accelerometer, to the
-side that a positive command of the plane's model pushes to. A law may take any of them, in any order.
+**Inputs.** A law has named measurements as its inputs, which a `FixedPath` provides (design/loop/fixed_path.py).
+Available are `angle_rad`, the counted attitude less the commanded one, `rate_radps`, the mean rate over a sample, and
+`angle_integral_rads`, the sum of the angle over the samples. A vehicle with further sensors also provides
+`rate_2_radps` and so on, the mean rates of further gyros, and `accel_mps2`. The latter is the mean lateral specific
+force at the accelerometer, positive in the direction of the push of a positive command of the plane's model. A law may
+use any of these, in any order.
 
 **Sign.** C is positive for negative feedback: the gimbal command is -C times the measurements, and L = sum of C_i P_i.
 
-**Outputs.** A loop is opened at one command, so a `Controller` gives one output: a law with several (gimbals in pitch
-and yaw, engines) gives a controller for each plane or engine that is asked for.
+**Outputs.** A loop is opened at one command, so a `Controller` has one output. A law with several outputs (gimbals in
+pitch and yaw, engines) returns a controller for each plane or engine requested.
 """
 
 from __future__ import annotations
@@ -36,43 +37,50 @@ from maxq.design.model.state_space import ComplexArray, StateSpace
 from maxq.design.quantities import QUANTITIES, Quantity
 
 MEASUREMENTS = ("angle_rad", "rate_radps", "angle_integral_rads")
-ANGLES = MEASUREMENTS[::2]  # what follows from the angle
+ANGLES = MEASUREMENTS[::2]  # quantities derived from the angle
 
 
 class Controller(Protocol):
-    """A law at one instant, from the measurements `inputs` to a gimbal command (rad); linear and time-invariant.
+    """A law at one instant, from the measurements `inputs` to a gimbal command (rad).
 
-    `sample_s` arguments are the loop's period, None for a continuous loop.
+    The law is linear and time-invariant.
+
+    The arguments `sample_s` are the period of the loop, or None for a continuous loop.
     """
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the measurements that it takes, without those whose gain is zero."""
+        """Return the names of the measurements that the law uses, without those whose gain is zero."""
 
     @property
     def gains(self) -> Mapping[str, float]:
-        """Gains in use by name, for reports."""
+        """Return the gains in use by name, for reports."""
 
     def check(self, sample_s: float | None) -> None:
-        """Raises ValueError where the law is not one for a loop of this period."""
+        """Check the sample period. Raises ValueError if the law is not valid for a loop of this period."""
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """C, (..., inputs) for frequencies of shape (...); of a continuous law they may be complex, s / (2 pi j)."""
+        """Return C, (..., inputs), for frequencies of shape (...).
+
+        For a continuous law, the frequencies s / (2 pi j) may be complex.
+        """
 
     def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """The factor that all inputs have in common (bending filter), same shape as the frequencies; 1 without one."""
+        """Return the factor that all inputs have in common (bending filter), in the shape of the frequencies, or 1
+        without a filter.
+        """
 
     def static_gain(self, name: str) -> float:
-        """C at zero frequency of one input; 0 for one that it does not take."""
+        """Return C at zero frequency of one input, or 0 for a measurement that the law does not use."""
 
     def poles(self) -> ComplexArray:
-        """Poles of C, rad/s; those of a discrete law at z are log(z) / T."""
+        """Return the poles of C, rad/s. The poles of a discrete law at z are log(z) / T."""
 
     def state_space(self) -> StateSpace:
-        """From `inputs` to `command_rad`; in z for a discrete law."""
+        """Return the state space from `inputs` to `command_rad`, in z for a discrete law."""
 
     def scaled(self, factor: float) -> Controller:
-        """The same law with all its gains times a factor."""
+        """Return the same law with all its gains multiplied by a factor."""
 
 
 class DesignedLaw(Protocol):
@@ -83,24 +91,28 @@ class DesignedLaw(Protocol):
         """Return the quantity over which its gains are scheduled."""
 
     def at(self, at: float, plane: Plane, sample_s: float | None) -> Controller:
-        """The law with the gains at a value of `over`, such as a vehicle time (`Node.scheduled`): as the flight
-        computer runs it at the period, or continuous for None."""
+        """Return the law with the gains at a value of `over`, such as a vehicle time (`Node.scheduled`).
+
+        The law is discrete at the given period of the flight computer, or continuous for None.
+        """
 
     def tables(self) -> dict[str, Any]:
         """Return the law's tables in a design file: keys such as `gains` and `filter`."""
 
     def record(self) -> dict[str, Any]:
-        """The same for reports, as columns of numbers."""
+        """Return the tables for reports, as columns of numbers."""
 
 
 Axis = tuple[ComplexArray, ...]
-"""What a law needs of frequencies, in arrays (points,); a law's own choice (`LawVariables.axis`)."""
+"""The data that a law needs of frequencies, in arrays (points,). The law chooses its content (`LawVariables.axis`)."""
 
 
 @dataclass(frozen=True)
 class LogResponse:
-    """C_i = exp(common) gains_i at points. `common` (points,) and `gains` (points, inputs), each with its first and
-    second derivative by x = ln f; None: zero.
+    """The response C_i = exp(common) gains_i at points.
+
+    `common` (points,) and `gains` (points, inputs) each include the first and second derivatives by x = ln f. None
+    means zero.
     """
 
     common: tuple[ComplexArray, ComplexArray, ComplexArray]
@@ -109,9 +121,11 @@ class LogResponse:
 
 @dataclass(frozen=True)
 class LawLimit:
-    """A limit that belongs to no frequency. `linear`: its gradient by the own parameters is constant.
+    """A limit that is independent of frequency.
 
-    `objective`: it is made small instead.
+    `linear` is True if its gradient by the law's own parameters is constant.
+
+    `objective` is True if the quantity is minimised instead.
     """
 
     text: str
@@ -131,9 +145,10 @@ class LawLimit:
 
 @dataclass(frozen=True)
 class LimitValues:
-    """Limit number `number` of a law at some plants, (rows,): in the limit's own unit, and what it is exceeded by.
+    """The values of limit number `number` of a law at some plants, (rows,), in the limit's own unit, and the excess
+    over the limit.
 
-    `plant` -1: of the law itself. `gradient` (rows, own parameters) of the excess.
+    `plant` -1 denotes the law itself. `gradient` (rows, own parameters) is that of the excess.
     """
 
     number: int
@@ -145,88 +160,101 @@ class LimitValues:
 
 
 class LawVariables(Protocol):
-    """Laws of one form as a vector of variables, for all plants of a task.
+    """A family of laws as a vector of variables, for all plants of a task.
 
-    At one plant a law has `own` parameters: numbers such as filter frequencies and logarithms of gains, which follow
-    from the variables (the gain schedules at that plant's time). The optimiser differentiates by the own parameters
-    of a plant, and goes on to the variables by `jacobian` and `bend`.
+    At one plant a law has `own` parameters, such as filter frequencies and logarithms of gains. They follow from the
+    variables (the gain schedules at that plant's time). The optimiser differentiates with respect to the own parameters
+    of a plant, then applies the chain rule to the variables with `jacobian` and `bend`.
 
-    L must be free of poles in the right half plane that come from the law, and of poles at zero but those of the
-    measurements and `poles_at_zero`; the count of unstable poles relies on it.
+    The law must not add poles of L in the right half plane. Its only poles at zero must be those of the measurements
+    and `poles_at_zero`. The count of unstable poles relies on both conditions.
     """
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Measurements, as of `Controller`; all of them."""
+        """Return the names of all measurements, as in `Controller`."""
 
     @property
     def poles_at_zero(self) -> int:
-        """Poles of C at s = 0 (z = 1)."""
+        """Return the number of poles of C at s = 0 (z = 1)."""
 
     @property
     def limits(self) -> tuple[LawLimit, ...]:
-        """Limits that the law knows of."""
+        """Return the limits that the law itself defines."""
 
     @property
     def lower(self) -> Array:
-        """Bounds of the variables."""
+        """Return the lower bounds of the variables."""
 
     @property
     def upper(self) -> Array:
-        """Bounds of the variables."""
+        """Return the upper bounds of the variables."""
 
     @property
     def own_size(self) -> int:
-        """Number of own parameters."""
+        """Return the number of own parameters."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Return the names of the variables."""
 
     def own(self, variables: Array) -> Array:
-        """Own parameters of each plant, (plants, own)."""
+        """Return the own parameters of each plant, (plants, own)."""
 
     def jacobian(self, variables: Array) -> Array:
-        """d own / d variables, (plants, own, variables)."""
+        """Return d own / d variables, (plants, own, variables)."""
 
     def bend(self, variables: Array, slopes: Array) -> Array:
-        """Sum of the second derivatives of all own parameters, weighted with `slopes` (plants, own), (size, size)."""
+        """Return the sum of the second derivatives of all own parameters, weighted with `slopes` (plants, own), (size,
+        size).
+        """
 
     def axis(self, x: Array) -> Axis:
         """Return the precomputed values that `response` and `log_response` need at points x = ln f."""
 
     def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
-        """C on a mesh, as a common factor (points,) and gains (points, inputs); `plant` is each point's."""
+        """Return C on a mesh, as a common factor (points,) and gains (points, inputs).
+
+        `plant` is the plant of each point.
+        """
 
     def log_response(self, own: Array, axis: Axis) -> LogResponse:
-        """C at points of own parameters (points, own)."""
+        """Return C at points of own parameters (points, own)."""
 
     def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
-        """d ln L / d own, (points, own). `weights` (points, inputs): ratio of measurement i over sum of gains_k P_k."""
+        """Return d ln L / d own, (points, own).
+
+        `weights` (points, inputs) are the ratios of measurement i to the sum of gains_k P_k.
+        """
 
     def limit_values(self, own: Array) -> list[LimitValues]:
-        """All limits that are asked for, at own parameters (plants, own)."""
+        """Return the values of all limits that are set, at own parameters (plants, own)."""
 
     def controllers(self, variables: Array) -> list[Controller]:
-        """The law at each plant."""
+        """Return the law at each plant."""
 
     def designed(self, variables: Array) -> DesignedLaw:
-        """The law of the design file that these variables mean."""
+        """Return the law of the design file that these variables represent."""
 
     def variables_of(self, law: DesignedLaw) -> Array | None:
-        """Variables of a law that has been designed with as much freedom or less; None where it does not fit."""
+        """Return the variables of a law that was designed with at most the same freedom, or None if it does not fit."""
 
     def starts(self, count: int, seed: int) -> list[Array]:
-        """Beginnings of the search, the most promising first."""
+        """Return the starting points of the search, the most promising first."""
 
     def beside(self, variables: Array, lost: IntArray) -> Array | None:
         """Return the variables with the gains of the plants number `lost` interpolated between those of the others.
 
-        None where every gain belongs to one of them.
+        Returns None if every gain belongs to one of the removed plants.
         """
 
     def leap_size(self, number: int) -> Array:
-        """Standard deviations of the variables for a leap from an optimum; sizes vary from leap to leap."""
+        """Return the standard deviations of the variables for a random step away from an optimum.
+
+        The sizes vary from step to step.
+        """
 
     def simpler(self) -> tuple[LawVariables, Callable[[Array], Array]] | None:
-        """Laws of fewer variables for rough searches, and how their variables become these; None: not worth it."""
+        """Return laws of fewer variables for rough searches and the conversion of their variables, or None if such a
+        search is not worthwhile.
+        """

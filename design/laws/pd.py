@@ -1,10 +1,10 @@
-"""The proportional-derivative law with its bending filter, linear side (Lee, Ahn & Roh eqs 33, 37 to 41).
+"""The linear side of the proportional-derivative law with its bending filter (Lee, Ahn & Roh eqs 33, 37 to 41).
 
     C = F(s) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
-with k_i = 0 here; with an integral it is the law of pid.py, with the lateral acceleration that of load_relief.py. The
-rate may be blended from several gyros (control/sensors.py): k_d times each one's weight. Its kernel is
-control/laws/pd.py.
+with k_i = 0 here. With an integral it is the law of pid.py, and with the lateral acceleration that of load_relief.py.
+The rate may be blended from several gyros (control/sensors.py); each gyro then has the gain k_d times its weight. The
+kernel of the law is control/laws/pd.py.
 """
 
 from __future__ import annotations
@@ -31,17 +31,19 @@ from maxq.sim.packing.computer import bending_filter, gain_schedules
 from maxq.sim.scenario.schema_design import Design
 
 LoopFilter = tuple[BendingFilter, Discretization, float | None]
-"""A loop's own continuous filter, how it is discretised, and where it is prewarped."""
+"""A loop's own continuous filter, its discretisation, and its prewarping frequency."""
 BANKS = ("attitude", "rate", "acceleration")
 
 
 @dataclass(frozen=True)
 class Pd:
-    """The law at one instant (`law.Controller`); `filter` None is 1. Raises ValueError for gains not finite.
+    """The law at one instant (`law.Controller`).
 
-    `blend`: weights of the first gyro and of further ones. `lag`: of the acceleration, with a gain k_a or k_alpha; the
-    latter with `percussion_m` and `accel_per_incidence_mps2` of control/laws/load_relief.py. `loops`: filters of
-    attitude error, rate and acceleration, each by itself.
+    A `filter` of None is 1. Raises ValueError for gains that are not finite.
+
+    `blend` contains the weights of the first gyro and of further ones. `lag` is that of the acceleration, with a gain
+    k_a or k_alpha. The latter needs `percussion_m` and `accel_per_incidence_mps2` of control/laws/load_relief.py.
+    `loops` contains separate filters of attitude error, rate and acceleration.
     """
 
     k_p: float
@@ -86,7 +88,7 @@ class Pd:
 
     @property
     def _per_mps2(self) -> float:
-        """k_alpha per acceleration, s2/m."""
+        """Return k_alpha per acceleration, s2/m."""
         return self.k_alpha / self.accel_per_incidence_mps2
 
     @property
@@ -95,7 +97,7 @@ class Pd:
         return {"rate_radps": self.blend[0], **{further_rate(k): w for k, w in enumerate(self.blend[1:], 2)}}
 
     def _of_inputs(self, loops: Sequence[Any], lag: Any, change: Any) -> ComplexArray:
-        """C without the bending filter, (..., inputs), from the loops' filters and the acceleration's lag."""
+        """Return C without the bending filter, (..., inputs), from the loops' filters and the acceleration's lag."""
         attitude, rate, acceleration = loops
         turning = (self.k_d_s - self._per_mps2 * self.percussion_m * change) * rate
         found = {name: weight * turning for name, weight in self._weights.items()}
@@ -105,7 +107,7 @@ class Pd:
 
     @property
     def _static(self) -> dict[str, float]:
-        """Gains at zero frequency by measurement; the acceleration's comes last."""
+        """Return the gains at zero frequency by measurement, that of the acceleration last."""
         rates = {name: self.k_d_s * weight for name, weight in self._weights.items()}
         own = {"angle_rad": self.k_p, "rate_radps": rates.pop("rate_radps"), "angle_integral_rads": self.k_i_ps}
         return {**own, **rates, ACCELERATION: self._per_mps2 - self.k_a_s2pm}
@@ -150,7 +152,7 @@ def _on_axis(filter_: AnyFilter, frequencies_hz: Array) -> ComplexArray:
 
 @dataclass(frozen=True)
 class PdDesign:
-    """The law of a design file (`law.DesignedLaw`): schedules of the gains in pitch and yaw, continuous filter."""
+    """The law of a design file (`law.DesignedLaw`): gain schedules in pitch and yaw, and a continuous filter."""
 
     pitch: GainSchedule
     yaw: GainSchedule
@@ -164,7 +166,7 @@ class PdDesign:
 
     @staticmethod
     def of(design: Design) -> PdDesign:
-        """From a design file."""
+        """Return the law of a design file."""
         form, filter_ = design.filter, bending_filter(design)
         return PdDesign(
             *gain_schedules(design.gains),
@@ -186,17 +188,20 @@ class PdDesign:
 
     @property
     def whole(self) -> LoopFilter:
-        """The filter and how it is discretised."""
+        """Return the filter and its discretisation method."""
         return self.filter, self.discretization, self.prewarp_hz
 
     @cached_property
     def _table(self) -> Cubics:
-        """As the flight computer interpolates the gains."""
+        """Return the gain table as the flight computer interpolates it."""
         return gains_table(self.pitch, self.yaw)
 
     @staticmethod
     def frozen(design: Design, at: float) -> Design:
-        """The design with the gains of one instant at all times, a total gain of 1; `at` as in `law.DesignedLaw`."""
+        """Return the design with the gains of one instant at all times and a total gain of 1.
+
+        `at` is as in `law.DesignedLaw`.
+        """
         law = PdDesign.of(design)
         laws = [law.at(at, "pitch", None), law.at(at, "yaw", None)]
         names = law.pitch.columns
@@ -241,13 +246,13 @@ class PdDesign:
 
 
 def as_flown(own: LoopFilter, sample_s: float | None) -> BendingFilter | DiscreteFilter:
-    """The filter, continuous or as the flight computer runs it at a period."""
+    """Return the filter, continuous or as the flight computer runs it at a period."""
     form, discretization, prewarp_hz = own
     return form if sample_s is None else form.discretize(sample_s, discretization, prewarp_hz)
 
 
 def _section(own: LoopFilter) -> dict[str, Any]:
-    """A filter as a table of a design file."""
+    """Return a filter as a table of a design file."""
     form, discretization, prewarp_hz = own
     out: dict[str, Any] = {
         "structure": structure_of(len(form.quadratic), len(form.first_order)),

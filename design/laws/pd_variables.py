@@ -1,5 +1,7 @@
-"""Variables of the proportional-derivative law (pd.py) for the optimiser: gains at nodes, bending filter, gyro weights,
-filters of each loop; with an integral those of pid.py, with load relief those of load_relief.py.
+"""The variables of the proportional-derivative law (pd.py) for the optimiser: gains at nodes, bending filter, gyro
+weights, filters of each loop.
+
+With an integral they are those of pid.py, with load relief those of load_relief.py.
 """
 
 from __future__ import annotations
@@ -26,15 +28,16 @@ from maxq.design.model.instruments import ACCELERATION, further_rate
 from maxq.design.model.state_space import ComplexArray
 
 LEAPS = ((0.3, 0.0), (0.2, 0.1), (0.03, 0.15))
-"""Sizes of leaps, taken in turn: of the filter's variables and of the gains'. Of sixteen leaps of each kind from the
-second-best end of F3 with free gains, 6, 5 and 3 found the best."""
-START_HZ, START_ZETA = 0.3, 0.5  # of the rigid body with its aerodynamics, where no limit asks for more
-GAIN_FACTOR = 1.02  # of starting gains over the least that meet the limits
+"""The sizes of random steps, used in turn: of the filter's variables and of the gains. Of sixteen steps of each
+kind from the second-best end of F3 with free gains, 6, 5 and 3 found the best.
+"""
+START_HZ, START_ZETA = 0.3, 0.5  # of the rigid body with its aerodynamics, if no limit requires more
+GAIN_FACTOR = 1.02  # of the starting gains relative to the least that meet the limits
 HERTZ, ZETA, AT_INFINITY = range(3)  # numbers of `PdVariables.limits`
 GAIN_OF = {"angle_rad": "k_p", "angle_integral_rads": "k_i_ps"}
 AIR = ("percussion_m", "accel_per_incidence_mps2")
 ValueAndSlopes = tuple[ComplexArray, ComplexArray, ComplexArray]
-"""Values at points with their first and second derivative by x = ln f."""
+"""The values at points with their first and second derivatives by x = ln f."""
 
 
 def _product(a: ValueAndSlopes, b: ValueAndSlopes) -> ValueAndSlopes:
@@ -45,12 +48,13 @@ UNIT_OF: dict[Over, str] = {"time_s": " s", "speed_mps": " m/s", "mass_kg": " kg
 
 
 class PdVariables:
-    """`law.LawVariables` of PD: the filter's variables (bending_filter.py), then ln k_p and ln k_d at the gain nodes.
+    """The variables (`law.LawVariables`) of PD: those of the filter (bending_filter.py), then ln k_p and ln k_d at the
+    gain nodes.
 
-    Then, where the rate is blended, the weights of further gyros, the same for all plants; the first one's is what is
-    left of 1. Last the variables of the loops' own filters. Own parameters of a plant: the filter's variables, ln k_p,
-    ln k_d, weights, the loops' filters, and for load relief by angle of attack two that no variable moves: 1 / b and -p
-    / b (control/laws/load_relief.py).
+    If the rate is blended, the weights of further gyros follow, equal for all plants; the first weight makes the sum 1.
+    The variables of the loops' own filters are last. The own parameters of a plant are the filter's variables, ln k_p,
+    ln k_d, the weights and the loops' filters. Load relief by angle of attack adds two that no variable changes: 1 / b
+    and -p / b (control/laws/load_relief.py).
     """
 
     inputs: tuple[str, ...] = MEASUREMENTS[:2]
@@ -58,10 +62,12 @@ class PdVariables:
     poles_at_zero = 0
 
     def __init__(self, task: Task, like: PdVariables | None = None, schedule: str | None = None) -> None:
-        """`like`: take over what another one of the same case has found out, the gains of a two-phase design, and where
-        its filter is prewarped.
+        """Set up the variables.
 
-        `schedule` in place of the case's.
+        `like` is another instance of the same case; its results are reused: the gains of a two-phase design, and the
+        frequency at which its filter is prewarped.
+
+        `schedule` replaces that of the case.
         """
         case = task.case
         self.task = task
@@ -71,7 +77,7 @@ class PdVariables:
         self.prewarp_hz: float = case.filter.prewarp_hz or own_hz
         if task.sample_s is not None and self.prewarp_hz >= 0.5 / task.sample_s:
             raise UnsolvableError(
-                f"filter.prewarp_hz = {self.prewarp_hz:g}: lies above half the sample rate; "
+                f"filter.prewarp_hz = {self.prewarp_hz:g}: is above half the sample rate; "
                 f"allowed are frequencies below {0.5 / task.sample_s:g} Hz"
             )
         self.loops = tuple(FilterVariables(*sections) for sections in case.loop_filters.each)
@@ -90,7 +96,7 @@ class PdVariables:
         fixed: Array | None = None
         if self.schedule == "two-phase":
             wanted, own = case.reference, ~task.dispersed
-            # a nominal plant is held to the reference, and a dispersed one to its own limits
+            # a nominal plant must follow the reference, and a dispersed one must meet its own limits
             self.rigid_hz = np.where(own | (case.robust is None), wanted.rigid_hz, self.rigid_hz)
             self.rigid_zeta = np.where(own | (case.robust is None), wanted.rigid_zeta, self.rigid_zeta)
             fixed = None if like is None else like.gains.fixed
@@ -118,11 +124,11 @@ class PdVariables:
 
     @property
     def _in_use(self) -> list[tuple[str, FilterVariables]]:
-        """Loops that have a filter of their own."""
+        """Return the loops that have their own filter."""
         return [(bank, loop) for bank, loop in zip(BANKS, self.loops, strict=True) if loop.size > 0]
 
     def _bounds(self, end: int) -> Array:
-        """(49) and (50), `end` 0 lower and 1 upper."""
+        """Return the bounds (49) and (50). `end` 0 selects the lower and 1 the upper bounds."""
         b = self.task.case.filter.bounds
         quadratic = [math.log(b.zero_hz[end]), b.zero_zeta[end], math.log(b.pole_hz[end]), b.pole_zeta[end]]
         first_order = [math.log(b.first_order_zero_hz[end]), math.log(b.first_order_pole_hz[end])]
@@ -139,7 +145,9 @@ class PdVariables:
         return (*self.filter.names, *self.gains.names, *weights, *loops)
 
     def split(self, variables: Array) -> list[Array]:
-        """Variables of the filter, of the gains, weights of further rate gyros, and those of the loops' filters."""
+        """Return the variables of the filter, of the gains, of the weights of further rate gyros, and of the loops'
+        filters.
+        """
         return np.split(variables, np.cumsum([self.filter.size, self.gains.size, self.further]))
 
     # --- own parameters
@@ -180,7 +188,7 @@ class PdVariables:
 
     @property
     def _plain(self) -> bool:
-        """Each gain that of one measurement, and constant over frequency."""
+        """Return True if each gain belongs to one measurement and is constant over frequency."""
         return self.further == 0 and self.lag is None and self.in_loops == 0
 
     def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
@@ -199,8 +207,8 @@ class PdVariables:
         return LogResponse(common, self._on_measurements(own, axis)[0])
 
     def _on_measurements(self, own: Array, axis: Axis) -> tuple[ValueAndSlopes, ComplexArray]:
-        """Gains (points, inputs) at own parameters (points, own), with both derivatives by x, and their slopes by the
-        own parameters behind the filter's.
+        """Return the gains (points, inputs) at own parameters (points, own), with both derivatives by x, and their
+        slopes. The slopes are with respect to the own parameters that follow those of the filter.
         """
         n, keys, points = self.filter.size, self.keys, len(own)
         k, weights = np.exp(own[:, n : n + len(keys)]), own[:, n + len(keys) : n + len(keys) + self.further]
@@ -215,7 +223,7 @@ class PdVariables:
         for i, name in enumerate(self.inputs):
             bank = 0 if name in ANGLES else 2 if name == ACCELERATION else 1
             loop, y = self.loops[bank], own[:, at_loops[bank] : at_loops[bank + 1]]
-            # terms: gain, which of the keys it is, a factor of the point and one of frequency
+            # terms: gain, index of the key, a factor of the point and one of frequency
             if bank == 0:
                 terms = [(keys.index(GAIN_OF[name]), np.ones(points), one)]
             elif bank == 1:
@@ -248,7 +256,7 @@ class PdVariables:
         return out, slopes  # type: ignore[return-value]  # three of them
 
     def _gyro(self, name: str) -> int:
-        """Number of a further gyro among the weights."""
+        """Return the number of a further gyro among the weights."""
         return next(k for k in range(self.further) if further_rate(k + 2) == name)
 
     def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
@@ -260,7 +268,7 @@ class PdVariables:
         return np.concatenate([self.filter.gradient(own[:, :n], axis[0]), by_gains], axis=1)
 
     def _in_wind(self, own: Array) -> list[LimitValues]:
-        """Load, drift and moments of all plants that are held to them."""
+        """Return the load, drift and moments of all plants that have such limits."""
         if not self._of_wind:
             return []
         n, axis = self.filter.size, self.axis(self.task.winds[0].x)
@@ -286,9 +294,9 @@ class PdVariables:
             out.append(LimitValues(first + k, i, value[k, i], most, excess_db, by[k, i] * DB / value[k, i, None]))
         return out
 
-    # --- limits that belong to no frequency
+    # --- limits that are independent of frequency
     def limit_values(self, own: Array) -> list[LimitValues]:
-        """(47), (48) and (46)."""
+        """Return the values of the limits (47), (48) and (46)."""
         n = self.filter.size
         k_p, k_d = np.exp(own[:, n : n + 2]).T
         omega, zeta, by_omega, by_zeta = self._rigid_body(k_p, k_d)
@@ -316,7 +324,7 @@ class PdVariables:
         return [*out, *self._in_wind(own)]
 
     def _rigid_body(self, k_p: Array, k_d: Array) -> tuple[Array, Array, Array, Array]:
-        """omega (rad/s) and zeta, (plants,), and gradients of their logarithms by the own parameters.
+        """Return omega (rad/s) and zeta, (plants,), and the gradients of their logarithms by the own parameters.
 
         "paper": (35) and (36), s2 + M_delta k_d s + M_delta k_p. "aerodynamic" (erratum 12):
         s2 + (M_delta k_d - M_q) s + M_delta k_p - M_alpha.
@@ -383,7 +391,10 @@ class PdVariables:
         return self._clipped(np.concatenate([self.filter.variables(filter_), known, weights, loops]))
 
     def _lifted_loops(self, filters: Sequence[BendingFilter | None]) -> Array | None:
-        """Variables of the loops' filters: of these, none being 1; None where they do not fit."""
+        """Return the variables of the loops' filters from these, where None means a filter of 1.
+
+        Return None if they do not fit.
+        """
         parts: list[Array] = []
         for loop, own in zip(self.loops, filters, strict=True):
             as_wide = lifted(own or BendingFilter(), loop, self.task.first_mode_hz)
@@ -397,7 +408,9 @@ class PdVariables:
 
     # --- search
     def starts(self, count: int, seed: int) -> list[Array]:
-        """Drawn filters first, half of all at most, then Sobol points: every fourth in the bounds, others a notch."""
+        """Return drawn filters, at most half of all starts, then Sobol points: every fourth in the bounds, the others
+        notches.
+        """
         mode_hz, gains, n = self.task.first_mode_hz, self._start_gains(), self.filter.size
         filters = [self.filter.variables(f) for f in bending_filter.drawn_filters(self.filter, mode_hz)][
             : (count + 1) // 2
@@ -415,10 +428,10 @@ class PdVariables:
         return [self._clipped(np.concatenate([y, gains, np.zeros(self.further), loops])) for y in filters]
 
     def _start_gains(self) -> Array:
-        """The gain variables a little above the least that meet the limits, those of (47) and (48) as printed.
+        """Return gain variables slightly above the least that meet the limits (47) and (48) as printed.
 
-        And above what an unstable body needs to be as fast as `START_HZ` with M_alpha and M_q in it (erratum 12); the
-        help of a stable one is not counted on, for without gains its path diverges slowly.
+        The gains also give an unstable body at least the frequency `START_HZ` with M_alpha and M_q included (erratum
+        12). A stable body's restoring moment is not credited, since without gains its path diverges slowly.
         """
         if self.gains.size == 0:
             return np.zeros(0)
@@ -429,7 +442,7 @@ class PdVariables:
         return self._with_more_gains(np.log(GAIN_FACTOR * np.maximum(asked, needed))).ravel()
 
     def _with_more_gains(self, log_gains: Array) -> Array:
-        """Logarithms of all starting gains (keys, nodes) from those of k_p and k_d."""
+        """Return the logarithms of all starting gains (keys, nodes) from those of k_p and k_d."""
         return log_gains
 
     def beside(self, variables: Array, lost: IntArray) -> Array | None:
@@ -447,7 +460,7 @@ class PdVariables:
         return np.concatenate([np.full(count, size) for count, size in sizes])
 
     def simpler(self) -> tuple[PdVariables, Callable[[Array], Array]] | None:
-        """Linear gains in place of many nodes."""
+        """Return linear gains that replace many nodes."""
         if self.schedule not in ("free", "nodes") or len(self.gains.nodes) <= 2:
             return None
         small = type(self)(self.task, schedule="linear")
@@ -469,10 +482,10 @@ def _gain_nodes(task: Task, schedule: str) -> Array:
 
 
 def least_gains(rigid: Rigid, weights: Array, rigid_hz: float, rigid_zeta: float, with_air: bool) -> Array:
-    """(2, nodes): the least k_p, then the least k_d, at all plants in sum, that meet (47) and (48).
+    """Return the least k_p, then the least k_d, (2, nodes), in sum over all plants, that meet (47) and (48).
 
-    Phase 1 of the paper's two-phase design (5.1). k_d suffices for the damping ratio with the k_p in force, not just
-    with the least one. `with_air`: with M_alpha and M_q (erratum 12).
+    This is phase 1 of the paper's two-phase design (5.1). k_d gives the required damping ratio with the k_p in force,
+    not only with the least one. `with_air` includes M_alpha and M_q (erratum 12).
     """
     omega = 2.0 * math.pi * rigid_hz
     m_alpha, m_q = (rigid.m_alpha, rigid.m_q) if with_air else (0.0, 0.0)

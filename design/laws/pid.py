@@ -1,13 +1,12 @@
-"""The proportional-integral-derivative law, linear side: PD's with a third gain (pd.py).
+"""The linear side of the proportional-integral-derivative law: the PD law with a third gain (pd.py).
 
     C = F(z) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
 The integral is the sum over samples, T z / (z - 1), as the computer forms it below its limit. `limits.integral_hz`
-bounds its corner from below, `limits.most_integral_hz` from above: without that an optimum may take far more than is
-asked (ksr3-relaxed with F3: 0.4 to 1.5 Hz). Frequency and
-damping ratio of the rigid body (47, 48) are those of the law without its integral, and mean what
-they say only while its corner lies well below them; stability and margins are those of the whole loop. Its kernel is
-control/laws/pid.py.
+bounds its corner from below, `limits.most_integral_hz` from above. Without the upper bound, an optimum may have a much
+higher corner than required (ksr3-relaxed with F3: 0.4 to 1.5 Hz). Frequency and damping ratio of the rigid body (47,
+48) are those of the law without its integral. They are meaningful only if the corner of the integral is far below them.
+Stability and margins are those of the whole loop. The kernel of the law is control/laws/pid.py.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from maxq.design.laws.task import DB, Task
 
 
 class PidVariables(PdVariables):
-    """`law.LawVariables` of PID: those of PD, then ln k_i at the gain nodes."""
+    """The variables (`law.LawVariables`) of PID: those of PD, then ln k_i at the gain nodes."""
 
     inputs = MEASUREMENTS
     keys = ("k_p", "k_d_s", "k_i_ps")
@@ -39,7 +38,7 @@ class PidVariables(PdVariables):
         self.limits = (*self.limits, *(LawLimit.on(key, True) for key in keys))
 
     def limit_values(self, own: Array) -> list[LimitValues]:
-        """Those of PD, and k_i / (2 pi k_p)."""
+        """Return the limit values of PD, and k_i / (2 pi k_p)."""
         n, plants = self.filter.size, len(own)
         corner_hz = np.exp(own[:, n + 2] - own[:, n]) / (2.0 * math.pi)
         out, first = super().limit_values(own), len(self.limits) - len(self.corners)

@@ -1,4 +1,4 @@
-"""All control laws by the name that a design or a case chooses them by; a new one is a line here."""
+"""The registry of all control laws by the name that a design or a case states. A new law is a new line here."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ from maxq.sim.scenario.schema_design import Design
 
 @dataclass(frozen=True)
 class LawKind:
-    """`variables` are those of a task, like others of the same case. `of_design` reads the law from a design file;
-    `frozen` gives the design with the gains of one instant, at a value of what they are scheduled over
-    (`DesignedLaw.at`). `inputs`: all measurements that it may take.
+    """The parts of a law.
+
+    `variables` returns those of a task, optionally like others of the same case. `of_design` reads the law from a
+    design file. `frozen` returns the design with the gains of one instant, at a value of the scheduling quantity
+    (`DesignedLaw.at`). `inputs` are all measurements that the law may use.
     """
 
     variables: Callable[[Task, Any], LawVariables]
@@ -37,12 +39,12 @@ LAWS: dict[str, LawKind] = {
 
 
 def designed_law(design: Design) -> DesignedLaw:
-    """The law of a design. Raises ValueError for one that is not in `LAWS`."""
+    """Return the law of a design. Raises ValueError for a law that is not in `LAWS`."""
     return law_kind(design.law).of_design(design)
 
 
 def law_kind(name: str) -> LawKind:
-    """Raises ValueError for a law that is not in `LAWS`."""
+    """Return the parts of a law. Raises ValueError for a law that is not in `LAWS`."""
     if name not in LAWS:
         raise ValueError(f"law = {name!r}: allowed is {', '.join(LAWS)}")
     return LAWS[name]

@@ -9,23 +9,25 @@ from scipy.optimize import linprog
 
 from maxq.control.kernel.records import Array
 
-GAIN_BOUNDS = 1e-4, 1e3  # (49): ln k needs some
+GAIN_BOUNDS = 1e-4, 1e3  # (49): ln k needs a positive one
 
 
 class UnsolvableError(ValueError):
-    """A case that no law can be found for: keys, why, and what is allowed."""
+    """A case without a solution. The message states the keys, the reason and the permitted values."""
 
 
 def interpolation_weights(at: Array, nodes: Array) -> Array:
-    """(points, nodes): what linear interpolation, held outside, makes of the values at the nodes."""
+    """Return the weights (points, nodes) of linear interpolation between the values at the nodes, held constant
+    outside.
+    """
     return np.column_stack([np.interp(at, nodes, row) for row in np.eye(len(nodes))])
 
 
 @dataclass(frozen=True)
 class GainSchedules:
-    """Schedules of the gains `keys`, all positive, on common nodes.
+    """The schedules of the gains `keys`, all positive, on common nodes.
 
-    `weights` (plants, nodes) give the gains of each plant. With `fixed` (gains, nodes) there is no variable.
+    `weights` (plants, nodes) give the gains of each plant. With `fixed` (gains, nodes) there are no variables.
     """
 
     keys: tuple[str, ...]
@@ -45,15 +47,15 @@ class GainSchedules:
         return tuple(f"{key} at {at:g}{self.unit}" for key in self.keys for at in self.nodes)
 
     def at_nodes(self, u: Array) -> Array:
-        """(gains, nodes)."""
+        """Return the gains at the nodes, (gains, nodes)."""
         return self.fixed if self.fixed is not None else np.exp(u.reshape(len(self.keys), -1))
 
     def at_plants(self, u: Array) -> Array:
-        """(gains, plants)."""
+        """Return the gains of the plants, (gains, plants)."""
         return np.asarray(self.at_nodes(u) @ self.weights.T)
 
     def log_gradients(self, u: Array) -> Array:
-        """d ln k / d u, (gains, plants, size)."""
+        """Return d ln k / d u, (gains, plants, size)."""
         n = len(self.nodes)
         out = np.zeros((len(self.keys), len(self.weights), self.size))
         if self.size > 0:
@@ -64,9 +66,9 @@ class GainSchedules:
         return out
 
     def log_curvature(self, u: Array, slopes: Array) -> Array:
-        """Sum of d2 ln k / d u2, weighted with `slopes` (gains, plants): (size, size).
+        """Return the sum of d2 ln k / d u2, weighted with `slopes` (gains, plants): (size, size).
 
-        ln k = ln(sum of weights times exp(u)) bends with u: diag(share) - share share'.
+        The second derivative of ln k = ln(sum of weights times exp(u)) with respect to u is diag(share) - share share'.
         """
         out = np.zeros((self.size, self.size))
         for by, slope in zip(self.log_gradients(u), slopes, strict=True):
@@ -74,14 +76,18 @@ class GainSchedules:
         return out
 
     def from_nodes(self, nodes: Array, gains: Array) -> Array:
-        """Variables of schedules (gains, nodes) on other nodes, interpolated; empty where the gains are fixed."""
+        """Return the variables of schedules (gains, nodes) on other nodes, interpolated, or none if the gains are
+        fixed.
+        """
         if self.size == 0:
             return np.zeros(0)
         return np.concatenate([np.log(np.interp(self.nodes, nodes, k)) for k in gains])
 
 
 def lowest_above(weights: Array, floor: Array) -> Array:
-    """Values at the nodes of the lowest schedule, in sum over the plants, that is nowhere below `floor` (plants,)."""
+    """Return the node values of the lowest schedule, in sum over the plants, that is nowhere below `floor`
+    (plants,).
+    """
     floor, cost = np.maximum(floor, GAIN_BOUNDS[0]), weights.sum(axis=0)
     found = None
     if np.isfinite(floor).all():  # not where an engine has no authority

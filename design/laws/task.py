@@ -1,4 +1,4 @@
-"""The task of a design: a case, its plants, and the limits to which each of them is held."""
+"""The task of a design: a case, its plants, and the limits of each plant."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DB = 20.0 / math.log(10.0)  # dB of a change of a natural logarithm
 
 @dataclass(frozen=True)
 class Rigid:
-    """Derivatives of the vehicles, (plants,): M_delta, M_alpha (1/s2) and M_q (1/s)."""
+    """The derivatives of the vehicles, (plants,): M_delta, M_alpha (1/s2) and M_q (1/s)."""
 
     m_delta: Array
     m_alpha: Array
@@ -28,9 +28,11 @@ class Rigid:
 
 
 class PlantLimits:
-    """Limits of all plants by name, of a bending moment by its station (m); (plants,) each: nan where not asked for.
+    """The limits of all plants by name, or by station (m) for a bending moment.
 
-    `times_s` of the plants: limits may change over time.
+    Each has the shape (plants,) and is nan if it is not set.
+
+    `times_s` are those of the plants, since limits may change over time.
     """
 
     def __init__(self, each: Sequence[MarginLimits], times_s: Array) -> None:
@@ -50,15 +52,15 @@ class PlantLimits:
         return self._columns[name]
 
     def asked(self, name: str | float) -> bool:
-        """Return True if any plant is held to the limit."""
+        """Return True if any plant has the limit."""
         return not bool(np.isnan(self[name]).all())
 
 
 @dataclass(frozen=True)
 class Task:
-    """A case at its plants. `sample_s`: period of sampled loops, None for continuous ones.
+    """A case and its plants. `sample_s` is the period of sampled loops, or None for continuous ones.
 
-    `first_mode_hz`: mean frequency of the first bending mode.
+    `first_mode_hz` is the mean frequency of the first bending mode.
     """
 
     case: Case
@@ -69,7 +71,7 @@ class Task:
     sample_s: float | None
     first_mode_hz: float
     further_gyros: int = 0  # whose weights in the blended rate are variables
-    at: Array = field(default_factory=lambda: np.zeros(0))  # (plants,): what the gains are scheduled over
+    at: Array = field(default_factory=lambda: np.zeros(0))  # (plants,): the quantity over which the gains are scheduled
     incidence: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(plants, 2): `incidence_by_acceleration`, for a law that takes it."""
-    winds: Winds = ()  # of each plant, where the case tells of wind
+    """The coefficients `incidence_by_acceleration` (plants, 2), for a law that uses them."""
+    winds: Winds = ()  # of each plant, if the case defines wind

@@ -1,4 +1,5 @@
-"""The part of a loop that the designer of a law cannot change: from the gimbal command to the inputs of the law.
+"""The fixed part of a loop, which the designer of a law cannot change: from the gimbal command to the inputs of the
+law.
 
     L(f) = sum of C_i(f) P_i(f),    P = fixed(f) (integrator(f), 1, integrator(f)^2)
 
@@ -11,12 +12,13 @@ with negative feedback (`loop.OpenLoop`). Three kinds with one interface:
 | `pade` | `PadeFixedPath` | the paper's eqs 30 to 32 | 1 / s |
 | `exact` | `ExactFixedPath` | their exact factors, without aliasing | 1 / s |
 
-and for a law that takes further sensors (`senses`) the same of their measurements, each by its own way.
+For a law that uses further sensors (`senses`), the path includes the responses of their measurements.
 
-Three places to open the loop (`Cut`). `gimbal_command` is the loop's own, with the margins of the loop. The
-other two are eq. 42 by the letter: from the commanded rate q_c, which acts on the angle alone (33) and meets no gyro
-and no converter, to the pitch rate q of the rigid body, or to q_m at the gyro; `takes_rate` is False then and the
-measured rate has no part. They are no loops: 1 + L = 0 says nothing about stability there (erratum 16).
+A loop can be opened at three points (`Cut`). `gimbal_command` is the loop's own point and gives the margins of the
+loop. The other two follow eq. 42 to the letter: from the commanded rate q_c to the pitch rate q of the rigid body, or
+to q_m at the gyro. q_c acts on the angle alone (33) and passes no gyro and no converter. `takes_rate` is then False and
+the measured rate has no part. These two are not loops: 1 + L = 0 gives no information about stability there (erratum
+16).
 """
 
 from __future__ import annotations
@@ -45,11 +47,11 @@ LoopKind = Literal["sampled", "pade", "exact"]
 Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]
 KINDS: tuple[LoopKind, ...] = get_args(LoopKind)
 CUTS: tuple[Cut, ...] = get_args(Cut)
-IMAGES = 8  # on either side of a mode's own part; they fall with the third power of their number at least
+IMAGES = 8  # on either side of a mode's own part; they decrease at least with the third power of their number
 
 
 class FixedPath(abc.ABC):
-    """Common to all kinds; `response` and `integrator` take frequencies in Hz of any shape."""
+    """The base of all kinds of path. `response` and `integrator` accept frequencies in Hz of any shape."""
 
     kind: ClassVar[LoopKind]
 
@@ -60,9 +62,9 @@ class FixedPath(abc.ABC):
         self.sensors = node.instruments.sensors if senses and cut == "gimbal_command" else ()
         self.takes_rate = cut == "gimbal_command"
         self.measurements: tuple[str, ...] = MEASUREMENTS[: 2 if self.takes_rate else 1]  # of the usual law
-        ideal = bool(node.actuator.ideal)  # that of one is that of all
+        ideal = bool(node.actuator.ideal)  # that of one applies to all
         output = "q_radps" if cut == "rate_command_to_q" else "local_rate_radps"
-        # an ideal actuator is at rest between commands: the staircase's corners shake nothing
+        # an ideal actuator is at rest between commands: the corners of the staircase excite no mode
         inputs = tuple(name for name in node.plant.inputs if not ideal or name.startswith("delta_rad"))
         self.vehicle = channels(node.plant, (output, *(name for name, _, _ in self.sensors)), inputs)
         self._actuator = None if ideal else actuators(node.actuators)
@@ -72,30 +74,32 @@ class FixedPath(abc.ABC):
     @property
     @abc.abstractmethod
     def highest_hz(self) -> float:
-        """Nyquist frequency, or infinity."""
+        """Return the Nyquist frequency, or infinity."""
 
     @property
     @abc.abstractmethod
     def sample_s(self) -> float | None:
-        """Period of a sampled path; None for a continuous one."""
+        """Return the period of a sampled path, or None for a continuous one."""
 
     @property
     def with_sensors(self) -> FixedPath:
-        """The same with the measurements of further sensors. Raises ValueError where there are none."""
+        """Return the path with the measurements of further sensors. Raises ValueError if there are none."""
         if not self.node.instruments.sensors:
             raise ValueError("the vehicle has no sensors beyond the gyro: allowed is a law that takes the gyro alone")
         return self if self.sensors else type(self)(self.node, self.cut, senses=True)
 
     @abc.abstractmethod
     def responses(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """From gimbal command to the means of the rate and of what each further sensor measures, (..., outputs)."""
+        """Return the responses from gimbal command to the means of the rate and of each further sensor's measurement,
+        (..., outputs).
+        """
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """fixed(f), from gimbal command to mean rate, same shape as `frequencies_hz`."""
+        """Return fixed(f), from gimbal command to mean rate, in the shape of `frequencies_hz`."""
         return np.asarray(self._remembered(np.asarray(frequencies_hz, float))[..., 0])
 
     def _remembered(self, f: Array) -> ComplexArray:
-        """`responses`, those asked for last kept: each measurement is asked for by itself."""
+        """Return `responses`, and cache the latest result, since the measurements are requested one at a time."""
         if not self.sensors:
             return self.responses(f)
         key = f.tobytes() + str(f.shape).encode()
@@ -105,14 +109,17 @@ class FixedPath(abc.ABC):
 
     @abc.abstractmethod
     def integrator(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Angle over mean rate, s; same shape as `frequencies_hz`."""
+        """Return the ratio of angle to mean rate, s, in the shape of `frequencies_hz`."""
 
     @abc.abstractmethod
     def state_space(self) -> StateSpace:
-        """From gimbal command to mean rate, no direct feedthrough; in z for a sampled path."""
+        """Return the state space from gimbal command to mean rate, without direct feedthrough, in z for a sampled
+        path.
+        """
 
     def ratio(self, measurement: str, frequencies_hz: ArrayLike) -> ComplexArray:
-        """A measurement over the mean rate, same shape as the frequencies; 0 where the cut leaves it out.
+        """Return the ratio of a measurement to the mean rate in the shape of the frequencies, or 0 if the cut excludes
+        it.
 
         Raises ValueError for an unknown measurement.
         """
@@ -123,24 +130,26 @@ class FixedPath(abc.ABC):
             return np.asarray(all_of_them[..., 1 + further.index(measurement)] / all_of_them[..., 0])
         if measurement not in MEASUREMENTS:
             known = ", ".join((*MEASUREMENTS, *further))
-            raise ValueError(f"a law takes {measurement}: what is measured is {known}")
+            raise ValueError(f"a law uses {measurement}; measured are {known}")
         if measurement in ANGLES:
             return self.integrator(f) ** (1 + ANGLES.index(measurement))
         return np.full(f.shape, 1.0 if self.takes_rate else 0.0, np.complex128)
 
     def measured(self, measurements: tuple[str, ...]) -> StateSpace:
-        """From gimbal command to measurements, with the integrators of the angle; in z for a sampled path."""
+        """Return the system from gimbal command to measurements, with the integrators of the angle, in z for a sampled
+        path.
+        """
         path, period = self.state_space(), self.sample_s
         rate = path.c[0]
         a, b, states = path.a, path.b, path.states
-        # kept beside the rate while integrators are added
+        # kept in addition to the rate while integrators are added
         others = {name: k for k, (name, _, _) in enumerate(self.sensors, 1) if name in measurements}
-        # a sampled angle has this sample's increment in it
+        # a sampled angle includes the increment of this sample
         drift, per_rate = (a, rate) if period is None else (a - np.eye(len(a)), period * rate)
         angle = np.zeros(len(a)) if period is None else per_rate
         wanted = any(name in measurements for name in ANGLES)
         if wanted and self.rests_at_dc:
-            # the angle is known from the path's states: `known` times their rate of change is the measured rate
+            # the angle follows from the path's states: `known` times their rate of change is the measured rate
             angle = angle + np.linalg.lstsq(drift.T, per_rate, rcond=None)[0]
         elif wanted:
             a, b, (rate,), angle = _integrated(a, b, (rate,), per_rate, period)
@@ -156,8 +165,11 @@ class FixedPath(abc.ABC):
         return StateSpace(a, b, c, np.zeros((len(c), 1)), states, path.inputs, measurements)
 
     def named_poles(self) -> list[NamedPole]:
-        """Poles of actuator, vehicle and gyro, each by itself (in a row they stay what they are), and what they belong
-        to, rad/s, not folded; those of a pure delay left out."""
+        """Return the poles of actuator, vehicle and gyro and their owners, rad/s, not folded.
+
+        Each part is treated separately, since a series connection preserves the poles. The poles of a pure delay are
+        omitted.
+        """
         out = list(self._vehicle_poles)
         if self._actuator is not None:
             poles = [pair for record in self.node.actuators for pair in actuator_poles(record)]
@@ -174,7 +186,7 @@ class FixedPath(abc.ABC):
         return vehicle_poles(self.vehicle)
 
     def poles(self) -> ComplexArray:
-        """Poles in rad/s, those of a sampled path as log(z) / T."""
+        """Return the poles in rad/s, those of a sampled path as log(z) / T."""
         found = np.array([p.pole_radps for p in self.named_poles()], np.complex128)
         return found if self.sample_s is None else folded(found, self.sample_s)
 
@@ -187,7 +199,7 @@ class FixedPath(abc.ABC):
     def _own_parts(self) -> dict[int, complex]:
         """Return `Resonance.part` of each bending mode by its number.
 
-        With further sensors it is that of the measurement in which the mode is strongest against the rest.
+        With further sensors, it is that of the measurement in which the mode is strongest relative to the rest.
         """
         modes = [p for p in self._vehicle_poles if p.kind == "bending" and p.pole_radps.imag > 0.0]
         if not modes:
@@ -215,11 +227,11 @@ class FixedPath(abc.ABC):
 
     @abc.abstractmethod
     def computer_at(self, s: ComplexArray) -> ComplexArray:
-        """Return converter, delay and hold at complex s, rad/s; without aliasing."""
+        """Return the converter, delay and hold at complex s, rad/s, without aliasing."""
 
     @cached_property
     def continuous(self) -> StateSpace:
-        """Actuator, vehicle and gyro in a row."""
+        """Return the actuator, vehicle and gyro in series."""
         parts = []
         if self._actuator is not None:
             parts.append(channels(self._actuator, self.vehicle.inputs))
@@ -231,7 +243,7 @@ class FixedPath(abc.ABC):
         return chain(*parts)
 
     def _lags(self) -> StateSpace:
-        """Gyro and further sensors side by side; those without dynamics pass on what they sense."""
+        """Return the gyro and further sensors in parallel. Sensors without dynamics pass their inputs on."""
         each = [self._gyro, *(None if lag.ideal else gyro(lag) for _, lag, _ in self.sensors)]
         through = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), (), ("rate",), ("rate",))
         filled = [one or through for one in each]
@@ -241,10 +253,10 @@ class FixedPath(abc.ABC):
 
     @cached_property
     def rests_at_dc(self) -> bool:
-        """Return True if a constant command ends in no rate: the path then has a zero at the integrator's pole.
+        """Return True if a constant command results in zero rate: the path then has a zero at the integrator's pole.
 
-        So it is where the attitude acts on the motion, because gravity turns in the body: the measured rate is the
-        derivative of a state, and its integral no state more.
+        This is so if the attitude acts on the motion, because gravity turns in the body. The measured rate is then the
+        derivative of a state, and its integral adds no state.
         """
         body = self.vehicle
         if "theta_rad" not in body.states:
@@ -255,7 +267,10 @@ class FixedPath(abc.ABC):
 
 
 class _ContinuousFixedPath(FixedPath):
-    """Product of factors, each exact: no digit is lost where the sum of partial fractions would cancel."""
+    """The product of factors, each exact.
+
+    No digit is lost by cancellation, in contrast to a sum of partial fractions.
+    """
 
     def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
         super().__init__(node, cut, senses)
@@ -283,16 +298,16 @@ class _ContinuousFixedPath(FixedPath):
         return np.asarray(1.0 / (2j * np.pi * np.asarray(frequencies_hz, float)))
 
     def at(self, s: ComplexArray) -> ComplexArray:
-        """Transfer function at complex s, rad/s."""
+        """Return the transfer function at complex s, rad/s."""
         return np.asarray(self.plant_at(s) * self.computer_at(s))
 
     def plant_at(self, s: ComplexArray, output: int = 0) -> ComplexArray:
-        """Actuator, vehicle and gyro, or further sensor number `output`."""
+        """Return the actuator, vehicle and gyro, or further sensor number `output`."""
         return self._sensed(s, self._turning(s)[..., output, :] + self.vehicle.d[output], output)
 
 
 class PadeFixedPath(_ContinuousFixedPath):
-    """The paper's: H_VF [3/3], H_D [2/2], H_DZ [0/2]."""
+    """The path with the paper's approximations: H_VF [3/3], H_D [2/2], H_DZ [0/2]."""
 
     kind = "pade"
 
@@ -321,7 +336,7 @@ class PadeFixedPath(_ContinuousFixedPath):
 
 
 class ExactFixedPath(_ContinuousFixedPath):
-    """The same with the exact factors: average, delay and hold as transcendental functions; no aliasing."""
+    """The path with the exact factors: average, delay and hold as transcendental functions, without aliasing."""
 
     kind = "exact"
 
@@ -335,7 +350,7 @@ class ExactFixedPath(_ContinuousFixedPath):
 
 
 class SampledFixedPath(FixedPath):
-    """The loop as the flight computer runs it; `response` at z = exp(j w T), up to the Nyquist frequency.
+    """The loop as the flight computer runs it. `response` is at z = exp(j w T), up to the Nyquist frequency.
 
     The cuts of eq. 42 end at q, or q_m, as a converter without a gyro would count it.
     """
@@ -378,7 +393,7 @@ class SampledFixedPath(FixedPath):
 
 
 def delayed(path: StateSpace, output: int, samples: int) -> StateSpace:
-    """A sampled system without direct feedthrough with one of its outputs that many samples later."""
+    """Return a sampled system without direct feedthrough, with one of its outputs delayed by that number of samples."""
     a, b, c, n = path.a, path.b, path.c.copy(), len(path.a)
     for _ in range(samples):
         a = np.block([[a, np.zeros((len(a), 1))], [c[output : output + 1], np.zeros((1, 1))]])
@@ -389,7 +404,10 @@ def delayed(path: StateSpace, output: int, samples: int) -> StateSpace:
 
 
 def fixed_path(node: Node, kind: LoopKind = "sampled", cut: Cut = "gimbal_command", senses: bool = False) -> FixedPath:
-    """The fixed path of a node; `senses`: with further sensors. Raises ValueError for an unknown kind or cut."""
+    """Return the fixed path of an operating point.
+
+    `senses` adds further sensors. Raises ValueError for an unknown kind or cut.
+    """
     kinds = {one.kind: one for one in (SampledFixedPath, PadeFixedPath, ExactFixedPath)}
     if kind not in kinds:
         raise ValueError(f"kind = {kind!r}: allowed is {', '.join(kinds)}")
@@ -397,21 +415,22 @@ def fixed_path(node: Node, kind: LoopKind = "sampled", cut: Cut = "gimbal_comman
 
 
 def folded(poles_radps: ComplexArray, sample_s: float) -> ComplexArray:
-    """log(exp(s T)) / T: imaginary parts brought between -pi / T and pi / T."""
+    """Return log(exp(s T)) / T, with imaginary parts between -pi / T and pi / T."""
     turn = 2.0 * math.pi / sample_s
     imaginary = poles_radps.imag - turn * np.round(poles_radps.imag / turn)
     return poles_radps.real + 1j * imaginary
 
 
 def sampled_computer(s: ComplexArray, sample_s: float, delay_s: Array | float) -> ComplexArray:
-    """Return converter, delay and hold of a sampled path for one of its images, at complex s, rad/s."""
+    """Return the converter, delay and hold of a sampled path for one of its images, at complex s, rad/s."""
     return np.asarray(average(s, sample_s) ** 2 * np.exp(-delay_s * np.asarray(s)))
 
 
 def image_points(poles_radps: ComplexArray, sample_s: float | None) -> ComplexArray:
-    """Return the points s on the imaginary axis, (poles, images), that the response at each pole's frequency is from.
+    """Return the points s on the imaginary axis, (poles, images), that contribute to the response at each pole's
+    frequency.
 
-    The frequency (`own_part.centre_of`) is in the middle; a continuous path (`sample_s` None) has no other image.
+    The frequency (`own_part.centre_of`) is in the middle. A continuous path (`sample_s` None) has no other image.
     """
     rate_hz = 1.0 / (sample_s or 1e-300)
     hz, widths_hz = poles_radps.imag / (2.0 * math.pi), np.abs(poles_radps.real) / (2.0 * math.pi)
@@ -426,9 +445,10 @@ def image_points(poles_radps: ComplexArray, sample_s: float | None) -> ComplexAr
 def _integrated(
     a: Array, b: Array, rows: tuple[Array, ...], added: Array, period: float | None
 ) -> tuple[Array, Array, list[Array], Array]:
-    """State matrices with one state more, the integral (the sum) of the output `added`; rows of outputs and its own.
+    """Return state matrices with one additional state, the integral (the sum) of the output `added`, and the rows of
+    the outputs and of the new state.
 
-    A sum has this sample's addend in it.
+    A sum includes the addend of the present sample.
     """
     n, kept = len(a), 0.0 if period is None else 1.0
     a = np.block([[a, np.zeros((n, 1))], [added[None], np.full((1, 1), kept)]])
@@ -437,6 +457,6 @@ def _integrated(
 
 
 def _pair(omega: float, zeta: float) -> ComplexArray:
-    """Roots of s^2 + 2 zeta omega s + omega^2."""
+    """Return the roots of s^2 + 2 zeta omega s + omega^2."""
     root = np.sqrt(complex(zeta * zeta - 1.0))
     return np.array([-zeta + root, -zeta - root], np.complex128) * omega

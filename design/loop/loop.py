@@ -1,4 +1,4 @@
-"""A loop: what margins and plots ask of one, and that of a fixed path and a control law."""
+"""The interface of a loop for margins and plots, and the loop of a fixed path and a control law."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from maxq.sim.scenario.schema_design import Design
 
 
 class OpenLoop(Protocol):
-    """A single loop opened at one point, with negative feedback: it closes on 1 + L = 0.
+    """A single loop opened at one point, with negative feedback. The closed loop satisfies 1 + L = 0.
 
     L has positive sign: a stable rigid body under PD control has L = (k_p / s + k_d) times the rest. Poles are in
-    rad/s; those of a sampled loop at z are log(z) / T.
+    rad/s, and those of a sampled loop at z are log(z) / T.
     """
 
     @property
@@ -32,28 +32,30 @@ class OpenLoop(Protocol):
         """Return the end of the response: the Nyquist frequency of a sampled loop, infinity for a continuous one."""
 
     def response(self, frequencies_hz: Array) -> ComplexArray:
-        """L, same shape as `frequencies_hz` (each above 0 and at most `highest_hz`)."""
+        """Return L in the shape of `frequencies_hz` (each above 0 and at most `highest_hz`)."""
 
     def open_poles(self) -> ComplexArray:
-        """Poles of L, those that a pure delay has left out."""
+        """Return the poles of L, without those that a pure delay has left out."""
 
     def closed_poles(self) -> ComplexArray:
-        """Zeros of 1 + L."""
+        """Return the zeros of 1 + L."""
 
     @property
     def sample_s(self) -> float | None:
-        """Period of a sampled loop."""
+        """Return the period of a sampled loop."""
 
     def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
-        """All zeros and all poles of L, in s or in z, by which no pair of crossings is missed; None: not known."""
+        """Return all zeros and all poles of L, in s or in z, or None if they are not known. With them, no pair of
+        crossings is missed.
+        """
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Open loop L = sum of C_i P_i over the law's inputs (an `OpenLoop`).
+    """The open loop L = sum of C_i P_i over the law's inputs (an `OpenLoop`).
 
-    Raises ValueError where path and law do not fit: their sample periods differ, or the path lacks a
-    measurement that the law needs.
+    Raises ValueError if path and law do not fit: their sample periods differ, or the path lacks a measurement that the
+    law needs.
     """
 
     fixed: FixedPath
@@ -70,23 +72,23 @@ class Loop:
 
     @property
     def sample_s(self) -> float | None:
-        """Period of a sampled loop, None for a continuous one."""
+        """Return the period of a sampled loop, or None for a continuous one."""
         return self.fixed.sample_s
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """L, same shape as `frequencies_hz`, each above 0 and at most `highest_hz`."""
+        """Return L in the shape of `frequencies_hz`, each above 0 and at most `highest_hz`."""
         f = np.asarray(frequencies_hz, float)
         return np.asarray(self.controller(f) * self.fixed.response(f))
 
     def controller(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """L over the fixed path: from the mean rate to the command, same shape."""
+        """Return L over the fixed path: from the mean rate to the command, in the same shape."""
         f = np.asarray(frequencies_hz, float)
         law = self.law.response(f)
         parts = [law[..., i] * self.fixed.ratio(name, f) for i, name in enumerate(self.law.inputs)]
         return np.asarray(sum(parts, np.zeros(f.shape, np.complex128)))
 
     def open_poles(self) -> ComplexArray:
-        """Poles of L in rad/s, of a sampled loop log(z) / T."""
+        """Return the poles of L in rad/s, of a sampled loop log(z) / T."""
         parts = [self.fixed.poles(), self.law.poles()]
         if any(name in ANGLES for name in self.law.inputs) and not self.fixed.rests_at_dc:
             parts.append(np.zeros(1, np.complex128))
@@ -95,9 +97,9 @@ class Loop:
         return np.concatenate(parts)
 
     def closed_poles(self) -> ComplexArray:
-        """Zeros of 1 + L in rad/s, of a sampled loop log(z) / T; from the state matrix.
+        """Return the zeros of 1 + L in rad/s, of a sampled loop log(z) / T, from the state matrix.
 
-        Those of the kind `exact`, which are infinitely many: from the Pade loop's, refined by Newton's method, up to
+        The kind `exact` has infinitely many zeros. They are found from those of the Pade loop by Newton's method, up to
         twice the Nyquist frequency of the computer.
         """
         if isinstance(self.fixed, ExactFixedPath):
@@ -110,7 +112,10 @@ class Loop:
         return np.asarray(np.log(values[np.abs(values) > FASTEST]) / self.sample_s)
 
     def state_space(self) -> StateSpace:
-        """L, from the gimbal command round to minus itself; in z for a sampled loop. The kind `exact` has none."""
+        """Return L as a state space, from the gimbal command around the loop to its negative, in z for a sampled loop.
+
+        The kind `exact` has none.
+        """
         return self._state_space
 
     @cached_property
@@ -118,13 +123,15 @@ class Loop:
         return chain(self.fixed.measured(self.law.inputs), self.law.state_space())
 
     def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
-        """Zeros and poles of L, in s or in z; None for the kind `exact`, whose delays are no rational function."""
+        """Return the zeros and poles of L, in s or in z, or None for the kind `exact`, whose delays are not rational
+        functions.
+        """
         if isinstance(self.fixed, ExactFixedPath):
             return None
         return zeros_and_poles(self.state_space())
 
     def to_state_space(self) -> Any:
-        """L as a `control.StateSpace` of python-control, which must be installed; sampled loops with their dt.
+        """Return L as a `control.StateSpace` of python-control, which must be installed. Sampled loops have their dt.
 
         Raises ValueError for the kind `exact`.
         """
@@ -134,7 +141,7 @@ class Loop:
         return control.StateSpace(s.a, s.b, s.c, s.d, self.sample_s or 0, states=list(s.states))
 
     def to_frd(self, frequencies_hz: ArrayLike) -> Any:
-        """L at `frequencies_hz` as a `control.FRD` of python-control, which must be installed."""
+        """Return L at `frequencies_hz` as a `control.FRD` of python-control, which must be installed."""
         import control  # noqa: PLC0415  # optional: nothing here needs it
 
         f = np.atleast_1d(np.asarray(frequencies_hz, float))
@@ -147,13 +154,13 @@ class Loop:
             step = 1e-6 * (np.abs(s) + 1e-3)
             slope = (self._at(exact, s + step) - self._at(exact, s - step)) / (2.0 * step)
             move = (1.0 + self._at(exact, s)) / slope
-            # no farther than a tenth at a time: neighbours must not be drawn to the same zero
+            # at most a tenth at a time: neighbours must not converge to the same zero
             move *= np.minimum(1.0, 0.1 * (np.abs(s) + 1e-3) / np.maximum(np.abs(move), 1e-300))
             s = s - move
             if (np.abs(move) < 1e-12 * np.abs(s)).all():
                 break
         s = s[np.abs(1.0 + self._at(exact, s)) < 1e-6]
-        # a zero that two starts have found is one zero
+        # a zero found from two starts is one zero
         again = np.tril(np.abs(s[:, None] - s[None, :]) < 1e-7 * np.abs(s), -1).any(axis=1)
         return np.asarray(s[~again])
 
@@ -165,13 +172,15 @@ class Loop:
 
 
 def law_at(design: Design, node: Node, kind: LoopKind = "sampled") -> Controller:
-    """Return the design's law at a node's time and in its plane, as the flight computer runs it or continuous."""
+    """Return the design's law at the time of an operating point and in its plane, as the flight computer runs it or
+    continuous.
+    """
     law = designed_law(design.of_stage(node.stage))
     return law.at(node.scheduled(law.over), node.plane, node.instruments.sample_s if kind == "sampled" else None)
 
 
 def close_loop(path: FixedPath, design: Design) -> Loop:
-    """Return the loop of a fixed path and the design's law at its node."""
+    """Return the loop of a fixed path and of the design's law at the operating point."""
     return Loop(path, law_at(design, path.node, path.kind))
 
 

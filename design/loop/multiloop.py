@@ -3,13 +3,13 @@
     L(f) = C(f) P(f),    C = diag(C_pitch, C_yaw, C_roll)
 
 closed on det(1 + L) = 0. P is the sampled response from the law's commands, through allocation, to the mean rates that
-the computer counts about all axes; the plant behind it is the linearised simulator (design/model/linearised.py): with
-products of inertia, a roll rate, spatial modes with their torsion and axial motion, engines beside the axis, and tanks
-that swing in both planes. Attitude angles are sums of the counts about each body axis (attitude = "rate-integral").
-An error by quaternion turns with the roll rate besides; slow against the loops' crossovers that makes no difference.
+the computer counts about all axes. The plant is the linearised simulator (design/model/linearised.py) with products of
+inertia and a roll rate. It includes spatial modes with their torsion and axial motion, engines off the axis, and tanks
+that swing in both planes. Attitude angles are sums of the counts about each body axis (attitude = "rate-integral"). An
+error by quaternion also turns with the roll rate, which has no effect if it is slow relative to the loops' crossovers.
 
-Roll takes part where gimbals control it. Thrusters that switch have no linear loop: the roll rate is then free, as it
-is inside their dead band, and the roll angle, which acts through gravity alone, is held.
+Roll is included if gimbals control it. Thrusters that switch have no linear loop. The roll rate is then free, as it is
+inside their dead band. The roll angle, which acts through gravity alone, is held.
 """
 
 from __future__ import annotations
@@ -39,15 +39,17 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 
 AXES = ("pitch", "yaw", "roll")
-_HELD = ("x_I_m", "y_I_m", "z_I_m", "u_mps")  # place and speed, as in the model of one plane
+_HELD = ("x_I_m", "y_I_m", "z_I_m", "u_mps")  # position and speed, as in the model of one plane
 
 
 @dataclass(frozen=True)
 class Multiloop:
-    """Loops of `axes`, each with its law, round one plant; `path` from commands to mean rates in their order.
+    """The loops of `axes`, each with its law, around one plant.
 
-    `sensed`: what further sensors measure, by name, in pitch and yaw, and samples of latency; outputs of `path` behind
-    the rates.
+    `path` leads from commands to mean rates in the order of the axes.
+
+    `sensed` lists the measurements of further sensors, by name, in pitch and yaw, and samples of latency. They are
+    outputs of `path` after the rates.
     """
 
     time_s: float
@@ -55,14 +57,14 @@ class Multiloop:
     path: SampledPlant
     laws: tuple[Controller, ...]
     sensed: tuple[tuple[str, int], ...] = ()
-    plant: StateSpace | None = None  # continuous, from commands to what `path` is the mean of
+    plant: StateSpace | None = None  # continuous, from commands to the quantities of which `path` gives the means
 
     @property
     def highest_hz(self) -> float:
         return 0.5 / self.path.sample_s
 
     def response(self, frequencies_hz: Array) -> ComplexArray:
-        """L, (*frequencies.shape, axes, axes): rows are commands that return, columns commands given."""
+        """Return L, (*frequencies.shape, axes, axes): rows are returned commands, columns are given commands."""
         f = np.asarray(frequencies_hz, float)
         z = np.exp(2j * np.pi * self.path.sample_s * f)
         way, n = self.path.at(z, self._resolvent), len(self.axes)
@@ -75,10 +77,10 @@ class Multiloop:
         return out
 
     def _controllers(self, f: Array, z: ComplexArray) -> ComplexArray:
-        """From the mean rate of each axis to its command, (..., axes)."""
+        """Return the response from the mean rate of each axis to its command, (..., axes)."""
         summed = self.path.sample_s * z / (z - 1.0)
         ratio = dict(zip(MEASUREMENTS, (summed, np.ones_like(z), summed**2), strict=True))
-        none = np.zeros_like(z)  # further sensors are no multiples of the rate
+        none = np.zeros_like(z)  # the outputs of further sensors are not multiples of the rate
         parts = [
             law.response(f) * np.stack([ratio.get(name, none) for name in law.inputs], axis=-1) for law in self.laws
         ]
@@ -90,7 +92,7 @@ class Multiloop:
 
     @cached_property
     def state_space(self) -> StateSpace:
-        """L in z, from the commands round to minus themselves."""
+        """Return L in z as a state space, from the commands around the loops to their negatives."""
         t, parts, path, n_axes = self.path.sample_s, [], self.path.state_space(), len(self.axes)
         taken: list[int] = []  # outputs of the path, law by law
         for k, (_, late) in enumerate(self.sensed):
@@ -120,19 +122,19 @@ class Multiloop:
         return chain(path, StateSpace(a, b, c, d, states, names, self.axes))
 
     def poles(self, closed: Iterable[int]) -> ComplexArray:
-        """Poles with the loops of these axes closed, log(z) / T in rad/s."""
+        """Return the poles with the loops of these axes closed, log(z) / T in rad/s."""
         s, i = self.state_space, list(closed)
         z = np.linalg.eigvals(s.a - s.b[:, i] @ s.c[i]).astype(np.complex128)
         return np.asarray(np.log(z[np.abs(z) > FASTEST]) / self.path.sample_s)
 
     def one(self, axis: str) -> OneLoop:
-        """The loop of one axis, opened at its command with the others closed."""
+        """Return the loop of one axis, opened at its command with the others closed."""
         return OneLoop(self, self.axes.index(axis))
 
 
 @dataclass(frozen=True)
 class OneLoop:
-    """An `OpenLoop`: what returns to the command of one axis while the others are closed,
+    """The loop (`OpenLoop`) of one axis, from its command to the signal that returns while the others are closed:
 
     L_ii - L_io (1 + L_oo)^-1 L_oi
     """
@@ -172,9 +174,9 @@ class OneLoop:
 
 
 def multiloops(scenario: LoadedScenario, design: Design, times_s: Iterable[float]) -> list[Multiloop]:
-    """At vehicle times (s), in rising order, of a flight of the scenario, which flies with its own design.
+    """Return the loops at vehicle times (s), in rising order, of a flight of the scenario with its own design.
 
-    Raises ValueError, naming node and range, for a time outside the powered flight.
+    Raises ValueError for a time outside the powered flight. The message names the operating point and the range.
     """
     run, out = flown_run(scenario, faults=False), []
     for time_s in sorted(set(times_s)):
@@ -184,9 +186,9 @@ def multiloops(scenario: LoadedScenario, design: Design, times_s: Iterable[float
 
 
 def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
-    """Return the loops of a packed flight at its present state: place, attitude, velocity and roll rate as flown.
+    """Return the loops of a packed flight at its present state: position, attitude, velocity and roll rate as flown.
 
-    Modes, pendulums and engines are at rest, pitch and yaw rate zero.
+    Modes, pendulums and engines are at rest. Pitch and yaw rates are zero.
     """
     model, matrix = linearise(*at_rest(packed, time_s), time_s), np.eye(2, 3)
     stage = int(packed.memory[0].clock.stage)
@@ -202,11 +204,11 @@ def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
             axes, laws = AXES, (*laws, roll)
     held = (*_HELD, *(f"gyro_{axis}_rad" for axis in AXES), *(() if "roll" in axes else ("phi_rad",)))
     kept = [k for k, name in enumerate(model.states) if name not in held and not name.endswith("_integral")]
-    integrals, sensed = [f"gyro_{axis}_rad" for axis in axes], []  # of what the sensors put out
+    integrals, sensed = [f"gyro_{axis}_rad" for axis in axes], []  # of the outputs of the sensors
     signs = [1.0] * len(axes)
     if any(name not in MEASUREMENTS for one in laws for name in one.inputs):
         for k, (name, _, late) in enumerate(instruments_of(row).sensors, 1):
-            force = name == ACCELERATION  # +y is the other side in yaw
+            force = name == ACCELERATION  # the direction +y is negative in yaw
             integrals += [f"sensor_{k}_{axis}_integral" for axis in ("zy" if force else "yz")]
             signs += [1.0, -1.0 if force else 1.0]
             sensed.append((name, late))

@@ -1,8 +1,8 @@
-"""The own part of a bending mode in L, and what of L is attributed to the mode.
+"""The own part of a bending mode in L, and the share of L that is attributed to the mode.
 
-The own part of a bending mode is the response through its pair of poles alone: the term of the vehicle's partial
+The own part of a bending mode is the response through its pair of poles alone. It is a term of the vehicle's partial
 fractions, through actuators, sensor and computer. At the mode's frequency it is `part` times the whole response. A law
-on one gyro multiplies both alike, so that the ratio belongs to the plant and not to the design.
+on one gyro multiplies both by the same factor, so that the ratio belongs to the plant and not to the design.
 
 | own part | peak of the mode |
 |---|---|
@@ -23,25 +23,25 @@ from maxq.control.kernel.records import Array
 
 Real = TypeVar("Real", float, Array)
 
-BAND = 0.03  # of a mode's frequency: half width of the band in which its peak lies
+BAND = 0.03  # of a mode's frequency: half width of the band that contains its peak
 LEAST = 2.0  # half widths of the resonance that the band has at least
 POINT = 1e-4  # of the frequency: a narrower band is that frequency alone
-SHARE = 0.5  # of the rest: where the own part is larger than that, a crossing belongs to the mode
+SHARE = 0.5  # of the rest: if the own part exceeds it, a crossing belongs to the mode
 NEAREST_NYQUIST = 1.0 - 1e-6
 
 
 @formula
 def folded_hz(frequency_hz: Real, rate_hz: float) -> Real:
-    """Return the frequency at which a pole shows in a loop sampled at `rate_hz`."""
+    """Return the frequency at which a pole appears in a loop sampled at `rate_hz`."""
     folded: Real = np.abs(frequency_hz - np.round(frequency_hz / rate_hz) * rate_hz)
     return folded
 
 
 @formula
 def centre_of(frequency_hz: Real, half_width_hz: Real, highest_hz: float) -> Real:
-    """Return the frequency at which a mode is examined: the size of its folded pole, inside the loop's range.
+    """Return the frequency at which a mode is examined: the magnitude of its folded pole, inside the loop's range.
 
-    That differs from `frequency_hz` only where damping does not let the resonance stand out.
+    The frequency differs from `frequency_hz` only if damping makes the resonance indistinct.
     """
     centre: Real = np.minimum(np.hypot(frequency_hz, half_width_hz), NEAREST_NYQUIST * highest_hz)
     return centre
@@ -49,13 +49,13 @@ def centre_of(frequency_hz: Real, half_width_hz: Real, highest_hz: float) -> Rea
 
 @formula
 def dominance(part: complex) -> float:
-    """Return the size of a mode's own part over that of the rest, both at its frequency."""
+    """Return the ratio of a mode's own part to the rest, both at its frequency."""
     return float(abs(part) / max(abs(1.0 - part), 1e-9))
 
 
 @formula
 def attribution(part: complex) -> float:
-    """Return ln of the factor that makes |L| at a mode's frequency the peak of the mode: 0 where it dominates."""
+    """Return ln of the factor that makes |L| at a mode's frequency the peak of the mode, or 0 if the mode dominates."""
     power = min(max(2.0 * (1.0 - dominance(part)), 0.0), 1.0)
     return float(power * math.log(max(abs(part), 1e-30)))
 
@@ -64,9 +64,10 @@ def attribution(part: complex) -> float:
 def peak_band(
     centre_hz: float, half_width_hz: float, part: complex, gap_hz: float, top_hz: float
 ) -> tuple[float, float]:
-    """Return the frequencies (Hz) between which the peak of a mode lies; the same one twice for a single point.
+    """Return the frequencies (Hz) between which the peak of a mode is found. They are equal for a single point.
 
-    The rest is taken as constant over the band. `gap_hz`: distance to the nearest other mode; `top_hz`: the loop's end.
+    The rest is taken as constant over the band. `gap_hz` is the distance to the nearest other mode, and `top_hz` is the
+    end of the loop.
     """
     strong = half_width_hz * (dominance(part) / SHARE - 1.0)
     half = min(max(BAND * centre_hz, LEAST * half_width_hz), 0.5 * gap_hz, strong)

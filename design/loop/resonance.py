@@ -1,4 +1,4 @@
-"""Poles of what the designer cannot change, and the name of what swings in each."""
+"""The poles of the fixed part of a loop, and the name of the moving part of each."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from maxq.design.model.state_space import ComplexArray, StateSpace
 class Resonance:
     """An oscillatory pole of the open loop.
 
-    `frequency_hz` is where it shows in the response, in a sampled loop folded below the Nyquist frequency;
-    `pole_radps` is the pole itself, with positive imaginary part. `number` counts from 1 (tank, mode, section).
+    `frequency_hz` is the frequency at which it appears in the response, folded below the Nyquist frequency in a sampled
+    loop. `pole_radps` is the pole itself, with positive imaginary part. `number` counts from 1 (tank, mode, section).
     """
 
     kind: str  # "bending", "slosh", "engine" on its compliance, "actuator", "gyro", "body", "hold", ...
@@ -30,7 +30,7 @@ class Resonance:
 
     @property
     def centre_hz(self) -> float:
-        """The frequency at which the resonance is examined; see `centre_of` for a bending mode."""
+        """Return the frequency at which the resonance is examined. See `centre_of` for a bending mode."""
         bends = not math.isnan(self.part.real)
         return centre_of(self.frequency_hz, self.half_width_hz, self.highest_hz) if bends else self.frequency_hz
 
@@ -50,7 +50,7 @@ class Resonance:
 
 @dataclass(frozen=True)
 class NamedPole:
-    """A pole in rad/s and what it belongs to."""
+    """A pole in rad/s and its owner."""
 
     pole_radps: complex
     kind: str
@@ -63,11 +63,11 @@ def named(poles: ComplexArray, kind: str, number: int = 0) -> list[NamedPole]:
 
 
 def vehicle_poles(plant: StateSpace) -> list[NamedPole]:
-    """Poles of a vehicle with the states of `vehicle_plant`, or some of them, named by participation.
+    """Return the poles of a vehicle with the states of `vehicle_plant`, or some of them, named by participation.
 
-    A pole's participation in a state is the product of its right and left eigenvectors there: free of units, and
-    one in sum (Perez-Arriaga, Verghese & Schweppe, IEEE Trans. PAS-101, 1982). Each oscillator gives its name to
-    one pair, so that two tanks of equal frequency are distinguished even where their motion mixes.
+    A pole's participation in a state is the product of its right and left eigenvectors there: free of units, and one in
+    sum (Perez-Arriaga, Verghese & Schweppe, IEEE Trans. PAS-101, 1982). Each oscillator gives its name to one pair, so
+    that two tanks of equal frequency are distinguished even if their motions mix.
     """
     poles, vectors = np.linalg.eig(plant.a) if len(plant.a) else (np.zeros(0), np.zeros((0, 0)))
     poles = poles.astype(np.complex128)

@@ -1,4 +1,4 @@
-"""A continuous plant as a computer sees it: held commands that come late go in, counted angles come out."""
+"""A continuous plant as seen by a computer: delayed and held commands are its inputs, counted angles its outputs."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ _TERMS = 16  # of the series for a norm of a half: 2^-17 / 17! is 2e-20
 
 @dataclass(frozen=True)
 class SampledPlant:
-    """Commands u_k, which take effect at k T + delay and are held -> means of the plant's outputs over the last period.
+    """The map from commands u_k, which take effect at k T + delay and are held, to the means of the plant's outputs
+    over the last period.
 
         x_k+1    = phi x_k + late u_(k-m) + early u_(k-m-1)
         rate_k+1 = (psi x_k + rate_late u_(k-m) + rate_early u_(k-m-1)) / T,
 
-    exactly: between samples the plant runs freely under constant commands. The delay is m whole periods and a rest;
-    without a rest `early` and `rate_early` are zero. The mean rate over a period is the increment of the counted
-    angle over T: integrate and dump, quantisation left out.
+    exactly: between samples the plant runs freely under constant commands. The delay is m whole periods and a
+    remainder. Without a remainder, `early` and `rate_early` are zero. The mean rate over a period is the increment of
+    the counted angle over T (integrate and dump, without quantisation).
     """
 
     sample_s: float
@@ -38,9 +39,11 @@ class SampledPlant:
     rate_early: Array
 
     def state_space(self) -> StateSpace:
-        """In z: the plant's states, the commands on their way, and the mean rates as they are read."""
+        """Return the state space in z: the plant's states, the pending commands, and the mean rates as they are
+        read.
+        """
         (n, inputs), outputs = self.late.shape, len(self.psi)
-        m = self.whole_periods + (1 if self.rest_s > 0.0 else 0)  # on their way at a sample: u_(k-1) and before
+        m = self.whole_periods + (1 if self.rest_s > 0.0 else 0)  # pending at a sample: u_(k-1) and before
         size = n + m * inputs + outputs
         a, b = np.zeros((size, size)), np.zeros((size, inputs))
         a[:n, :n], a[-outputs:, :n] = self.phi, self.psi / self.sample_s
@@ -67,7 +70,7 @@ class SampledPlant:
         return Resolvent(self.phi, np.concatenate([self.late, self.early], axis=1), self.psi)
 
     def at(self, z: ComplexArray, resolvent: Resolvent) -> ComplexArray:
-        """Transfer functions at z, (*z.shape, outputs, inputs)."""
+        """Return the transfer functions at z, (*z.shape, outputs, inputs)."""
         way = resolvent(z) + np.concatenate([self.rate_late, self.rate_early], axis=1)
         late, inputs = (1.0 / z)[..., None, None], self.late.shape[1]
         out = (way[..., :inputs] + way[..., inputs:] * late) * late / self.sample_s
@@ -110,10 +113,11 @@ def sample(plant: StateSpace, sample_s: float, delay_s: float) -> SampledPlant:
 
 
 def exponential(a: Array) -> Array:
-    """exp(A) by scaling, Taylor series and squaring (Moler & Van Loan, SIAM Review 45(1), 2003, method 3).
+    """Return exp(A) by scaling, Taylor series and squaring (Moler & Van Loan, SIAM Review 45(1), 2003, method 3).
 
-    As exact as SciPy's for the small, balanced matrices here, of which a robust design takes thousands. SciPy's rouses
-    the threads of the linear-algebra library for each, which then wait longer than they work.
+    The result is as exact as SciPy's for the small, balanced matrices here, of which a robust design needs thousands.
+    SciPy starts the threads of the linear-algebra library for each matrix, and these threads spend more time idle than
+    computing.
     """
     halvings = max(0, math.ceil(math.log2(max(float(np.abs(a).sum(axis=0).max(initial=0.0)), 1e-300) / 0.5)))
     x = a / 2.0**halvings

@@ -1,4 +1,6 @@
-"""A loop's plant in wind: from gimbal command and lateral wind to the law's measurements, load, drift and moments."""
+"""The plant of a loop in wind: from gimbal command and lateral wind to the law's measurements, load, drift and
+moments.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, 
     """Return the wind response of the plant behind a path, for the path's own measurements, with the bending moment at
     some of its sections.
 
-    Spatial modes couple the planes; the other one is held, as in `Node.plant`. Raises ValueError for a band that
+    Spatial modes couple the planes. The other plane is held, as in `Node.plant`. Raises ValueError for a band that
     reaches half the sample rate.
     """
     node, timing = path.node, path.node.instruments

@@ -1,16 +1,20 @@
-"""Crossings that come in pairs between two points of a curve: excluded, or separated, by bounds on derivatives.
+"""The separation of crossings that occur in pairs between two points of a curve.
 
-Where all zeros and poles p of L are known, the derivatives of ln |L| and of the phase along the frequency axis are sums
-of one term for each: of a factor (j w - p) real and imaginary part of j / (j w - p), and of a factor (z - p) of a
-sampled loop, z = exp(j t), those of j z / (z - p). Each term is monotone in t but for a few places that are known:
+Bounds on derivatives exclude such pairs or separate them.
+
+All zeros and poles p of L must be known. The derivatives of ln |L| and of the phase along the frequency axis are then
+sums with one term for each. The term of a factor (j w - p) is the real and imaginary part of j / (j w - p). That of a
+factor (z - p) of a sampled loop, z = exp(j t), is the real and imaginary part of j z / (z - p). Each term is monotone
+in t between a few known places:
 
     s   ln |.|: +-1 / (2 |Re p|) at w = Im p +- |Re p|         phase: -1 / Re p at w = Im p
     z   ln |.|: +-r / |1 - r^2| where cos (t - u) = 2 r / (1 + r^2)    phase: 1 / (1 -+ r) at t = u, u + pi,
 
 p = r exp(j u). So every term, and their sum, has bounds that hold over a whole interval (interval arithmetic up to
-rounding: R. E. Moore, Interval Analysis, 1966). An interval is settled where a function is monotone in it, or of one
-sign at both ends and too flat to reach zero in between; any other is halved. What is left at a relative width of NARROW
-touches zero rather than crosses it, as far as double precision tells.
+rounding: R. E. Moore, Interval Analysis, 1966). An interval is settled if a function is monotone in it. It is also
+settled if the function has the same sign at both ends and too small a slope to reach zero in between. Any other
+interval is halved. An interval that remains at a relative width of NARROW touches zero rather than crosses it, within
+double precision.
 """
 
 from __future__ import annotations
@@ -29,17 +33,18 @@ from maxq.design.margins.solving import TINY, angle, log_abs
 from maxq.design.model.state_space import ComplexArray
 
 NARROW = 1e-9
-CANCELLED = 1e-9  # relative distance at which a zero and a pole take each other away
-AGREES = 1e-3  # of ln L less its zeros and poles, along the curve: they are those of L
+CANCELLED = 1e-9  # relative distance at which a zero and a pole cancel
+AGREES = 1e-3  # of ln L less its zeros and poles, along the curve: then they are those of L
 PROBES = 64  # points of the curve at which they are compared
 MOST_HALVINGS = 40
 
 
 class ZerosAndPoles(NamedTuple):
-    """Zeros and poles of L in s, or in z at a period, (factors,): `sign` is +1 of a zero, -1 of a pole.
+    """The zeros and poles of L in s, or in z at a period, (factors,). `sign` is +1 for a zero and -1 for a pole.
 
-    `period_s` is 0 for s. `size_at` and `phase_at`, (places, factors), are where the derivatives of ln |.| and of the
-    phase of each factor have extremes, in rad/s or as t = w T, and `size` and `phase` their values there.
+    `period_s` is 0 for s. `size_at` and `phase_at`, (places, factors), are the places of the extremes of the
+    derivatives of ln |.| and of the phase of each factor, in rad/s or as t = w T. `size` and `phase` are the values
+    there.
     """
 
     at: ComplexArray
@@ -52,7 +57,7 @@ class ZerosAndPoles(NamedTuple):
 
 
 def factors_of(loop: OpenLoop) -> ZerosAndPoles:
-    """Return the zeros and poles of a loop; none where they are not known, or without number."""
+    """Return the zeros and poles of a loop, or none if they are unknown or infinitely many."""
     known = loop.factors()
     if known is None:
         return with_extremes(np.zeros(0, np.complex128), np.zeros(0), 0.0)
@@ -69,7 +74,7 @@ def factors_of(loop: OpenLoop) -> ZerosAndPoles:
 
 
 def with_extremes(at: ComplexArray, sign: Array, period_s: float) -> ZerosAndPoles:
-    """Return zeros and poles with the places and values of the extremes of their derivatives."""
+    """Return the zeros and poles with the places and values of the extremes of their derivatives."""
     with np.errstate(all="ignore"):
         if period_s == 0.0:
             a, w = np.abs(at.real), at.imag
@@ -78,7 +83,7 @@ def with_extremes(at: ComplexArray, sign: Array, period_s: float) -> ZerosAndPol
         else:
             r, u = np.abs(at), np.angle(at)
             near, top = np.arccos(np.clip(2.0 * r / (1.0 + r * r), -1.0, 1.0)), r / np.abs(1.0 - r * r)
-            # t lies from 0 to pi, u + near up to 2 pi and u - near down to -2 pi
+            # t is between 0 and pi, u + near up to 2 pi and u - near down to -2 pi
             size_at = [u + near, u - near, u + near - 2.0 * np.pi, u - near + 2.0 * np.pi]
             size, far = [top, -top, top, -top], 1.0 / (1.0 + r)
             phase_at, phase = [u, u + np.pi, u - np.pi], [1.0 / (1.0 - r), far, far]
@@ -87,7 +92,7 @@ def with_extremes(at: ComplexArray, sign: Array, period_s: float) -> ZerosAndPol
 
 @routine
 def _agree(f: Array, loop: ComplexArray, by: ZerosAndPoles) -> NDArray[np.bool_]:
-    """Return where along the curve L is the product of its factors, by a constant the same for most points."""
+    """Return True where L is the product of its factors along the curve, up to a constant equal for most points."""
     n = len(f)
     probes = np.unique(np.linspace(0.0, n - 1.0, PROBES).astype(np.int64))
     m = len(probes)
@@ -136,7 +141,7 @@ def _range_of(
 def slopes(low_hz: float, high_hz: float, by: ZerosAndPoles) -> tuple[float, float, float, float]:
     """Return the least and greatest derivative of ln |L| and of the phase over an interval, by w or t.
 
-    They are no numbers where an end of it lies on a zero or pole.
+    They are NaN or infinite if an end of the interval is a zero or pole.
     """
     per_hz = TWO_PI * (by.period_s if by.period_s > 0.0 else 1.0)
     low, high = low_hz * per_hz, high_hz * per_hz
@@ -158,10 +163,10 @@ def slopes(low_hz: float, high_hz: float, by: ZerosAndPoles) -> tuple[float, flo
 
 @routine
 def separated(f: Array, loop: ComplexArray, by: ZerosAndPoles, source: LoopResponse) -> tuple[Array, ComplexArray]:
-    """Return a curve with as many more points as it takes that no step hides two crossings of |L| = 1, or two of the
-    negative real axis where |L| is above FLOOR.
+    """Return a curve with added points, such that no step hides two crossings.
 
-    It is left alone where the zeros and poles of L are not known, or are not those of the curve.
+    The crossings are those of |L| = 1, and those of the negative real axis where |L| is above FLOOR. The curve is
+    unchanged if the zeros and poles of L are unknown, or are not those of the curve.
     """
     if len(by.at) == 0:
         return f, loop
@@ -190,11 +195,11 @@ def _unsettled(low_hz: float, high_hz: float, first: complex, last: complex, by:
         return True
     if max(_greatest(gain, next_gain, size_least, size_most, width), gain) < np.log(FLOOR):
         return False
-    # the true turn is this one where no other fits into the bounds
+    # this is the true turn if no other fits into the bounds
     if (phase_most - phase_least) * width > 0.5 * TWO_PI:
         return True
     before, turn = angle(-first), angle(last * first.conjugate())
-    # a turn through the positive real axis is none through the negative one
+    # a turn through the positive real axis does not pass the negative one
     for whole in (0.0, -TWO_PI, TWO_PI):
         if _may_hide(before + whole, before + turn + whole, phase_least, phase_most, width):
             return True

@@ -1,9 +1,9 @@
-"""Margin budget: gain and phase of each part of a loop at one frequency, adding up to the whole.
+"""The margin budget: gain and phase of each part of a loop at one frequency. The sum is the whole loop.
 
-Parts in series multiply, so their decibels and degrees add. What is not in series - aerodynamics, slosh, engine
-inertia, bending act on one another - is switched on one after the other in a stated order of build-up steps, and each
-is charged the ratio of L with it to L without it, all before it being on, all after it off. The ratios telescope:
-whatever the order, the sum is L. The order decides which part is charged with the interaction of two of them.
+Parts in series multiply, so their decibels and degrees add. Parts that are not in series - aerodynamics, slosh, engine
+inertia, bending - act on one another. They are added one after the other in a stated order of build-up steps. The share
+of each is the ratio of L with the part to L without it, all earlier parts being present and all later parts absent. The
+ratios telescope: in any order, their sum is L. The order decides which part includes the interaction of two parts.
 """
 
 from __future__ import annotations
@@ -26,15 +26,17 @@ from maxq.design.model.state_space import ComplexArray, Resolvent, channels
 Response = Callable[[Array], ComplexArray]
 
 BUILD_UP = ("rigid body", "aerodynamics", "slosh", "engine inertia", "bending")
-"""Steps in which the vehicle is built up."""
-_PATH = 400  # points, over so many decades below the frequency, along which a phase is unwrapped
+"""The steps in which the vehicle is built up."""
+_PATH = 400  # points, and decades below the frequency, along which a phase is unwrapped
 _DECADES = 4.0
 
 
 @dataclass(frozen=True)
 class Share:
-    """The share of one part; degrees below 0 are lag. The phase of a part in series is unwrapped from low frequency (a
-    delay may exceed 180 deg); that of a build-up step is within +-180 deg.
+    """The share of one part.
+
+    Degrees below 0 are lag. The phase of a part in series is unwrapped from low frequency (a delay may exceed 180 deg).
+    That of a build-up step is within +-180 deg.
     """
 
     part: str
@@ -44,7 +46,10 @@ class Share:
 
 @dataclass(frozen=True)
 class Budget:
-    """At one frequency. `left_db` and `left_deg` are L itself less the sum of the shares: rounding."""
+    """The budget at one frequency.
+
+    `left_db` and `left_deg` are L itself less the sum of the shares, which is rounding.
+    """
 
     frequency_hz: float
     shares: tuple[Share, ...]
@@ -53,17 +58,17 @@ class Budget:
 
     @property
     def gain_db(self) -> float:
-        """Sum: |L|."""
+        """Return the sum of the gains: |L|."""
         return float(sum(share.gain_db for share in self.shares))
 
     @property
     def phase_deg(self) -> float:
-        """Sum: the phase of L, up to turns."""
+        """Return the sum of the phases: the phase of L, up to turns."""
         return float(sum(share.phase_deg for share in self.shares))
 
     @property
     def phase_margin_deg(self) -> float:
-        """The sum beyond -180 + 360 k degrees, in [-180, 180)."""
+        """Return the sum of the phases beyond -180 + 360 k degrees, in [-180, 180)."""
         return wrapped(self.phase_deg + 180.0, 180.0)
 
 
@@ -73,9 +78,9 @@ def split(
     series: Sequence[tuple[str, Response]],
     steps: Sequence[tuple[str, Response]] = (),
 ) -> Budget:
-    """Budget of `whole` = product of `series` times the last of `steps`.
+    """Return the budget of `whole` = product of `series` times the last of `steps`.
 
-    A step is the response with that part and all before it switched on. Raises ValueError where a part is zero or not
+    A step is the response with that part and all earlier parts present. Raises ValueError if a part is zero or not
     finite at the frequency.
     """
     path = frequency_hz * 10.0 ** np.linspace(-_DECADES, 0.0, _PATH)
@@ -108,11 +113,12 @@ def _db(value: complex) -> float:
 
 
 def loop_budget(loop: Loop, frequencies_hz: Sequence[float]) -> tuple[Budget, ...]:
-    """Shares of law, filter, converter, delay, hold, gyro, actuator and the vehicle's build-up at each frequency.
+    """Return the shares of law, filter, converter, delay, hold, gyro, actuator and the vehicle's build-up at each
+    frequency.
 
     The computer's parts are those of the loop's kind: the paper's Pade approximants, or their exact factors. Law and
-    filter of a sampled loop are the discrete ones, and a last share, `sampling`, is what the images of the sampled
-    spectrum add (aliasing): the sampled path over the exact continuous one. Ideal instruments have no share.
+    filter of a sampled loop are the discrete ones. A last share, `sampling`, is the contribution of the images of the
+    sampled spectrum (aliasing): the sampled path over the exact continuous one. Ideal instruments have no share.
     """
     fixed = loop.fixed
     if not fixed.takes_rate:
@@ -137,7 +143,7 @@ def loop_budget(loop: Loop, frequencies_hz: Sequence[float]) -> tuple[Budget, ..
 
 
 def crossing_budgets(loop: Loop, measured: Margins) -> dict[str, Budget]:
-    """Budgets by name, at the rigid crossover and at the frequency of each margin of a stable loop."""
+    """Return budgets by name, at the rigid crossover and at the frequency of each margin of a stable loop."""
     if not measured.stable:
         return {}
     wanted = {
@@ -173,7 +179,9 @@ def _instruments(node: Node) -> list[tuple[str, Response]]:
 
 
 def _vehicle(node: Node) -> Response:
-    """Angle of the first drive's actuators -> local rate at the gyro, by all of them."""
+    """Return the response from the angle of the first drive's actuators to the local rate at the gyro, by all
+    drives.
+    """
     ideal = bool(node.instruments.actuator.ideal)
     inputs = tuple(name for name in node.plant.inputs if not ideal or name.startswith("delta_rad"))
     system = channels(node.plant, ("local_rate_radps",), inputs)
@@ -194,5 +202,7 @@ def _of_s(function: Callable[[ComplexArray], ComplexArray]) -> Response:
 
 
 def build_up(node: Node) -> list[tuple[str, Node]]:
-    """Return nodes by the steps of BUILD_UP, each with one effect more than the one before (`Node.steps`)."""
+    """Return models of the operating point by the steps of BUILD_UP, each with one more effect than the one before
+    (`Node.steps`).
+    """
     return list(zip(BUILD_UP, node.steps(), strict=True))

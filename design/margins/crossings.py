@@ -1,4 +1,4 @@
-"""Crossings of a loop's curve with the unit circle and the real axis, and its turns about -1.
+"""The crossings of a loop's curve with the unit circle and the real axis, and its turns about -1.
 
 Unstable poles of the closed loop are counted twice: from their list, and by the argument principle from L alone.
 """
@@ -19,13 +19,13 @@ from maxq.design.margins.response import TWO_PI, LoopResponse, values_at
 from maxq.design.margins.solving import LOG_SIZE, SINE, angle, objective
 from maxq.design.model.state_space import ComplexArray
 
-FARTHEST = 1e9  # a sign change of Im L where |L| is beyond this, or below its inverse, is a pole or zero on the axis
+FARTHEST = 1e9  # a sign change of Im L where |L| is above this, or below its inverse, is a pole or zero on the axis
 REAL = 1e-6  # |Im L| / |L| below which the end of the curve is real
 
 
 @dataclass(frozen=True)
 class GainCrossings:
-    """|L| = 1, in rising order of frequency, (n,) each."""
+    """The crossings |L| = 1, in rising order of frequency, (n,) each."""
 
     frequency_hz: Array
     loop: ComplexArray
@@ -33,26 +33,31 @@ class GainCrossings:
 
     @property
     def phase_margin_deg(self) -> Array:
-        """In (-180, 180]: above 0 the lag that reaches -1, below 0 (its size) the lead that does so sooner."""
+        """Return the phase margins in (-180, 180].
+
+        A positive value is the lag that reaches -1, a negative one the smaller lead that does so.
+        """
         return solving.from_minus_one_deg(self.loop)
 
     @property
     def lag_deg(self) -> Array:
-        """Lag in [0, 360) that turns the point on to -1."""
+        """Return the lag in [0, 360) that turns the point to -1."""
         return np.asarray(np.mod(self.phase_margin_deg, 360.0))
 
     @property
     def delay_s(self) -> Array:
-        """Delay that does."""
+        """Return the delay that gives this lag."""
         return np.asarray(self.lag_deg / (360.0 * self.frequency_hz))
 
 
 @dataclass(frozen=True)
 class PhaseCrossings:
-    """L on the negative real axis, (n,) each; frequency 0 and infinity are limits, the highest one Nyquist.
+    """The crossings of the negative real axis, (n,) each.
 
-    `turn` is +1 where the curve crosses from above to below (anticlockwise about the origin), -1 the other way, 0
-    at the ends, which it only reaches.
+    Frequencies 0 and infinity are limits, and the highest one is Nyquist.
+
+    `turn` is +1 if the curve crosses from above to below (anticlockwise about the origin) and -1 otherwise. It is 0 at
+    the ends, which the curve only reaches.
     """
 
     frequency_hz: Array
@@ -61,12 +66,18 @@ class PhaseCrossings:
 
     @property
     def gain_margin_db(self) -> Array:
-        """Above 0 the increase of gain that reaches -1, below 0 (its size) the decrease that does."""
+        """Return the gain margins.
+
+        A positive value is the increase of gain that reaches -1, a negative one the decrease that does.
+        """
         return np.asarray(-solving.DB * solving.log_size(self.loop))
 
 
 class Crossings(NamedTuple):
-    """All crossings, gain first: `way` is 1 where |L| rises, -1 where it falls, or the turn of a phase crossing."""
+    """All crossings, those of the gain first.
+
+    `way` is 1 where |L| rises and -1 where it falls, or the turn of a phase crossing.
+    """
 
     gain_hz: Array
     gain_loop: ComplexArray
@@ -78,7 +89,7 @@ class Crossings(NamedTuple):
 
 @formula
 def steps_past_poles(f: Array, open_: ComplexArray, closed: ComplexArray) -> IntArray:
-    """Return how many poles of L on the axis each step passes, (points - 1,).
+    """Return the number of poles of L on the axis that each step passes, (points - 1,).
 
     A pole that is in both lists at the same place cancels in L.
     """
@@ -94,14 +105,14 @@ def steps_past_poles(f: Array, open_: ComplexArray, closed: ComplexArray) -> Int
 
 @routine
 def crossings(t: Trace, past: IntArray, source: LoopResponse) -> tuple[Crossings, Array, ComplexArray]:
-    """Return all of them, and the curve with them added."""
+    """Return all crossings, and the curve with them added."""
     f, loop, zones = t.frequency_hz, t.loop, np.zeros((0, 3))
     n, m, gains = len(f), 0, 0
     kinds, ends, values, way = np.empty(2 * n, np.int64), np.empty((2 * n, 2)), np.empty((2 * n, 2)), np.empty(2 * n)
     for kind in (LOG_SIZE, SINE):
         rising, level = course(kind, loop), 1.0 if kind == LOG_SIZE else 0.0
         for k in range(n - 1):
-            # near the level the objective itself decides
+            # near the level, the objective itself decides
             if min(rising[k], rising[k + 1]) > level + NARROW or max(rising[k], rising[k + 1]) < level - NARROW:
                 continue
             a, b = objective(kind, 0.0, loop[k], zones), objective(kind, 0.0, loop[k + 1], zones)
@@ -120,7 +131,7 @@ def crossings(t: Trace, past: IntArray, source: LoopResponse) -> tuple[Crossings
     found = solving.roots(kinds[:m], ends[:m], values[:m], source, zones)
     there = values_at(found, source)
     hz, at, turn = np.empty(m - gains + 2), np.empty(m - gains + 2, np.complex128), np.empty(m - gains + 2, np.int64)
-    # the limits at zero frequency and at the end are real: they count where they are negative
+    # the limits at zero frequency and at the end are real: they count if they are negative
     count, first, last = 0, loop[0], loop[n - 1]
     if t.slope_at_zero == 0 and t.at_zero < 0.0 and abs(first.imag) < 0.1 * abs(first):
         hz[count], at[count], turn[count] = 0.0, complex(t.at_zero, 0.0), 0
@@ -141,7 +152,7 @@ def crossings(t: Trace, past: IntArray, source: LoopResponse) -> tuple[Crossings
 
 @formula
 def growing_count(closed: ComplexArray, lowest_radps: float) -> int:
-    """Return the number of poles to the right of the axis, and on it. Poles slower than `lowest_radps` are drift."""
+    """Return the number of poles to the right of the axis and on it. Poles slower than `lowest_radps` are drift."""
     count = 0
     for p in closed:
         if abs(p) > lowest_radps and p.real >= -ON_AXIS * abs(p):
@@ -163,20 +174,20 @@ def _real_angle(x: complex) -> float:
 def encirclement_count(t: Trace, every: Crossings, past: IntArray, before: Trace, open_: ComplexArray) -> int:
     """Return the zeros of 1 + L in the right half plane (outside the unit circle), from the curve's turns about -1.
 
-    Each solved crossing of the real axis beyond -1 moves the argument from one branch to the next, so the number is
-    exact. The path goes up the axis from a quarter circle about s = 0 (z = 1), passes poles on the axis on their
+    Each solved crossing of the real axis beyond -1 moves the argument from one branch to the next, so that the number
+    is exact. The path goes up the axis from a quarter circle about s = 0 (z = 1). It passes poles on the axis on their
     right, and ends at the real limit of L at infinity (z = -1):
 
         zeros = poles - turn of 1 + L over the upper half / pi.
 
-    `past` are the poles that the steps of `before` pass, the curve without its crossings.
+    `past` contains the poles that the steps of `before` pass, the curve without its crossings.
     """
     loop, lowest, right, branches = t.loop, TWO_PI * t.frequency_hz[0], 0, 0
     for p in open_:
         right += 1 if abs(p) > lowest and p.real > ON_AXIS * abs(p) else 0
     for i in range(len(every.phase_hz)):
         branches += int(every.phase_way[i]) if abs(every.phase_loop[i]) > 1.0 else 0
-    # how often the half circles to the right of poles on the axis cross from -pi to pi (clockwise)
+    # number of crossings from -pi to pi (clockwise) of the half circles to the right of poles on the axis
     for k in np.flatnonzero(past):
         here, there = angle(1.0 + before.loop[k]), angle(1.0 + before.loop[k + 1])
         clockwise = past[k] * 0.5 * TWO_PI + _wrapped(here - there - past[k] * 0.5 * TWO_PI)
@@ -195,7 +206,7 @@ def _first_turn(first: complex, slope_at_zero: int) -> float:
     order = -slope_at_zero if abs(first) > 1.0 else 0
     if order == 0:
         return _wrapped(angle(1.0 + first) - _real_angle(1.0 + first))
-    # L = K / s^n is real at the beginning, and large against 1; with n < 0 it has zeros, and 1 + L drift, below
+    # L = K / s^n is real at the beginning, and large compared with 1; with n < 0 it has zeros, and 1 + L drift, below
     unit = 1.0 + 0j
     for _ in range(abs(order)):
         unit = unit * (1j if order > 0 else -1j)

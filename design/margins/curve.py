@@ -1,12 +1,12 @@
 """The frequency response of a loop as a curve.
 
-The response is computed on a grid adapted to its poles, so that no narrow feature lies between two points.
+The response is computed on a grid adapted to its poles, so that no narrow feature is missed between two points.
 
-Each pole of L and each zero of 1 + L is surrounded by points at offsets that grow from a fraction of its half
-width (its real part) in steps of 1 + sqrt(2), so a resonance's circle is drawn with some twenty points whether its
-damping ratio is 0.05 or 1e-6. Zeros of L, which the protocol does not give, turn its phase: intervals over which
-the phase of L or of 1 + L turns by more than TURN_RAD are halved until none is left. `with_extremes` adds the turning
-points: peaks of |L|, least distances, and near misses between two points of the grid.
+Each pole of L and each zero of 1 + L is surrounded by points. Their offsets grow from a fraction of its half width (its
+real part) in steps of 1 + sqrt(2). A resonance's circle therefore has some twenty points at any damping ratio from 0.05
+to 1e-6. Zeros of L, which the protocol does not give, turn its phase. Intervals over which the phase of L or of 1 + L
+turns by more than TURN_RAD are halved until none remains. `with_extremes` adds the turning points: peaks of |L|, least
+distances, and near misses between two points of the grid.
 """
 
 from __future__ import annotations
@@ -41,26 +41,26 @@ LOWEST_HZ = 1e-5  # a root slower than this (4 hours) is drift and not part of t
 PER_DECADE = 16
 PER_DECADE_FLAT = 6  # below the slowest and above the fastest pole
 TURN_RAD = 0.6
-FLOOR = 1e-4  # where |L| is below this (-80 dB) its phase is of no interest
+FLOOR = 1e-4  # where |L| is below this (-80 dB) its phase is irrelevant
 NARROW = 1e-12  # relative: an interval that is not halved any more
 MOST_POINTS = 200_000
 _MOST_ROUNDS = 40
 ASYMPTOTIC, DRIFT_UP_TO_HZ = 4.0, 1e-3  # a factor in frequency; a quarter of an hour
-ON_AXIS = 1e-9  # |Re p| / |p| below which a pole lies on the axis
-OSCILLATING = 0.5  # damping ratio below which a pole gets points of its own
+ON_AXIS = 1e-9  # |Re p| / |p| below which a pole counts as on the axis
+OSCILLATING = 0.5  # damping ratio below which a pole gets its own points
 
 LOWEST_PEAK = np.log(1e-3)  # peaks below -60 dB are not refined
-REACH = 4.0  # a minimum may lie lower than its parabola by this many times the parabola's drop
+REACH = 4.0  # a minimum may be below its parabola by this many times the parabola's drop
 
 TAN_TURN = float(np.tan(TURN_RAD))
 _RATIO = 1.0 + np.sqrt(2.0)
 _STEPS = 25
 IMPROPER, WINDING = 1, 2
-"""Problems of a curve: |L| grows without bound; its phase turns too often to be followed."""
+"""The problems of a curve: |L| grows without bound, or its phase turns too often to be followed."""
 
 
 class Trace(NamedTuple):
-    """L at rising frequencies, for compiled code (`Curve`). `problem` is 0, IMPROPER or WINDING."""
+    """The response L at rising frequencies, for compiled code (`Curve`). `problem` is 0, IMPROPER or WINDING."""
 
     frequency_hz: Array
     loop: ComplexArray
@@ -73,10 +73,12 @@ class Trace(NamedTuple):
 
 @dataclass(frozen=True)
 class LoopCurve:
-    """L at rising frequencies, and the poles (rad/s) that the grid is made of; `finite_end`: it ends at Nyquist.
+    """The response L at rising frequencies, and the poles (rad/s) on which the grid is based.
 
-    `at_zero` is the limit of L at zero frequency where `slope_at_zero` is 0 (there L is real and even in f).
-    `slope_at_zero` and `slope_at_end` are n of the asymptotes L ~ (j f)^n; that at the end is 0 at Nyquist.
+    `finite_end` is True if the curve ends at Nyquist.
+
+    `at_zero` is the limit of L at zero frequency if `slope_at_zero` is 0 (L is then real there and even in f).
+    `slope_at_zero` and `slope_at_end` are n of the asymptotes L ~ (j f)^n. The slope at the end is 0 at Nyquist.
     """
 
     source: OpenLoop
@@ -91,19 +93,21 @@ class LoopCurve:
 
     @property
     def lowest_radps(self) -> float:
-        """Poles slower than this are drift."""
+        """Return the bound below which poles are drift."""
         return float(2.0 * np.pi * self.frequency_hz[0])
 
     def with_points(self, frequency_hz: Array, loop: ComplexArray) -> LoopCurve:
-        """Return the curve with points in place of its own."""
+        """Return the curve with other points."""
         return replace(self, frequency_hz=frequency_hz, loop=loop)
 
 
 @formula
 def lowest_hz_of(open_poles: ComplexArray) -> float:
-    """Return where the curve of a loop with these poles (rad/s) begins: LOWEST_HZ, or above drift nearby.
+    """Return the frequency at which the curve of a loop with these poles (rad/s) begins: LOWEST_HZ, or above nearby
+    drift.
 
-    In thin air path and attitude have slow roots of a few hours, beside which L has no asymptote to begin on.
+    In thin air, path and attitude have slow roots of a few hours. Near these roots, L has no asymptote from which the
+    curve could begin.
     """
     low = LOWEST_HZ
     for hz in np.sort(np.abs(open_poles)) / TWO_PI:
@@ -113,7 +117,7 @@ def lowest_hz_of(open_poles: ComplexArray) -> float:
 
 
 def finite(poles: ComplexArray, kind: str) -> ComplexArray:
-    """Return poles without those at minus infinity (a sampled loop's z = 0). Raises ValueError for NaN."""
+    """Return the poles without those at minus infinity (z = 0 of a sampled loop). Raises ValueError for NaN."""
     p = np.atleast_1d(np.asarray(poles, np.complex128))
     p = p[np.abs(p.real) != np.inf]
     if not np.isfinite(p).all():
@@ -146,7 +150,9 @@ def round_(x: float) -> int:
 
 @routine
 def _end(open_: ComplexArray, closed: ComplexArray, lowest: float, loop: LoopResponse) -> tuple[float, int, int]:
-    """Return where a continuous loop has reached its asymptote or is too small to matter, the slope, the problem."""
+    """Return the frequency at which a continuous loop has reached its asymptote or is negligibly small, the slope, and
+    the problem.
+    """
     fastest, some = 100.0 * lowest, False
     for which in range(2):
         for p in open_ if which == 0 else closed:
@@ -159,7 +165,7 @@ def _end(open_: ComplexArray, closed: ComplexArray, lowest: float, loop: LoopRes
         size = abs(values[k])
         slope = np.log(abs(values[k + 7]) / size) / np.log(1.1)
         quarter = angle(values[k]) / (0.25 * TWO_PI)
-        level = np.round(slope) == 0.0  # then the end may lie near -1, otherwise it is far away
+        level = np.round(slope) == 0.0  # then the end may be near -1, otherwise it is far away
         settled = abs(slope - np.round(slope)) < (1e-4 if level else 0.01)
         settled = settled and abs(quarter - np.round(quarter)) < (1e-4 if level else 0.02)
         if settled or size < FLOOR or k == 6:
@@ -168,7 +174,7 @@ def _end(open_: ComplexArray, closed: ComplexArray, lowest: float, loop: LoopRes
     n = round_(steep) if np.isfinite(steep) else -1
     small = abs(values[place]) < FLOOR
     problem = IMPROPER if n > 0 and abs(values[place]) > 0.0 and (still or not small) else 0
-    # a pure delay keeps turning: small from here on, or level
+    # the phase of a pure delay keeps turning: L is small from here on, or level
     return f[place], min(n, 0) if still else -1 if small else 0, problem
 
 
@@ -233,7 +239,7 @@ def _turned(a: complex, b: complex) -> bool:
 
 @routine
 def _refined(f: Array, loop: ComplexArray, source: LoopResponse) -> tuple[Array, ComplexArray, bool]:
-    """Halve intervals over which L or 1 + L turns too far, and much wider ones beside them."""
+    """Halve intervals over which L or 1 + L turns too far, and much wider adjacent intervals."""
     n = len(f)
     fresh = np.ones(n, np.bool_)
     for _ in range(_MOST_ROUNDS):
@@ -247,7 +253,7 @@ def _refined(f: Array, loop: ComplexArray, source: LoopResponse) -> tuple[Array,
                 coarse[k] = any_ = True
         if not any_:
             break
-        # a turn by a multiple of 2 pi looks like none: refine beside intervals that turn
+        # a turn by a multiple of 2 pi looks like none: refine next to intervals that turn
         more = coarse.copy()
         for k in range(n - 1):
             beside = np.inf
@@ -269,7 +275,7 @@ def _refined(f: Array, loop: ComplexArray, source: LoopResponse) -> tuple[Array,
 
 @routine
 def merged(f: Array, loop: ComplexArray, new: Array, source: LoopResponse) -> tuple[Array, ComplexArray, IntArray]:
-    """Return the curve with points added, and their places; those that are there already are left out."""
+    """Return the curve with points added, and their places. Points that exist already are omitted."""
     new = np.sort(new)
     values = values_at(new, source)
     n = len(f)
@@ -293,14 +299,14 @@ def merged(f: Array, loop: ComplexArray, new: Array, source: LoopResponse) -> tu
 
 @routine
 def is_bracket(value: Array, k: int) -> bool:
-    """True for an inner point that is not above either neighbour and below one."""
+    """Return True for an inner point that is not above either neighbour and is below at least one."""
     left, here, right = value[k - 1], value[k], value[k + 1]
     return bool(here <= left and here <= right and (here < left or here < right))
 
 
 @routine
 def course(kind: int, loop: ComplexArray) -> Array:
-    """Return a function at each point that rises with an objective of L alone, and takes no logarithm."""
+    """Return a function at each point that rises with an objective of L alone and needs no logarithm."""
     out = np.empty(len(loop))
     for k in range(len(loop)):
         size = square(loop[k])
@@ -321,9 +327,9 @@ def course(kind: int, loop: ComplexArray) -> Array:
 def with_extremes(f: Array, loop: ComplexArray, distances: int, source: LoopResponse) -> tuple[Array, ComplexArray]:
     """Return the curve with its turning points solved for and added.
 
-    They are the minima of the first `distances` of |1 + L|, |1 + 1/L| and |1 + L|/|1 - L| that may be the least of all,
-    the maxima of |L|, and those of |L| and of the phase that may reach 1 and 180 degrees where the points of the grid
-    do not.
+    The turning points include minima of the first `distances` of |1 + L|, |1 + 1/L| and |1 + L|/|1 - L|. Only minima
+    that may be global are included. Further points are the maxima of |L|, and extremes of |L| and of the phase. These
+    extremes may reach 1 and 180 degrees although the points of the grid do not.
     """
     n, m, none = len(f), 0, np.zeros((0, 3))
     kinds, points, values = np.empty(7 * n, np.int64), np.empty((7 * n, 3)), np.empty((7 * n, 3))

@@ -1,4 +1,6 @@
-"""Margins of many dispersed vehicles at one node: poles and residues of all at once, then the compiled `many`."""
+"""The margins of many dispersed vehicles at one operating point: poles and residues of all at once, then the compiled
+`many`.
+"""
 
 from __future__ import annotations
 
@@ -31,14 +33,15 @@ _KINDS = {"bending": 1, "slosh": -1}
 
 
 class NotServedError(ValueError):
-    """A loop that the compiled margins do not serve: `measure.margins` does."""
+    """A loop that the compiled margins do not support. Use `measure.margins` for such a loop."""
 
 
 @dataclass(frozen=True)
 class ManyLoops:
-    """The sampled loops of a node's vehicles, dispersed in what `spread.Spread` names, under one law.
+    """The sampled loops of the vehicles at an operating point, dispersed in the parameters of `spread.Spread`, under
+    one law.
 
-    Raises NotServedError for a law that takes more than the gyro, and for plants of the published equations.
+    Raises NotServedError for a law that uses sensors other than the gyro, and for plants of the published equations.
     """
 
     node: Node
@@ -61,22 +64,23 @@ class ManyLoops:
 
     @cached_property
     def _apart(self) -> ManyLoops:
-        """With a drive for each group of engines."""
+        """Return the vehicle with a drive for each group of engines."""
         node = with_drives_apart(self.node)
         return self if node is self.node else ManyLoops(node, self.law)
 
     @cached_property
     def _controller(self) -> tuple[ComplexArray, ComplexArray, float]:
-        """Zeros, poles and gain of the law (`controller_factors`)."""
+        """Return the zeros, poles and gain of the law (`controller_factors`)."""
         return controller_factors(self._nominal)
 
     def measure(
         self, every: Sequence[Dispersion], peak_db: float, flight: Node | None = None, *, distances: bool = False
     ) -> tuple[NDArray[np.void], IntArray]:
-        """Return the margins of vehicles, or with `distances` those alone, (vehicles,) of many.MEASURES with NaN for
-        all others, and the status of each.
+        """Return the margins of vehicles, (vehicles,) of many.MEASURES, and the status of each.
 
-        `flight`: the node as another flight meets it, of the same stage and with the same instruments.
+        With `distances`, only these are computed, and all others are NaN.
+
+        `flight` is the operating point in another flight of the same stage, with the same instruments.
         """
         values, status = np.zeros(len(every), many.MEASURES), np.zeros(len(every), np.int64)
         values.view(float)[:] = np.nan
@@ -129,7 +133,7 @@ class ManyLoops:
             values[which], status[which] = found, stated
 
     def _start(self, periods: int, rests: bool) -> ComplexArray:
-        """Zeros of 1 + L of the vehicle as it is, with a delay of as many samples, in w."""
+        """Return the zeros of 1 + L of the nominal vehicle, with a delay of the same number of samples, in w."""
         key = periods, rests
         if key not in self._starts:
             period = self.node.instruments.sample_s
@@ -140,7 +144,7 @@ class ManyLoops:
             node = self.node if same else self.node.with_(delay_s=delay)
             loop = Loop(SampledFixedPath(node), self.law).state_space()
             roots = np.linalg.eigvals(loop.a - np.outer(loop.b[:, 0], loop.c[0])).astype(np.complex128) - 1.0
-            # off the real axis, and apart: real zeros of the nominal vehicle may be pairs of another
+            # off the real axis, and separate: real zeros of the nominal vehicle may be pairs of another
             tilt = np.exp(0.7j * np.arange(1, len(roots) + 1))
             apart = np.where(np.abs(1.0 + roots) < 1e-5, 1e-6, 1e-3 * np.minimum(np.abs(roots), np.abs(1.0 + roots)))
             self._starts[key] = roots + np.maximum(apart, 1e-12) * tilt
@@ -152,8 +156,8 @@ class ManyLoops:
 
     @cached_property
     def _kept(self) -> tuple[IntArray, IntArray, IntArray, Array, int]:
-        """States and inputs of the vehicle that lie on the path, the code of each owner of states, its states (owners,
-        states), and the row of the output.
+        """Return the states and inputs of the vehicle that are on the path, and the row of the output. Return also the
+        code of each owner of states and its states (owners, states).
         """
         body, plant = self._nominal.fixed.vehicle, self.node.plant
         states = np.array([plant.states.index(name) for name in body.states])
@@ -167,8 +171,8 @@ class ManyLoops:
     def _modes(
         self, node: Node, by: Dispersion, delay_s: Array
     ) -> tuple[ComplexArray, ComplexArray, IntArray, ComplexArray, NDArray[np.bool_]]:
-        """Return the poles of the continuous path, (vehicles, poles), their residues and owners, the own parts of
-        modes (`resonance.Resonance.part` times the path), and where all of that is exact.
+        """Return the poles of the continuous path, (vehicles, poles), their residues and owners, and True where all
+        results are exact. Return also the own parts of modes (`resonance.Resonance.part` times the path).
         """
         n = len(delay_s)
         states, inputs, code, member, row = self._kept
@@ -176,7 +180,7 @@ class ManyLoops:
         held = deviated(node.held, node.plane, by, n)
         a, b, c, _, _ = held.plants(node.condition, node.trim, node.plane, node.drives, levels=LEVELS, in_place=True)
         a, b, c = a[:, states[:, None], states], b[:, states[:, None], inputs], c[:, row, states]
-        # states of unlike sizes: the same scaling for all, that of the vehicle as it is
+        # states of different magnitudes: the same scaling for all, that of the nominal vehicle
         nominal = self._nominal.fixed.vehicle.a
         scale = scipy.linalg.matrix_balance(nominal, permute=False, separate=True)[1][0]
         a, b, c = a / scale[:, None] * scale, b / scale[:, None], c * scale
@@ -204,7 +208,7 @@ class ManyLoops:
             return out if zero is None else out / lag(s, *zero)
 
         def body(drive: int, s: ComplexArray) -> ComplexArray:
-            """Vehicle from a drive's angle to the rate, (vehicles, points)."""
+            """Return the response of the vehicle from a drive's angle to the rate, (vehicles, points)."""
             out = np.zeros(s.shape, np.complex128)
             for k in np.flatnonzero(drives == drive):
                 out = out + s ** orders[k] * (per_input[:, None, :, k] / (s[..., None] - poles[:, None, :])).sum(axis=2)
@@ -257,7 +261,7 @@ def _column(value: Array | float) -> Array | float:
 
 
 def _pair_of(omega: Array | float, zeta: Array | float, n: int) -> tuple[ComplexArray, ComplexArray]:
-    """Poles of omega^2 / (s^2 + 2 zeta omega s + omega^2), (n, 2), and their residues."""
+    """Return the poles of omega^2 / (s^2 + 2 zeta omega s + omega^2), (n, 2), and their residues."""
     root = np.sqrt(np.asarray(zeta, np.complex128) ** 2 - 1.0)
     both = np.stack(np.broadcast_arrays(omega * (-zeta + root), omega * (-zeta - root)), axis=-1).reshape(-1, 2)
     at = np.broadcast_to(both, (n, 2))
@@ -266,9 +270,9 @@ def _pair_of(omega: Array | float, zeta: Array | float, n: int) -> tuple[Complex
 
 
 def _owners(code: IntArray, member: Array, poles: ComplexArray, vectors: ComplexArray, left: ComplexArray) -> IntArray:
-    """Return the mode (+) or tank (-) that each pole belongs to, as `resonance.vehicle_poles`, (vehicles, poles).
+    """Return the mode (+) or tank (-) that each pole belongs to, as `resonance.vehicle_poles` does, (vehicles, poles).
 
-    `code` of each owner, and its `member` states, (owners, states).
+    `code` is that of each owner, and `member` its states, (owners, states).
     """
     share = np.abs(vectors * left.transpose(0, 2, 1))
     per_owner = np.einsum("os,vsp->vop", member, share)

@@ -1,11 +1,11 @@
-"""Distances of the curve from the critical point: modulus (disk) margins, and exclusion zones in the Nichols plane.
+"""The distances of the curve from the critical point: modulus (disk) margins, and exclusion zones in the Nichols plane.
 
 Disk margins bound gain and phase that change together (Seiler, Packard & Gahinet, IEEE CSM 40(5), 2020).
 
-Gain and phase margin bound a curve on two lines only and let it cut the corner between them; exclusion zones around
--180 + 360 k degrees, 0 dB close it. The clearance of a zone is -1 in its centre, 0 on its border and grows linearly
-outwards: d >= 0 is the constraint. With psi the phase from the nearest centre in degrees, y the gain in dB, a and b
-the zone's half axes:
+Gain and phase margins bound a curve on two lines only, so that the curve may pass through the corner between them.
+Exclusion zones around -180 + 360 k degrees, 0 dB close this gap. The clearance of a zone is -1 in its centre, 0 on its
+border and grows linearly outwards. The constraint is d >= 0. Let psi be the phase from the nearest centre in degrees, y
+the gain in dB, a and b the zone's half axes:
 
     diamond      |psi|/a + |y|/b - 1
     rectangle    max(|psi|/a, |y|/b) - 1
@@ -41,7 +41,7 @@ class Disk:
 
     size: float
     frequency_hz: float
-    gain_down_db: float  # both counted positive; infinite where the disk does not bound them
+    gain_down_db: float  # both counted positive; infinite if the disk does not bound them
     gain_up_db: float
     phase_deg: float
 
@@ -55,7 +55,7 @@ class Disks:
 
 _NO_DISK = Disk(np.nan, np.nan, np.nan, np.nan, np.nan)
 NO_DISKS = Disks(_NO_DISK, _NO_DISK, _NO_DISK)
-"""Of an unstable loop."""
+"""The disks of an unstable loop."""
 
 
 def disks_of(least: Array) -> Disks:
@@ -70,9 +70,9 @@ def disks_of(least: Array) -> Disks:
 
 
 def symmetric_disk(half: float, frequency_hz: float) -> Disk:
-    """From alpha / 2, the least |1 + L| / |1 - L|."""
+    """Return the symmetric disk from alpha / 2, the least |1 + L| / |1 - L|."""
     both = -_db((1.0 - half) / (1.0 + half)) if half < 1.0 else np.inf if half >= 1.0 else np.nan
-    # |1 + L| < |1 - L| only where Re L < 0: elsewhere the disk is the half plane
+    # |1 + L| < |1 - L| only if Re L < 0: otherwise the disk is the half plane
     half = min(half, 1.0) if half >= 0.0 else half
     return Disk(2.0 * half, frequency_hz, both, both, float(np.degrees(2.0 * np.arctan(half))))
 
@@ -81,7 +81,7 @@ def symmetric_disk(half: float, frequency_hz: float) -> Disk:
 def least_distances(t: Trace) -> Array:
     """Return the least SENSITIVITY, COMPLEMENTARY and SYMMETRIC, and their frequencies, (3, 2).
 
-    `t` must hold their turning points. Zero and infinity are limits.
+    `t` must contain their turning points. Zero and infinity are limits.
     """
     out, none, last = np.empty((3, 2)), np.zeros((0, 3)), t.loop[len(t.loop) - 1]
     at_zero = t.at_zero if t.slope_at_zero == 0 else 0.0 if t.slope_at_zero > 0 else 1e150
@@ -108,7 +108,7 @@ def _phase_deg(size: float) -> float:
 
 @dataclass(frozen=True)
 class Zone:
-    """Half axes. Raises ValueError unless both are positive."""
+    """The half axes of an exclusion zone. Raises ValueError unless both are positive."""
 
     shape: ExclusionShape = "diamond"
     phase_deg: float = 30.0
@@ -131,7 +131,7 @@ class Zone:
 
 @dataclass(frozen=True)
 class Clearance:
-    """Least clearance of a zone along the curve: negative inside the zone."""
+    """The least clearance of a zone along the curve, negative inside the zone."""
 
     zone: Zone
     value: float
@@ -140,7 +140,7 @@ class Clearance:
 
 
 def as_rows(zones: tuple[Zone, ...]) -> Array:
-    """Return zones as `solving.objective` takes them, (zones, 3)."""
+    """Return the zones in the form that `solving.objective` needs, (zones, 3)."""
     shapes = {"diamond": solving.DIAMOND, "rectangle": solving.RECTANGLE, "ellipse": solving.ELLIPSE}
     return np.array([(shapes[z.shape], z.phase_deg, z.gain_db) for z in zones], float).reshape(-1, 3)
 
@@ -149,7 +149,7 @@ def as_rows(zones: tuple[Zone, ...]) -> Array:
 def find_clearances(t: Trace, every: Crossings, zones: Array, source: LoopResponse) -> tuple[Array, ComplexArray]:
     """Return the least clearance of every zone and its frequency, (zones, 2), and L there, (zones,).
 
-    `t` must hold its crossings. Kinks of the clearance lie on crossings and diagonals.
+    `t` must contain the crossings. Kinks of the clearance are on crossings and diagonals.
     """
     f, loop = t.frequency_hz, t.loop
     corners = _corners(f, loop, zones, source)
@@ -165,7 +165,7 @@ def find_clearances(t: Trace, every: Crossings, zones: Array, source: LoopRespon
         value = objectives(kind, loop, zones)
         least = value.min()
         for k in range(1, n - 1):
-            # the steps to the neighbours bound the improvement; a kink lower than the points beside it is a minimum
+            # the steps to the neighbours bound the improvement; a kink below the adjacent points is a minimum
             if is_bracket(value, k) and 2.0 * value[k] - max(value[k - 1], value[k + 1]) <= least:
                 if (kinks == f[k]).any():
                     continue
@@ -184,7 +184,7 @@ def find_clearances(t: Trace, every: Crossings, zones: Array, source: LoopRespon
 
 @routine
 def _corners(f: Array, loop: ComplexArray, zones: Array, source: LoopResponse) -> Array:
-    """Return where the curve crosses the rectangles' diagonals near the zone."""
+    """Return the points at which the curve crosses the rectangles' diagonals near the zone."""
     n, m = len(f), 0
     kinds = np.empty(len(zones) * n, np.int64)
     ends, values = np.empty((len(zones) * n, 2)), np.empty((len(zones) * n, 2))
@@ -203,7 +203,7 @@ def _corners(f: Array, loop: ComplexArray, zones: Array, source: LoopResponse) -
 
 @routine
 def _beside(f: Array, kinks_hz: Array) -> Array:
-    """Return points close to each kink, so that a smooth minimum next to one has a bracket of its own."""
+    """Return points close to each kink, so that a smooth minimum next to a kink has its own bracket."""
     out, m = np.empty(2 * len(kinks_hz)), 0
     for hz in kinks_hz:
         k = np.searchsorted(f, hz)

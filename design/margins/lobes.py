@@ -1,11 +1,13 @@
-"""Lobes: the loops that lightly damped poles draw in the Nyquist plane, each found, named and judged by itself.
+"""Lobes: the loops that lightly damped poles draw in the Nyquist plane.
 
-Near a pole at p = -sigma + j w0 the response is R / (s - p) plus what the rest of the loop contributes. The second
+Each lobe is found, named and judged separately.
+
+Near a pole at p = -sigma + j w0, the response is R / (s - p) plus the contribution of the rest of the loop. The second
 difference over the half width, u = 2 L(w0) - L(w0 + sigma) - L(w0 - sigma), is R / sigma up to the curvature of the
-rest. Of a bending mode that term is known (`resonance.Resonance.part`). The lobe is where it is larger than SHARE times
-the rest, at least LEAST half widths to either side. It ends where another lobe's term is larger, and in the valleys of
-|L| on both sides of its peak. A bending mode whose own part at its frequency is smaller than the rest has no lobe but
-that frequency; the peaks of bending modes are those of own_part.py.
+rest. For a bending mode, that term is known (`resonance.Resonance.part`). The lobe is the range in which the term
+exceeds SHARE times the rest, at least LEAST half widths to either side. It ends where another lobe's term is larger,
+and in the valleys of |L| on both sides of its peak. If the own part of a bending mode at its frequency is smaller than
+the rest, its lobe consists of that frequency alone. The peaks of bending modes are those of own_part.py.
 """
 
 from __future__ import annotations
@@ -37,22 +39,22 @@ Stabilised = Literal["gain", "phase"]
 
 @dataclass(frozen=True)
 class Lobe:
-    """A resonance in the loop. Margins are those of the lobe alone: infinite where nothing in it bounds them.
+    """A resonance in the loop. The margins are those of the lobe alone, infinite if nothing in it bounds them.
 
-    `stabilised` is "gain" where the peak lies at least the limit below 0 dB, whatever its phase, else "phase". Lag and
-    lead margins of a phase-stabilised lobe are the least over its crossings of |L| = 1, or, without one inside it, over
-    its points above 0 dB; those of a gain-stabilised one are infinite. Of a bending mode only crossings count, at which
-    its own part is larger than SHARE times the rest and the largest of all modes. `conditional`: less gain would
-    destabilise, for the lobe crosses the negative real axis beyond -1.
+    `stabilised` is "gain" if the peak is at least the limit below 0 dB, whatever its phase, and "phase" otherwise. Lag
+    and lead margins of a phase-stabilised lobe are the least over its crossings of |L| = 1. Without a crossing, they
+    are the least over its points above 0 dB. Those of a gain-stabilised lobe are infinite. The crossings of a bending
+    mode count only where its own part is larger than SHARE times the rest and the largest of all modes. `conditional`
+    is True if less gain would destabilise the loop, because the lobe crosses the negative real axis beyond -1.
     """
 
     label: str
-    kind: str  # as the resonance says: "bending", "slosh"; empty for an unnamed pole
+    kind: str  # as the resonance names it: "bending", "slosh"; empty for an unnamed pole
     frequency_hz: float  # of the pole
     damping_ratio: float
     low_hz: float
     high_hz: float
-    peak_db: float  # of a bending mode that is weak against the rest, less than |L|
+    peak_db: float  # of a bending mode that is weak relative to the rest, less than |L|
     peak_hz: float
     peak_phase_deg: float  # of L at the peak, beyond the nearest -180 + 360 k, in (-180, 180]
     stabilised: Stabilised
@@ -61,7 +63,7 @@ class Lobe:
     lag_deg: float
     lead_deg: float
     modulus: float  # least |1 + L|
-    contribution: float  # |u| / |L| at the pole, or |part|: how much of the response there is the resonance
+    contribution: float  # |u| / |L| at the pole, or |part|: the share of the resonance in the response there
 
     @property
     def conditional(self) -> bool:
@@ -69,7 +71,7 @@ class Lobe:
 
     @property
     def phase_deg(self) -> float:
-        """The lesser of lag and lead."""
+        """Return the lesser of lag and lead."""
         return min(self.lag_deg, self.lead_deg)
 
 
@@ -88,7 +90,7 @@ COLUMNS = (
     "contribution",
     "number",
 )
-"""The columns of a table of lobes; `number`: of the pole."""
+"""The columns of a table of lobes. `number` is that of the pole."""
 (LOW, HIGH, PEAK_DB, PEAK_HZ, PEAK_PHASE, GAIN_STABILISED, UP, DOWN, LAG, LEAD, MODULUS, CONTRIBUTION, NUMBER) = range(
     len(COLUMNS)
 )
@@ -127,8 +129,8 @@ def find_lobes(
 ) -> Array:
     """Return the lobes of resonances at `centre` Hz with these half widths and own parts, (lobes, COLUMNS).
 
-    Poles whose share of L is below `least_share` make none. `part`: NaN for what is no bending mode. `on_axis`:
-    frequencies at which L is infinite. `t` must hold extremes and crossings.
+    Poles whose share of L is below `least_share` have no lobe. `part` is NaN for all but bending modes. `on_axis`
+    contains the frequencies at which L is infinite. `t` must contain extremes and crossings.
     """
     f, loop = t.frequency_hz, t.loop
     last = len(f) - 1
@@ -174,8 +176,9 @@ def find_lobes(
 def _strengths(
     t: Trace, centre: Array, width: Array, part: ComplexArray, on_axis: Array, source: LoopResponse
 ) -> tuple[ComplexArray, Array]:
-    """Return u, or the own part, and its size over that of L at the pole's frequency. A fold at Nyquist mirrors L into
-    its conjugate.
+    """Return u, or the own part, and its magnitude relative to L at the pole's frequency.
+
+    A fold at Nyquist maps L to its conjugate.
     """
     n, top, low = len(centre), t.frequency_hz[len(t.frequency_hz) - 1], t.frequency_hz[0]
     f = np.concatenate((centre, centre + width, centre - width))
@@ -207,8 +210,9 @@ def _valley(loop: ComplexArray, k: int, deep: float) -> bool:
 
 @routine
 def _ends(t: Trace, terms: Array, source: LoopResponse) -> Array:
-    """Return where the run that holds the centre, between valleys and where the term is no longer large against the
-    rest and the largest of all, ends, (lobes, 2); the centre twice without such a run.
+    """Return the ends of the run that contains the centre, (lobes, 2), or the centre twice without such a run.
+
+    The run is bounded by valleys. In it, the term is large relative to the rest and is the largest of all.
     """
     f, loop, n, last = t.frequency_hz, t.loop, len(terms), len(t.frequency_hz) - 1
     out = np.empty((n, 2))
@@ -306,8 +310,10 @@ def _judge_mode(
     limit_db: float,
     out: Array,
 ) -> None:
-    """Enter peak, lag and lead of a bending mode: the peak in its band, the turns of the crossings at which its term is
-    large against the rest and the largest of all `modes`, of which it is number j.
+    """Enter peak, lag and lead of a bending mode, number j of all `modes`.
+
+    The peak is that in its band. The turns are those of the crossings at which its term is large relative to the rest
+    and the largest of all modes.
     """
     begin, stop = np.searchsorted(f, band[0]), np.searchsorted(f, band[1], side="right")
     top = begin + int(np.argmax(np.abs(loop[begin:stop])))
@@ -328,8 +334,9 @@ def _judge_mode(
 def _turns(
     f: Array, loop: ComplexArray, every: Crossings, low: float, high: float, source: LoopResponse
 ) -> tuple[float, float]:
-    """Return the least lag and lead that turn a crossing, or without one a point above 0 dB or the peak, to the phase
-    of -1.
+    """Return the least lag and lead that turn a point to the phase of -1.
+
+    The point is a crossing, or without one a point above 0 dB or the peak.
     """
     lag = lead = np.inf
     for k in range(len(every.gain_hz)):

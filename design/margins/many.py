@@ -1,8 +1,9 @@
-"""Margins of many vehicles at one node: those of `measure.margins`, of L from poles and residues (response.py).
+"""The margins of many vehicles at one operating point: those of `measure.margins`, of L from poles and residues
+(response.py).
 
-The bounds of bounds.py, disks and zones are left out: two crossings that lie closer to each other than the grid's
-points can be missed. Vehicles that these formulae do not serve (repeated poles, zeros that do not converge) are handed
-back for `measure.margins`.
+Disks, zones and the bounds of bounds.py are omitted. Two crossings that are closer than the points of the grid can thus
+be missed. If these formulae do not support a vehicle (repeated poles, zeros that do not converge), the vehicle is
+returned for `measure.margins`.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ MEASURES = np.dtype(
 `distance` holds the lowest minima of |1 + L|, of an unstable loop too, and `distance_hz` their frequencies; NaN behind
 the last."""
 
-_LIGHT = 0.3  # damping ratio of what `FixedPath.resonances` names
+_LIGHT = 0.3  # damping ratio of the poles that `FixedPath.resonances` names
 
 
 @routine
@@ -64,7 +65,7 @@ def _nearest(f: Array, loop: ComplexArray, source: LoopResponse, distance: Array
         if 0 < best < n - 1 and value[best] < 2.0 * least:
             points[place], around[place] = f[best - 1 : best + 2], np.log(value[best - 1 : best + 2])
         m += 1
-    hz = solving.minima(kind[:m], points[:m], around[:m], source, none)  # those that are not numbers are left alone
+    hz = solving.minima(kind[:m], points[:m], around[:m], source, none)  # NaN values are left unchanged
     near = np.abs(1.0 + values_at(hz, source))
     distance[:m], distance_hz[:m] = near, hz
 
@@ -88,7 +89,7 @@ def margins_of_vehicle(
     peak_db: float,
     distances: bool,
 ) -> int:
-    """Find the measures of one vehicle; return DONE, UNSTABLE or HANDED_BACK."""
+    """Find the measures of one vehicle. Return DONE, UNSTABLE or HANDED_BACK."""
     n = len(poles)
     mu, alpha, beta = np.empty(n, np.complex128), np.empty(n, np.complex128), np.empty(n, np.complex128)
     direct = np.zeros(2)
@@ -109,7 +110,7 @@ def margins_of_vehicle(
     t = curve.traced(open_, closed, curve.lowest_hz_of(open_), 0.5 / sample_s, source)
     if t.problem != 0 or not np.isfinite(np.abs(t.loop).sum()):
         return HANDED_BACK
-    # the minima of |1 + L| are solved for by themselves
+    # the minima of |1 + L| are solved for separately
     f, loop = curve.with_extremes(t.frequency_hz, t.loop, 0, source)
     t = curve.Trace(f, loop, t.slope_at_zero, t.at_zero, t.slope_at_end, t.finite_end, 0)
     every_crossing, after, growing, encircled = measure.counted(t, open_, closed, source)
@@ -133,7 +134,7 @@ def margins_of_vehicle(
         number, peak, turn = whose[int(lobe[lobes.NUMBER])], lobe[lobes.PEAK_DB], min(lobe[lobes.LAG], lobe[lobes.LEAD])
         if number < 0 and peak > peak_db:
             out.slosh_phase_deg = min(out.slosh_phase_deg, turn)
-        elif number == 1:  # infinite where it is gain-stabilised
+        elif number == 1:  # infinite if it is gain-stabilised
             out.first_mode_phase_deg = min(out.first_mode_phase_deg, turn)
         elif number > 1:
             out.modes_from_2_db = max(out.modes_from_2_db, peak)
@@ -145,7 +146,7 @@ def _every_pole(mu: ComplexArray, law_poles: ComplexArray, late: int, integrates
     """Return the poles of 1 + L in w: those of the path, of the law, and of the delay."""
     every, m = np.full(len(mu) + len(law_poles) + late, -1.0 + 0j), len(mu)
     every[:m] = mu
-    cancelled = integrates  # a path that rests has a zero where the first integrator has its pole
+    cancelled = integrates  # a path that rests has a zero at the pole of the first integrator
     for p in law_poles:
         if abs(p) > 1e-9 or cancelled:
             every[m] = p
@@ -157,7 +158,7 @@ def _every_pole(mu: ComplexArray, law_poles: ComplexArray, late: int, integrates
 
 @routine
 def _in_radps(roots: ComplexArray, sample_s: float) -> ComplexArray:
-    """Return log(1 + w) / T, without those that a delay has left out."""
+    """Return log(1 + w) / T, without the poles that a delay has left out."""
     closed, m = np.empty(len(roots), np.complex128), 0
     for w in roots:
         if abs(1.0 + w) > FASTEST:
@@ -173,7 +174,7 @@ def _in_radps(roots: ComplexArray, sample_s: float) -> ComplexArray:
 def _resonances(
     poles: ComplexArray, owner: IntArray, own_part: ComplexArray, fold: float
 ) -> tuple[Array, Array, ComplexArray, IntArray]:
-    """Return frequency (Hz), half width, own part and owner of the lightly damped poles of modes and tanks."""
+    """Return the frequency (Hz), half width, own part and owner of the lightly damped poles of modes and tanks."""
     centre, width, whose, n = np.empty(len(poles)), np.empty(len(poles)), np.zeros(len(poles), np.int64), 0
     own = np.empty(len(poles), np.complex128)
     for i in range(len(poles)):
@@ -208,15 +209,15 @@ def measure_many(
     values: Any,
     status: IntArray,
 ) -> None:
-    """Margins of vehicles, or with `distances` these alone, into `values` (vehicles,) of MEASURES, `status`
-    (vehicles,): DONE, UNSTABLE or HANDED_BACK.
+    """Compute the margins of vehicles, or with `distances` these alone, into `values` (vehicles,) of MEASURES, and
+    `status` (vehicles,): DONE, UNSTABLE or HANDED_BACK.
 
-    `poles` (vehicles, n) of the continuous path, rad/s, both of each pair, and its residues; `owner` of each: +k mode
-    k, -k tank k, 0 nothing; `own_part` of the path at each mode's frequency (`own_part.centre_of`),
-    NaN but for modes. Delay of each: `whole` periods and `rest_s`. The law from mean rate to command: `zeros`,
-    `law_poles` in w = z - 1, `gain`, and its poles besides integrators, rad/s. `integrates`: no zero of the path takes
-    the integrator's pole away. `start`: zeros of 1 + L of a vehicle like these, in w. `status` may come as HANDED_BACK:
-    such a vehicle is left out.
+    `poles` (vehicles, n) are those of the continuous path, rad/s, both of each pair, with their residues. `owner` is +k
+    for mode k, -k for tank k and 0 otherwise. `own_part` is that of the path at each mode's frequency
+    (`own_part.centre_of`), NaN but for modes. The delay of each vehicle is `whole` periods and `rest_s`. The law from
+    mean rate to command has `zeros`, `law_poles` in w = z - 1, `gain`, and its poles other than integrators, rad/s.
+    `integrates` is True if no zero of the path cancels the integrator's pole. `start` contains zeros of 1 + L of a
+    similar vehicle, in w. Vehicles whose `status` is HANDED_BACK on entry are omitted.
     """
     for v in range(len(poles)):
         if status[v] != HANDED_BACK:

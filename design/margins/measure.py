@@ -1,4 +1,4 @@
-"""Margins of a loop: gain, phase, delay and disk margins, zones and lobes, with stability counted twice."""
+"""The margins of a loop: gain, phase, delay and disk margins, zones and lobes. Stability is determined in two ways."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ BENDING_KINDS = ("bending", "slosh")
 
 @dataclass(frozen=True)
 class LeastValue:
-    """The least of several values and its frequency: infinite at NaN if nothing bounds; NaN for an unstable loop."""
+    """The least of several values and its frequency.
+
+    It is infinite at NaN without a bound, and NaN for an unstable loop.
+    """
 
     value: float
     frequency_hz: float
@@ -55,25 +58,26 @@ NOTHING = LeastValue(np.nan, np.nan)
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """Margins of a stable loop: positive numbers, infinite where nothing bounds them.
+    """The margins of a stable loop: positive numbers, infinite if nothing bounds them.
 
-    The rigid body's own: `rigid_phase` is the least over the crossings outside bending lobes (slosh may lie on them),
-    `crossover_hz` the last of those where `|L|` falls; `rigid_gain` and `aero_gain` are the gain margins, up and down,
-    of the crossings in no lobe above and below it. Unnamed lobes are taken for bending.
+    For the rigid body, `rigid_phase` is the least over the crossings outside bending lobes (slosh may be among them).
+    `crossover_hz` is the last of those where `|L|` falls. `rigid_gain` and `aero_gain` are the upper and lower gain
+    margins at the crossings outside all lobes, above and below the crossover. Unnamed lobes count as bending.
 
-    Those of an unstable loop are all NaN, so that no comparison with a limit can pass; `stable`, `unstable_poles` and
-    `growth_1ps` say how far it is from stability. Crossings, lobes and `curve` describe L and are always there.
+    The margins of an unstable loop are all NaN, so that no comparison with a limit can pass. `stable`, `unstable_poles`
+    and `growth_1ps` describe its distance from stability. Crossings, lobes and `curve` describe L and are always
+    present.
 
     A bound is a value and its frequency (zero and infinity being limits). `gain_up` is the gain that may be added
-    before the loop meets -1, `gain_down` that which may be removed; over all crossings, lobes included, they are
-    exact: between them the loop is stable. `phase` is the least turn either way over all
-    crossings of `|L|` = 1. `delay` is the least delay in s that brings a crossing to -1; of a sampled loop it is exact
-    for whole periods, and the turn of phase alone in between. A continuous loop that stays above 1 has none: 0.
+    before the loop reaches -1, `gain_down` the gain that may be removed. Both include all crossings and lobes and are
+    exact: between them the loop is stable. `phase` is the least turn in either direction over all crossings of `|L|` =
+    1. `delay` is the least delay in s that brings a crossing to -1. For a sampled loop it is exact for whole periods,
+    and accounts for the turn of phase alone in between. A continuous loop that stays above 1 has no delay margin: 0.
     """
 
     stable: bool
     unstable_poles: int  # zeros of 1 + L to the right of the axis, from their list
-    encircled_poles: int  # the same from the curve's encirclements; a disagreement makes the loop count as unstable
+    encircled_poles: int  # the same from the curve's encirclements; if they disagree, the loop counts as unstable
     growth_1ps: float  # greatest real part of the closed loop's poles: growth, or minus the slowest decay
     growth_hz: float  # of that pole
     gain_crossings: GainCrossings
@@ -93,17 +97,17 @@ class Margins:
 
     @property
     def modulus(self) -> float:
-        """The least `|1 + L|`."""
+        """Return the least `|1 + L|`."""
         return self.disks.sensitivity.size
 
     @property
     def gain_db(self) -> float:
-        """The lesser of gain up and gain down over all crossings; NaN if unstable."""
+        """Return the lesser of gain up and gain down over all crossings, or NaN if the loop is unstable."""
         return float(np.minimum(self.gain_up_db.value, self.gain_down_db.value))
 
     @property
     def growth_time_s(self) -> float:
-        """Time in which an unstable loop grows e-fold; infinite for a stable one."""
+        """Return the time in which an unstable loop grows e-fold, or infinity for a stable one."""
         return 1.0 / self.growth_1ps if self.growth_1ps > 0.0 else np.inf
 
 
@@ -115,22 +119,22 @@ def margins(
     gain_stabilised_db: float = 0.0,
     lowest_hz: float | None = None,
 ) -> Margins:
-    """Measure a loop. Crossings and distances are solved for: 1e-8 dB and degrees where L itself is as good.
+    """Compute the margins of a loop. Crossings and distances are accurate to 1e-8 dB and degrees if L itself is.
 
-    No crossing is missed where the loop's zeros and poles are known (`OpenLoop.factors`; of the negative real axis
-    above -80 dB), however close to each other two of them lie (bounds.py); of the kind `exact` the grid decides.
+    No crossing is missed if the loop's zeros and poles are known (`OpenLoop.factors`), however close two crossings are
+    (bounds.py). For the negative real axis this holds above -80 dB. For the kind `exact`, the grid decides.
 
-    `resonances` name the lobes; of those only bending and slosh are looked at. Without them every open-loop pole
-    with a damping ratio below 0.1 that shows in L is a lobe. A lobe that peaks below minus `gain_stabilised_db` is
-    gain-stabilised. Poles slower than `lowest_hz` (integrators among them; default: `curve.lowest_hz_of`) are drift:
-    they neither count as unstable nor are looked for in L.
-    Raises ValueError for a response that is not finite, and for an improper loop.
+    `resonances` name the lobes. Only bending and slosh among them are examined. Without them, every open-loop pole with
+    a damping ratio below 0.1 that is visible in L has a lobe. A lobe whose peak is below minus `gain_stabilised_db` is
+    gain-stabilised. Poles slower than `lowest_hz` (including integrators, default `curve.lowest_hz_of`) are drift: they
+    do not count as unstable and are not searched for in L. Raises ValueError for a response that is not finite, and for
+    an improper loop.
     """
     open_poles = curves.finite(loop.open_poles(), "open")
     lowest_hz = curves.lowest_hz_of(open_poles) if lowest_hz is None else lowest_hz
     end = float(loop.highest_hz)
     if not 0.0 < lowest_hz < end:
-        raise ValueError(f"lowest_hz is {lowest_hz:g}: must lie between 0 and the loop's end at {end:g} Hz")
+        raise ValueError(f"lowest_hz is {lowest_hz:g}: must be between 0 and the loop's end at {end:g} Hz")
     closed_poles = curves.finite(loop.closed_poles(), "closed")
     named = None if resonances is None else [r for r in resonances if r.kind in BENDING_KINDS]
     known = lightly_damped(open_poles, 2.0 * np.pi * lowest_hz) if named is None else named
@@ -193,7 +197,7 @@ def margins(
 
 
 BOUNDS = ("gain_up_db", "gain_down_db", "phase_deg", "delay_s", "aero_gain_db", "rigid_gain_db", "rigid_phase_deg")
-"""The rows of `bounds_of`, by the fields of `Margins`; then the crossover frequency."""
+"""The rows of `bounds_of`, by the fields of `Margins`, then the crossover frequency."""
 GAIN_UP, GAIN_DOWN, PHASE, DELAY, AERO_GAIN, RIGID_GAIN, RIGID_PHASE, CROSSOVER = range(len(BOUNDS) + 1)
 
 
@@ -246,8 +250,8 @@ def _measure(
 def counted(
     t: Trace, open_: ComplexArray, closed: ComplexArray, source: LoopResponse
 ) -> tuple[Crossings, Trace, int, int]:
-    """Return the crossings of a curve with its turning points, the curve with them added, and the poles to the right
-    of the axis, from their list and from the encirclements.
+    """Return the crossings of a curve with its turning points, and the curve with them added. Return also the numbers
+    of poles to the right of the axis, from their list and from the encirclements.
     """
     past = crossings.steps_past_poles(t.frequency_hz, open_, closed)
     every, f, loop = crossings.crossings(t, past, source)
@@ -258,7 +262,7 @@ def counted(
 
 @routine
 def bounds_of(t: Trace, every: Crossings, table: Array, slosh: NDArray[np.bool_]) -> Array:
-    """Return the least of each margin and its frequency, (BOUNDS and the crossover, 2): infinite at NaN without any."""
+    """Return the least of each margin and its frequency, (BOUNDS and the crossover, 2), infinite at NaN without any."""
     out = np.full((CROSSOVER + 1, 2), np.nan)
     out[:, 0] = np.inf
     out[CROSSOVER, 1] = 0.0

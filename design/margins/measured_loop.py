@@ -1,4 +1,4 @@
-"""A loop at an operating point, measured: what the quantities of `design.quantities` are evaluated from."""
+"""A measured loop at an operating point, from which the quantities of `design.quantities` are evaluated."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from maxq.design.quantities import MEASURED, Convention, RigidBody
 
 @dataclass(frozen=True)
 class LoopAtPoint:
-    """A loop with its margins and lobes. An unstable loop has no margins, but its lobes have peaks all the same."""
+    """A loop with its margins and lobes. An unstable loop has no margins, but its lobes still have peaks."""
 
     loop: Loop
     margins: Margins
@@ -37,7 +37,7 @@ class LoopAtPoint:
 
     @cached_property
     def derivatives(self) -> StabilityDerivatives | None:
-        """The stability derivatives of the vehicle there; None at rest."""
+        """Return the stability derivatives of the vehicle there, or None at rest."""
         try:
             return self.node.derivatives
         except ValueError:
@@ -45,32 +45,36 @@ class LoopAtPoint:
 
     @cached_property
     def bending(self) -> dict[int, Lobe]:
-        """Lobes of the bending modes below the end of the loop, by number."""
+        """Return the lobes of the bending modes below the end of the loop, by number."""
         return {int(lobe.label.split()[1]): lobe for lobe in self.lobes if lobe.kind == "bending"}
 
     def mode_peak_db(self, first: int, last: int) -> float:
-        """Return the largest peak of these bending modes (`loop.own_part`), -inf where the loop has none."""
+        """Return the largest peak of these bending modes (`loop.own_part`), or -inf if the loop has none."""
         return max((lobe.peak_db for n, lobe in self.bending.items() if first <= n <= last), default=-math.inf)
 
     def mode_phase_deg(self, mode: int) -> float:
-        """Return the least lag or lead over the crossings of 0 dB that belong to a mode: inf without one, NaN of an
-        unstable loop."""
+        """Return the least lag or lead over the crossings of 0 dB that belong to a mode.
+
+        It is inf without a crossing, and NaN for an unstable loop.
+        """
         if not self.margins.stable:
             return math.nan
         return self.bending[mode].phase_deg if mode in self.bending else math.inf
 
     def slosh_phase_deg(self, peak_db: float) -> float:
-        """Return the least lag or lead of the slosh lobes that peak above `peak_db`; inf without one, NaN of an
-        unstable loop."""
+        """Return the least lag or lead of the slosh lobes with a peak above `peak_db`.
+
+        It is inf without such a lobe, and NaN for an unstable loop.
+        """
         if not self.margins.stable:
             return math.nan
         turns = (lobe.phase_deg for lobe in self.lobes if lobe.kind == "slosh" and lobe.peak_db > peak_db)
         return min(turns, default=math.inf)
 
     def rigid(self, body: RigidBody) -> tuple[float, float]:
-        """Return frequency (Hz) and damping ratio of the rigid body under the law's static gains; NaN at rest.
+        """Return the frequency (Hz) and damping ratio of the rigid body under the law's static gains, or NaN at rest.
 
-        `paper`: eqs 35, 36; `aerodynamic`: with M_alpha and M_q (erratum 12).
+        `paper` means eqs 35 and 36, and `aerodynamic` includes M_alpha and M_q (erratum 12).
         """
         d = self.derivatives
         if d is None:
@@ -87,7 +91,7 @@ class LoopAtPoint:
 
     @property
     def integral_hz(self) -> float:
-        """The corner k_i / (2 pi k_p) of the law's integral, Hz; 0 without one."""
+        """Return the corner k_i / (2 pi k_p) of the law's integral, Hz, or 0 without an integral."""
         law = self.loop.law
         return law.static_gain("angle_integral_rads") / (2.0 * math.pi * law.static_gain("angle_rad"))
 
@@ -97,5 +101,5 @@ class LoopAtPoint:
 
 
 def measure_loop(loop: Loop) -> LoopAtPoint:
-    """Measure a loop of a vehicle, its lobes named after the modes and tanks; see `margins`."""
+    """Measure a loop of a vehicle, with its lobes named after the modes and tanks. See `margins`."""
     return LoopAtPoint(loop, margins(loop, resonances=loop.fixed.resonances()))

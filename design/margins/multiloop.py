@@ -1,13 +1,14 @@
-"""Margins of several loops at once: each with the others closed, and the disk margin of the whole.
+"""The margins of several loops: each with the others closed, and the disk margin of the whole.
 
-The disk margin of several loops (Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE CSM 40(5), 2020): the
-loops stay stable while each command is multiplied by a factor of its own,
+The disk margin of several loops is that of Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE CSM 40(5),
+2020. It is the largest alpha for which the loops stay stable while each command is multiplied by its own factor,
 
     f_i = (1 + d_i / 2) / (1 - d_i / 2),   |d_i| < alpha,   alpha = 1 / (largest mu(S - 1/2) over frequency)
 
-with S = (1 + L)^-1 and mu the structured singular value for complex d_i on the diagonal. Up to three loops mu is its
-upper bound, the least of the greatest singular value of D (S - 1/2) D^-1 over diagonal D (Packard & Doyle, Automatica
-29(1), 1993). A law that treats each axis by itself has the same margin at its measurements: it is itself such a D.
+with S = (1 + L)^-1 and mu the structured singular value for complex d_i on the diagonal. The upper bound of mu is the
+least of the greatest singular value of D (S - 1/2) D^-1 over diagonal D. For up to three loops, mu equals this bound
+(Packard & Doyle, Automatica 29(1), 1993). A law that treats each axis separately has the same margin at its
+measurements, because the law itself is such a D.
 """
 
 from __future__ import annotations
@@ -24,15 +25,16 @@ from maxq.design.margins.distances import Disk, symmetric_disk
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.state_space import ComplexArray
 
-LOWEST_HZ = 1e-3  # slower than any flight: what gravity, place and speed do there is held, and roots are drift
+LOWEST_HZ = 1e-3  # slower than any flight: gravity, position and speed are held there, and roots are drift
 _BEGINS = LOWEST_HZ * np.array([1.0, 2.0, 0.5, 4.0, 0.25])
 _CLOSE = 1e-9  # relative, of mu
 
 
 @dataclass(frozen=True)
 class MultiloopMargins:
-    """The margins of each axis with the others closed, in the order of `axes`, and the disk of all; NaN for an unstable
-    loop.
+    """The margins of each axis with the others closed, in the order of `axes`, and the disk of all.
+
+    They are NaN for an unstable loop.
     """
 
     time_s: float
@@ -46,7 +48,10 @@ class MultiloopMargins:
 
 
 def multiloop_margins(loop: Multiloop) -> MultiloopMargins:
-    """Measure. The disk is sought where any of the single loops turns, and between these frequencies."""
+    """Return the margins.
+
+    The disk is searched for where any of the single loops turns, and between these frequencies.
+    """
     single = [loop.one(axis) for axis in loop.axes]
     each = tuple(margins(one, zones=(), lowest_hz=_begin_hz(one.open_poles())) for one in single)
     size, frequency_hz = np.nan, np.nan
@@ -56,7 +61,10 @@ def multiloop_margins(loop: Multiloop) -> MultiloopMargins:
 
 
 def _begin_hz(open_poles: ComplexArray) -> float:
-    """About LOWEST_HZ, and apart from slow roots: a curve that begins beside one turns about -1 by half of it."""
+    """Return a frequency near LOWEST_HZ and apart from slow roots.
+
+    A curve that begins at a slow root makes half a turn about -1.
+    """
     roots = np.abs(open_poles[np.isfinite(open_poles) & (open_poles != 0.0)]) / (2.0 * np.pi)
     apart = [np.abs(np.log(roots / hz)).min(initial=np.inf) for hz in _BEGINS]
     clear = (k for k, least in enumerate(apart) if least >= np.log(ASYMPTOTIC))
@@ -64,7 +72,9 @@ def _begin_hz(open_poles: ComplexArray) -> float:
 
 
 def _least_disk(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float]:
-    """alpha / 2 and its frequency: exact mu where its bound by balancing is not below the greatest found."""
+    """Return alpha / 2 and its frequency, with exact mu where its bound by balancing is not below the greatest value
+    found.
+    """
     matrices = _half(loop, frequencies_hz)
     d = np.exp(log_scales(matrices))
     bounds = np.linalg.norm(matrices * (d[:, :, None] / d[:, None, :]), 2, axis=(1, 2))
@@ -90,7 +100,10 @@ def _half(loop: Multiloop, frequencies_hz: Array) -> ComplexArray:
 
 
 def structured_singular_value(matrix: ComplexArray) -> float:
-    """Upper bound of mu for complex scalars on the diagonal, to 1e-9 of itself; equal to mu up to three of them."""
+    """Return an upper bound of mu for complex scalars on the diagonal, with a relative accuracy of 1e-9.
+
+    It equals mu for up to three scalars.
+    """
     scales = log_scales(matrix[None])[0]
 
     def size(x: Array) -> float:
@@ -98,7 +111,7 @@ def structured_singular_value(matrix: ComplexArray) -> float:
         return float(np.linalg.svd(matrix * (d[:, None] / d), compute_uv=False)[0])  # norm takes twice as long
 
     best = size(scales[1:] - scales[0])
-    if len(matrix) > 2:  # two are balanced where their greatest singular value is least
+    if len(matrix) > 2:  # two are balanced at the least of their greatest singular value
         start = scales[1:] - scales[0]
         for _ in range(3):  # convex, with kinks where singular values meet
             found = scipy.optimize.minimize(size, start, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 0.0})
@@ -114,7 +127,7 @@ def log_scales(matrices: ComplexArray) -> Array:
     """
     n = matrices.shape[-1]
     square, out = np.abs(matrices) ** 2 * (1.0 - np.eye(n)), np.zeros(matrices.shape[:2])
-    floor = 1e-24 * (np.abs(matrices) ** 2).max(axis=(1, 2))  # a loop that no other acts on has no scale
+    floor = 1e-24 * (np.abs(matrices) ** 2).max(axis=(1, 2))  # a loop that no other loop acts on has no scale
     for _ in range(1 if n < 3 else 30):
         for i in range(n):
             weight = np.exp(2.0 * (out[:, :, None] - out[:, None, :]))

@@ -1,12 +1,12 @@
-"""Structured singular value over real numbers, from above.
+"""An upper bound of the structured singular value over real numbers.
 
-mu(M) is 1 / the least r for which 1 - M D is singular with a diagonal D of real numbers up to r, each on as many rows
-as it acts on. An upper bound (Fan, Tits & Doyle, IEEE Trans. Autom. Control 36, 1991) is the root of the greatest
+mu(M) is 1 / the least r for which 1 - M D is singular. D is a diagonal of real numbers up to r, each repeated over its
+number of rows. An upper bound (Fan, Tits & Doyle, IEEE Trans. Autom. Control 36, 1991) is the root of the greatest
 eigenvalue of
 
     N^H N + j (G N - N^H G),      N = T M T^-1,
 
-with T and G = G^H block by block: any of them give one, descent looks for the least.
+with T and G = G^H block by block. Any T and G give an upper bound, and descent searches for the least.
 """
 
 from __future__ import annotations
@@ -24,15 +24,16 @@ _SHARPNESS = (10.0, 30.0, 100.0, 300.0)  # of the greatest eigenvalue, one after
 _ROUNDS, _STEPS, _TURN, _GAIN = 12, 60, 1.0, 0.01
 
 Scaling = tuple[ComplexArray, ComplexArray]
-"""T and G, zero off their blocks."""
+"""The scalings T and G, zero off their blocks."""
 
 
 def real_mu_upper(
     m: ComplexArray, ranks: Sequence[int], start: Scaling | None = None, enough: float = 0.0
 ) -> tuple[float, Scaling]:
-    """Upper bound of mu of `m` (n, n) over real numbers, each on so many rows (`ranks`), and the scaling behind it.
+    """Return an upper bound of mu of `m` (n, n) over real numbers, each repeated over its rank (`ranks`), and the
+    scaling that gives the bound.
 
-    Descent begins with rows and columns balanced, and ends where the bound is below `enough`.
+    Descent begins with rows and columns balanced, and ends if the bound is below `enough`.
     """
     owner = np.repeat(np.arange(len(ranks)), ranks)
     inside = owner[:, None] == owner
@@ -64,7 +65,7 @@ def _form(n: ComplexArray, g: ComplexArray) -> ComplexArray:
 
 
 def _hermitian(x: Array, inside: Array) -> ComplexArray:
-    """Real parts in the lower triangle, imaginary ones in the upper."""
+    """Return a matrix with the real parts in the lower triangle and the imaginary parts in the upper."""
     whole = np.zeros(inside.shape)
     whole[inside] = x
     lower, upper = np.tril(whole, -1), np.triu(whole, 1)
@@ -72,7 +73,7 @@ def _hermitian(x: Array, inside: Array) -> ComplexArray:
 
 
 def _slopes(q: ComplexArray, inside: Array) -> Array:
-    """Derivative by the numbers of `_hermitian` of Re tr(q H)."""
+    """Return the derivative of Re tr(q H) by the numbers of `_hermitian`."""
     both = (q + q.conj().T).real
     return np.asarray((np.tril(both, -1) + np.diag(q.diagonal().real) + np.triu((q - q.T).imag, 1))[inside])
 
@@ -86,7 +87,9 @@ def _exp(h: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
 def descent(
     m: ComplexArray, inside: Array, start: Scaling, value: float, sharpness: float = 30.0
 ) -> Callable[[Array], tuple[float, Array]]:
-    """The smoothed bound squared, over `value` squared, and its slope, as a function of how T turns and G moves."""
+    """Return the smoothed bound squared, over `value` squared, and its slope, as a function of the turn of T and the
+    change of G.
+    """
     before, scale, count = start[0] @ m @ np.linalg.inv(start[0]), max(value * value, 1e-12), int(inside.sum())
     sharp = sharpness / scale
 
@@ -105,7 +108,7 @@ def descent(
 
 
 def _descended(m: ComplexArray, inside: Array, start: Scaling, value: float, sharpness: float) -> Scaling:
-    """T and G after a descent that is short, since slopes by T are those at its begin."""
+    """Return T and G after a descent. The descent is short, since the slopes by T are those at its beginning."""
     count = int(inside.sum())
     found = scipy.optimize.minimize(
         descent(m, inside, start, value, sharpness),

@@ -1,15 +1,17 @@
-"""L of one loop for compiled code: from poles and residues, or asked of Python a batch of frequencies at a time.
+"""The response L of one loop for compiled code: from poles and residues, or from a Python callback for a batch of
+frequencies.
 
-The sampled response is the sum of one term for each pole of actuator, vehicle and gyro. A pole l with residue R of
-the continuous path answers a command that is held over a period T and acts t late, and is averaged over that period, by
+The sampled response is the sum of one term for each pole of actuator, vehicle and gyro. Consider a pole l with residue
+R of the continuous path. The command is held over a period T and acts t late, and the output is averaged over that
+period. The term of the pole is then
 
     R (z^-(m+1) / T) [ E1(T) (E1(T - t) + exp(l (T - t)) E1(t) / z) / (z - exp(l T))
                        + E2(T - t) + (E2(t) + E1(T - t) E1(t)) / z ],       E1(a) = (exp(l a) - 1) / l,
                                                                             E2(a) = (E1(a) - a) / l
 
-for a delay of m periods and t: the result that sampling.py finds by matrix exponentials. Everything is a function of
-w = z - 1, since slow poles differ from 1 by little. Zeros of 1 + L are all found at once, from those of a loop like it
-(O. Aberth, Math. Comput. 27, 1973). Any other loop (`loop.OpenLoop`) is asked by a C callback.
+for a delay of m periods and t, as sampling.py finds by matrix exponentials. All terms are functions of w = z - 1, since
+slow poles differ little from 1. The zeros of 1 + L are found simultaneously, starting from those of a similar loop (O.
+Aberth, Math. Comput. 27, 1973). A C callback evaluates any other loop (`loop.OpenLoop`).
 """
 
 from __future__ import annotations
@@ -30,13 +32,16 @@ from maxq.control.kernel.records import Array
 from maxq.design.loop.loop import OpenLoop
 from maxq.design.model.state_space import ComplexArray
 
-FASTEST = 1e-6  # |z| below it is a pole that a delay has left out, or as good as
+FASTEST = 1e-6  # below this |z|, a pole is one that a delay has left out, or nearly so
 TWO_PI = 6.283185307179586
 _MOST_ROUNDS = 60
 
 
 class LoopResponse(NamedTuple):
-    """The numbers that L depends on. `ask` is the address of the callback and `token` its argument; 0: none."""
+    """The numbers on which L depends.
+
+    `ask` is the address of the callback and `token` its argument; 0 means no callback.
+    """
 
     sample_s: float
     pairs: Array  # (pairs, 6): two numerators of degree 1 in w, the second one period late, and the denominator
@@ -51,13 +56,13 @@ class LoopResponse(NamedTuple):
 
 
 class _Asked:
-    """A loop that compiled code asks, and the first problem it met."""
+    """A loop that compiled code evaluates through the callback, and the first exception that the loop raised."""
 
     def __init__(self, loop: OpenLoop) -> None:
         self.loop, self.problem = loop, None  # type: tuple[OpenLoop, BaseException | None]
 
     def answer(self, frequency_hz: Array) -> ComplexArray:
-        """L; NaN after a problem, which `asking` raises."""
+        """Return L, or NaN after an exception, which `asking` raises again."""
         if self.problem is None:
             try:
                 return sampled(self.loop, frequency_hz)
@@ -82,8 +87,9 @@ _ADDRESS = ctypes.cast(_ANSWER, ctypes.c_void_p).value or 0
 
 @contextmanager
 def asking(loop: OpenLoop) -> Iterator[LoopResponse]:
-    """Give compiled code the response of any loop. Raises the exception that the loop raised, and ValueError for a
-    response that is not finite or has another shape.
+    """Provide the response of any loop to compiled code.
+
+    Raises the exception that the loop raised, and ValueError for a response that is not finite or has another shape.
     """
     token, asked = next(_TOKENS), _Asked(loop)
     _ASKED[token] = asked
@@ -97,7 +103,7 @@ def asking(loop: OpenLoop) -> Iterator[LoopResponse]:
 
 
 def sampled(loop: OpenLoop, frequency_hz: Array) -> ComplexArray:
-    """Return L, checked. Raises ValueError where it is not finite or has another shape."""
+    """Return L after a check. Raises ValueError if it is not finite or has another shape."""
     values = np.asarray(loop.response(frequency_hz), np.complex128)
     if values.shape != frequency_hz.shape:
         raise ValueError(f"the loop's response has shape {values.shape}, not {frequency_hz.shape}")
@@ -110,7 +116,7 @@ def sampled(loop: OpenLoop, frequency_hz: Array) -> ComplexArray:
 
 @intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
 def _call(context: Any, address: Any, token: Any, count: Any, frequency_hz: Any, out: Any) -> Any:
-    """Numba intrinsic: call the C function at an address."""
+    """Call the C function at an address (Numba intrinsic)."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = builder.inttoptr(arguments[0], ir.FunctionType(ir.VoidType(), [ir.IntType(64)] * 4).as_pointer())
@@ -146,7 +152,7 @@ def values_at(f: Array, loop: LoopResponse) -> ComplexArray:
 
 @routine
 def reciprocal(x: complex) -> complex:
-    """Return 1 / x; not a number at zero, where Numba's own raises."""
+    """Return 1 / x, or NaN at zero, for which Numba's division raises."""
     square = x.real * x.real + x.imag * x.imag
     return complex(x.real / square, -x.imag / square)
 
@@ -186,7 +192,7 @@ def terms(
     beta: ComplexArray,
     direct: Array,
 ) -> None:
-    """Find w of each pole, its two residues in z, and the direct part."""
+    """Return w of each pole, its two residues in z, and the direct part."""
     direct[0] = direct[1] = 0.0
     for i in range(len(poles)):
         x = poles[i]
@@ -224,7 +230,7 @@ def by_pairs(poles: ComplexArray, mu: ComplexArray, alpha: ComplexArray, beta: C
 
 @routine
 def _sum_terms(f: Array, loop: LoopResponse, out: ComplexArray) -> None:
-    """Write L from its numbers. Each term is added at all frequencies in real arithmetic, which is vectorised."""
+    """Compute L from its numbers. Each term is added at all frequencies in real arithmetic, which is vectorised."""
     n = len(f)
     real, imag, late_re, late_im, re, im = np.empty((6, n))
     direct_0, direct_1 = loop.direct[0], loop.direct[1]
@@ -276,7 +282,7 @@ def _sum_terms(f: Array, loop: LoopResponse, out: ComplexArray) -> None:
 def _newton(
     w: complex, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray, every: ComplexArray, loop: LoopResponse
 ) -> complex:
-    """Return derivative over value, by w, of (1 + L) times the factors of `every` pole."""
+    """Return the ratio of derivative to value, by w, of (1 + L) times the factors of `every` pole."""
     late = reciprocal(1.0 + w)
     total, slope = loop.direct[0] + loop.direct[1] * late, -loop.direct[1] * late * late
     for i in range(len(mu)):
@@ -310,7 +316,7 @@ def zeros_of_one_plus(
     every: ComplexArray,
     loop: LoopResponse,
 ) -> bool:
-    """Refine all of them by Aberth's method; False where it does not converge."""
+    """Refine all zeros by Aberth's method. Return False if it does not converge."""
     n = len(roots)
     done = np.zeros(n, np.bool_)
     for _ in range(_MOST_ROUNDS):

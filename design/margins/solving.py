@@ -1,7 +1,7 @@
 """Objectives along a loop's frequency response, and solvers for their roots and minima, compiled.
 
-The solvers take many problems at once: each step evaluates L at one frequency of every problem that is still open. A
-loop that Python answers costs much the same for one frequency as for twenty, so the number of steps counts.
+The solvers treat many problems simultaneously: each step evaluates L at one frequency of every open problem. A loop
+evaluated in Python costs about the same for one frequency as for twenty, so the number of steps determines the time.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def from_minus_one_deg(loop: ComplexArray) -> Array:
 
 @formula
 def vertex(a: Real, c: Real, b: Real, fa: Real, fc: Real, fb: Real) -> tuple[Real, Real]:
-    """Return the lowest point of the parabola through three points, and how far it lies below the middle one."""
+    """Return the lowest point of the parabola through three points, and its distance below the middle point."""
     left, right = (fa - fc) / (c - a), (fb - fc) / (b - c)
     curvature = (left + right) / (b - a)
     slope = (right * (c - a) - left * (b - c)) / (b - a)
@@ -78,7 +78,7 @@ def angle(x: complex) -> float:
 
 @routine
 def lag_of(x: complex) -> float:
-    """Return the lag in [0, 360) deg that turns a value on to the phase of -1."""
+    """Return the lag in [0, 360) deg that turns a value to the phase of -1."""
     return float(np.degrees(angle(-x)) % 360.0)
 
 
@@ -98,8 +98,9 @@ def lobe_excess(j: int, hz: float, x: complex, lobes: Array) -> float:
 
 @routine
 def objective(kind: int, hz: float, x: complex, shapes: Array) -> float:
-    """Return an objective at a frequency and value of L; `shapes`: zones (zones, 3) by shape and half axes in deg and
-    dB, or the lobes of `lobe_excess`.
+    """Return an objective at a frequency and value of L.
+
+    `shapes` contains zones (zones, 3) by shape and half axes in deg and dB, or the lobes of `lobe_excess`.
     """
     if kind == SENSITIVITY:
         return log_abs(1.0 + x)
@@ -141,17 +142,19 @@ def objectives(kind: int, loop: ComplexArray, zones: Array) -> Array:
 
 @routine
 def roots(kind: IntArray, ends: Array, values: Array, loop: LoopResponse, shapes: Array) -> Array:
-    """Return a root of each objective in its bracket; `ends` and `values` (problems, 2), of unlike sign.
+    """Return a root of each objective in its bracket.
 
-    Zero counts as either sign. Chandrupatla's method: inverse quadratic interpolation where it is safe, bisection
-    elsewhere (T. R. Chandrupatla, Advances in Engineering Software 28, 1997). A jump through zero is found like a root.
+    `ends` and `values` have the shape (problems, 2), the values with opposite signs.
+
+    Zero counts as either sign. Chandrupatla's method is used: inverse quadratic interpolation if it is safe, bisection
+    otherwise (T. R. Chandrupatla, Advances in Engineering Software 28, 1997). A jump through zero is found like a root.
     """
     n = len(kind)
     x1, x2, f1, f2 = ends[:, 0].copy(), ends[:, 1].copy(), values[:, 0].copy(), values[:, 1].copy()
     best, share, open_ = np.empty(n), np.empty(n), np.empty(n, np.bool_)
     for i in range(n):
         best[i] = x1[i] if abs(f1[i]) < abs(f2[i]) else x2[i]
-        share[i] = min(max(f1[i] / (f1[i] - f2[i]), 0.05), 0.95)  # the first step is the secant's
+        share[i] = min(max(f1[i] / (f1[i] - f2[i]), 0.05), 0.95)  # the first step is that of the secant
         open_[i] = f1[i] != 0.0 and f2[i] != 0.0
     for _ in range(MOST_STEPS):
         which = np.flatnonzero(open_)
@@ -186,9 +189,12 @@ def roots(kind: IntArray, ends: Array, values: Array, loop: LoopResponse, shapes
 
 @routine
 def minima(kind: IntArray, points: Array, values: Array, loop: LoopResponse, shapes: Array) -> Array:
-    """Return the lowest point within each bracket; `points` and `values` (problems, 3), the middle value the least.
+    """Return the lowest point within each bracket.
 
-    Parabolas, and a golden section where they stall. The value is good to VALUE_TOLERANCE, the place to its root.
+    `points` and `values` have the shape (problems, 3), and the middle value is the least.
+
+    The method uses parabolas, and a golden section if they stall. The value is accurate to VALUE_TOLERANCE, the place
+    to its square root.
     """
     n = len(kind)
     a, c, b = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()

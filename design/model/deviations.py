@@ -1,15 +1,15 @@
-"""The deviations of vehicles and their correlation: the draws of a campaign as changes of a node's packed parameters.
+"""The deviations of vehicles and their correlation: the draws of a campaign as changes of an operating point's packed
+parameters.
 
-Vehicle N of a sweep is run N of the campaign: `drawn` takes the same draws, by `Plan.draw`, and changes the record with
-the key paths of the table `RULES` as drawing, rebuilding and packing the scenario does, for many vehicles at once.
-Air, wind and noise of a run belong to its flight and are not changed here.
+Vehicle N of a sweep is run N of the campaign: `drawn` takes the same draws, by `Plan.draw`. It changes the record
+through the key paths of the table `RULES` for many vehicles at once. The result equals that of drawing, rebuilding and
+packing the scenario. Air, wind and noise of a run belong to its flight and are not changed here.
 
-Corners, ellipsoids and bounds need a scale for each deviation. It is the score of a normal distribution: a deviation of
-k sigma is the value that the campaign's distribution exceeds as often as a normal quantity exceeds k sigma
-(`Plan.of_scores`). So a normal deviation is k times its standard deviation; a uniform one is at 0.86 of its half-range
-at 1.5 sigma and at 0.997 of it at 3 sigma, and never beyond its bound; a log-normal or triangular one has its own
-tails. The middle is the median of every distribution, which is the nominal value where the campaign is symmetric about
-it.
+Corners, ellipsoids and bounds need a scale for each deviation. The scale is the score of a normal distribution. The
+campaign's distribution exceeds a deviation of k sigma as often as a normal quantity exceeds k sigma (`Plan.of_scores`).
+A normal deviation is k times its standard deviation. A uniform one is at 0.86 of its half-range at 1.5 sigma and at
+0.997 of it at 3 sigma, and never beyond its bound. A log-normal or triangular one has its own tails. The middle is the
+median of every distribution, which is the nominal value if the campaign is symmetric about it.
 
 `campaign_of` (spread.py) writes a campaign of normal deviations by their three sigma.
 """
@@ -37,11 +37,13 @@ from maxq.sim.input.remembered import cached_by_identity
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import Stage
 
-_LEAST = 0.05  # of the nominal value, where a search leaves a distribution that cannot be negative
+_LEAST = 0.05  # of the nominal value, to which a search is limited if the distribution cannot be negative
 
 
 class Rule(NamedTuple):
-    """The field of `Dispersion` that a key of a stage changes, by the result to the `power`; `planes` it acts in."""
+    """The field of `Dispersion` that a key of a stage changes, by the result to the `power`, and the `planes` in which
+    it acts.
+    """
 
     field: str
     power: float = 1.0
@@ -86,13 +88,13 @@ RULES = {
     "mass.y_cg_m": Rule("centre_of_gravity_y_m"),
     "mass.z_cg_m": Rule("centre_of_gravity_z_m"),
 }
-"""By key of a stage, without the number of an only engine or actuator; # is a number."""
+"""The rules by key of a stage, without the number of a single engine or actuator. # is a number."""
 UNREAD = re.compile(
     r"engine(\.#)?\.misalignment_deg\.#|actuator(\.#)?(\.yaw)?\.(rate_limit_degps|angle_limit_deg|stop_deg|backlash_deg|bias_deg\.#)"
     r"|gyro\.(bias_degph|scale_factor|misalignment_deg)\.#|gyro\.noise_deg_rt_h|computer\.command_limit_deg"
     r"|mass\.table\.I(xy|xz|yz)_kgm2"
 )
-"""Keys of a stage that no margin depends on: errors and limits of instruments, which a linear model leaves out."""
+"""The keys of a stage on which no margin depends: errors and limits of instruments, which a linear model omits."""
 _ACTUATOR, _OF_ONE = re.compile(r"^(actuator|engine)\.(?!#\.)"), r"\1.#."
 
 
@@ -104,10 +106,10 @@ class Act(NamedTuple):
     field: str
     part: int  # of the field
     power: float
-    of_whole: bool  # the result is a factor or an amount, and no new value
+    of_whole: bool  # the result is a factor or an amount, not a new value
 
     def change(self, result: Array) -> Array:
-        """Return the factor or the amount of results of the draw, (vehicles,)."""
+        """Return the factors or the amounts for results of the draw, (vehicles,)."""
         target, added = self.draw.targets[self.target], self.field in ADDED
         if not self.of_whole:
             result = result - np.nan_to_num(target.nominal) if added else result / target.nominal
@@ -116,7 +118,7 @@ class Act(NamedTuple):
 
 @dataclass(frozen=True)
 class Deviations:
-    """The draws of a campaign that change the stage of a node.
+    """The draws of a campaign that change the stage of an operating point.
 
     Scores `u` (places,) are independent, in the order of `places`, and in units of three sigma.
     """
@@ -147,13 +149,13 @@ class Deviations:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Draws that change the stage in a way that `RULES` does not follow."""
+        """Return the draws that change the stage in a way that `RULES` does not cover."""
         acting = {act.draw.name for act in self._found[0]}
         return tuple(dict.fromkeys(name for name in self._found[1] if name not in acting))
 
     @cached_property
     def _plan(self) -> Plan:
-        """The draws that act, and those that they are correlated with."""
+        """Return the plan of the draws that act, and of those with which they are correlated."""
         names = {act.draw.name for act in self._found[0]}
         entries = {act.draw.entry for act in self._found[0] if act.draw.group is not None}
         every = self.campaign.plan
@@ -164,7 +166,7 @@ class Deviations:
 
     @cached_property
     def places(self) -> tuple[str, ...]:
-        """The name of each score: that of its draw."""
+        """Return the name of each score: that of its draw."""
         labels = [d.label for d in self._plan.draws]
         by_stream = {d.stream: d for d in reversed(self._plan.draws)}
         each = [by_stream[stream] for stream in self._plan.score_names]
@@ -172,7 +174,7 @@ class Deviations:
 
     @cached_property
     def fields(self) -> tuple[str, ...]:
-        """The field of `Dispersion` that each place changes first."""
+        """Return the field of `Dispersion` that each place changes first."""
         first: dict[str, str] = {}
         for act in self._found[0]:
             first.setdefault(act.draw.stream, act.field)
@@ -191,9 +193,9 @@ class Deviations:
     def drawn(self, numbers: range) -> list[Dispersion]:
         """Return the vehicles of runs of the campaign.
 
-        A run whose values exclude each other, which the campaign draws again as a whole, is not drawn again here.
+        The campaign draws a run again as a whole if its values exclude each other. Here, such a run is not drawn again.
         """
-        plan = dataclasses.replace(self.campaign.plan, wind=None)  # its draws are streams of their own
+        plan = dataclasses.replace(self.campaign.plan, wind=None)  # its draws are separate streams
         found = plan.draw(numbers.start, len(numbers)) if len(numbers) else Drawn(0, np.zeros(0, np.int64))
         results = {place: np.array(found.flown.get(place, ()), float) for place in self._wanted}
         return self._dispersions(results, [f"vehicle {n}" for n in numbers])
@@ -201,7 +203,7 @@ class Deviations:
     def scenario(self, base: LoadedScenario, u: Array) -> LoadedScenario:
         """Return the scenario `base` flown by the vehicle of scores.
 
-        Raises ScenarioError where no such vehicle is possible.
+        Raises ScenarioError if no such vehicle is possible.
         """
         drawn, _ = self._plan.of_scores(3.0 * np.reshape(u, (1, -1)), np.zeros(1, np.int64))
         values = {place: float(result[0]) for place, result in self._within(drawn).items()}
@@ -218,7 +220,7 @@ class Deviations:
         return [(d.name, n) for d in self._plan.draws for n in range(len(d.targets)) if not d.is_text]
 
     def _within(self, drawn: Drawn) -> dict[tuple[str, int], Array]:
-        """Return the results by draw and target, where the draws' own bounds keep them."""
+        """Return the results by draw and target, kept within the draws' own bounds."""
         out = {}
         for d in self._plan.draws:
             for n, target in enumerate(() if d.is_text else d.targets):
@@ -227,7 +229,7 @@ class Deviations:
                     -np.inf if d.spec.at_least is None else d.spec.at_least,
                     np.inf if d.spec.at_most is None else d.spec.at_most,
                 )
-                for mark, bound in target.bounds:  # a search goes on where a draw is drawn again
+                for mark, bound in target.bounds:  # a search continues where a draw is drawn again
                     if mark in ("gt", "ge"):
                         least = bound + (_LEAST * abs(target.nominal) if mark == "gt" else 0.0)
                         result = np.maximum(result, least)
@@ -259,12 +261,15 @@ class Deviations:
 
 @cached_by_identity
 def deviations_of(campaign: LoadedCampaign, node: Node) -> Deviations:
-    """Return the deviations of a campaign's draws at a node."""
+    """Return the deviations of a campaign's draws at an operating point."""
     return Deviations(campaign, node)
 
 
 def acting_at(campaign: LoadedCampaign, spread: Spread, node: Node) -> LoadedCampaign:
-    """Return the campaign; raises ScenarioError where `spread` names it and it changes nothing at a node."""
+    """Return the campaign.
+
+    Raises ScenarioError if `spread` names the campaign and it changes nothing at an operating point.
+    """
     if spread.campaign is not None and not deviations_of(campaign, node).places:
         source, at = spread.where
         problem, allowed = (
@@ -287,7 +292,7 @@ def _parts_of(field: str, node: Node) -> int:
 
 
 def _key_in_stage(key: str, stage: Stage, number: int) -> str | None:
-    """Return a key path of the scenario as a key of a stage; None where it is none of this stage's."""
+    """Return a key path of the scenario as a key of a stage, or None if it does not belong to this stage."""
     prefix = f"vehicle.stage.{number}."
     if key.startswith(prefix):
         return key.removeprefix(prefix)
@@ -302,7 +307,9 @@ def _rule_of(key: str) -> Rule | None:
 
 
 def _acts(draw: Draw, n: int, target: Target, key: str, stage: Stage, node: Node) -> Iterator[Act]:
-    """Yield the changes by the target of a draw; nothing where `RULES` has none, or not for such a draw."""
+    """Yield the changes by the target of a draw, or nothing if `RULES` has no entry for it or does not cover such a
+    draw.
+    """
     rule = _rule_of(key)
     if rule is None or node.plane not in rule.planes:
         return
@@ -355,7 +362,7 @@ def _sections(key: str, numbers: list[int], stage: Stage, node: Node) -> list[in
 
 
 def _pendulums_of(stage: Stage, tank: int, key: str) -> list[int]:
-    """Return the pendulums of a tank that a key changes: all of its modes, or one that has a damping of its own."""
+    """Return the pendulums of a tank that a key changes: all of its modes, or a mode that has its own damping."""
     first = sum(each.pendulums for each in stage.tank[:tank])
     mine = list(range(first, first + stage.tank[tank].pendulums))
     if key.endswith("second_damping_ratio"):

@@ -1,4 +1,6 @@
-"""Nodes with deviating parameters: each deviation changes the packed parameters or properties of the held stage."""
+"""Operating points with deviating parameters: each deviation changes the packed parameters or properties of the held
+stage.
+"""
 
 from __future__ import annotations
 
@@ -16,22 +18,22 @@ from maxq.sim.packing.schedule import without_bobs
 from maxq.sim.vehicle import schedule
 
 Factors = float | Sequence[float]
-"""One for all modes, tanks, engines or groups of engines, or one each; 1 for those beyond the last."""
+"""A value for all modes, tanks, engines or groups of engines, or one each. It is 1 for those beyond the last."""
 
 
 @dataclass(frozen=True)
 class Dispersion:
-    """Factors unless a unit is named; the default changes nothing.
+    """The deviations of a vehicle: factors unless a unit is named. The default changes nothing.
 
-    Each acts on packed parameters and properties as packing a scenario with that change would: `slosh_*`, `inertia` and
-    `centre_of_gravity_m` keep the whole vehicle as it is otherwise (the core makes up the difference) and the hinges in
-    place. A pendulum of another frequency has another length.
+    Each deviation acts on packed parameters and properties as packing a changed scenario would. `slosh_*`, `inertia`
+    and `centre_of_gravity_m` leave the hinges and the other properties of the whole vehicle unchanged (the core makes
+    up the difference). A pendulum of another frequency has another length.
     """
 
     bending_frequency: Factors = 1.0  # per mode, the spatial ones first
     bending_damping: Factors = 1.0
     bending_slope: Factors = 1.0  # at the gyro and other sensors
-    bending_shape: Factors = 1.0  # displacement and slope at the gimbals: what excites the mode
+    bending_shape: Factors = 1.0  # displacement and slope at the gimbals, through which the mode is excited
     slosh_frequency: Factors = 1.0  # per pendulum
     slosh_mass: Factors = 1.0
     slosh_damping: Factors = 1.0  # with that of walls and rings
@@ -40,7 +42,7 @@ class Dispersion:
     actuator_damping: float = 1.0
     actuator_sections: Factors = 1.0  # eight per group: frequencies of three poles and the zero, then damping ratios
     gyro_frequency: float = 1.0
-    delay_s: float = 0.0  # on top of the computer's; below zero less, down to none
+    delay_s: float = 0.0  # added to the computer's delay; a negative value shortens it, at most to zero
     thrust: Factors = 1.0  # per engine, at its mass flow
     mass_flow: Factors = 1.0  # per engine, with its thrust: the burn rate
     normal_force: float = 1.0
@@ -77,7 +79,7 @@ ADDED = (
     "centre_of_gravity_y_m",
     "centre_of_gravity_z_m",
 )
-"""The fields that are added; all others multiply."""
+"""The fields that are added. All others multiply."""
 SIGNED = (*ADDED, "bending_slope", "bending_shape", "normal_force")
 POSITIVE = (
     "bending_frequency",
@@ -93,13 +95,13 @@ POSITIVE = (
 )
 _RATE_STEP_S = 1e-3
 SECTIONS = 8
-"""Numbers of an actuator in `Dispersion.actuator_sections`."""
+"""The numbers of an actuator in `Dispersion.actuator_sections`."""
 
 NOMINAL = Dispersion()
 
 
 def stacked(every: Sequence[Dispersion]) -> Dispersion:
-    """Many deviations as one, with the vehicles along the last axis of what differs (`deviated`)."""
+    """Return many deviations as one, with the vehicles along the last axis of the fields that differ (`deviated`)."""
     out = {}
     for f in dataclasses.fields(Dispersion):
         if f.name != "label":
@@ -110,10 +112,10 @@ def stacked(every: Sequence[Dispersion]) -> Dispersion:
 
 
 def deviated(held: HeldStage, plane: Plane, by: Dispersion, count: int = 1) -> HeldStage:
-    """Return the held stages of `count` deviations at once, changes of the packed parameters and properties.
+    """Return the held stages of `count` deviations at once, as changes of the packed parameters and properties.
 
-    Each number of `by` may be one, one for each part, or have the vehicles along its last axis (`stacked`). Raises
-    ValueError for too many factors, and where no core is left.
+    Each number of `by` may be a scalar, one value for each part, or an array with the vehicles along its last axis
+    (`stacked`). Raises ValueError for too many factors, and if no core remains.
     """
     held = held.repeated(count)
     vehicle, sizes = held.vehicle, held.sizes
@@ -121,7 +123,7 @@ def deviated(held: HeldStage, plane: Plane, by: Dispersion, count: int = 1) -> H
     n, m = spatial + planar, len(held.swing_rad)
 
     def each(name: str, parts: int) -> Array:
-        """Factors, (vehicles, parts)."""
+        """Return the factors, (vehicles, parts)."""
         return _each(getattr(by, name), parts, name, count).T
 
     def one(name: str) -> Array:
@@ -184,9 +186,9 @@ def _deviate_masses(
 ) -> None:
     """Change mass, CG (aft, y, z) and inertia (x, y, z) of the whole vehicle, and its pendulums, in place.
 
-    The core is what the bobs leave, as `sim/packing/schedule.py` has it at each row of its tables; packing joins the
-    cores between rows, so that there the two differ by the error of that interpolation. Rates change by differences
-    over the clock of the tables. Raises ValueError where no core is left.
+    The core is the vehicle without the bobs, as in `sim/packing/schedule.py` at each row of its tables. Packing
+    interpolates the cores between rows, so that the two differ there by the interpolation error. Rates change by
+    differences over the clock of the tables. Raises ValueError if no core remains.
     """
     alike = all((factor == 1.0).all() for factor in (mass, inertia, slosh_mass, frequency))
     if alike and not mass_kg.any() and not moved_m.any():
@@ -196,7 +198,7 @@ def _deviate_masses(
     tank = np.stack([slosh_mass, frequency**-2.0, np.ones_like(slosh_mass)], axis=-1)  # of mass, length, hinge
 
     def deviated_at(rows: Array) -> tuple[Array, Array]:
-        """Core (vehicles, 10) and bobs (tanks, vehicles, 3) of rows of the schedule."""
+        """Return the core (vehicles, 10) and the bobs (tanks, vehicles, 3) of rows of the schedule."""
         bobs = [rows[:, c + schedule.TANK_MASS : c + schedule.TANK_HINGE + 1] for c in columns]
         total = without_bobs(rows[:, : schedule.CG_RATE], [bob * (-1.0, 1.0, 1.0) for bob in bobs])  # put back
         total[:, 0] = total[:, 0] * mass + mass_kg
@@ -217,7 +219,7 @@ def _deviate_masses(
     ends = [np.broadcast_to(table(clock_s + at), (len(p), table.n_columns)) for at in (-_RATE_STEP_S, _RATE_STEP_S)]
     (core_0, bobs_0), (core_1, bobs_1) = (deviated_at(end) for end in ends)
     per_s = float(row.timeline.burn_rate) / (2.0 * _RATE_STEP_S)
-    if p[:, schedule.CG_RATE : schedule.TOTAL_MASS].any():  # else they are switched off
+    if p[:, schedule.CG_RATE : schedule.TOTAL_MASS].any():  # otherwise they are switched off
         before = (ends[1] - ends[0])[:, 1 : schedule.CG_RATE]
         p[:, schedule.CG_RATE : schedule.TOTAL_MASS] += ((core_1 - core_0)[:, 1:] - before) * per_s
     for k, c in enumerate(columns):
@@ -235,7 +237,7 @@ def _deviate_engines(held: HeldStage, thrust: Array, mass_flow: Array) -> None:
     """Scale thrust and mass flow of each engine of the vehicle (vehicles, engines) in place, and the rates of the
     masses.
 
-    Alike engines are one in the record: it has the mean of their factors.
+    Equal engines are one in the record, with the mean of their factors.
     """
     if (thrust == 1.0).all() and (mass_flow == 1.0).all():
         return
@@ -257,7 +259,7 @@ def _deviate_engines(held: HeldStage, thrust: Array, mass_flow: Array) -> None:
 
 
 def disperse_instruments(instruments: Instruments, by: Dispersion) -> Instruments:
-    """Actuators, gyro and delay with the deviations applied."""
+    """Return the actuators, gyro and delay with the deviations applied."""
     g = instruments.gyro
     count = 1 + max(group for groups in instruments.groups for group in groups)
     factors = section_factors(by, count)[..., 0]
@@ -297,7 +299,7 @@ def unlike_drives(by: Dispersion) -> bool:
 
 
 def _each(factors: Factors | Array, parts: int, name: str, count: int = 1) -> Array:
-    """Factors of parts, (parts, vehicles)."""
+    """Return the factors of parts, (parts, vehicles)."""
     given = np.asarray(factors, float)
     if given.ndim == 0:
         return np.full((parts, count), float(given))

@@ -1,12 +1,12 @@
 """A stage held at one instant of a flight, and its linear model: the Jacobian of the simulator's derivative.
 
-`HeldStage` has the packed parameters and properties that the simulator flies, of one vehicle or of many that deviate
-from it. For the linear model the vehicle flies straight over a flat Earth in uniform gravity, through uniform air, at
-the speed and pitch angle of a `FlightCondition`, without rotation: each effect of the flown instant but the Earth's
-rotation and curvature is then in the plant, and the vehicle of one plane does not depend on its place. Modes, pendulums
-and engines are at rest; spatial modes, and canted engines on a TVC load, where the loads along the axis hold them. The
-instruments are ideal and the actuators unit oscillators, by which the derivatives by an engine's angle, rate and
-acceleration are told apart.
+`HeldStage` has the packed parameters and properties with which the simulator flies, of one vehicle or of many that
+deviate from it. For the linear model, the vehicle flies straight over a flat Earth in uniform gravity, through uniform
+air, without rotation. Its speed and pitch angle are those of a `FlightCondition`. The plant then contains every effect
+of the flown instant except the Earth's rotation and curvature. The vehicle of one plane does not depend on its
+position. Modes, pendulums and engines are at rest. Spatial modes, and canted engines on a TVC load, are at the
+positions where the axial loads hold them. The instruments are ideal. The actuators are unit oscillators, which separate
+the derivatives by an engine's angle, rate and acceleration.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from maxq.sim.world.earth import FLAT, UNIFORM
 from maxq.sim.world.turbulence import BODY
 
 Trim = tuple[float, float]
-"""Angles of attack and sideslip, rad."""
+"""The angles of attack and sideslip, rad."""
 OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
 WIND = "wind_mps"
 Drives = Sequence[Sequence[tuple[int, float]]]
-"""Of each drive: the actuators that it moves (twice the group, one more in yaw) with the angle per command."""
+"""The actuators that each drive moves (twice the group, one more in yaw) with the angle per command."""
 
-_NOISE = 3e-14  # of the largest entry of a row, each times its step: entries below it are rounding
+_NOISE = 3e-14  # of the largest entry of a row, each times its step: smaller entries are rounding
 _SETTLING = 3  # steps of Newton's method
 _UNIT = {"omega_1_radps": 1.0, "zeta_1": 0.5, "order": 2, "bias_rad": 0.0, "backlash_rad": 0.0, "ideal": 0} | {
     name: math.inf for name in ("angle_limit_rad", "rate_limit_radps", "stop_rad")
@@ -52,7 +52,7 @@ _UNIT = {"omega_1_radps": 1.0, "zeta_1": 0.5, "order": 2, "bias_rad": 0.0, "back
 
 @dataclass(frozen=True)
 class FlightCondition:
-    """Air and path at an instant; the vehicle does not turn."""
+    """The air and the path at an instant. The vehicle does not turn."""
 
     time_s: float  # vehicle clock
     airspeed_mps: float
@@ -69,9 +69,10 @@ class FlightCondition:
 
 @dataclass(frozen=True)
 class HeldStage:
-    """`parameters` (vehicles,) of Parameters, `properties` (vehicles, PROPERTIES_SIZE) at the instant.
+    """The `parameters` (vehicles,) of Parameters and `properties` (vehicles, PROPERTIES_SIZE) of vehicles at an
+    instant.
 
-    `swing_rad` (pendulums,): amplitude of the swing at which ring baffles damp.
+    `swing_rad` (pendulums,) is the amplitude of the swing that sets the damping of ring baffles.
     """
 
     parameters: Records
@@ -85,7 +86,7 @@ class HeldStage:
 
     @property
     def vehicle(self) -> Any:
-        """Parameters of the vehicles, field by field (vehicles, ...)."""
+        """Return the parameters of the vehicles, field by field (vehicles, ...)."""
         return self.parameters["vehicle"]
 
     @cached_property
@@ -93,13 +94,13 @@ class HeldStage:
         return coordinates_of(self.sizes)
 
     def repeated(self, count: int) -> HeldStage:
-        """As many copies of the first vehicle."""
+        """Return a stage with this number of copies of the first vehicle."""
         return dataclasses.replace(
             self, parameters=np.repeat(self.parameters[:1], count), properties=np.repeat(self.properties[:1], count, 0)
         )
 
     def copied(self) -> HeldStage:
-        """The same in arrays of its own."""
+        """Return a copy with its own arrays."""
         # `repeat` copies whole records; `copy` goes field by field, which takes six times as long
         return dataclasses.replace(self, parameters=np.repeat(self.parameters, 1), properties=self.properties.copy())
 
@@ -110,12 +111,12 @@ class HeldStage:
         return np.asarray(slosh["law_factor"][:, :n] * self.tank(schedule.TANK_RING) + slosh["ring_damping"][:, :n])
 
     def tank(self, column: int) -> Array:
-        """A column of `schedule` of each pendulum, (vehicles, pendulums)."""
+        """Return a column of `schedule` of each pendulum, (vehicles, pendulums)."""
         return self.properties[:, [schedule.tank_column(k) + column for k in range(len(self.swing_rad))]]
 
     # --- the linear model
     def prepared(self, condition: FlightCondition, trim: Trim) -> tuple[HeldStage, Array]:
-        """Change the stage in place to the air of a condition with its rings as dampers, and return it with its states
+        """Change the stage in place to the air of a condition, with its rings as dampers, and return it with its states
         (vehicles, MAX_STATE).
         """
         held, n = self, len(self.swing_rad)
@@ -145,7 +146,9 @@ class HeldStage:
         return held, y
 
     def _settled(self, y: Array) -> Array:
-        """The states with spatial modes and canted engines on a TVC load where the loads of the instant hold them."""
+        """Return the states with spatial modes, and canted engines on a TVC load, at the positions where the loads of
+        the instant hold them.
+        """
         names = list(self.coordinates)
         at = [names.index(f"spatial_{k + 1}_m") for k in range(int(self.sizes.spatial_modes))]
         engine, places = self.vehicle["engine"], []
@@ -174,7 +177,7 @@ class HeldStage:
     def differentiated(
         self, y: Array, which: IntArray, steps: Array, wanted: IntArray, levels: int = jacobian.LEVELS
     ) -> tuple[Array, Array]:
-        """`linearised.differentiate` at states of all vehicles."""
+        """Return `linearised.differentiate` at the states of all vehicles."""
         memory = blank(Memory)
         memory["clock"]["started"], memory["held"]["burning"] = 1, 1
         return differentiate(
@@ -210,7 +213,7 @@ class HeldStage:
     ) -> tuple[Array, Array, Array, Array, Names]:
         """Return A, B, C, D of all vehicles, (vehicles, ...), and the names; see `Node.plant`.
 
-        `in_place`: the stages are not used any more and need not be copied.
+        With `in_place`, the stages are not copied and must not be used afterwards.
         """
         held, y = (self if in_place else self.copied()).prepared(condition, trim)
         found = _PlaneOf(self, plane)
@@ -234,7 +237,7 @@ class HeldStage:
         steps = np.array([*(steps[k] if k < n else 4e-3 for k in which[: size + 3 * m]), *([0.5] if wind else [])])
         if not moments:
             held.parameters["loads"]["stations"] = 0
-        # the other axes are held: no turning about them takes part in that about the plane's own
+        # the other axes are held: rotation about them does not affect that about the plane's own axis
         held.properties[:, schedule.CORE_INERTIA + 3 : schedule.CORE_INERTIA + 6] = 0.0
         _, slopes = held.differentiated(y, np.array(which), steps, np.array(wanted), levels)
         tilt = found.signs[:, None]
@@ -245,7 +248,7 @@ class HeldStage:
         slopes[:, :, size : size + 3 * m] *= found.turn
         size_of = np.abs(slopes) * steps
         slopes[size_of < _NOISE * size_of.max(axis=2, keepdims=True)] = 0.0
-        slopes[:, 1:, 2] = 0.0  # gravity and air are uniform: of the attitude only w' depends
+        slopes[:, 1:, 2] = 0.0  # gravity and air are uniform: only w' depends on the attitude
         a, by_angle = slopes[:, :size, :size], slopes[:, :, size:]
         command = by_angle[:, :, 2 * m : 3 * m]
         orders = by_angle[:, :, :m] + command, by_angle[:, :, m : 2 * m] + command, command
@@ -281,7 +284,7 @@ class HeldStage:
         return held
 
     def _actuator(self, channel: int) -> int:
-        """Coordinate of the angle of an actuator; that of its rate follows."""
+        """Return the coordinate of the angle of an actuator. That of its rate follows."""
         group, axis = divmod(channel, 2)
         if group == 0:
             return jacobian.FLAT + layout.N_ACTUATOR * axis
@@ -291,11 +294,11 @@ class HeldStage:
 
 
 Names = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
-"""Of states, inputs and outputs."""
+"""The names of states, inputs and outputs."""
 
 
 class _PlaneOf:
-    """Coordinates of one plane among those of a stage, their signs in it, and names.
+    """The coordinates of one plane among those of a stage, their signs in it, and names.
 
     The yaw plane is the pitch plane turned about x: w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw,
     gyro -> -gyro.
@@ -355,12 +358,12 @@ class _PlaneOf:
 
 
 def moment_name(station_m: float) -> str:
-    """Name of the plant's output at a station of section loads."""
+    """Return the name of the plant's output at a station of section loads."""
     return f"bending_{station_m:g}_Nm"
 
 
 def state_names(modes: int, tanks: int, loaded: int = 0) -> tuple[str, ...]:
-    """States of the plant of one plane."""
+    """Return the names of the states of the plant of one plane."""
     parts = [("eta_{}_m", "eta_{}_rate_mps", modes), ("slosh_{}_rad", "slosh_{}_rate_radps", tanks)]
     parts.append(("engine_{}_rad", "engine_{}_rate_radps", loaded))
     named = [name.format(k + 1) for *pair, count in parts for name in pair for k in range(count)]
@@ -373,7 +376,7 @@ def table_clock_s(row: Any, time_s: float) -> float:
 
 
 def hold_stage(packed: Packed, clock_s: float, stage: int = 0) -> HeldStage:
-    """A packed stage that burns, at an instant of its tables' clock."""
+    """Return a packed stage that burns, at an instant of its tables' clock."""
     rows = packed.parameters[stage : stage + 1].copy()
     row, sizes = rows[0], packed.parameters[stage].vehicle.sizes
     properties = np.zeros((1, PROPERTIES_SIZE))

@@ -1,4 +1,4 @@
-"""Actuators, gyro and further sensors of a stage, their timing, and both as linear systems (28) and (29)."""
+"""The actuators, gyro and further sensors of a stage, their timing, and both as linear systems (28) and (29)."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Plane = Literal["pitch", "yaw"]
 
 ACCELERATION = "accel_mps2"  # lateral specific force at the accelerometer
 DERIVATIVES = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
-"""Of an actuator's angle: what it puts out, and what drives the vehicle."""
+"""The angle of an actuator and its derivatives, which drive the vehicle."""
 
 
 def further_rate(number: int) -> str:
-    """Name of what a rate gyro beyond the first measures; they are counted from 2."""
+    """Return the name of the measurement of a further rate gyro. Further gyros are counted from 2."""
     return f"rate_{number}_radps"
 
 
@@ -35,14 +35,17 @@ def sensed(number: int, sensor: Any) -> str:
 
 @dataclass(frozen=True)
 class Instruments:
-    """Actuators, gyro and timing of the flight computer in one plane; `ideal` actuators and gyros have no dynamics."""
+    """The actuators, gyro and timing of the flight computer in one plane.
 
-    actuators: tuple[Actuator, ...]  # of each drive: those of groups of engines that are alike are one
+    `ideal` actuators and gyros have no dynamics.
+    """
+
+    actuators: tuple[Actuator, ...]  # of each drive: those of equal groups of engines are one
     gyro: Gyro
     sample_s: float  # period of the computer: tau_VF of the converter (30), tau_DZ of the hold (32)
     delay_s: float  # tau_D (31), from sample to command
     groups: tuple[tuple[int, ...], ...] = ((0,),)  # that each drive moves
-    sensors: tuple[tuple[str, Gyro, int], ...] = ()  # beyond the gyro: what it measures, dynamics, latency in samples
+    sensors: tuple[tuple[str, Gyro, int], ...] = ()  # beyond the gyro: measured quantity, dynamics, latency in samples
 
     @property
     def actuator(self) -> Actuator:
@@ -51,7 +54,7 @@ class Instruments:
 
 
 def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
-    """Instruments of a packed stage."""
+    """Return the instruments of a packed stage."""
     drives, of_group = drives_of(row, plane)
     return Instruments(
         actuators=tuple(drives),
@@ -71,7 +74,7 @@ def _gyro(record: Any) -> Gyro:
 
 
 def drives_of(row: Any, plane: Plane) -> tuple[list[Actuator], list[int]]:
-    """The unlike actuators of a plane, and which of them each group of engines has."""
+    """Return the different actuators of a plane, and the index of that of each group of engines."""
     vehicle, axis = row.vehicle, 0 if plane == "pitch" else 1
     records = [vehicle.actuator_yaw if axis else vehicle.actuator_pitch]
     records += [vehicle.further_actuators[2 * k + axis] for k in range(int(vehicle.sizes.further_groups))]
@@ -88,7 +91,7 @@ def drives_of(row: Any, plane: Plane) -> tuple[list[Actuator], list[int]]:
 def allocation_at(pool: Array, row: Any, now_s: float, plane: Plane) -> tuple[tuple[float, float], ...]:
     """Return the angles of each group of engines per command of the law, in its own plane and in the other one.
 
-    What goes to the other plane is taken to pass the actuators of this one.
+    The part in the other plane is assumed to pass through the actuators of this plane.
     """
     a, axis = row.computer.allocation, 0 if plane == "pitch" else 1
     if a.groups == 1:
@@ -99,12 +102,12 @@ def allocation_at(pool: Array, row: Any, now_s: float, plane: Plane) -> tuple[tu
 
 
 def of_drive(name: str, drive: int) -> str:
-    """Name of a derivative of a drive's angle."""
+    """Return the name of a derivative of a drive's angle."""
     return name if drive == 0 else f"{name}_{drive + 1}"
 
 
 def actuators(records: Sequence[Any]) -> StateSpace:
-    """Command -> angle, rate and acceleration of every drive, see `actuator`."""
+    """Return the system from command to angle, rate and acceleration of every drive; see `actuator`."""
     each = [actuator(record) for record in records]
     states = tuple(of_drive(name, k) for k, one in enumerate(each) for name in one.states)
     outputs = tuple(of_drive(name, k) for k, one in enumerate(each) for name in one.outputs)
@@ -114,7 +117,7 @@ def actuators(records: Sequence[Any]) -> StateSpace:
 
 
 def actuator_response(record: Any, s: ComplexArray) -> ComplexArray:
-    """Angle over command at complex s, rad/s, as a product of its factors."""
+    """Return the ratio of angle to command at complex s, rad/s, as a product of its factors."""
     out: ComplexArray = np.ones(np.shape(s), np.complex128)
     for omega, zeta in actuator_poles(record):
         out = out * lag(s, omega, zeta)
@@ -122,23 +125,25 @@ def actuator_response(record: Any, s: ComplexArray) -> ComplexArray:
 
 
 def lag(s: ComplexArray, omega: Array | float, zeta: Array | float) -> ComplexArray:
-    """omega^2 / (s^2 + 2 zeta omega s + omega^2)."""
+    """Return omega^2 / (s^2 + 2 zeta omega s + omega^2)."""
     x = np.asarray(s) / omega
     return np.asarray(1.0 / (1.0 + x * (2.0 * zeta + x)))
 
 
 def actuator_poles(record: Any) -> list[tuple[float, float]]:
-    """Frequency (rad/s) and damping ratio of each pair of poles of a packed `Actuator`."""
+    """Return the frequency (rad/s) and damping ratio of each pair of poles of a packed `Actuator`."""
     return [
         (getattr(record, f"omega_{k}_radps"), getattr(record, f"zeta_{k}")) for k in range(1, record.order // 2 + 1)
     ]
 
 
 def actuator(record: Any) -> StateSpace:
-    """Command -> angle, rate and acceleration of the engine, as many states as the order; `record`: packed `Actuator`.
+    """Return the system from command to angle, rate and acceleration of the engine, with as many states as the order.
 
-    A chain of second-order sections, each with its position and rate as states; in which order they come matters to
-    the limits only. That of order six is (28), the denominator four orders above the numerator.
+    `record` is a packed `Actuator`.
+
+    The system is a chain of second-order sections, each with its position and rate as states. Their order matters to
+    the limits only. The system of order six is (28), with the denominator four orders above the numerator.
     """
     poles = actuator_poles(record)
     n = 2 * len(poles)
@@ -153,7 +158,7 @@ def actuator(record: Any) -> StateSpace:
             a[i + 1, i - 2] = omega**2
     angle = np.eye(n)[n - 2]
     if record.order == 6:
-        # the last numerator, s^2 + 2 z w s + w^2 over w^2, acts on its section's state: s^2 is that rate's row
+        # the last numerator, s^2 + 2 z w s + w^2 over w^2, acts on its section's state: s^2 is the row of that rate
         omega_4, zeta_4 = float(record.omega_4_radps), float(record.zeta_4)
         angle = a[5] / omega_4**2
         angle[4] += 1.0
@@ -165,7 +170,10 @@ def actuator(record: Any) -> StateSpace:
 
 
 def gyro(record: Any) -> StateSpace:
-    """Local angular rate -> sensed rate (29), two states; `record` is a packed `Gyro`, whose errors are left out."""
+    """Return the system from local angular rate to sensed rate (29), with two states.
+
+    `record` is a packed `Gyro`, whose errors are not included.
+    """
     w, zeta = float(record.omega_radps), float(record.zeta)
     a: Array = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
     return StateSpace(
@@ -180,7 +188,7 @@ def gyro(record: Any) -> StateSpace:
 
 
 def per_actuator_angle(s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...]) -> list[ComplexArray]:
-    """Response (..., inputs) of a plant, its inputs derivatives of angles, per angle of each drive."""
+    """Return the response (..., inputs) of a plant, whose inputs are derivatives of angles, per angle of each drive."""
     out: dict[str, ComplexArray] = {}
     for k, name in enumerate(inputs):
         order = next(n for n, of in enumerate(DERIVATIVES) if name.startswith(of))
@@ -192,7 +200,7 @@ def per_actuator_angle(s: ComplexArray, response: ComplexArray, inputs: tuple[st
 def per_command(
     s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...], actuators: Sequence[Actuator]
 ) -> ComplexArray:
-    """The same per command of all drives together, each through its actuator."""
+    """Return the response per command of all drives together, each through its actuator."""
     drives = zip(per_actuator_angle(s, response, inputs), actuators, strict=True)
     first, *others = (per_angle if a.ideal else per_angle * actuator_response(a, s) for per_angle, a in drives)
     return np.asarray(sum(others, first))

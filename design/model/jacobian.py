@@ -1,15 +1,15 @@
 """The Jacobian of the simulator's derivative in local coordinates, compiled.
 
-The state of the simulator lies on a manifold (a unit quaternion, unit vectors of the pendulums) and holds inertial and
-quasi-velocities. The coordinates of the linear model are independent; design/model/linearised.py lists them. In the
-array `x` they lie in this order, m pitch modes, n yaw modes and s spatial modes:
+The simulator's state is on a manifold (a unit quaternion, unit vectors of the pendulums) and contains inertial and
+quasi-velocities. The coordinates of the linear model are independent; design/model/linearised.py lists them. The array
+`x` contains them in this order, with m pitch modes, n yaw modes and s spatial modes:
 
     r_I (3) | velocity over ground in B (3) | rotation vector (3) | w_BI_B (3) | actuators, gyros and their integrals
     eta (m), eta' (m) | xi (n), xi' (n) | spatial modes and their quasi-velocities (2 s) | four per pendulum
     all states of the simulator behind the pendulums
 
-and behind the coordinates the inputs: the command of each actuator (pitch, yaw of each group), rad, and the velocity of
-the air in B, m/s (3).
+The inputs follow the coordinates: the command of each actuator (pitch, yaw of each group), rad, and the velocity of the
+air in B, m/s (3).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ LEVELS = 6  # of the extrapolation at most; each halves the step
 
 @kernel
 def coordinate_count(sizes: Counts) -> int:
-    """Number of coordinates, without the inputs."""
+    """Return the number of coordinates, without the inputs."""
     behind = states.state_size(sizes) - states.pendulum_index(sizes, sizes.pendulums)
     modes = sizes.pitch_modes + sizes.yaw_modes + sizes.spatial_modes
     return FLEXIBLE + 2 * modes + 4 * sizes.pendulums + behind
@@ -62,14 +62,16 @@ def coordinate_count(sizes: Counts) -> int:
 
 @kernel
 def _partner(values: Array, first: int, k: int, count: int) -> float:
-    """Entry k of a plane's modes, zero beyond the last: modes of both planes are paired as far as they go."""
+    """Return entry k of a plane's modes, or zero beyond the last: modes of both planes are paired as far as
+    possible.
+    """
     value: float = values[first + k] if k < count else 0.0
     return value
 
 
 @routine
 def coordinates_of(sizes: Counts, spin_radps: float, y: Array, x: Array) -> None:
-    """Coordinates of the state `y`, whose attitude is the reference."""
+    """Return the coordinates of the state `y`, whose attitude is the reference."""
     m, n = sizes.pitch_modes, sizes.yaw_modes
     eta, xi, w = states.eta_index(sizes), states.xi_index(sizes), vector_at(y, W_BI_B)
     q = quaternion_at(y, Q_BI)
@@ -108,7 +110,7 @@ def coordinates_of(sizes: Counts, spin_radps: float, y: Array, x: Array) -> None
 
 @routine
 def state_of(sizes: Counts, spin_radps: float, reference: Quaternion, x: Array, y: Array) -> None:
-    """The simulator's state at coordinates `x` about an attitude."""
+    """Return the simulator's state at coordinates `x` about an attitude."""
     m, n = sizes.pitch_modes, sizes.yaw_modes
     eta, xi, w, r = states.eta_index(sizes), states.xi_index(sizes), vector_at(x, RATE), vector_at(x, PLACE)
     q = quaternion_product(reference, quaternion_of(vector_at(x, TURN)))
@@ -143,7 +145,10 @@ def state_of(sizes: Counts, spin_radps: float, reference: Quaternion, x: Array, 
 
 @routine
 def rates_of(sizes: Counts, spin_radps: float, turning: Vector, x: Array, y: Array, dy: Array, out: Array) -> None:
-    """Time derivative of the coordinates from that of the state; the reference attitude rotates at `turning`, in B."""
+    """Return the time derivative of the coordinates from that of the state.
+
+    The reference attitude rotates at `turning`, in B.
+    """
     m, n = sizes.pitch_modes, sizes.yaw_modes
     eta, xi, w, w_rate = states.eta_index(sizes), states.xi_index(sizes), vector_at(x, RATE), vector_at(dy, W_BI_B)
     spin, turn = (0.0, 0.0, spin_radps), vector_at(x, TURN)
@@ -185,9 +190,9 @@ def rates_of(sizes: Counts, spin_radps: float, turning: Vector, x: Array, y: Arr
 
 @kernel
 def _vector_rate(vector: Vector, turning: Vector) -> Vector:
-    """Rate of a rotation vector from the angular velocity in turned axes.
+    """Return the rate of a rotation vector from the angular velocity in rotated axes.
 
-    Inverse of the right Jacobian; small angles only (the next term of the series is of order 8).
+    The formula is the inverse of the right Jacobian, for small angles only (the next term of the series is of order 8).
     """
     square = dot(vector, vector)
     factor = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
@@ -197,7 +202,9 @@ def _vector_rate(vector: Vector, turning: Vector) -> Vector:
 
 @kernel
 def _angle(u: Vector, u_rate: Vector, u_accel: Vector, plane: int) -> tuple[float, float, float]:
-    """atan2 of the bob's lateral part (pitch: z, yaw: y) over -u_x, with its first and second time derivative."""
+    """Return atan2 of the bob's lateral part (pitch: z, yaw: y) over -u_x, with its first and second time
+    derivatives.
+    """
     a, a1, a2 = (u[2], u_rate[2], u_accel[2]) if plane == 0 else (u[1], u_rate[1], u_accel[1])
     b, b1, b2 = -u[0], -u_rate[0], -u_accel[0]
     square, turned = a * a + b * b, a1 * b - a * b1
@@ -207,7 +214,7 @@ def _angle(u: Vector, u_rate: Vector, u_accel: Vector, plane: int) -> tuple[floa
 
 @kernel
 def _bob(pitch: float, pitch_rate: float, yaw: float, yaw_rate: float) -> tuple[Vector, Vector]:
-    """Unit vector from hinge to bob and its rate in B, from angles below 90 degrees and their rates."""
+    """Return the unit vector from hinge to bob and its rate in B, from angles below 90 degrees and their rates."""
     to_z, to_y = math.tan(pitch), math.tan(yaw)
     along = (-1.0, to_y, to_z)
     along_rate = (0.0, yaw_rate * (1.0 + to_y * to_y), pitch_rate * (1.0 + to_z * to_z))
@@ -230,8 +237,11 @@ def motion(
     columns: Array,
     out: Array,
 ) -> None:
-    """Rates of the coordinates at `x`, then the outputs. `reference`: attitude, angular velocity; `command`: the point
-    of the inputs, to which those behind the coordinates add."""
+    """Compute the rates of the coordinates at `x`, then the outputs.
+
+    `reference` contains attitude and angular velocity. `command` is the point of the inputs, to which the inputs in `x`
+    are added.
+    """
     sizes = counts(p.vehicle.sizes)
     n, groups, spin = coordinate_count(sizes), 1 + sizes.further_groups, p.environment.earth.rate_radps
     held, inputs = memory.held, memory.inputs
@@ -276,15 +286,15 @@ def differentiate(
     rate: Array,
     slopes: Array,
 ) -> None:
-    """Rates and outputs at states `y` (vehicles, MAX_STATE) into `rate` (vehicles, rows), and the derivatives of those
-    that are `wanted` into `slopes` (vehicles, wanted, columns).
+    """Compute the rates and outputs at states `y` (vehicles, MAX_STATE) into `rate` (vehicles, rows), and the
+    derivatives of those that are `wanted` into `slopes` (vehicles, wanted, columns).
 
-    Vehicle k has row `memory.clock.stage` + k of `P` and row k of `y` and `properties`. `which`: coordinates and inputs
-    of the columns, with their first `steps`. `read`: 1 reads the `properties` of the vehicle at the instant, 0 takes
-    them as they are given, and derives what follows from them. `space`: (1,) of Space; `x`: memory of coordinates and
-    inputs; `tableau`: (3 LEVELS + 4, rows). Derivatives are central differences, extrapolated to step zero over all
-    powers of the step (Ridders 1982; odd powers too, because of terms like |w| w), with the best entry of each tableau
-    by its error estimate.
+    Vehicle k has row `memory.clock.stage` + k of `P` and row k of `y` and `properties`. `which` contains the
+    coordinates and inputs of the columns, with their first `steps`. `read` is 1 to read the `properties` of the vehicle
+    at the instant, and 0 to use them as given and derive the dependent ones. `space` is (1,) of Space, `x` is memory of
+    coordinates and inputs, and `tableau` has the shape (3 LEVELS + 4, rows). Derivatives are central differences,
+    extrapolated to step zero over all powers of the step (Ridders 1982; odd powers too, because of terms like |w| w).
+    The best entry of each tableau by its error estimate is used.
     """
     memory, pool = state[0], bare_pointer(pool)
     for vehicle in range(len(y)):
@@ -334,7 +344,7 @@ def differentiate_vehicle(
     rate: Array,
     slopes: Array,
 ) -> None:
-    """`differentiate` for one vehicle."""
+    """Apply `differentiate` to one vehicle."""
     dy, work, columns, x = bare_pointer(space.rate), space.work, bare_pointer(space.columns), bare_pointer(x)
     sizes = counts(p.vehicle.sizes)
     rows, n, inputs = len(rate), coordinate_count(sizes), 2 * (1 + sizes.further_groups) + 3
@@ -375,15 +385,15 @@ def differentiate_vehicle(
 
 @kernel
 def extrapolated(tableau: Array, i: int, levels: int) -> float:
-    """The entry of a tableau of differences, at column i of `tableau`, with the least error estimate.
+    """Return the entry of a tableau of differences, at column i of `tableau`, with the least error estimate.
 
-    Rows 0 to LEVELS hold the differences by steps that halve; the others are used as room.
+    Rows 0 to LEVELS contain the differences by steps that halve. The others are working memory.
     """
     best: float = tableau[0, i]
     least = math.inf
     tableau[LEVELS, i] = best
     for level in range(1, levels):
-        # the row before lies in one half of the room, this one in the other
+        # the previous row is in one half of the working memory, this one in the other
         before, now = LEVELS + (level - 1) % 2 * LEVELS, LEVELS + level % 2 * LEVELS
         tableau[now, i] = tableau[level, i]
         for power in range(1, level + 1):

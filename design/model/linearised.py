@@ -1,14 +1,14 @@
-"""The simulator's own equations, linearised numerically at a frozen instant: all axes with all that couples them.
+"""The simulator's own equations, linearised numerically at a frozen instant: all axes with all their couplings.
 
     model = linearise(*at_rest(packed, time_s), time_s)
     poles = np.linalg.eigvals(model.a)
 
-The plant of one plane (design/model/held.py) and the loops of several axes (design/loop/multiloop.py) stand on it; in
-the tests planar equations derived by hand (tests/oracles/planar) are its oracle.
+The plant of one plane (design/model/held.py) and the loops of several axes (design/loop/multiloop.py) use it. Planar
+equations derived by hand (tests/oracles/planar) are its reference in the tests.
 
-The state vector of the simulator lies on a manifold (unit quaternion, unit vectors of the pendulums) and
-holds inertial and quasi-velocities. It is therefore expressed in local coordinates, all independent and all
-small-signal quantities of flight mechanics, whose time derivatives follow exactly from the simulator's:
+The simulator's state vector is on a manifold (unit quaternion, unit vectors of the pendulums) and contains inertial and
+quasi-velocities. It is therefore expressed in local coordinates. All are independent small-signal quantities of flight
+mechanics, and their time derivatives follow exactly from the simulator's:
 
     r_I            position of the core's CG in I, m
     u, v, w        its velocity relative to the Earth, in B, m/s
@@ -20,9 +20,9 @@ small-signal quantities of flight mechanics, whose time derivatives follow exact
     per tank       angles atan2(u_z, -u_x), atan2(u_y, -u_x) and their rates, rad, rad/s
     actuators of further groups, TVC load      as in the state
 
-Away from equilibrium (an accelerating rocket always is) a linear model depends on its coordinates; these are those of
-the paper. The vehicle's properties are frozen at the instant, their rates (mass flow, moving CG) act.
-The model is continuous: the flight computer is not part of it; inputs are the commands of each group of engines in
+Away from equilibrium (an accelerating rocket is never in equilibrium), a linear model depends on its coordinates. These
+are those of the paper. The vehicle's properties are frozen at the instant, but their rates (mass flow, moving CG) act.
+The model is continuous and does not contain the flight computer. Inputs are the commands of each group of engines in
 pitch and yaw.
 """
 
@@ -56,19 +56,21 @@ _STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3
 
 @dataclass(frozen=True)
 class LinearModel(StateSpace):
-    """x' = rate + A x + B u, y = C x + D u about a state; `rate` is the derivative at the state itself.
+    """The linear model x' = rate + A x + B u, y = C x + D u about a state.
 
-    Outputs are OUTPUTS, and bending moments about y and z where section loads are switched on.
+    `rate` is the derivative at the state itself.
+
+    Outputs are OUTPUTS, and bending moments about y and z if section loads are switched on.
     """
 
     rate: Array  # (n,)
 
 
 def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
-    """Linear model of the derivative about the state `y` (MAX_STATE,) at the flight time `time_s`.
+    """Return the linear model of the derivative about the state `y` (MAX_STATE,) at the flight time `time_s`.
 
-    `packed` may be at its start or in mid-flight (its stage, and whether it burns or is held down, count); it
-    is not changed. Derivatives are those of `jacobian.differentiate`.
+    `packed` may be at its start or in mid-flight and is not changed. Its stage matters, and whether it burns or is held
+    down. Derivatives are those of `jacobian.differentiate`.
     """
     memory = packed.memory.copy()
     if memory[0].clock.started == 0:
@@ -102,10 +104,11 @@ def differentiate(
     levels: int = jacobian.LEVELS,
     properties: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Rates and outputs (rows,) at a state, and the derivatives (wanted, columns), see `jacobian.differentiate`.
+    """Return the rates and outputs (rows,) at a state, and the derivatives (wanted, columns); see
+    `jacobian.differentiate`.
 
-    `properties`: of the vehicle at the instant, instead of those of its schedule. With states (vehicles, MAX_STATE)
-    and as many parameters and properties, results have the vehicles along their first axis.
+    `properties` are those of the vehicle at the instant and replace those of its schedule. With states (vehicles,
+    MAX_STATE) and the same number of parameters and properties, results have the vehicles along their first axis.
     """
     sizes = parameters[int(memory[0].clock.stage)].vehicle.sizes
     rows = int(jacobian.coordinate_count(sizes)) + jacobian.OUTPUTS + 2 * stations
@@ -138,13 +141,13 @@ def differentiate(
 
 
 def inputs_of(sizes: Any) -> tuple[str, ...]:
-    """Commands of each group of engines."""
+    """Return the commands of each group of engines."""
     numbered = ["", *(f"_{group}" for group in range(2, 2 + int(sizes.further_groups)))]
     return tuple(f"command_{axis}{n}_rad" for n in numbered for axis in ("pitch", "yaw"))
 
 
 def coordinates_of(sizes: Any) -> dict[str, float]:
-    """Coordinates of a stage, in order, and the first step of the differences in each."""
+    """Return the coordinates of a stage, in order, and the first step of the differences in each."""
     pitch, yaw, spatial, tanks = (int(sizes[k]) for k in ("pitch_modes", "yaw_modes", "spatial_modes", "pendulums"))
     flat = layout.state_names(Sizes(0, 0, 0, 0))[layout.ACTUATOR : layout.N_FIXED]
     groups: list[tuple[Sequence[str], float]] = [
@@ -165,9 +168,11 @@ def coordinates_of(sizes: Any) -> dict[str, float]:
 
 
 def at_rest(packed: Packed, time_s: float) -> tuple[Packed, Array]:
-    """A packed flight where it stands, with its modes, pendulums and engines at rest and no command: flight and state.
+    """Return a packed flight and its state at the present instant, with modes, pendulums and engines at rest and no
+    command.
 
-    Place, attitude, velocity and roll rate are kept; rates in pitch and yaw are zero, the gyros' output with them.
+    Position, attitude, velocity and roll rate are kept. The rates in pitch and yaw and the gyros' output of them are
+    zero.
     """
     memory, out = packed.memory.copy(), np.zeros(layout.MAX_STATE)
     memory[0].held.command_rad[:] = 0.0
@@ -182,9 +187,9 @@ def at_rest(packed: Packed, time_s: float) -> tuple[Packed, Array]:
 
 
 def settled(packed: Packed, y: Array, time_s: float) -> Array:
-    """The state with its spatial modes deflected as the loads of the instant hold them: thrust compresses axial parts.
+    """Return the state with its spatial modes deflected by the loads of the instant: thrust compresses axial parts.
 
-    About modes that spring back from no deflection the pull of the liquid along the axis would be another one.
+    About undeflected modes that spring back, the pull of the liquid along the axis would differ.
     """
     sizes = packed.parameters[int(packed.memory[0].clock.stage)].vehicle.sizes
     n, first = int(sizes.spatial_modes), int(layout.spatial_index(sizes))

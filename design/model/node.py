@@ -1,4 +1,4 @@
-"""A node: all that a linear loop depends on at one instant of one flight, in one plane."""
+"""An operating point: all quantities on which a linear loop depends at one instant of one flight, in one plane."""
 
 from __future__ import annotations
 
@@ -59,28 +59,30 @@ class Node:
     allocation: tuple[tuple[float, float], ...] = ((1.0, 0.0),)  # angles per command of each group, own and other plane
     surface_radius_m: tuple[float, ...] = ()  # of the liquid under each pendulum, nan if unknown; nominal vehicle
     label: str = ""
-    stage: int = 0  # which one burns, from 0
+    stage: int = 0  # stage that burns, from 0
     stage_start_s: float = 0.0  # zero of that stage's clock on the vehicle clock
     trim: Trim = (0.0, 0.0)  # angles of attack and sideslip at which tables over angle of attack have their slopes, rad
     speed_mps: float = math.nan  # relative to the rotating Earth
 
     @cached_property
     def plant(self) -> StateSpace:
-        """Linear model of the plane: motion of the actuators and wind -> rates, of body, modes and pendulums.
+        """Return the linear model of the plane, from the motion of the actuators and the wind to the rates of body,
+        modes and pendulums.
 
-        The Jacobian of the simulator's derivative (held.py). States w (m/s, of the body point at the core's CG), q
-        (rad/s), theta (rad), eta (m), eta' (m/s; the spatial modes first), slosh angles (rad) and their rates, angle
-        and rate of each engine on a TVC load. The other plane, roll and the speed along the axis are held. Inputs: of
-        each drive, an actuator's motion, the angle and what else of its motion engines feel. Outputs: `held.OUTPUTS`,
-        then what the vehicle's other sensors measure, and the bending moment at each station of section loads that are
-        switched on, N m. The yaw plane has the states and signs of the pitch plane turned about x.
+        The model is the Jacobian of the simulator's derivative (held.py). The states are w (m/s, of the body point at
+        the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s; the spatial modes first), slosh angles (rad) and
+        their rates, and angle and rate of each engine on a TVC load. The other plane, roll and the speed along the axis
+        are held. The inputs are, for each drive, the angle of an actuator and those derivatives that engines feel. The
+        outputs are `held.OUTPUTS`, the measurements of the vehicle's other sensors, and the bending moment at each
+        station of section loads that are switched on, N m. The yaw plane has the states and signs of the pitch plane
+        turned about x.
 
-        Raises ValueError, naming the node, where no such system exists.
+        Raises ValueError if no such system exists. The message names the operating point.
         """
         return self.plant_in_wind(wind=False)
 
     def plant_in_wind(self, wind: bool = True) -> StateSpace:
-        """`plant`, with the lateral velocity of the air in the plane, m/s, as its last input."""
+        """Return `plant` with the lateral velocity of the air in the plane, m/s, as its last input."""
         self.check_axial_load()
         *parts, names = self.held.plants(
             self.condition, self.trim, self.plane, self.drives, wind=wind, moments=bool(self.vehicle.cut_stations_m)
@@ -89,14 +91,14 @@ class Node:
         return StateSpace(a, b, c, d, *names)
 
     def check_axial_load(self) -> None:
-        """Raise ValueError, naming the node, where pendulums do not hang under a positive axial load."""
+        """Raise ValueError, naming the operating point, if pendulums do not hang under a positive axial load."""
         if len(self.vehicle.pendulums.mass_kg) and self.axial_load_mps2 <= 0.0:
             problem = f"a pendulum needs a positive axial load, not {self.axial_load_mps2:g} m/s2"
             raise ValueError(f"node at {self.time_s:g} s: {problem}")
 
     @property
     def drives(self) -> Drives:
-        """Actuators that the law's command moves, for each of the instruments' drives."""
+        """Return the actuators that the law's command moves, for each of the instruments' drives."""
         own = 0 if self.plane == "pitch" else 1
         return [
             [
@@ -110,32 +112,32 @@ class Node:
 
     @cached_property
     def vehicle(self) -> VehicleAt:
-        """Masses, modes and pendulums in the plane."""
+        """Return the masses, modes and pendulums in the plane."""
         return vehicle_at(self.held, self.plane)
 
     @cached_property
     def axial_load_mps2(self) -> float:
-        """Axial specific force of the whole vehicle, (thrust - drag) / mass."""
+        """Return the axial specific force of the whole vehicle, (thrust - drag) / mass."""
         return axial_load_mps2(self.held, self.condition, self.trim)
 
     @cached_property
     def derivatives(self) -> StabilityDerivatives:
-        """Derivatives of the rigid vehicle with its liquid frozen. Raises ValueError at rest."""
+        """Return the derivatives of the rigid vehicle with its liquid frozen. Raises ValueError at rest."""
         return stability_derivatives(self.held, self.condition, self.trim, self.plane, self.drives)
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
-        """The actuator of each drive."""
+        """Return the actuator of each drive."""
         return self.instruments.actuators
 
     @property
     def actuator(self) -> Actuator:
-        """The actuator of the first drive."""
+        """Return the actuator of the first drive."""
         return self.actuators[0]
 
     @property
     def gains(self) -> tuple[float, ...]:
-        """The largest angle of a group per command of the law, of each drive."""
+        """Return the largest angle of a group per command of the law, of each drive."""
         moved = self.held.groups_that_follow(self.plane)
         return tuple(
             max((abs(self.allocation[group][0]) for group in groups if group in moved), default=0.0)
@@ -144,14 +146,16 @@ class Node:
 
     @property
     def angle_limit_rad(self) -> float:
-        """Command of the law at which the first actuator reaches the limit of its angle; infinite for ideal ones."""
+        """Return the command of the law at which the first actuator reaches its angle limit, or infinity for ideal
+        actuators.
+        """
         limits = zip(self.actuators, self.gains, strict=True)
         return min((a.angle_limit_rad / gain for a, gain in limits if gain > 0.0 and not a.ideal), default=math.inf)
 
     def scheduled(self, over: Over) -> float:
-        """Return the quantity that gains are scheduled over, as the flight computer has it at this instant.
+        """Return the quantity over which gains are scheduled, with the flight computer's value at this instant.
 
-        Raises ValueError for a node that was not flown and has no speed.
+        Raises ValueError for an operating point that was not flown and has no speed.
         """
         if over == "time_s":
             return self.time_s
@@ -162,10 +166,12 @@ class Node:
         return self.speed_mps if over == "speed_mps" else 0.5 * self.condition.density_kgpm3 * self.speed_mps**2
 
     def steps(self) -> list[Node]:
-        """Return the vehicle built up: rigid body, air, slosh, engine inertia, bending; the last is the node itself.
+        """Return the vehicle built up: rigid body, air, slosh, engine inertia, bending.
 
-        Without slosh the liquid is frozen at its bobs; without aerodynamics the axial force stays, since it sets the
-        axial load on liquid and engine; without engine inertia the gimbal moves a massless engine.
+        The last model is that of the operating point.
+
+        Without slosh, the liquid is frozen at its bobs. Without aerodynamics, the axial force remains, since it sets
+        the axial load on liquid and engine. Without engine inertia, the gimbal moves a massless engine.
         """
         stiff = without_bending(self.held)
         light = without_engine_inertia(stiff)
@@ -174,7 +180,7 @@ class Node:
         return [*(dataclasses.replace(self, held=held) for held in (bare, frozen, light, stiff)), self]
 
     def with_(self, **deviations: Any) -> Node:
-        """Return the node with deviations, by the fields of `dispersion.Dispersion`."""
+        """Return the operating point with deviations, by the fields of `dispersion.Dispersion`."""
         return disperse(self, Dispersion(**deviations))
 
 
@@ -185,13 +191,13 @@ def nodes_along(
     faults: bool = False,
     refine: Callable[[FlightRun, Node], Node] = lambda run, node: node,
 ) -> list[Node]:
-    """Return nodes at vehicle times (s) of a flight of the scenario, flown once and without a log.
+    """Return operating points at vehicle times (s) of a flight of the scenario, flown once and without a log.
 
-    Speed, air and attitude are those flown, at the integrator's step nearest to each time; angle of attack and rotation
-    are taken as zero, but for a vehicle with tables over angle of attack, which is taken at the flown angles, and ring
-    baffles, which damp as they do in the flown swing (`with_swings`). What the scenario lets fail works, but with
-    `faults`. Nodes come in the order of `times_s`. Raises ValueError, naming node and range, for a time outside the
-    powered flight.
+    Speed, air and attitude are those flown, at the integrator's step nearest to each time. Angle of attack and rotation
+    are zero, with two exceptions. A vehicle with tables over angle of attack has the flown angles, and ring baffles
+    have their damping in the flown swing (`with_swings`). The scenario's failures are included only with `faults`. The
+    points are in the order of `times_s`. Raises ValueError for a time outside the powered flight. The message names the
+    point and the range.
     """
     wanted = [float(t) for t in times_s]
     if not wanted:
@@ -205,9 +211,10 @@ def nodes_along(
 
 
 def with_cuts(nodes: Sequence[Node], scenario: LoadedScenario) -> list[Node]:
-    """Return nodes whose vehicles have the bending moment at the stations of their section loads among their outputs.
+    """Return operating points whose vehicles have the bending moments at the stations of their section loads among
+    their outputs.
 
-    The flight needs no section loads for that: its tables are packed once more with them.
+    The flight itself needs no section loads: its tables are packed once more with them.
     """
     given = scenario.scenario
     on = given.model_copy(update={"switches": given.switches.model_copy(update={"section_loads": True})})
@@ -220,12 +227,13 @@ def with_cuts(nodes: Sequence[Node], scenario: LoadedScenario) -> list[Node]:
     return out
 
 
-SWING_PERIODS = 3.0  # of a pendulum, about a node, over which its swing is averaged
+SWING_PERIODS = 3.0  # of a pendulum, about an operating point, over which its swing is averaged
 _SWING_LOG = LogSection(fast_hz=200.0, slow_hz=1.0, transform_hz=1.0)
 
 
 def with_swings(nodes: Sequence[Node], scenario: LoadedScenario, faults: bool = False) -> list[Node]:
-    """Return nodes whose ring baffles damp as in a flight of the scenario, `SWING_PERIODS` about each (`swing_rad`).
+    """Return operating points whose ring baffles have their damping in a flight of the scenario, over `SWING_PERIODS`
+    about each (`swing_rad`).
 
     Only vehicles with rings are flown. The swing is that of both planes together.
     """
@@ -259,15 +267,16 @@ def swing_rates_radps(run: FlightRun, rows: Array) -> Array:
 
 
 def slosh_columns(run: FlightRun, plane: str, what: str = "deg") -> list[int]:
-    """Return the columns of a flight's fast rows with the swing of each tank's pendulum, deg, or its rate."""
+    """Return the columns of a flight's fast rows that contain the swing of each tank's pendulum, deg, or its rate."""
     names = [c.name for c in run.table.columns(FAST)]
     return [n for n, name in enumerate(names) if name.startswith("slosh") and name.endswith(f"{plane}_{what}")]
 
 
 def equivalent_swing(rate_radps: Array, omega_radps: float) -> float:
-    """Return the amplitude (rad) of a plane swing at a frequency in which rings damp as much as in a motion.
+    """Return the amplitude (rad) of a plane swing at a frequency in which the rings have the same damping as in a
+    motion.
 
-    The linear damper that dissipates as much is in proportion to mean(v^(5/2)) / mean(v^2) (docs/model.md, 5.9).
+    The linear damper with the same dissipation is proportional to mean(v^(5/2)) / mean(v^2) (docs/model.md, 5.9).
     """
     v = rate_radps[np.isfinite(rate_radps)]
     square = float(np.mean(v * v)) if len(v) else 0.0
@@ -275,8 +284,10 @@ def equivalent_swing(rate_radps: Array, omega_radps: float) -> float:
 
 
 def disperse(node: Node, by: Dispersion) -> Node:
-    """Return the node with the deviations applied (`Node.with_`: by keywords). Raises ValueError for too many
-    factors."""
+    """Return the operating point with the deviations applied (`Node.with_`: by keywords).
+
+    Raises ValueError for too many factors.
+    """
     if by == NOMINAL:
         return node
     label = f"{node.label} {by.label}".strip() if by.label else node.label
@@ -291,8 +302,9 @@ def disperse(node: Node, by: Dispersion) -> Node:
 
 
 def with_drives_apart(node: Node) -> Node:
-    """Return the node with a drive for each group of engines that moves in its plane, alike as their actuators may
-    be."""
+    """Return the operating point with a separate drive for each group of engines that moves in its plane, even if their
+    actuators are equal.
+    """
     kept = node.instruments
     moved = sorted(group for group in node.held.groups_that_follow(node.plane) if any(node.allocation[group]))
     if all(len(groups) == 1 for groups in kept.groups) or not moved:
@@ -303,7 +315,7 @@ def with_drives_apart(node: Node) -> Node:
 
 
 def at_swing(node: Node, swing_rad: Array) -> Node:
-    """Return the node with its pendulums' `swing_rad`, in both planes."""
+    """Return the operating point with its pendulums' `swing_rad`, in both planes."""
     return dataclasses.replace(node, held=dataclasses.replace(node.held, swing_rad=swing_rad))
 
 
@@ -319,9 +331,11 @@ def _node(run: FlightRun, time_s: float, plane: Plane) -> Node:
 
 
 def at_same_propellant_s(run: FlightRun, flown: Scenario, node: Node) -> float:
-    """Return the vehicle time at which a flight has burnt the propellant that the flight of a node (`flown`) has there.
+    """Return the vehicle time at which a flight has burnt the same propellant as the flight of an operating point
+    (`flown`) has at that point.
 
-    Engines may burn at other rates, and throttled. Raises ValueError where the flight never burns as much.
+    The burn rates and the throttling of the engines may differ. Raises ValueError if the flight never burns this
+    amount.
     """
     n, scenario = node.stage, run.loaded.scenario
     mine, other = (stage_burns(each.vehicle.stage, each.fault)[n] for each in (scenario, flown))
@@ -335,15 +349,16 @@ def at_same_propellant_s(run: FlightRun, flown: Scenario, node: Node) -> float:
 
 
 def met_by(node: Node, met: Node) -> Node:
-    """Return a node with its own vehicle in the air, at the speed and in the attitude of `met`.
+    """Return an operating point with its own vehicle in the air, at the speed and in the attitude of `met`.
 
-    Rings damp as at the node: in the calm air of a design's own flight less than in the winds of others.
+    The damping of rings remains that of the operating point. It is lower in the calm air of a design's own flight than
+    in the winds of others.
     """
     return dataclasses.replace(node, condition=dataclasses.replace(met.condition, time_s=node.time_s), trim=met.trim)
 
 
 def surface_radii_m(stage: Stage, clock_s: float) -> tuple[float, ...]:
-    """Return the radius of the surface at rest in the tank of each pendulum; NaN where the file does not state it."""
+    """Return the radius of the surface at rest in the tank of each pendulum, or NaN if the file does not state it."""
     out: list[float] = []
     for tank in stage.tank:
         radius = math.nan if tank.radius_m is None else tank.radius_m
@@ -356,7 +371,7 @@ def surface_radii_m(stage: Stage, clock_s: float) -> tuple[float, ...]:
 
 
 def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch") -> Node:
-    """Return the node at the state and time at which a packed flight stands."""
+    """Return the operating point at the present state and time of a packed flight."""
     air = evaluate_at(packed, packed.state, time_s).aux.air
     gravitation = air.gravitation_I_mps2
     gravity = float(np.linalg.norm(gravitation))
@@ -364,7 +379,7 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
     pitch = math.asin(max(-1.0, min(1.0, float(-forward @ gravitation) / gravity))) if gravity > 0.0 else 0.0
     u, v, w = (float(x) for x in air.flow_B_mps)
     row, trim = packed.parameters[stage], (math.atan2(w, u), math.atan2(v, math.hypot(u, w)))
-    flies = air.airspeed_mps >= row.vehicle.aero.airspeed_floor_mps  # below it no air acts, and its pressure does
+    flies = air.airspeed_mps >= row.vehicle.aero.airspeed_floor_mps  # below it, only the pressure of the air acts
     carried = ground_velocity(row.environment.earth, *packed.state[R_I : R_I + 2])
     condition = FlightCondition(
         time_s=time_s,

@@ -1,4 +1,6 @@
-"""Flights that give operating points: their powered spans, their loss, the times of nodes, and flying up to them."""
+"""Flights that give operating points: their powered spans, their loss, the times of the points, and the flight up to
+them.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ from maxq.sim.vehicle.engine.burn import Burn, stage_burns, when_spent_s
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of the flight, s on the vehicle clock, in which a stage is under thrust and off the pad."""
+    """A part of the flight, s on the vehicle clock, in which a stage is under thrust and off the pad."""
 
     stage: int  # from 0
     begin_s: float
@@ -33,23 +35,23 @@ class Span:
 
 
 LOSSES = (CONTROL_LOST_NAME, EVENT_NAMES[TUMBLE], DIVERGED_NAME)
-"""Events from which on a flight gives no operating points."""
+"""The events from which on a flight gives no operating points."""
 
 
 def loss_of(events: Iterable[Event]) -> Event | None:
-    """Return the first event by which a flight is lost: control lost, a tumble or divergence; None without one."""
+    """Return the first event by which a flight is lost (control lost, a tumble or divergence), or None."""
     return min((e for e in events if e.name in LOSSES), key=lambda e: e.time_ns, default=None)
 
 
 def loss_text(loss: Event) -> str:
-    """Name a loss and its time: "control lost at 23.140 s"."""
+    """Return a loss and its time as text: "control lost at 23.140 s"."""
     return f"{loss.name.replace('_', ' ')} at {loss.time_s:.3f} s"
 
 
 def powered_flight(scenario: LoadedScenario, faults: bool = False) -> tuple[tuple[Span, ...], Event | None]:
-    """Fly without a log up to the last burnout, or to the loss: the powered span of each stage, and that loss.
+    """Fly without a log up to the last burnout, or to the loss. Return the powered span of each stage and the loss.
 
-    The latest answers are kept, since spans, times and loss of one flight are asked for in turn.
+    The latest results are cached, since callers request spans, times and loss of one flight in turn.
     """
     for known, with_faults, found in tuple(_LATEST):
         if known is scenario and with_faults == faults:
@@ -75,7 +77,10 @@ def _powered_flight(scenario: LoadedScenario, faults: bool) -> tuple[tuple[Span,
 
 
 def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
-    """Return the powered span of each stage that burns, in a flight without faults; they end where it is lost."""
+    """Return the powered span of each stage that burns, in a flight without faults.
+
+    The spans end at a loss of the flight.
+    """
     return powered_flight(scenario)[0]
 
 
@@ -100,17 +105,19 @@ def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, 
 
 
 NODES_PER_STAGE = 11
-_FULL = 0.5  # share of a stage's largest thrust that nodes need
-EDGES = 0.05, 0.02  # shares of a span that nodes keep off its ends
+_FULL = 0.5  # share of a stage's largest thrust that operating points need
+EDGES = 0.05, 0.02  # shares of a span at its ends without operating points
 
 
 def node_times(
     scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None, edges: tuple[float, float] = EDGES
 ) -> tuple[float, ...]:
-    """Return times of nodes that suit a flight: `count` in each stage (or one of them), evenly under full thrust; a
-    single one in the middle.
+    """Return times of operating points that suit a flight: `count` in each stage (or one of them), evenly spaced under
+    full thrust.
 
-    Stages whose engines cannot be moved have none. Raises ValueError where there is no stage left.
+    A single point is in the middle.
+
+    Stages with fixed engines have none. Raises ValueError if no stage remains.
     """
     times: list[float] = []
     stages = scenario.vehicle.stage
@@ -130,7 +137,7 @@ def node_times(
 
 
 def full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
-    """Return the first and last instant on the vehicle clock of half the largest thrust by the tables."""
+    """Return the first and last instant on the vehicle clock at which the thrust by the tables is half the largest."""
     tables = [engine.table for engine in stage.engines]
     if any(len(table) == 1 for table in tables):
         return -math.inf, math.inf
@@ -141,16 +148,18 @@ def full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
 
 
 def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> FlightRun:
-    """Return a flight at its start, by default without a log; on the grid of run.step_s, on which nodes lie."""
+    """Return a flight at its start, by default without a log, on the grid of run.step_s, which contains the operating
+    points.
+    """
     run = scenario.scenario.run.model_copy(update={"accuracy": None})
     flown = scenario.scenario.model_copy(update={"run": run} | ({} if faults else {"fault": ()}))
     return FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=log)
 
 
 def flown_to(run: FlightRun, time_s: float) -> int:
-    """Fly on to the integrator's step nearest to a vehicle time, in ns.
+    """Continue the flight to the integrator's step nearest to a vehicle time, in ns.
 
-    Raises ValueError where no engine burns, and after the loss of the flight.
+    Raises ValueError if no engine burns, and after the loss of the flight.
     """
     step_ns = int(run.packed.parameters[0].timeline.step_ns)
     at_ns = round(time_s * 1e9 / step_ns) * step_ns
@@ -174,7 +183,7 @@ def flown_to(run: FlightRun, time_s: float) -> int:
 
 
 def _allowed(run: FlightRun) -> str:
-    """Return the times under thrust by the stages' timelines, for people."""
+    """Return the times under thrust by the stages' timelines, as text for a message."""
     spans: list[str] = []
     for row in run.packed.parameters:
         begin_ns, end_ns = int(row.timeline.burn_start_ns), int(row.timeline.burnout_ns)

@@ -1,6 +1,6 @@
-"""A short way to write a campaign of normal deviations: the three sigma of what deviates, of every stage alike.
+"""A short form of a campaign of normal deviations: the three sigma of each deviating quantity, equal for all stages.
 
-`campaign_of` makes the campaign. Every mode, tank and engine deviates by itself, actuators by groups of engines.
+`campaign_of` makes the campaign. Modes, tanks and engines deviate independently, actuators by groups of engines.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.sim.vehicle.actuator.section import ActuatorAxis
 
 RelativeDeviation = Annotated[float, Field(ge=0.0, lt=1.0)]
-"""A relative deviation; one of 1 would turn the sign of what deviates."""
+"""A relative deviation. A deviation of 1 would reverse the sign of the quantity."""
 Shares = Annotated[
     Annotated[RelativeDeviation, Tag(TABLE_FORM)] | Annotated[tuple[RelativeDeviation, ...], Tag(LIST_FORM)],
     Discriminator(lambda value: LIST_FORM if isinstance(value, list | tuple) else TABLE_FORM),
 ]
-"""One for all modes, tanks, engines or groups of engines, or one each, the last for all beyond."""
+"""A value for all modes, tanks, engines or groups of engines, or one each, the last for all beyond."""
 _LEAST = 0.05  # of the nominal value
 
 
 class Spread(Section):
-    """3-sigma deviations, relative unless a unit is named."""
+    """The 3-sigma deviations, relative unless a unit is named."""
 
     where: ClassVar[tuple[str, str]] = ("suite", "margins.three_sigma")
 
@@ -65,22 +65,22 @@ class Spread(Section):
             raise refuse("cannot be combined with campaign, whose draws the deviations are", "no such key", given[0])
 
     def size(self, key: str, number: int) -> float:
-        """Return the three sigma of a deviation; `number`: of the mode, tank, engine or group, from 0."""
+        """Return the three sigma of a deviation. `number` is that of the mode, tank, engine or group, from 0."""
         given = getattr(self, key)
         each = given if isinstance(given, tuple) else (given,)
         return float(each[min(max(number, 0), len(each) - 1)]) if each else 0.0
 
 
 DEVIATIONS = tuple(key for key in Spread.model_fields if key not in ("correlated", "campaign"))
-"""Keys of what deviates."""
+"""The keys of the deviating quantities."""
 _ADDED = ("centre_of_pressure_m", "delay_s")
 
 
 @cached_by_identity
 def campaign_of(spread: Spread, base: LoadedScenario, seed: int = 1) -> LoadedCampaign:
-    """Return the campaign that a `Spread` names, or the one that it writes for all stages of a scenario.
+    """Return the campaign that a `Spread` names, or the one that it describes for all stages of a scenario.
 
-    Raises ScenarioError for a campaign that cannot be read, and for correlations that cannot be.
+    Raises ScenarioError for a campaign that cannot be read, and for impossible correlations.
     """
     if spread.campaign is not None:
         return load_campaign(spread.campaign)
@@ -100,7 +100,7 @@ def campaign_of(spread: Spread, base: LoadedScenario, seed: int = 1) -> LoadedCa
             bounds = {"at_least": _LEAST * least}
             if key in _ADDED:
                 bounds = {"at_most": _sample_s(vehicle, targets[0])} if key == "delay_s" else {}
-            elif key == "slosh_frequency":  # a pendulum's length goes with its frequency to the power -2
+            elif key == "slosh_frequency":  # a pendulum's length is proportional to its frequency to the power -2
                 bounds = {"power": -2.0, "at_most": least / _LEAST**2}
             apply = "add" if key in _ADDED else "scale"
             entries[name] = {"name": name, "keys": tuple(targets), "apply": apply, "distribution": "normal"}
@@ -118,7 +118,7 @@ def campaign_of(spread: Spread, base: LoadedScenario, seed: int = 1) -> LoadedCa
 
 
 def _correlated(spread: Spread, names: list[dict[str, str]]) -> tuple[dict[str, Any], ...]:
-    """Return pairs of draws by `names`, of each stage by key; raises ScenarioError for a pair that no stage has."""
+    """Return pairs of draws by `names`, of each stage by key. Raises ScenarioError for a pair that no stage has."""
     out, (source, at) = list[dict[str, Any]](), spread.where
     for n, pair in enumerate(spread.correlated):
         i, j = pair.of
@@ -132,7 +132,7 @@ def _correlated(spread: Spread, names: list[dict[str, str]]) -> tuple[dict[str, 
 
 
 def _deviations(vehicle: Vehicle, number: int) -> Iterator[tuple[str, int, list[str]]]:
-    """Yield key, number from 0 (-1: there is one) and key paths of what deviates in a stage."""
+    """Yield key, number from 0 (-1 for a single quantity) and key paths of each deviating quantity in a stage."""
     stage, s = vehicle.stage[number], f"vehicle.stage.{number}."
     modes = [
         f"{s}spatial_modes.{{}}.{k}"
@@ -166,7 +166,7 @@ def _deviations(vehicle: Vehicle, number: int) -> Iterator[tuple[str, int, list[
 
 
 def _of_actuators(stage: Stage, s: str) -> Iterator[tuple[str, int, list[str]]]:
-    """Yield what `_deviations` does of the poles of each group's actuators, both axes alike."""
+    """Yield the tuples of `_deviations` for the poles of each group's actuators, with both axes equal."""
     if stage.actuator is None:
         return
     groups = stage.engine_groups
@@ -182,21 +182,21 @@ def _of_actuators(stage: Stage, s: str) -> Iterator[tuple[str, int, list[str]]]:
 
 
 def _poles(axis: ActuatorAxis) -> list[int]:
-    """Return which frequencies of an actuator are those of poles: of four one is that of the zeros."""
+    """Return the indices of the frequencies of an actuator that belong to poles. Of four, one is that of the zeros."""
     zeros = 2 if axis.exchange_a3_a4 else 3
     return [k for k in range(len(axis.omega_hz)) if k != zeros]
 
 
 def _sample_s(vehicle: Vehicle, key: str) -> float:
-    """Return the longest delay that a computer's key may hold: the shortest sample of the stages that read it."""
+    """Return the longest delay that a computer's key may have: the shortest sample of the stages that read it."""
     stages = range(len(vehicle.stage)) if key.startswith("vehicle.computer.") else [int(key.split(".")[2])]
     return min(computer.sample_s for n in stages if (computer := vehicle.computer_of(n)) is not None)
 
 
 def with_actuators_apart(base: LoadedScenario, like: Vehicle | None = None) -> LoadedScenario:
-    """Return the scenario with actuators of its own for each of several groups of engines, where one table serves all.
+    """Return the scenario with separate actuators for each of several groups of engines that share one table.
 
-    `like`: only in stages in which this vehicle has such.
+    `like` restricts the change to stages in which this vehicle has separate actuators.
     """
     stages = list(base.vehicle.stage)
     for n, stage in enumerate(stages):

@@ -16,7 +16,7 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class StateSpace:
-    """x' = A x + B u, y = C x + D u."""
+    """The linear system x' = A x + B u, y = C x + D u."""
 
     a: Array  # (n, n)
     b: Array  # (n, inputs)
@@ -33,24 +33,24 @@ class StateSpace:
             raise ValueError(f"matrices {shapes} do not fit {n} states, {m} inputs and {p} outputs")
 
     def poles(self) -> ComplexArray:
-        """Eigenvalues, rad/s, in rising order of magnitude."""
+        """Return the eigenvalues, rad/s, in rising order of magnitude."""
         values = np.linalg.eigvals(self.a).astype(np.complex128)
         return values[np.argsort(np.abs(values))]
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Frequency response (frequencies, outputs, inputs)."""
+        """Return the frequency response (frequencies, outputs, inputs)."""
         eye = np.eye(len(self.states))
         omega = 2.0 * np.pi * np.atleast_1d(np.asarray(frequencies_hz, float))
         return np.array([self.c @ np.linalg.solve(1j * w * eye - self.a, self.b) + self.d for w in omega])
 
     def channel(self, output: str, source: str, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Frequency response (frequencies,) from one input to one output, by name."""
+        """Return the frequency response (frequencies,) from one input to one output, by name."""
         i, j = self.outputs.index(output), self.inputs.index(source)
         return np.asarray(self.response(frequencies_hz)[:, i, j])
 
 
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
-    """`second` driven by all outputs of `first`; continuous or sampled alike."""
+    """Return `second` driven by all outputs of `first`. Both are continuous, or sampled at the same period."""
     n, m = len(first.states), len(second.states)
     a = np.zeros((n + m, n + m))
     a[:n, :n], a[n:, n:] = first.a, second.a
@@ -67,13 +67,15 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
 
 
 def chain(*systems: StateSpace) -> StateSpace:
-    """Systems in series, the first one first."""
+    """Return the systems in series, the first one first."""
     return reduce(series, systems)
 
 
 def zeros_and_poles(system: StateSpace) -> tuple[ComplexArray, ComplexArray]:
-    """Return zeros and poles of a system with one input and one output: generalised eigenvalues of its matrix
-    (Emami-Naeini & Van Dooren, Automatica 18(4), 1982), and eigenvalues of A.
+    """Return the zeros and poles of a system with one input and one output.
+
+    The zeros are generalised eigenvalues of its matrix (Emami-Naeini & Van Dooren, Automatica 18(4), 1982), and the
+    poles eigenvalues of A.
     """
     a, (scale, _) = scipy.linalg.matrix_balance(system.a, permute=False, separate=True)
     b, c, n = system.b[:, 0] / scale, system.c[0] * scale, len(system.a)
@@ -88,9 +90,9 @@ def zeros_and_poles(system: StateSpace) -> tuple[ComplexArray, ComplexArray]:
 
 
 def channels(system: StateSpace, outputs: tuple[str, ...], inputs: tuple[str, ...] | None = None) -> StateSpace:
-    """The system with some of its outputs and inputs, reduced to the states on a path between them.
+    """Return the system with some of its outputs and inputs, reduced to the states on a path between them.
 
-    Structurally uncontrollable and unobservable states are dropped: in vacuum the lateral drift does not act on the
+    Structurally uncontrollable and unobservable states are removed. In vacuum, the lateral drift does not act on the
     rotation, and its poles at zero do not belong to the loop.
     """
     i = [system.outputs.index(name) for name in outputs]
@@ -111,7 +113,7 @@ def channels(system: StateSpace, outputs: tuple[str, ...], inputs: tuple[str, ..
 
 
 def _connected(entries: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """States (bool) reachable from `start`; entry [i, k]: k acts on i."""
+    """Return the states (bool) that are reachable from `start`. Entry [i, k] is True if k acts on i."""
     found = start.copy()
     for _ in range(len(start)):
         grown = found | (entries & found).any(axis=1)
@@ -125,10 +127,10 @@ _WORST_BASIS = 1e7  # condition number beyond which partial fractions lose half 
 
 
 class Resolvent:
-    """C (s - A)^-1 B at many points s at once, exact at the sharpest resonance.
+    """The function C (s - A)^-1 B at many points s at once, exact at the sharpest resonance.
 
-    Partial fractions where A has a well-conditioned basis of eigenvectors, else a linear system solved at each point.
-    `poles` are A's eigenvalues, (n,). Calling it with s (any shape) gives (*s.shape, outputs, inputs).
+    Partial fractions are used if A has a well-conditioned basis of eigenvectors. Otherwise a linear system is solved at
+    each point. `poles` are A's eigenvalues, (n,). A call with s (any shape) returns (*s.shape, outputs, inputs).
     """
 
     def __init__(self, a: Array, b: Array, c: Array) -> None:
@@ -147,7 +149,7 @@ class Resolvent:
     def __call__(self, s: ComplexArray) -> ComplexArray:
         flat = np.asarray(s, np.complex128).reshape(-1)
         if self._fractions:
-            # not `@`: for so thin a product the linear-algebra library's threads cost more than they save
+            # not `@`: for such a thin product the threads of the linear-algebra library cost more than they save
             out = np.einsum("sp,pk->sk", 1.0 / (flat[:, None] - self.poles), self._residues)
         else:
             a, b, c = self._system

@@ -1,4 +1,4 @@
-"""Numbers of a held stage: masses, modes, pendulums, derivatives; and the same stage with parts of it absent."""
+"""The numbers of a held stage: masses, modes, pendulums, derivatives. The module also removes parts from the stage."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Pendulums:
     length_m: Array
     hinge_station_m: Array
     damping_ratio: Array
-    viscous: Array  # what a smooth wall adds to it, times the fourth root of the axial load, (m/s2)^(1/4)
-    ring: Array  # what ring baffles add to it, per root of the swing, rad^(-1/2)
-    swing_rad: Array  # at which they do: that of a flight (node.with_swings), 0 of a vehicle that none has flown
+    viscous: Array  # added by a smooth wall, times the fourth root of the axial load, (m/s2)^(1/4)
+    ring: Array  # added by ring baffles, per root of the swing, rad^(-1/2)
+    swing_rad: Array  # swing for that: that of a flight (node.with_swings), 0 of a vehicle that was not flown
 
     def small_wave_damping(self, load_mps2: float) -> Array:
-        """Return the damping ratio in small waves, where baffles do nothing yet, under an axial load."""
+        """Return the damping ratio in small waves, in which baffles have no effect, under an axial load."""
         return np.asarray(self.damping_ratio + self.viscous * np.maximum(load_mps2, 1e-9) ** -0.25)
 
     def damping(self, load_mps2: float) -> Array:
@@ -42,7 +42,10 @@ class Pendulums:
 
 @dataclass(frozen=True)
 class VehicleAt:
-    """A stage at one instant, in one plane. Stations in m aft of the nose; CG and inertia with the liquid frozen."""
+    """A stage at one instant, in one plane.
+
+    Stations are in m aft of the nose. CG and inertia are those with the liquid frozen.
+    """
 
     total_mass_kg: float
     total_cg_station_m: float
@@ -51,7 +54,7 @@ class VehicleAt:
     omega_radps: Array  # of the modes, the spatial ones first
     damping_ratio: Array
     pendulums: Pendulums
-    sensors: tuple[tuple[str, float], ...] = ()  # beyond the gyro: what each measures, by name, and its station, m
+    sensors: tuple[tuple[str, float], ...] = ()  # beyond the gyro: the name of each measurement, and its station, m
     cut_stations_m: tuple[float, ...] = ()  # of section loads that are switched on
 
 
@@ -96,7 +99,9 @@ def pendulums_of(held: HeldStage) -> Pendulums:
 
 
 def total_of(held: HeldStage) -> tuple[Array, Array, Array]:
-    """Return mass (vehicles,), station of the CG (vehicles,) and inertia about y and z (vehicles, 2), liquid frozen."""
+    """Return the mass (vehicles,), station of the CG (vehicles,) and inertia about y and z (vehicles, 2), with the
+    liquid frozen.
+    """
     p = held.properties
     core, station = p[:, schedule.CORE_MASS], p[:, schedule.CORE_CG]
     mass, bob = held.tank(schedule.TANK_MASS), held.tank(schedule.TANK_HINGE) + held.tank(schedule.TANK_LENGTH)
@@ -107,9 +112,9 @@ def total_of(held: HeldStage) -> tuple[Array, Array, Array]:
 
 
 def axial_load_mps2(held: HeldStage, condition: FlightCondition, trim: Trim) -> float:
-    """Return the axial specific force of the first vehicle, (thrust - drag) / mass, as its modes and pendulums have it.
+    """Return the axial specific force of the first vehicle, (thrust - drag) / mass, as it acts on modes and pendulums.
 
-    Between the rows of its tables the total mass is not quite that of core and bobs.
+    Between the rows of its tables, the total mass differs slightly from that of core and bobs.
     """
     one = dataclasses.replace(held, parameters=held.parameters[:1], properties=held.properties[:1])
     one, y = one.without_sections().copied().prepared(dataclasses.replace(condition, gravity_mps2=0.0), trim)
@@ -120,7 +125,7 @@ def axial_load_mps2(held: HeldStage, condition: FlightCondition, trim: Trim) -> 
 
 # --- with parts absent
 def without_bending(held: HeldStage) -> HeldStage:
-    """Return a stage whose modes move nothing and are moved by nothing."""
+    """Return a stage whose modes are decoupled from all other motion."""
     held, sizes = held.without_sections().copied(), held.sizes
     for plane in (schedule.PITCH, schedule.YAW):
         first = int(schedule.mode_column(sizes, plane, schedule.MODE_PHI_GIMBAL))
@@ -171,8 +176,8 @@ def without_lateral_air(held: HeldStage) -> HeldStage:
 # --- derivatives
 @dataclass(frozen=True)
 class StabilityDerivatives:
-    """The coefficients of alpha' = Z and q' = M as the paper defines them (4 to 8): whole mass, body rigid, liquid
-    frozen.
+    """The coefficients of alpha' = Z and q' = M as the paper defines them (4 to 8): whole mass, rigid body, frozen
+    liquid.
 
     Z_alpha and M_alpha are negative for a statically stable vehicle with lift.
     """
@@ -189,7 +194,7 @@ def stability_derivatives(
 ) -> StabilityDerivatives:
     """Return the derivatives at a flight condition.
 
-    Raises ValueError at rest, where eqs 4 and 5 divide by the speed.
+    Raises ValueError at rest, since eqs 4 and 5 divide by the speed.
     """
     if condition.airspeed_mps <= 0.0:
         raise ValueError("stability derivatives are defined for positive airspeed only")
@@ -215,8 +220,10 @@ def stability_derivatives(
 def incidence_by_acceleration(
     vehicle: VehicleAt, derivatives: StabilityDerivatives, speed_mps: float
 ) -> tuple[float, float]:
-    """Return what the angle of attack follows from by an accelerometer and the pitch acceleration
-    (control/laws/load_relief.py): `percussion_m` and `accel_per_incidence_mps2`, of the rigid body.
+    """Return the coefficients that give the angle of attack from an accelerometer and the pitch acceleration
+    (control/laws/load_relief.py).
+
+    They are `percussion_m` and `accel_per_incidence_mps2` of the rigid body.
 
     Raises ValueError without an accelerometer, without air, and without an engine that turns the vehicle.
     """
@@ -225,7 +232,7 @@ def incidence_by_acceleration(
     if station_m is None or d.z_alpha_1ps == 0.0 or d.m_delta_1ps2 == 0.0:
         missing = "an accelerometer" if station_m is None else "air" if d.m_delta_1ps2 != 0.0 else "an engine"
         raise ValueError(f"no angle of attack can be estimated without {missing}")
-    # from the CG to the centre of percussion, m forward; the accelerometer may lie on either side of it
+    # from the CG to the centre of percussion, m forward; the accelerometer may be on either side of it
     centre_m = d.z_delta_1ps * speed_mps / d.m_delta_1ps2
     forward_m = vehicle.total_cg_station_m - station_m
     return centre_m - forward_m, d.z_alpha_1ps * speed_mps - centre_m * d.m_alpha_1ps2

@@ -1,4 +1,6 @@
-"""Solve a case at its nodes: the problem, the search from all starts, and the check of the result by poles."""
+"""The solution of a case at its operating points: the problem, the search from all starts, and the check of the result
+by poles.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +26,13 @@ from maxq.design.optimise.search import FINE_STEPS, PATIENCE, BestPoint, SearchP
 from maxq.design.optimise.solution import MET_DB, Solution, make_solution
 from maxq.design.optimise.sqp import descend
 
-MORE_STARTS = 3  # times as many, where the limits cannot be met
+MORE_STARTS = 3  # times as many, if the limits cannot be met
 LEAST_EVALUATIONS = 60  # of a search for the limits alone
-LIMITS_DB = 1e-7  # least gain that a step of such a search promises
+LIMITS_DB = 1e-7  # least gain of a step in such a search
 
 
 def make_problem(case: Case, plants: Plants, like: LawVariables | None = None) -> Problem:
-    """The problem of a case. `like`: the law of another problem of the case, whose fixed part is taken over."""
+    """Return the problem of a case. `like` is the law of another problem of the case, whose fixed part is reused."""
     return _problem_of(case, plants, law_kind(case.law).variables(plants.task(case), like))
 
 
@@ -43,9 +45,9 @@ def _problem_of(case: Case, plants: Plants, law: LawVariables) -> Problem:
 def solve_at_nodes(
     loaded: LoadedCase, plants: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
 ) -> Solution:
-    """The best design found for the plants at the case's nodes.
+    """Return the best design found for the plants at the operating points of the case.
 
-    Where none is stable, the limits are tried without each of those that a case can leave out, from two starts each.
+    If none is stable, the limits are tried without each of those that a case can omit, from two starts each.
     """
     begun, case = time.perf_counter(), loaded.case
     problem, found = search_best(case, plants, also_from, progress)
@@ -63,7 +65,7 @@ def solve_at_nodes(
 
 
 def finished(case: Case, plants: Plants, problem: Problem, found: BestPoint, begun: float) -> Solution:
-    """The solution at a search's best point, its stability checked by poles."""
+    """Return the solution at a search's best point, with its stability checked by poles."""
     seconds = time.perf_counter() - begun
     stable = closes_stably(plants, problem, found.best.variables)
     return make_solution(case, plants, problem, found, seconds, stable)
@@ -72,10 +74,11 @@ def finished(case: Case, plants: Plants, problem: Problem, found: BestPoint, beg
 def search_best(
     case: Case, plants: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
 ) -> tuple[Problem, BestPoint]:
-    """Search from all starts: other laws, and as many of the law's own as the case asks for.
+    """Search from all starts: those of other laws, and the number of the law's own starts that the case states.
 
-    Where the limits cannot be met from these, once more from several times as many, and at last for the limits alone:
-    the violation has valleys of its own, and a start that is good for the objective may be in none of them.
+    If the limits cannot be met from these, the search is repeated from several times as many starts, and finally for
+    the limits alone. The violation has its own local minima, and none of the starts that suit the objective may reach
+    the best of them.
     """
     problem, found = _search_from(case, plants, also_from, progress)
     if found.feasible or found.interrupted:
@@ -88,10 +91,10 @@ def search_best(
 
 
 def search_on(case: Case, problem: Problem, found: BestPoint, also_settled: bool = False) -> BestPoint:
-    """Return a point that meets the limits, or misses them by less, where one is found from an unsettled best effort.
+    """Return a point that meets the limits, or misses them by less, if one is found from an unsettled best effort.
 
-    The search for it is for the limits alone, from the best effort and the law's own starts. It takes about half as
-    many evaluations as the search before. `also_settled`: search on from a settled best effort, too.
+    The search considers the limits alone, from the best effort and the law's own starts. It takes about half as many
+    evaluations as the search before. `also_settled` starts it from a settled best effort, too.
     """
     if found.feasible or found.interrupted or (found.settled and not also_settled):
         return found
@@ -109,9 +112,9 @@ def search_on(case: Case, problem: Problem, found: BestPoint, also_settled: bool
 def meet_limits(
     problem: Problem, starts: Sequence[Array], most: int, progress: Callable[[ProblemAtPoint], None] = lambda _: None
 ) -> ProblemAtPoint:
-    """Return the point that misses the limits by the least of all that descents from the starts come to.
+    """Return the point with the least violation among the results of all descents from the starts.
 
-    They end with the first point that meets the limits, or where the problem has made `most` evaluations. `progress`
+    The descents end with the first point that meets the limits, or after `most` evaluations of the problem. `progress`
     is called with the best point so far.
     """
     best: ProblemAtPoint | None = None
@@ -131,7 +134,7 @@ def meet_limits(
 
 
 def limits_rank(at: ProblemAtPoint) -> tuple[int, float]:
-    """Return the key by which points are sorted where only the limits count: stable before unstable."""
+    """Return the key by which points are sorted if only the limits count: stable before unstable."""
     return at.unstable, at.violation_db
 
 
@@ -144,7 +147,7 @@ def _search_from(
     simpler = law.simpler()
     if simpler is None:
         return problem, search(problem, [*given, *law.starts(count, seed)], progress=progress, leaps=leaps, seed=seed)
-    # one with all variables; the others cheaply, with few
+    # one with all variables; the others at low cost, with few
     few, lift = simpler
     own, fresh = law.starts(1, seed), few.starts(count, seed)[: count - 1]
     return problem, search(

@@ -1,10 +1,10 @@
 """The use of `design.quantities` by the optimiser: the tables of objectives and of limits.
 
-Each entry gives, by the key of its quantity, the features that are searched on the curves and how those found are
-judged: as parts of (where, value, limit, excess in dB). Limits that belong to no frequency come with the law
-(`LawVariables.limits`).
+Each entry has the key of its quantity. It gives the features that are searched for on the curves, and the function that
+judges them: as parts of (where, value, limit, excess in dB). Limits that are independent of frequency are part of the
+law (`LawVariables.limits`).
 
-A phase counts in decibels as the gain margin for the phase margin: 6 dB for 30 deg, 0.2 dB/deg.
+A phase is converted to decibels in the ratio of gain margin to phase margin: 6 dB for 30 deg, 0.2 dB/deg.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from maxq.design.quantities import LAST_MODE, QUANTITIES
 
 @dataclass(frozen=True)
 class Seen:
-    """Features of all loops at a point of the variables; arrays are (features,).
+    """The features of all loops at a point of the variables. Arrays have the shape (features,).
 
-    `mode`: of a bending peak, else 0; `weight_db` of the peak (`features.Mode`). `of_first_mode`: crossings of 0 dB
-    that belong to mode 1 of the same plant.
+    `mode` is the number of a bending peak, else 0. `weight_db` is that of the peak (`features.Mode`). `of_first_mode`
+    marks crossings of 0 dB that belong to mode 1 of the same plant.
     """
 
     kind: NDArray[np.int8]
@@ -45,17 +45,17 @@ class Seen:
 
     @cached_property
     def gain_db(self) -> Array:
-        """|L|."""
+        """Return |L| in dB."""
         return self.at.value.real * DB
 
     @cached_property
     def beside_deg(self) -> Array:
-        """arg L - 180 deg."""
+        """Return arg L - 180 deg."""
         return np.asarray(np.degrees(features.wrapped(self.at.value)))
 
     @cached_property
     def distance_db(self) -> Array:
-        """|1 + L| of the nearest approaches to -1, else nan."""
+        """Return |1 + L| of the nearest approaches to -1, else nan."""
         out, near = self.none.copy(), self.kind == FeatureKind.MODULUS
         out[near] = DB * np.log(np.abs(1.0 + np.exp(self.at.value[near])))
         return out
@@ -66,7 +66,7 @@ class Seen:
 
     @cached_property
     def none(self) -> Array:
-        """nan: no limit of its own."""
+        """Return nan: the quantity has no limit of its own."""
         return np.full(len(self.kind), np.nan)
 
     def limit(self, name: str) -> Array:
@@ -75,14 +75,16 @@ class Seen:
 
 
 JudgedFeatures = tuple[Mask, Array, Array, Array]
-"""Which features, value, limit, excess (dB); an objective's excess is what is made small. nan: not judged."""
+"""The features, the value, the limit and the excess (dB). The excess of an objective is the minimised value. nan:
+not judged.
+"""
 
 
 @dataclass(frozen=True)
 class Criterion:
     """The rows of a quantity of `QUANTITIES`, by its key.
 
-    `searches` of its features are made where `asked` says that a plant is held to it.
+    The `searches` for its features are made if `asked` is True, that is, if a plant has the limit.
     """
 
     key: str
@@ -98,7 +100,7 @@ class Criterion:
         return QUANTITIES[self.key].unit
 
     def asked(self, limits: PlantLimits, common: Limits) -> bool:
-        """Return True where a plant is held to the quantity."""
+        """Return True if a plant has a limit of the quantity."""
         return common.zone != "none" if self.key == "zone" else limits.asked(self.key)
 
 
@@ -106,9 +108,9 @@ class Criterion:
 class Objective:
     """The objective: the largest value of a criterion over all plants, dB, which is minimised.
 
-    `about` names the number as it is written into a design; `reached` says it in the unit of a report. `needs_mode`:
-    a plant without a first bending mode has none. Of what the law says of wind (`LawLimit.objective`) nothing is looked
-    for in the loop.
+    `about` names the number as it is written to a design, and `reached` gives it in the unit of a report. `needs_mode`
+    is True if a plant without a first bending mode has no objective. For objectives of the law in wind
+    (`LawLimit.objective`), the loop is not searched.
     """
 
     criterion: Criterion
@@ -118,7 +120,10 @@ class Objective:
 
 
 def _peak(key: str, first: int, last: int) -> Callable[[Seen], list[JudgedFeatures]]:
-    """Return the rows of the peaks of bending modes `first` to `last`; `key` of the limit, none for an objective."""
+    """Return the rows of the peaks of bending modes `first` to `last`.
+
+    `key` is that of the limit, or none for an objective.
+    """
 
     def parts(seen: Seen) -> list[JudgedFeatures]:
         most = seen.limit(key) if key else seen.none
@@ -159,7 +164,9 @@ OBJECTIVES: dict[ObjectiveName, Objective] = {
 
 
 def _gain_margin(seen: Seen) -> list[JudgedFeatures]:
-    """(44) at every crossing and end, and what approaches 180 deg within the margin without a crossing."""
+    """Return the rows of (44) at every crossing and end, and those of points that approach 180 deg within the margin
+    without a crossing.
+    """
     least = seen.limit("gain_margin_db")
     crossing = (seen.kind == FeatureKind.GAIN_CROSSING) | (seen.kind == FeatureKind.END)
     turn = (seen.kind == FeatureKind.PHASE_TURN) & (np.abs(seen.gain_db) < least)
@@ -170,7 +177,9 @@ def _gain_margin(seen: Seen) -> list[JudgedFeatures]:
 
 
 def _phase_margin(seen: Seen) -> list[JudgedFeatures]:
-    """(45) at every crossing of 0 dB, and what approaches 0 dB within the margin without a crossing."""
+    """Return the rows of (45) at every crossing of 0 dB, and those of points that approach 0 dB within the margin
+    without a crossing.
+    """
     least, crossing = seen.limit("phase_margin_deg"), seen.kind == FeatureKind.PHASE_CROSSING
     turn = (seen.kind == FeatureKind.GAIN_TURN) & (np.abs(seen.beside_deg) < least)
     return [

@@ -1,9 +1,9 @@
-"""The fixed part of every plant's loop as a smooth curve over frequency, quick to evaluate anywhere.
+"""The fixed part of every plant's loop as a smooth curve over frequency that is fast to evaluate.
 
-Peaks, crossings and their gradients are asked for hundreds of times at a few hundred frequencies while the law changes
-and the vehicle does not. So the exact response is computed once on a mesh that resolves every resonance, and ln P and
-ln of each other measurement over P are joined by quintic splines over ln f. The mesh is halved wherever the spline
-misses the exact response by more than `TOLERANCE`: 2e-6 dB and 1e-5 deg, far below the 0.01 of the margins.
+The optimiser needs peaks, crossings and their gradients hundreds of times at a few hundred frequencies while the law
+changes and the vehicle does not. So the exact response is computed once on a mesh that resolves every resonance.
+Quintic splines over ln f interpolate ln P, and ln of each other measurement over P. The mesh is halved wherever the
+spline misses the exact response by more than `TOLERANCE`: 2e-6 dB and 1e-5 deg, far below the 0.01 of the margins.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from maxq.design.model.state_space import ComplexArray
 
 CurveIndices = NDArray[np.int64]
 
-BASE = "rate_radps"  # the measurement that the fixed path's response is to
+BASE = "rate_radps"  # the measurement whose response the fixed path gives
 TOLERANCE = 2e-7  # of ln P
 HIGHEST_HZ = 200.0  # of a loop that has no Nyquist frequency
 PER_DECADE = 24
@@ -37,9 +37,9 @@ LogAndSlopes = tuple[ComplexArray, ComplexArray, ComplexArray]
 
 @dataclass(frozen=True)
 class Points:
-    """Places on the curves, (points,), with value, first and second derivative of logarithms by x = ln f.
+    """The places on the curves, (points,), with value, first and second derivatives of logarithms by x = ln f.
 
-    `log_ratio` of each measurement over `BASE`, None for that itself.
+    `log_ratio` is that of each measurement over `BASE`, None for `BASE` itself.
     """
 
     log_path: LogAndSlopes
@@ -47,7 +47,7 @@ class Points:
 
 
 class Curves:
-    """Meshes of all plants (`mesh_of`), one after the other."""
+    """The meshes of all plants (`mesh_of`), one after the other."""
 
     def __init__(self, meshes: Sequence[PathMesh]) -> None:
         self.sizes = np.array([len(m.x) for m in meshes])
@@ -67,7 +67,7 @@ class Curves:
         self.meshes = meshes
 
     def in_cells(self, cell: CurveIndices, x: Array) -> Points:
-        """Values at x within (or next to) known intervals of the mesh, counted over all plants."""
+        """Return the values at x within (or next to) known intervals of the mesh, counted over all plants."""
         t = (x - self.x[cell])[:, None]
         c = self._coefficients[:, cell, :]
         value = ((((c[0] * t + c[1]) * t + c[2]) * t + c[3]) * t + c[4]) * t + c[5]
@@ -84,24 +84,24 @@ class PathMesh:
 
     x: Array
     path: ComplexArray
-    ratios: dict[str, ComplexArray]  # of each measurement but BASE over that
+    ratios: dict[str, ComplexArray]  # of each measurement but BASE over BASE
     spline: PPoly  # of Re ln P, Im ln P, then both of ln of each ratio
 
 
 def mesh_of(path: FixedPath, kept_hz: Array, tolerance: float = TOLERANCE) -> PathMesh:
-    """Return the mesh of a path; `kept_hz`: frequencies that must be mesh points (bands of modes)."""
+    """Return the mesh of a path. `kept_hz` contains frequencies that must be mesh points (bands of modes)."""
     top = HIGHEST_HZ if math.isinf(path.highest_hz) else path.highest_hz * NEAREST_NYQUIST
     names = [name for name in path.measurements if name != BASE]
 
     def exact(x: Array) -> ComplexArray:
-        """(1 + ratios, points)."""
+        """Return the exact values, (1 + ratios, points)."""
         f = np.exp(x)
         return np.array([path.response(f), *(path.ratio(name, f) for name in names)])
 
     x = np.log(_first_frequencies(path, top, kept_hz))
     known = exact(x)
     for _ in range(MOST_ROUNDS):
-        spline = _spline(x, known)  # as it comes: polynomials are made of the last one only
+        spline = _spline(x, known)  # a spline only: the polynomials are made of the last one
         middle = 0.5 * (x[1:] + x[:-1])
         wanted, guess = exact(middle), spline(middle)
         with np.errstate(over="ignore", invalid="ignore"):  # a spline through few points may overshoot
@@ -109,7 +109,7 @@ def mesh_of(path: FixedPath, kept_hz: Array, tolerance: float = TOLERANCE) -> Pa
         bad = ~(miss < tolerance)
         if not bad.any():
             break
-        # neighbours, too: the spline's error spreads, and meshes that grow in ratio 2 at most keep it tame
+        # neighbours, too: the spline's error spreads, and a mesh whose steps grow by at most a factor of 2 limits it
         spread = bad.copy()
         spread[1:] |= bad[:-1]
         spread[:-1] |= bad[1:]
@@ -132,7 +132,7 @@ def _spline(x: Array, responses: ComplexArray) -> BSpline:
 
 
 def _first_frequencies(path: FixedPath, top_hz: float, kept_hz: Array) -> Array:
-    """Geometric steps, thickened around every pole that swings."""
+    """Return geometric steps, refined around every oscillatory pole."""
     low_hz = lowest_hz_of(path.poles())
     decades = np.log10(top_hz / low_hz)
     parts = [np.geomspace(low_hz, top_hz, int(decades * PER_DECADE) + 1), np.asarray(kept_hz, float)]
@@ -142,7 +142,7 @@ def _first_frequencies(path: FixedPath, top_hz: float, kept_hz: Array) -> Array:
             parts.append(pole.imag + abs(pole.real) * spread)
     joined = np.unique(np.concatenate(parts))
     joined = joined[(joined >= low_hz) & (joined <= top_hz)]
-    # no two points closer than the spline can bear; the kept ones stay
+    # no two points closer than the spline permits; the kept ones stay
     kept = np.isin(joined, kept_hz)
     close = np.abs(np.log(joined[:, None] / joined[kept])).min(axis=1, initial=math.inf) <= CLOSEST
     joined = joined[kept | ~close]

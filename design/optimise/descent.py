@@ -1,8 +1,8 @@
-"""A local descent within a box or a ball: it ends where no small step lowers the value.
+"""A local descent within a box or a ball. It ends if no small step lowers the value.
 
-Each round measures a step to either side along every coordinate, at once. The two values beside the present one give
-slope and curvature along that coordinate; the next point is sought along the step that these promise for all
-coordinates together, and among the points measured. A round that lowers nothing halves the steps.
+Each round evaluates a step to either side along every coordinate, all at once. These two values and the present one
+give slope and curvature along that coordinate. The next point is searched for along the step that they predict for all
+coordinates together, and among the evaluated points. A round that does not lower the value halves the steps.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from maxq.control.kernel.records import Array
 RangeShape = Literal["box", "ellipsoid"]
 _FIRST, _LAST = 0.3, 0.003  # steps, in shares of the reach
 _SHARES = np.array([1.0, 0.6, 0.35, 0.2, 0.1])
-_GAIN = 1e-5  # what a round must lower the value by, of a value near 1
+_GAIN = 1e-5  # least improvement of a round, for a value near 1
 _MOST_ROUNDS = 40
 
 
@@ -37,7 +37,7 @@ class Region:
         return np.asarray(points * np.minimum(1.0, self.reach / np.maximum(size, 1e-300)))
 
     def farthest(self, direction: Array) -> Array:
-        """Return the point of the region that lies farthest in a direction, (coordinates,)."""
+        """Return the point of the region that is farthest in a direction, (coordinates,)."""
         if self.shape == "box":
             return self.reach * np.sign(direction)
         return np.asarray(self.reach * direction / max(float(np.linalg.norm(direction)), 1e-300))
@@ -48,7 +48,7 @@ def descend(
 ) -> tuple[Array, float]:
     """Return the point at which a descent from `start` (coordinates,) ends, and the value there.
 
-    `values_at` gives the values of many points; `value` is that of `start`.
+    `values_at` returns the values of many points. `value` is that of `start`.
     """
     u, units, step = np.asarray(start, float), np.eye(len(start)), _FIRST
     for _ in range(_MOST_ROUNDS):
@@ -62,7 +62,7 @@ def descend(
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = np.where(curvature > 0.0, -slope / curvature, -np.sign(slope) * np.inf)
         newton = np.nan_to_num(np.clip(newton, -2.0 * width, 2.0 * width))
-        # a coordinate that a bound holds: one side of it was not measured, and the other is no better
+        # a coordinate at a bound: one side of it was not evaluated, and the other is no better
         newton = np.where(np.minimum(up, down) < 0.0, newton, 0.0 if region.shape == "box" else newton)
         trials = region.nearest(u + _SHARES[:, None] * newton)
         every, values = np.concatenate([polls, trials]), np.append(found, values_at(list(trials)))
@@ -77,9 +77,10 @@ def descend(
 def to_corner(
     values_at: Callable[[Sequence[Array]], Sequence[float]], start: Array, box: Region
 ) -> tuple[Array, float]:
-    """Return the corner of a box near `start` that no single coordinate at either end makes worse, and its value.
+    """Return the corner of a box near `start` that no change of a single coordinate to either end improves, and its
+    value.
 
-    All coordinates that lower the value are moved together where that lowers it more than the best of them does alone.
+    All coordinates that lower the value are moved together if this lowers it more than the best of them alone.
     """
     u = box.reach * np.where(start >= 0.0, 1.0, -1.0)
     (value,) = values_at([u])

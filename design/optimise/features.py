@@ -1,23 +1,22 @@
-"""The features by which a loop is judged: its peaks, crossings and nearest approaches to -1, each solved for and with
-its gradient.
+"""The features by which a loop is judged: its peaks, crossings and nearest approaches to -1.
 
-A feature is found on the mesh of `Curves` by a change of sign or a local extreme, and refined by Newton's method on the
-splines. Its value then depends smoothly on the variables:
+Each feature is solved for, with its gradient. A feature is found on the mesh of `Curves` by a change of sign or a local
+extreme, and refined by Newton's method on the splines. Its value then depends smoothly on the variables:
 
 | feature | at | value |
 |---|---|---|
 | peak | d ln|L| = 0 within a band, or its end | ln|L| |
 | gain crossing | arg L = 180 deg (mod 360) | ln|L| |
 | phase crossing | |L| = 1 | arg L - 180 deg |
-| turn of gain | d ln|L| = 0 near 0 dB, beside 180 deg | ln|L| |
-| turn of phase | d arg L = 0 near 180 deg, beside 0 dB | arg L - 180 deg |
+| turn of gain | d ln|L| = 0 near 0 dB, close to 180 deg | ln|L| |
+| turn of phase | d arg L = 0 near 180 deg, close to 0 dB | arg L - 180 deg |
 | end | zero frequency, Nyquist frequency: L is real | ln|L| where it is negative |
 | modulus | d |1 + L| = 0 | ln|1 + L| |
 | zone | least of the zone's function along the curve | that function |
 
-Gradients: at an extreme the frequency may be held (its motion is of second order); at a crossing, u = 0 of u + iv =
-ln L along x, the value of v changes by dv - (v_x / u_x) du. A zone with corners (diamond, rectangle) is a maximum of
-smooth functions; where the least lies on a corner line, the same formula holds for the two that meet.
+Gradients: at an extreme, the frequency may be held, since its change has an effect of second order. At a crossing, u =
+0 of u + iv = ln L along x, the value of v changes by dv - (v_x / u_x) du. A zone with corners (diamond, rectangle) is a
+maximum of smooth functions. If the least is on a corner line, the same formula holds for the two functions that meet.
 """
 
 from __future__ import annotations
@@ -65,7 +64,7 @@ class FeatureKind(IntEnum):
 
 @dataclass(frozen=True)
 class Cross:
-    """Half axes of the cross, and of the zone, around -1, one for each plant, mesh point or feature: ln|L| and rad.
+    """The half axes of the cross, and of the zone, around -1, one for each plant, mesh point or feature: ln|L| and rad.
 
     `zone` is a name or "none".
     """
@@ -75,20 +74,21 @@ class Cross:
     zone: str
 
     def of(self, which: CurveIndices | Mask) -> Cross:
-        """Those of plants, or some of these features."""
+        """Return the half axes of plants, or of some of these features."""
         return Cross(self.gain[which], self.phase[which], self.zone)
 
     @property
     def db_per_rad(self) -> Array:
-        """Return the worth of a phase: the gain margin divided by the phase margin."""
+        """Return the conversion factor of a phase: the gain margin divided by the phase margin."""
         return np.asarray(self.gain / self.phase * DB)
 
 
 @dataclass(frozen=True)
 class LogLoop:
-    """ln L at points, its derivatives by x = ln f, and what the law needs for its gradient there.
+    """The values of ln L at points, its derivatives by x = ln f, and the data that the law needs for its gradient
+    there.
 
-    `weights` (points, inputs) as in `LawVariables.gradient`; `own` (points, own parameters).
+    `weights` (points, inputs) are as in `LawVariables.gradient`. `own` has the shape (points, own parameters).
     """
 
     value: ComplexArray
@@ -99,19 +99,19 @@ class LogLoop:
     axis: Axis
 
     def beside(self, change: Array) -> LogLoop:
-        """At x + change, for changes so small that nothing but ln L and its slope moves."""
+        """Return the values at x + change, for changes so small that only ln L and its slope change."""
         first = self.first + self.second * change
         return replace(self, value=self.value + 0.5 * (self.first + first) * change, first=first)
 
     def taken(self, i: CurveIndices) -> LogLoop:
-        """Some of the points."""
+        """Return some of the points."""
         axis = tuple(a[i] for a in self.axis)
         return LogLoop(self.value[i], self.first[i], self.second[i], self.weights[i], self.own[i], axis)
 
 
 @dataclass(frozen=True)
 class MeshPlaces:
-    """Mesh intervals in which something lies, and where to begin looking for it."""
+    """The mesh intervals that contain features, and the starting points of the refinement."""
 
     kind: NDArray[np.int8]
     cell: CurveIndices
@@ -121,7 +121,7 @@ class MeshPlaces:
 
 
 def wrapped(log_loop: ComplexArray) -> Array:
-    """arg L - 180 deg in (-pi, pi], rad."""
+    """Return arg L - 180 deg in (-pi, pi], rad."""
     return np.asarray(np.angle(-np.exp(1j * log_loop.imag)))
 
 
@@ -129,7 +129,7 @@ def wrapped(log_loop: ComplexArray) -> Array:
 class FeatureMode:
     """A bending mode of a plant, as `loop.own_part` describes it.
 
-    `log_weight`: ln of the factor that makes max |L| in its band the peak of the mode.
+    `log_weight` is ln of the factor that makes max |L| in its band the peak of the mode.
     """
 
     number: int  # 1, 2, ...
@@ -142,9 +142,9 @@ class FeatureMode:
 
 @dataclass(frozen=True)
 class Bands:
-    """Frequency bands of the peaks of modes: mesh points [first, last] of each, ends included.
+    """The frequency bands of the peaks of modes: mesh points [first, last] of each, ends included.
 
-    `centre`: the mesh point of the mode's frequency.
+    `centre` is the mesh point of the mode's frequency.
     """
 
     first: CurveIndices
@@ -163,7 +163,9 @@ class Bands:
 
     @cached_property
     def _by_plant(self) -> tuple[CurveIndices, CurveIndices, ComplexArray, Array, Array]:
-        """Numbers of modes, and of each at each plant, (modes, plants): mesh point, own part, frequency, half width."""
+        """Return the numbers of modes, and of each at each plant, (modes, plants): mesh point, own part, frequency,
+        half width.
+        """
         numbers, row = np.unique(self.mode, return_inverse=True)
         shape, at = (len(numbers), int(self.plant.max(initial=-1)) + 1), (row, self.plant)
         centre, part = np.zeros(shape, np.int64), np.zeros(shape, np.complex128)
@@ -175,8 +177,10 @@ class Bands:
     def own_crossings(
         self, number: int, plant: CurveIndices, x: Array, value: ComplexArray, loop: ComplexArray
     ) -> Mask:
-        """Return True for points (x = ln f, L = `value`) of plants at which a mode's own part is larger than SHARE
-        times the rest and the largest of all modes; `loop`: L on the mesh. The rule is that of `margins.lobes`.
+        """Return True for points (x = ln f, L = `value`) of plants at which a mode dominates. Its own part must be
+        larger than SHARE times the rest and the largest of all modes.
+
+        `loop` is L on the mesh. The rule is that of `margins.lobes`.
         """
         numbers, centre, part, hz, width = self._by_plant
         if number not in numbers:
@@ -190,7 +194,9 @@ class Bands:
 
     @cached_property
     def points(self) -> tuple[CurveIndices, CurveIndices, CurveIndices, CurveIndices]:
-        """Mesh points of all bands one after the other, their bands, and where each band starts and ends in these."""
+        """Return the mesh points of all bands one after the other, their bands, and the start and the end of each band
+        among these.
+        """
         size = self.last - self.first + 1
         end = np.cumsum(size)
         tag = np.repeat(np.arange(len(size)), size)
@@ -199,9 +205,10 @@ class Bands:
 
 @dataclass(frozen=True)
 class CurveMesh:
-    """All loops on the mesh of their curves: what features are searched on.
+    """All loops on the mesh of their curves, on which features are searched for.
 
-    `beside`: arg L - 180 deg, rad. `cross` of each mesh point. `finite_at_zero` (plants,): L has no pole at s = 0.
+    `beside` is arg L - 180 deg, rad. `cross` is that of each mesh point. `finite_at_zero` (plants,) is True if L has no
+    pole at s = 0.
     """
 
     curves: Curves
@@ -223,23 +230,23 @@ FeatureSearch = Callable[[CurveMesh], MeshPlaces]
 
 
 def joined(parts: Sequence[Record]) -> Record:
-    """Records of arrays (dataclasses) as one, their entries one after the other."""
+    """Return records of arrays (dataclasses) as one record, with their entries one after the other."""
     names = [f.name for f in fields(parts[0])]
     return type(parts[0])(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def _untagged(kind: FeatureKind | Array, cell: CurveIndices, x: Array, fixed: bool = False) -> MeshPlaces:
-    """Places of one kind, or each of its own."""
+    """Return the places without kinds, for one kind of all or a kind of each."""
     n = len(cell)
     return MeshPlaces(np.full(n, kind, np.int8), cell, x, np.zeros(n, np.int64), np.full(n, fixed))
 
 
 def peaks(mesh: CurveMesh) -> MeshPlaces:
-    """Local maxima of |L| in each band: inner ones, and ends from which the curve falls inwards."""
+    """Return the local maxima of |L| in each band: inner ones, and ends from which the curve falls inwards."""
     curves, bands = mesh.curves, mesh.bands
     k, tag, starts, ends = bands.points
     value = mesh.log_gain[k]
-    # beside a band there is nothing: its ends count where the curve falls inwards
+    # outside a band nothing is searched: its ends count if the curve falls inwards
     before, after = np.append(-np.inf, value[:-1]), np.append(value[1:], -np.inf)
     before[starts], after[ends] = -np.inf, -np.inf
     found = np.flatnonzero((value > before) & (value >= after))
@@ -251,7 +258,9 @@ def peaks(mesh: CurveMesh) -> MeshPlaces:
 
 
 def crossings(mesh: CurveMesh) -> MeshPlaces:
-    """Changes of sign of arg L - 180 deg and of ln|L| between neighbours on the mesh, by linear interpolation."""
+    """Return the changes of sign of arg L - 180 deg and of ln|L| between neighbours on the mesh, by linear
+    interpolation.
+    """
     curves, loop, log_gain = mesh.curves, mesh.loop, mesh.log_gain
     same = curves.plant[1:] == curves.plant[:-1]
     im, re = loop.imag, loop.real
@@ -270,9 +279,10 @@ def crossings(mesh: CurveMesh) -> MeshPlaces:
 
 
 def ends(mesh: CurveMesh) -> MeshPlaces:
-    """First mesh points of loops that are finite at zero frequency, and last ones, where L points at -1.
+    """Return the first mesh points of loops that are finite at zero frequency, and the last mesh points, where L has
+    the phase of -1.
 
-    There L is real and cannot cross the axis, but a change of gain takes it to -1 all the same.
+    L is real there and cannot cross the axis, but a change of gain still moves it to -1.
     """
     curves, loop = mesh.curves, mesh.loop
     points = np.concatenate([curves.start[:-1][mesh.finite_at_zero], curves.start[1:] - 1])
@@ -281,7 +291,7 @@ def ends(mesh: CurveMesh) -> MeshPlaces:
 
 
 def _extremes(curves: Curves, value: Array, lowest: bool, where: Mask) -> tuple[CurveIndices, Array]:
-    """Mesh points (of `where`) that are local extremes inside a plant's mesh, and the parabola's vertex."""
+    """Return the mesh points (of `where`) that are local extremes inside a plant's mesh, and the parabola's vertex."""
     v = value if lowest else -value
     inner = np.zeros(len(v), bool)
     inner[1:-1] = (v[1:-1] <= v[:-2]) & (v[1:-1] < v[2:])
@@ -299,28 +309,30 @@ def vertex(x: Array, value: Array, k: CurveIndices) -> Array:
 
 
 def turns(mesh: CurveMesh) -> MeshPlaces:
-    """Extremes that approach the cross |arg - 180| < phase at 0 dB, |ln L| < gain at 180 deg, without crossing it."""
+    """Return the extremes that approach the cross |arg - 180| < phase at 0 dB, |ln L| < gain at 180 deg, without
+    crossing it.
+    """
     curves, log_gain, beside, cross = mesh.curves, mesh.log_gain, mesh.beside, mesh.cross
     found = []
     for sign in (1.0, -1.0):
         near = (sign * log_gain > 0) & (np.abs(beside) < cross.phase)
         found.append(_untagged(FeatureKind.GAIN_TURN, *_extremes(curves, log_gain, sign > 0, near)))
-        # 1.5 rad: where the wrapped phase jumps is no extreme
+        # 1.5 rad: a jump of the wrapped phase is not an extreme
         near = (sign * beside > 0) & (np.abs(beside) < 1.5) & (np.abs(log_gain) < cross.gain)
         found.append(_untagged(FeatureKind.PHASE_TURN, *_extremes(curves, beside, sign > 0, near)))
     return joined(found)
 
 
 def approaches(mesh: CurveMesh) -> MeshPlaces:
-    """Local minima of |1 + L| on the mesh that lie below 1."""
+    """Return the local minima of |1 + L| on the mesh that are below 1."""
     distance = np.abs(1.0 + mesh.loop)
     return _untagged(FeatureKind.MODULUS, *_extremes(mesh.curves, distance, True, distance < 1.0))
 
 
 def near_zone(mesh: CurveMesh) -> MeshPlaces:
-    """Local minima of the zone's function: on a face, or for a rectangle where two faces meet.
+    """Return the local minima of the zone's function: on a face, or for a rectangle where two faces meet.
 
-    A diamond's edges lie on the axes of the cross, where the crossings are.
+    A diamond's edges are on the axes of the cross, on which the crossings are.
     """
     curves, log_gain, beside, cross = mesh.curves, mesh.log_gain, mesh.beside, mesh.cross
     value = zone_value(log_gain, beside, cross)
@@ -334,7 +346,7 @@ def near_zone(mesh: CurveMesh) -> MeshPlaces:
     a, p = np.abs(log_gain) / cross.gain, np.abs(beside) / cross.phase
     higher = a > p
     own = np.where(higher[k], (a[k - 1], a[k], a[k + 1]), (p[k - 1], p[k], p[k + 1]))
-    # beyond an edge towards which the own face still falls, the other face is the higher one: the edge is the least
+    # beyond an edge towards which the own face still falls, the other face is higher: the edge is the least
     after, before = (higher[k + 1] != higher[k]) & (own[2] < own[1]), (higher[k - 1] != higher[k]) & (own[0] < own[1])
     corner, other = after | before, np.where(after, k + 1, k - 1)
     gap = a - p
@@ -345,14 +357,14 @@ def near_zone(mesh: CurveMesh) -> MeshPlaces:
 
 
 def in_intervals(curves: Curves, places: MeshPlaces) -> MeshPlaces:
-    """The same with `cell` the mesh interval that holds x: places begin as mesh points."""
+    """Return the same places with `cell` as the mesh interval that contains x. The places begin as mesh points."""
     cell = np.where(places.x < curves.x[places.cell], places.cell - 1, places.cell)
     cell = np.minimum(cell, curves.start[curves.plant[places.cell] + 1] - 2)
     return replace(places, cell=cell)
 
 
 def zone_value(log_gain: Array, beside: Array, cross: Cross) -> Array:
-    """The zone's function: 0 at its centre, 1 on its border."""
+    """Return the zone's function: 0 at its centre, 1 on its border."""
     a, p = np.abs(log_gain) / cross.gain, np.abs(beside) / cross.phase
     if cross.zone == "ellipse":
         return np.asarray(np.hypot(a, p))
@@ -396,7 +408,9 @@ def _zone_condition(kind: NDArray[np.int8], at: LogLoop, k: Mask, cross: Cross) 
 
 
 def sensitivity(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> ComplexArray:
-    """c, (features,), with which Re(c d ln L) is the change of each feature's excess, dB, as the variables change."""
+    """Return c, (features,), with which Re(c d ln L) is the change of each feature's excess, dB, as the variables
+    change.
+    """
     value, first, db_per_rad = at.value, at.first, cross.db_per_rad
     beside = wrapped(value)
     gain_side, phase_side = np.sign(value.real), np.sign(beside)
@@ -415,12 +429,12 @@ def sensitivity(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> ComplexArr
     k = (kind == FeatureKind.ZONE) | (kind == FeatureKind.ZONE_CORNER)
     if k.any():
         out[k] = -cross.gain[k] * DB * _zone_sensitivity(kind[k], value[k], first[k], cross.of(k))
-    # where a curve runs along the line that it crosses there is no gradient: none is better than infinity
+    # where a curve runs along the line that it crosses, the gradient does not exist: zero replaces infinity
     return np.where(np.isfinite(out) & (np.abs(out) < 1e6), out, 0.0)
 
 
 def _zone_sensitivity(kind: NDArray[np.int8], value: ComplexArray, first: ComplexArray, cross: Cross) -> ComplexArray:
-    """c with which Re(c d ln L) is the change of the zone's function at its least."""
+    """Return c with which Re(c d ln L) is the change of the zone's function at its least."""
     a, p = value.real / cross.gain, wrapped(value) / cross.phase
     by_a, by_p = np.sign(a) / cross.gain, np.sign(p) / cross.phase
     if cross.zone == "diamond":

@@ -12,13 +12,13 @@ from maxq.design.optimise.curves import CurveIndices, Curves
 from maxq.design.optimise.features import Cross, LogLoop, MeshPlaces
 
 NEWTON_STEPS = 6
-SMALL = 1e-8  # of ln f; the third derivatives that this leaves out are 1e7 at most beside a mode of zeta 0.005
+SMALL = 1e-8  # of ln f; the omitted third derivatives are at most 1e7 near a mode of zeta 0.005
 
 
 class Loops:
-    """Curves of the plants with a law in variables.
+    """The curves of the plants with a law in variables.
 
-    `unstable_open` (plants,) counts the poles of P in the right half plane (outside the unit circle).
+    `unstable_open` (plants,) is the number of poles of P in the right half plane (outside the unit circle).
     """
 
     def __init__(self, curves: Curves, unstable_open: CurveIndices, law: LawVariables) -> None:
@@ -32,7 +32,7 @@ class Loops:
         self.poles_at_zero: CurveIndices = np.max(falls, axis=0).astype(np.int64) + law.poles_at_zero
 
     def response(self, variables: Array) -> ComplexArray:
-        """L on the mesh of all plants."""
+        """Return L on the mesh of all plants."""
         curves = self.curves
         common, gains = self.law.response(variables, curves.plant, self._axis)
         law = sum(
@@ -42,12 +42,14 @@ class Loops:
         return np.asarray(curves.path * law * common)
 
     def unstable_poles(self, loop: ComplexArray) -> CurveIndices:
-        """Closed-loop poles in the right half plane (outside the unit circle), by the argument principle, (plants,).
+        """Return the number of closed-loop poles in the right half plane (outside the unit circle), by the argument
+        principle, (plants,).
 
-        1 + L turns by pi (P + n/2 - Z) from zero frequency to the highest, n being the poles of L at s = 0 (z = 1).
+        1 + L turns by pi (P + n/2 - Z) from zero frequency to the highest. n is the number of poles of L at s = 0 (z =
+        1).
         """
         distance = 1.0 + loop
-        # the step from each point to the next; where one mesh ends and the next begins it counts for nothing
+        # the step from each point to the next; the step from one mesh to the next does not count
         step = np.angle(distance[1:] * np.conj(distance[:-1]))
         step[self.curves.start[1:-1] - 1] = 0.0
         turned = np.add.reduceat(np.append(step, 0.0), self.curves.start[:-1])
@@ -58,7 +60,9 @@ class Loops:
         return np.maximum(np.rint(poles), 0.0).astype(np.int64)
 
     def log_loop(self, own: Array, cell: CurveIndices, x: Array) -> LogLoop:
-        """At points x of mesh intervals `cell`, with the own parameters (points, own) of each point's plant."""
+        """Return ln L at points x of mesh intervals `cell`, with the own parameters (points, own) of each point's
+        plant.
+        """
         p = self.curves.in_cells(cell, x)
         axis = self.law.axis(x)
         law = self.law.log_response(own, axis)
@@ -90,7 +94,7 @@ class Loops:
         )
 
     def refined(self, own: Array, places: MeshPlaces, cross: Cross) -> tuple[Array, LogLoop]:
-        """Newton's method on all features at once; `own` and `cross` are each feature's.
+        """Refine all features at once by Newton's method. `own` and `cross` are those of each feature.
 
         Steps stay near the mesh interval.
         """
@@ -104,10 +108,10 @@ class Loops:
                 change = -residual / slope
             change = np.where(np.isfinite(change) & ~places.fixed, change, 0.0)
             x = np.clip(x + change, left, right)
-            if np.abs(change).max(initial=0.0) < SMALL:  # the next change is below rounding: no need to look again
+            if np.abs(change).max(initial=0.0) < SMALL:  # the next change is below rounding
                 return x, at.beside(change)
         return x, self.log_loop(own, cell, x)
 
     def own_gradient(self, at: LogLoop) -> ComplexArray:
-        """d ln L by the own parameters of the point's plant, (points, own)."""
+        """Return d ln L by the own parameters of the point's plant, (points, own)."""
         return self.law.gradient(at.own, at.axis, at.weights)

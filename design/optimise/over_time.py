@@ -1,7 +1,9 @@
-"""A design that holds between its nodes: instants at which it is worse are searched and become nodes, until none is.
+"""The optimisation of a design that also meets its limits between its nodes.
 
-The same exchange method as for dispersed plants (robust.py; Blankenship & Falk, J. Optim. Theory Appl. 19, 1976), with
-time as the parameter. What is found depends on the grid of instants: the certificate names their number.
+Instants at which it is worse are searched for and become nodes.
+
+The exchange method is that for dispersed plants (robust.py; Blankenship & Falk, J. Optim. Theory Appl. 19, 1976), with
+time as the parameter. The result depends on the grid of instants, and the certificate states their number.
 """
 
 from __future__ import annotations
@@ -19,9 +21,9 @@ from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants, 
 from maxq.design.optimise.search import SearchProgress
 from maxq.design.optimise.solution import Solution
 
-INSTANTS_S, MOST_INSTANTS = 0.25, 400  # apart, all along; of a stage when a design is judged
-FINE_S = 0.05  # apart, beside the worst of those
-WORSE_DB = 0.02  # instants with an objective that is worse by less are not taken
+INSTANTS_S, MOST_INSTANTS = 0.25, 400  # apart, along the whole flight; of a stage when a design is judged
+FINE_S = 0.05  # apart, next to the worst of those
+WORSE_DB = 0.02  # instants with an objective that is worse by less are not added
 COARSE = 1e-4  # tolerance of the curves along the whole flight: 1e-3 dB
 ROUNDS = 12
 UNSTABLE_DB = 1e3
@@ -29,7 +31,7 @@ UNSTABLE_DB = 1e3
 
 @dataclass
 class Instants:
-    """The case at any instant; its plants are made once."""
+    """The case at any instant. Its plants are made once."""
 
     loaded: LoadedCase
     known: dict[float, Plant]
@@ -42,7 +44,7 @@ class Instants:
         return [self.known[t] for t in times_s]
 
     def over(self, times_s: Sequence[float], plants: Plants, law: LawVariables, solution: Solution) -> Array:
-        """(kinds of rows, times): by how many dB the design is worse there than at its worst node."""
+        """Return the excess (dB) of the design at each time over its worst node, (kinds of rows, times)."""
         case = self.loaded.case.model_copy(update={"nodes_s": tuple(times_s)})
         problem = make_problem(case, plants, law)
         there = problem.evaluate(solution.variables, complete=True)
@@ -58,10 +60,11 @@ class Instants:
 def solve_over_time(
     loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
 ) -> Solution:
-    """Return the best design found that meets its limits at all instants tried between the first and the last node,
-    and has an objective there that is worse by WORSE_DB at most.
+    """Return the best design found that meets its limits at all instants tried between the first and the last node.
 
-    Gains that are free at every node stay free at the nodes of the case only.
+    Its objective there is at most WORSE_DB worse.
+
+    Gains that are free at every node remain free at the nodes of the case only.
     """
     loaded = gains_at_nodes(loaded, nominal)
     case = loaded.case
@@ -88,7 +91,7 @@ def solve_over_time(
             if not new or number == ROUNDS:
                 break
             loaded = with_nodes(loaded, new)
-            # nothing is known of the next design until its instants are tried
+            # the next design is unknown until its instants are tried
             solution, checked = solve_at_nodes(loaded, plants_at(instants, loaded), [solution.law], progress), Checked()
     except KeyboardInterrupt:
         solution = replace(solution, status="interrupted")
@@ -98,7 +101,9 @@ def solve_over_time(
 
 @dataclass(frozen=True)
 class Checked:
-    """The number of instants at which a design was compared with its worst node, and by how much the worst is worse."""
+    """The number of instants at which a design was compared with its worst node, and the excess of the worst
+    instant.
+    """
 
     instants: int = 0
     worst_db: float = 0.0
@@ -110,8 +115,9 @@ def plants_at(instants: Instants, loaded: LoadedCase) -> Plants:
 
 
 def gains_at_nodes(loaded: LoadedCase, nominal: Plants) -> LoadedCase:
-    """The case with gains that are free at every node made free at the nodes that it has now; linear ones over another
-    quantity than time keep their ends there, for what is added may lie beyond them.
+    """Return the case with gains that were free at every node made free at its present nodes.
+
+    Linear gains over a quantity other than time keep their ends there, since added nodes may be beyond them.
     """
     case, gains = loaded.case, loaded.case.gains
     if gains.schedule == "free" and gains.over == "time_s":
@@ -124,13 +130,13 @@ def gains_at_nodes(loaded: LoadedCase, nominal: Plants) -> LoadedCase:
 
 
 def instants_along(first_s: float, last_s: float, apart_s: float) -> list[float]:
-    """Return times from the first to the last, about so far apart; a single one where both are the same."""
+    """Return times from the first to the last at approximately this spacing, or a single one if both are equal."""
     count = 1 if first_s == last_s else max(2, round((last_s - first_s) / apart_s) + 1)
     return np.linspace(first_s, last_s, count).round(9).tolist()  # type: ignore[no-any-return]  # floats
 
 
 def instants_beside(times_s: Sequence[float]) -> list[float]:
-    """Return the instants between operating points of a stage at which limits that hold there are judged."""
+    """Return the instants between operating points of a stage at which limits are judged."""
     first, last = min(times_s), max(times_s)
     every = instants_along(first, last, max(INSTANTS_S, (last - first) / MOST_INSTANTS))
     return [t for t in every if t not in times_s]
@@ -143,9 +149,9 @@ def with_nodes(loaded: LoadedCase, times_s: Iterable[float]) -> LoadedCase:
 
 
 def peaks(over: Array, matters_db: Array) -> IntArray:
-    """Return the instants at which some kind of row is worst among its neighbours, and matters.
+    """Return the instants at which some kind of row is worse than at the neighbouring instants, and matters.
 
-    `over`: (kinds, instants); `matters_db`: (kinds,), or (1,) for all.
+    `over` has the shape (kinds, instants). `matters_db` has the shape (kinds,), or (1,) for all.
     """
     padded = np.pad(over, ((0, 0), (1, 1)), constant_values=-np.inf)
     top = (over > matters_db[:, None]) & (over >= padded[:, :-2]) & (over > padded[:, 2:])

@@ -1,4 +1,6 @@
-"""Plants for which a design is made: nodes with their fixed paths, bending bands and stability derivatives."""
+"""The plants for which a design is made: operating points with their fixed paths, bending bands and stability
+derivatives.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,7 @@ from maxq.design.optimise.problem import bands_of
 
 @dataclass(frozen=True)
 class Plant:
-    """The fixed part of a loop; `dispersed` selects the limits to which it is held."""
+    """The fixed part of a loop. `dispersed` selects the limits of the plant."""
 
     node: Node
     path: FixedPath
@@ -45,16 +47,19 @@ class Plant:
 
     @property
     def bands_hz(self) -> list[tuple[int, float, float]]:
-        """Number of each mode, and the frequencies between which its peak lies."""
+        """Return the number of each mode, and the frequencies between which its peak is found."""
         return [(mode.number, *mode.band_hz) for mode in self.modes]
 
     def without_drift(self, poles: ComplexArray) -> ComplexArray:
-        """Those of open or closed loop (rad/s) that are not slower than its curve begins."""
+        """Return the poles of the open or closed loop (rad/s) that are not slower than the beginning of its curve."""
         return np.asarray(poles[np.abs(poles) > 2.0 * np.pi * lowest_hz_of(self.path.poles())])
 
 
 def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
-    """Raises ValueError for a node without a first bending mode where that is the objective."""
+    """Return the plant of an operating point.
+
+    Raises ValueError for a point without a first bending mode if that is the objective.
+    """
     measured = (*law_kind(case.law).inputs, *(_further_gyros(node) if case.blend is not None else ()))
     path = fixed_path(node, case.loop, senses=any(name not in MEASUREMENTS for name in measured))
     path.measurements = measured
@@ -76,8 +81,9 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
 
 
 def wind_of(path: FixedPath, case: Basis) -> WindResponse:
-    """The path in the case's wind, with the bending moments that it asks for. Raises ValueError, naming the node, where
-    there are none.
+    """Return the path in the case's wind, with the bending moments that the case requires.
+
+    Raises ValueError if there are none. The message names the operating point.
     """
     assert case.wind is not None
     try:
@@ -88,7 +94,7 @@ def wind_of(path: FixedPath, case: Basis) -> WindResponse:
 
 
 def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> list[Node]:
-    """Return the nodes of a case of one stage, at vehicle times."""
+    """Return the operating points of a case of one stage, at vehicle times."""
     case = loaded.case
     nodes = operating_points.nodes(loaded.along, times_s, plane=case.plane, errata=case.errata, plant=case.plant)
     return with_cuts(nodes, loaded.along) if case.bends else nodes
@@ -111,7 +117,7 @@ def _further_gyros(node: Node) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Plants:
-    """Several plants and their curves."""
+    """The plants of a task and their curves."""
 
     each: tuple[Plant, ...]
     curves: Curves
@@ -130,7 +136,7 @@ class Plants:
 
     @property
     def unstable_open(self) -> CurveIndices:
-        """Poles of each fixed path in the right half plane."""
+        """Return the number of poles of each fixed path in the right half plane."""
         return np.array([int((p.without_drift(p.path.poles()).real > 1e-9).sum()) for p in self.each], np.int64)
 
     @property
@@ -139,7 +145,7 @@ class Plants:
 
     @property
     def first_mode_hz(self) -> float:
-        """Mean frequency of the first mode; 10 Hz where there is none."""
+        """Return the mean frequency of the first mode, or 10 Hz if there is none."""
         first = [mode.centre_hz for p in self.each for mode in p.modes if mode.number == 1]
         return float(np.mean(first)) if first else 10.0
 
@@ -174,12 +180,12 @@ class Plants:
         )
 
     def and_also(self, more: Sequence[Plant]) -> Plants:
-        """These plants and some more."""
+        """Return these plants and further ones."""
         return _with_curves((*self.each, *more), Curves([*self.curves.meshes, *_meshes(more)]))
 
 
 def make_plants(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> Plants:
-    """`tolerance` of the curves. Raises ValueError for no plants."""
+    """Return the plants of paths. `tolerance` is that of the curves. Raises ValueError for no plants."""
     if not plants:
         raise ValueError("there is no node to design for")
     return _with_curves(tuple(plants), Curves(_meshes(plants, tolerance)))

@@ -1,7 +1,7 @@
-"""Problem (42) to (50) at a point of the variables: every peak, crossing and limit, with gradients.
+"""The problem (42) to (50) at a point of the variables: every peak, crossing and limit, with gradients.
 
-Everything is in decibels, a phase by the gain margin over the phase margin (6 dB for 30 deg: 0.2 dB/deg), so that a
-violation means much the same whatever it violates.
+All quantities are in decibels. A phase is converted by the ratio of gain margin to phase margin (6 dB for 30 deg: 0.2
+dB/deg), so that violations of different limits are comparable.
 """
 
 from __future__ import annotations
@@ -33,16 +33,19 @@ from maxq.design.optimise.features import (
 )
 from maxq.design.optimise.loops import Loops
 
-FARTHEST_DB = 20.0  # rows that are met by more are left out
-MISSED_DB = 1e-4  # a limit that is missed by less is met, at a plant or an instant that the search has not taken
+FARTHEST_DB = 20.0  # rows that are met by a larger margin are omitted
+MISSED_DB = 1e-4  # a limit that is missed by less is met, at a plant or an instant that the search has not added
 
 
 @dataclass(frozen=True)
 class ProblemRows:
-    """`excess_db` of a limit is 0 or less where it is met; that of an objective row is its value.
+    """The rows of a problem.
 
-    `what` is the row's number in `Problem.kinds`; `own` its gradient by the own parameters of its plant. Features carry
-    what it takes to find them again after a small change: `feature` is the kind (-1: none), `cell`, `x`, `fixed`.
+    `excess_db` of a limit is 0 or less if the limit is met. That of an objective row is its value.
+
+    `what` is the row's number in `Problem.kinds`. `own` is its gradient by the own parameters of its plant. Features
+    contain the data that are needed to find them again after a small change: `feature` is the kind (-1: none), `cell`,
+    `x`, `fixed`.
     """
 
     what: NDArray[np.int8]
@@ -70,12 +73,12 @@ class ProblemRows:
 
     @property
     def frequency_hz(self) -> Array:
-        """nan where there is none."""
+        """Return the frequencies, nan for rows without one."""
         return np.where(self.feature >= 0, np.exp(self.x), np.nan)
 
 
 def law_rows(what: int, of: LimitValues, objective: bool = False) -> ProblemRows:
-    """Limits of the law, which belong to no frequency, or the objective where it is one of them."""
+    """Return the rows of the law's limits, which are independent of frequency. One of them may be the objective."""
     n = len(of.value)
     return ProblemRows(
         what=np.full(n, what, np.int8),
@@ -94,21 +97,25 @@ def law_rows(what: int, of: LimitValues, objective: bool = False) -> ProblemRows
 
 @dataclass(frozen=True)
 class ProblemAtPoint:
-    """The problem at a point; `gradient` (rows, variables) of the rows' excess."""
+    """The problem at a point. `gradient` (rows, variables) is that of the rows' excess."""
 
     variables: Array
     rows: ProblemRows
     gradient: Array
     objective_db: float
-    violation_db: float  # largest excess, 0 where every limit is met
+    violation_db: float  # largest excess, 0 if every limit is met
     unstable: int  # unstable closed-loop poles over all plants
 
 
 class Problem:
-    """Loops with an objective and limits; the variables are the law's."""
+    """The loops with an objective and limits. The variables are those of the law."""
 
     def __init__(self, loops: Loops, bands: Bands, limits: PlantLimits, common: Limits, objective: Objective) -> None:
-        """`limits` of each plant; `common`: of the case, for what does not depend on the plant."""
+        """Set up the problem.
+
+        `limits` are those of each plant. `common` are those of the case, for quantities that do not depend on the
+        plant.
+        """
         self.loops, self.bands, self.limits, self.law = loops, bands, limits, loops.law
         self.lower, self.upper = self.law.lower, self.law.upper
         self.criteria = [objective.criterion, *LIMITS]
@@ -124,18 +131,18 @@ class Problem:
 
     @property
     def size(self) -> int:
-        """Number of variables."""
+        """Return the number of variables."""
         return len(self.lower)
 
     def matters_db(self, worse_db: float) -> Array:
-        """Return the excess from which a row matters at a plant that is not the problem's, (kinds,): MISSED_DB of a
-        limit, `worse_db` of the objective.
+        """Return the excess from which a row matters at a plant outside the problem, (kinds,): MISSED_DB of a limit,
+        `worse_db` of the objective.
         """
         made_small = [k == 0 or getattr(kind, "objective", False) for k, kind in enumerate(self.kinds)]
         return np.where(made_small, worse_db, MISSED_DB)
 
     def what(self, text: str) -> int:
-        """Number of a limit in `kinds`, by its text."""
+        """Return the number of a limit in `kinds`, by its text."""
         return next(k for k, kind in enumerate(self.kinds) if kind.text == text and k > 0)
 
     def unstable_plants(self, variables: Array) -> CurveIndices:
@@ -143,8 +150,9 @@ class Problem:
         return np.flatnonzero(self.loops.unstable_poles(self.loops.response(variables))).astype(np.int64)
 
     def evaluate(self, variables: Array, complete: bool = False) -> ProblemAtPoint:
-        """Everything at a point; `complete`: with rows that are met by far. Raises ValueError for variables not
-        finite.
+        """Return the problem at a point.
+
+        `complete` includes rows that are met by a large margin. Raises ValueError for variables that are not finite.
         """
         if not np.isfinite(variables).all():
             raise ValueError("variables are not finite")
@@ -178,7 +186,7 @@ class Problem:
         )
 
     def _feature_rows(self, seen: Seen, places: MeshPlaces, farthest_db: float) -> ProblemRows:
-        """Features judged by all criteria; those that are no limit or are met by far are left out."""
+        """Return the rows of features by all criteria, without those that are no limit or are met by a large margin."""
         kept: list[tuple[CurveIndices, int, JudgedFeatures]] = []
         for what, (criterion, asked) in enumerate(zip(self.criteria, self._asked, strict=True)):
             for part in criterion.parts(seen) if asked else ():
@@ -206,10 +214,10 @@ class Problem:
 
     # --- curvature
     def curvature(self, at: ProblemAtPoint, multipliers: Array, step: float = 1e-5) -> Array:
-        """Second derivatives (variables, variables) of the rows' sum weighted with `multipliers`.
+        """Return the second derivatives (variables, variables) of the rows' sum weighted with `multipliers`.
 
-        By differences of the analytic gradient. A row depends on the own parameters of its plant only: so those of all
-        plants are moved at once, whatever the number of nodes.
+        They are differences of the analytic gradient. A row depends on the own parameters of its plant only. Therefore,
+        those of all plants are moved at once, and the cost does not depend on the number of plants.
         """
         law, n = self.law, self.law.own_size
         own = law.own(at.variables)
@@ -226,7 +234,7 @@ class Problem:
         return np.asarray(0.5 * (out + out.T))
 
     def _own_again(self, rows: ProblemRows, own: Array, moves: Array) -> Array:
-        """Gradients of the same rows by the own parameters, (moves, rows, own), after `moves` of these."""
+        """Return the gradients of the same rows by the own parameters, (moves, rows, own), after `moves` of these."""
         count = len(moves)
         out = np.repeat(rows.own[None], count, axis=0)
         i = np.flatnonzero(rows.feature >= 0)
@@ -247,7 +255,7 @@ class Problem:
 
 
 def bands_of(curves: Curves, modes: Sequence[Sequence[FeatureMode]]) -> Bands:
-    """Return the bands of every plant's modes as mesh points; ends are points that `Curves` was told to keep."""
+    """Return the bands of every plant's modes as mesh points. Their ends are among the kept points of `Curves`."""
     found, each = [], []
     for p, mine in enumerate(modes):
         begin, end = int(curves.start[p]), int(curves.start[p + 1])

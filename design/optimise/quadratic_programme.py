@@ -1,7 +1,8 @@
-"""A small dense convex quadratic programme: primal-dual interior point with Mehrotra's predictor and corrector.
+"""A solver for small dense convex quadratic programmes: primal-dual interior point with Mehrotra's predictor and
+corrector.
 
-SciPy has no solver for it. With 36 unknowns and 115 rows this one takes 0.7 ms, twelve iterations.
-Nocedal & Wright, Numerical Optimization (2nd ed.), section 16.6.
+SciPy has no such solver. With 36 unknowns and 115 rows, this one takes 0.7 ms and twelve iterations. Source: Nocedal &
+Wright, Numerical Optimization (2nd ed.), section 16.6.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ LEAST = -1e-300
 
 @dataclass(frozen=True)
 class QuadraticSolution:
-    """Point, multipliers of the rows and of the bounds (lower, upper), all 0 or more."""
+    """The solution point, and the multipliers of the rows and of the bounds (lower, upper), all 0 or more."""
 
     z: Array
     rows: Array
@@ -37,14 +38,15 @@ class QuadraticSolution:
 def solve_quadratic(
     quadratic: Array, linear: Array, rows: Array, right: Array, lower: Array, upper: Array, start: Array
 ) -> QuadraticSolution:
-    """Least z'Qz/2 + c'z with rows z <= right and lower <= z <= upper (infinite: no bound); Q positive semidefinite.
+    """Minimise z'Qz/2 + c'z subject to rows z <= right and lower <= z <= upper (infinite: no bound), with Q positive
+    semidefinite.
 
-    `start` of the unknowns that are not bounded on both sides; the others start in the middle.
+    `start` is that of the unknowns that are not bounded on both sides. The others start in the middle.
     """
     below, above = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
     m, p, n = len(rows), len(below), len(start)
     limit = np.concatenate([right, -lower[below], upper[above]])
-    # all limits in one matrix: some more rows cost less than handling the bounds apart
+    # all limits in one matrix: the additional rows cost less than a separate treatment of the bounds
     every = np.zeros((len(limit), n))
     every[:m] = rows
     every[np.arange(m, m + p), below] = -1.0
@@ -59,7 +61,7 @@ def solve_quadratic(
         primal = every @ z + slack - limit
         gap = float(slack @ dual) / len(slack)
         worst = max(float(np.abs(stationarity).max()) / scale, float(np.abs(primal).max()))
-        # where the products are spent, rounding errors undo what another iteration gains
+        # once the products are small, rounding errors undo the gain of another iteration
         if gap < TOLERANCE and (worst < TOLERANCE or gap < SPENT):
             converged = worst < SPENT_TOLERANCE
             break
@@ -68,7 +70,7 @@ def solve_quadratic(
         matrix = half @ half.T + quadratic
         matrix[diagonal] += RIDGE
         factor, fault = lapack.dpotrf(matrix, lower=1, clean=0)
-        if fault != 0:  # singular but for rounding errors
+        if fault != 0:  # singular except for rounding errors
             matrix[diagonal] *= 1.0 + RIDGE
             factor, fault = lapack.dpotrf(matrix, lower=1, clean=0)
             if fault != 0:
@@ -81,7 +83,7 @@ def solve_quadratic(
         reach_s = min(1.0, -1.0 / min(float((ds / slack).min()), LEAST))
         reach_l = min(1.0, -1.0 / min(float((dl / dual).min()), LEAST))
         ahead = float((slack + reach_s * ds) @ (dual + reach_l * dl)) / len(slack)
-        # corrector: the step to equal products, with what the predictor has left out
+        # corrector: the step to equal products, including the terms that the predictor neglects
         short = ((ahead / gap) ** 3 * gap - ds * dl) / slack
         dz = lapack.dpotrs(factor, transposed @ (dual - pull - short) - stationarity, lower=1)[0]
         ds = -primal - every @ dz
@@ -97,9 +99,9 @@ def solve_quadratic(
 def _start(
     every: Array, limit: Array, linear: Array, lower: Array, upper: Array, start: Array
 ) -> tuple[Array, Array, Array]:
-    """Off every limit by a share of what it can change, and multipliers of the objective's size.
+    """Return a start off every limit by a share of its range, and multipliers of the objective's size.
 
-    Multipliers that begin small against the gradient of a penalty take forty iterations to grow.
+    Multipliers that begin much smaller than the gradient of a penalty need forty iterations to grow.
     """
     both = np.isfinite(lower) & np.isfinite(upper)
     z, width = start.copy(), np.zeros(len(start))

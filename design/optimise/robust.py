@@ -1,16 +1,18 @@
-"""A design for many plants: made for some, then the worst others are searched and added, until none is worse.
+"""The optimisation of a design for many plants: for some at first, then with the worst others added, until none is
+worse.
 
-The plants that a case's ranges allow are too many to take all: some twenty deviations each way at eleven nodes. A
-search at every node looks for the plant that is worst for the present design. Plants that are worse than the worst of
-the design join its plants, and the design is made again (a cutting-plane method: Blankenship & Falk, J. Optim. Theory
-Appl. 19, 1976). With `between_nodes = "hold"` time is one more deviation: where no node has a worse plant, those of the
-neighbouring nodes are tried at the instants between, and an instant that is worse becomes a node.
+The ranges of a case permit too many plants to use all: some twenty deviations each way at eleven operating points. A
+search at every point finds the worst plant for the present design. Plants that are worse than the worst of the design
+are added, and the design is repeated (a cutting-plane method: Blankenship & Falk, J. Optim. Theory Appl. 19, 1976).
+With `between_nodes = "hold"`, time is one more deviation. If no operating point has a worse plant, the plants of
+neighbouring points are tried at the instants between them. An instant that is worse becomes an operating point.
 
-The search at a node has two parts. The first looks for the loop nearest to -1 by the compiled margins, where these
-serve the loop: from several corners of the ranges to one that no single deviation makes worse, and on by a descent
-inside the ranges (descent.py). The second begins at the worst of that point and the same corners, by the objective and
-the limits of the case; it puts one deviation after the other to the end, or the middle, that is worst. It is left out
-where none of these plants misses anything: the limits then give no direction.
+The search at an operating point has two parts. The first finds the loop nearest to -1 by the compiled margins, if these
+support the loop. It starts from several corners of the ranges, moves to a corner that no single deviation makes worse,
+and continues by a descent inside the ranges (descent.py). The second starts at the worst of that point and the same
+corners, and evaluates the objective and the limits of the case. It sets one deviation after the other to the end, or
+the middle, that is worst. It is omitted if none of these plants misses a limit, since the limits then give no
+direction.
 """
 
 from __future__ import annotations
@@ -39,10 +41,10 @@ from maxq.design.optimise.search import BestPoint, SearchProgress, search
 from maxq.design.optimise.solution import Constraint, Solution
 from maxq.sim.campaign.read import LoadedCampaign
 
-WORSE_DB = 0.01  # plants with an objective that is worse by less are not taken
+WORSE_DB = 0.01  # plants with an objective that is worse by less are not added
 BEGINNINGS = 8
-INSTANTS_S, FINE_S = 0.5, 0.05  # apart, all along and beside the worst of those
-ROUNDS = 12  # more, where instants between the nodes are added too
+INSTANTS_S, FINE_S = 0.5, 0.05  # apart, along the whole flight and next to the worst of those
+ROUNDS = 12  # more, if instants between the operating points are added too
 AT_ONCE = 100  # plants that are judged together
 
 Deviation = tuple[float, ...]
@@ -53,14 +55,14 @@ _OF_POINT = re.compile(r"[-0+]|\(([^()]*)\)")
 
 @dataclasses.dataclass(frozen=True)
 class Ranges:
-    """The campaign whose draws deviate, and how many sigma the end of each is away."""
+    """The campaign whose draws deviate, and the distance of each end in sigma."""
 
     campaign: LoadedCampaign
     sigmas: float
 
 
 def ranges_of(loaded: LoadedCase, nodes: Sequence[Node]) -> Ranges | None:
-    """Return the ranges of a case with [robust]; None without.
+    """Return the ranges of a case with [robust], or None without this section.
 
     Raises ScenarioError for a campaign that changes nothing at the first of `nodes`.
     """
@@ -74,14 +76,14 @@ def ranges_of(loaded: LoadedCase, nodes: Sequence[Node]) -> Ranges | None:
 
 
 def deviated(node: Node, ranges: Ranges, point: Sequence[float]) -> Node:
-    """Return the node with each deviation where `point` puts it, labelled like "[+0-(0.24)]"."""
+    """Return the operating point with each deviation as `point` states, labelled like "[+0-(0.24)]"."""
     letters = "".join(_SIGNS.get(at, f"({at:g})") for at in point)
     scores = np.array(point) * (ranges.sigmas / 3.0)
     return disperse(node, deviations_of(ranges.campaign, node).at(scores, f"[{letters}]"))
 
 
 def dispersed_nodes(ranges: Ranges | None, nodes: Sequence[Node], constraints: Iterable[Constraint]) -> list[Node]:
-    """Return the dispersed vehicles of a robust search, made again at `nodes` from the labels of its constraints."""
+    """Return the dispersed vehicles of a robust search, recreated at `nodes` from the labels of its constraints."""
     if ranges is None:
         return []
     by_label, out, ends = {node.label: node for node in nodes}, [], {text: at for at, text in _SIGNS.items()}
@@ -100,7 +102,7 @@ def modes_off(node: Node, ranges: Ranges, end: int) -> Deviation:
 
 @dataclasses.dataclass
 class _Worst:
-    """Search for the worst plant of each node, for one design."""
+    """The search for the worst plant of each operating point, for one design."""
 
     case: Case
     ranges: Ranges
@@ -110,9 +112,10 @@ class _Worst:
     tried: int = 0
 
     def at(self, node: Node, taken: set[tuple[float, Deviation]]) -> tuple[float, Deviation]:
-        """Return by how many dB the worst plant of a node misses the design's objective or a limit, and the plant.
+        """Return the excess (dB) of the worst plant of an operating point over the design's objective or a limit, and
+        the plant.
 
-        The search begins at the plants `taken` there and at the nearest nodes too.
+        The search also begins at the plants `taken` there and at the nearest operating points.
         """
         both = [modes_off(node, self.ranges, end) for end in (-1, 1)]
         count = len(both[0])
@@ -141,8 +144,8 @@ class _Worst:
         return score(best), tuple(best.tolist())
 
     def nearest(self, node: Node, corners: Sequence[Array]) -> list[Array]:
-        """Return the point at which the search from `corners` for the loop nearest to -1 ends; none where the compiled
-        margins do not serve the loop.
+        """Return the point at which the search from `corners` for the loop nearest to -1 ends, or none if the compiled
+        margins do not support the loop.
         """
         if self.case.loop != "sampled" or not len(corners[0]):
             return []
@@ -171,7 +174,7 @@ class _Worst:
         return float(self.scores([make_plant(deviated(node, self.ranges, point), self.case, dispersed=True)])[0])
 
     def scores(self, each: Sequence[Plant]) -> Array:
-        """Return by how many dB each plant misses the design's objective or a limit, (plants,); 0 where that does not
+        """Return the excess (dB) of each plant over the design's objective or a limit, (plants,), or 0 if it does not
         matter.
         """
         problem = make_problem(self.case, make_plants(each, COARSE), self.problem.law)
@@ -185,7 +188,9 @@ class _Worst:
         return out
 
     def between(self, instants: Instants, taken: set[tuple[float, Deviation]]) -> list[tuple[float, Node]]:
-        """Return the instants at which the nominal plant, or one taken at a neighbouring node, is worst and matters."""
+        """Return the instants at which the nominal plant, or a plant of a neighbouring operating point, is worst and
+        matters.
+        """
         times_s = sorted({t for t, _ in taken})
 
         def worst_at(at_s: Sequence[float]) -> Array:
@@ -213,7 +218,7 @@ class _Worst:
 
 
 def points_beside(time_s: float, taken: set[tuple[float, Deviation]]) -> list[Deviation]:
-    """Return the plants taken at a time, and at the nearest ones before and after it."""
+    """Return the plants of a time, and those of the nearest times before and after it."""
     times_s = sorted({t for t, _ in taken})
     first, last = np.searchsorted(times_s, time_s), np.searchsorted(times_s, time_s, side="right")
     beside = times_s[max(int(first) - 1, 0) : int(last) + 1]
@@ -223,9 +228,9 @@ def points_beside(time_s: float, taken: set[tuple[float, Deviation]]) -> list[De
 def solve_robust(
     loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
 ) -> Solution:
-    """The best design for the nominal plants and all that the case's ranges allow, as far as searched.
+    """Return the best design for the nominal plants and all that the case's ranges allow, as far as searched.
 
-    KeyboardInterrupt ends it with the best so far, marked as interrupted.
+    KeyboardInterrupt ends the search with the best design so far, marked as interrupted.
     """
     begun = time.perf_counter()
     instants = None
@@ -272,7 +277,7 @@ def solve_robust(
             plants = plants.and_also([*(make_plant(node, case) for node in fresh), *dispersed(new)])
             problem = make_problem(case, plants, problem.law)
             found = _again(case, problem, found)
-            worst_db, instant_db = np.nan, np.nan  # nothing is known of the new design
+            worst_db, instant_db = np.nan, np.nan  # the new design is unknown
             if found.interrupted:
                 interrupted = True
                 break
@@ -293,7 +298,7 @@ def solve_robust(
 def _again(case: Case, problem: Problem, found: BestPoint) -> BestPoint:
     """Return the design for more plants, from the design for fewer.
 
-    Where that one met the limits and this one does not, from other starts, too.
+    If the earlier design met the limits and this one does not, further starts are used, too.
     """
     again = search_on(case, problem, search(problem, [found.best.variables]), also_settled=found.feasible)
     return dataclasses.replace(

@@ -1,10 +1,11 @@
-"""Many starts, one answer, and how sure it is.
+"""The search from many starts for one optimum, with measures of its reliability.
 
-All starts are brought down roughly, with fewer variables where the law has a simpler form (with PD, gains linear in
-time: the filter decides which valley a start is in). What ends in the same valley is one candidate; each candidate that
-can still win is then brought down to the end with all its variables. From the best, leaps: part of the variables
-thrown far off, and brought down again. Some find a better valley nearby; that the others come back is the best evidence
-that there is none. The best is polished by Newton's method.
+Descents from all starts are rough at first, with fewer variables if the law has a simpler form. With PD, this form has
+gains linear in time, since the filter decides to which optimum a start leads. All starts that end at the same optimum
+are one candidate. Each candidate that can still win is then optimised to convergence with all its variables. From the
+best point, part of the variables is moved far away at random, and the descent is repeated. Some of these steps find a
+better optimum nearby. If the others return to the best point, this is the strongest evidence that no better one exists.
+Newton's method refines the best point.
 """
 
 from __future__ import annotations
@@ -22,25 +23,29 @@ from maxq.design.optimise.sqp import MET_DB, Optimality, descend, optimality, po
 
 ROUGH_STEPS, ROUGH_DB = 40, 1e-3
 FINE_STEPS, FINE_DB = 150, 1e-8
-SAME_DB = 0.02  # ends that differ by less lie in one valley
+SAME_DB = 0.02  # ends that differ by less belong to one optimum
 HOPELESS_DB = 3.0  # candidates that are worse by more stay rough
 MOST_CANDIDATES = 3
 NEAR_DB = 0.05
-PATIENCE = 10  # steps after which an unstable start is given up; twice as many for one that lies far behind
+PATIENCE = 10  # steps after which an unstable start is abandoned; twice as many for one that is far behind
 FAR_MISSED_DB, FAR_BEHIND_DB = 0.3, 4.0
-FURTHER_DB = 0.002  # a leap's rough end that is better by more is a better valley
-UNSETTLED = 1e-3  # residual of the optimality conditions of a best effort from which a search may well go on
+FURTHER_DB = 0.002  # a rough end of a random step that is better by more is a better optimum
+UNSETTLED = 1e-3  # residual of the optimality conditions of a best effort from which a further search is promising
 
 SearchProgress = Callable[[int, int, float, str], None]
-"""Called with how much is done, of how much, the best objective so far in dB (nan: none), and of what: "starts",
-"leaps", or of a robust case "worst plants, round 1" (what was best for fewer plants is not for more)."""
+"""A function that is called with the steps done, the total, the best objective so far in dB (nan: none), and the
+kind. The kind is "starts", "leaps", or of a robust case "worst plants, round 1" (the best for fewer plants is not
+that for more).
+"""
 
 
 @dataclass(frozen=True)
 class BestPoint:
-    """The best point and what is known about it. `ends_db`: where each start ended, nan: no stable design there.
+    """The best point and the evidence for it.
 
-    An infeasible one is the point of the least violation, and `optimality` that of the violation.
+    `ends_db` contains the end of each start, nan without a stable design there.
+
+    An infeasible best point is that of the least violation, and `optimality` is that of the violation.
     """
 
     best: ProblemAtPoint
@@ -49,21 +54,21 @@ class BestPoint:
     ends_db: Array  # without leaps
     evaluations: int
     interrupted: bool
-    leaps_db: Array  # where each leap ended, likewise
+    leaps_db: Array  # the end of each random step, likewise
 
     @property
     def settled(self) -> bool:
-        """Return True if the loops are stable, and the optimality conditions met."""
+        """Return True if the loops are stable and the optimality conditions are met."""
         return self.best.unstable == 0 and self.optimality.residual <= UNSETTLED
 
     @property
     def near_best(self) -> int:
-        """Starts that ended within NEAR_DB of the best."""
+        """Return the number of starts that ended within NEAR_DB of the best."""
         return int((self.ends_db <= self.best.objective_db + NEAR_DB).sum())
 
     @property
     def leaps_back(self) -> int:
-        """Leaps that ended within NEAR_DB of the best."""
+        """Return the number of random steps that ended within NEAR_DB of the best."""
         return int((self.leaps_db <= self.best.objective_db + NEAR_DB).sum())
 
 
@@ -76,18 +81,19 @@ def search(
     leaps: int = 0,
     seed: int = 0,
 ) -> BestPoint:
-    """From `starts` of the problem itself, and `starts_of_rough` of a smaller problem whose ends are taken over.
+    """Search from `starts` of the problem itself, and from `starts_of_rough` of a smaller problem whose ends are
+    converted.
 
-    `leaps` from the best candidate may find a better one nearby.
+    `leaps` random steps from the best candidate may find a better one nearby.
 
-    `rough` is that smaller problem and how its variables become the problem's. KeyboardInterrupt ends the search: the
-    best so far is the answer (raised again where there is none yet).
+    `rough` is that smaller problem and the conversion of its variables to those of the problem. KeyboardInterrupt ends
+    the search, and the best point so far is returned. It is raised again if there is none yet.
     """
     interrupted = False
     small, lift = rough if rough is not None else (problem, lambda x: x)
     total = len(starts) + len(starts_of_rough) + leaps
     before = problem.evaluations + (small.evaluations if small is not problem else 0)
-    ends: list[tuple[ProblemAtPoint, Array]] = []  # rough end, and the start it gives the problem
+    ends: list[tuple[ProblemAtPoint, Array]] = []  # rough end, and the start that it gives the problem
     best_db = np.nan
     try:
         for where, given, to in ((problem, starts, None), (small, starts_of_rough, lift)):
@@ -109,7 +115,7 @@ def search(
     fine: dict[int, ProblemAtPoint] = {}
     leaps_db: list[float] = []
     leapt: ProblemAtPoint | None = None
-    # apart: what ends alike with all variables and with few lies in different valleys
+    # separately: equal ends with all variables and with few belong to different optima
     own = min(len(starts), len(ends))
     candidates = [*_candidates([end for end, _ in ends[:own]])]
     candidates += [own + k for k in _candidates([end for end, _ in ends[own:]])]
@@ -118,7 +124,7 @@ def search(
             fine[k] = descend(problem, ends[k][1], FINE_STEPS, FINE_DB)
         if fine and leaps > 0 and not interrupted:
             leapt = min(fine.values(), key=_rank)
-            for leapt, leap_db in _leapt(problem, leapt, leaps, seed):  # noqa: B020  # each goes on from the last
+            for leapt, leap_db in _leapt(problem, leapt, leaps, seed):  # noqa: B020  # each continues from the last
                 leaps_db.append(leap_db)
                 if progress is not None:
                     progress(len(ends) + len(leaps_db), total, leapt.objective_db, "leaps")
@@ -132,11 +138,13 @@ def search(
 
 
 def _mended(problem: Problem, at: ProblemAtPoint) -> ProblemAtPoint | None:
-    """Return the end of a descent from an unstable point with the gains of its lost plants taken from their neighbours;
-    None where this makes no loop stable.
+    """Return the end of a descent from an unstable point, with the gains of its lost plants interpolated from their
+    neighbours.
 
-    The rows of an unstable loop lead away from -1 on the wrong side: a plant whose gains are its own is then lost,
-    while all others end well.
+    Return None if this makes no loop stable.
+
+    The rows of an unstable loop lead away from -1 on the wrong side. Then a plant that has its own gains is lost, while
+    all others end well.
     """
     found = None
     while at.unstable > 0:
@@ -151,7 +159,9 @@ def _mended(problem: Problem, at: ProblemAtPoint) -> ProblemAtPoint | None:
 
 
 def _leapt(problem: Problem, best: ProblemAtPoint, leaps: int, seed: int) -> Iterator[tuple[ProblemAtPoint, float]]:
-    """The best end so far after each leap from it, and where the leap ended, dB (nan: no stable design there)."""
+    """Return the best end so far after each random step from it, and the end of each step, dB (nan: no stable design
+    there).
+    """
     rng = np.random.default_rng(seed)
     for number in range(leaps):
         leap = best.variables + problem.law.leap_size(number) * rng.standard_normal(problem.size)
@@ -184,7 +194,7 @@ def _answer(
         quality = optimality(problem, best, worst_violation=not feasible)
     ends_db = np.array([end.objective_db if _feasible(end, 1e-3) else np.nan for end, _ in ends])
     rough_db = ends_db.copy()
-    for k, end in fine.items():  # a start in the same valley would have come to the same end
+    for k, end in fine.items():  # a start at the same optimum would have reached the same end
         if _feasible(end, 10.0 * MET_DB):
             same = (np.abs(rough_db - rough_db[k]) <= SAME_DB) & ((np.arange(len(ends)) < own) == (k < own))
             ends_db[same] = np.fmin(ends_db[same], end.objective_db)
@@ -192,7 +202,7 @@ def _answer(
 
 
 def _hopeless(best_db: float, steps: int, at: ProblemAtPoint) -> bool:
-    """Return True if a start deserves no more steps: it is still unstable, or far behind the best known value."""
+    """Return True if a start should be abandoned: it is still unstable, or far behind the best known value."""
     if steps < PATIENCE:
         return False
     behind = not np.isnan(best_db) and (at.violation_db > FAR_MISSED_DB or at.objective_db > best_db + FAR_BEHIND_DB)
@@ -204,13 +214,13 @@ def _feasible(at: ProblemAtPoint, tolerance_db: float) -> bool:
 
 
 def _rank(at: ProblemAtPoint) -> tuple[int, float, float]:
-    """Stable before unstable, met before violated, then the objective."""
+    """Return the key of the ranking: stable before unstable, met before violated, then the objective."""
     violation = 0.0 if at.violation_db <= 10.0 * MET_DB else at.violation_db
     return at.unstable, violation, at.objective_db
 
 
 def _candidates(ends: Sequence[ProblemAtPoint]) -> list[int]:
-    """Numbers of ends worth going on from, the best first, one of each valley."""
+    """Return the numbers of ends worth continuing from, the best first, one for each optimum."""
     order = sorted(
         range(len(ends)), key=lambda k: (ends[k].unstable, max(ends[k].violation_db - 1e-3, 0.0), ends[k].objective_db)
     )

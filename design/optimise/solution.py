@@ -22,15 +22,15 @@ Status = Literal["optimal", "infeasible", "interrupted"]
 ACTIVE_DB = 1e-4
 MET_DB = 1e-6  # a limit that is missed by less is met
 EITHER_WAY = ("gain margin", "phase margin")
-"""Limits whose values have a sign that tells the side of -1."""
+"""The limits whose values have a sign that gives the side of -1."""
 
 
 @dataclass(frozen=True)
 class Constraint:
-    """The worst of one limit at one plant (`plant` None: of the law itself). `value` and `limit` in `unit`.
+    """The worst case of one limit at one plant (`plant` None: of the law itself). `value` and `limit` are in `unit`.
 
-    `excess_db` > 0 is a violation. `multiplier`: dB of the objective per dB by which the limit is moved; of an
-    infeasible design the limit's share in the conflict.
+    `excess_db` > 0 is a violation. `multiplier` is the change of the objective in dB per dB by which the limit is
+    moved. For an infeasible design, it is the limit's share in the conflict.
     """
 
     what: str
@@ -50,8 +50,8 @@ class Constraint:
 class ActiveBound:
     """A variable at its bound `value` (Hz, ratio or gain).
 
-    `multiplier`: dB that moving it by one unit (of ln Hz, of ln gain, of damping ratio or weight) would bring, of the
-    objective, or of the least violation of an infeasible design.
+    `multiplier` is the improvement in dB if the bound is moved by one unit (of ln Hz, of ln gain, of damping ratio or
+    weight). It applies to the objective, or to the least violation of an infeasible design.
     """
 
     variable: str
@@ -61,33 +61,37 @@ class ActiveBound:
 
     @property
     def _unit(self) -> tuple[float, str]:
-        """Units of the variable in the change that `price_db` is about, and that change in words."""
+        """Return the units of the variable in the change to which `price_db` refers, and that change in words."""
         return (math.log(2.0), "octave") if is_logarithmic(self.variable) else (0.1, "0.1")
 
     @property
     def price_db(self) -> float:
-        """The dB that moving the bound would bring: by an octave of a frequency or a gain, by 0.1 of others."""
+        """Return the improvement in dB if the bound is moved: by an octave of a frequency or a gain, by 0.1 of
+        others.
+        """
         return self._unit[0] * self.multiplier
 
     @property
     def text(self) -> str:
-        """Name the bound and its price."""
+        """Return the bound and its price as text."""
         unit = " Hz" if self.variable.endswith("_hz") else ""
         what = f"{self.variable} at its {self.side} bound {self.value:.4g}{unit}"
         return f"{what} ({self.price_db:.2g} dB per {self._unit[1]})"
 
 
 def is_logarithmic(variable: str) -> bool:
-    """Return True for a variable that is the logarithm of what its name says."""
+    """Return True for a variable that is the logarithm of the quantity in its name."""
     return variable.endswith("_hz") or variable.startswith("k_")
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A short search from the best effort of an infeasible case with one change. It claims what it reached.
+    """A short search from the best effort of an infeasible case with one change.
 
-    `settings`: the change as keys of the case, or of the vehicle. `missing_db`: least violation reached, 0 where all
-    limits are met. `problem`: the reason for which the change could not be tried.
+    It claims only the violation that it reached.
+
+    `settings` is the change as keys of the case, or of the vehicle. `missing_db` is the least violation reached, 0 if
+    all limits are met. `problem` is the reason for which the change could not be tried.
     """
 
     change: str
@@ -100,7 +104,7 @@ class Trial:
 
     @property
     def text(self) -> str:
-        """State the change and the violation that was reached."""
+        """Return the change and the violation that was reached as text."""
         if self.problem:
             return f"{self.change}: not tried, {self.problem}"
         reached = "meets all limits" if self.missing_db <= MET_DB else f"reached {self.missing_db:.3g} dB missing"
@@ -112,8 +116,8 @@ class Trial:
 class Certificate:
     """The certainty of the optimum. `near_best` of `starts` ended within 0.05 dB of it.
 
-    `kkt_residual`: see `Optimality`. `stable` is by the closed loops' poles, not by the argument principle that the
-    optimiser goes by.
+    For `kkt_residual`, see `Optimality`. `stable` is determined by the closed loops' poles, not by the argument
+    principle that the optimiser uses.
     """
 
     starts: int
@@ -125,15 +129,15 @@ class Certificate:
     seed: int
     stable: bool
     plants: int  # for which the design was made
-    searched: int = 0  # dispersed plants that were tried besides, in search of the worst
-    worst_found_db: float = 0.0  # by how much the worst of those misses the objective or a limit; nan: not searched
+    searched: int = 0  # dispersed plants that were tried in addition, in search of the worst
+    worst_found_db: float = 0.0  # excess of the worst of those over the objective or a limit; nan: not searched
     instants: int = 0  # at which this design was compared with its worst node; 0: at none
-    worst_instant_db: float = 0.0  # by how much the worst of those misses what the worst node has
-    leaps: int = 0  # from the best end, thrown off and brought down again
+    worst_instant_db: float = 0.0  # excess of the worst of those over the worst node
+    leaps: int = 0  # random steps from the best end, followed by another descent
     leaps_back: int = 0  # of these ended within 0.05 dB of the best
 
     def statement(self) -> str:
-        """In words, what speaks for the optimum."""
+        """Return the evidence for the optimum in words."""
         text = f"{self.near_best} of {self.starts} starts"
         if self.leaps > 0:
             text += f" and {self.leaps_back} of {self.leaps} leaps from the best"
@@ -142,7 +146,10 @@ class Certificate:
 
 @dataclass(frozen=True)
 class Solution:
-    """A design for a case. `objective_db`: what the case makes small (`criteria.OBJECTIVES`), over all plants."""
+    """A design for a case.
+
+    `objective_db` is the minimised objective of the case (`criteria.OBJECTIVES`), over all plants.
+    """
 
     case: Case
     status: Status
@@ -155,7 +162,7 @@ class Solution:
     variables: Array
     nominal_objective_db: float  # over the nominal plants alone
     nodes: tuple[Node, ...]  # of the nominal plants
-    stable_without: tuple[str, ...] = ()  # limits, where no design is stable: without any one of these one is
+    stable_without: tuple[str, ...] = ()  # limits, if no design is stable: a design is stable without any one of these
     trials: tuple[Trial, ...] = ()  # from an infeasible design
 
     @property
@@ -165,7 +172,7 @@ class Solution:
 
     @property
     def unchecked(self) -> str:
-        """State what the case asks for and this design was not checked at; empty where all was checked."""
+        """Return the requirements of the case at which this design was not checked, or "" if all were checked."""
         found = []
         if self.case.between_nodes == "hold" and self.certificate.instants == 0:
             found.append("the instants between them were not checked")
@@ -175,7 +182,7 @@ class Solution:
 
     @property
     def met(self) -> str:
-        """State where a feasible design meets its limits: "all limits met at its 11 operating points"."""
+        """Return where a feasible design meets its limits: "all limits met at its 11 operating points"."""
         if self.unchecked:
             return f"limits met at the nodes; {self.unchecked}"
         count = len(self.nodes)
@@ -191,7 +198,7 @@ class Solution:
         return tuple(sorted(blamed, key=lambda c: (-c.multiplier, -c.excess_db)))
 
     def explanation(self) -> str:
-        """Return one sentence about an infeasible design; an empty text for a feasible one."""
+        """Return one sentence about an infeasible design, or "" for a feasible one."""
         if self.feasible:
             return ""
         alone = " or ".join(f"limits.{name}" for name in self.stable_without)
@@ -201,7 +208,7 @@ class Solution:
         parts, by_limit = [], defaultdict(list)
         for c in self.in_the_way:
             by_limit[c.what].append(c)
-        for what, missed in by_limit.items():  # each limit once, where it has its largest part in the conflict
+        for what, missed in by_limit.items():  # each limit once, at its largest part in the conflict
             c, others = missed[0], len(missed) - 1
             where = f" at {c.plant}" if c.plant is not None else ""
             where += f" and {others} more" if others else ""
@@ -216,7 +223,7 @@ class Solution:
 def make_solution(
     case: Case, plants: Plants, problem: Problem, found: BestPoint, seconds: float, stable: bool
 ) -> Solution:
-    """From the best point of a search."""
+    """Return the solution at the best point of a search."""
     full, names = problem.evaluate(found.best.variables, complete=True), problem.law.names
     status: Status = "interrupted" if found.interrupted else "optimal" if found.feasible and stable else "infeasible"
     peak = full.rows.objective & ~np.array([plants.each[p].dispersed for p in full.rows.plant])

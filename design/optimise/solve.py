@@ -1,4 +1,4 @@
-"""Solve a case: its stages, and the method that its robustness and the time between its nodes ask for."""
+"""The solution of a case: its stages, and the method that its robustness and the time between its nodes require."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from maxq.sim.scenario.schema_design import Design
 
 
 def each_stage(loaded: LoadedCase, before_s: float = math.inf) -> list[LoadedCase]:
-    """Return the case of each stage that is to be designed, with its nodes.
+    """Return the case of each stage to be designed, with its operating points.
 
-    `before_s`: the loss of the flight, from which on the case's own times are left out. Raises ValueError where no
-    node is left.
+    `before_s` is the time of the loss of the flight; the case's own times from then on are omitted. Raises ValueError
+    if no operating point remains.
     """
     case, count = loaded.case, len(loaded.scenario.vehicle.stage)
     wanted = None if case.stages is None else {n - 1 for n in case.stages}
@@ -39,16 +39,19 @@ def each_stage(loaded: LoadedCase, before_s: float = math.inf) -> list[LoadedCas
     spans = powered_spans(loaded.along)
     by_stage: dict[int, list[float]] = {}
     for t in times:
-        # a time outside all spans is left to the first, where the node says what is wrong
+        # a time outside all spans is assigned to the first, and its operating point states the error
         by_stage.setdefault(next((s.stage for s in spans if s.holds(t)), spans[0].stage if spans else 0), []).append(t)
     chosen = sorted(by_stage if wanted is None else wanted & set(by_stage))
     if not chosen:
-        raise ValueError("none of the nodes lies in the stages that are to be designed")
+        raise ValueError("none of the nodes is in the stages to be designed")
     return [replace(loaded, case=case.of_stage(n, tuple(by_stage[n]))) for n in chosen]
 
 
 def nominal_plants(loaded: LoadedCase) -> Plants:
-    """The plants at the nodes of a case of one stage. Raises ValueError, naming the node, where there is none."""
+    """Return the plants at the operating points of a case of one stage.
+
+    Raises ValueError, naming the point, if there is none.
+    """
     return make_plants([make_plant(node, loaded.case) for node in nodes_of(loaded, loaded.case.times_s)])
 
 
@@ -58,13 +61,14 @@ def solve(
     also_from: Sequence[DesignedLaw] = (),
     progress: SearchProgress | None = None,
 ) -> Solution:
-    """The best design found for a case.
+    """Return the best design found for a case.
 
-    `plants`: where they have been made already. `also_from`: laws of like cases from which to start, too; with a
-    filter of lower order, or less freedom in the gains, they guarantee a result that is no worse. Raises ValueError
-    for a case without a problem (no such node, no first mode), KeyboardInterrupt where nothing is found yet.
+    `plants` are passed if they exist already. `also_from` contains laws of similar cases as additional starts. If their
+    filters have a lower order, or their gains less freedom, they guarantee a result that is no worse. Raises ValueError
+    for a case without a problem (no such operating point, no first mode), and KeyboardInterrupt if nothing is found
+    yet.
     """
-    # with matrices of forty rows, threads of the linear-algebra library only wait for each other: twice the CPU time
+    # with matrices of forty rows, threads of the linear-algebra library only block each other: twice the CPU time
     with threadpool_limits(limits=1, user_api="blas"):
         plants = nominal_plants(loaded) if plants is None else plants
         if loaded.start is not None:

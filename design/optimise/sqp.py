@@ -1,19 +1,22 @@
-"""From one start to a local optimum: sequential quadratic programming for minimax problems within a trust region; at
-the end Newton's method on the active rows, and the residual of the optimality conditions.
+"""The descent from one start to a local optimum: sequential quadratic programming for minimax problems within a trust
+region.
 
-Each step minimises  t + penalty v + d'Bd/2  with every linearised peak of the objective at most t and every other
-excess at most v >= 0, B the Lagrangian's second derivatives made positive semidefinite. Where rows curve so much that
-the step gains little, it is tried once more with the rows as the trial point has them (second-order correction:
-without it the penalty on a limit that bends makes steps creep, Maratos' effect). A step counts only for what it does
-to the real problem: all peaks and crossings are found and solved for again, and the closed loop must stay stable.
+Newton's method on the active rows completes it and gives the residual of the optimality conditions.
 
-Linear programmes alone (B = 0) creep wherever fewer rows are active than there are variables: from one start of F6 with
-free gains they stood at -10.4 dB after 120 steps, this at -13.4 dB after 29.
+Each step minimises t + penalty v + d'Bd/2 with every linearised peak of the objective at most t and every other excess
+at most v >= 0. B is the matrix of the Lagrangian's second derivatives made positive semidefinite. If rows curve so much
+that the step gains little, the step is repeated once with the rows as evaluated at the trial point (second-order
+correction). Without it, the penalty on a curved limit makes steps very short (Maratos' effect). A step is accepted only
+for its effect on the real problem. All peaks and crossings are found and solved for again, and the closed loop must
+stay stable.
 
-Why not a general solver: peaks and crossings appear and vanish with the variables, so the rows are no fixed set of
-functions, as SLSQP or IPOPT take them to be, and a step into instability has to be refused. Measured beside it were
-searches without gradients only: given 20 to 300 s of processor time, differential evolution and CMA-ES found nothing
-better than this in 0.6 to 2 s (docs/performance.md, tools/dev/bench/optimise.py).
+Linear programmes alone (B = 0) converge slowly wherever fewer rows are active than there are variables. From one start
+of F6 with free gains, they had reached -10.4 dB after 120 steps; this method reached -13.4 dB after 29.
+
+A general solver is not suitable, because peaks and crossings appear and vanish with the variables. The rows are
+therefore not a fixed set of functions, as SLSQP and IPOPT assume, and a step into instability must be rejected. Only
+searches without gradients were compared. In 20 to 300 s of processor time, differential evolution and CMA-ES found
+nothing better than this method in 0.6 to 2 s (docs/performance.md, tools/dev/bench/optimise.py).
 """
 
 from __future__ import annotations
@@ -36,7 +39,7 @@ LARGEST_RADIUS = 1.0
 LEAST_RADIUS = 1e-9
 FIRST_PENALTY = 100.0
 LARGEST_PENALTY = 1e4
-RIDGE = 1e-2  # dB per unit of a variable squared: variables that do nothing stay where they are
+RIDGE = 1e-2  # dB per unit of a variable squared: variables without effect keep their values
 MET_DB = 1e-7  # a limit that is violated by less is met
 ACTIVE_DB = 1e-5
 AT_BOUND = 1e-9
@@ -46,7 +49,7 @@ WEIGHT = 10.0  # of the equation that the leading rows' multipliers sum to 1
 
 @dataclass(frozen=True)
 class Step:
-    """Solution of the model: step, predicted merit, multipliers of the rows."""
+    """The solution of the model: step, predicted merit, multipliers of the rows."""
 
     change: Array
     merit: float
@@ -63,7 +66,10 @@ class Merit:
     penalty: float
 
     def of(self, at: ProblemAtPoint) -> float:
-        """Unstable points are worse than any stable one, the fewer unstable poles the better."""
+        """Return the merit of a point.
+
+        Unstable points are worse than any stable one; fewer unstable poles are better.
+        """
         value = self.objective * at.objective_db + self.penalty * at.violation_db
         return value + 1e7 * at.unstable
 
@@ -71,9 +77,9 @@ class Merit:
 def model_step(
     problem: Problem, at: ProblemAtPoint, curvature: Array, radius: float, merit: Merit, excess_db: Array | None = None
 ) -> Step:
-    """The best step within |d| <= radius for a positive semidefinite `curvature`.
+    """Return the best step within |d| <= radius for a positive semidefinite `curvature`.
 
-    `excess_db` of the rows in place of theirs: with a second-order correction.
+    `excess_db` replaces that of the rows, for a second-order correction.
     """
     rows, n = at.rows, problem.size
     excess_db = rows.excess_db if excess_db is None else excess_db
@@ -107,10 +113,11 @@ def descend(
     limits_only: bool = False,
     give_up: Callable[[int, ProblemAtPoint], bool] | None = None,
 ) -> ProblemAtPoint:
-    """Descend from a start until no step promises `tolerance_db`, or until `give_up` stops it after a number of steps;
-    return the end point.
+    """Descend from a start until no step promises `tolerance_db`, or until `give_up` stops it after a number of steps.
 
-    `limits_only`: bring down the largest excess, whatever the objective.
+    Return the end point.
+
+    `limits_only` lowers the largest excess and ignores the objective.
     """
     at = problem.evaluate(np.clip(start, problem.lower, problem.upper))
     merit = Merit(0.0, 1.0) if limits_only else Merit(1.0, FIRST_PENALTY)
@@ -143,7 +150,9 @@ def descend(
 def _step(
     problem: Problem, at: ProblemAtPoint, curvature: Array, radius: float, merit: Merit, tolerance_db: float
 ) -> tuple[Step, ProblemAtPoint, float] | None:
-    """The model's step, the point it leads to and the next radius; None where the model promises nothing."""
+    """Return the model's step, the point at its end and the next radius, or None if the model predicts no
+    improvement.
+    """
     before = merit.of(at)
     while True:
         step = model_step(problem, at, curvature, radius, merit)
@@ -171,7 +180,9 @@ def _moved(problem: Problem, at: ProblemAtPoint, change: Array) -> ProblemAtPoin
 def counterparts(
     before: ProblemAtPoint, after: ProblemAtPoint, which: CurveIndices
 ) -> tuple[CurveIndices, CurveIndices]:
-    """Rows number `which` of one point, and the rows of another that are the same feature, nearest in frequency."""
+    """Return the rows number `which` of one point, and the rows of another that are the same feature, nearest in
+    frequency.
+    """
     a, b = before.rows, after.rows
     key_a, key_b = (((r.plant + 1) * 64 + r.what) * 16 + r.feature + 1 for r in (a, b))
     by_key: dict[int, list[int]] = {}
@@ -188,7 +199,7 @@ def counterparts(
 
 
 def _corrected_excess(at: ProblemAtPoint, trial: ProblemAtPoint, change: Array) -> Array:
-    """Excess of the rows such that the linear model agrees with the trial point."""
+    """Return the excess of the rows with which the linear model agrees with the trial point."""
     out = at.rows.excess_db.copy()
     mine, theirs = counterparts(at, trial, np.arange(len(at.rows), dtype=np.int64))
     out[mine] = trial.rows.excess_db[theirs] - at.gradient[mine] @ change
@@ -196,7 +207,7 @@ def _corrected_excess(at: ProblemAtPoint, trial: ProblemAtPoint, change: Array) 
 
 
 def matched(multipliers: Array, before: ProblemAtPoint, after: ProblemAtPoint) -> Array:
-    """Multipliers for the rows at another point."""
+    """Return the multipliers for the rows at another point."""
     out = np.zeros(len(after.rows))
     mine, theirs = counterparts(before, after, np.flatnonzero(multipliers > 1e-7).astype(np.int64))
     for i, j in zip(mine, theirs, strict=True):
@@ -206,10 +217,10 @@ def matched(multipliers: Array, before: ProblemAtPoint, after: ProblemAtPoint) -
 
 @dataclass(frozen=True)
 class Optimality:
-    """Karush-Kuhn-Tucker conditions at a point, with the multipliers that fulfil them best.
+    """The Karush-Kuhn-Tucker conditions at a point, with the multipliers that satisfy them best.
 
-    `residual`: largest component of  sum of multipliers times gradients + multipliers of the bounds, as a share of the
-    largest component of any active gradient. The objective's multipliers have the sum 1.
+    `residual` is the largest component of the sum of multipliers times gradients and of the bounds' multipliers,
+    relative to the largest component of any active gradient. The objective's multipliers have the sum 1.
     """
 
     multipliers: Array  # (rows,)
@@ -219,9 +230,9 @@ class Optimality:
 
 
 def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = False) -> Optimality:
-    """Return the multipliers of a point by non-negative least squares; no row that leads leaves an infinite residual.
+    """Return the multipliers of a point by non-negative least squares. Without a leading row, the residual is infinite.
 
-    `worst_violation`: of the problem whose objective is the largest excess.
+    `worst_violation` selects the problem whose objective is the largest excess.
     """
     rows, n = at.rows, problem.size
     if worst_violation:
@@ -230,7 +241,7 @@ def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = Fal
         leads = rows.objective & (rows.excess_db > at.objective_db - ACTIVE_DB)
         others = ~rows.objective & (rows.excess_db > -ACTIVE_DB)
     lead, other = np.flatnonzero(leads), np.flatnonzero(others)
-    if not len(lead):  # an unstable point may have none (SciPy's nnls ends the process on a matrix without columns)
+    if not len(lead):  # as at an unstable point (SciPy's nnls ends the process on a matrix without columns)
         return Optimality(np.zeros(len(rows)), np.zeros(n), np.zeros(n), math.inf)
     low = np.flatnonzero(at.variables <= problem.lower + AT_BOUND)
     high = np.flatnonzero(at.variables >= problem.upper - AT_BOUND)
@@ -253,7 +264,7 @@ def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = Fal
 
 
 def polished(problem: Problem, at: ProblemAtPoint, most: int = 6) -> tuple[ProblemAtPoint, Optimality]:
-    """Newton steps as long as they bring the residual down and meet the limits."""
+    """Make Newton steps as long as they lower the residual and meet the limits."""
     best, quality = at, optimality(problem, at)
     for _ in range(most):
         if quality.residual < 1e-11:
@@ -274,13 +285,13 @@ def polished(problem: Problem, at: ProblemAtPoint, most: int = 6) -> tuple[Probl
 
 
 def _newton(problem: Problem, at: ProblemAtPoint, quality: Optimality) -> Array | None:
-    """Step to where the active rows hold with equality and the Lagrangian is stationary."""
+    """Step to the point at which the active rows hold with equality and the Lagrangian is stationary."""
     active = np.flatnonzero(quality.multipliers > 1e-9)
     free = np.flatnonzero((quality.lower <= 0.0) & (quality.upper <= 0.0))
     if len(active) == 0:
         return None
     gradient, objective = at.gradient[active], at.rows.objective[active]
-    # unknowns: the free variables, and t, which counts from the present objective
+    # unknowns: the free variables, and t relative to the present objective
     rows = np.concatenate([gradient[:, free], -objective[:, None].astype(float)], axis=1)
     right = -(at.rows.excess_db[active] - np.where(objective, at.objective_db, 0.0))
     step = np.linalg.lstsq(rows, right, rcond=1e-10)[0]

@@ -1,10 +1,10 @@
 """Ways out of a case whose limits cannot be met together.
 
-`conflict` states which limits hold the least violation and what relief of each would bring, by the multipliers of the
-minimax problem (`sqp.optimality`): they are derivatives, exact for small changes. `tried` makes short searches from the
-best effort with wider bounds of the filter, with a filter of the next order, and with a computer that samples twice as
-fast. A trial begins at the best effort and goes on from the law's own starts until it has used its share of the
-search's evaluations. It is no proof that a change does not suffice.
+`conflict` states which limits determine the least violation, and the gain by relaxing each, by the multipliers of the
+minimax problem (`sqp.optimality`). They are derivatives, exact for small changes. `tried` makes short searches from the
+best effort. They have wider bounds of the filter, a filter of the next order, or a computer that samples twice as fast.
+A trial begins at the best effort and continues from the law's own starts until it has used its share of the search's
+evaluations. A failed trial does not prove that a change is insufficient.
 """
 
 from __future__ import annotations
@@ -31,16 +31,17 @@ WIDER = {
     "zero_hz": (1.0, 100.0), "zero_zeta": (0.1, 2.0), "pole_hz": (1.0, 100.0), "pole_zeta": (0.05, 2.0),
     "first_order_zero_hz": (1.0, 200.0), "first_order_pole_hz": (1.0, 200.0),
 }  # fmt: skip  # a table
-"""Bounds of the filter's variables in a trial, by key of `filter.bounds`; a case that has wider ones keeps them."""
+"""The bounds of the filter's variables in a trial, by key of `filter.bounds`. A case with wider bounds keeps them."""
 FASTER = 2  # times the sample rate
-LEAST_SHARE = 1e-3  # multipliers that are smaller are not shown
+LEAST_SHARE = 1e-3  # smaller multipliers are not shown
 
 
 @dataclass(frozen=True)
 class Relief:
-    """A limit that holds the least violation. A dB of relief on it gains `gains_db`; the sum over all limits is 1.
+    """A limit that determines the least violation. Relaxing it by a dB gains `gains_db`; the sum over all limits is 1.
 
-    `by`: a dB in the limit's own unit. `points`: the operating points at which it holds, the largest part first.
+    `by` is a dB in the limit's own unit. `points` are the operating points at which it is active, the largest part
+    first.
     """
 
     what: str
@@ -51,12 +52,12 @@ class Relief:
 
     @property
     def name(self) -> str:
-        """The limit, and whether it is that of dispersed plants."""
+        """Return the limit, with a remark if it is that of dispersed plants."""
         return f"{self.what}{' of dispersed plants' if self.dispersed else ''}"
 
 
 def conflict(solution: Solution) -> tuple[Relief, ...]:
-    """Return the limits that hold the violation of an infeasible, stable design, the largest part first."""
+    """Return the limits that determine the violation of an infeasible, stable design, the largest part first."""
     if solution.status != "infeasible" or not solution.certificate.stable:
         return ()
     by_limit = defaultdict[tuple[str, bool], list[Constraint]](list)
@@ -72,7 +73,7 @@ def conflict(solution: Solution) -> tuple[Relief, ...]:
 
 
 def _a_db(case: Case, at: Constraint) -> str:
-    """Return a dB of a limit in its own unit: as the optimiser counts phases, and as a share of others."""
+    """Return a dB of a limit in its own unit: phases by the optimiser's conversion, and others as a relative change."""
     if at.unit == "dB":
         return "1 dB"
     if at.unit == "deg":
@@ -94,7 +95,7 @@ class TriedChange:
 
 
 def changes_of(case: Case, nodes: Sequence[Node]) -> list[TriedChange]:
-    """Return the changes that a case can be tried with."""
+    """Return the changes that can be tried on a case."""
     found, bounds = [], case.filter.bounds
     wider = {
         key: (min(low, ends[0]), max(high, ends[1]))
@@ -133,7 +134,9 @@ def _with_filter(case: Case, **changes: object) -> Case:
 
 
 def _higher(case: Case) -> tuple[str, tuple[str, ...], Case] | None:
-    """Return the case with the bending filter of the next order; None where the flight computer has no room for one."""
+    """Return the case with the bending filter of the next order, or None if it exceeds the flight computer's
+    capacity.
+    """
     names = [name for name, sections in STRUCTURES.items() if sum(sections)]
     before = case.filter.structure
     if before in names[:-1]:
@@ -148,7 +151,7 @@ def _higher(case: Case) -> tuple[str, tuple[str, ...], Case] | None:
 
 
 def _faster(node: Node) -> Node:
-    """Return the operating point with a computer that samples faster; latencies of sensors keep their time."""
+    """Return the operating point with a computer that samples faster. Latencies of sensors keep their duration."""
     own = node.instruments
     sample_s = own.sample_s / FASTER
     sensors = tuple((name, dynamics, FASTER * late) for name, dynamics, late in own.sensors)
@@ -157,13 +160,15 @@ def _faster(node: Node) -> Node:
 
 
 def case_as_searched(solution: Solution) -> Case:
-    """Return the case with its filter prewarped where that of the best effort is."""
+    """Return the case with its filter prewarped at the frequency of the best effort's filter."""
     prewarp_hz = getattr(solution.law, "prewarp_hz", None)
     return solution.case if prewarp_hz is None else _with_filter(solution.case, prewarp_hz=prewarp_hz)
 
 
 def plants_of(case: Case, nodes: Sequence[Node], solution: Solution, ranges: Ranges | None) -> Plants:
-    """Return the plants of a solution: those at the nodes, and the dispersed ones that its search has taken."""
+    """Return the plants of a solution: those at the operating points, and the dispersed ones that its search has
+    added.
+    """
     nominal = [make_plant(node, case) for node in nodes]
     dispersed = dispersed_nodes(ranges, nodes, solution.constraints)
     return make_plants([*nominal, *(make_plant(node, case, dispersed=True) for node in dispersed)])
@@ -172,10 +177,10 @@ def plants_of(case: Case, nodes: Sequence[Node], solution: Solution, ranges: Ran
 def tried(
     loaded: LoadedCase, solution: Solution, progress: SearchProgress | None = None
 ) -> tuple[tuple[Trial, ...], bool]:
-    """Return the trials from an infeasible solution, and whether they were interrupted.
+    """Return the trials from an infeasible solution, and True if they were interrupted.
 
-    `loaded`: the case of the stage along the flight of its search. The trials together use about as many evaluations
-    as the search. A KeyboardInterrupt ends them; those made so far are returned.
+    `loaded` is the case of the stage along the flight of its search. The trials together use about as many evaluations
+    as the search. A KeyboardInterrupt ends them, and the completed trials are returned.
     """
     if solution.status != "infeasible":
         return (), False
@@ -204,7 +209,7 @@ def _tried(
     most: int,
     progress: Callable[[float, str], None] | None,
 ) -> Trial:
-    """Search with a change, with `most` evaluations."""
+    """Search with a change, with at most `most` evaluations."""
     best: ProblemAtPoint | None = None
     problem: Problem | None = None
     unstable, interrupted, refused = 0, False, ""

@@ -1,10 +1,10 @@
-"""Errata of the printed model of Lee, Ahn & Roh, each a switch.
+"""The errata of the printed model of Lee, Ahn & Roh, each with a switch.
 
 `PAPER` is eqs 1 to 29 as they are printed, `CORRECTED` the physics that the simulator flies
-(sim/vehicle/derivative.py). Numbers are those of the project's list of errata. What does not change a linear loop has
-no switch (3: weight bends no free-free mode; 9: signs that are right; 11, 12, 17 to 21: matters of the design
-problem). 14 (coefficients that the paper leaves out) and 15 (continuous approximations) are the kinds of loop in
-design/loop/fixed_path.py, 16 (what eq. 42 opens) its cuts.
+(sim/vehicle/derivative.py). The numbers are those of the project's list of errata. Errata that do not change a linear
+loop have no switch (3: weight bends no free-free mode; 9: signs that are right; 11, 12, 17 to 21: matters of the design
+problem). Errata 14 (coefficients that the paper omits) and 15 (continuous approximations) correspond to the kinds of
+loop in design/loop/fixed_path.py, and 16 (the loop that eq. 42 opens) to its cuts.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 
 class Erratum(NamedTuple):
-    """Description of a switch of `Errata`."""
+    """The description of a switch of `Errata`."""
 
     number: str
     equations: str
@@ -26,7 +26,7 @@ class Erratum(NamedTuple):
 
 @dataclass(frozen=True)
 class Errata:
-    """A field for each erratum: True is corrected, False as printed. `ABOUT` describes each."""
+    """The switches, a field for each erratum: True is corrected, False as printed. `ABOUT` describes each."""
 
     gyro_senses_rate: bool = True
     mode_force_sign: bool = True
@@ -40,10 +40,10 @@ class Errata:
     path_terms: bool = True
     jet_damping: bool = True
     damper_at_bob: bool = True
-    actuator_labels: bool = False  # as printed in both presets: which of the two is wrong is unknown
+    actuator_labels: bool = False  # as printed in both presets: it is unknown which of the two is wrong
 
     def switched(self, **fields: bool) -> Errata:
-        """The same with some switches set otherwise. Raises ValueError for a name that is none."""
+        """Return the errata with some switches changed. Raises ValueError for an unknown name."""
         names = [f.name for f in dataclasses.fields(self)]
         for name in fields:
             if name not in names:
@@ -92,6 +92,8 @@ PRESETS = {"corrected": CORRECTED, "paper": PAPER}
 
 
 def one_at_a_time() -> Iterator[tuple[str, Errata]]:
-    """Each erratum switched alone: from corrected to as printed, the actuator's labels from printed to exchanged."""
+    """Return each erratum switched alone: from corrected to as printed, the actuator's labels from printed to
+    exchanged.
+    """
     for name in ABOUT:
         yield name, CORRECTED.switched(**{name: not getattr(CORRECTED, name)})

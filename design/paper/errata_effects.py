@@ -15,7 +15,7 @@ from maxq.design.paper.errata import ABOUT, CORRECTED, PAPER, Erratum, one_at_a_
 from maxq.design.paper.nodes import PaperNode
 
 Measure = Callable[[PaperNode, Cut], Mapping[str, float]]
-"""Named numbers of the loop that stands at a node, opened at a cut."""
+"""A measure that returns named numbers of the loop at an operating point, opened at a cut."""
 
 OPENED = Erratum("16", "42", "opened from q_c to q", "opened at the gimbal command")
 TOGETHER = Erratum("all", "1 to 28", "every switch of the preset paper", "every switch of the preset corrected")
@@ -24,9 +24,10 @@ EXPLAINED = {**ABOUT, "opened_at": OPENED, "paper": TOGETHER}
 
 @dataclass(frozen=True)
 class Effect:
-    """An erratum left in at one node; names and units of the numbers are the measure's.
+    """The effect of an erratum left in at one operating point. Names and units of the numbers are those of the measure.
 
-    `error`: why there are none, where the loop cannot be made (a vehicle without what the erratum needs).
+    `error` is the reason for missing numbers if the loop cannot be made (a vehicle without the parts that the erratum
+    affects).
     """
 
     erratum: str  # a key of EXPLAINED
@@ -40,12 +41,15 @@ class Effect:
         return EXPLAINED[self.erratum]
 
     def change(self, name: str) -> float:
-        """Printed less corrected; nan where either is missing."""
+        """Return the printed value less the corrected one, or nan if either is missing."""
         return self.printed.get(name, float("nan")) - self.corrected.get(name, float("nan"))
 
 
 def errata_effects(nodes: Iterable[PaperNode], measure: Measure) -> list[Effect]:
-    """Effects node by node, errata in the order of EXPLAINED; the nodes' own errata do not matter."""
+    """Return the effects by operating point, with errata in the order of EXPLAINED.
+
+    The points' own errata have no effect.
+    """
     cut: Cut = "gimbal_command"
     out = []
     for node in nodes:
@@ -63,14 +67,16 @@ def errata_effects(nodes: Iterable[PaperNode], measure: Measure) -> list[Effect]
 
 
 def peaks_db(loop: Loop) -> dict[str, float]:
-    """|L| (dB) at each lightly damped pole of bending and slosh, the largest within its half-widths, by label."""
+    """Return |L| (dB) at each lightly damped pole of bending and slosh, the largest within its half-widths, by
+    label.
+    """
     return {r.label: peak_db(loop, r) for r in loop.fixed.resonances() if r.kind in ("bending", "slosh")}
 
 
 def peak_db(loop: Loop, resonance: Resonance) -> float:
-    """Largest |L| (dB) within a half-width of a resonance, to 1e-6 dB.
+    """Return the largest |L| (dB) within a half-width of a resonance, to 1e-6 dB.
 
-    On a slope as steep as slosh may lie on, |L| has no maximum of its own: then it is the value at the edge.
+    On a slope as steep as near slosh, |L| may have no maximum. The result is then the value at the edge.
     """
     low, high = (resonance.frequency_hz + side * resonance.half_width_hz for side in (-1.0, 1.0))
     low, high = max(low, 1e-6), min(high, loop.highest_hz)

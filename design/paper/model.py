@@ -1,29 +1,30 @@
-"""The equations of motion of Lee, Ahn & Roh (1 to 27) in one plane, each erratum a switch (errata.py).
+"""The equations of motion of Lee, Ahn & Roh (1 to 27) in one plane, with a switch for each erratum (errata.py).
 
-Body axes at the core's CG, x forward, z down (pitch plane); stations are metres aft of the nose. The vehicle flies
-along x at the speed U without turning, under the specific axial force a = (T - D) / m. The equations have the paper's
-form: forces and moments on a body of mass m and inertia I (1, 2), a modal force (14), pendulums that are driven by the
-motion of their hinges (21). With `PAPER` they are the equations as printed, with `CORRECTED` the linear model of the
-simulator, to which tests/test_oracle_design_model_printed.py compares them.
+Body axes are at the core's CG, x forward, z down (pitch plane). Stations are in metres aft of the nose. The vehicle
+flies along x at the speed U without turning, under the specific axial force a = (T - D) / m. The equations have the
+paper's form. They are forces and moments on a body of mass m and inertia I (1, 2), a modal force (14), and pendulums
+driven by their hinges (21). With `PAPER` they are the equations as printed. With `CORRECTED` they are the linear model
+of the simulator, with which tests/test_oracle_design_model_printed.py compares them.
 
-The constant g cos(theta_0) acts on every particle alike and is left out: it bends the path (gravity turn). Gravity does
+The constant g cos(theta_0) acts on every particle alike and is omitted: it bends the path (gravity turn). Gravity does
 no work on a free-free mode (erratum 3). Thrust T acts at the displaced gimbal along the bent axis, each lifting surface
-on its local angle of attack, drag along the wind; the engine behind the gimbal (I_E about it, first moment S = m_E l_E)
-reacts to delta'' and hangs under the axial load (8). Slosh damping is a force between bob and tank:
+at its local angle of attack, and drag along the wind. The engine behind the gimbal (I_E about it, first moment S = m_E
+l_E) reacts to delta'' and hangs under the axial load (8). Slosh damping is a force between bob and tank:
 
     M_S = - sum m_p [ a l_p G + 2 zeta w L (l_p - L) G' ],
 
-not with the hinge's arm l_p for both as (27) prints (erratum 22): the rod's pull acts at the hinge, the liquid's
-friction at the bob, l_p - L forward of the CG. The printed pair of damping forces is not on one line and so does not
-conserve angular momentum.
+Eq. (27) prints the hinge's arm l_p for both forces (erratum 22), which is wrong. The rod's pull acts at the hinge, but
+the liquid's friction acts at the bob, l_p - L forward of the CG. The printed pair of damping forces is not collinear
+and so does not conserve angular momentum.
 
-Where the paper leaves something open: delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16, 17), phi
-at the surface, gimbal or hinge at which a force acts, the derivatives (4 to 8) of the whole vehicle with its liquid
-frozen, I_E as that about the engine's CG (20), a_x = (T - D) / m, and W' - g_z - U q in (21) from (1).
+The paper leaves several definitions open. Here, delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16,
+17). phi is that at the surface, gimbal or hinge at which a force acts. The derivatives (4 to 8) are those of the whole
+vehicle with its liquid frozen. I_E is that about the engine's CG (20), a_x = (T - D) / m, and W' - g_z - U q in (21)
+follows from (1).
 
-Lateral slosh of an upright cylinder as a pendulum (22, 23, 25, with errata 6 and 7): with the tank's radius R, the
-liquid's depth h and xi the first root of J1' (NASA SP-106, ch. 6; Dodge, The New "Dynamic Behavior of Liquids in
-Moving Containers", 2000),
+The lateral slosh of an upright cylinder is modelled as a pendulum (22, 23, 25, with errata 6 and 7). R is the tank's
+radius, h the liquid's depth and xi the first root of J1' (NASA SP-106, ch. 6; Dodge, The New "Dynamic Behavior of
+Liquids in Moving Containers", 2000),
 
     L = R / (xi tanh(xi h / R)),    m_p = m 2 R tanh(xi h / R) / (xi h (xi^2 - 1)),
     hinge above the liquid's CG by  h / 2 - (2 R / xi) tanh(xi h / (2 R)) + L.
@@ -31,7 +32,7 @@ Moving Containers", 2000),
 Limits of validity: one engine on the body axis without TVC load, planar modes, lifting surfaces without tables over
 angle of attack, one gyro. Other vehicles are rejected.
 
-Yaw plane: the same with  w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw, gyro -> -gyro.
+The yaw plane is the same with w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw, gyro -> -gyro.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ _SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero
 
 @dataclass(frozen=True)
 class Liquids:
-    """Radius and liquid depth of each tank, (tanks,)."""
+    """The radius and liquid depth of each tank, (tanks,)."""
 
     radius_m: Array
     height_m: Array
@@ -81,7 +82,10 @@ class PlaneModes:
 
 @dataclass(frozen=True)
 class PlaneVehicle:
-    """The coefficients of the equations: a stage at one instant in one plane. The core is all but the bobs."""
+    """The coefficients of the equations: a stage at one instant in one plane.
+
+    The core is the vehicle without the bobs.
+    """
 
     core_mass_kg: float
     core_cg_station_m: float
@@ -115,14 +119,14 @@ class PlaneVehicle:
 
     @property
     def total_cg_station_m(self) -> float:
-        """CG with the liquid at rest."""
+        """Return the station of the CG with the liquid at rest."""
         bobs, core = self.pendulums, self.core_mass_kg
         moment = core * self.core_cg_station_m + bobs.mass_kg @ bobs.bob_station_m
         return float(moment / (core + bobs.mass_kg.sum()))
 
     @property
     def total_inertia_kgm2(self) -> float:
-        """Transverse inertia about that CG with the liquid frozen."""
+        """Return the transverse inertia about that CG with the liquid frozen."""
         bobs, cg = self.pendulums, self.total_cg_station_m
         core = self.core_inertia_kgm2 + self.core_mass_kg * (self.core_cg_station_m - cg) ** 2
         return float(core + bobs.mass_kg @ (bobs.bob_station_m - cg) ** 2)
@@ -217,9 +221,9 @@ def _modes(held: HeldStage, plane: int) -> PlaneModes:
 
 
 def with_printed_tanks(vehicle: PlaneVehicle, errata: Errata, liquids: Liquids | None) -> PlaneVehicle:
-    """Return the vehicle with the pendulums of the errata that are left in; the core makes up the difference.
+    """Return the vehicle with the pendulums of the errata that are left in. The core makes up the difference.
 
-    Raises ValueError where an erratum of the tanks is left in and `liquids` is None.
+    Raises ValueError if an erratum of the tanks is left in and `liquids` is None.
     """
     old = vehicle.pendulums
     if (errata.tank_radius and errata.tank_liquid) or not len(old.mass_kg):
@@ -249,9 +253,9 @@ def with_printed_tanks(vehicle: PlaneVehicle, errata: Errata, liquids: Liquids |
 def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: bool) -> Pendulums:
     """Return the pendulums of eqs 22, 23 and 25 with their errata left in.
 
-    `radius` False: the diameter in place of the radius. `liquid` False: all propellant in place of that in the tank.
-    Mass and place of the liquid follow from the true pendulum; the hinge, which the paper does not give, is placed by
-    the formula above with the same radius. The damping ratio is kept.
+    If `radius` is False, the diameter replaces the radius. If `liquid` is False, all propellant replaces that in the
+    tank. Mass and position of the liquid follow from the true pendulum. The paper does not give the hinge; it is placed
+    by the formula above with the same radius. The damping ratio is kept.
     """
     r = liquids.radius_m
     h = np.maximum(liquids.height_m, _SHALLOWEST * r)
@@ -274,12 +278,12 @@ def _mass_ratio(radius: Array, height: Array) -> Array:
 
 
 def _hinge_above(radius: Array, height: Array, length: Array) -> Array:
-    """Height of the hinge above the liquid's CG."""
+    """Return the height of the hinge above the liquid's CG."""
     return np.asarray(0.5 * height - 2.0 * radius / XI * np.tanh(0.5 * XI * height / radius) + length)
 
 
 class _Equations:
-    """Rows of coefficients of each quantity: per state, then per input."""
+    """The rows of coefficients of each quantity: per state, then per input."""
 
     def __init__(self, vehicle: PlaneVehicle, condition: FlightCondition, load: float, errata: Errata) -> None:
         self.vehicle, self.condition, self.load, self.errata = vehicle, condition, load, errata
@@ -297,7 +301,7 @@ class _Equations:
             if errata.core_mass
             else (v.total_mass_kg, v.total_inertia_kgm2, v.total_cg_station_m)
         )
-        # between the rows of the tables the total mass is not quite that of core and bobs
+        # between the rows of the tables, the total mass differs slightly from that of core and bobs
         whole = v.core_mass_kg + bobs if errata.core_mass else v.total_mass_kg
         self.specific_force = load * v.total_mass_kg / whole
         self.force, self.moment, self.modal = 0.0 * self.w, 0.0 * self.w, 0.0 * self.eta
@@ -312,7 +316,7 @@ class _Equations:
             self.moment = self.moment - turning * self.q
 
     def _aerodynamics(self) -> None:
-        """(4), (6), (7), (17)."""
+        """Add the aerodynamic terms (4), (6), (7), (17)."""
         v, modes = self.vehicle, self.vehicle.modes
         for k, slope in enumerate(v.slope_pr):
             local = self.through_air
@@ -329,7 +333,7 @@ class _Equations:
             self.force = self.force - v.flow_kgps * v.drag * self.through_air
 
     def _thrust(self) -> None:
-        """(5), (8), (16)."""
+        """Add the thrust terms (5), (8), (16)."""
         v, modes = self.vehicle, self.vehicle.modes
         along = self.delta - modes.slope_gimbal_pm @ self.eta if v.follower else self.delta
         self.modal = self.modal + v.thrust_N * np.outer(modes.phi_gimbal, along)
@@ -340,7 +344,7 @@ class _Equations:
         self.moment = self.moment + v.thrust_N * ((v.gimbal_station_m - self.cg) * whole + offset)
 
     def _engine(self) -> None:
-        """(18) to (20)."""
+        """Add the engine terms (18) to (20)."""
         v, modes, accel = self.vehicle, self.vehicle.modes, self.delta_accel
         first = v.engine_mass_kg * v.engine_arm_m
         inertia = v.engine_inertia_kgm2
@@ -356,7 +360,7 @@ class _Equations:
             self.modal = self.modal + self.load * first * np.outer(modes.slope_gimbal_pm, self.delta)
 
     def _slosh(self, k: int) -> None:
-        """(24), (26), (27)."""
+        """Add the slosh terms (24), (26), (27)."""
         v, bobs, phi = self.vehicle, self.vehicle.pendulums, self.vehicle.modes.phi_hinge[:, k]
         mass, length, arm = bobs.mass_kg[k], bobs.length_m[k], self.cg - bobs.hinge_station_m[k]
         rod = mass * self.specific_force * self.swing[k]
@@ -367,7 +371,7 @@ class _Equations:
         self.modal = self.modal + np.outer(phi, rod + friction)
         if self.errata.bent_body_loads:
             self.moment = self.moment - self.specific_force * mass * (phi @ self.eta)
-        if v.slosh_exchange and mass > 0.0:  # liquid that goes over from bob to core keeps its velocity
+        if v.slosh_exchange and mass > 0.0:  # liquid that moves from bob to core keeps its velocity
             flow = max(-v.bob_mass_rate_kgps[k], 0.0)
             swung = length * self.swing_rate[k]
             push = flow * (swung + phi @ self.eta_rate)
@@ -375,7 +379,7 @@ class _Equations:
             self.modal = self.modal + flow * np.outer(phi, swung)
 
     def _swing_acceleration(self, k: int, lateral: Array, turning: Array, bending: Array) -> Array:
-        """(21)."""
+        """Add the pendulum's equation (21)."""
         v, bobs, phi = self.vehicle, self.vehicle.pendulums, self.vehicle.modes.phi_hinge[:, k]
         mass, length = bobs.mass_kg[k], bobs.length_m[k]
         drive = lateral - (self.cg - bobs.hinge_station_m[k] - length) * turning + phi @ bending
@@ -383,7 +387,7 @@ class _Equations:
             drive = drive + 2.0 * v.bob_station_rate_mps[k] * self.q
         damped = 2.0 * bobs.damping(self.load)[k] * np.sqrt(self.load / length) * self.swing_rate[k]
         out = -self.specific_force / length * self.swing[k] - damped - drive / length
-        if v.slosh_exchange and mass > 0.0:  # liquid that comes over from the core brakes the bob
+        if v.slosh_exchange and mass > 0.0:  # liquid that moves from the core to the bob slows the bob
             gained = max(v.bob_mass_rate_kgps[k], 0.0) / mass
             out = out - gained * (self.swing_rate[k] + phi @ self.eta_rate / length)
         return np.asarray(out)
@@ -411,11 +415,12 @@ class _Equations:
 def published_plant(
     vehicle: PlaneVehicle, condition: FlightCondition, load_mps2: float, errata: Errata, liquids: Liquids | None = None
 ) -> StateSpace:
-    """Return the motion of the engine and the lateral wind -> rates, of body, modes and pendulums, as `Node.plant`.
+    """Return the system from the motion of the engine and the lateral wind to the rates of body, modes and pendulums,
+    as `Node.plant` does.
 
-    States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
-    (rad/s); outputs `OUTPUTS`, of which the local rate is that at the gyro, q + sum sigma_G eta' (12 with erratum 1).
-    Raises ValueError where an erratum of the tanks is left in and `liquids` is None.
+    The states are w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
+    (rad/s). The outputs are `OUTPUTS`, with the local rate at the gyro, q + sum sigma_G eta' (12 with erratum 1).
+    Raises ValueError if an erratum of the tanks is left in and `liquids` is None.
     """
     return _Equations(with_printed_tanks(vehicle, errata, liquids), condition, load_mps2, errata).state_space()
 
@@ -423,10 +428,11 @@ def published_plant(
 def _mass_flow_momentum(vehicle: PlaneVehicle) -> tuple[float, float]:
     """Return the lateral momentum P (kg m/s) and the damping (kg m2/s) of the mass flow per turning rate.
 
-    Reynolds' transport theorem with the Coriolis acceleration 2 w x v_rel of what flows through a turning vessel (W. T.
-    Thomson, Introduction to Space Dynamics, ch. 7): m a = F - 2 w x P, P = m dc/dt + sum of outflow times place, and
-    I q' = M - (dI/dt + sum of outflow times place^2) q, places forward of the CG, c the CG in the body. The gas leaves
-    at the nozzle's exit; liquid also goes over from the bobs, which shrink, to the core.
+    The source is Reynolds' transport theorem with the Coriolis acceleration 2 w x v_rel of the flow through a turning
+    vessel (W. T. Thomson, Introduction to Space Dynamics, ch. 7). The equations are m a = F - 2 w x P, P = m dc/dt +
+    sum of outflow times place, and I q' = M - (dI/dt + sum of outflow times place^2) q. Places are forward of the CG,
+    and c is the CG in the body. The gas leaves at the nozzle's exit. Liquid also moves from the bobs, which shrink, to
+    the core.
     """
     v, cg = vehicle, vehicle.core_cg_station_m
     exit_place, bob_place, bob_rate = cg - v.exit_station_m, cg - v.pendulums.bob_station_m, v.bob_mass_rate_kgps

@@ -1,8 +1,8 @@
-"""Nodes whose plant is the published planar model, with each erratum corrected or as printed.
+"""Operating points whose plant is the published planar model, with each erratum corrected or as printed.
 
     nodes = paper_nodes(load_scenario("nominal"), [40.0], errata=PAPER)
 
-They reproduce the study of Lee, Ahn & Roh; everything else uses the simulator's linear model (design/model/held.py).
+They reproduce the study of Lee, Ahn & Roh. All other uses need the simulator's linear model (design/model/held.py).
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from maxq.sim.vehicle.actuator.kernel import Actuator
 
 @dataclass(frozen=True)
 class PaperNode(Node):
-    """A node with the published equations in place of the simulator's derivative."""
+    """An operating point with the published equations in place of the simulator's derivative."""
 
     errata: Errata = CORRECTED
     liquids: Liquids | None = None  # needed only for the errata of the tanks; of the nominal vehicle
 
     def plant_in_wind(self, wind: bool = True) -> StateSpace:
-        """`Node.plant_in_wind` by the published equations, with the node's errata."""
+        """Return `Node.plant_in_wind` by the published equations, with the errata of the operating point."""
         self.check_axial_load()
         try:
             vehicle = plane_vehicle(self.held, self.condition, self.plane)
@@ -48,7 +48,7 @@ class PaperNode(Node):
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
-        """Return the actuator of each drive, with a3 and a4 exchanged where the errata say so."""
+        """Return the actuator of each drive, with a3 and a4 exchanged if the errata require it."""
         return tuple(
             a
             if not self.errata.actuator_labels or a.ideal or a.order < 6
@@ -69,7 +69,7 @@ def paper_nodes(
     errata: Errata = CORRECTED,
     faults: bool = False,
 ) -> list[PaperNode]:
-    """Return nodes as `nodes_along`, with the published model of the same vehicle."""
+    """Return operating points as `nodes_along` does, with the published model of the same vehicle."""
 
     def refine(run: FlightRun, node: Node) -> Node:
         clock_s = table_clock_s(run.packed.parameters[node.stage], node.time_s - node.stage_start_s)

@@ -1,8 +1,8 @@
-"""Stability derivatives imposed on a node: those of the paper's Table 2.
+"""Stability derivatives imposed on an operating point: those of the paper's Table 2.
 
-No plausible arrangement of masses reaches the ends of Table 2's M_delta (scenarios/vehicles/ksr3/NOTES.md). A node
-therefore keeps its mass, speed, pendulums, modes and instruments, and its held stage deviates until eqs 4 to 8 give the
-required derivatives:
+No plausible arrangement of masses reaches the ends of Table 2's M_delta (scenarios/vehicles/ksr3/NOTES.md). An
+operating point therefore keeps its mass, speed, pendulums, modes and instruments, and its held stage deviates until eqs
+4 to 8 give the required derivatives:
 
 - thrust, for Z_delta (5); drag makes up for it, so that the axial load and the slosh frequencies stay
 - inertia, for M_delta (8); Cmq, so that M_q (7) stays
@@ -33,14 +33,16 @@ TABLE_2_FILE = "vehicles/ksr3-table2/derivatives.csv"
 
 @dataclass(frozen=True)
 class DerivativeTable:
-    """Derivatives over vehicle time: `values` (times, 4) in the order of COLUMNS; monotone cubics between."""
+    """A table of derivatives over vehicle time: `values` (times, 4) in the order of COLUMNS, with monotone cubics
+    between them.
+    """
 
     time_s: Array
     values: Array
     source: str = ""
 
     def at(self, time_s: float) -> dict[str, float]:
-        """Raises ValueError outside the table."""
+        """Return the derivatives at a time. Raises ValueError outside the table."""
         first, last = float(self.time_s[0]), float(self.time_s[-1])
         if not first <= time_s <= last:
             raise ValueError(f"node at {time_s:g} s: {self.source or 'the table'} holds {first:g} s to {last:g} s")
@@ -49,7 +51,9 @@ class DerivativeTable:
 
 
 def read_derivatives(file: str | Path = TABLE_2_FILE) -> DerivativeTable:
-    """A CSV file with columns time_s and COLUMNS; a relative name is also looked for among the built-in scenarios.
+    """Read a CSV file with columns time_s and COLUMNS.
+
+    A relative name is also searched for among the built-in scenarios.
 
     Raises ValueError, naming the file, if it is not such a table.
     """
@@ -67,15 +71,18 @@ def read_derivatives(file: str | Path = TABLE_2_FILE) -> DerivativeTable:
 
 
 def imposed(nodes: Iterable[N], table: DerivativeTable) -> list[N]:
-    """Return each node with the table's derivatives at its time.
+    """Return each operating point with the table's derivatives at its time.
 
-    Raises ValueError outside the table and where they are impossible.
+    Raises ValueError outside the table and if they are impossible.
     """
     return [impose(node, **table.at(node.time_s)) for node in nodes]
 
 
 def impose(node: N, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: float, m_delta_1ps2: float) -> N:
-    """Return the node with these `Node.derivatives` and its own M_q. Raises ValueError where they are impossible."""
+    """Return the operating point with these `Node.derivatives` and its own M_q.
+
+    Raises ValueError if they are impossible.
+    """
     before, vehicle = node.derivatives, node.vehicle
     if min(before.z_delta_1ps, before.m_delta_1ps2, -before.z_alpha_1ps, z_delta_1ps, m_delta_1ps2) <= 0.0:
         raise ValueError(f"node at {node.time_s:g} s: derivatives can be imposed on a thrusting vehicle with lift only")
@@ -95,7 +102,7 @@ def impose(node: N, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: float,
         inertia=inertia / old,
         rate_damping=inertia / old,
     ).held
-    held.vehicle["aero"]["axial_factor"] *= 1.0 + (push - 1.0) * net_N / drag_N  # below zero where thrust is added
+    held.vehicle["aero"]["axial_factor"] *= 1.0 + (push - 1.0) * net_N / drag_N  # below zero if thrust is added
     return dataclasses.replace(node, held=held)
 
 

@@ -1,8 +1,8 @@
-"""A suite compared with its baseline, an agreed suite: each difference in resolved content, and its kind.
+"""The comparison of a suite with its baseline, an agreed suite: each difference in resolved content, and its kind.
 
-The baseline is the suite that the key `baseline` names, else the shipped suite that the suite extends or is, else
-`standard`. Limits, levels, flights, campaigns, winds, vehicle and switches are compared as they are read, files
-included, so that a copy under another name differs in nothing.
+The baseline is the suite that the key `baseline` names. Its default is the shipped suite that the suite extends or
+equals, else `standard`. Limits, levels, flights, campaigns, winds, vehicle and switches are compared as they are read,
+files included, so that a copy under another name has no differences.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ KINDS = (OFF, EXCUSED, SEED, REMOVED, LOOSENED, SPREAD, LOWERED, SHORTENED, CHAN
 """The kinds of differences, in the order in which they are listed."""
 
 _WORDS = frozenset({"why", "description", "name", "schema", "schema_version", "source", "only", "log", "design"})
-"""Keys that change no verdict, and the design, which is what is judged."""
+"""The keys that change no verdict, and the design, which is judged."""
 _COUNTS = frozenset({"success", "confidence", "availability", "runs", "cases", "trajectories", "nodes_per_stage"})
 _COUNTS |= {"corner_sigmas", "sigmas", "starts", "in_flight", "bound", "together", "planes", "between_nodes"}
 _LEAST = frozenset({"modulus", "minimum", "wind_limit_mps"})  # limits that a larger value makes stricter
@@ -52,13 +52,16 @@ class SuiteDifference:
 
     @property
     def text(self) -> str:
-        """Return one line for people."""
+        """Return the difference as one line of text."""
         return f"{self.kind}: {self.what}" + (f", {self.baseline} -> {self.here}" if self.baseline or self.here else "")
 
 
 @dataclass(frozen=True)
 class Compared:
-    """A suite against its baseline. `hashes`: of the resolved content of both, and of each part of the suite."""
+    """A suite compared with its baseline.
+
+    `hashes` are those of the resolved content of both, and of each part of the suite.
+    """
 
     baseline: str
     shipped: bool
@@ -67,16 +70,16 @@ class Compared:
 
     @property
     def title(self) -> str:
-        """Return one line for people: the number of differences, and the suite from which they are."""
+        """Return one line of text: the number of differences, and the suite with which this suite was compared."""
         count, suite = len(self.differences), f"suite {self.baseline}"
         suite = f"the shipped {suite}" if self.shipped else f"the {suite}, not shipped"
         return f"{count or 'no'} difference{'s' * (count != 1)} from {suite}"
 
 
 def against_baseline(loaded: LoadedSuite, vehicle: str | None = None) -> Compared:
-    """Compare a suite, as it was read, with its baseline. Raises ScenarioError.
+    """Compare a suite as read with its baseline. Raises ScenarioError.
 
-    `vehicle`: flown in place of the suite's own.
+    `vehicle` is flown in place of the suite's own.
     """
     baseline = read_suite(loaded.baseline)
     own, named = ("scenario" in suite.asked.model_fields_set for suite in (baseline, loaded))
@@ -93,9 +96,9 @@ def _hash(content: Any) -> str:
 
 
 def resolved(suite: Suite, vehicle: str | None = None, own: bool = True) -> dict[str, Any]:
-    """Return all that a suite judges by, with the content of the files that it names.
+    """Return all content by which a suite judges, including that of the files that it names.
 
-    Without its `own` scenario only the switches of the whole model are in its place. Raises ScenarioError.
+    Without its `own` scenario, only the switches of the whole model are included. Raises ScenarioError.
     """
     changes = [f'vehicle="{vehicle}"'] if vehicle is not None else []
     out: dict[str, Any] = {key: told(getattr(suite, key)) for key in ("margins", "certificate", "wind_limit_mps")}
@@ -174,7 +177,7 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> list[SuiteDiff
 
 
 def _joined(found: Sequence[SuiteDifference]) -> Iterator[SuiteDifference]:
-    """Yield removed and added flights in one difference each."""
+    """Yield removed and added flights as one difference each."""
     whole = [d for d in found if d.what.startswith("flight ") and not (d.baseline or d.here)]
     for kind in (REMOVED, STRICTER):
         names = [d.what.removeprefix("flight ") for d in whole if d.kind == kind]
@@ -200,7 +203,7 @@ def _parts_of(leaves: dict[KeyPath, Any]) -> list[KeyPath]:
 
 
 def _of_vehicle(path: KeyPath) -> bool:
-    """Return True for keys of which every vehicle has its own values."""
+    """Return True for keys whose values differ for every vehicle."""
     return "deviation" in path or ("scenario" in path and "switches" not in path) or path[0] == "limit_wind"
 
 
@@ -252,7 +255,7 @@ def _kind(path: KeyPath, before: Any, after: Any) -> str:
 
 
 def _less(key: str, before: Any, after: Any) -> bool | None:
-    """Return True where a value is less than before, None where that has no meaning."""
+    """Return True if a value is less than before, or None if the comparison has no meaning."""
     if key == "planes":
         return len(after or ()) < len(before or ())
     if key == "between_nodes":

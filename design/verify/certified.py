@@ -1,4 +1,4 @@
-"""Requirements on loops that were measured in flight: certificates, and flight code without a linear model."""
+"""The requirements on loops that were measured in flight: certificates, and flight code without a linear model."""
 
 from __future__ import annotations
 
@@ -58,9 +58,10 @@ def certificate_requirements(
     through: list[InFlightResponse],
     again: Callable[[NodeCertificate | InFlightResponse], str] = lambda node: "",
 ) -> list[JudgedRequirement]:
-    """Require that flight and linear loop agree at every node, and that each difference in flight is explained.
+    """Require that flight and linear loop agree at every operating point, and that each difference in flight is
+    explained.
 
-    With adaptation the gain margins measured must reach beyond the limits of the total gain.
+    With adaptation, the measured gain margins must extend beyond the limits of the total gain.
     """
     out = []
 

@@ -1,4 +1,4 @@
-"""A suite beside the basis of the design that it judges: by which limits and on which loop the two differ."""
+"""The comparison of a suite with the basis of the design that it judges: by their limits and loops."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ IMPLIED = {
     "second_mode_db": ("modes_from_2_db",),
     "modes_from_3_db": ("modes_from_2_db",),
 }
-"""Limits of a suite that together are one of a design."""
+"""The limits of a suite that together correspond to one of a design."""
 OF_THE_LAW = ("filter_gain_at_infinity", "integral_hz", "most_integral_hz")
-"""Limits that are the law's own: no suite asks for them."""
+"""The limits of the law itself, which no suite requires."""
 
 
 def against_basis(suite: Suite, scenario: LoadedScenario) -> list[str]:
     """Return a line on each difference between the linear margins of a suite and the basis of a scenario's design.
 
-    None where the suite measures no margins or the design states no basis. Raises ScenarioError for a wrong basis.
+    Returns None if the suite measures no margins or the design states no basis. Raises ScenarioError for an invalid
+    basis.
     """
     design, count = scenario.design, len(scenario.vehicle.stage)
     if suite.margins is None or design is None:
@@ -67,7 +68,7 @@ def _differences(margins: LinearMargins, basis: Basis) -> list[str]:
 
 
 def _wanted(limits: Any, key: str) -> Any:
-    """Return what a suite asks of a design's limit; None where it asks nothing, or only part of it."""
+    """Return the suite's requirement for a limit of the design, or None if the suite has none or only part of it."""
     own = getattr(limits, key, None)
     if own is not None or key not in IMPLIED:
         return own

@@ -1,4 +1,4 @@
-"""The description of deviations that the vehicles of a suite's margins have: its campaign's draws, or its own."""
+"""The description of the deviations of the vehicles in a suite's margins: its campaign's draws, or its own."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ NORMAL = "normal deviations of [margins.three_sigma]"
 
 @dataclass(frozen=True)
 class DescribedVehicles:
-    """Dispersed vehicles of `wanted` in a suite that flies `campaign`; `changes`: of design and vehicle, key=value.
+    """The dispersed vehicles of `wanted` in a suite that flies `campaign`.
 
-    `base`: the scenario that deviations of the suite's own are of.
+    `changes` are those of design and vehicle, key=value.
+
+    `base` is the scenario to which the suite's own deviations apply.
     """
 
     wanted: LinearMargins
@@ -30,15 +32,18 @@ class DescribedVehicles:
 
     @cached_property
     def named(self) -> LoadedCampaign | None:
-        """The campaign whose draws the vehicles have: the suite's, unless its margins have deviations of their own."""
+        """Return the campaign whose draws the vehicles have: that of the suite, unless its margins have their own
+        deviations.
+        """
         if self.wanted.three_sigma.campaign is not None:
             return load_campaign(self.wanted.three_sigma.campaign, self.changes)
         return None if "three_sigma" in self.wanted.model_fields_set else self.campaign
 
     def at(self, node: Node) -> LoadedCampaign:
-        """Return the campaign of a node's vehicles: `named` where it changes the loop, else that of `three_sigma`.
+        """Return the campaign of the vehicles at an operating point: `named` if it changes the loop, else that of
+        `three_sigma`.
 
-        Raises ScenarioError where a campaign of the suite's margins changes nothing there.
+        Raises ScenarioError if a campaign of the suite's margins changes nothing there.
         """
         named, own = self.named, self.wanted.three_sigma
         if named is not None and deviations_of(named, node).places:
@@ -46,7 +51,7 @@ class DescribedVehicles:
         return acting_at(campaign_of(own, self.base, self.wanted.seed), own, node)
 
     def text(self, nodes: Sequence[Node]) -> str:
-        """State the description at nodes for people, and its draws that no margin follows."""
+        """Return the description at operating points as text, with its draws that no margin includes."""
         named, flies = self.named, self.campaign
         if named is None:
             own = "the suite has no campaign" if flies is None else f"not draws of campaign {flies.name}"

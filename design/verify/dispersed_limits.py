@@ -1,11 +1,11 @@
 """The dispersed limits of a robust basis: a search at operating points for the vehicles that come nearest to them.
 
-Vehicles are those of `[basis.robust]`: each deviation up to `corner_sigmas` either way. At an operating point the
-search goes from several corners of that box to one that no single deviation makes worse (`descent.to_corner`), and at
-the worst operating points on by a descent that also leaves the corners (`descent.descend`). The value that it lowers is
-the least share of a limit that is left, over the limits that the margin sweep measures (`guides`). Between operating
-points the worst vehicles of the neighbours are measured, and the descent is repeated where they are worst. The search
-bounds nothing: other vehicles of the box may be worse than those found.
+Vehicles are those of `[basis.robust]`: each deviation is up to `corner_sigmas` either way. At an operating point, the
+search goes from several corners of that box to one that no single deviation makes worse (`descent.to_corner`). At the
+worst operating points it continues with a descent that also leaves the corners (`descent.descend`). The minimised value
+is the least remaining share of a limit, over the limits that the margin sweep measures (`guides`). Between operating
+points, the worst vehicles of the neighbours are measured, and the descent is repeated where they are worst. The search
+gives no bound: other vehicles of the box may be worse than those found.
 """
 
 from __future__ import annotations
@@ -35,15 +35,17 @@ SEED = 1
 _LOST, _FREE = -1.0, 10.0  # value of an unstable loop, and of one that nothing limits
 
 Rooms = Callable[[Sequence[Array]], list[float]]
-"""The least share of a limit that is left at scores (places,) in units of three sigma; -1 of an unstable loop."""
+"""A function that returns the least remaining share of a limit at scores (places,) in units of three sigma, or -1
+for an unstable loop.
+"""
 
 
 @dataclass(frozen=True)
 class WorstOfBasis:
-    """The worst vehicles found, one an operating point or instant, in the order of time.
+    """The worst vehicles found, one per operating point or instant, in the order of time.
 
-    `guides`: labels of the limits that were searched for. `loops`: measured in all; `instants`: tried between the
-    operating points.
+    `guides` are the labels of the limits that were searched for. `loops` is the number measured in all, and `instants`
+    that of the instants tried between the operating points.
     """
 
     nodes: tuple[Node, ...]
@@ -53,7 +55,7 @@ class WorstOfBasis:
 
     @property
     def text(self) -> str:
-        """State the extent of the search for people."""
+        """Return the extent of the search as text."""
         between = f" and {self.instants} instants between" if self.instants else ""
         wanted = ", ".join(("stability", *self.guides))
         return f"the worst of each point{between} in a search of {self.loops} loops for {wanted}"
@@ -70,7 +72,7 @@ def guides(limits: LoadLimits) -> dict[str, float]:
 
 
 def rooms(node: Node, design: Design, campaign: LoadedCampaign, wanted: Mapping[str, float]) -> Rooms:
-    """Return a function of the scores of vehicles at a node; `wanted`: limits by key of SWEPT."""
+    """Return a function of the scores of vehicles at an operating point. `wanted` contains limits by key of SWEPT."""
     deviations, swept = deviations_of(campaign, node), SweptVehicles(node, design, LoopLimits())
 
     def at(every: Sequence[Array]) -> list[float]:
@@ -112,7 +114,7 @@ def worst_of_basis(
         fields, look = deviations_of(campaign, node).fields, looked(node)
         rng = np.random.default_rng([SEED, round(1e3 * node.time_s)])
         starts = [rng.choice([-1.0, 1.0], len(fields)) for _ in range(CORNERS)]
-        for end, start in zip((-1.0, 1.0), starts, strict=False):  # modes off: at one end, well seen by the gyro
+        for end, start in zip((-1.0, 1.0), starts, strict=False):  # modes off: at one end, large at the gyro
             start[[k for k, name in enumerate(fields) if name == "bending_frequency"]] = end
             start[[k for k, name in enumerate(fields) if name == "bending_slope"]] = 1.0
         found = [to_corner(look, start, region) for start in starts]

@@ -1,9 +1,9 @@
-"""A suite fitted to a vehicle: what its flights take from the vehicle and its own flight, as numbers.
+"""A suite fitted to a vehicle: the values that its flights take from the vehicle and from its own flight, as numbers.
 
-A suite for any vehicle names no tank, mode or engine by its number and no time by its seconds. `*` in a key stands for
-each element of a list (vehicle.stage.*.tank.*.damping_ratio), `scale` and `add` change what the vehicle has, and marks
-stand for what is known once it has flown: ${max_q_s + 0.2}. What comes out is a suite of plain `key=value` changes; a
-flight that asks for what the vehicle does not have is left out, and said to be.
+A suite for any vehicle contains no number of a tank, mode or engine and no time in seconds. `*` in a key represents
+each element of a list (vehicle.stage.*.tank.*.damping_ratio). `scale` and `add` change values of the vehicle. Marks
+represent quantities that are known after its flight: ${max_q_s + 0.2}. The result is a suite of plain `key=value`
+changes. A flight that needs a part that the vehicle does not have is omitted and reported.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from maxq.sim.scenario.schema_scenario import LogSection
 _TUNED = ("mode_1", "mode_2", "slosh")
 _PLACES = ("max_q", "before_max_q", "after_max_q")
 NAMES = (
-    # of the largest dynamic pressure under thrust, and of four fifths of it before and after (the last burnout where
-    # thrust ends sooner); gusts: height climbed in a swing of mode or slosh
+    # of the largest dynamic pressure under thrust, and of four fifths of it before and after (the last burnout if
+    # thrust ends sooner); gusts: height climbed in a period of mode or slosh
     *(f"{at}_{what}" for at in _PLACES for what in ("s", "altitude_m", *(f"{x}_gust_m" for x in _TUNED))),
     "limit_wind",  # the suite's key: a wind profile
-    "stage",  # its number, from 0; only with each_stage, as ignition and what follows it
+    "stage",  # its number, from 0; only with each_stage, as ignition and the marks after it
     "outer_engine",  # number of the engine farthest from the axis, of several; only with each_stage
     "burnout_s",  # of the last stage
     "sample_s",  # of the first stage's computer
-    "longer_s",  # half of that, or what the computer's delay leaves of it
+    "longer_s",  # half of that, or the remainder that the computer's delay permits
     "gimbal_limit_deg",  # the least angle of all actuators and computers
     "gimbal_rate_limit_degps",  # the least rate of all actuators
     "ignition_s",  # of the stage, or liftoff
@@ -49,24 +49,24 @@ NAMES = (
     "stage_burnout_s",  # end of its burn
     "gimbal_moment_Nm",  # by one degree of all gimbals, at the strongest instant
 )
-"""What a suite may name."""
+"""The marks that a suite may contain."""
 _MARK = re.compile(r"\$\{\s*([\w.]+)\s*(?:([+*-])\s*([0-9.eE+-]+)\s*)?\}|\$(\w+)")
 _LONGEST_M = 1000.0  # of a gust; beyond it is the wind profile
 _STRONG = 0.8  # of the largest dynamic pressure
 _EARLY, _LATE = 0.2, 0.75  # of a burn
-_CLEAR_S = 1.0  # of its ends, where something fails
+_CLEAR_S = 1.0  # of its ends, where a part fails
 
 Marks = dict[str, float | int | str]
 
 
 class _Missing(Exception):
-    """The parts that the vehicle does not have."""
+    """A part that the vehicle does not have."""
 
 
 def fit(loaded: LoadedSuite, base: LoadedScenario, memory: PartsOnDisk) -> LoadedSuite:
-    """The suite for the vehicle of `base`, which is flown where a mark is used. A fitted suite stays as it is.
+    """Return the suite for the vehicle of `base`, which is flown if a mark is used. A fitted suite remains unchanged.
 
-    Raises ScenarioError for an unknown mark, or one where it has no value for any vehicle.
+    Raises ScenarioError for an unknown mark, or one in a place where it has no value for any vehicle.
     """
     suite = loaded.suite
     texts = [str(d.limit) for d in suite.dispersed_limit]
@@ -100,7 +100,7 @@ def fit(loaded: LoadedSuite, base: LoadedScenario, memory: PartsOnDisk) -> Loade
 
 
 def named(loaded: LoadedSuite, base: LoadedScenario) -> LoadedSuite:
-    """The suite with the names that `fit` gives its flights, before anything is flown."""
+    """Return the suite with the names that `fit` gives its flights, without flying."""
     stages, flights = range(len(base.vehicle.stage)), []
     for flown in loaded.suite.flight:
         names = [flown.name, *(f"{flown.name}, {_called(base, n)}" for n in stages if flown.each_stage)]
@@ -136,12 +136,15 @@ def _fitted(flown: SuiteFlight, base: LoadedScenario, marks: Marks, label: str, 
 
 
 def _changed(value: Any, by: float, how: Callable[[float, float], float]) -> Any:
-    """A number of the vehicle, or each in a list."""
+    """Return a changed number of the vehicle, or each in a list."""
     return [_changed(one, by, how) for one in value] if isinstance(value, tuple) else round(how(float(value), by), 9)
 
 
 def _places(at: Any, parts: list[str], path: str = "") -> Iterator[tuple[str, Any]]:
-    """Key and value of all that a pattern means; `*` at a section that could be a list is the section itself."""
+    """Return the keys and values that match a pattern.
+
+    `*` at a section that could be a list matches the section itself.
+    """
     if not parts:
         yield path, at
         return
@@ -158,7 +161,7 @@ def _places(at: Any, parts: list[str], path: str = "") -> Iterator[tuple[str, An
 
 
 def _filled(text: str, marks: Marks, label: str, where: str) -> str:
-    """A text with its marks as values. Raises _Missing where the vehicle has none."""
+    """Return a text with its marks replaced by values. Raises _Missing if the vehicle has none."""
 
     def value(found: re.Match[str]) -> str:
         name = found[1] or found[4]
@@ -237,7 +240,7 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
 
 
 def _tones_hz(node: Node) -> dict[str, float]:
-    """Frequencies of the first two bending modes and of the slowest slosh, of those that there are."""
+    """Return the frequencies of the first two bending modes and of the slowest slosh, as far as they exist."""
     modes = np.sort(np.abs(node.vehicle.omega_radps)) / (2.0 * math.pi)
     out = {f"mode_{k + 1}": float(hz) for k, hz in enumerate(modes[:2])}
     bobs = node.vehicle.pendulums
@@ -248,8 +251,9 @@ def _tones_hz(node: Node) -> dict[str, float]:
 
 
 def _computers(base: LoadedScenario) -> Marks:
-    """The first computer's sample, and half of it or as much as every computer's delay leaves of its own; the least
-    limits of the gimbals, where there are any.
+    """Return the first computer's sample, and half of it or the remainder that every computer's delay permits.
+
+    Return also the least limits of the gimbals, if there are any.
     """
     vehicle = base.vehicle
     computers = [c for n in range(len(vehicle.stage)) if (c := vehicle.computer_of(n)) is not None]

@@ -1,7 +1,8 @@
-"""The floor of an acceptance: the evidence without which a verification is a screening, whatever its suite says.
+"""The floor of an acceptance: the evidence without which a verification is a screening, for any suite.
 
-A suite sets its own levels, numbers and limits, and one flight of a second can meet them all. So the word ACCEPTED has
-a floor of its own, `FLOOR`, that no suite lowers. A screening can reject a design; at best the design passes it.
+A suite sets its own levels, numbers and limits, and one flight of a second can meet them all. Therefore, the word
+ACCEPTED requires the evidence of `FLOOR`, which no suite lowers. A screening can reject a design. Its best outcome is
+PASSED SCREENING.
 """
 
 from __future__ import annotations
@@ -25,29 +26,35 @@ from maxq.sim.scenario.schema_vehicle import Vehicle
 
 @dataclass(frozen=True)
 class Floor:
-    """The least evidence of an acceptance. `gap`: share of a stage's powered flight without an operating point."""
+    """The least evidence of an acceptance.
+
+    `gap` is the share of a stage's powered flight without an operating point.
+    """
 
     success: float = 0.9973
     confidence: float = 0.90
-    runs: int = 852  # the fewest that show this success with this confidence, by the fixed test and without failure
+    runs: int = 852  # the fewest for this success and confidence, by the fixed test and without failure
     gap: float = 0.15
     planes: tuple[Plane, ...] = ("pitch", "yaw")
     limits: tuple[str, ...] = ("gain_up_db", "gain_down_db", "rigid_phase_deg", "delay_ms")
 
 
 FLOOR = Floor()
-"""Three sigma of a normal quantity with a consumer's risk of one in ten (NASA/TP-2010-216447), over the whole burn."""
+"""The three-sigma level of a normal quantity with a consumer's risk of one in ten (NASA/TP-2010-216447), over the
+whole burn.
+"""
 
 _WHOLE = {name: field.default for name, field in Switches.model_fields.items() if field.default is not False}
-"""Switches of the whole model; parts that are off by default are additions to it."""
+"""The switches of the whole model. Parts that are off by default are additions to it."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """A verification as far as its floor depends on it.
+    """The properties of a verification on which its floor depends.
 
-    `points_s`: operating points by part ("margins", "certificate") and stage, from 0. `campaigns`: those of the suite
-    in its order. `flights`: scenarios of the flights whose failure rejects. `in_flight`: planes measured in the ascent.
+    `points_s` are operating points by part ("margins", "certificate") and stage, from 0. `campaigns` are those of the
+    suite in its order. `flights` are scenarios of the flights whose failure rejects. `in_flight` contains the planes
+    measured in the ascent.
     """
 
     suite: Suite
@@ -63,7 +70,10 @@ class Evidence:
 
 
 def missing_evidence(e: Evidence) -> tuple[str, ...]:
-    """Return what the evidence lacks for an acceptance, a phrase each; empty where it reaches the floor."""
+    """Return a phrase for each piece of evidence that is missing for an acceptance.
+
+    The result is empty if the floor is reached.
+    """
     out = [*_flights(e), *([] if e.guarded else ["flight code ran in the process that judges it"])]
     out += [] if e.campaigns else ["no dispersed flight flown"]
     for wanted, campaign in zip(e.suite.campaign, e.campaigns, strict=True):
@@ -123,7 +133,7 @@ def _campaign(e: Evidence, wanted: CampaignWanted, campaign: LoadedCampaign) -> 
 
 
 def _wide(campaign: LoadedCampaign) -> list[str]:
-    """Return the keys of all that differs from run to run."""
+    """Return the keys of all quantities that differ from run to run."""
     boxes = campaign.boxes()
     draws = [d for d in campaign.plan.draws if d.name not in boxes or boxes[d.name][0] < boxes[d.name][1]]
     return [target.key for d in draws for target in d.targets]

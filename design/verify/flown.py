@@ -38,7 +38,7 @@ KEPT_HZ = 20.0
 
 @dataclass(frozen=True)
 class FlownResult:
-    """A flight of the suite. `time_s` and `histories` (by channel) are those under thrust, thinned out."""
+    """The result of a flight of the suite. `time_s` and `histories` (by channel) are those under thrust, decimated."""
 
     name: str
     why: str
@@ -58,7 +58,7 @@ class FlownResult:
 
     @property
     def tightest(self) -> Verdict | None:
-        """The requirement with the least room."""
+        """Return the requirement with the least margin."""
         return min(self.verdicts, key=lambda v: (v.met, _room(v)), default=None)
 
 
@@ -67,7 +67,7 @@ def _sense(kind: str) -> str:
 
 
 def _room(v: Verdict) -> float:
-    """Share of the bound that is left; 1 or -1 for a bound of zero, met or not."""
+    """Return the remaining share of the bound. For a bound of zero, return 1 if it is met and -1 if not."""
     kind, bound = v.bound
     if bound == 0.0:
         return 1.0 if v.met else -1.0
@@ -76,8 +76,9 @@ def _room(v: Verdict) -> float:
 
 
 def design_changes(design: str, vehicle: str | None) -> list[str]:
-    """Overrides of a scenario or campaign: the design, and the vehicle instead of its own. `design` may be flight code
-    (`flight_code_key`), which flies without a design.
+    """Return the overrides of a scenario or campaign: the design, and the vehicle instead of its own.
+
+    `design` may be flight code (`flight_code_key`), which flies without a design.
     """
     key = flight_code_key(design)
     flown = [f'design="{design}"']
@@ -89,7 +90,7 @@ def design_changes(design: str, vehicle: str | None) -> list[str]:
 def load_flight(
     loaded_suite: LoadedSuite, flown: SuiteFlight, design: str, vehicle: str | None
 ) -> tuple[LoadedScenario, list[str]]:
-    """The scenario of one flight with the design in it, and what is changed in it. Raises ScenarioError."""
+    """Load the scenario of one flight with the design and the changes. Raises ScenarioError."""
     name, changes = flown.scenario or loaded_suite.suite.scenario, [*design_changes(design, vehicle), *flown.set]
     loaded = load_scenario(name, changes)
     more = suite.limit_changes(loaded_suite, flown.limits, loaded.scenario)
@@ -103,7 +104,7 @@ def fly_suite(
     watch: Callable[[int, int], None],
     workers: int,
 ) -> list[FlownResult]:
-    """Fly all flights in the suite's order; `loaded`: what `load_flight` returns of each."""
+    """Fly all flights in the suite's order. `loaded` contains the result of `load_flight` for each."""
     flights = loaded_suite.suite.flight
 
     def one(flown: SuiteFlight, job: tuple[LoadedScenario, list[str]]) -> FlownResult:
@@ -140,13 +141,13 @@ def fly_alone(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownRe
 
 
 def _said(v: Verdict) -> str:
-    """Name, value and unit of what a flight is held to."""
+    """Return the name, value and unit of a flight's requirement."""
     unit = unit_of(v.requirement.metric)
     return f"{v.name} {v.value:.4g}" + (f" {unit}" if unit != "1" else "")
 
 
 def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequirement]:
-    """Return a requirement for each flight that counts: it meets all requirements of its scenario."""
+    """Return a requirement for each flight that counts: the flight meets all requirements of its scenario."""
     out = []
     for r in results:
         worst = r.tightest
@@ -168,7 +169,10 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequiremen
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """A campaign that was flown, and its verdict on each requirement; the first is that control is kept."""
+    """The result of a flown campaign, and its verdict on each requirement.
+
+    The first requirement is that control is kept.
+    """
 
     name: str
     file: str
@@ -179,9 +183,9 @@ class CampaignResult:
     confidence: float
     verdicts: tuple[Judged, ...]
     why: str
-    first_lost: Lost | None  # the first run that lost control or did not come to its end
+    first_lost: Lost | None  # the first run that lost control or did not reach its end
     months: tuple[Month, ...] = ()
-    availability: float | None = None  # that is wanted in each of them
+    availability: float | None = None  # that is required in each of them
     fixed: bool = True  # the number of runs was recorded beforehand
     recalled: int = 0  # runs that an earlier verification had flown
     reflown: tuple[int, ...] = ()  # of these, flown again and compared
@@ -189,7 +193,7 @@ class CampaignResult:
 
 
 def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, vehicle: str | None) -> LoadedCampaign:
-    """The campaign with the design in it, and the suite's numbers and limits. Raises ScenarioError."""
+    """Load the campaign with the design, and with the suite's numbers and limits. Raises ScenarioError."""
     changes = [*design_changes(design, vehicle), *wanted.set]
     loaded = load_campaign(wanted.file, changes)
     more = suite.limit_changes(loaded_suite, wanted.limits, loaded.base.scenario)
@@ -199,7 +203,7 @@ def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, 
 
 
 def campaign_folder(loaded: LoadedCampaign, parts: Path) -> Path:
-    """Folder of its runs, named by a hash of all that they depend on, so that no run is flown twice."""
+    """Return the folder of its runs, named by a hash of all inputs, so that no run is flown twice."""
     said = description_of(loaded)
     drawn = {
         key: loaded.file.campaign.model_dump(mode="json")[key]
@@ -221,9 +225,9 @@ def fly_campaign(
     afresh: bool,
     sample: int = 0,
 ) -> CampaignResult:
-    """Fly what is missing of a campaign, or all of it into a new folder. Raises ScenarioError, CampaignError.
+    """Fly the missing runs of a campaign, or all of them into a new folder.
 
-    `sample`: number of runs flown earlier that are flown again and compared.
+    `sample` is the number of earlier runs that are flown again and compared. Raises ScenarioError, CampaignError.
     """
     loaded = load_wanted(loaded_suite, wanted, design, vehicle)
     folder = known = campaign_folder(loaded, parts)
@@ -268,7 +272,7 @@ def same_run(data: DataSet, run: int) -> bool:
 def _of_campaign(
     result: CampaignResult, name: str, wanted: str, found: str, shown: Shown, room: float, run: int | None
 ) -> JudgedRequirement:
-    """`run`: the one that shows it; None where none does."""
+    """Return a requirement of a campaign. `run` is the run that shows the result, or None if none does."""
     judgement, name = judgement_of(shown.judgement), f"{result.name}: {name}"
     if run is None:
         return JudgedRequirement("campaign", name, wanted, found, judgement, room, more_runs=shown.more)
@@ -277,7 +281,7 @@ def _of_campaign(
 
 
 def availability_requirements(result: CampaignResult, wanted: float) -> list[JudgedRequirement]:
-    """Return a requirement for each month of a campaign's winds; undecided if it has none."""
+    """Return a requirement for each month of a campaign's winds. A month without winds is undecided."""
     asked, out = f">= {100.0 * wanted:g} % with {100.0 * result.confidence:g} %", list[JudgedRequirement]()
     for month in result.months:
         shown, room = month.judged(wanted, result.confidence, result.fixed), suite.room_left(month.share, wanted, ">=")

@@ -1,6 +1,6 @@
-"""A design judged at nodes: margins, peaks and rigid-body motion, and the limits on them.
+"""The judgement of a design at operating points: margins, peaks and rigid-body motion, and the limits on them.
 
-`Outcome`: the result of a case, its design judged as it is written to the file.
+`Outcome` is the result of a case, with its design judged as it is written to the file.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import AdaptiveSection, Design, LoopFiltersSection, StageLaw
 
 JUDGED = (*MEASURED, "filter_gain_at_infinity", "integral_hz", "most_integral_hz")
-"""Keys of the limits that a design is judged by at its operating points, in the order in which they are shown."""
+"""The keys of the limits by which a design is judged at its operating points, in the order in which they are shown."""
 ZONE = "clear of the {0.shape} {0.gain_db:g} dB, {0.phase_deg:g} deg"
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """Limits that a design is judged by, by key of `QUANTITIES`."""
+    """The limits by which a design is judged, by key of `QUANTITIES`."""
 
     limits: Mapping[str, float | OverTime] = field(default_factory=dict)
     zone: Zone | None = None
@@ -55,7 +55,7 @@ class Wanted:
 
     @staticmethod
     def of(limits: Any) -> Wanted:
-        """Return the limits of a section of a case or a design, less those in its `without`; none of None."""
+        """Return the limits of a section of a case or a design, without those in its `without`. None has no limits."""
         left_out = getattr(limits, "without", ())
         asked = {key: getattr(limits, key, None) for key in JUDGED if key not in left_out}
         known = {key: value for key, value in asked.items() if value is not None}
@@ -65,12 +65,12 @@ class Wanted:
 
     @staticmethod
     def stated_by(design: Design, stage: int = 0) -> Wanted:
-        """Return the limits in the basis of a design; none where it states none. Raises ScenarioError."""
+        """Return the limits in the basis of a design, or none if it states none. Raises ScenarioError."""
         basis = stated_basis(design, stage)
         return Wanted.of(None if basis is None else basis.limits)
 
     def constant(self, key: str) -> float | None:
-        """Return a limit that does not change over time; None where it does, or is not set."""
+        """Return a limit that does not change over time, or None if it does, or is not set."""
         limit = self.limits.get(key)
         return None if isinstance(limit, OverTime) else limit
 
@@ -83,17 +83,19 @@ class JudgedLoop(LoopAtPoint):
 
     @cached_property
     def budgets(self) -> dict[str, Budget]:
-        """Contributions to gain and phase at each crossing that sets a margin; none of an unstable loop."""
+        """Return the contributions to gain and phase at each crossing that sets a margin, or none for an unstable
+        loop.
+        """
         return crossing_budgets(self.loop, self.margins)
 
     @property
     def gain_margin_db(self) -> float:
-        """The lesser of the upper and the lower gain margin over all crossings; NaN of an unstable loop."""
+        """Return the lesser of the upper and the lower gain margin over all crossings, or NaN for an unstable loop."""
         return self.margins.gain_db
 
     @cached_property
     def at_total_gains(self) -> dict[float, Margins]:
-        """Margins at the limits of the total gain of adaptive augmenting control; none without it."""
+        """Return the margins at the limits of the total gain of adaptive augmenting control, or none without it."""
         ends = () if self.adaptive is None else (self.adaptive.least_gain, self.adaptive.most_gain)
         loops = {gain: replace(self.loop, law=self.loop.law.scaled(gain)) for gain in ends}
         return {gain: margins(loop, resonances=self.loop.fixed.resonances()) for gain, loop in loops.items()}
@@ -101,24 +103,24 @@ class JudgedLoop(LoopAtPoint):
 
 @dataclass(frozen=True)
 class Check:
-    """A limit and the values it applies to: one a node, or a single one of the filter."""
+    """A limit and the values to which it applies: one per operating point, or a single one of the filter."""
 
     key: str
     text: str
     unit: str
     sense: Literal[">=", "<="]
-    limit: float | Array  # one each, where it changes over time
+    limit: float | Array  # one each, if it changes over time
     values: Array
     time_s: Array  # NaN for the filter
-    short: str = ""  # heading of a column, where `QUANTITIES` has none
+    short: str = ""  # heading of a column, if `QUANTITIES` has none
 
     @property
     def heading(self) -> str:
-        """The heading of a column."""
+        """Return the heading of the column."""
         return QUANTITIES[self.key].heading if self.key in QUANTITIES else self.short or self.text
 
     def met(self) -> np.ndarray:
-        """Return True for each value that meets the limit; NaN, of an unstable loop, does not."""
+        """Return True for each value that meets the limit. NaN, of an unstable loop, does not."""
         return np.asarray(violation(self.values, self.limit, self.sense, self.unit) <= 0.0)
 
     @property
@@ -127,7 +129,7 @@ class Check:
 
     @property
     def worst(self) -> int:
-        """Index of the value nearest to, or farthest beyond, the limit; an unstable loop comes first."""
+        """Return the index of the value nearest to, or farthest beyond, the limit. An unstable loop has priority."""
         margin = self.values - self.limit if self.sense == ">=" else self.limit - self.values
         margin = margin / self.limit if np.ndim(self.limit) else margin
         bad = np.isnan(self.values) & ~self.met()
@@ -135,14 +137,17 @@ class Check:
 
     @property
     def wanted(self) -> float:
-        """The limit there."""
+        """Return the limit at that point."""
         return float(np.broadcast_to(self.limit, self.values.shape)[self.worst])
 
 
 def judge(
     nodes: Sequence[Node], design: Design, kind: LoopKind = "sampled", tell: Callable[[int], None] | None = None
 ) -> list[JudgedLoop]:
-    """Margins of the design at every node, by the axis of each node. `tell` is called with the number done."""
+    """Return the margins of the design at every operating point, by the axis of each.
+
+    `tell` is called with the number done.
+    """
     out = []
     for n, loop in enumerate(loops(nodes, design, kind=kind)):
         found = measure_loop(loop)
@@ -154,7 +159,7 @@ def judge(
 
 
 def checks(judged: Sequence[JudgedLoop], design: Design, wanted: Wanted) -> list[Check]:
-    """All limits that are asked for, stability first."""
+    """Return the checks of all limits that are set, stability first."""
     time_s = np.array([j.time_s for j in judged])
     unstable = np.array([float(max(j.margins.unstable_poles, not j.margins.stable)) for j in judged])
     out = [Check("unstable_poles", "unstable poles", "", "<=", 0.0, unstable, time_s)]
@@ -199,7 +204,7 @@ def margins_of_all_axes(
 ) -> list[MultiloopMargins]:
     """Return the margins of each axis with the loops of the others closed, at vehicle times (s) of a flight.
 
-    Empty where `basis` is about another loop or vehicle than the one that flies.
+    The result is empty if `basis` refers to another loop or vehicle than those that fly.
     """
     if not flies_as_measured(basis.loop, basis.errata, basis.plant):
         return []
@@ -207,7 +212,9 @@ def margins_of_all_axes(
 
 
 def multiloop_checks(found: Sequence[MultiloopMargins], wanted: Wanted) -> list[Check]:
-    """The limits on gain and phase margin for each axis with the loops of the others closed; stability first."""
+    """Return checks of the limits on gain and phase margin for each axis with the loops of the others closed, stability
+    first.
+    """
     if not found:
         return []
     time_s = np.array([m.time_s for m in found])
@@ -234,10 +241,10 @@ def _clearance(j: JudgedLoop, zone: Zone) -> float:
 
 @dataclass(frozen=True)
 class InWind:
-    """A quantity at the nodes: of a design, and of the design that the scenario flies by default."""
+    """A quantity at the operating points: of a design, and of the design that the scenario flies by default."""
 
     key: Key
-    rms: Array  # (nodes,), nan where the loop is unstable
+    rms: Array  # (nodes,), nan if the loop is unstable
     before: Array | None  # None: the scenario has no design
 
     @property
@@ -257,7 +264,7 @@ class DesignOutcome:
     design: Design
     judged: Sequence[JudgedLoop]
     found: Sequence[Check]
-    flown_found: Sequence[Check]  # on the sampled loop; the same as `found` where the case's loop is
+    flown_found: Sequence[Check]  # on the sampled loop; the same as `found` if the case's loop is sampled
     dispersed_found: Sequence[Check]  # at the worst plants of a robust case
     wanted: Wanted
     in_wind: Sequence[InWind] = ()  # at `judged`
@@ -265,12 +272,12 @@ class DesignOutcome:
 
     @property
     def feasible(self) -> bool:
-        """All limits of the case are met. Those of the sampled loop are for information only."""
+        """Return True if all limits of the case are met. Those of the sampled loop are for information only."""
         return all(check.passed for check in (*self.found, *self.coupled_found, *self.dispersed_found))
 
     @property
     def missed(self) -> list[str]:
-        """Limits that are missed, and by how much."""
+        """Return the limits that are missed, and the amounts."""
         out = []
         for where, found in (("", (*self.found, *self.coupled_found)), (" of dispersed plants", self.dispersed_found)):
             for check in (c for c in found if not c.passed):
@@ -282,8 +289,10 @@ class DesignOutcome:
 
 
 def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] = ()) -> Design:
-    """The design to be written, of one solution a stage; roll control, and stages that were not designed, as in the
-    scenario's own design. `missed`: stages, from 0, that miss limits along the design's own flight.
+    """Return the design to be written, from one solution per stage.
+
+    Roll control, and stages that were not designed, are those of the scenario's own design. `missed` contains the
+    stages, from 0, that miss limits along the design's own flight.
     """
     case, own, stages = loaded.case, loaded.scenario.design, loaded.scenario.vehicle.stage
     made = []
@@ -313,7 +322,7 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
         return first
     names = StageLaw.model_fields
     flown = [designs.get(n) or (with_law(own.of_stage(n), first) if own else first) for n in range(len(stages))]
-    # a stage without filters of its loops says so, where another has some
+    # a stage without filters of its loops states this if another has some
     none = LoopFiltersSection() if any(d.loop_filters is not None for d in flown) else None
     laws = []
     for n, d in enumerate(flown):
@@ -323,9 +332,9 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
 
 
 def with_law(own: Design, other: Design) -> Design:
-    """A stage's design as one of the law of another, whose further gains are 0 there.
+    """Return a stage's design as one of the law of another, whose further gains are 0 there.
 
-    Raises ScenarioError where it has gains that the other law has not.
+    Raises ScenarioError if it has gains that the other law does not have.
     """
     if own.law == other.law:
         return own
@@ -356,7 +365,10 @@ def with_law(own: Design, other: Design) -> Design:
 
 
 def objective_text(solution: Solution) -> str:
-    """The objective that was reached, with its name; of a robust case that of the worst plant found and the nominal."""
+    """Return the objective that was reached, with its name.
+
+    For a robust case, it is that of the worst plant found and the nominal one.
+    """
     reached = OBJECTIVES[solution.case.objective.kind].reached
     text = reached(solution.objective_db)
     if solution.case.robust is None:
@@ -370,23 +382,25 @@ def wanted_of(case: Case) -> Wanted:
 
 
 def stage_checks(judged: Sequence[JudgedLoop], design: Design, basis: Basis, kind: LoopKind) -> list[Check]:
-    """Return all limits of a stage's basis, of wind too."""
+    """Return all limits of a stage's basis, including those in wind."""
     nodes, here = [j.node for j in judged], basis.model_copy(update={"loop": kind})
     found = checks(judged, design, Wanted.of(basis.limits))
     return found + wind_checks(in_wind(here, nodes, design, None), basis.limits, nodes)
 
 
 def worst_times_s(found: Iterable[Check]) -> set[float]:
-    """Return the times at which limits are nearest to being missed, one a limit."""
+    """Return the times at which limits are nearest to being missed, one per limit."""
     return {time_s for check in found if not math.isnan(time_s := float(check.time_s[check.worst]))}
 
 
 def judge_solution(
     loaded: LoadedCase, solution: Solution, design: Design | None = None, between: Sequence[Node] = ()
 ) -> DesignOutcome:
-    """Judge the design as it is written, at the search's nodes and at the dispersed plants of a robust search.
+    """Judge the design as it is written, at the search's operating points and at the dispersed plants of a robust
+    search.
 
-    `design`: of all stages, where the solution is one of several. `between`: further nodes, which are judged too.
+    `design` is that of all stages, if the solution is one of several. `between` contains further operating points to be
+    judged.
     """
     design, case = design or make_design(loaded, solution), loaded.case
     nodes = sorted((*solution.nodes, *between), key=lambda node: node.time_s)
@@ -407,7 +421,7 @@ def judge_solution(
 
 
 def in_wind(case: Basis, nodes: Sequence[Node], design: Design, before: Design | None) -> list[InWind]:
-    """Return the quantities that a case or a basis can limit, at its stations; none without a wind."""
+    """Return the quantities that a case or a basis can limit, at its stations, or none without a wind."""
     if case.wind is None:
         return []
     keys, rms = _rms(case, nodes, design)
@@ -416,7 +430,7 @@ def in_wind(case: Basis, nodes: Sequence[Node], design: Design, before: Design |
 
 
 def _rms(case: Basis, nodes: Sequence[Node], design: Design) -> tuple[list[Key], Array]:
-    """Quantities, and their values (quantities, nodes)."""
+    """Return the quantities, and their values (quantities, nodes)."""
     found, keys = [], list[Key](WIND_LIMITS)
     for loop in loops(nodes, design, kind=case.loop):
         path = loop.fixed
@@ -430,7 +444,7 @@ def _rms(case: Basis, nodes: Sequence[Node], design: Design) -> tuple[list[Key],
 
 
 def wind_checks(found: Sequence[InWind], limits: LoadLimits, nodes: Sequence[Node]) -> list[Check]:
-    """The limits of what wind does."""
+    """Return the checks of the limits in wind."""
     time_s, out = np.array([node.time_s for node in nodes]), []
     for one in found:
         limit, about = limit_of(limits, one.key), one.about

@@ -1,16 +1,16 @@
 """Linear measures of a design: margins of the exact sampled loop, nominal and dispersed, and gimbal authority.
 
-Margins are measured as designed, at the corners of the dispersions, and for random vehicles. A dispersed vehicle has
-the same deviations at every node. Corners: a two-level screening design (Plackett & Burman, Biometrika 33, 1946) of
-twelve runs and their mirror images, in which every pair of factors is uncorrelated. Random vehicles: vehicle N is run N
-of the campaign (design/model/deviations.py), along one of a few dispersed trajectories (`conditions_of`). They are
-measured by the compiled margins of design/margins/dispersed.py; those whose margin lies within `NEAR` of a limit, and
-those that these do not serve, once more by `margins`.
+Margins are measured for the nominal vehicle, at the corners of the dispersions, and for random vehicles. A dispersed
+vehicle has the same deviations at every operating point. The corners are a two-level screening design (Plackett &
+Burman, Biometrika 33, 1946) of twelve runs and their mirror images. Every pair of factors in it is uncorrelated. Random
+vehicle N is run N of the campaign (design/model/deviations.py), along one of a few dispersed trajectories
+(`conditions_of`). The compiled margins of design/margins/dispersed.py measure these vehicles. Vehicles whose margin is
+within `NEAR` of a limit, and those that the compiled margins do not support, are measured once more by `margins`.
 
-Authority: in trim the moment of the deflected engine balances that of the angle of attack,
-delta = -(M_alpha / M_delta) alpha, and a cross-wind W meets the vehicle at alpha = atan(W / U) before it has had time
-to drift along. So the gimbal's limit is reached at a wind of U tan(delta_max |M_delta / M_alpha|). With
-|M_alpha / M_delta| above three, this comes before any stability margin is lost.
+Authority: in trim, the moment of the deflected engine balances that of the angle of attack, delta = -(M_alpha /
+M_delta) alpha. A cross-wind W meets the vehicle at alpha = atan(W / U) before it has had time to drift along. The
+gimbal's limit is therefore reached at a wind of U tan(delta_max |M_delta / M_alpha|). With |M_alpha / M_delta| above
+three, this happens before any stability margin is lost.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ from maxq.sim.scenario.loader import told
 from maxq.sim.scenario.schema_design import Design
 
 INSTANTS_S = (0.5, 0.05, 0.005)
-"""Steps of the search for the worst instant between nodes, coarse to fine."""
+"""The steps of the search for the worst instant between operating points, coarse to fine."""
 NEAR = 0.01
-"""How near to its limit a margin is measured once more, dB, deg or ms."""
+"""The distance from its limit within which a margin is measured once more, dB, deg or ms."""
 WORSE = {"dB": 0.02, "deg": 0.1, "ms": 0.05, "Hz": 0.002, "": 0.005}
-"""The amount by which an instant must be worse to become a node, by unit."""
+"""The amount by which an instant must be worse to become an operating point, by unit."""
 _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett-Burman design of twelve runs
 _FACTORS = (
     "bending_frequency",
@@ -81,16 +81,18 @@ _WITH = {
     "mass_kg": "inertia",
     "roll_inertia": "inertia",
 }
-"""The factor with which a deviation goes that has none of its own; any other one stays in the middle."""
+"""The factor with which a deviation without its own factor changes. Any other deviation stays in the middle."""
 
 
 Measured = dict[str, float]
-"""Quantities of a loop by key (`MEASURED`); empty where it is unstable, infinite where nothing limits them."""
+"""The quantities of a loop by key (`MEASURED`). They are empty if the loop is unstable, and infinite if nothing
+limits them.
+"""
 
 
 @dataclass(frozen=True)
 class MarginCase:
-    """A vehicle, by its label, at all nodes, (nodes,)."""
+    """A vehicle, by its label, at all operating points, (nodes,)."""
 
     label: str
     nodes: tuple[Measured, ...]
@@ -98,11 +100,11 @@ class MarginCase:
 
 @dataclass(frozen=True)
 class MarginStudy:
-    """Margins of a design in one plane of one stage: nominal vehicle, corners, and random vehicles.
+    """The margins of a design in one plane of one stage: nominal vehicle, corners, and random vehicles.
 
-    `stage`: its name, "" of the only one. `random` (vehicles, nodes, SWEPT): NaN all over of an unstable loop,
-    infinite where nothing limits a margin; the first is vehicle number `first`. `exact`: how many of these loops were
-    measured by `margins` itself.
+    `stage` is its name, "" for a single stage. `random` (vehicles, nodes, SWEPT) is NaN throughout for an unstable
+    loop, and infinite if nothing limits a margin. The first row is vehicle number `first`. `exact` is the number of
+    these loops that `margins` itself has measured.
     """
 
     stage: str
@@ -115,14 +117,14 @@ class MarginStudy:
     exact: int = 0
 
     def case(self, k: int) -> MarginCase:
-        """The k-th random vehicle."""
+        """Return the k-th random vehicle."""
         rows = [dict(zip(SWEPT, row, strict=True)) for row in self.random[k].tolist()]
         stable = ~np.isnan(self.random[k]).all(axis=-1)
         return MarginCase(f"vehicle {self.first + k}", tuple(r if s else {} for r, s in zip(rows, stable, strict=True)))
 
 
 def measured(loop: Loop, slosh_peak_db: float) -> Measured:
-    """Return the quantities of a loop; empty where it is unstable."""
+    """Return the quantities of a loop. The result is empty if the loop is unstable."""
     found = measure_loop(loop)
     return found.quantities(Convention(slosh_peak_db=slosh_peak_db)) if found.margins.stable else {}
 
@@ -130,18 +132,19 @@ def measured(loop: Loop, slosh_peak_db: float) -> Measured:
 def worst_instants(
     nodes_at: Callable[[Sequence[float]], Sequence[Node]], design: Design, times_s: Sequence[float], limits: LoopLimits
 ) -> list[float]:
-    """Instants (s) between the first and the last node of a stage at which a margin that is asked for is worst.
+    """Return instants (s) between the first and the last operating point of a stage at which a required margin is
+    worst.
 
-    One for each margin that is worse there than at every node, by more than WORSE in its own unit. The time axis is
-    searched every INSTANTS_S[0], then about the worst of those more and more closely: two dips within the first step
-    are one.
+    There is one instant for each margin that is worse there than at every operating point, by more than WORSE in its
+    own unit. The time axis is searched every INSTANTS_S[0], then with decreasing spacing about the worst instants. Two
+    dips within the first step count as one.
     """
     if len(times_s) < 2:
         return []
     known: dict[float, Measured] = {}
 
     def worse(name: str, t: float) -> float:
-        """The margin, the greater the worse; infinite where the loop is unstable."""
+        """Return the margin with the sign that makes a larger value worse, infinite if the loop is unstable."""
         value = known[t].get(name, math.nan)
         if not known[t]:
             return math.inf
@@ -167,15 +170,16 @@ def worst_instants(
 
 
 Met = tuple[FlightCondition, Trim]
-"""Air and path of a flight at a node, and its angles of attack and sideslip."""
+"""The air and path of a flight at an operating point, and its angles of attack and sideslip."""
 
 
 def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, workers: int = 2) -> list[list[Met]]:
-    """Return the speed, air and attitude in which dispersed flights meet the nodes.
+    """Return the speed, air and attitude of dispersed flights at the operating points.
 
-    Of the first `count` runs of a campaign that are under thrust at all nodes; (flights, nodes). A node is met with the
-    propellant that it has in the flight as designed, so that an engine that burns faster meets it earlier. The vehicle
-    does not deviate: that is what the random vehicles do. Raises ScenarioError where no run comes that far.
+    The flights, (flights, nodes), are those of the first `count` runs of a campaign that are under thrust at all
+    operating points. A point is reached with the propellant that it has in the flight as designed, so that an engine
+    that burns faster reaches it earlier. The vehicle does not deviate, since the random vehicles do. Raises
+    ScenarioError if no run reaches all points.
     """
     flown = campaign.base.scenario.model_copy(update={"fault": ()})
     order = sorted(range(len(nodes)), key=lambda k: nodes[k].time_s)
@@ -199,16 +203,18 @@ def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, w
             if len(found) >= count:
                 return found[:count]
     if not found:
-        problem, allowed = "none of its flights is under thrust at all nodes", "0, or a campaign that flies so far"
+        problem, allowed = "none of its flights is under thrust at all nodes", "0, or a campaign that flies longer"
         raise ScenarioError(campaign.name, problem, "margins.trajectories", value=count, allowed=allowed)
     return found
 
 
 def vehicles(wanted: LinearMargins, node: Node, campaign: LoadedCampaign) -> tuple[list[Dispersion], list[Dispersion]]:
-    """Return the corners, at which all deviations of a factor go together, and random vehicles, runs of the campaign.
+    """Return the corners, at which all deviations of a factor change together, and random vehicles, runs of the
+    campaign.
 
-    Corners are those of independent scores, and as likely where some go together. `node`: of their stage. Where
-    `wanted.only` names one, this alone, whatever the number of random vehicles.
+    The corners are those of independent scores, and are equally probable if some are correlated. `node` is an operating
+    point of their stage. If `wanted.only` names a vehicle, this alone is returned, whatever the number of random
+    vehicles.
     """
     corners, deviations = [], deviations_of(campaign, node)
     if wanted.corner_sigmas > 0.0:
@@ -235,10 +241,11 @@ def study(
     stage: str = "",
     trajectories: Sequence[Sequence[Node]] = (),
 ) -> MarginStudy:
-    """Margins at all nodes of one plane and stage, of the vehicle as it is, at the corners and of random ones.
+    """Return the margins at all operating points of one plane and stage: of the nominal vehicle, at the corners, and of
+    random vehicles.
 
-    `trajectories`: the nodes as other flights meet them; vehicle n flies along number n, beginning again after the
-    last. `campaign`: see `vehicles`.
+    `trajectories` are the operating points in other flights. Vehicle n flies along number n, beginning again after the
+    last. For `campaign`, see `vehicles`.
     """
     corners, drawn = vehicles(wanted, nodes[0], campaign)
     dispersed_by = stacked([*corners, *drawn])
@@ -282,10 +289,10 @@ def study(
 
 @dataclass(frozen=True)
 class SweptVehicles:
-    """The margins of dispersed vehicles at a node.
+    """The margins of dispersed vehicles at an operating point.
 
-    Vehicles whose value lies within `NEAR` of one of the `limits`, and those that the compiled margins do not serve,
-    are measured alone.
+    Vehicles whose value is within `NEAR` of one of the `limits`, and those that the compiled margins do not support,
+    are measured individually.
     """
 
     node: Node
@@ -294,14 +301,17 @@ class SweptVehicles:
 
     @cached_property
     def _loops(self) -> ManyLoops | None:
-        """None where each loop has to be measured by itself."""
+        """Return the compiled loops, or None if each loop must be measured individually."""
         try:
             return ManyLoops(self.node, law_at(self.design, self.node))
         except NotServedError:
             return None
 
     def measure(self, flight: Node, every: Sequence[Dispersion], table: Array, rows: IntArray) -> int:
-        """Measure vehicles at `flight`, the node as some flight meets it, into rows of a table; how many exactly."""
+        """Measure vehicles at `flight`, the operating point in some flight, into rows of a table.
+
+        Return the number of exact measurements.
+        """
         if not len(rows):
             return 0
         again = np.arange(len(rows))
@@ -321,9 +331,10 @@ class SweptVehicles:
 def margin_requirements(
     found: MarginStudy, wanted: LinearMargins, again: Callable[[str], str] = lambda label: ""
 ) -> list[JudgedRequirement]:
-    """Nominal limits, dispersed limits at the corners, and the share of random vehicles that keep them.
+    """Return requirements: nominal limits, dispersed limits at the corners, and the share of random vehicles that meet
+    them.
 
-    `again`: the command that measures the vehicle of a label alone.
+    `again` is the command that measures the vehicle of a label alone.
     """
     out = []
     if wanted.only in ("", AS_DESIGNED):
@@ -368,7 +379,7 @@ def _limits(
     found: MarginStudy,
     again: Callable[[str], str],
 ) -> list[JudgedRequirement]:
-    """Stability, and the limits on the stable loops."""
+    """Return the checks of stability, and of the limits on the stable loops."""
     stage = f", {found.stage}" if found.stage else ""
     places = [
         (", ".join(filter(None, (c.label, f"{t:g} s", found.plane))), n, again(c.label or AS_DESIGNED), t)
@@ -407,16 +418,16 @@ def meet_limits(values: Array, limits: LoopLimits) -> NDArray[np.bool_]:
     met = ~np.isnan(values).all(axis=-1)
     for column, name in enumerate(SWEPT):
         limit = getattr(limits, name)
-        if limit is not None:  # what is not there cannot miss it
+        if limit is not None:  # an absent quantity cannot miss it
             met &= ~(MEASURED[name].violation(values[..., column], limit) > 0.0)
     return np.asarray(met.all(axis=-1))
 
 
 def percentiles(values: Array, name: str, confidence: float, shares: Sequence[float]) -> Array:
-    """Return the values that at most given `shares` of all vehicles exceed, with that confidence, at each node:
-    (shares, nodes).
+    """Return the values that at most given `shares` of all vehicles exceed, with that confidence, at each operating
+    point: (shares, nodes).
 
-    Order statistics (tolerance_bound), of values (vehicles, nodes, SWEPT); NaN where there are too few vehicles. An
+    Values (vehicles, nodes, SWEPT) give order statistics (tolerance_bound), or NaN if there are too few vehicles. An
     unstable loop counts as worst.
     """
     column = values[..., SWEPT.index(name)]
@@ -427,8 +438,8 @@ def percentiles(values: Array, name: str, confidence: float, shares: Sequence[fl
 
 @dataclass(frozen=True)
 class Authority:
-    """At a vehicle time: gimbal angle per angle of attack, and the steady cross-wind that takes all of the gimbal
-    angle.
+    """The authority at a vehicle time: gimbal angle per angle of attack, and the steady cross-wind that requires all of
+    the gimbal angle.
     """
 
     time_s: float
@@ -436,11 +447,14 @@ class Authority:
     dynamic_pressure_Pa: float
     ratio: float  # |M_alpha / M_delta|
     gimbal_limit_deg: float
-    wind_mps: float  # infinite where the limit is never reached
+    wind_mps: float  # infinite if the limit is never reached
 
 
 def authority(nodes: Sequence[Node], command_limits_rad: Sequence[float]) -> list[Authority]:
-    """Authority at the nodes; the limit is the smaller one of the stage's computer and actuator."""
+    """Return the authority at the operating points.
+
+    The limit is the smaller one of the stage's computer and actuator.
+    """
     out = []
     for node in nodes:
         d = node.derivatives
@@ -454,7 +468,7 @@ def authority(nodes: Sequence[Node], command_limits_rad: Sequence[float]) -> lis
 
 
 def authority_requirement(found: Sequence[Authority], wind_mps: float, again: str = "") -> JudgedRequirement:
-    """A steady cross-wind can be trimmed at every time."""
+    """Require that a steady cross-wind can be trimmed at every time."""
     worst = min(found, key=lambda a: a.wind_mps)
     judgement = suite.ACCEPTED if worst.wind_mps >= wind_mps else suite.REJECTED
     return JudgedRequirement(

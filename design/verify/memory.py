@@ -1,10 +1,11 @@
-"""Results that are kept for later runs: parts stored under the hash of everything on which they depend.
+"""Results that are kept for later runs: parts stored under the hash of all data on which they depend.
 
     memory = Memory(folder)
     answer = memory.recall("node", (packed, node, loop), lambda: certify(...))
 
-A key is the content of the arguments, bit by bit, and the source code of maxq. A part whose inputs are the same is the
-same part, whatever design or scenario asks for it: of a design with one changed gain, only the nodes beside it are new.
+A key is the content of the arguments, bit by bit, and the source code of maxq. A part with the same inputs is the same
+part for every design and scenario. For a design with one changed gain, only the adjacent operating points are computed
+again.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ T = TypeVar("T")
 
 
 def default_folder() -> Path:
-    """Beside the compiled kernels. Raises PermissionError where another user may write to it."""
+    """Return a folder next to the compiled kernels. Raises PermissionError if another user may write to it."""
     return own_cache("verified")
 
 
@@ -49,18 +50,20 @@ def code_hash() -> str:
 
 
 def content_hash(*things: Any) -> str:
-    """SHA-256 of values: numbers, texts, arrays, records, dataclasses, and collections of them.
+    """Return the SHA-256 of values: numbers, texts, arrays, records, dataclasses, and collections of them.
 
-    Raises TypeError for anything else, rather than to tell two different things for one.
+    Raises TypeError for any other type, since different values could then have the same hash.
     """
     return hashlib.sha256(json.dumps(to_plain(things, records=True)).encode()).hexdigest()
 
 
 def to_plain(thing: Any, records: bool = False) -> Any:
-    """Return a result as JSON holds it: a type that JSON lacks is an object with one key, the name of the type.
+    """Return a result in the form that JSON can represent.
 
-    Raises TypeError for a type that `from_plain` would not know; with `records`, for a hash, it takes NumPy records and
-    bytes too.
+    A type that JSON lacks becomes an object with one key, the name of the type.
+
+    Raises TypeError for a type that `from_plain` does not support. With `records`, for a hash, NumPy records and bytes
+    are permitted too.
     """
     plain = partial(to_plain, records=records)
     if isinstance(thing, np.ndarray | np.generic) and thing.dtype.kind in ("biufcSUV" if records else "biufc"):
@@ -88,8 +91,9 @@ def to_plain(thing: Any, records: bool = False) -> Any:
 
 
 def from_plain(plain: Any) -> Any:
-    """Return the object from which `to_plain` made this. Raises ValueError or TypeError for anything that it cannot
-    have written.
+    """Return the object from which `to_plain` made this.
+
+    Raises ValueError or TypeError for input that `to_plain` cannot have written.
     """
     if isinstance(plain, list):
         return [from_plain(item) for item in plain]
@@ -130,7 +134,10 @@ def _fields(kind: Any) -> list[str]:
 
 
 def counted(work: Callable[..., T], watch: Callable[[int, int], None], of: int, each: int = 1) -> Callable[..., T]:
-    """`work` for threads, which tells `watch` after every job how much of all is done; a job counts `each`."""
+    """Return `work` for threads, with a call of `watch` after every job that reports the completed share.
+
+    A job counts as `each`.
+    """
     done = itertools.count(each, each)
     watch(0, of)
 
@@ -151,10 +158,10 @@ def _digest(text: bytes) -> str:
 
 
 class PartsOnDisk:
-    """Parts in a folder, a file each; `folder` None remembers nothing. Threads may share one.
+    """The parts in a folder, one file each. A `folder` of None stores nothing. Threads may share one instance.
 
-    A file is the SHA-256 of the rest, the hash of what the part depends on, and the part as JSON, a line each. One that
-    is damaged or belongs elsewhere is worked out again. No file can name code to run.
+    A file contains, one line each, the SHA-256 of the other lines, the hash of the inputs of the part, and the part as
+    JSON. A part whose file is damaged or belongs elsewhere is computed again. No file can name code to be executed.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -164,22 +171,22 @@ class PartsOnDisk:
 
     @property
     def recalled(self) -> int:
-        """The number of parts from the folder."""
+        """Return the number of parts from the folder."""
         return len(self._recalled)
 
     @property
     def recalled_names(self) -> tuple[str, ...]:
-        """The names of the parts from the folder, in their order."""
+        """Return the names of the parts from the folder, in their order."""
         return tuple(sorted(name for name, _, _ in self._recalled))
 
     def recheck(self, most: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Compute a random sample of the recalled parts again; return the names of these, and of those that differ."""
+        """Compute a random sample of the recalled parts again. Return the names of these, and of those that differ."""
         sample = random.SystemRandom().sample(self._recalled, min(most, len(self._recalled)))
         wrong = [name for name, work_out, known in sample if _digest(_text_of(work_out())) != known]
         return tuple(sorted(name for name, _, _ in sample)), tuple(sorted(wrong))
 
     def recall(self, kind: str, depends_on: Any, work_out: Callable[[], T], label: str = "") -> T:
-        """Return the part of that kind, from the folder or worked out now and kept; `label`: for people."""
+        """Return the part of that kind, from the folder or computed now and stored. `label` describes it."""
         if self._folder is None:
             self.worked_out += 1
             return work_out()
@@ -193,10 +200,10 @@ class PartsOnDisk:
                 self._recalled.append((f"{kind} {label}".rstrip(), work_out, _digest(text)))
                 return found
         except (OSError, ValueError, TypeError, ImportError, LookupError, AttributeError, RecursionError):
-            pass  # no part that `to_plain` wrote
+            pass  # not a part that `to_plain` wrote
         found = work_out()
         self.worked_out += 1
         rest = f"{key}\n".encode() + _text_of(found)
-        with contextlib.suppress(FileError):  # a memory that cannot be written costs time, no more
+        with contextlib.suppress(FileError):  # an unwritable memory costs only time
             write_whole(path, _digest(rest).encode() + b"\n" + rest)
         return found

@@ -1,17 +1,17 @@
 """The largest simultaneous deviation of all named parameters for which the loop is stable: a lower bound.
 
-The search for the worst vehicle (worst.py) knows of vehicles; this says up to where none is unstable, by the structured
-singular value over the deviations v, each a real number:
+The search for the worst vehicle (worst.py) finds individual vehicles. This module gives the deviation up to which no
+vehicle is unstable, by the structured singular value over the deviations v, each a real number:
 
     L(f, v) = C(f) P(f, v),      [x' y] = ([A B, C D] + sum_k v_k dP_k) [x p],
 
-dP_k being half the difference of actuator, vehicle and gyro at both ends of a deviation, as large as that to the
-farther end, and the delay a factor 1 - j v sin(2 pi f t). P is the linear model of one plane, or, of pitch, yaw and
-roll together, the linearised simulator (design/loop/multiloop.py) of the scenario in which the deviation flies. The law
-with all that sampling adds is what it is at f without deviations. So it is exact to first order in each deviation; what
-two of them do to each other, and how a change turns between the ends, is not in it; nor is what happens between the
-frequencies that are tried. Deviations that go together do so.
-Aliases stay as they are without deviations: of a mode beyond the Nyquist frequency the bound says nothing.
+dP_k is half the difference of actuator, vehicle and gyro between both ends of a deviation, as large as that to the
+farther end. The delay is a factor 1 - j v sin(2 pi f t). P is the linear model of one plane. For pitch, yaw and roll
+together, it is the linearised simulator (design/loop/multiloop.py) of the scenario in which the deviation flies. The
+law and the effects of sampling are those at f without deviations. The result is thus exact to first order in each
+deviation. It does not include the interaction of two deviations, the nonlinear change between the ends, and the
+response between the frequencies that are tried. Correlated deviations change together. Aliases remain those without
+deviations, so that the bound does not apply to a mode beyond the Nyquist frequency.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle.state import state_size
 
-_RANK, _RANK_TOGETHER = 1e-7, 1e-5  # relative: what counts of a change; differences of the simulator have noise
+_RANK, _RANK_TOGETHER = 1e-7, 1e-5  # relative: the least change that counts; differences of the simulator have noise
 _GRID, _LOWEST_HZ = 60, 0.01
 _WIDTHS, _LIGHT, _SAME = np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0]), 0.5, 1e-6
 _HALVINGS = 6  # of the gaps on both sides of the largest
@@ -50,10 +50,10 @@ _HALVINGS = 6  # of the gaps on both sides of the largest
 
 @dataclass(frozen=True)
 class Uncertain:
-    """The deviating system, [A B, C D] (n + axes, n + axes) and its changes by 1 of each deviation, balanced; delays
-    (s) by 1.
+    """The deviating system, [A B, C D] (n + axes, n + axes) and its changes by 1 of each deviation, balanced, with
+    delays (s) by 1.
 
-    `farther` (deviations,): what a change to the farther end is to that change, at least 1.
+    `farther` (deviations,) is the ratio of a change to the farther end to that change, at least 1.
     """
 
     whole: Array
@@ -65,7 +65,7 @@ class Uncertain:
 
     @property
     def blocks(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C, D."""
+        """Return A, B, C, D."""
         n = len(self.whole) - self.axes
         return self.whole[:n, :n], self.whole[:n, n:], self.whole[n:, :n], self.whole[n:, n:]
 
@@ -76,7 +76,7 @@ class Uncertain:
 
     @cached_property
     def _factors(self) -> list[tuple[Array, Array]]:
-        """Return for each change its factors: inputs to the equations by outputs of states and commands."""
+        """Return the factors of each change: inputs to the equations by outputs of states and commands."""
         out = []
         for change in self.changes:
             u, size, v = np.linalg.svd(change)
@@ -85,7 +85,7 @@ class Uncertain:
         return out
 
     def matrix(self, hz: float, back: ComplexArray) -> tuple[ComplexArray, list[int]]:
-        """M from what the deviations put out to what they take up, where p = -back y, and their ranks."""
+        """Return M from the outputs of the deviations to their inputs, where p = -back y, and their ranks."""
         m, s = self.axes, 2j * np.pi * hz
         n, back = len(self.whole) - m, np.reshape(back, (m, m))
         left, right, ranks, direct = [], [], [], list[complex]()
@@ -93,7 +93,7 @@ class Uncertain:
             left.append(u)
             right.append(v)
             direct += [0.0] * u.shape[1]
-            if late_s:  # acts on the commands: p = -back y + w, taken up 1 - j sin of the command
+            if late_s:  # acts on the commands: p = -back y + w, with the input 1 - j sin of the command
                 left.append(np.zeros((n + m, m)))
                 right.append(np.zeros((n + m, m)))
                 direct += [-1j * math.sin(2.0 * np.pi * hz * late_s)] * m
@@ -113,7 +113,9 @@ class Uncertain:
 
 
 def uncertain(node: Node, campaign: LoadedCampaign) -> Uncertain:
-    """Return the plant of a node about the middle of its deviations, the score of each from -1 to 1 (three sigma)."""
+    """Return the plant of an operating point about the middle of its deviations, the score of each from -1 to 1 (three
+    sigma).
+    """
     deviations, node = deviations_of(campaign, node), with_drives_apart(node)
 
     def whole(u: Array) -> Array:
@@ -126,9 +128,11 @@ def uncertain(node: Node, campaign: LoadedCampaign) -> Uncertain:
 def uncertain_together(
     flown: Packed, base: LoadedScenario, design: Design, node: Node, campaign: LoadedCampaign
 ) -> Uncertain:
-    """Return the same of pitch, yaw and roll together: each deviation in the scenario that flies it, at `flown`.
+    """Return the same for pitch, yaw and roll together.
 
-    Raises ValueError where a deviated vehicle has other states: unlike engines of a group, each on a TVC load.
+    Each deviation is that of the scenario that flies it, at `flown`.
+
+    Raises ValueError if a deviated vehicle has other states: different engines of a group, each on a TVC load.
     """
     deviations = deviations_of(campaign, node)
 
@@ -146,7 +150,7 @@ def uncertain_together(
 def flown_as(deviations: Deviations, base: LoadedScenario, flown: Packed, stage: int, u: Array) -> Packed:
     """Return the packed flight `flown` of the vehicle of scores, at its own state and clock.
 
-    Raises ValueError where that vehicle has other states.
+    Raises ValueError if that vehicle has other states.
     """
     packed = pack_flight(deviations.scenario(base, u).scenario)
     parameters = packed.parameters.copy()
@@ -174,7 +178,9 @@ def _balanced(whole: Callable[[Array], Array], deviations: Deviations, axes: int
 
 @dataclass(frozen=True)
 class Within:
-    """Up to `sigmas` each no vehicle is unstable, by mu at `tried` frequencies, the largest at `at_hz`."""
+    """The bound `sigmas` of each deviation up to which no vehicle is unstable, by mu at `tried` frequencies, the
+    largest at `at_hz`.
+    """
 
     sigmas: float
     at_hz: float
@@ -182,7 +188,7 @@ class Within:
 
 
 def stable_within(node: Node, design: Design, campaign: LoadedCampaign) -> Within | None:
-    """Bound the deviations at a node; return None for a law that uses more than the gyro."""
+    """Return the bound of the deviations at an operating point, or None for a law with inputs other than the gyro."""
     law = law_at(design, node)
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
@@ -192,9 +198,10 @@ def stable_within(node: Node, design: Design, campaign: LoadedCampaign) -> Withi
 
 
 def stable_together(base: LoadedScenario, design: Design, node: Node, campaign: LoadedCampaign) -> Within | None:
-    """Bound the deviations at a node, with the loops of pitch, yaw and roll together as the simulator couples them.
+    """Return the bound of the deviations at an operating point, with the loops of pitch, yaw and roll coupled as in the
+    simulator.
 
-    None for a law that takes more than the gyro, and where engines of a group are on TVC loads.
+    Returns None for a law with inputs other than the gyro, and if engines of a group are on TVC loads.
     """
     law, run = law_at(design, node), flown_run(base, faults=False)
     if any(name not in MEASUREMENTS for name in law.inputs):
@@ -220,7 +227,7 @@ def _within(every: Uncertain, loop: Loop | Multiloop, closed_poles: ComplexArray
         m = m * np.repeat(every.farther, ranks)
         values[hz], scaling[hz] = real_mu_upper(m, ranks, None if near is None else scaling[near], enough)
 
-    with threadpool_limits(1, "blas"):  # small matrices: threads wait for each other
+    with threadpool_limits(1, "blas"):  # small matrices: threads would block each other
         for hz in _frequencies(closed_poles, loop.highest_hz):
             bound(hz, max(values.values(), default=0.0))
         for _ in range(_HALVINGS):
@@ -233,10 +240,12 @@ def _within(every: Uncertain, loop: Loop | Multiloop, closed_poles: ComplexArray
 
 
 def _frequencies(closed_poles: ComplexArray, highest_hz: float) -> list[float]:
-    """All along, and about closed poles that swing: a loop that is nearly unstable is so in a narrow band."""
+    """Return frequencies over the whole range, and about oscillatory closed poles, since a nearly unstable loop is so
+    in a narrow band.
+    """
     swings = closed_poles[(closed_poles.imag > 0.0) & (np.abs(closed_poles.real) < _LIGHT * closed_poles.imag)]
     hz = [np.geomspace(_LOWEST_HZ, 0.999 * highest_hz, _GRID)]
     hz += [(p.imag + p.real * _WIDTHS) / (2.0 * np.pi) for p in swings]
     grid = np.unique(np.concatenate(hz))
-    grid = grid[np.append(True, np.diff(grid) > _SAME * grid[1:])]  # the planes have poles alike
+    grid = grid[np.append(True, np.diff(grid) > _SAME * grid[1:])]  # the planes have similar poles
     return [float(f) for f in grid[(grid >= _LOWEST_HZ) & (grid < highest_hz)]]

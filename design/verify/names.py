@@ -1,4 +1,4 @@
-"""Names of stages and tanks for people."""
+"""Names of stages and tanks in texts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from maxq.sim.scenario.schema_vehicle import Vehicle
 
 
 def stage_name(vehicle: Vehicle, stage: int) -> str:
-    """Return the name of a stage for people; "" of the only one."""
+    """Return the name of a stage for texts, or "" for a single stage."""
     if len(vehicle.stage) == 1:
         return ""
     name = vehicle.stage[stage].name
@@ -15,11 +15,11 @@ def stage_name(vehicle: Vehicle, stage: int) -> str:
 
 
 def tank_name(vehicle: Vehicle, stage: int, tank: int) -> str:
-    """Return the name of a slosh mode for people, with its stage where there are several."""
+    """Return the name of a slosh mode for texts, with its stage if there are several."""
     name = vehicle.stage[stage].pendulum_names[tank]
     return name if len(vehicle.stage) == 1 else f"{name}, stage {stage + 1}"
 
 
 def node_name(node: Node) -> str:
-    """Return an operating point for people: time and plane."""
+    """Return an operating point as text: time and plane."""
     return f"{node.time_s:g} s, {node.plane}"

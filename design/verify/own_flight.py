@@ -1,19 +1,20 @@
-"""A case designed along the flight that its design flies: designed, flown and designed again, until both agree.
+"""The design of a case along the flight of the design itself. Design and flight are repeated until both agree.
 
 Operating points need a flight, and a flight needs a design. The first flight is that of the scenario with its own
-design. They agree when no limit that the design meets at its operating points is missed at the same times of its own
-flight (`quantities.violation`: within 5e-4 dB or deg). Stages that disagree are designed again along the flight of the
-last design, from where they are. Where limits are to hold between the operating points, they are judged there at the
-instants of `simdesign analyse`; an instant that misses one becomes an operating point of the next round.
+design. Design and flight agree if all limits met at the operating points are also met at the same times of the design's
+own flight (`quantities.violation`: within 5e-4 dB or deg). Stages that disagree are designed again along the flight of
+the last design, from its values. If limits must hold between the operating points, they are judged there at the
+instants of `simdesign analyse`. An instant that misses a limit becomes an operating point of the next round.
 
-The search holds the loop of one plane to the limits. `simdesign analyse` judges each axis with the loops of the others
-closed by the same limits, which takes a little of the margins. Where a stage misses them so, the search of the next
-round is held to more by as much as is missing; the design states the limits of the case. Where no design meets these,
-the last one stays. The roll loop is judged too, but the search has no part in it; nor in slow roots of a vehicle whose
-roll rate no linear loop holds, so that stability with all axes is left to `simdesign analyse`.
+The search applies the limits to the loop of one plane. `simdesign analyse` judges each axis with the loops of the
+others closed by the same limits, which reduces the margins slightly. If a stage misses limits for this reason, the
+limits of the next round's search are raised by the missing amount. The design states the limits of the case. If no
+design meets the raised limits, the last one remains. The roll loop is judged too, but the search does not affect it.
+Nor does the search affect slow roots of a vehicle whose roll rate no linear loop controls. Stability with all axes is
+therefore left to `simdesign analyse`.
 
 A flight that is lost gives operating points up to the loss only. The design for these is a preliminary one, by a short
-search; its own flight is held for longer, and gives the points of the next round.
+search. Its own flight is controlled for longer, and gives the points of the next round.
 """
 
 from __future__ import annotations
@@ -50,13 +51,13 @@ from maxq.sim.scenario.schema_design import Design
 
 ROUNDS = 8
 COUPLED = ("gain_margin_db", "phase_margin_deg")
-BEYOND = 2.0 * TOLERANCE  # dB or deg, more than is missing with the other axes closed
-LEAST_GAIN_S = 0.05  # by which a preliminary design must hold its flight longer than the one before
+BEYOND = 2.0 * TOLERANCE  # dB or deg, beyond the shortfall with the other axes closed
+LEAST_GAIN_S = 0.05  # by which a preliminary design must extend its flight over the one before
 
 
 @dataclass(frozen=True)
 class Round:
-    """A round in words: along which flight the design was made, and the outcome of its own flight."""
+    """The description of a round: the flight along which the design was made, and the outcome of its own flight."""
 
     number: int
     points: int
@@ -66,11 +67,11 @@ class Round:
     own_loss: Event | None
     missed: tuple[str, ...]  # along its own flight; limits that the search has met
     interrupted: bool
-    tightened: tuple[str, ...] = ()  # limits to which the search was held beyond the case's, in words
+    tightened: tuple[str, ...] = ()  # limits of the search beyond those of the case, in words
 
     @property
     def text(self) -> str:
-        """Return one line for people."""
+        """Return the round as one line of text."""
         flight = "the scenario's flight" if self.number == 1 else f"the flight of round {self.number - 1}"
         lost = f", which is lost ({loss_text(self.loss)})" if self.loss is not None else ""
         kind = "a preliminary design" if self.loss is not None else "a design"
@@ -90,10 +91,11 @@ class Round:
 
 @dataclass(frozen=True)
 class CaseDesign:
-    """The design of a case, and how each stage is judged along the design's own flight.
+    """The design of a case, and the judgement of each stage along the design's own flight.
 
-    `loss`: of that flight; None if it is held. `stages` and `plants`: of all stages with operating points, whether
-    they were designed before an interruption or not. `uncovered`: intervals of that flight without operating points.
+    `loss` is that of this flight, or None if it is controlled throughout. `stages` and `plants` are those of all stages
+    with operating points, including those not designed because of an interruption. `uncovered` contains the intervals
+    of this flight without operating points.
     """
 
     design: Design
@@ -107,13 +109,17 @@ class CaseDesign:
 
     @property
     def feasible(self) -> bool:
-        """All limits are met, the flight of the design is held, and nothing was left out by an interruption."""
+        """Return True if all limits are met, the flight of the design is controlled, and no interruption left a part
+        out.
+        """
         met = all(outcome.feasible and solution.feasible for outcome, solution in self.results)
         return met and self.loss is None and not self.interrupted
 
     @property
     def claim(self) -> str:
-        """State in words which operating points the limits are met at, and what was not checked or not designed."""
+        """Return in words the operating points at which the limits are met, and the parts that were not checked or not
+        designed.
+        """
         count = sum(len(solution.nodes) for _, solution in self.results)
         met = all(outcome.feasible for outcome, _ in self.results)
         said = [f"it meets all limits at its {count} operating points" if met else "it misses limits"]
@@ -129,7 +135,9 @@ class CaseDesign:
 
     @property
     def not_designed(self) -> tuple[int, ...]:
-        """Numbers, from 0, of the stages that were to be designed and fly as in the scenario's own design."""
+        """Return the numbers, from 0, of the stages that were to be designed and fly as in the scenario's own
+        design.
+        """
         done = {solution.nodes[0].stage for _, solution in self.results}
         return tuple(n for p in self.plants if (n := p.each[0].node.stage) not in done)
 
@@ -141,8 +149,8 @@ def design_case(
 ) -> CaseDesign:
     """Design all stages of a case along the flight of the design itself.
 
-    `progress`: of a stage, from 0, and a round. `check` may raise KeyboardInterrupt before the first search. Raises
-    ValueError where there is no operating point, or the problem has no solution at all; KeyboardInterrupt where
+    `progress` is called with a stage, from 0, and a round. `check` may raise KeyboardInterrupt before the first search.
+    Raises ValueError if there is no operating point, or if the problem has no solution, and KeyboardInterrupt if
     nothing is found yet.
     """
     flight, (_, loss) = loaded.scenario, powered_flight(loaded.scenario)
@@ -150,7 +158,7 @@ def design_case(
     stages, plants = _problems(loaded, flight, loss, also_s)
     check()
     found: dict[int, Solution] = {}
-    again: set[int] | None = None  # stages that the last design misses limits in, from round 2 on
+    again: set[int] | None = None  # stages in which the last design misses limits, from round 2 on
     more: dict[int, dict[str, float]] = {}  # dB or deg beyond the limits of the case, of each stage
     in_vain: set[int] = set()  # stages without a design that meets limits raised by `more`
     rounds: list[Round] = []
@@ -210,9 +218,9 @@ def design_case(
 def _problems(
     loaded: LoadedCase, flight: LoadedScenario, loss: Event | None, also_s: Mapping[int, Collection[float]]
 ) -> tuple[list[LoadedCase], list[Plants]]:
-    """Return the case of each stage along a flight, as far as it is held, and its plants.
+    """Return the case of each stage along the controlled part of a flight, and its plants.
 
-    `also_s`: times (s) of further operating points, by stage, between the first and the last of the case.
+    `also_s` contains the times (s) of further operating points, by stage, between the first and the last of the case.
     """
     try:
         stages = each_stage(replace(loaded, flight=flight), math.inf if loss is None else loss.time_s)
@@ -228,7 +236,7 @@ def _problems(
 
 
 def _searched(stage: LoadedCase, loss: Event | None, again: set[int] | None) -> LoadedCase:
-    """Return the case as it is searched: shortly for a preliminary design, or from the last design alone."""
+    """Return the case for the search: a short search for a preliminary design, or one from the last design alone."""
     if loss is None and again is None:
         return stage
     few = {"starts": min(4, stage.case.search.starts) if loss is not None else 1, "leaps": 0}
@@ -239,13 +247,13 @@ def _searched(stage: LoadedCase, loss: Event | None, again: set[int] | None) -> 
 
 
 def _can_do_better(outcome: DesignOutcome) -> bool:
-    """Return True if a limit is missed on which the search has an influence: any but those of the roll loop."""
+    """Return True if a limit is missed that the search can affect: any but those of the roll loop."""
     alone = (*outcome.found, *outcome.dispersed_found)
     return bool(_short(outcome)) or any(not check.passed for check in alone)
 
 
 def _short(outcome: DesignOutcome) -> dict[str, float]:
-    """Return by how much (dB or deg) each limit is missed with the other axes closed, by key; missed ones only."""
+    """Return the shortfall (dB or deg) of each limit that is missed with the other axes closed, by key."""
     out: dict[str, float] = {}
     for key in COUPLED:
         mine = [c for c in outcome.coupled_found if c.key in (f"coupled_{axis}_{key}" for axis in ("pitch", "yaw"))]
@@ -262,12 +270,12 @@ def _tightened(stage: LoadedCase, more: Mapping[str, float]) -> LoadedCase:
 
 
 def _with_limits(solution: Solution, stage: LoadedCase) -> Solution:
-    """Return a solution with the limits of its case in place of those that the search was held to."""
+    """Return a solution with the limits of its case in place of those of the search."""
     return replace(solution, case=solution.case.model_copy(update={"limits": stage.case.limits}))
 
 
 def _texts(more: Mapping[int, Mapping[str, float]], in_vain: Collection[int]) -> tuple[str, ...]:
-    """Return in words how far beyond the limits of the case the searches were held, at most."""
+    """Return in words the largest increases of the limits of the searches over those of the case."""
     most = {key: max((by.get(key, 0.0) for by in more.values()), default=0.0) for key in COUPLED}
     named = ((QUANTITIES[key], by) for key, by in most.items() if by > 0.0)
     texts = [f"{about.label} held to {by:.4f} {about.unit} more" for about, by in named]
@@ -285,7 +293,10 @@ class _Judged:
 def _judged(
     loaded: LoadedCase, stages: Sequence[LoadedCase], plants: Sequence[Plants], found: dict[int, Solution]
 ) -> _Judged:
-    """Fly the design of the solutions, and judge it along that flight, or where it was made if the flight is lost."""
+    """Fly the design of the solutions.
+
+    Judge it along that flight, or along the flight of the search if that flight is lost.
+    """
     design, by_stage = make_design(loaded, *found.values()), {}
     flight = with_design(loaded.scenario, design)
     loss = powered_flight(flight)[1]
@@ -305,7 +316,7 @@ def _judged(
 
 
 def _worst_between(loaded: LoadedCase, solution: Solution, design: Design) -> list[Node]:
-    """Return the nodes between the operating points at which limits are nearest to being missed, where they are to hold
+    """Return the instants between the operating points at which limits are nearest to being missed, if limits must hold
     there.
     """
     case, points_s = loaded.case, tuple(node.time_s for node in solution.nodes)
@@ -325,9 +336,9 @@ def _uncovered(judged: _Judged, loaded: LoadedCase) -> tuple[Uncovered, ...]:
 
 
 def along(loaded: LoadedCase, solution: Solution) -> Solution:
-    """Return a solution with the nodes of another flight of its case, and the objective that it has there.
+    """Return a solution with the operating points of another flight of its case, and its objective there.
 
-    That of a robust case stays as it was searched.
+    The objective of a robust case remains that of the search.
     """
     nodes = nodes_of(loaded, [node.time_s for node in solution.nodes])
     if solution.case.robust is not None:

@@ -1,4 +1,4 @@
-"""The parts of a verification that work at operating points: margins, authority, slosh, worst vehicle, certificate."""
+"""The parts of a verification at operating points: margins, authority, slosh, worst vehicle, certificate."""
 
 from __future__ import annotations
 
@@ -35,15 +35,16 @@ from maxq.sim.scenario.loader import LoadedScenario, told
 from maxq.sim.scenario.schema_design import Design
 
 Watch = Callable[[str, int, int], None]
-"""Called with what is under way, how much of it is done, and of how much."""
+"""A function that is called with the present activity, the steps done, and the total."""
 
 
 @dataclass(frozen=True)
 class Parts:
     """The inputs of the linear parts and of the certificate, and their results.
 
-    `along`: the flight that the nodes lie on, that of the suite's scenario with its own design unless it is lost
-    (`flight_of`). So all candidates are measured in the same conditions, and a changed gain leaves other nodes alone.
+    `along` is the flight of the operating points: that of the suite's scenario with its own design unless it is lost
+    (`flight_of`). All candidates are thus measured in the same conditions, and a changed gain does not affect other
+    operating points.
     """
 
     suite: Suite
@@ -58,11 +59,11 @@ class Parts:
 
     @property
     def design(self) -> Design | None:
-        """The design that is judged; None of flight code without a linear model."""
+        """Return the judged design, or None for flight code without a linear model."""
         return self.scenario.design
 
     def times_s(self, part: LinearMargins | CertificateWanted) -> tuple[float, ...]:
-        """Return the times of a part's nodes: the suite's, or some that suit the flight."""
+        """Return the times of a part's operating points: those of the suite, or some that suit the flight."""
         if part.times_s is not None:
             return part.times_s
         edges = part.edges if isinstance(part, LinearMargins) else EDGES
@@ -70,7 +71,7 @@ class Parts:
         return self.memory.recall("times", (self.along.as_flown, part.nodes_per_stage, edges), times)
 
     def nodes(self, plane: Plane) -> list[Node]:
-        """Return the nodes of the linear margins, which depend on all of the flight."""
+        """Return the operating points of the linear margins, which depend on the whole flight."""
         if plane not in self.known:
             self.known[plane] = self._nodes(plane)
         return self.known[plane]
@@ -87,7 +88,7 @@ class Parts:
         if design is not None and wanted.between_nodes == "hold":
 
             def between() -> tuple[float, ...]:
-                """Return the instants of every stage, whose nodes lie in one powered span."""
+                """Return the instants of every stage whose operating points are in one powered span."""
                 by_stage = self._by_span(times_s).values()
                 return tuple(t for mine in by_stage for t in linear.worst_instants(along, design, mine, wanted.nominal))
 
@@ -97,7 +98,7 @@ class Parts:
         return along(times_s)
 
     def margins(self) -> list[linear.MarginStudy]:
-        """Return the margins of every stage that has nodes, plane by plane."""
+        """Return the margins of every stage that has operating points, plane by plane."""
         wanted, design = self.suite.margins, self.design
         if wanted is None or design is None:
             return []
@@ -116,7 +117,7 @@ class Parts:
 
     @property
     def deviations(self) -> str:
-        """State which description the dispersed vehicles have; "" where there are none."""
+        """Return the description of the dispersed vehicles, or "" if there are none."""
         wanted = self.suite.margins
         if wanted is None or self.design is None or not (wanted.cases or wanted.corner_sigmas or wanted.worst):
             return ""
@@ -125,7 +126,7 @@ class Parts:
         return self.described.text(self.nodes(wanted.planes[0]))
 
     def described_by_stage(self) -> list[tuple[LoadedCampaign, Node]]:
-        """Return the campaign that describes the dispersed vehicles of each stage, and a node of it."""
+        """Return the campaign that describes the dispersed vehicles of each stage, and one of its operating points."""
         wanted = self.suite.margins
         if wanted is None or self.design is None or not wanted.cases or wanted.only:
             return []
@@ -133,7 +134,9 @@ class Parts:
         return [(self.described.at(node), node) for node in nodes.values()]
 
     def _trajectories(self, wanted: LinearMargins, parts: Sequence[Sequence[Node]]) -> list[list[list[Node]]]:
-        """Return the nodes of each part as dispersed flights meet them, (parts, flights, nodes); empty without any."""
+        """Return the operating points of each part in dispersed flights, (parts, flights, nodes), or an empty result
+        without any.
+        """
         every = [node for nodes in parts for node in nodes]
         if not (wanted.trajectories and every and self.campaign is not None):
             return []
@@ -150,7 +153,7 @@ class Parts:
     def _by_stage(
         self, what: str, wanted: LinearMargins
     ) -> Iterator[tuple[list[Node], str, Callable[[int, int], None]]]:
-        """Yield the nodes of each plane and stage, the stage's name, and the callback of its progress."""
+        """Yield the operating points of each plane and stage, the stage's name, and the callback of its progress."""
         stage_of = attrgetter("stage")
         for plane in wanted.planes:
             for number, nodes in groupby(sorted(self.nodes(plane), key=stage_of), stage_of):
@@ -158,7 +161,7 @@ class Parts:
                 yield list(nodes), stage, partial(self.watch, ", ".join(filter(None, (what, plane, stage))))
 
     def worst(self) -> list[WorstVehicle]:
-        """Return the worst vehicle in every plane and stage that has nodes, where the suite asks for it."""
+        """Return the worst vehicle in every plane and stage that has operating points, if the suite requires it."""
         wanted, design, out = self.suite.margins, self.design, []
         if wanted is None or design is None or wanted.worst is None or wanted.only not in ("", WORST):
             return []
@@ -166,7 +169,7 @@ class Parts:
         parts = list(self._by_stage("worst vehicle", wanted))
         flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts])
         for (at, name, watch), flown_along in zip(parts, flights or itertools.repeat([]), strict=False):
-            end_s = next(span.end_s for span in spans if span.holds(at[0].time_s))  # flown as far as that stage burns
+            end_s = next(span.end_s for span in spans if span.holds(at[0].time_s))  # flown until that stage's burnout
             run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
             loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
             held = wanted.between_nodes == "hold"
@@ -207,7 +210,7 @@ class Parts:
         return {span.stage: [t for t in times if span.holds(t)] for span in powered_spans(self.along)}
 
     def uncovered(self) -> tuple[Uncovered, ...]:
-        """Return the intervals without operating points; none where the suite asks for nothing at such points."""
+        """Return the intervals without operating points, or none if the suite requires nothing at such points."""
         margins = self.suite.margins if self.design is not None else None
         margins = None if margins is not None and margins.only == CERTIFICATE else margins
         points_s = self.points_s(margins, self.suite.certificate)
@@ -230,7 +233,7 @@ class Parts:
         return linear.authority(operating_points.nodes(self.along, times), limits_rad)
 
     def slosh(self) -> list[SloshAdvice]:
-        """Return the damping that every node needs; the worst case is flown."""
+        """Return the damping that every operating point needs. The worst case is flown."""
         vehicle, wanted, design = self.scenario.vehicle, self.suite.margins, self.design
         tanks = any(stage.tank for stage in vehicle.stage)
         if wanted is None or design is None or not tanks or not self.scenario.scenario.switches.slosh:
@@ -261,7 +264,7 @@ class Parts:
         one_told = counted(one, partial(self.watch, "certificate"), len(times_s) * len(planes))
         found = certify(scenario, times_s, planes, workers=self.workers, one=one_told, along=self.along)
         stable = [c.time_s for c in found if c.stable and c.plane == planes[0]]
-        if wanted.times_s is None and wanted.in_flight:  # what the flight chooses may lie at the ends of thrust
+        if wanted.times_s is None and wanted.in_flight:  # times that the flight determines may be at the ends of thrust
             spans = powered_spans(scenario)
             stable = [t for t in stable if fits(t, spans)]
         through: list[InFlightResponse] = []
@@ -271,7 +274,7 @@ class Parts:
         return found, through
 
     def measured(self) -> list[MeasuredNode]:
-        """Measure flight code without a linear model, at the nodes and in the planes of the certificate."""
+        """Measure flight code without a linear model, at the operating points and in the planes of the certificate."""
         wanted = self.suite.certificate
         if wanted is None or self.design is not None:
             return []

@@ -1,25 +1,25 @@
-"""Slosh: where it destabilises the control loop, how much damping it needs, and the limit cycle it ends in.
+"""Slosh: the positions at which it destabilises the control loop, the damping that it needs, and its limit cycle.
 
-A liquid whose pendulum bob lies between the vehicle's CG and its centre of percussion (I / (m l_c) forward of the CG,
-l_c from the CG to the gimbal) takes energy from the control loop, elsewhere it gives some away (Bauer, NASA TR R-187;
-SP-8031). Whether that matters is told by the loop at hand: the tank's damping is lowered until the closed loop is
-marginally stable, and that is the damping needed (`advise`).
+A liquid takes energy from the control loop if its pendulum bob is between the vehicle's CG and its centre of
+percussion. This centre is I / (m l_c) forward of the CG, with l_c from the CG to the gimbal. Elsewhere it returns
+energy to the loop (Bauer, NASA TR R-187; SP-8031). The effect depends on the loop at hand. The tank's damping is
+lowered until the closed loop is marginally stable, and this is the required damping (`advise`).
 
-A ring baffle damps the more the higher the wave (Miles, J. Aero. Sci. 25, 1958; NASA SP-106, eq. 4.10),
+The damping of a ring baffle increases with the wave height (Miles, J. Aero. Sci. 25, 1958; NASA SP-106, eq. 4.10),
 
     zeta = 2.83 exp(-4.6 d / R) a^(3/2) sqrt(eta / R)
 
-with d the depth of the ring below the surface, a the share of the surface that it covers, eta the height of the wave at
-the wall: the law of the simulator's baffles (docs/model.md, section 5). A loop that needs the damping zeta lets slosh
-grow while the wave is lower than that and damps it above: the wave where the formula gives zeta is a limit cycle. The
-wave of the first mode (xi = 1.841) is a swing of the pendulum of
+with d the depth of the ring below the surface, a the share of the surface that it covers, and eta the height of the
+wave at the wall. This is the law of the simulator's baffles (docs/model.md, section 5). In a loop that needs the
+damping zeta, slosh grows while the wave is lower than the height that gives this damping, and decays above it. The
+height is that of a limit cycle. The wave of the first mode (xi = 1.841) corresponds to a swing of the pendulum of
 
     theta = (xi^2 - 1) / 2  eta / R
 
-whatever the depth (sim/vehicle/slosh/packing.py). The worst tank is flown (`confirm`): with just the damping needed a
-burst neither grows nor decays, and with the baffle's law the swing ends at the predicted amplitude (`fly_cycle`).
-Nothing else limits slosh before the model does: without baffles, gimbal and servo stay far from their limits until the
-liquid has swung through a right angle (tests/test_oracle_slosh_cycle.py), where waves would long have broken.
+at any depth (sim/vehicle/slosh/packing.py). The worst tank is flown (`confirm`). With just the required damping, a
+burst neither grows nor decays. With the baffle's law, the swing ends at the predicted amplitude (`fly_cycle`). No other
+effect limits slosh within the range of the model. Without baffles, gimbal and servo stay far from their limits until
+the liquid has swung through a right angle (tests/test_oracle_slosh_cycle.py). Real waves would have broken long before.
 """
 
 from __future__ import annotations
@@ -61,23 +61,23 @@ class Baffle:
     cover: float
 
     def damping(self, swing_rad: float) -> float:
-        """Damping ratio of a pendulum swinging so far."""
+        """Return the damping ratio of a pendulum at this swing."""
         return ring_damping(self.depth_r, self.cover, abs(swing_rad) / SWING_PER_WAVE)
 
     def wave_m(self, damping: float, radius_m: float) -> float:
-        """Height of the wave at the wall that gives this damping ratio."""
+        """Return the height of the wave at the wall that gives this damping ratio."""
         return radius_m * (damping / ring_damping(self.depth_r, self.cover, 1.0)) ** 2
 
     def swing_deg(self, damping: float) -> float:
-        """Swing of the pendulum that gives this damping ratio."""
+        """Return the swing of the pendulum that gives this damping ratio."""
         return math.degrees(SWING_PER_WAVE * self.wave_m(damping, 1.0))
 
 
 @dataclass(frozen=True)
 class SloshCycle:
-    """Amplitude at which the swing of a tank's liquid ends in flight, deg, and that of the gimbal command.
+    """The final amplitude of the swing of a tank's liquid in flight, deg, and that of the gimbal command.
 
-    `settled`: no longer changing. NaN where the flight ended early.
+    `settled` is True if it no longer changes. The amplitudes are NaN if the flight ended early.
     """
 
     swing_deg: float
@@ -107,23 +107,23 @@ def fly_cycle(held: HeldFlight, tank: int, baffle: Baffle, frequency_hz: float, 
 
 
 def _damp(slosh: Any, tank: int, ratio: float) -> None:
-    """Give a packed pendulum a constant damping ratio in place of all that it has."""
+    """Set a constant damping ratio of a packed pendulum in place of all its damping."""
     slosh.damping_ratio[tank], slosh.law_factor[tank] = ratio, 0.0
 
 
 NEAR, MIDWAY = Baffle(0.1, 0.25), Baffle(0.5, 0.25)
-"""Rings an eighth of the radius wide: just below the surface, and with the surface midway between two."""
+"""The rings, an eighth of the radius wide: just below the surface, and with the surface midway between two."""
 
 
 @dataclass(frozen=True)
 class SloshAdvice:
-    """The advice on one tank at one time. Stations in m aft of the nose; dampings are ratios of the pendulum.
+    """The advice on one tank at one time. Stations are in m aft of the nose. Dampings are ratios of the pendulum.
 
-    `needed`: damping at which the closed loop is marginally stable, 0 where none is needed; `wave_m` and
-    `midway_wave_m`: wave heights at which the baffles `NEAR` and `MIDWAY` give it; `midway_deg`: the latter as the
-    swing of the pendulum, which is the amplitude of the limit cycle. `flown_growth_1ps`: growth rate of a burst in
-    flight with just the damping needed; `flown_deg`: amplitude of the limit cycle in flight with the midway ring's
-    damping (NaN: not flown, or not settled).
+    `needed` is the damping at which the closed loop is marginally stable, 0 if none is needed. `wave_m` and
+    `midway_wave_m` are the wave heights at which the baffles `NEAR` and `MIDWAY` give this damping. `midway_deg` is the
+    latter as the swing of the pendulum, which is the amplitude of the limit cycle. `flown_growth_1ps` is the growth
+    rate of a burst in flight with just the damping needed. `flown_deg` is the amplitude of the limit cycle in flight
+    with the midway ring's damping (NaN: not flown, or not settled).
     """
 
     time_s: float
@@ -142,18 +142,18 @@ class SloshAdvice:
 
     @property
     def in_band(self) -> bool:
-        """Between centre of percussion and CG."""
+        """Return True if the bob is between centre of percussion and CG."""
         return self.percussion_station_m < self.bob_station_m < self.cg_station_m
 
 
 def percussion_station_m(node: Node) -> float:
-    """Centre of percussion for lateral thrust: where its onset causes no lateral acceleration."""
+    """Return the centre of percussion for lateral thrust, at which its onset causes no lateral acceleration."""
     d = node.derivatives
     return node.vehicle.total_cg_station_m - d.z_delta_1ps * node.condition.airspeed_mps / d.m_delta_1ps2
 
 
 def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
-    """Every tank with liquid at every node."""
+    """Return the advice on every tank with liquid at every operating point."""
     out = []
     for node in nodes:
         bobs = node.vehicle.pendulums
@@ -181,13 +181,13 @@ def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
 
 
 def _has(node: Node) -> Array:
-    """Damping ratios of the tanks in small waves."""
+    """Return the damping ratios of the tanks in small waves."""
     return node.vehicle.pendulums.small_wave_damping(node.axial_load_mps2)
 
 
 def _needed(node: Node, design: Design, tank: int) -> float:
-    """Damping ratio of one tank below which the closed loop grows; 0 if it never does."""
-    have = float(_has(node)[tank]) or 0.01  # with baffles alone there is none yet
+    """Return the damping ratio of one tank below which the closed loop grows, or 0 if it never does."""
+    have = float(_has(node)[tank]) or 0.01  # baffles alone give no damping yet
     if _growth(node, design, tank, 0.0) < 0.0:
         return 0.0
     low, high = 0.0, 1.0
@@ -202,7 +202,9 @@ def _needed(node: Node, design: Design, tank: int) -> float:
 
 
 def _growth(node: Node, design: Design, tank: int, ratio: float) -> float:
-    """Greatest real part (1/s) of the loop's oscillating poles below 5 Hz with a damping ratio in place of a tank's."""
+    """Return the greatest real part (1/s) of the loop's oscillating poles below 5 Hz with a damping ratio in place of a
+    tank's.
+    """
     loop = close_loop(fixed_path(_damped(node, tank, ratio)), design)
     return float(_oscillating(loop).real.max(initial=-math.inf))
 
@@ -215,13 +217,13 @@ def _damped(node: Node, tank: int, ratio: float) -> Node:
 
 
 def _oscillating(loop: Loop) -> ComplexArray:
-    """Closed-loop poles of the band, one of each conjugate pair, rad/s."""
+    """Return the closed-loop poles of the band, one of each conjugate pair, rad/s."""
     poles = loop.closed_poles()
     return poles[(poles.imag > _BAND_RADPS[0]) & (poles.imag < _BAND_RADPS[1])]
 
 
 def confirm(loaded: LoadedScenario, node: Node, advice: SloshAdvice) -> SloshAdvice:
-    """Fly the held vehicle excited at the slosh frequency: with just the damping needed, and with the midway ring."""
+    """Fly the held vehicle excited at the slosh frequency, with just the required damping and with the midway ring."""
     if not 0.0 < advice.needed < math.inf:
         return advice
 

@@ -43,9 +43,9 @@ UNDECIDED: SuiteVerdict = "undecided"
 class JudgedRequirement:
     """A requirement with its verdict.
 
-    `part`: the method, "scenarios", "margins", "dispersed", "authority", "certificate", "campaign". `wanted` and
-    `found` are for people; `room` is the share of the limit that is left, negative beyond it, NaN where that has no
-    meaning. `where`: node or run; `again`: the command that reproduces it.
+    `part` is the method, "scenarios", "margins", "dispersed", "authority", "certificate", "campaign". `wanted` and
+    `found` are texts. `room` is the share of the limit that remains, negative beyond it, NaN if that has no meaning.
+    `where` is an operating point or a run. `again` is the command that reproduces it.
     """
 
     part: str
@@ -60,7 +60,7 @@ class JudgedRequirement:
 
     @property
     def reason(self) -> str:
-        """Return one line with the reason."""
+        """Return the reason as one line."""
         said = f"{self.name}: {self.found}, wanted {self.wanted}" + (f" ({self.where})" if self.where else "")
         if self.judgement != UNDECIDED:
             return said
@@ -68,9 +68,9 @@ class JudgedRequirement:
 
 
 def overall(requirements: Iterable[JudgedRequirement], missing_evidence: Iterable[str] = ()) -> SuiteVerdict:
-    """Return the verdict: rejected if one is, else undecided if one is, or if there is none.
+    """Return the verdict: rejected if any requirement is, else undecided if any is or if there is no requirement.
 
-    Else accepted, or where evidence is missing (`floor.missing_evidence`) the screening is passed.
+    Otherwise it is accepted. If evidence is missing (`floor.missing_evidence`), the screening is passed instead.
     """
     found = {r.judgement for r in requirements} or {UNDECIDED}
     passed = SCREENED if any(missing_evidence) else ACCEPTED
@@ -83,9 +83,11 @@ def judgement_of(shown: str) -> SuiteVerdict:
 
 
 def room_left(value: float, bound: float, sense: str, unit: str = "") -> float:
-    """Share of a bound that is left, negative beyond it; `sense` "<=" or ">="; NaN for a bound of zero.
+    """Return the share of a bound that remains, negative beyond it, and NaN for a bound of zero.
 
-    `unit` of a margin: where it is met within the tolerance of `violation` no room is left, and none is missing.
+    `sense` is "<=" or ">=".
+
+    `unit` is that of a margin. If it is met within the tolerance of `violation`, the remaining share is zero.
     """
     if bound == 0.0:
         return math.nan
@@ -100,7 +102,7 @@ Plane = Literal["pitch", "yaw"]
 
 
 class DispersedLimit(Section):
-    """A limit of dispersed flights, instead of the scenario's limit."""
+    """A limit of dispersed flights, which replaces the scenario's limit."""
 
     requirement: str = Field(description="name of the scenario's requirement")
     limit: float | str = Field(description="at most this, in the metric's unit; ${MARK * NUMBER} as in a flight")
@@ -141,7 +143,7 @@ class SuiteFlight(Section):
     def _check(self) -> None:
         for key in self.each:
             if f"${key}" not in self.name:
-                raise refuse(f"does not tell the flights of ${key} apart", f"a name with ${key}", "name")
+                raise refuse(f"does not distinguish the flights of ${key}", f"a name with ${key}", "name")
 
     def flights(self) -> list[SuiteFlight]:
         """Return one flight for each combination of `each`, or this one."""
@@ -164,7 +166,7 @@ TIMES = "vehicle times, s (default: chosen from the flight, in every stage under
 
 
 class WorstWanted(Section):
-    """A search for the worst vehicle within the dispersions, with independent modes and tanks; the worst is flown."""
+    """A search for the worst vehicle within the dispersions, with independent modes and tanks, and its flight."""
 
     sigmas: Positive = optional("limit of the search, sigma", 3.0)
     region: Literal["ellipsoid", "box"] = optional(
@@ -185,7 +187,7 @@ class WorstWanted(Section):
 
 
 class LinearMargins(Section):
-    """Margins of the exact sampled loop, as designed and dispersed."""
+    """The margins of the exact sampled loop, as designed and dispersed."""
 
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional(
@@ -293,7 +295,8 @@ class Suite(Section):
 def set_words(changes: Iterable[str]) -> list[str]:
     """Return the options that make these changes.
 
-    TOML strings in single quotes, which a shell quotes badly, are written with double quotes where that is the same.
+    TOML strings in single quotes, which are inconvenient in a shell, are written with double quotes if the meaning is
+    the same.
     """
     out = []
     for change in changes:
@@ -309,16 +312,16 @@ def set_words(changes: Iterable[str]) -> list[str]:
 @dataclass(frozen=True)
 class LoadedSuite:
     suite: Suite
-    label: str  # as the user named it
+    label: str  # the name given by the user
     overrides: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()  # flights that the vehicle has no parts for (`fitted.fit`), and why; parts by `only`
+    left_out: tuple[str, ...] = ()  # flights whose parts the vehicle lacks (`fitted.fit`); parts by `only`
     part: str = ""  # that is judged alone (`only`)
-    along: CampaignWanted | None = None  # whose draws and flights a vehicle that is measured alone has
+    along: CampaignWanted | None = None  # whose draws and flights apply to a vehicle that is measured alone
     asked: Suite = field(default_factory=Suite.model_construct)  # as it was read: not fitted, and whole
     baseline: str = "standard"  # the suite with which it is compared
 
     def command(self, design: str, vehicle: str | None = None, *more: str) -> str:
-        """The command that judges a design by this suite; `more`: further words."""
+        """Return the command that judges a design by this suite. `more` contains further words."""
         built_in = design.startswith("designs/")
         words = ["simverify", Path(design).stem if built_in else design]
         words += ["--suite", self.label] if self.label != "standard" else []
@@ -328,7 +331,7 @@ class LoadedSuite:
     def only(self, label: str) -> LoadedSuite:
         """Return the suite with one flight, one vehicle of the linear margins, or the certificate alone.
 
-        Its limits stay. Raises ScenarioError.
+        The limits of the suite are unchanged. Raises ScenarioError.
         """
         suite = self.suite
         flights = tuple(f for f in suite.flight if f.name == label)
@@ -357,9 +360,9 @@ class LoadedSuite:
 
 
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
-    """The suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError.
+    """Return the suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError.
 
-    Scenarios, campaigns and winds that it names are those in its folder, where there are such, else the shipped ones.
+    Scenarios, campaigns and winds that it names are those in its folder, if they exist there, else the shipped ones.
     """
     changes = tuple(overrides)
     suite, tree, file, _, files = load_file(Suite, "suite", name, changes)
@@ -387,11 +390,12 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
 
 
 def shared_risk(loaded: LoadedSuite, campaigns: Sequence[Campaign], designs: int, number: int = 0) -> list[str]:
-    """Overrides that judge one of several designs so that the risk of accepting a bad one among all of them stays.
+    """Return overrides that judge one of several designs with an unchanged risk of accepting a bad one among all of
+    them.
 
-    A design that is picked from many because it passed has had as many chances to pass by luck: each gets its share of
-    the risk (Bonferroni). `campaigns`: those of the suite, as loaded. `number` above 0 also gives design `number` its
-    own seeds, so that it is judged by draws that no other one was chosen on.
+    A design that is selected from many because it passed had many opportunities to pass by chance. Each design
+    therefore gets its share of the risk (Bonferroni). `campaigns` are those of the suite, as loaded. A `number` above 0
+    also gives design `number` its own seeds, so that its draws are not those by which another design was selected.
     """
     suite, out = loaded.suite, []
 
@@ -409,9 +413,11 @@ def shared_risk(loaded: LoadedSuite, campaigns: Sequence[Campaign], designs: int
 
 
 def limit_changes(loaded: LoadedSuite, which: str, scenario: Scenario) -> list[str]:
-    """Overrides of the scenario's requirements by the suite's: `which` is "own" (none) or "dispersed".
+    """Return the overrides of the scenario's requirements by those of the suite.
 
-    Raises ScenarioError where the scenario has no such requirement, or it is no upper limit.
+    `which` is "own" (none) or "dispersed".
+
+    Raises ScenarioError if the scenario has no such requirement, or if the requirement is no upper limit.
     """
     if which == "own":
         return []

@@ -1,9 +1,9 @@
-"""Intervals of a flight that have no operating points: the report of a design names them.
+"""The intervals of a flight without operating points, which the report of a design lists.
 
-Under thrust these are the times before the first operating point of a stage and after its last, the tail-off in which
-the thrust decays, and stages without any. Without thrust they are the coasts in which the airframe is unstable: no
-gimbal can hold it there, and a disturbance grows by exp(integral of sqrt(M_alpha) dt), with M_alpha the restoring
-derivative of the rigid body along the flight; damping by the air is left out.
+Under thrust, these are the times before the first operating point of a stage and after its last. They include the
+tail-off, in which the thrust decays, and stages without any points. Without thrust, they are the coasts in which the
+airframe is unstable. No gimbal can control it there, and a disturbance grows by exp(integral of sqrt(M_alpha) dt), with
+M_alpha the restoring derivative of the rigid body along the flight. Aerodynamic damping is neglected.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.vehicle.engine.burn import stage_burns
 
 BETWEEN = "between the operating points, where no limit was checked"
-BRIEF_S = 1e-6  # intervals that are shorter are not named
+BRIEF_S = 1e-6  # shorter intervals are not listed
 COAST_STEP_S = 0.1  # between the instants at which a coast to the next burn is examined
 LAST_STEP_S = 1.0  # likewise of the coast after the last burnout
 MOST_INSTANTS = 300  # of a coast
-GROWS = 2.0  # by this factor at least a disturbance grows in a coast that is named
+GROWS = 2.0  # least growth factor of a disturbance in a coast that is listed
 ENDS = ("apogee", "impact")  # events after which a coast is not examined
 
 
@@ -42,7 +42,7 @@ class Uncovered:
 
     @property
     def text(self) -> str:
-        """Return one line for people."""
+        """Return the interval as one line of text."""
         return f"{self.begin_s:.4g} to {self.end_s:.4g} s: {self.why}"
 
 
@@ -52,10 +52,10 @@ def uncovered(
     plane: Plane = "pitch",
     at_points_only: Collection[int] = (),
 ) -> tuple[Uncovered, ...]:
-    """Return the intervals of a flight up to its loss that the operating points of its stages leave out.
+    """Return the intervals of a flight up to its loss that the operating points of its stages do not cover.
 
-    `points_s`: times of the operating points by stage, from 0. `at_points_only`: stages in which nothing was checked
-    between these.
+    `points_s` contains the times of the operating points by stage, from 0. `at_points_only` contains the stages that
+    were not checked between these.
     """
     spans, loss = powered_flight(flight)
     burns = stage_burns(flight.vehicle.stage, ())
@@ -84,7 +84,7 @@ def _of_span(span: Span, points_s: Sequence[float], full_end_s: float) -> list[U
 
 
 def _unstable_coasts(flight: LoadedScenario, spans: Sequence[Span], plane: Plane) -> list[Uncovered]:
-    """Return the stretches of coasts, up to apogee, in which the airframe is unstable."""
+    """Return the parts of coasts, up to apogee, in which the airframe is unstable."""
     ends = [(span.end_s, after.begin_s) for span, after in pairwise(spans)]
     coasts = [(a, b) for a, b in ends if b - a > COAST_STEP_S]
     if spans:
@@ -105,7 +105,10 @@ def _unstable_coasts(flight: LoadedScenario, spans: Sequence[Span], plane: Plane
 
 
 def _flies_to(run: FlightRun, time_s: float) -> bool:
-    """Fly on to the step nearest to a time; return False where the flight, or what is examined of it, has ended."""
+    """Continue the flight to the step nearest to a time.
+
+    Return False if the flight, or its examined part, has ended.
+    """
     step_ns = int(run.packed.parameters[0].timeline.step_ns)
     at_ns = round(time_s * 1e9 / step_ns) * step_ns
     while not run.finished and round(run.now_s * 1e9) < at_ns:

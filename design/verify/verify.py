@@ -1,4 +1,4 @@
-"""A design judged by a suite: flights, linear margins, certificate, campaigns; what each says, and the verdict.
+"""The judgement of a design by a suite: flights, linear margins, certificate, campaigns, their results and the verdict.
 
 found = verify("ksr3-robust", read_suite("standard"))
 found.judgement, [r.reason for r in found.requirements if r.judgement == "rejected"]
@@ -59,7 +59,7 @@ SAMPLE = 2
 
 @dataclass(frozen=True)
 class Reused:
-    """Parts that were recalled from the cache, by name; those computed again, and those that differ."""
+    """The parts that were recalled from the cache, by name, those computed again, and those that differ."""
 
     names: tuple[str, ...]
     computed_again: tuple[str, ...]
@@ -68,9 +68,9 @@ class Reused:
 
 @dataclass(frozen=True, repr=False)
 class Verification:
-    """A design, the requirements on it, and the results. Parts that the suite does not ask for are empty."""
+    """A design, the requirements on it, and the results. Parts that the suite does not require are empty."""
 
-    design: str  # as the user named it
+    design: str  # the name given by the user
     suite: Suite
     scenario: LoadedScenario = field(repr=False)
     requirements: tuple[JudgedRequirement, ...]
@@ -84,10 +84,10 @@ class Verification:
     worst: tuple[WorstVehicle, ...] = field(repr=False)
     measured: tuple[MeasuredNode, ...] = field(repr=False)  # of flight code without a linear model
     uncovered: tuple[Uncovered, ...]  # intervals of the flight of the operating points without any
-    left_out: tuple[str, ...]  # of the suite, for what the vehicle does not have
+    left_out: tuple[str, ...]  # of the suite, for parts that the vehicle does not have
     missing_evidence: tuple[str, ...]  # below the floor of an acceptance (`floor`)
     compared: Compared  # the suite with its baseline
-    hashes: dict[str, str]  # SHA-256 of all that the verdict depends on, by name
+    hashes: dict[str, str]  # SHA-256 of all inputs of the verdict, by name
     versions: dict[str, str]
     reused: Reused
     worked_out: int
@@ -97,7 +97,7 @@ class Verification:
     attempt: ledger.Attempt = field(repr=False)  # and the other attempts for the vehicle
     seeds: tuple[seeds.Seed, ...]
     asked: dict[str, Any]  # design, vehicle, suite, overrides and part, by name
-    deviations: str = ""  # the description of the dispersed vehicles, for people
+    deviations: str = ""  # the description of the dispersed vehicles, as text
     part: str = ""  # that was judged alone
 
     def __repr__(self) -> str:
@@ -108,7 +108,7 @@ class Verification:
 
     @property
     def recalled(self) -> int:
-        """The number of parts that were recalled from the cache."""
+        """Return the number of parts that were recalled from the cache."""
         return len(self.reused.names)
 
     @property
@@ -117,7 +117,7 @@ class Verification:
 
     @property
     def more_runs(self) -> int:
-        """Campaign runs that would settle what is undecided, if none of them fails."""
+        """Return the number of campaign runs that would decide the undecided requirements, if none of them fails."""
         return max((r.more_runs for r in self.requirements), default=0)
 
     def of(self, judgement: SuiteVerdict) -> list[JudgedRequirement]:
@@ -125,7 +125,9 @@ class Verification:
 
     @property
     def merit(self) -> tuple[int, int, float]:
-        """For ranking: fewer rejected, fewer undecided, then more room at the tightest requirement."""
+        """Return the key for ranking: fewer rejected, fewer undecided, then a larger margin of the tightest
+        requirement.
+        """
         rooms = [r.room for r in self.requirements if math.isfinite(r.room)]
         undecided = sum(r.judgement not in (ACCEPTED, REJECTED) for r in self.requirements)
         return (-len(self.of(REJECTED)), -undecided, min(rooms, default=math.nan))
@@ -133,9 +135,9 @@ class Verification:
 
 @dataclass(frozen=True)
 class Prepared:
-    """All that a verification depends on, loaded before anything is judged, with its hashes by name.
+    """The inputs of a verification, loaded before any judgement, with their hashes by name.
 
-    `loaded` is the suite fitted to the vehicle. `flights`: scenario and changes of each flight.
+    `loaded` is the suite fitted to the vehicle. `flights` contains scenario and changes of each flight.
     """
 
     design: str
@@ -152,12 +154,12 @@ class Prepared:
 
     @property
     def shown(self) -> str:
-        """The design, relative to the working folder where it is below that."""
+        """Return the design, relative to the working folder if it is below that folder."""
         return shown(Path(self.design)) if Path(self.design).is_absolute() else self.design
 
     @property
     def asked(self) -> dict[str, Any]:
-        """The input by name: design, vehicle, suite, its overrides, and the part that is judged alone."""
+        """Return the input by name: design, vehicle, suite, its overrides, and the part that is judged alone."""
         suite = self.loaded
         return {
             "design": self.shown,
@@ -187,7 +189,7 @@ class Prepared:
 
 
 def prepare(design: str, loaded: LoadedSuite, vehicle: str | None, kept: PartsOnDisk, candidate: int = 0) -> Prepared:
-    """Load all that a verification depends on. Raises ScenarioError where an input is wrong."""
+    """Load the inputs of a verification. Raises ScenarioError if an input is wrong."""
     compared = against_baseline(loaded, vehicle)
     scenario = load_scenario(loaded.suite.scenario, flown.design_changes(design, vehicle))
     along = flight_of(loaded.suite, design, vehicle)
@@ -219,15 +221,15 @@ def verify(
     candidate: int = 0,
     sample: int = SAMPLE,
 ) -> Verification:
-    """Judge a design by a suite, and write begin and end of the attempt into the ledger (`ledger`).
+    """Judge a design by a suite, and write begin and end of the attempt to the ledger (`ledger`).
 
-    `design` as a scenario names it. `memory`: folder of parts, None for none. `candidate`: number of a candidate of
-    `simdesign --verify`, after the first. `sample`: number of recalled parts, and of recalled runs of each campaign,
-    that are computed again and compared.
+    `design` is as a scenario names it. `memory` is the folder of parts, None for none. `candidate` is the number of a
+    candidate of `simdesign --verify`, after the first. `sample` is the number of recalled parts, and of recalled runs
+    of each campaign, that are computed again and compared.
 
-    Raises ScenarioError before anything is flown where an input is wrong; FileError where the ledger cannot be written,
-    or a recalled result differs from its computation; KeyboardInterrupt soon after `stop` returns True (results up to
-    then are kept).
+    Raises ScenarioError before any flight if an input is wrong. Raises FileError if the ledger cannot be written, or if
+    a recalled result differs from its computation. Raises KeyboardInterrupt soon after `stop` returns True (results up
+    to then are kept).
     """
     kept = PartsOnDisk(memory)
     prepared = prepare(design, loaded, vehicle, kept, candidate)
@@ -284,7 +286,7 @@ def _verify(
     )
     with timed("scenarios"):
         flights = flown.fly_suite(loaded, scenarios, kept, partial(interruptible, "scenarios"), workers)
-    with timed("linear margins"):  # nothing but what was asked for, where a part alone is repeated
+    with timed("linear margins"):  # only the requested part is repeated
         alone = suite.margins is not None and suite.margins.only in (WORST, CERTIFICATE)
         margin, limits, slosh = ([], [], []) if alone else (job.margins(), job.authority(), job.slosh())
     with timed("worst vehicle"):
@@ -317,7 +319,7 @@ def _verify(
 
     def at_node(c: NodeCertificate | InFlightResponse) -> str:
         changes = [f"certificate.times_s=[{c.time_s!r}]", f"certificate.planes=['{c.plane}']"]
-        if isinstance(c, NodeCertificate):  # which may lie too near to the ends of thrust for the other
+        if isinstance(c, NodeCertificate):  # which may be too near to the ends of thrust for the other
             changes.append("certificate.in_flight=false")
         return loaded.command(
             design, vehicle, *(x for change in changes for x in ("--set", change)), "--only", CERTIFICATE
@@ -407,8 +409,9 @@ def part_alone(loaded: LoadedSuite, part: str, design: str, vehicle: str | None,
 
 
 def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:
-    """Return the flight that the nodes and marks of a suite are on: its scenario with its own design, unless it has
-    none or that flight is lost; then with the one that is judged.
+    """Return the flight that gives a suite its operating points and marks: its scenario with its own design.
+
+    If there is none, or if that flight is lost, it is the flight with the judged design.
     """
     own = load_scenario(suite.scenario, [f'vehicle="{vehicle}"'] if vehicle is not None else [])
     if own.design is not None and powered_flight(own)[1] is None:
@@ -417,7 +420,9 @@ def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:
 
 
 def flight_requirement(along: LoadedScenario) -> list[JudgedRequirement]:
-    """Reject a design where the flight that gives the nodes is lost: no margin after the loss is known."""
+    """Reject a design if the flight that gives the operating points is lost, since no margin after the loss is
+    known.
+    """
     loss = powered_flight(along)[1]
     if loss is None:
         return []

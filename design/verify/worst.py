@@ -1,17 +1,18 @@
-"""The worst vehicle that the dispersions allow: a search, node by node, for the least distance of L from -1.
+"""The worst vehicle within the dispersions: a search at each operating point for the least distance of L from -1.
 
-Each draw of the campaign that changes the vehicle deviates independently, within an ellipsoid (together no less likely
-than one deviation alone at that many sigma) or a box (each up to that many). The search is among the independent scores
-behind the deviations (`deviations.py`), by which a uniform draw stays within its bounds.
-From each start the search goes along the gradient to the point of that region where the linearised distance is least,
-back towards the start until the distance has fallen, and again (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956); in a
-box it goes on to the corner that no single deviation makes worse. The gradient is that of L at the frequency nearest to
--1, by differences of the vehicle's continuous response: no loop is closed for it. The best point of a node ends in a
-local descent on measured distances, inside the region and along its surface (descent.py). Trials are measured together
-(margins/dispersed.py). An unstable loop counts as beyond -1 by its distance. Every node has a start at the vehicle as
-it is; those with the worst results (`FURTHER` of them) have all the others too. The worst vehicles are then measured
-at instants between the nodes and along dispersed trajectories, and the descent is repeated where they are worst. A
-search bounds nothing from below: it says that no worse vehicle was found in that many searches.
+Each draw of the campaign that changes the vehicle deviates independently, within an ellipsoid or a box. In an
+ellipsoid, all deviations together are no less likely than one alone at the given number of sigma. In a box, each
+deviation extends to this number. The search is among the independent scores that determine the deviations
+(`deviations.py`), in which a uniform draw stays within its bounds. From each start, the search follows the gradient to
+the point of that region where the linearised distance is least. It moves back towards the start until the distance has
+fallen, and repeats (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956). In a box, it continues to the corner that no single
+deviation makes worse. The gradient is that of L at the frequency nearest to -1, by differences of the vehicle's
+continuous response, without closing the loop. The best point of an operating point is the start of a local descent on
+measured distances, inside the region and along its surface (descent.py). Trials are measured together
+(margins/dispersed.py). An unstable loop counts as beyond -1 by its distance. Every operating point has a start at the
+nominal vehicle. Those with the worst results (`FURTHER` of them) have all other starts too. The worst vehicles are then
+measured at instants between the operating points and along dispersed trajectories, and the descent is repeated where
+they are worst. The search gives no lower bound: it shows only that this number of searches found no worse vehicle.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ _AROUND = np.array([-8.0, -4.0, -2.0, -1.2, -0.6, -0.2, 0.2, 0.6, 1.2, 2.0, 4.0,
 _MINIMA, _GOALS = 8, 2  # over frequency that are refined, and of these that a step makes for
 FURTHER = 6  # nodes of a plane and stage that are searched from all starts
 INSTANTS_S, _MOST_INSTANTS = (0.5, 0.05), 300
-"""Steps between instants of the search between nodes, along the stage and about the worst instant of it."""
+"""The steps between instants of the search between operating points, along the stage and about its worst instant."""
 _STEP = 1e-4  # of the region, in which the gradient is taken: at one frequency, a mode must not move by its width
 _ROUNDS = 12
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
@@ -60,9 +61,10 @@ _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 
 @dataclass(frozen=True)
 class WorstVehicle:
-    """The worst one found in a plane of a stage: scores of its deviations by name, and the outcome of its flight.
+    """The worst vehicle found in a plane of a stage: scores of its deviations by name, and the outcome of its flight.
 
-    `modulus` is its least |1 + L|, 0 where it is unstable; `searches` over all nodes; `text` its scenario (TOML).
+    `modulus` is its least |1 + L|, 0 if it is unstable. `searches` is the number over all operating points. `text` is
+    its scenario (TOML).
     """
 
     stage: str
@@ -79,11 +81,11 @@ class WorstVehicle:
     within_hz: float = math.nan
     within_tried: int = 0  # frequencies
     together_sigmas: float = math.nan  # the same of pitch, yaw and roll together
-    trajectory: int = 0  # number of the dispersed flight whose speed and air the vehicle meets; 0: that as designed
+    trajectory: int = 0  # number of the dispersed flight that gives speed and air; 0: the flight as designed
 
     @property
     def label(self) -> str:
-        """The largest deviations, in words."""
+        """Return the largest deviations, in words."""
         largest = sorted(self.sigmas.items(), key=lambda item: -abs(item[1]))[:5]
         words = [f"{name} {value:+.1f}" for name, value in largest]
         along = f", trajectory {self.trajectory}" if self.trajectory else ""
@@ -94,8 +96,10 @@ Looks = list[tuple[float, Array]]
 
 
 def distances(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Sequence[Array]], Looks]:
-    """Return a function of scores (places,), in units of three sigma: the distances of loops from -1, and at what
-    frequencies (Hz) each has minima, the least first. The distance is negative where the loop is unstable.
+    """Return a function of scores (places,), in units of three sigma.
+
+    It returns the distances of loops from -1, and the frequencies (Hz) of the minima of each, the least first. The
+    distance is negative if the loop is unstable.
     """
     one, deviations = distance(node, design, campaign), deviations_of(campaign, node)
     try:
@@ -116,7 +120,7 @@ def distances(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[
 
 
 def distance(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Array], tuple[float, Array]]:
-    """`distances` of one loop, measured by itself."""
+    """Return the result of `distances` for one loop, measured individually."""
     deviations, law = deviations_of(campaign, node), law_at(design, node)
 
     def at(u: Array) -> tuple[float, Array]:
@@ -140,11 +144,11 @@ def distance(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[
 
 
 def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
-    """|1 + L| at frequencies (Hz), and its change by `steps` (places,) of the scores, per step: (frequencies,
+    """Return |1 + L| at frequencies (Hz), and its change by `steps` (places,) of the scores, per step: (frequencies,
     places).
 
-    L changes as actuator, vehicle and delay do, for each sensor in its own way: what sampling adds changes little, and
-    the search measures where it arrives.
+    L changes with actuator, vehicle and delay, separately for each sensor. The contribution of sampling changes little,
+    and the search measures the loop at its end points.
     """
     deviations, law, node = deviations_of(campaign, node), law_at(design, node), with_drives_apart(node)
     plant, ideal = node.plant, bool(node.actuator.ideal)
@@ -154,7 +158,7 @@ def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Arr
     rows = [plant.outputs.index(name) for name in seen]
 
     def paths(every: Sequence[Array], s: ComplexArray) -> ComplexArray:
-        """From the command to what each input of the law follows, (vehicles, frequencies, inputs)."""
+        """Return the response from the command to each input of the law, (vehicles, frequencies, inputs)."""
         vehicles = deviations.of_scores(every)
         held = deviated(node.held, node.plane, stacked(vehicles), len(vehicles))
         a, b, c, d, _ = held.plants(node.condition, node.trim, node.plane, node.drives, in_place=True)
@@ -183,9 +187,11 @@ def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Arr
 def search_node(
     node: Node, design: Design, campaign: LoadedCampaign, wanted: WorstWanted, starts: Sequence[int] | None = None
 ) -> tuple[float, Array, int]:
-    """Return the least distance found at a node, its scores in units of three sigma, and the loops measured.
+    """Return the least distance found at an operating point, its scores in units of three sigma, and the number of
+    loops measured.
 
-    `starts` by their numbers, 0 being the vehicle as it is (default: all). The best point ends in a local descent.
+    `starts` are selected by their numbers, 0 being the nominal vehicle (default: all). The best point is the start of a
+    local descent.
     """
     region, count = Region(wanted.region, wanted.sigmas / 3.0), len(deviations_of(campaign, node).places)
     look = _Look(distances(node, design, campaign))
@@ -199,7 +205,7 @@ def search_node(
         for _ in range(_ROUNDS):
             steps = np.where(u > 0.0, -_STEP, _STEP) * region.reach
             near, slopes = change(u, hz, steps)
-            # an unstable loop is to go further beyond; else the minima that promise to become least
+            # an unstable loop is moved further beyond -1; otherwise the minima predicted to become least are used
             goals = [region.farthest(-by) for by in slopes] if value > 0.0 else [region.farthest(slopes[0])]
             promised = [at + by @ (goal - u) for at, by, goal in zip(near, slopes, goals, strict=False)]
             likely = [goals[k] for k in np.argsort(promised)[:_GOALS]]
@@ -220,7 +226,7 @@ def search_node(
 def refine_at(
     node: Node, design: Design, campaign: LoadedCampaign, wanted: WorstWanted, points: Sequence[Array]
 ) -> tuple[float, Array, int]:
-    """Return as `search_node` does from a descent at the worst of `points`, scores in units of three sigma."""
+    """Return the result of `search_node` for a descent at the worst of `points`, scores in units of three sigma."""
     look = _Look(distances(node, design, campaign))
     values = look.values(points)
     k = int(np.argmin(values))
@@ -230,7 +236,7 @@ def refine_at(
 
 @dataclass
 class _Look:
-    """Distances at points; counts the loops."""
+    """The distances at points, with a count of the loops."""
 
     measure: Callable[[Sequence[Array]], Looks]
     loops: int = 0
@@ -244,7 +250,9 @@ class _Look:
 
 
 def _towards(u: Array, goal: Array, share: float, region: Region) -> Array:
-    """Return a point part of the way; in an ellipsoid on its surface, inside of which the worst hardly ever lies."""
+    """Return a point part of the way, or on the surface of an ellipsoid, since the worst point is hardly ever
+    inside.
+    """
     there = u + share * (goal - u)
     return there if region.shape == "box" else region.farthest(there)
 
@@ -261,10 +269,10 @@ def search_plane(
     nodes_at: Callable[[Sequence[float]], Sequence[Node]] | None = None,
     trajectories: Sequence[Sequence[Node]] = (),
 ) -> WorstVehicle:
-    """Return the worst vehicle over the nodes of a plane and stage, measured exactly there, and flown.
+    """Return the worst vehicle over the operating points of a plane and stage, measured exactly there, and flown.
 
-    `nodes_at` makes nodes at instants between those given, which are searched too. `trajectories` are the nodes as
-    other flights meet them, (flights, nodes).
+    `nodes_at` returns operating points at instants between those given, which are searched too. `trajectories` are the
+    operating points in other flights, (flights, nodes).
     """
     further = min(FURTHER, len(nodes)) if wanted.starts > 1 else 0
 
@@ -332,9 +340,10 @@ def _refined_beside(
     workers: int,
     most: int = FURTHER,
 ) -> tuple[list[Searched], int]:
-    """Return descents at the `most` nodes where the worst vehicles known are worst, and the loops of all.
+    """Return descents at the `most` operating points where the worst vehicles known are worst, and the number of loops.
 
-    Each node takes the worst vehicles of the two nodes searched that are nearest in time, and the worst of all.
+    Each operating point uses the worst vehicles of the two searched points that are nearest in time, and the worst of
+    all.
     """
     worst_u = min(searched, key=lambda each: each[1][0])[1][1]
 
@@ -355,7 +364,7 @@ def _refined_beside(
 
 
 def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> list[JudgedRequirement]:
-    """Judge the distance of the worst vehicle, where a limit is given, and its control in flight."""
+    """Judge the distance of the worst vehicle, if a limit is given, and its control in flight."""
     whose = ", ".join(filter(None, (found.plane, found.stage)))
     said = f"{found.modulus:.3f}" if found.modulus else "unstable"
     said += f"; no worse vehicle found in {found.searches} searches ({found.loops} loops)"

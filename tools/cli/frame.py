@@ -1,6 +1,6 @@
 """The common frame of the commands: exit codes, messages, interruption, the end of the process.
 
-Nothing heavy is imported here: `simrun --help` takes less than 0.1 s.
+No expensive module is imported here: `simrun --help` takes less than 0.1 s.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 FIRST = ("nominal", "campaigns/first", "ksr3-identical", "ksr3-default", "standard")
-"""Built-in files with which to begin: --list names them first."""
+"""The built-in files for beginners, which --list names first."""
 TRACEBACK = "MAXQ_TRACEBACK"
-"""Environment variable with which an error shows its traceback, too."""
+"""The environment variable with which an error shows its traceback, too."""
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # options of glibc's malloc.h, in bytes
 
 
 class Exit(IntEnum):
-    """Exit codes of all commands. What 0, 1 and 3 mean in particular is listed in each command's --help."""
+    """The exit codes of all commands. Each command's --help lists the specific meaning of 0, 1 and 3."""
 
     OK = 0  # done: flown, designed, accepted, shown
     FAILED = 1  # done, with a negative result
@@ -37,26 +37,26 @@ class Exit(IntEnum):
     UNDECIDED = 3  # more runs are needed
     INTERNAL_ERROR = 70  # a fault of maxq (EX_SOFTWARE of sysexits.h)
     INTERRUPTED = 130  # Ctrl-C or SIGTERM
-    UNREAD = 141  # whoever read our output, such as `head`, has closed it (as the shell reports SIGPIPE)
+    UNREAD = 141  # the reader of the output, such as `head`, has closed it (as the shell reports SIGPIPE)
 
 
 class CommandError(Exception):
-    """The request cannot be met; the text gives the reason on one line."""
+    """An error for a request that cannot be met. The text gives the reason on one line."""
 
 
 def say(command: str, text: str) -> None:
-    """A message for the person, one line on stderr (folded at spaces on a terminal)."""
+    """Print a message for the user, one line on stderr (folded at spaces on a terminal)."""
     wipe()
     print(folded(f"{command}: {printable(text)}", columns(sys.stderr)), file=sys.stderr)
 
 
 def run(command: str, body: Callable[[], int], interrupted: str = "interrupted", memory: str = "") -> int:
-    """The exit code of `body`. Whatever it raises is answered by one line on stderr and an exit code of its own.
+    """Return the exit code of `body`. Any exception is reported on one line of stderr and has its own exit code.
 
-    `interrupted` and `memory`: what is said after Ctrl-C, and what helps where the memory does not suffice.
+    `interrupted` is the message after Ctrl-C. `memory` is the remedy if the memory is not sufficient.
     """
     _tolerate_letters()
-    # Before NumPy is loaded: its library's threads would only wait for each other over matrices of forty rows.
+    # Set before NumPy is loaded: its library's threads would only block each other for matrices of forty rows.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         with warnings.catch_warnings():
@@ -81,7 +81,7 @@ def run(command: str, body: Callable[[], int], interrupted: str = "interrupted",
 
 
 def _say_notes(command: str) -> None:
-    """Say each note on a name (`sim.input.files.NameNote`) once; other warnings are shown as usual."""
+    """Print each note on a name (`sim.input.files.NameNote`) once. Other warnings are shown as usual."""
     usual, said = warnings.showwarning, set[str]()
 
     def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
@@ -105,7 +105,7 @@ def show_list(kinds: dict[str, str]) -> int:
 
 
 def _description(path: Path) -> str:
-    """A file's own description, its first sentence, or that of the file it extends."""
+    """Return a file's own description, its first sentence, or that of the file that it extends."""
     import tomllib  # noqa: PLC0415  # lazy
 
     content = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -116,14 +116,14 @@ def _description(path: Path) -> str:
 
 
 class Interruption:
-    """Ctrl-C and SIGTERM (what a batch system sends before it kills), taken as a request so that files can be closed.
+    """A handler of Ctrl-C and SIGTERM (which a batch system sends before it kills), so that files can be closed.
 
-    Within its block the first Ctrl-C or SIGTERM only sets `requested`, which calling the object tells as well; a second
-    one raises KeyboardInterrupt.
+    Within its block, the first Ctrl-C or SIGTERM only sets `requested`, which a call of the object also returns. A
+    second one raises KeyboardInterrupt.
 
-    `at_once`: the first one raises, too. A library's callback may swallow the exception (compilers print "Exception
-    ignored"); calling `check` now and then raises it again. Outside the main thread, where Python has no signals, the
-    block changes nothing.
+    With `at_once`, the first one raises, too. A library's callback may suppress the exception (compilers print
+    "Exception ignored"); regular calls of `check` raise it again. Outside the main thread, where Python has no signals,
+    the block changes nothing.
     """
 
     def __init__(self, *, at_once: bool = False) -> None:
@@ -144,7 +144,7 @@ class Interruption:
         return self.requested
 
     def check(self) -> None:
-        """Raises KeyboardInterrupt where an interruption was requested."""
+        """Raise KeyboardInterrupt if an interruption was requested."""
         if self.requested:
             raise KeyboardInterrupt
 
@@ -156,16 +156,16 @@ class Interruption:
 
 
 class Command:
-    """A command: called without arguments it is the process, `main` does the same within another one.
+    """A command. A call without arguments is the process; `main` runs the command within another process.
 
-    `body` takes the words of the command line and returns the exit code; the rest is for `run`.
+    `body` takes the words of the command line and returns the exit code. The other fields are for `run`.
     """
 
     def __init__(
         self, name: str, body: Callable[[list[str]], int], interrupted: str = "interrupted", memory: str = ""
     ) -> None:
         self.alone = False
-        """Whether the process ends with the command, so that nothing needs to be loaded or kept for others."""
+        """True if the process ends with the command, so that nothing needs to be loaded or kept for others."""
         self._name, self._body, self._interrupted, self._memory = name, body, interrupted, memory
 
     def __call__(self) -> NoReturn:
@@ -173,19 +173,19 @@ class Command:
         process(self.main)
 
     def main(self, arguments: list[str] | None = None) -> int:
-        """Run the command with these arguments (None: those of the process); returns the exit code."""
+        """Run the command with these arguments (None: those of the process). Return the exit code."""
         given = sys.argv[1:] if arguments is None else arguments
         return run(self._name, lambda: self._body(given), self._interrupted, self._memory)
 
 
 def process(main: Callable[[], int]) -> NoReturn:
-    """A command as a process: `main`, then the end of the process without taking it apart.
+    """Run the command as a process: `main`, then the end of the process without the usual cleanup.
 
-    By then everything is written and closed. What is left out, Python's and LLVM's freeing of each object and module
-    by itself, took a quarter of a second.
+    By then, all files are written and closed. The omitted step, in which Python and LLVM free each object and module
+    separately, took a quarter of a second.
     """
-    gc.set_threshold(50_000)  # imports make much that stays: looking through it every 700 objects takes 0.05 s
-    sys.setswitchinterval(5e-4)  # a thread of a campaign that comes back from the kernel waits no longer
+    gc.set_threshold(50_000)  # imports create many permanent objects: a search every 700 takes 0.05 s
+    sys.setswitchinterval(5e-4)  # a thread of a campaign that returns from the kernel waits no longer
     _keep_freed_memory()
 
     def interrupt(number: int, frame: FrameType | None) -> NoReturn:
@@ -195,17 +195,18 @@ def process(main: Callable[[], int]) -> NoReturn:
     code = main()
     wipe()
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # nobody is there to read it
+        with contextlib.suppress(OSError, ValueError):  # the reader has closed the output
             stream.flush()
     os._exit(code)
 
 
 def _keep_freed_memory() -> None:
-    """Let glibc keep what is freed for the next flight, a few megabytes.
+    """Configure glibc to keep freed memory for the next flight, a few megabytes.
 
-    To get each page from the system again takes a hundredth of a campaign's time. Other C libraries stay as they are.
+    Requesting each page from the system again takes a hundredth of a campaign's time. Other C libraries are not
+    changed.
     """
-    import ctypes  # noqa: PLC0415  # lazy: --help does without
+    import ctypes  # noqa: PLC0415  # lazy: --help does not need it
 
     if sys.platform == "linux" and (set_option := getattr(ctypes.CDLL(None), "mallopt", None)) is not None:
         for option, size in ((_TRIM_THRESHOLD, 64 << 20), (_MMAP_THRESHOLD, 32 << 20)):
@@ -213,14 +214,14 @@ def _keep_freed_memory() -> None:
 
 
 def _tolerate_letters() -> None:
-    """A terminal that lacks a letter is no reason to fail."""
+    """Replace characters that a terminal lacks instead of raising an error."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
 
 
 def _explanation(error: Exception, memory: str) -> str:
-    """Return the remedy for an error that input or system cause; an empty text for a fault of maxq."""
+    """Return the remedy for an error due to input or system, or "" for a fault of maxq."""
     if isinstance(error, ImportError) and not (error.name or "").startswith("maxq"):
         return f"a package is missing or broken: {error}; install maxq again (pip install maxq)"
     from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy, as the next: needed by an error only
@@ -238,7 +239,7 @@ def _explanation(error: Exception, memory: str) -> str:
 
 
 def _internal(error: Exception) -> str:
-    """Says that maxq is at fault, and where."""
+    """Return the message that maxq is at fault, with the place."""
     import traceback  # noqa: PLC0415  # lazy
 
     last = traceback.extract_tb(error.__traceback__)[-1]

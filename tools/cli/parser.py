@@ -1,4 +1,4 @@
-"""The command line of a command: subcommands, options, exit codes, help, errors on one line."""
+"""The command line of a command: subcommands, options, exit codes, help, and errors on one line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from maxq.tools.cli.frame import TRACEBACK, Exit, show_list
 from maxq.tools.cli.terminal import announce, printable, tell, wipe
 
 _AT_ONCE = {"-h", "--help", "--list", "--version"}
-"""Options that are answered without loading anything."""
+"""The options that need no further imports."""
 _EXITS = {
     Exit.OK: "done",
     Exit.BAD_INPUT: "bad input, or files that cannot be read or written",
@@ -29,8 +29,8 @@ _EXITS = {
 class Parser(argparse.ArgumentParser):
     """The command line of a command or of one of its subcommands.
 
-    Usage and help follow from the declared options, and every complaint is one line. `exits` completes or replaces the
-    exit codes at the end of --help. `do` takes the options that were given by name and returns the exit code.
+    Usage and help follow from the declared options, and every error is one line. `exits` completes or replaces the exit
+    codes at the end of --help. `do` takes the given options by name and returns the exit code.
     """
 
     def __init__(
@@ -47,8 +47,11 @@ class Parser(argparse.ArgumentParser):
         self.set_defaults(do=do)
 
     def commands(self, otherwise: str, default: Callable[[str], str]) -> None:
-        """Declare that the command has subcommands. `default` returns the one meant by a first word that names none;
-        `otherwise` is what the usage calls such a word."""
+        """Declare that the command has subcommands.
+
+        `default` returns the subcommand for a first word that names none. `otherwise` is the name of such a word in the
+        usage.
+        """
         self._otherwise, self._default = otherwise, default
         self._listed = self.add_subparsers(title="commands", metavar="COMMAND", prog=self.prog, parser_class=Parser)
         self._action_groups.insert(0, self._action_groups.pop())  # listed before the options
@@ -74,12 +77,14 @@ class Parser(argparse.ArgumentParser):
         group: argparse._ActionsContainer | None = None,
         **how: Any,
     ) -> None:
-        """Declare an option as the usage has it, and its help: "--out DIR", "--axis pitch|yaw", a flag "--orders",
-        "--at T..." for one that may be repeated, "--realtime [X]"; "SCENARIO" or "LOG..." for a word that is required,
-        "[DESIGN]" for one that is not, "[DESIGN]..." for any number.
+        """Declare an option in the form of the usage, and its help.
 
-        `needs`: options one of which has to be given as well. `without`: options that it excludes. `how`: further
-        arguments of add_argument; `dest` names what `do` takes.
+        Examples are "--out DIR", "--axis pitch|yaw", a flag "--orders", "--at T..." for a repeatable one, and
+        "--realtime [X]". "SCENARIO" and "LOG..." are required words, "[DESIGN]" is an optional one, and "[DESIGN]..."
+        means any number.
+
+        `needs` lists options of which one must be given as well. `without` lists options that it excludes. `how`
+        contains further arguments of add_argument; `dest` is the argument name of `do`.
         """
         name, *values = usage.removesuffix("...").split()
         repeated = usage.endswith("...")
@@ -105,7 +110,7 @@ class Parser(argparse.ArgumentParser):
         self._bound[name] = needs, without
 
     def overrides(self, of: str, without: Sequence[str] = ()) -> None:
-        """Declare the option --set; `of`: of what it overrides a value, with an example."""
+        """Declare the option --set. `of` describes the values that it overrides, with an example."""
         text = f"override a value of {of}; repeatable"
         self.option("--set KEY=VALUE...", text, without=without, dest="overrides")
 
@@ -120,7 +125,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("-h", "--help", action="help", help="this text")
 
     def run(self, arguments: Sequence[str]) -> int:
-        """Do what the arguments ask for, and return the exit code. A terminal shows at once that it has begun."""
+        """Do the requested task, and return the exit code. A terminal shows immediately that it has begun."""
         if arguments and not _AT_ONCE.intersection(arguments):
             announce(f"{self.prog}: loading")
         given = vars(self.read(arguments))
@@ -128,7 +133,7 @@ class Parser(argparse.ArgumentParser):
         return do(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if v not in (None, [])})
 
     def read(self, arguments: Sequence[str]) -> argparse.Namespace:
-        """Return the options, those of a subcommand where the command has some; `do` is what is to be done."""
+        """Return the options, including those of a subcommand. `do` is the function to be called."""
         first = self._first_word(arguments) if self._commands else None
         if first is not None:
             name, words = arguments[first], [*arguments[:first], *arguments[first + 1 :]]
@@ -158,7 +163,7 @@ class Parser(argparse.ArgumentParser):
         super()._print_message(message, file)
 
     def _first_word(self, arguments: Sequence[str]) -> int | None:
-        """Return the index of the first word that is neither an option nor the value of one; None: there is none."""
+        """Return the index of the first word that is neither an option nor the value of one, or None."""
         options = {name: a for parser in self._commands.values() for name, a in parser._option_string_actions.items()}
         values = 0
         for at, word in enumerate(arguments):
@@ -177,7 +182,10 @@ class Parser(argparse.ArgumentParser):
         return None
 
     def _refuse_unknown(self, arguments: Sequence[str]) -> None:
-        """Refuse an option that this command has not; name the subcommand that has it, or the most similar one."""
+        """Reject an option that this command does not have.
+
+        Name the subcommand that has it, or the most similar option.
+        """
         mine = self._option_string_actions
         for word in takewhile("--".__ne__, arguments):
             name = word.partition("=")[0]
@@ -196,7 +204,7 @@ class Parser(argparse.ArgumentParser):
             self.error(f"unknown option {word}" + (f"; did you mean {close[0]}?" if close else ""))
 
     def _check(self, options: argparse.Namespace) -> None:
-        """Refuse options without those that they need, or with those that they exclude, and an --out without a name."""
+        """Reject options without those that they need, or with those that they exclude, and an --out without a name."""
         given = [
             action.option_strings[0]
             for action in self._actions
@@ -239,11 +247,11 @@ class Parser(argparse.ArgumentParser):
         return super().format_help()
 
     def helps(self) -> dict[str, str]:
-        """Return the help of the command and of its subcommands, by what is called ("simrun fly")."""
+        """Return the help of the command and of its subcommands, by the name of each ("simrun fly")."""
         return {parser.prog: parser.format_help() for parser in (self, *self._commands.values())}
 
     def _usage(self, width: int) -> str:
-        """Return the usage; what excludes each other is parted by bars."""
+        """Return the usage, with bars between options that exclude each other."""
         if self._commands:
             calls = [f"{self.prog} COMMAND [OPTION]...", f"{self.prog} {self._otherwise} [OPTION]..."]
             return "\n       ".join(calls)
@@ -262,7 +270,7 @@ class Parser(argparse.ArgumentParser):
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):
-    """argparse's, with subcommands listed as options are."""
+    """The formatter of argparse, with subcommands listed in the form of options."""
 
     def _format_action(self, action: argparse.Action) -> str:
         if isinstance(action, argparse._SubParsersAction):
@@ -271,8 +279,10 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
 
 def _hung(head: str, text: str, width: int, indent: int | None = None) -> str:
-    """`text` behind `head`, folded at spaces that are in no brackets or follow a bar, further lines `indent` to the
-    right."""
+    """Return `text` after `head`, folded at spaces that are not in brackets or that follow a bar.
+
+    Further lines are indented by `indent`.
+    """
     depth, whole = 0, ""
     for letter in text:
         depth += (letter == "[") - (letter == "]")
@@ -281,11 +291,11 @@ def _hung(head: str, text: str, width: int, indent: int | None = None) -> str:
     return head + ("\n" + " " * (len(head) if indent is None else indent)).join(lines).replace("\0", " ")
 
 
-_BESIDE = 42  # column in which examples are explained
+_BESIDE = 42  # column at which explanations of examples begin
 
 
 def _examples(text: str, width: int) -> str:
-    """Commands, and what each does beside it or below: two spaces or more part them."""
+    """Return commands, each with its effect on the same line or below. Two or more spaces separate them."""
     lines = re.sub(r"\n {8,}", " ", text).splitlines()
     rows = [re.split(r" {2,}", line.strip(), maxsplit=1) for line in lines]
     out = []
@@ -298,7 +308,7 @@ def _examples(text: str, width: int) -> str:
 
 class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from importlib.metadata import version  # noqa: PLC0415  # lazy: --help is quick
+        from importlib.metadata import version  # noqa: PLC0415  # lazy: --help is fast
 
         tell(f"maxq {version('maxq')}")
         parser.exit()
@@ -308,7 +318,7 @@ class _Version(argparse.Action):
 
 
 def count(text: str, least: int = 0, most: int = 2**63 - 1) -> int:
-    """A whole number of at least `least` and at most `most`."""
+    """Return a parser of whole numbers of at least `least` and at most `most`."""
     if text.isdecimal() and (len(text) > 19 or int(text) > most):
         raise argparse.ArgumentTypeError(f"{text[:20]}{'...' * (len(text) > 20)} is too large: at most {most}")
     if not text.isdecimal() or int(text) < least:
@@ -318,13 +328,13 @@ def count(text: str, least: int = 0, most: int = 2**63 - 1) -> int:
 
 def count_of_runs(text: str) -> int:
     """Parse the number of flights of a campaign."""
-    from maxq.sim.input.ranges import MOST_RUNS  # noqa: PLC0415  # lazy: --help is quick
+    from maxq.sim.input.ranges import MOST_RUNS  # noqa: PLC0415  # lazy: --help is fast
 
     return count(text, 0, MOST_RUNS)
 
 
 def count_from_1(text: str) -> int:
-    """A whole number of at least 1."""
+    """Parse a whole number of at least 1."""
     return count(text, 1)
 
 
@@ -336,19 +346,19 @@ def _is_number(text: str) -> bool:
 
 
 def number(text: str, what: str = "a number") -> float:
-    """A finite number."""
+    """Parse a finite number."""
     if not _is_number(text):
         raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
     return float(text)
 
 
 def seconds(text: str) -> float:
-    """A time, s."""
+    """Parse a time, s."""
     return number(text, "a time in seconds")
 
 
 def positive(text: str) -> float:
-    """A number above 0."""
+    """Parse a number above 0."""
     if (value := number(text)) <= 0.0:
         raise argparse.ArgumentTypeError(f"{text!r} is not above 0")
     return value

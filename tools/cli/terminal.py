@@ -1,7 +1,8 @@
 """Text for terminals and files: tables and sentences that fit the width, colours of verdicts, a progress bar.
 
-On a terminal nothing is wider than it and no word is cut; COLUMNS in the environment sets another width, also for pipes
-and files, which otherwise get whole lines. Colours are for terminals only, and not with NO_COLOR in the environment.
+On a terminal, no line is wider than the terminal and no word is cut. COLUMNS in the environment sets another width,
+also for pipes and files, which otherwise get whole lines. Colours are used on terminals only, and not with NO_COLOR in
+the environment.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any, Self, TextIO
 
-_PATIENCE_S = 1.0  # what is done sooner shows no progress
-_BAR, _CLOCK, _EDGE = 12, 7, 3  # columns of a progress bar, of its clock, and behind both
-_SHORTEST = 12  # columns: a note that is cut to fewer is left out
+_PATIENCE_S = 1.0  # faster work shows no progress
+_BAR, _CLOCK, _EDGE = 12, 7, 3  # columns of a progress bar, of its clock, and after both
+_SHORTEST = 12  # columns: a shorter note is omitted
 _GOOD = "met|MET|BUILT|PASSED|ACCEPTED|accepted|DESIGNED|SAME|pass"
 _BAD = "MISSED|missed|FAILED|FAIL|REJECTED|rejected|TOO WEAK|INFEASIBLE|UNSTABLE|DIFFERENT|NONE ACCEPTED|NO RUNS"
 _OPEN = "UNDECIDED|undecided|INTERRUPTED|warning"
@@ -28,16 +29,16 @@ _TONES = {"32": _GOOD, "1;31": _BAD, "33": _OPEN}  # green, bold red, yellow
 _VERDICTS = re.compile(  # as a cell of a table, or at the head of a line
     "|".join(rf"(?:(?<=  )|^)(?P<t{code.replace(';', '_')}>{words})(?=  |$|:| \()" for code, words in _TONES.items())
 )
-_COMMAND = re.compile(r"\s*(sim(run|design|verify|replay|vehicle) |/|\S+$)")  # is copied, or has no place to break
+_COMMAND = re.compile(r"\s*(sim(run|design|verify|replay|vehicle) |/|\S+$)")  # is copied, or cannot be broken
 
 
 def printable(text: str) -> str:
-    """`text` on one line, without control characters."""
+    """Return `text` on one line, without control characters."""
     return "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
 
 
 def columns(stream: TextIO | None = None) -> int:
-    """Width to fit, of stdout or another stream; a million where there is none, in pipes and files."""
+    """Return the available width of stdout or another stream, or a million in pipes and files, which have none."""
     if not (os.environ.get("COLUMNS", "").isdecimal() or (stream or sys.stdout).isatty()):
         return 1_000_000
     return max(shutil.get_terminal_size().columns, 40)
@@ -50,11 +51,11 @@ def aligned(
     drop: Sequence[int] = (),
     width: int | None = None,
 ) -> list[str]:
-    """Rows of cells as lines with aligned columns; the columns in `right` are right-aligned.
+    """Return rows of cells as lines with aligned columns. The columns in `right` are right-aligned.
 
-    Where a line is wider than `width` (None: that of the terminal), the columns in `drop` are left out, the first one
-    first; where that does not help either, columns of text are wrapped at spaces, with as many left out as make the
-    fewest lines; and where nothing helps, columns follow each other in blocks that repeat the first one.
+    If a line is wider than `width` (None: that of the terminal), the columns in `drop` are omitted, in their order. If
+    this is not sufficient, columns of text are wrapped at spaces, with the number of omitted columns that gives the
+    fewest lines. As a last resort, columns follow each other in blocks that repeat the first one.
     """
     if not rows:
         return []
@@ -82,7 +83,10 @@ def aligned(
 
 
 def _fitted(rows: Sequence[Sequence[str]], shown: Sequence[int], right: Sequence[int], room: int) -> list[int]:
-    """Widths of columns: columns of text give way where that adds the fewest lines, down to their longest words."""
+    """Return the widths of columns.
+
+    Columns of text are narrowed where this adds the fewest lines, down to their longest words.
+    """
     widths = [max(len(row[i]) for row in rows) for i in shown]
     least = [
         w if i in right else max((len(word) for row in rows for word in row[i].split()), default=0)
@@ -120,7 +124,10 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 
 def folded(text: str, width: int | None = None) -> str:
-    """`text`, its long lines broken at spaces and indented below themselves; commands stay whole to be copied."""
+    """Return `text` with its long lines broken at spaces and indented.
+
+    Commands remain whole so that they can be copied.
+    """
     room, lines = columns() if width is None else width, []
     for line in text.split("\n"):
         if len(line) <= room or _COMMAND.match(line):
@@ -141,7 +148,7 @@ def folded(text: str, width: int | None = None) -> str:
 
 
 def painted(text: str, stream: TextIO | None = None) -> str:
-    """`text` with its verdicts in colour, where the stream is a terminal that shows colours."""
+    """Return `text` with its verdicts in colour if the stream is a terminal with colours."""
     if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb" or not (stream or sys.stdout).isatty():
         return text
     return "\n".join(_VERDICTS.sub(_paint, line) for line in text.split("\n"))
@@ -151,11 +158,11 @@ def _paint(found: re.Match[str]) -> str:
     return f"\x1b[{(found.lastgroup or 't0')[1:].replace('_', ';')}m{found[0]}\x1b[0m"
 
 
-_announced = False  # a stage is on the terminal and must be wiped before other output
+_announced = False  # a stage is on the terminal and must be erased before other output
 
 
 def announce(stage: str) -> None:
-    """Show on a terminal's stderr what a command is doing, until the next stage, progress bar or output."""
+    """Show the activity of a command on a terminal's stderr until the next stage, progress bar or output."""
     global _announced  # noqa: PLW0603  # there is one terminal
     if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
         wipe()
@@ -165,7 +172,7 @@ def announce(stage: str) -> None:
 
 
 def wipe() -> None:
-    """Remove the announced stage from the terminal."""
+    """Erase the announced stage from the terminal."""
     global _announced  # noqa: PLW0603  # there is one terminal
     if _announced:
         sys.stderr.write("\r\x1b[2K")
@@ -174,20 +181,20 @@ def wipe() -> None:
 
 
 def tell(*texts: object) -> None:
-    """Print lines for a person: folded to the terminal, verdicts in colour."""
+    """Print lines for the user: folded to the terminal, verdicts in colour."""
     wipe()
     print(painted(folded("\n".join(str(text) for text in texts))))
 
 
 class Progress:
-    """A progress bar on stderr that disappears at the end of its block; any thread may move it.
+    """A progress bar on stderr that disappears at the end of its block. Any thread may advance it.
 
-    It appears after a second, with `at_once` immediately, and shows compilations too. Where stderr is not a terminal,
-    nothing is shown; there `log_every_s` prints a line at this interval, for the logs of batch systems.
+    It appears after a second, with `at_once` immediately, and shows compilations too. If stderr is not a terminal, no
+    bar is shown. `log_every_s` then prints a line at this interval, for the logs of batch systems.
     """
 
     def __init__(self, log_every_s: float | None = None, *, at_once: bool = False) -> None:
-        self._terminal = sys.stderr.isatty()  # asked once: a system call lets the log's thread go first
+        self._terminal = sys.stderr.isatty()  # evaluated once: a system call would yield to the log's thread
         self._log_every_s = log_every_s
         self._last_s = -math.inf if at_once else time.monotonic()
         self._bar: Any = None  # rich is imported when it is needed
@@ -213,8 +220,10 @@ class Progress:
                 self._bar.stop()
 
     def show(self, what: str, done: float, of: float, note: str = "", count: str | None = None) -> None:
-        """`done` of `of` steps of `what`; `note` follows behind. `count` replaces the text "done of of"; 0 as `of`: it
-        is not known how many there are."""
+        """Show `done` of `of` steps of `what`, followed by `note`.
+
+        `count` replaces the text "done of of". An `of` of 0 means an unknown number of steps.
+        """
         with self._lock:
             if not self._open or (self._bar is None and not self._due()):
                 return
@@ -231,7 +240,7 @@ class Progress:
             self._bar.update(self._task, **self._shown, completed=done, note=self._fitting(what, count, note))
 
     def _fitting(self, what: str, count: str, note: str) -> str:
-        """Return the parts of a note, between semicolons, for which the line has space; of one part what fits of it."""
+        """Return the parts of a note, between semicolons, for which the line has space. A single part is cut to fit."""
         space = self._bar.console.width - _EDGE - len(what) - len(count) - _BAR - _CLOCK - 4
         parts = printable(note).split("; ")
         while len(parts) > 1 and len("; ".join(parts)) > space:
@@ -239,7 +248,10 @@ class Progress:
         return "; ".join(parts) if space >= _SHORTEST or len(parts[0]) <= space else ""
 
     def compiling(self, functions: int) -> None:
-        """Show the number of functions compiled so far; 0 ends it. A compilation of less than a second is not shown."""
+        """Show the number of functions compiled so far. 0 ends the display.
+
+        A compilation of less than a second is not shown.
+        """
         with self._lock:
             if not functions:
                 if self._compiling and self._bar is not None and self._open:
@@ -268,7 +280,7 @@ class Progress:
         return True
 
     def _begin(self) -> None:
-        from rich.console import Console, RenderableType  # noqa: PLC0415  # lazy: most work is done before it is loaded
+        from rich.console import Console, RenderableType  # noqa: PLC0415  # lazy: most work ends before it is loaded
         from rich.constrain import Constrain  # noqa: PLC0415  # lazy
         from rich.progress import BarColumn, TextColumn, TimeElapsedColumn  # noqa: PLC0415  # lazy
         from rich.progress import Progress as Bar  # noqa: PLC0415  # lazy
@@ -277,7 +289,7 @@ class Progress:
         console = Console(stderr=True)
 
         class Narrow(Bar):
-            """A bar with space behind it for the "^C" of a terminal, which else breaks the line."""
+            """A bar followed by space for the "^C" of a terminal, which otherwise breaks the line."""
 
             def get_renderable(self) -> RenderableType:
                 return Constrain(super().get_renderable(), max(console.width - _EDGE, 20))
@@ -294,8 +306,8 @@ class Progress:
 
 @contextmanager
 def _listening(progress: Progress) -> Iterator[None]:
-    """Report to `progress` how many functions Numba has compiled; those that it loads do not count."""
-    from numba.core import event  # noqa: PLC0415  # lazy: loaded already where it is called
+    """Report to `progress` the number of functions that Numba has compiled. Loaded functions do not count."""
+    from numba.core import event  # noqa: PLC0415  # lazy: loaded already when it is called
 
     class Listener(event.Listener):  # type: ignore[misc]  # Numba has no types
         depth, functions = 0, 0

@@ -1,6 +1,7 @@
-"""`simdesign analyse DESIGN`: the margins of a design at operating points of a flight, and a page of them.
+"""The subcommand `simdesign analyse DESIGN`: the margins of a design at operating points of a flight, and a page of
+them.
 
-`simdesign errata`: what each erratum of the paper does to peaks and margins at every node.
+`simdesign errata` computes the effect of each erratum of the paper on peaks and margins at every operating point.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ N = TypeVar("N", bound=Node)
 
 
 def execute(order: AnalysisOrder) -> int:
-    """Do it; returns the exit code."""
+    """Analyse a design. Return the exit code."""
     if "scenario" not in order.given:
         order = replace(order, scenario=designed_along(order.design))
     scenario, design = load(order.scenario, order.vehicle, order.design)
@@ -198,7 +199,7 @@ def _command(order: AnalysisOrder) -> str:
 
 
 def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenario, Design]:
-    """The scenario with the design to judge, whose own flight gives the operating points, and that design.
+    """Return the scenario with the design to be judged, whose own flight gives the operating points, and that design.
 
     Raises ScenarioError.
     """
@@ -217,9 +218,11 @@ def dispersed_checks(
     order: AnalysisOrder,
     progress: Progress,
 ) -> tuple[WorstOfBasis | None, list[Check]]:
-    """Return the worst vehicles found of a stage's robust basis, and its limits of them; nothing without such a basis.
+    """Return the worst vehicles found of a stage's robust basis, and its limits of them, or nothing without such a
+    basis.
 
-    Vehicles are searched for on the sampled loop of what flies only; between the points where limits hold there.
+    Vehicles are searched for on the sampled loop of the flown design only, and between the points only if limits hold
+    there.
     """
     if basis.robust is None or not flies_as_measured(order.kind, order.errata, order.plant):
         return None, []
@@ -237,11 +240,11 @@ def dispersed_checks(
 
 _WORDS = {"times_s": "at", "every_s": "every"}
 _OPTIONS = {"kind": "loop", "axis": "plane", "errata": "errata", "plant": "plant"}
-"""Options and the keys of a basis that they stand for."""
+"""The options and the corresponding keys of a basis."""
 
 
 def designed_along(design: str) -> str:
-    """Return the built-in scenario that a design was designed along; "nominal" where it names none of these."""
+    """Return the built-in scenario along which a design was designed, or "nominal" if it names none of these."""
     source, reading = Source(COMMAND_LINE, (Path.cwd(), scenarios_folder())), Reading()
     path = find(Text.of(design_path(design), source))
     tree = {} if path is None else reading.document(path, design, "design")
@@ -257,7 +260,7 @@ def bases_of(scenario: LoadedScenario, design: Design, label: str) -> dict[int, 
 
 
 def by_basis(order: AnalysisOrder, bases: Mapping[int, Basis]) -> AnalysisOrder:
-    """Return the order with the loop, plane, errata and plant of the first basis, where no option is given."""
+    """Return the order with the loop, plane, errata and plant of the first basis, if no option is given."""
     first = next(iter(bases.values()), Basis())
     return replace(order, **{key: getattr(first, of) for key, of in _OPTIONS.items() if key not in order.given})
 
@@ -265,8 +268,10 @@ def by_basis(order: AnalysisOrder, bases: Mapping[int, Basis]) -> AnalysisOrder:
 def operating_points_s(
     scenario: LoadedScenario, design: Design, order: AnalysisOrder, bases: Mapping[int, Basis]
 ) -> list[float]:
-    """Return the vehicle times to judge at, s: those of the order; else those of each stage's basis that are under
-    thrust; else the rows of the gain tables and every `every_s` between their ends.
+    """Return the vehicle times for the judgement, s: those of the order, else those of each stage's basis that are
+    under thrust.
+
+    Without these, return the rows of the gain tables and every `every_s` between their ends.
     """
     if order.times_s:
         return list(dict.fromkeys(order.times_s))
@@ -301,7 +306,7 @@ def instants_between(
 def judged_by_text(
     order: AnalysisOrder, scenario: LoadedScenario, bases: Mapping[int, Basis], points: int, between: int
 ) -> str:
-    """Return one line: that a design is judged by its own basis, or by which others, and its extent."""
+    """Return one line: whether a design is judged by its own basis or by others, and the extent."""
     count = f"{points} operating point{'s' * (points != 1)}"
     if not bases:
         return f"the design states no basis: judged on the {order.kind} loop at {count}, without limits"
@@ -338,13 +343,13 @@ def _found(
     make: Callable[..., list[N]],
     axis: Plane | None = None,
 ) -> list[N]:
-    """Return nodes along the flight. Raises ScenarioError for a time outside the powered flight."""
+    """Return operating points along the flight. Raises ScenarioError for a time outside the powered flight."""
     try:
         nodes = make(
             scenario, times_s, plane=axis or order.axis, errata=order.errata, plant=order.plant, faults=order.faults
         )
         for node in nodes:
-            _ = node.plant  # raises where there is none, before the long work
+            _ = node.plant  # raises if there is none, before the long work
     except ValueError as error:
         raise ScenarioError(scenario.label, str(error)) from None
     return nodes
@@ -354,7 +359,7 @@ def _found(
 
 
 def execute_errata(order: AnalysisOrder) -> int:
-    """Do it; returns the exit code."""
+    """Compute the effects of the errata. Return the exit code."""
     scenario, design = load(order.scenario, order.vehicle, order.design)
     with Progress() as progress:
         nodes = _found(scenario, order, operating_points_s(scenario, design, order, {}), published_nodes)
@@ -369,10 +374,12 @@ def execute_errata(order: AnalysisOrder) -> int:
 
 
 def effects(nodes: Sequence[PaperNode], design: Design) -> list[Effect]:
-    """Return the effects of every erratum at every node, on the design's loop with the paper's Pade approximants."""
+    """Return the effects of every erratum at every operating point, on the design's loop with the paper's Pade
+    approximants.
+    """
 
     def measure(node: Node, cut: Cut) -> Mapping[str, float]:
-        """Peaks, and for the whole loop its margins; `unstable` is 1 where it is not stable."""
+        """Return the peaks, and for the whole loop its margins. `unstable` is 1 if it is not stable."""
         loop = close_loop(fixed_path(node, "pade", cut), design)
         peaks = peaks_db(loop)
         out = {f"peak {i}": peaks[f"bending {i}"] for i in (1, 2, 3) if f"bending {i}" in peaks}
@@ -389,13 +396,13 @@ def effects(nodes: Sequence[PaperNode], design: Design) -> list[Effect]:
 
 
 def errata_report(found: Sequence[Effect], order: AnalysisOrder, width: int | None = None) -> str:
-    """A table of every quantity: a row an erratum, a column a node; printed less corrected."""
+    """Return a table of every quantity: rows are errata, columns operating points, values printed less corrected."""
     times = list(dict.fromkeys(e.node.time_s for e in found))
     names = list(dict.fromkeys(e.erratum for e in found))
     by_place = {(e.erratum, e.node.time_s): e for e in found}
     about = {e.erratum: e.about for e in found}
     head = [
-        "errata of Lee, Ahn & Roh: what each does, left in alone, to the open loop (cut at the gimbal command,",
+        "errata of Lee, Ahn & Roh: effect of each, left in alone, on the open loop (cut at the gimbal command,",
         f"paper's Pade approximants) of {order.design} along {order.scenario}; plant: {order.plant}",
     ]
     rows = [("nr", "switch", "equations", "as printed", "corrected")]

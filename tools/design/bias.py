@@ -1,16 +1,17 @@
-"""`simdesign bias SCENARIO`: a pitch and yaw programme biased for a measured wind, which it then meets head on.
+"""The subcommand `simdesign bias SCENARIO`: a pitch and yaw programme biased for a measured wind, so that the vehicle
+meets it head on.
 
-A programme made for still air has the angle of attack that the wind gives it. Here the commanded attitude is turned
-until angle of attack and sideslip in the measured profile are what they are in still air, or a share of the difference
-is gone:
+With a programme for still air, the wind adds to the angle of attack. Here the commanded attitude is turned until angle
+of attack and sideslip in the measured profile equal those in still air. Alternatively, a share of the difference is
+removed:
 
     theta_b <- theta_b + d,    d = W (e + v / V),    v' = a d + Z (V d - v),    e = alpha_wanted - alpha
 
-in pitch, in yaw with beta reversed, flight after flight. e is what the angle of attack lacks; turned by d the vehicle
-is pushed off its path by the axial load a and the normal force V Z per mass and angle, which takes back v / V of the
-turn: a and Z are those of the linear model. W fades with the dynamic pressure: at `FULL_FROM` of its largest value and
-above 1, at none 0, so that liftoff and the later flight keep their attitude. e is averaged over `SMOOTHED_S`: a
-programme can follow the profile, not what slosh or gusts do. The profile flies as it was measured, without gusts and
+in pitch, in yaw with beta reversed, flight after flight. e is the missing angle of attack. The axial load a and the
+normal force V Z per mass and angle push a vehicle turned by d off its path. This motion reduces the turn by v / V. a
+and Z are those of the linear model. W fades with the dynamic pressure: it is 1 at `FULL_FROM` of the largest value and
+above, and 0 at none. Liftoff and the later flight thus keep their attitude. e is averaged over `SMOOTHED_S`, since a
+programme can follow the profile, but not slosh or gusts. The profile flies as it was measured, without gusts and
 turbulence.
 """
 
@@ -44,7 +45,7 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class Incidence:
-    """Along a flight, at `time_s`: angle of attack and sideslip (rad), dynamic pressure (Pa)."""
+    """The angles along a flight, at `time_s`: angle of attack and sideslip (rad), with the dynamic pressure (Pa)."""
 
     time_s: Array
     alpha_rad: Array
@@ -60,14 +61,15 @@ class Incidence:
 
     @property
     def load_Padeg(self) -> Array:
-        """Dynamic pressure times total incidence."""
+        """Return the dynamic pressure times the total angle of attack."""
         return self.dynamic_pressure_Pa * np.degrees(np.hypot(self.alpha_rad, self.beta_rad))
 
 
 @dataclass(frozen=True)
 class Biased:
-    """The programme, its bias (rad, pitch and yaw) over time, and what is met in still air, in the wind with the old
-    programme, and with this one."""
+    """The programme, its bias (rad, pitch and yaw) over time, and the angles met in still air, in the wind with the old
+    programme, and with this one.
+    """
 
     table: CsvTable  # time_s, pitch_rate_degps, yaw_rate_degps
     bias_rad: Array  # (2, times)
@@ -77,7 +79,7 @@ class Biased:
 
 
 def execute(scenario: str, *, wind: str | None = None, share: float = 1.0, out: str | None = None) -> int:
-    """Write the pitch programme of a scenario, biased for its wind; returns the exit code."""
+    """Write the pitch programme of a scenario, biased for its wind. Return the exit code."""
     changes = [] if wind is None else [f"wind.profile={json.dumps(wind)}"]
     loaded = load_scenario(scenario, changes)
     path = Path(out or f"{Path(scenario).stem}-biased.csv")
@@ -105,9 +107,11 @@ def execute(scenario: str, *, wind: str | None = None, share: float = 1.0, out: 
 
 
 def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
-    """The scenario's programme with a bias for its wind; `share` of what the wind adds is taken away.
+    """Return the scenario's programme with a bias for its wind.
 
-    Raises ScenarioError where there is no wind, no programme, or one that a bias in pitch and yaw cannot be added to.
+    `share` is the share of the wind's contribution to be removed.
+
+    Raises ScenarioError if there is no wind, no programme, or one to which a bias in pitch and yaw cannot be added.
     """
     scenario, programme = loaded.scenario, loaded.scenario.guidance.programme
     wind = scenario.wind.model_copy(update={"gust": (), "turbulence": None})
@@ -167,7 +171,9 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
 
 
 def _path(loaded: LoadedScenario, calm: Flight, time_s: Array) -> Array:
-    """Over time: speed (m/s), and of the linear model axial load (m/s2) and lateral force per mass and speed (1/s)."""
+    """Return over time the speed (m/s), and of the linear model the axial load (m/s2) and the lateral force per mass
+    and speed (1/s).
+    """
     air = loaded.scenario.model_copy(update={"wind": WindSection(), "fault": (), "requirement": ()})
     nodes = operating_points.nodes(LoadedScenario(air, loaded.label, ()))
     at = [node.time_s for node in nodes]
@@ -181,7 +187,7 @@ def _path(loaded: LoadedScenario, calm: Flight, time_s: Array) -> Array:
 
 
 def _turned(time_s: Array, fade: Array, path: Array, lacks_rad: Array) -> Array:
-    """The turn d that gives the angle of attack what it lacks, path followed; Heun's method."""
+    """Return the turn d that gives the missing angle of attack, including the change of the path, by Heun's method."""
     turned, across = np.zeros(len(time_s)), 0.0
 
     def turn(k: int, v: float) -> tuple[float, float]:
@@ -198,14 +204,14 @@ def _turned(time_s: Array, fade: Array, path: Array, lacks_rad: Array) -> Array:
 
 
 def _smoothed(time_s: Array, values: Array) -> Array:
-    """Mean within `SMOOTHED_S`, weighted by a raised cosine."""
+    """Return the mean within `SMOOTHED_S`, weighted by a raised cosine."""
     apart = np.abs(time_s[:, None] - time_s[None]) / (0.5 * SMOOTHED_S)
     weight = np.where(apart < 1.0, 1.0 + np.cos(np.pi * apart), 0.0) * np.gradient(time_s)[None]
     return np.asarray(weight @ values / weight.sum(axis=1))
 
 
 def _programme(old: CsvTable, time_s: Array, after_s: Sequence[float], bias_rad: Array) -> CsvTable:
-    """The old rates and those of the bias, which ends at the last of `time_s`."""
+    """Return the old rates with those of the bias, which ends at the last of `time_s`."""
     rates = np.degrees(np.gradient(bias_rad, time_s, axis=1))
     rates[:, -1] = 0.0
     times = np.concatenate([time_s, after_s])

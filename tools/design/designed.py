@@ -1,4 +1,4 @@
-"""A design that was made from Python: shown, drawn and saved."""
+"""A design that was made from Python, with methods to show, draw and save it."""
 
 from __future__ import annotations
 
@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Designed:
-    """A design for a case. `outcome.design` is what flies, `outcome.judged` its margins at each operating point of its
-    own flight; of several stages these are of the first.
+    """A design for a case.
+
+    `outcome.design` is the flown design, and `outcome.judged` its margins at each operating point of its own flight.
+    For several stages, these are those of the first.
     """
 
     outcome: DesignOutcome
@@ -33,7 +35,9 @@ class Designed:
     meets_limits: bool  # all of the case, of all stages, and the flight of the design is not lost
 
     def bode(self, time_s: float | None = None) -> Figure:
-        """Bode, Nichols and Nyquist plot at the node of that time (None: of the least gain margin)."""
+        """Draw the Bode, Nichols and Nyquist plots at the operating point of that time (None: of the least gain
+        margin).
+        """
         nodes = self.outcome.judged
         if time_s is None:
             one = min(nodes, key=lambda j: j.gain_margin_db)
@@ -43,7 +47,7 @@ class Designed:
         return _drawn(one, f"{loaded.scenario.vehicle.name}: {loaded.name}", self.outcome.wanted)
 
     def save(self, path: str | Path) -> Path:
-        """As a design file, for `fly(name, "design=path")` and `verify(path)`."""
+        """Save the design as a file for `fly(name, "design=path")` and `verify(path)`."""
         return write_whole(Path(path), design_text(self.outcome.design, [f"Written for {self.outcome.loaded.name}."]))
 
     def __repr__(self) -> str:

@@ -1,7 +1,9 @@
-"""`simdesign export DESIGN`: the law as C99 sources (`--c DIR`), or plant, law and loop at the nodes as matrices.
+"""The subcommand `simdesign export DESIGN`: the law as C99 sources (`--c DIR`), or plant, law and loop at the operating
+points as matrices.
 
-The sources in control/flight_law are copied as they are; what belongs to the design are its tables and the samples of
-its unit test, which come from a flight. So what is compiled is what the tests compile, with the numbers that fly.
+The sources in control/flight_law are copied unchanged. The files that belong to the design are its tables and the
+samples of its unit test, which come from a flight. The compiled code is thus the code that the tests compile, with the
+numbers that fly.
 """
 
 from __future__ import annotations
@@ -80,9 +82,11 @@ def execute(
 
 
 def export_c(loaded: LoadedScenario, folder: Path) -> list[Path]:
-    """Sources of the law that `loaded` flies, tables and unit test in a folder; files of these names are replaced.
+    """Write the sources of the law that `loaded` flies, tables and unit test to a folder.
 
-    Raises ScenarioError where the scenario has no such law.
+    Files of these names are replaced.
+
+    Raises ScenarioError if the scenario has no such law.
     """
     design, computer = loaded.design, loaded.vehicle.computer
     if design is None or computer is None:
@@ -112,13 +116,13 @@ def export_c(loaded: LoadedScenario, folder: Path) -> list[Path]:
 
 
 def further_gyros(computer: Any) -> int:
-    """Rate gyros beyond the first that have a part in the law's rate."""
+    """Return the rate gyros beyond the first that contribute to the law's rate."""
     used = np.flatnonzero(np.any(computer.sensors.blend[:, 1:] != 0.0, axis=0))
     return int(used[-1]) + 1 if len(used) else 0
 
 
 def _declared(packed: Packed, said: str) -> Iterator[str]:
-    """flight_law_tables.h."""
+    """Return flight_law_tables.h."""
     each = [row.computer for row in packed.parameters]
     law = LAWS[int(each[0].flown_law)]
     relief = RELIEF.index(law) + 1 if law in RELIEF else 0
@@ -179,11 +183,11 @@ _STAGE_FIELDS = (
     "int32_t loop_sections[3];",
     "law_real loop_section[3][LAW_MOST_SECTIONS][5];",
 )
-_ENDLESS = 1.0e9  # in place of a limit that is infinite
+_ENDLESS = 1.0e9  # replaces an infinite limit
 
 
 def _defined(packed: Packed, said: str) -> Iterator[str]:
-    """flight_law_tables.c."""
+    """Return flight_law_tables.c."""
     yield from (f"/* {said} */", '#include "flight_law_tables.h"', "")
     gyros = max(further_gyros(row.computer) for row in packed.parameters)
     stages = []
@@ -236,7 +240,7 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
 
 
 def _vectors(loaded: LoadedScenario, said: str) -> Iterator[str]:
-    """test_vectors.h: what the law gets and gives in the first seconds, with all axes shaken."""
+    """Return test_vectors.h: inputs and outputs of the law in the first seconds, with all axes excited."""
     rows = _samples(loaded)
     yield from (f"/* {said} */", "#ifndef TEST_VECTORS_H", "#define TEST_VECTORS_H", "")
     yield f"#define TEST_SAMPLES {len(rows['time_s'])}"
@@ -248,7 +252,10 @@ def _vectors(loaded: LoadedScenario, said: str) -> Iterator[str]:
 
 
 def _array(declared: str, values: np.ndarray) -> Iterator[str]:
-    """A C array; a double is written with the digits that give it back, and read as a float where that is the type."""
+    """Return a C array.
+
+    A double is written with enough digits to read it back, and read as a float if that is the type.
+    """
     yield f"{declared} = {{"
     for row in values:
         yield f"    {_braced(row.tolist())},"
@@ -263,7 +270,7 @@ def _braced(value: Any) -> str:
 
 
 def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
-    """Inputs and outputs of the law in a flight of `TEST_SAMPLES`, read from the computer's memory at each."""
+    """Return the inputs and outputs of the law in a flight of `TEST_SAMPLES`, read from the memory at each sample."""
     scenario = loaded.scenario
     assert scenario.vehicle.computer is not None
     own = scenario.vehicle.computer.model_copy(
@@ -286,7 +293,7 @@ def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
     flight = FlightRun(LoadedScenario(changed, loaded.label, ()), log=False, segment_ns=round(1e9 * sample_s))
     rows: dict[str, list[Any]] = {}
     at = int(flight.packed.parameters[0].computer.sensors.accelerometer)
-    flight.fly_segment()  # the sample at an instant is taken when the flight goes on from it
+    flight.fly_segment()  # the sample at an instant is taken when the flight continues from it
     while not flight.finished and len(rows.get("time_s", ())) < TEST_SAMPLES:
         at_ns = int(flight.memory.clock.now_ns)
         flight.fly_segment()
@@ -313,7 +320,9 @@ def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
 
 
 def described(node: Node, design: Any) -> dict[str, Any]:
-    """Plant (continuous), path from gimbal command to measurements, law and open loop (all sampled) at a node."""
+    """Return the plant (continuous), path from gimbal command to measurements, law and open loop (all sampled) at an
+    operating point.
+    """
     loop = close_loop(fixed_path(node, "sampled"), design)
     systems = {
         "plant": (node.plant, 0.0),
@@ -334,12 +343,14 @@ def _system(system: StateSpace, sample_s: float) -> dict[str, Any]:
 
 
 def unit_of(name: str) -> str:
-    """Unit in a name such as `theta_rad`; empty for a number without one, and for the state of a filter."""
+    """Return the unit in a name such as `theta_rad`, or "" for a number without one, and for the state of a filter."""
     return _UNITS.get(name.rpartition("_")[2], "") if "_" in name else ""
 
 
 def write_matrices(path: Path, form: Format, nodes: Sequence[dict[str, Any]]) -> None:
-    """In a file for MATLAB (struct array `nodes`), NumPy (`plant_0_A`, ... beside a JSON text `about`), or as JSON."""
+    """Write the matrices to a file for MATLAB (struct array `nodes`), NumPy (`plant_0_A`, ... and a JSON text `about`),
+    or as JSON.
+    """
     if form == "json":
         write_whole(path, json.dumps({"nodes": list(nodes)}, default=np.ndarray.tolist, indent=1) + "\n")
         return
@@ -355,7 +366,7 @@ def write_matrices(path: Path, form: Format, nodes: Sequence[dict[str, Any]]) ->
 
 
 def _for_matlab(value: Any) -> Any:
-    """Names as cell arrays, dictionaries as structs."""
+    """Return names as cell arrays, dictionaries as structs."""
     if isinstance(value, dict):
         return {key: _for_matlab(item) for key, item in value.items()}
     return np.array(value, object) if isinstance(value, list) else value

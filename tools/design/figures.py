@@ -64,7 +64,7 @@ def open_loop(judged: JudgedLoop, colours: dict[str, str], name: str = "L", **mo
 
 
 def _seen(decades: Array, level_db: Array, phase_deg: Array) -> Array:
-    """Return the indices of the points of a curve that can be told from the last one kept."""
+    """Return the indices of the points of a curve that are visibly distinct from the last one kept."""
     keep, last = [0], 0
     for k in range(1, len(decades)):
         step = math.hypot((phase_deg[k] - phase_deg[last]) / 1.5, (level_db[k] - level_db[last]) / 0.5)
@@ -90,7 +90,7 @@ def margins_text(judged: JudgedLoop) -> str:
 
 
 def zone_of(wanted: Wanted) -> list[Series]:
-    """Return the zone around -1 in the Nichols plane that the limits keep free."""
+    """Return the zone around -1 in the Nichols plane that the limits exclude."""
     zone, gain, phase = wanted.zone, wanted.constant("gain_margin_db"), wanted.constant("phase_margin_deg")
     if zone is None:
         return [] if gain is None or phase is None else [diamond(gain, gain, phase)]
@@ -109,7 +109,7 @@ def diamond(up_db: float, down_db: float, phase_deg: float) -> Series:
 
 
 def bode_panels(every: Sequence[Series]) -> list[Panel]:
-    """Return panels for gain and phase that hold all of the loops."""
+    """Return panels for gain and phase that contain all of the loops."""
     f, level, phase = (np.concatenate([np.asarray(s[key], float) for s in every]) for key in ("x", "y", "y2"))
     drawn = f >= _LOWEST_HZ
     visible = drawn & (level > LOWEST_DB)
@@ -190,7 +190,7 @@ def is_stability(check: Check) -> bool:
 
 
 def relative_margin(check: Check) -> Array:
-    """Return the margin of each value to its limit, as a share of it: 0 on the limit; NaN for limits of zero."""
+    """Return the margin of each value to its limit as a share of the limit: 0 on the limit, NaN for limits of zero."""
     bound = np.broadcast_to(np.asarray(check.limit, float), check.values.shape)
     left = check.values - bound if check.sense == ">=" else bound - check.values
     return np.asarray(np.divide(left, np.abs(bound), out=np.full(len(left), np.nan), where=bound != 0.0))
@@ -228,13 +228,13 @@ def limits_over_flight(checks: Sequence[Check]) -> list[Plot]:
 
 
 def _limited(key: str) -> str:
-    """Return the key of the quantity that a check limits, whatever the vehicle or the other axes do."""
+    """Return the key of the quantity that a check limits, for any vehicle and any state of the other axes."""
     plain = key.removeprefix("dispersed_")
     return next((k for k in QUANTITIES if plain.startswith("coupled_") and plain.endswith(k)), plain)
 
 
 def _over_time(checks: Sequence[Check], values: Sequence[Array]) -> tuple[Array, Array]:
-    """Return values over time, each check's own in order and apart from the next one's."""
+    """Return values over time, those of each check in order and separate from the next."""
     t, y = [np.zeros(0)], [np.zeros(0)]
     for check, some in zip(checks, values, strict=True):
         order = np.argsort(check.time_s)
@@ -279,7 +279,7 @@ def _limit_panel(checks: Sequence[Check]) -> Panel:
 
 
 def gains_plot(design: Design, heads: dict[str, str]) -> Plot:
-    """Return the gain schedules, a point at each row of a table. `heads`: names of gains with their units."""
+    """Return the gain schedules, with a point at each row of a table. `heads` are names of gains with their units."""
     panels: dict[tuple[str, str], Panel] = {}
     for number in range(len(design.stage) or 1):
         own = design.of_stage(number)

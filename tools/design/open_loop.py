@@ -14,7 +14,7 @@ from maxq.design.margins.lobes import Lobe
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.judging import JudgedLoop
 
-BOTTOM_DB = -40.0  # of Bode and Nichols plots, where the curve goes farther
+BOTTOM_DB = -40.0  # of Bode and Nichols plots, if the curve extends farther
 LOWEST_HZ = 0.02
 
 
@@ -30,8 +30,9 @@ class Mark:
 
 @dataclass(frozen=True)
 class LoopPicture:
-    """The content of a loop's picture. Points of the curve in rising frequency, close enough to follow every
-    resonance.
+    """The content of a loop's picture.
+
+    The points of the curve are in rising frequency, close enough to follow every resonance.
     """
 
     title: str
@@ -42,7 +43,7 @@ class LoopPicture:
 
 
 def named(lobe: Lobe) -> str:
-    """Return the name of a lobe's pole for people."""
+    """Return the name of a lobe's pole for texts."""
     return lobe.label.replace("bending ", "mode ")
 
 
@@ -71,7 +72,7 @@ def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> Lo
 
 
 def unwrapped_deg(picture: LoopPicture) -> Array:
-    """Return the phase without jumps, in (-360, 0] degrees where it begins."""
+    """Return the phase without jumps, in (-360, 0] degrees at its beginning."""
     turned = np.degrees(np.unwrap(np.angle(picture.loop)))
     seen = (picture.frequency_hz >= LOWEST_HZ) & (decibels(picture.loop) > BOTTOM_DB)
     if seen.any():
@@ -82,7 +83,7 @@ def unwrapped_deg(picture: LoopPicture) -> Array:
 def smooth(
     response: Callable[[Array], ComplexArray], frequency_hz: Array, loop: ComplexArray
 ) -> tuple[Array, ComplexArray]:
-    """Return the curve with points added until no corner is visible: steps of 4 degrees and 1 dB at most."""
+    """Return the curve with points added until no corner is visible, in steps of at most 4 degrees and 1 dB."""
     f, values = frequency_hz, loop
     for _ in range(8):
         level = decibels(values)

@@ -41,7 +41,7 @@ _MARGINS = (
 )
 _TRIED_HZ = np.geomspace(0.02, 20.0, 40)
 PageTable = tuple[str, Sequence[tuple[str, ...]]]
-"""Caption and rows, the head first."""
+"""The caption and the rows, the head first."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def other_plane(
     nodes: Callable[[list[float], Plane], list[Node]],
     watch: Callable[[int], None] | None = None,
 ) -> list[JudgedLoop]:
-    """Return the loops of the plane that was not judged; none where it has the same loops.
+    """Return the loops of the plane that was not judged, or none if it has the same loops.
 
     `nodes` returns the operating points at vehicle times (s) in a plane.
     """
@@ -142,7 +142,7 @@ def _caption(group: Group) -> str:
 
 
 def _nearest(check: Check) -> float:
-    """Return the share of the limit that is left where it is least; inf where there is no value or no share."""
+    """Return the least remaining share of the limit, or inf without a value or a share."""
     left = drawn.relative_margin(check)
     return float(np.nanmin(left)) if np.isfinite(left).any() else math.inf
 
@@ -196,7 +196,7 @@ def _plots(shown: DesignPage) -> list[Plot]:
 
 
 def _tables(groups: Sequence[Group]) -> list[tuple[str, str, Sequence[PageTable]]]:
-    """Return margins, budgets and lobes: headings, notes and tables."""
+    """Return the margins, budgets and lobes: headings, notes and tables."""
     margins, budgets, lobes = list[PageTable](), list[PageTable](), list[PageTable]()
     for g in groups:
         _, _, *rows = margins_rows([(j.time_s, j.margins) for j in g.judged])

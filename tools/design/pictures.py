@@ -1,4 +1,4 @@
-"""Pictures of a design: names of files, and what draws each. Figure numbers are those of the paper."""
+"""The pictures of a design: the file names, and the functions that draw them. Figure numbers are those of the paper."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _DERIVATIVES = {
 
 
 def derivatives(nodes: Sequence[Node], title: str = "") -> Figure:
-    """Fig. 4: stability derivatives (eqs 4 to 8)."""
+    """Draw Fig. 4: stability derivatives (eqs 4 to 8)."""
     time_s = [node.time_s for node in nodes]
     values = [node.derivatives for node in nodes]
     figure, places = sheet(2, 3, height_in=2.0, title=title)
@@ -44,7 +44,7 @@ def derivatives(nodes: Sequence[Node], title: str = "") -> Figure:
 
 
 def bending_frequencies(nodes: Sequence[Node], title: str = "") -> Figure:
-    """Fig. 5: frequencies of the free-free modes, uncoupled."""
+    """Draw Fig. 5: frequencies of the free-free modes, uncoupled."""
     time_s, modes_hz = [node.time_s for node in nodes], bending_hz(nodes)
     figure, (place,) = sheet(1, 1, height_in=2.8, title=title)
     for i, hz in enumerate(modes_hz):
@@ -66,7 +66,7 @@ def bending_hz(nodes: Sequence[Node]) -> Array:
 
 
 def slosh_frequencies(nodes: Sequence[Node], tanks: Sequence[str], title: str = "") -> Figure:
-    """Fig. 6: slosh frequencies of the liquids' pendulums, uncoupled, and their masses."""
+    """Draw Fig. 6: slosh frequencies of the liquids' pendulums, uncoupled, and their masses."""
     time_s = [node.time_s for node in nodes]
     figure, places = sheet(1, 2, height_in=2.6, title=title)
     for k, name in enumerate(tanks):
@@ -88,7 +88,7 @@ def slosh_frequencies(nodes: Sequence[Node], tanks: Sequence[str], title: str = 
 
 
 def _entry(values: np.ndarray, i: int) -> float:
-    """Return the value of one of a vehicle's modes or tanks; NaN, which is not drawn, if it has fewer."""
+    """Return the value of one of a vehicle's modes or tanks, or NaN, which is not drawn, if it has fewer."""
     return float(values[i]) if i < len(values) else float("nan")
 
 
@@ -109,7 +109,7 @@ AXIS_OF = {
 
 
 def gains(designs: Mapping[str, Design], title: str = "") -> Figure:
-    """Figs 7, 11, 13: the gains over time, a point where the table has a row."""
+    """Draw Figs 7, 11, 13: the gains over time, with a point at each row of the table."""
     names = max((design.gain_names for design in designs.values()), key=len)
     figure, places = sheet(1, len(names), height_in=2.8, title=title)
     for k, (name, design) in enumerate(designs.items()):
@@ -131,9 +131,10 @@ def gains(designs: Mapping[str, Design], title: str = "") -> Figure:
 
 
 def filters(designs: Mapping[str, Design], nodes: Sequence[Node], title: str = "") -> Figure:
-    """Figs 8, 12, 14: Bode plot of the bending filters; thick the discrete filter that flies, thin the continuous one.
+    """Draw Figs 8, 12, 14: Bode plot of the bending filters, thick for the discrete filter that flies, thin for the
+    continuous one.
 
-    Shaded: bands of the bending frequencies over the nodes.
+    Shaded areas are bands of the bending frequencies over the operating points.
     """
     figure, places = sheet(2, 1, height_in=2.2, title=title)
     sample_s = nodes[0].instruments.sample_s
@@ -186,7 +187,10 @@ def _bode(
 
 
 def peaks_over_order(series: Mapping[str, Mapping[str, float]]) -> Figure:
-    """Fig. 9: worst first-mode peak of each design over the filter's structure; `series`: name -> structure -> dB."""
+    """Draw Fig. 9: worst first-mode peak of each design over the filter's structure.
+
+    `series` maps name to structure to dB.
+    """
     structures = sorted({structure for each in series.values() for structure in each})
     figure, (place,) = sheet(1, 1, height_in=3.2)
     for k, (name, each) in enumerate(series.items()):
@@ -199,9 +203,9 @@ def peaks_over_order(series: Mapping[str, Mapping[str, float]]) -> Figure:
 
 
 def margins_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "") -> Figure:
-    """Gain margins up and down, phase and delay margin and the least |1 + L|; limits dotted.
+    """Draw the upper and lower gain margins, phase and delay margin and the least |1 + L|, with dotted limits.
 
-    An unstable loop has no margin: a cross at the bottom.
+    An unstable loop has no margin and is marked by a cross at the bottom.
     """
     figure, places = sheet(2, 2, height_in=2.5, title=title)
     time_s, measured = [j.time_s for j in judged], [j.margins for j in judged]
@@ -234,7 +238,7 @@ def margins_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str =
 
 
 def lobes_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "") -> Figure:
-    """Peak of every lobe; filled marks are phase-stabilised, hollow ones gain-stabilised."""
+    """Draw the peak of every lobe. Filled marks are phase-stabilised, hollow ones gain-stabilised."""
     labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
     figure, (place,) = sheet(1, 1, height_in=3.2, title=title)
     place.axhline(0.0, color=GREY, linewidth=0.8)
@@ -257,7 +261,7 @@ def lobes_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "
 
 
 Sheet = tuple[str, Callable[[], Figure]]
-"""Name of the files without suffix, and what draws the picture."""
+"""The name of the files without suffix, and the function that draws the picture."""
 
 
 def draw_all(
@@ -266,7 +270,7 @@ def draw_all(
     tell: Callable[[str, int, int], None],
     stop: Callable[[], bool] = lambda: False,
 ) -> list[Path]:
-    """Draw and save until `stop` returns True; returns the files."""
+    """Draw and save until `stop` returns True. Return the files."""
     files: list[Path] = []
     with drawing():
         for n, (stem, draw) in enumerate(sheets):
@@ -278,7 +282,7 @@ def draw_all(
 
 
 def judged_sheets(judged: Sequence[JudgedLoop], title: str, wanted: Wanted) -> list[Sheet]:
-    """Margins and lobes over time; Bode, Nichols and Nyquist plots at every node."""
+    """Draw the margins and lobes over time, and Bode, Nichols and Nyquist plots at every operating point."""
     over_time: list[Sheet] = [
         ("margins", lambda: margins_over_time(judged, wanted, f"Margins: {title}, {judged[0].node.plane}")),
         ("lobes", lambda: lobes_over_time(judged, wanted, f"Lobes: {title}, {judged[0].node.plane}")),
@@ -290,7 +294,10 @@ def judged_sheets(judged: Sequence[JudgedLoop], title: str, wanted: Wanted) -> l
 
 
 def loop_picture(judged: JudgedLoop, title: str, wanted: Wanted) -> Figure:
-    """Bode, Nichols and Nyquist plot of one node, its zones those that are wanted, else those measured."""
+    """Draw Bode, Nichols and Nyquist plots of one operating point.
+
+    Its zones are the required ones, else those measured.
+    """
     zones = (wanted.zone,) if wanted.zone is not None else tuple(c.zone for c in judged.margins.clearances)
     return draw_loop(picture_of(judged, f"{title}, {judged.node.plane}, {judged.time_s:g} s", zones))
 
@@ -298,7 +305,9 @@ def loop_picture(judged: JudgedLoop, title: str, wanted: Wanted) -> Figure:
 def case_sheets(
     name: str, design: Design, nodes: Sequence[Node], along: Sequence[Node], tanks: Sequence[str], vehicle: str = ""
 ) -> list[Sheet]:
-    """Gains and filter of a design at `nodes`; derivatives, bending and slosh frequencies `along` the flight."""
+    """Draw the gains and filter of a design at `nodes`, and derivatives, bending and slosh frequencies `along` the
+    flight.
+    """
     sheets: list[Sheet] = [("vehicle-derivatives", lambda: derivatives(along, f"Stability derivatives: {vehicle}"))]
     if any(len(node.vehicle.omega_radps) for node in along):
         sheets.append(("vehicle-bending", lambda: bending_frequencies(along, f"Bending, free-free: {vehicle}")))
@@ -314,7 +323,7 @@ def case_sheets(
 def order_sheets(
     series: Mapping[str, Mapping[str, float]], designs: Mapping[str, Mapping[str, Design]], nodes: Sequence[Node]
 ) -> list[Sheet]:
-    """Peaks over the filter's order by name and structure; gains and filters of all orders, by schedule."""
+    """Draw peaks over the filter's order by name and structure, and gains and filters of all orders, by schedule."""
     return [
         ("orders-peaks", partial(peaks_over_order, series)),
         *((f"orders-gains-{schedule}", partial(gains, each)) for schedule, each in designs.items()),
@@ -323,5 +332,5 @@ def order_sheets(
 
 
 def _stamp(time_s: float) -> str:
-    """A time in a file's name: 005.0s sorts before 040.0s."""
+    """Return a time for a file's name: 005.0s sorts before 040.0s."""
     return f"{time_s:05.1f}s" if round(time_s, 1) == round(time_s, 9) else f"{time_s:08.4f}s"

@@ -18,11 +18,11 @@ from maxq.tools.design.open_loop import BOTTOM_DB, LOWEST_HZ, LoopPicture, Mark,
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, ON_LIGHT, PALE, RED
 from maxq.tools.plots.style import label, name_point, plain_numbers, sheet
 
-TOP_DB = 50.0  # of Bode and Nichols plots, where the curve goes farther
+TOP_DB = 50.0  # of Bode and Nichols plots, if the curve extends farther
 
 
 def draw_loop(picture: LoopPicture) -> Figure:
-    """Bode at the left, Nichols and Nyquist at the right."""
+    """Draw Bode at the left, Nichols and Nyquist at the right."""
     figure, places = sheet(2, 2, height_in=3.3, width_in=8.4)
     _bode(picture, places[0], places[2])
     draw_nichols(picture, places[1])
@@ -32,7 +32,10 @@ def draw_loop(picture: LoopPicture) -> Figure:
 
 
 def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
-    """Phase unwrapped, so that it has no jumps; dotted where it is -180 deg and whole turns from it."""
+    """Draw the Bode plot with unwrapped phase, which has no jumps.
+
+    Dotted lines are at -180 deg and whole turns from it.
+    """
     f, loop = picture.frequency_hz, picture.loop
     level, turned = decibels(loop), unwrapped_deg(picture)
     seen = (f >= LOWEST_HZ) & (level > BOTTOM_DB)
@@ -77,8 +80,10 @@ _NAMED_HZ = (0.1, 1.0, 10.0)
 
 
 def contours() -> list[tuple[str, Array, Array]]:
-    """M and N contours of the Nichols plane as (name, phase of L in deg, |L| in dB): where T = L / (1 + L) has a size,
-    named by it in dB, or a phase, without a name. From L = T / (1 - T).
+    """Return the M and N contours of the Nichols plane as (name, phase of L in deg, |L| in dB).
+
+    T = L / (1 + L) has a constant magnitude, named in dB, or a constant phase, without a name. The contours follow from
+    L = T / (1 - T).
     """
     out = []
     for m_db in _M_DB:
@@ -92,16 +97,16 @@ def contours() -> list[tuple[str, Array, Array]]:
 
 
 def _placed(loop: ComplexArray) -> tuple[Array, Array]:
-    """Phase in [-360, 0) and level, with gaps where the phase jumps."""
+    """Return the phase in [-360, 0) and level, with gaps where the phase jumps."""
     turn, level = _turn(loop), decibels(loop)
     jump = np.flatnonzero(np.abs(np.diff(turn)) > 180.0) + 1
     return np.insert(turn, jump, np.nan), np.insert(level, jump, np.nan)
 
 
 def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> None:
-    """The loop in the Nichols plane over M and N contours, with lobes and margins named and zones shaded.
+    """Draw the loop in the Nichols plane over M and N contours, with lobes and margins named and zones shaded.
 
-    `small`: a panel of many; names of lobes only.
+    `small` is True for a panel of many, with names of lobes only.
     """
     level, turn = decibels(picture.loop), _turn(picture.loop)
     seen = level[picture.frequency_hz >= LOWEST_HZ]
@@ -132,7 +137,7 @@ def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> N
 
 
 def _name_frequencies(place: Axes, picture: LoopPicture, curve: Array) -> None:
-    """Dots at round frequencies, named where there is room."""
+    """Draw dots at round frequencies, named if there is space."""
     f, (low, high) = picture.frequency_hz, place.get_ylim()
     for hz in _NAMED_HZ:
         k = int(np.argmin(np.abs(np.log(f / hz))))
@@ -144,7 +149,10 @@ def _name_frequencies(place: Axes, picture: LoopPicture, curve: Array) -> None:
 
 
 def _nyquist(picture: LoopPicture, place: Axes) -> None:
-    """Radius true up to 1, logarithmic beyond: r = 1 + ln|L|, so that lobes of any size stay on the page."""
+    """Draw the Nyquist plot.
+
+    The radius is true up to 1 and logarithmic beyond, r = 1 + ln|L|, so that lobes of any size fit.
+    """
     seen = picture.frequency_hz >= LOWEST_HZ
     curve = _drawn_in(picture.loop[seen])
     reach = max(1.5, 1.08 * float(np.abs(curve).max()))
@@ -204,12 +212,12 @@ def _colour(n: int) -> str:
 
 
 def _turn(loop: ComplexArray) -> Array:
-    """Phase in [-360, 0) degrees: -180 in the middle."""
+    """Return the phase in [-360, 0) degrees, with -180 in the middle."""
     return np.asarray(np.degrees(np.angle(-loop)) - 180.0)
 
 
 def _broken(wrapped_deg: Array, other: Array) -> tuple[Array, Array]:
-    """`other` and the phase with a gap where the phase jumps round, each end drawn on to the edge."""
+    """Return `other` and the phase with a gap where the phase jumps, with each end extended to the edge."""
     other = np.asarray(other, float)
     jump = np.flatnonzero(np.abs(np.diff(wrapped_deg)) > 180.0)
     centre = 0.0 if wrapped_deg.max() > 0.0 else -180.0

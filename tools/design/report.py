@@ -69,7 +69,7 @@ class AnalysisOrder:
     errata: str = "corrected"
     plant: PlantKind = "flown"
     faults: bool = False
-    given: tuple[str, ...] = ()  # options that differ from the design's basis by the user's wish
+    given: tuple[str, ...] = ()  # options that differ from the design's basis by the user's choice
     out: str | None = None
     page: bool = True
     plots: bool = False  # pictures of every operating point, too
@@ -77,9 +77,11 @@ class AnalysisOrder:
 
 @dataclass(frozen=True)
 class Group:
-    """The results of a stage; its name for people, "" of the only one. `together`: margins of all axes.
+    """The results of a stage, with its name for texts, "" for a single stage.
 
-    `worst` and `dispersed`: the dispersed vehicles that were searched, and the limits of those found.
+    `together` contains the margins of all axes.
+
+    `worst` and `dispersed` are the dispersed vehicles found by the search, and the limits on them.
     """
 
     stage: str
@@ -98,7 +100,10 @@ class Group:
 def analysis_report(
     name: str, order: AnalysisOrder, design: Design, groups: Sequence[Group], judged_by: str, loss: Event | None = None
 ) -> str:
-    """Return the report of `simdesign analyse`. `judged_by`: `judged_by_text`; `loss`: of the flight of the design."""
+    """Return the report of `simdesign analyse`.
+
+    `judged_by` is `judged_by_text`. `loss` is that of the design's flight.
+    """
     where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {KINDS[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
         where += f"; errata: {order.errata}; plant: {order.plant}"
@@ -124,7 +129,7 @@ def analysis_report(
 
 
 def analysis_verdict(groups: Sequence[Group], loss: Event | None = None) -> str:
-    """The last line. A design whose own flight is lost has failed, whatever its margins before."""
+    """Return the last line. A design whose own flight is lost has failed, whatever its margins before."""
     words = {
         "unstable_poles": "unstable", "coupled_unstable": "unstable with all axes",
         "dispersed_unstable_poles": "a dispersed vehicle is unstable",
@@ -172,7 +177,7 @@ def _joined(*parts: Sequence[str]) -> str:
 
 
 def comments(made: CaseDesign) -> list[str]:
-    """Lines at the head of the design file: which case made it, and whether it meets its limits."""
+    """Return lines for the head of the design file: the case that made it, and the result of its limits."""
     lines = []
     for outcome, solution in made.results:
         case = outcome.loaded.case
@@ -198,7 +203,7 @@ def uncovered_lines(vehicle: Vehicle, found: Sequence[Uncovered]) -> list[str]:
 
 
 def uncovered_table(vehicle: Vehicle, found: Sequence[Uncovered]) -> list[str]:
-    """Return the same below a title; nothing where there are none."""
+    """Return the same below a title, or nothing without intervals."""
     return ["not covered by operating points", *(f"  {line}" for line in uncovered_lines(vehicle, found))] * bool(found)
 
 
@@ -211,21 +216,24 @@ def uncovered_record(found: Sequence[Uncovered]) -> list[dict[str, Any]]:
 
 
 def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
-    """Every limit, its worst value and where."""
+    """Return every limit, its worst value and the place."""
     rows = [("limit", "verdict", "wanted", "worst", "at")]
     for check in checks:
         k, unit = check.worst, f" {check.unit}" if check.unit else ""
         at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
-        digits = 4 if check.passed else 7  # rounded, a miss may look like the limit
+        digits = 4 if check.passed else 7  # after rounding, a miss may look like the limit
         value = float(check.values[k])
-        worst = "-" if math.isinf(value) else figures(value, digits) + unit  # nothing there that could miss it
+        worst = "-" if math.isinf(value) else figures(value, digits) + unit  # no quantity there that could miss it
         limit = f"{check.sense} {check.wanted:g}{unit}"
         rows.append((check.text, MET if check.passed else MISSED, limit, worst, at))
     return [title, *aligned(rows, "  ", right=(3, 4))]
 
 
 def nodes_table(checks: Sequence[Check], judged: Sequence[JudgedLoop]) -> list[str]:
-    """A row a node, a column a limit; what misses its limit is marked with !, and the row says so."""
+    """Return a table with a row per operating point and a column per limit.
+
+    A value that misses its limit is marked with !, and so is the row.
+    """
     shown = [check for check in checks if math.isfinite(check.time_s[0]) and check.key != "unstable_poles"]
     stable = next((check for check in checks if check.key == "unstable_poles"), None)
     rows = [
@@ -242,14 +250,16 @@ def nodes_table(checks: Sequence[Check], judged: Sequence[JudgedLoop]) -> list[s
 
 
 def _bound(check: Check) -> str:
-    """The limit, or its least and largest over time."""
+    """Return the limit, or its least and largest over time."""
     ends = dict.fromkeys(f"{end(check.limit):g}" for end in (np.min, np.max))
     return f"{check.sense} {'..'.join(ends)} "
 
 
 def margins_table(judged: Sequence[JudgedLoop]) -> list[str]:
-    """A row a node: margins up and down, by class, and the distances to -1; with adaptation also at the limits of the
-    total gain."""
+    """Return a row per operating point: margins up and down, by class, and the distances to -1.
+
+    With adaptation, they include the margins at the limits of the total gain.
+    """
     out = _margins_rows("margins over all crossings", [(j.time_s, j.margins) for j in judged])
     for end in (0, 1):
         found = [(j.time_s, *list(j.at_total_gains.items())[end]) for j in judged if j.at_total_gains]
@@ -290,7 +300,9 @@ def margins_rows(found: Sequence[tuple[float, Margins]]) -> list[tuple[str, ...]
 
 
 def multiloop_table(together: Sequence[MultiloopMargins]) -> list[str]:
-    """A row a node: of each axis the lesser gain margin and the phase margin, and the disk of all."""
+    """Return a row per operating point: of each axis the lesser gain margin and the phase margin, and the disk of
+    all.
+    """
     if not together:
         return []
     axes = together[0].axes
@@ -308,7 +320,9 @@ def multiloop_table(together: Sequence[MultiloopMargins]) -> list[str]:
 
 
 def lobes_table(judged: Sequence[JudgedLoop]) -> list[str]:
-    """A row a node, a column a lobe: its peak, and G for gain-stabilised, or P and the phase to instability."""
+    """Return a row per operating point and a column per lobe: its peak, and G for gain-stabilised, or P and the phase
+    to instability.
+    """
     rows = lobes_rows(judged)
     if not rows:
         return []
@@ -317,7 +331,7 @@ def lobes_table(judged: Sequence[JudgedLoop]) -> list[str]:
 
 
 def lobes_rows(judged: Sequence[JudgedLoop]) -> list[tuple[str, ...]]:
-    """Return the cells of `lobes_table`, its head first; none without lobes."""
+    """Return the cells of `lobes_table`, its head first, or none without lobes."""
     labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
     rows: list[tuple[str, ...]] = [("time, s", *labels)] * bool(labels)
     for j in judged if labels else ():
@@ -327,7 +341,9 @@ def lobes_rows(judged: Sequence[JudgedLoop]) -> list[tuple[str, ...]]:
 
 
 def budget_table(judged: Sequence[JudgedLoop], crossing: str, column: Literal["gain_db", "phase_deg"]) -> list[str]:
-    """A row a node: what each part adds to gain or phase at the crossing that sets a margin, and the margin left."""
+    """Return a row per operating point: the contribution of each part to gain or phase at the crossing that sets a
+    margin, and the remaining margin.
+    """
     rows, unit = budget_rows(judged, crossing, column), "deg" if column == "phase_deg" else "dB"
     if not rows:
         return []
@@ -337,7 +353,7 @@ def budget_table(judged: Sequence[JudgedLoop], crossing: str, column: Literal["g
 def budget_rows(
     judged: Sequence[JudgedLoop], crossing: str, column: Literal["gain_db", "phase_deg"]
 ) -> list[tuple[str, ...]]:
-    """Return the cells of `budget_table`, its head first; none without such a crossing."""
+    """Return the cells of `budget_table`, its head first, or none without such a crossing."""
     have = [j for j in judged if crossing in j.budgets]
     if not have:
         return []
@@ -354,7 +370,7 @@ def budget_rows(
 
 
 def design_table(design: Design) -> list[str]:
-    """Gains and filter."""
+    """Return the gains and the filter."""
     names = (design.gains.over, *design.gain_names)
     rows = [tuple(GAIN_HEADS[name] for name in names)]
     for at, *gains in zip(*(design.gains.table[name] for name in names), strict=True):
@@ -375,7 +391,7 @@ def search_table(solution: Solution) -> list[str]:
 
 
 def search_rows(solution: Solution) -> list[tuple[str, str]]:
-    """Return names and texts of the search and of the certainty of the optimum."""
+    """Return the names and texts of the search and of the certainty of the optimum."""
     c = solution.certificate
     counts = Counter(x.what for x in solution.constraints if x.active)
     active = [f"{what} ({n} nodes)" if n > 1 else what for what, n in counts.items()]
@@ -395,7 +411,7 @@ def search_rows(solution: Solution) -> list[tuple[str, str]]:
 
 
 def wind_table(outcome: DesignOutcome) -> list[str]:
-    """Worst root mean squares in the case's wind, beside those of the design that the scenario has by itself."""
+    """Return the worst root mean squares in the case's wind, and those of the scenario's own design."""
     if not outcome.in_wind:
         return []
     times, rows = [j.time_s for j in outcome.judged], [("", "rms", "at", "before", "at")]
@@ -404,12 +420,12 @@ def wind_table(outcome: DesignOutcome) -> list[str]:
         cells = [_worst(values, times, unit) if values is not None else ("-", "") for values in (one.rms, one.before)]
         rows.append((text.removesuffix(", rms"), *cells[0], *cells[1]))
     before = outcome.loaded.scenario.design
-    named = f" (before: {before.name or 'design'}, which the scenario flies by itself)" if before is not None else ""
+    named = f" (before: {before.name or 'design'}, the scenario's own design)" if before is not None else ""
     return [printable(f"in the case's wind{named}"), *aligned(rows, "  ", right=(1, 2, 3, 4))]
 
 
 def _worst(values: Array, times_s: Sequence[float], unit: str) -> tuple[str, str]:
-    """The largest value and its node; an unstable loop has none."""
+    """Return the largest value and its operating point. An unstable loop has none."""
     k = int(np.argmax(np.isnan(values) if np.isnan(values).any() else values))
     value = float(values[k])
     return "unstable" if math.isnan(value) else f"{figures(value, 4)} {unit}", f"{times_s[k]:g} s"
@@ -423,7 +439,7 @@ def _lobe(lobe: Lobe | None, stable: bool) -> str:
 
 
 def number(value: float, digits: int) -> str:
-    """A value for a cell; `-` where there is none."""
+    """Return a value for a cell, or `-` without one."""
     return "-" if math.isnan(value) or value == -math.inf else f"{value:z.{digits}f}"
 
 
@@ -443,7 +459,7 @@ _NUMBERS = ("stable", "unstable_poles", "growth_1ps", "growth_hz", "crossover_hz
 
 
 def margins_record(m: Margins) -> dict[str, Any]:
-    """Stability and margins with their frequencies."""
+    """Return the stability and margins with their frequencies."""
     record: dict[str, Any] = {key: getattr(m, key) for key in _NUMBERS}
     for key, unit in _BOUNDS.items():
         bound = getattr(m, f"{key}_{unit}")
@@ -470,7 +486,7 @@ def node_record(judged: JudgedLoop) -> dict[str, Any]:
 
 
 def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
-    """Limits beside what was reached."""
+    """Return the limits and the values reached."""
     return [
         {
             "key": c.key,
@@ -544,7 +560,7 @@ def case_record(outcome: DesignOutcome, solution: Solution) -> dict[str, Any]:
 
 
 def write_record(path: Path, record: dict[str, Any]) -> Path:
-    """As JSON that any reader takes: NaN is null, infinity the text "inf". Raises FileError."""
+    """Write JSON that any reader accepts: NaN is null, infinity the text "inf". Raises FileError."""
     return write_whole(path, json.dumps(plain_record(record), indent=1, allow_nan=False) + "\n")
 
 

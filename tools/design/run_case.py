@@ -1,6 +1,6 @@
-"""`simdesign CASE`: optimise a case, judge the design, write and draw it.
+"""The subcommand `simdesign CASE`: optimise a case, judge the design, write and draw it.
 
-With --orders also over the paper's filters and gain schedules: its Fig. 9, and the designs of Figs 7, 8, 11 to 14.
+--orders adds the paper's filters and gain schedules: its Fig. 9, and the designs of Figs 7, 8, 11 to 14.
 """
 
 from __future__ import annotations
@@ -65,8 +65,9 @@ RECORD_NAME, PAGE_NAME = "design.json", "design.html"
 
 @dataclass(frozen=True)
 class Made:
-    """The result of a case: the exit code, the design in its folder, and what was found. `orders`: those of --orders,
-    of each stage, else none.
+    """The result of a case: the exit code, the design in its folder, and the outcome.
+
+    `orders` are those of --orders, of each stage, else none.
     """
 
     code: Exit
@@ -87,8 +88,10 @@ def make(
     orders: bool = False,
     trials: bool = True,
 ) -> Made:
-    """Optimise the case, write and print the result; the arguments are the options of `simdesign optimise`. Raises
-    ScenarioError and FileError."""
+    """Optimise the case, write and print the result.
+
+    The arguments are the options of `simdesign optimise`. Raises ScenarioError and FileError.
+    """
     begun_s = time.perf_counter()
     search = (("starts", starts), ("seed", seed))
     overrides = (*overrides, *(f"search.{key}={value}" for key, value in search if value is not None))
@@ -116,7 +119,7 @@ def make(
         try:
             if orders:
                 for stage in each_stage(loaded):
-                    order_cases(stage)  # one that the law has not is refused before the search
+                    order_cases(stage)  # an option that the law does not have is rejected before the search
             made = design_case(loaded, shown, ready)  # Ctrl-C ends it with the best so far
         except ValidationError as error:
             said = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
@@ -135,7 +138,7 @@ def make(
         except KeyboardInterrupt:  # the design itself is complete
             solved, interrupted = [], True
         results = made.results
-        with Interruption() as interruption:  # the result is written, whatever is pressed now
+        with Interruption() as interruption:  # the result is written, whatever key is pressed now
             forget_pictures(folder)
             files, verdict, written = _write(folder, made, solved), _verdict(made, folder), list[Path]()
             if page and not made.interrupted:
@@ -163,7 +166,7 @@ def make(
 
 
 def _with_trials(made: CaseDesign, progress: Progress, stop: Interruption) -> tuple[CaseDesign, bool]:
-    """Return the design with trials from each infeasible stage, and whether they were interrupted."""
+    """Return the design with trials from each infeasible stage, and True if they were interrupted."""
     results, cut = [], False
     for stage, (outcome, solution) in zip(made.stages, made.results, strict=True):
         name = stage_name(stage.scenario.vehicle, _number(outcome))
@@ -186,7 +189,7 @@ def _number(outcome: DesignOutcome) -> int:
 
 
 def _verdict(made: CaseDesign, folder: Path) -> str:
-    """The last line; before it the command that flies the design, by itself and whole."""
+    """Return the last line, after the command that flies the design, which has a line of its own."""
     results, loaded = made.results, made.results[0][0].loaded
     if made.interrupted:
         return f"INTERRUPTED: the best so far is kept; {made.claim}"
@@ -321,7 +324,7 @@ def _draw(
 
 
 def _along(loaded: LoadedCase, nodes: Sequence[Node]) -> list[Node]:
-    """Nodes every half second between the first and the last, for curves over time."""
+    """Return operating points every half second between the first and the last, for curves over time."""
     case, first, last = loaded.case, nodes[0].time_s, nodes[-1].time_s
     count = max(1, round(2.0 * (last - first)))
     return _nodes(loaded, [first + (last - first) * k / count for k in range(count + 1)], case.plane)
@@ -337,11 +340,11 @@ def _nodes(loaded: LoadedCase, times_s: Sequence[float], plane: Plane) -> list[N
 STRUCTURES = tuple(name for name, sections in KNOWN.items() if sum(sections))
 SCHEDULES = {"two-phase": "two-phase", "linear": "Subcase 1", "free": "Subcase 2"}
 FoundDesigns = Mapping[tuple[str, str], tuple[LoadedCase, Solution]]
-"""By structure and schedule."""
+"""The results by structure and schedule."""
 
 
 def order_cases(stage: LoadedCase) -> dict[tuple[str, str], LoadedCase]:
-    """The fifteen cases of a stage. Raises ValidationError where its law has no such gains."""
+    """Return the fifteen cases of a stage. Raises ValidationError if its law has no such gains."""
     case, out = stage.case, {}
     for structure, schedule in product(STRUCTURES, SCHEDULES):
         asked = {"structure": structure, "prewarp_hz": case.filter.prewarp_hz, "bounds": case.filter.bounds}
@@ -355,8 +358,9 @@ def order_cases(stage: LoadedCase) -> dict[tuple[str, str], LoadedCase]:
 def solve_orders(
     cases: Mapping[tuple[str, str], LoadedCase], plants: Plants, watch: Callable[[int, int], None]
 ) -> FoundDesigns:
-    """Fifteen problems, on all cores; each starts from the solutions it contains, too, so that more freedom is never
-    worse.
+    """Solve fifteen problems, on all cores.
+
+    Each also starts from the solutions that it contains, so that more freedom is never worse.
     """
     contained = {
         (f, s): [c for c in ((_before(STRUCTURES, f), s), (f, _before(tuple(SCHEDULES), s))) if c in cases]
@@ -385,7 +389,7 @@ _orders: tuple[Mapping[tuple[str, str], LoadedCase], Plants]  # of a process tha
 
 
 def _begin_orders(cases: Mapping[tuple[str, str], LoadedCase], plants: Plants) -> None:
-    global _orders  # noqa: PLW0603  # what a process of the pool is begun with, once
+    global _orders  # noqa: PLW0603  # the state of a pool process, set once at its start
     _orders = cases, plants
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the command ends the others
 
@@ -396,12 +400,12 @@ def _solve_order(key: tuple[str, str], contained: Sequence[DesignedLaw]) -> Solu
 
 
 def _before(names: Sequence[str], name: str) -> str:
-    """The name before this one; empty for the first."""
+    """Return the name before this one, or "" for the first."""
     return ("", *names)[names.index(name)]
 
 
 def order_designs(orders: Sequence[FoundDesigns]) -> Iterator[tuple[str, str, Design, list[Solution]]]:
-    """Structure, schedule, design and the solution of each stage, where every stage meets its limits with them."""
+    """Return the structure, schedule, design and solution of each stage, if every stage meets its limits with them."""
     for structure, schedule in orders[0] if orders else ():
         solutions = [found[structure, schedule][1] for found in orders]
         if all(solution.feasible for solution in solutions):
@@ -409,7 +413,7 @@ def order_designs(orders: Sequence[FoundDesigns]) -> Iterator[tuple[str, str, De
 
 
 def orders_table(found: FoundDesigns) -> list[str]:
-    """The objective of each, in dB."""
+    """Return the objective of each, in dB."""
     rows = [("filter", *SCHEDULES.values(), "gained", "further")]
     for structure in STRUCTURES:
         peaks = [_peak(found[structure, schedule][1]) for schedule in SCHEDULES]
@@ -419,7 +423,7 @@ def orders_table(found: FoundDesigns) -> list[str]:
 
 
 def orders_record(found: FoundDesigns) -> list[dict[str, object]]:
-    """For design.json."""
+    """Return the record for design.json."""
     return [
         {
             "structure": structure,

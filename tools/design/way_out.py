@@ -14,7 +14,7 @@ POINTS = 3  # of a limit, in a table
 
 
 def way_out_table(solution: Solution) -> list[str]:
-    """Return the limits that conflict, the bounds at which variables are, and the trials, of an infeasible design."""
+    """Return the limits that conflict, the variables at their bounds, and the trials, of an infeasible design."""
     found = conflict(solution)
     if not found and not solution.trials:
         return []
@@ -26,7 +26,7 @@ def way_out_table(solution: Solution) -> list[str]:
         if (residual := solution.certificate.kkt_residual) > UNSETTLED:
             lines.append(f"  uncertain: the optimality conditions are met to {residual:.1e} only")
         if solution.bounds:
-            lines.append("  bounds of variables, and what moving them gains")
+            lines.append("  active bounds of variables, and the gain by moving them")
             lines += [f"    {bound.text}" for bound in _dearest(solution)]
     if solution.trials:
         lines.append(f"  short trials from the best effort, which misses {solution.violation_db:.3g} dB")
@@ -44,13 +44,13 @@ def way_out_comments(solution: Solution) -> list[str]:
 
 
 def trials_text(solution: Solution) -> str:
-    """Return what the trials reached in a clause; empty without trials."""
+    """Return the results of the trials in a clause, or "" without trials."""
     said = _trials(solution)
     return f"short trials from there: {'; '.join(said)}" if said else ""
 
 
 def way_out_record(solution: Solution) -> dict[str, Any]:
-    """Return conflict and trials for design.json."""
+    """Return the conflict and trials for design.json."""
     limits = [
         {
             "limit": each.name,
@@ -76,6 +76,6 @@ def _dearest(solution: Solution) -> list[ActiveBound]:
 
 
 def _at(points: tuple[Constraint, ...]) -> str:
-    """Return the operating points at which a limit holds, with their parts, the largest first."""
+    """Return the operating points at which a limit is active, with their parts, the largest first."""
     said = [f"{c.plant or 'filter'} ({c.multiplier:.2f})" for c in points[:POINTS]]
     return ", ".join(said) + (f" and {len(points) - POINTS} more" if len(points) > POINTS else "")

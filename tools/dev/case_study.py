@@ -1,8 +1,8 @@
 """The tables of docs/case-study/, made by the shipped commands: `python -m maxq.tools.dev.case_study [TABLE...]`.
 
-Runs simdesign, simrun and simverify, keeps their results under runs/case-study and uses results that are there. Writes
-each table between its marks in docs/case-study. All tables take about two hours on two cores, most of it for campaigns
-and verdicts. `--pictures` copies the pictures that simdesign draws into docs/pictures/case-study.
+The module runs simdesign, simrun and simverify, keeps their results under runs/case-study and uses existing results. It
+writes each table between its marks in docs/case-study. All tables take about two hours on two cores, most of it for
+campaigns and verdicts. `--pictures` copies the pictures that simdesign draws into docs/pictures/case-study.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ TextRows = Sequence[Sequence[str]]
 
 
 def kept(file: str, command: str, *arguments: str, folder: str = "") -> Any:
-    """Return the JSON that a command writes into its folder under RUNS; run the command where the file is missing."""
+    """Return the JSON that a command writes into its folder under RUNS. The command is run if the file is missing."""
     path = RUNS / file
     if not path.exists():
         line = [command, *arguments, "--out", str(RUNS / folder if folder else path.parent)]
@@ -89,7 +89,7 @@ def set_(changes: Iterable[str]) -> list[str]:
 
 
 def table(head: Sequence[str], rows: TextRows) -> list[str]:
-    """Return a Markdown table; columns of numbers are aligned to the right."""
+    """Return a Markdown table. Columns of numbers are aligned to the right."""
     numeric = [all(re.match(r"[-+]?\d|$", row[k]) for row in rows) for k in range(len(head))]
     rule = "|" + "".join("---:|" if n else "---|" for n in numeric)
     return ["| " + " | ".join(head) + " |", rule, *("| " + " | ".join(row) + " |" for row in rows)]
@@ -116,7 +116,7 @@ def orders(plant: str, limits: str) -> Mapping[tuple[str, str], Any]:
 
 
 def peak(optimum: Any) -> float:
-    """Return the objective, dB; NaN where limits are missed."""
+    """Return the objective, dB, or NaN if limits are missed."""
     return float(optimum["objective_db"]) if optimum["status"] == "optimal" else math.nan
 
 
@@ -160,7 +160,9 @@ def claims() -> list[str]:
 
 
 def between() -> list[str]:
-    """Return the least margins of the optima between their eleven nodes, and the cost of holding the limits there."""
+    """Return the least margins of the optima between their eleven operating points, and the cost of imposing the limits
+    there.
+    """
     folder, at_nodes, rows = RUNS / "optima-flown-identical", orders("flown", "identical"), []
     kept(f"{folder.name}/design.json", "simdesign", "ksr3-identical", "--orders", "--plots", *set_(["plant=flown"]))
     changes = set_(["between_nodes=hold"])
@@ -186,7 +188,7 @@ def between() -> list[str]:
 
 
 def parameters() -> list[str]:
-    """Return gains at the first and last node, and the filter, of the optima with identical limits."""
+    """Return the gains at the first and last node, and the filter, of the optima with identical limits."""
     rows = []
     for (structure, schedule), o in orders("flown", "identical").items():
         ends = [f"{o['gains'][k][0]:.4f} to {o['gains'][k][-1]:.4f}" for k in ("k_p", "k_d_s")]
@@ -234,7 +236,7 @@ def limits() -> list[str]:
 
 
 def errata() -> list[str]:
-    """Return the largest change over the nodes by each erratum."""
+    """Return the largest change over the operating points by each erratum."""
     nodes = published_nodes(load_scenario("nominal"), range(5, 60, 5))
     found = effects(nodes, load_design("designs/ksr3-default"))
     rows = []
@@ -274,7 +276,9 @@ def robust() -> list[str]:
 
 
 def vehicles() -> list[str]:
-    """10,000 vehicles of the standard suite at seven nodes, pitch, and the worst one within three sigma together."""
+    """Measure 10,000 vehicles of the standard suite at seven operating points, pitch, and the worst one within three
+    sigma together.
+    """
     wanted, nodes = _margins_wanted(), operating_points.nodes("nominal", (0.3, 10.0, 20.0, 35.0, 45.0, 53.5, 58.0))
     rows, share, flown = [], 1.0 - wanted.success, load_campaign("campaigns/ksr3")
     for name in ROBUST:
@@ -353,7 +357,7 @@ def tvc_load() -> list[str]:
 
 
 def worst(nodes: Sequence[Node], design: Design) -> tuple[float, float, float]:
-    """Return gain margin, dB, phase margin, deg, and least |1 + L|; NaN where a node is unstable."""
+    """Return the gain margin, dB, phase margin, deg, and least |1 + L|, or NaN if an operating point is unstable."""
     judged = judge(nodes, design, "sampled")
     if not all(j.margins.stable for j in judged):
         return math.nan, math.nan, math.nan
@@ -428,7 +432,7 @@ def judged() -> dict[str, dict[str, Any]]:
 
 
 def verdicts() -> list[str]:
-    """Return every requirement that a design does not meet, or that is not a single flight; yaw where it differs."""
+    """Return every requirement that a design does not meet, or that is not a single flight; yaw only if it differs."""
     every = judged()
     of_each = [v["requirements"] for v in every.values()]
     by_name = [{r["name"]: r for r in reversed(of)} for of in of_each]  # of both planes pitch

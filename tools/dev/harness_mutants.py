@@ -1,4 +1,5 @@
-"""Faults of the harness that mutations.py plants by name: (file, text with the tokens to replace in «», new, what).
+"""The faults of the harness that mutations.py plants by name: (file, text with the tokens to replace in «», new,
+description).
 
 python -m maxq.tools.dev.mutations plant --work DIR --number 0 --named, then map and run
 """

@@ -18,7 +18,10 @@ EXTRAS = ("dask",)
 
 
 def lowest_versions(pyproject: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Give name and lowest version of each requirement of the package and its build. Raises ValueError without one."""
+    """Return the name and lowest version of each requirement of the package and its build.
+
+    Raises ValueError without one.
+    """
     project = pyproject["project"]
     extras = [line for extra in EXTRAS for line in project["optional-dependencies"][extra]]
     for text in (*pyproject["build-system"]["requires"], *project["dependencies"], *extras):

@@ -1,4 +1,4 @@
-"""Mutations: does a quick test fail when one token of the source is changed?
+"""A mutation test of the quick tests: does one of them fail when one token of the source is changed?
 
     python -m maxq.tools.dev.mutations plant --work DIR     draw mutants, plant all of them in a copy of the tree
     python -m maxq.tools.dev.mutations map --work DIR       mutants that each quick test reaches, and its time
@@ -107,7 +107,7 @@ NAMES = {
     "sinh": "cosh",
     "cosh": "sinh",
 }
-FIRST = "tests/test_regression_nominal.py"  # of those that get to a mutant: the strongest for its time
+FIRST = "tests/test_regression_nominal.py"  # of those that reach a mutant: the strongest for its time
 MOST = 511  # mutants of one copy
 SWITCH = f'''
 """Which mutant holds, and which have been got to: eight bytes each, at one address in every process."""
@@ -158,14 +158,14 @@ class Mutant:
     old: str
     new: str
     source: str
-    """Return the original line."""
+    """The original line."""
 
 
 # --- what is changed
 
 
 def _sites(source: str) -> Iterator[tuple[int, int, str, tuple[str, ...]]]:
-    """(line, column, token, replacements) of what may be changed."""
+    """Yield (line, column, token, replacements) of the tokens that may be changed."""
     tree = ast.parse(source)
     tokens = {t.start: t.string for t in tokenize.generate_tokens(io.StringIO(source).readline) if t.string.strip()}
     found: list[tuple[int, int, str, tuple[str, ...]]] = []
@@ -240,7 +240,7 @@ def _other_number(value: float) -> tuple[str, ...]:
 
 
 def drawn(number: int, seed: int) -> list[Mutant]:
-    """Equally many from every package, each site and each of its replacements as likely as any other."""
+    """Return equal numbers from every package, with each site and each of its replacements equally probable."""
     chance, out = random.Random(seed), list[Mutant]()
     for package, folders in PACKAGES.items():
         files = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
@@ -266,7 +266,10 @@ def named(first: int) -> list[Mutant]:
 
 
 def found_again(mutants: list[dict[str, Any]], first: int) -> list[Mutant]:
-    """Mutants of an earlier tree, where their line stands now; those whose line is gone are left out, and told."""
+    """Return mutants of an earlier tree at the present position of their line.
+
+    Those without their line are omitted and reported.
+    """
     out = list[Mutant]()
     for m in mutants:
         path = ROOT / m["file"]
@@ -300,9 +303,10 @@ SIMPLE = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Return, ast.Expr, ast.Br
 
 
 def _place(node: Any, at: tuple[int, int], inside: bool = False) -> SourcePlace:
-    """Way from a node to what is doubled around a token: a simple statement of a function, else an expression.
+    """Return the path from a node to the part that is duplicated around a token: a simple statement of a function, else
+    an expression.
 
-    Empty where the token is not below the node.
+    The path is empty if the token is not below the node.
     """
     for name, value in ast.iter_fields(node):
         within = inside or (isinstance(node, ast.FunctionDef) and name == "body")
@@ -332,7 +336,7 @@ def planted(source: str, mutants: list[Mutant]) -> str:
         way = _place(original, (mutant.line, mutant.column))
         groups.setdefault(way, []).append((mutant.number, _at(ast.parse(_changed(source, mutant)), way)))
     tree = copy.deepcopy(original)
-    for way, changes in sorted(groups.items(), key=lambda item: -len(item[0])):  # what lies within others comes first
+    for way, changes in sorted(groups.items(), key=lambda item: -len(item[0])):  # inner parts come first
         node = _at(tree, way)
         for number, new in changes:
             here = ast.Call(ast.Name("_mutant_at", ast.Load()), [ast.Constant(number)], [])
@@ -375,14 +379,14 @@ Map = dict[str, tuple[float, list[int]]]
 
 
 class _Server:
-    """Within pytest, in place of its loop."""
+    """A replacement of pytest's loop, within pytest."""
 
     def __init__(self, work: Path, mutants: list[Mutant], do: str, budget_s: float) -> None:
         self.work, self.mutants, self.do, self.budget_s = work, mutants, do, budget_s
         self.flags = mmap.mmap(os.open(os.environ["MAXQ_MUTANTS"], os.O_RDWR), 8 * (MOST + 1))
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        if self.do == "map":  # a process for each file, so that none profits from what another left in memory
+        if self.do == "map":  # a process for each file, so that none uses data that another left in memory
             for _, group in itertools.groupby(session.items, key=lambda item: _file_of(item.nodeid)):
                 self._forked(partial(self._measure, list(group)), self.work / "map.jsonl")
             return True
@@ -426,7 +430,7 @@ class _Server:
             began = time.monotonic()
             reports = runtestprotocol(item, nextitem=after, log=False)
             got_to = [k for k, v in enumerate(struct.unpack(f"<{MOST + 1}q", self.flags[:])) if v and k]
-            passed = all(r.passed for r in reports)  # what fails without a mutant is left out
+            passed = all(r.passed for r in reports)  # tests that fail without a mutant are omitted
             out.write(json.dumps([item.nodeid, round(time.monotonic() - began, 3), got_to, passed]) + "\n")
 
     def _meet(self, tests: list[pytest.Item], known: Map, out: Any) -> None:
@@ -448,7 +452,7 @@ def read_map(work: Path) -> Map:
 
 def _tests_for(number: int, known: Map, budget_s: float) -> list[str]:
     """Return the tests by file: those that reach the mutant, then the rest, which may use results of a fixture."""
-    seconds = dict[str, float]()  # of what gets there, by file
+    seconds = dict[str, float]()  # of the tests that reach it, by file
     for name, (took, got_to) in known.items():
         if number in got_to:
             seconds[_file_of(name)] = seconds.get(_file_of(name), 0.0) + took

@@ -43,7 +43,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Passage:
-    """A piece of prose: where it is, and whether it consists of sentences."""
+    """A piece of prose, its place, and a flag for text that consists of sentences."""
 
     place: str
     words: str
@@ -76,7 +76,7 @@ class Sources:
 
 @cache
 def strings(sources: Sources) -> tuple[tuple[str, str, bool], ...]:
-    """Return place and text of every string, and True for a docstring."""
+    """Return the place and text of every string, and True for a docstring."""
     found = []
     for name, (_, tree) in sources.modules.items():
         bare: set[int] = set()  # strings that are statements, such as docstrings

@@ -1,8 +1,8 @@
-"""HTML pages of the commands: Jinja templates (*.html.j2, beside this module) over one skeleton and one style sheet.
+"""HTML pages of the commands: Jinja templates (*.html.j2, next to this module) with one skeleton and one style sheet.
 
     text = render("review.html.j2", plots=[Plot(...)], found=found)
 
-A page is one file with nothing outside it. Whatever a template prints is escaped. Templates extend `skeleton.html.j2`
+A page is one self-contained file. All text that a template prints is escaped. Templates extend `skeleton.html.j2`
 (blocks `title` and `body`) and share the macros of `elements.html.j2`: `table`, `plot` (a figure that `plots.js`
 draws), `title_block`.
 """
@@ -26,10 +26,10 @@ from maxq.tools.plots.figures import Plot, as_json
 
 
 def render(template: str, plots: Sequence[Plot] = (), **values: Any) -> str:
-    """The page; a name that a template uses must be among `values`, or `plots`, or `date` (by default today).
+    """Return the page. A name that a template uses must be among `values`, or `plots`, or `date` (by default today).
 
-    Headings, figures and tables with a caption are numbered, the headings listed where a template says
-    <!-- contents -->; the first row of a table of heads is its head, which a print repeats on each page.
+    Headings, figures and tables with a caption are numbered. The headings are listed at the mark <!-- contents --> of a
+    template. The first row of a table of heads is its head, which a print repeats on each page.
     """
     given: dict[str, Any] = {"date": datetime.date.today().isoformat(), "plots": plots, "figures": "", "script": ""}
     if plots:
@@ -72,19 +72,19 @@ def _environment() -> Environment:
 
 
 def number(value: float | None, form: str = ".4g") -> str:
-    """A number in that format; nothing for what is missing, NaN or infinite."""
+    """Return a number in that format, or "" for a missing, NaN or infinite value."""
     return "" if value is None or not math.isfinite(value) else format(value, form)
 
 
 def _in_css(text: Any) -> Markup:
-    """For a string of a style sheet: all but letters and digits by their numbers."""
+    """Return a string for a style sheet, with all characters but letters and digits as their numbers."""
     plain = Markup(text).unescape() if isinstance(text, Markup) else str(text)  # it is markup already
     coded = "".join(c if c.isascii() and c.isalnum() else f"\\{ord(c):x} " for c in " ".join(plain.split()))
     return Markup(coded)  # letters, digits, backslashes and spaces
 
 
 def _signs(value: Any) -> Any:
-    """Comparison signs as they are printed, never apart from their number."""
+    """Return the comparison signs as they are printed, never separated from their number."""
     if not isinstance(value, str) or isinstance(value, Markup):
         return value
     return value.replace("<= ", "≤\u00a0").replace(">= ", "≥\u00a0")

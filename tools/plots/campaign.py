@@ -1,4 +1,7 @@
-"""Figures of a campaign: histograms with limits, tails, envelopes over time, sensitivities. None: nothing to show."""
+"""Figures of a campaign: histograms with limits, tails, envelopes over time, sensitivities.
+
+None means that there is nothing to show.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ from maxq.tools.plots.figures import Panel, Plot, Series, at, band, limit, line,
 JudgedDrivers = Sequence[tuple[Judged, Sequence[Driver]]]
 
 _MOST_POINTS = 4000
-_LIMITED = {  # channel: the metric whose limits hold for it
+_LIMITED = {  # channel: the metric whose limits apply to it
     "alpha_total_deg": "max_alpha_deg",
     "dynamic_pressure_Pa": "max_dynamic_pressure_Pa",
     "mach": "max_mach",
@@ -42,7 +45,7 @@ _LIMITED = {  # channel: the metric whose limits hold for it
 
 
 def replay(folder: Path, run: int | str) -> str:
-    """The command that flies a run again."""
+    """Return the command that flies a run again."""
     return f"simrun refly {shlex.quote(str(folder))} --run {run}"
 
 
@@ -58,7 +61,7 @@ def plots(
     labels: dict[str, str],
     prefix: str = "",
 ) -> list[Plot]:
-    """All that there is to show; `prefix` of the names, where a page has several campaigns."""
+    """Return all figures that exist. `prefix` precedes the names if a page has several campaigns."""
     campaign = data.campaign.campaign
     quantile = f"{100 * campaign.success:g} % quantile at {100 * campaign.confidence:g} % confidence"
     fitted = [(v, tail) for v, tail in tails if not tail.problem]
@@ -70,7 +73,7 @@ def plots(
             "histograms",
             "Metrics of all runs",
             [panel for v in verdicts if v.metric and (panel := _histogram(data, v)) is not None],
-            f"Red: the limit, and runs beyond it.{dashed} Metrics that have one value in all runs are left out.",
+            f"Red: the limit, and runs beyond it.{dashed} Metrics with one value in all runs are omitted.",
             columns=3,
             height=150,
         ),
@@ -92,7 +95,7 @@ def plots(
         ),
         Plot(
             "drivers",
-            "What drives each metric",
+            "Drivers of each metric",
             [_tornado(v, drivers[:8], labels) for v, drivers in driven],
             "Rank correlation of the inputs with the metric. Grey: 95 % of inputs without influence stay within the "
             "band.",
@@ -115,7 +118,7 @@ def plots(
 
 
 def named(name: str, unit: str) -> str:
-    """A metric or channel, whose name ends with its unit, for people."""
+    """Return a name for a metric or channel, whose key ends with its unit."""
     plain = title_of(name)
     if plain == name:
         plain = (name if unit == "1" else name.rpartition("_")[0]).replace("_", " ")
@@ -124,7 +127,7 @@ def named(name: str, unit: str) -> str:
 
 
 def missed(values: Array, v: Judged) -> NDArray[np.bool_]:
-    """Which values miss the requirement; at the limit it is met."""
+    """Return True for values that miss the requirement. A value at the limit meets it."""
     return np.asarray(~(values <= v.bound) if v.kind == "limit" else ~(values >= v.bound))
 
 
@@ -140,9 +143,9 @@ def _limit_text(v: Judged) -> str:
 
 
 def _histogram(data: DataSet, v: Judged) -> Panel | None:
-    """Return the histogram of a metric; None where all runs have one value, as without runs.
+    """Return the histogram of a metric, or None if all runs have one value, or without runs.
 
-    A limit that is far away is in the title, so that it does not squeeze the bars together.
+    A distant limit is stated in the title, so that it does not compress the bars.
     """
     v, factor = _shown(v)
     values, runs = factor * data.numbers(v.metric)[~data.void], data.runs[~data.void]
@@ -162,7 +165,7 @@ def _histogram(data: DataSet, v: Judged) -> Panel | None:
 
 
 def bars(values: Array, runs: NDArray[np.int64], v: Judged) -> Series:
-    """Counts, those that miss the limit apart; `runs` names the worst run of each bar."""
+    """Return the counts, with separate counts of those that miss the limit. `runs` names the worst run of each bar."""
     edges = np.histogram_bin_edges(values, bins=min(max(round(math.sqrt(len(values))), 10), 40))
     place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     order = np.argsort(values if v.kind == "limit" else -values)
@@ -279,13 +282,13 @@ _UNITS = {
 
 
 def _plain(name: str, labels: dict[str, str]) -> str:
-    """An input's own label, or that of the wind at an altitude."""
+    """Return an input's own label, or that of the wind at an altitude."""
     wind = re.fullmatch(r"wind\.profile\.(\w+)_mps\[(\S+) m\]", name)
     return labels.get(name, f"wind, {wind[1]} component at {wind[2]} m" if wind else name)
 
 
 def _input(name: str, labels: dict[str, str]) -> str:
-    """Return an input for people, with the unit that its key ends with; a factor is named as one."""
+    """Return a label for an input, with the unit at the end of its key. A factor is labelled as one."""
     unit = _UNITS.get(name.partition("[")[0].rpartition("_")[2], "")
     text = _plain(name, labels)
     if re.search(r"factor(\.\d+)?$", name) and "factor" not in text:

@@ -1,5 +1,5 @@
-"""Figures of the pages: what they show, as data. tools/pages/plots.js draws them in the reader's browser, so that a
-figure fits the width of the page, can be read in the dark, tells its values, and is there as data too.
+"""The figures of the pages as data. In the reader's browser, tools/pages/plots.js draws them. A figure thus fits the
+width of the page, is readable in the dark mode, shows its values, and is available as data.
 
     figure = Plot("margins", "Margins over the flight", [Panel("phase margin", [line(t, y)], x="time, s", y="deg")])
     as_json([figure])          # for the page
@@ -27,7 +27,11 @@ Series = dict[str, Any]
 
 @dataclass
 class Panel:
-    """`x`, `y`: labels with units; ranges are those of the data where None. `rows`: bars along x, one below another."""
+    """A panel of a figure.
+
+    `x` and `y` are labels with units. Ranges of None are those of the data. `rows` means bars along x, one below
+    another.
+    """
 
     title: str
     series: list[Series]
@@ -42,16 +46,16 @@ class Panel:
         ""  # in which series of kind "loop" are drawn
     )
     height: int = 0  # in pixels; 0: that of the figure
-    equal: bool = False  # to scale: a unit is as long along x as along y
+    equal: bool = False  # to scale: a unit has the same length along x and y
     rows: bool = False
     unit: str = ""  # of the bars
 
 
 @dataclass
 class Plot:
-    """A figure of several panels. `command` flies the run that stands for {}.
+    """A figure of several panels. `command` flies the run whose number replaces {}.
 
-    `loops`: open loops, of which a slider chooses the one that the panels with a `plane` show.
+    `loops` are open loops. A slider selects the one that the panels with a `plane` show.
     """
 
     name: str  # letters, digits, hyphens
@@ -62,22 +66,25 @@ class Plot:
     height: int = 190  # of a panel, in pixels
     command: str = field(default="", kw_only=True)
     loops: list[Series] = field(default_factory=list, kw_only=True)
-    split: int = field(default=0, kw_only=True)  # panels of the first column, where columns run down; 0: rows
+    split: int = field(default=0, kw_only=True)  # panels of the first column, if ordered in columns; 0: in rows
 
 
 def look(number: int) -> Series:
-    """Colour and dashes of the curve of that number."""
+    """Return the colour and dashes of the curve of that number."""
     return {"colour": COLOURS[number % len(COLOURS)], "dash": DASHES[number % len(DASHES)]}
 
 
 def line(x: Any, y: Any, name: str = "", **more: Any) -> Series:
-    """A curve; a gap where a value is not finite. `mark`: "o", "x", "+" at each point; `faint`: nothing to read there;
-    `who`: what it is when pointed at, if not its name."""
+    """Return a curve, with a gap if a value is not finite.
+
+    `mark` is "o", "x" or "+" at each point. `faint` is True for a curve whose values are not shown. `who` is the text
+    under the pointer, if not the name.
+    """
     return {"kind": "line", "colour": "blue", "name": name, "x": x, "y": y} | more
 
 
 def points(x: Any, y: Any, name: str = "", **more: Any) -> Series:
-    """Marks alone; `runs`: the number of each, `labels`: names that are written beside them."""
+    """Return marks alone. `runs` contains the number of each, and `labels` the names that are written next to them."""
     return {"kind": "points", "colour": "blue", "name": name, "x": x, "y": y} | more
 
 
@@ -86,33 +93,33 @@ def band(x: Any, low: Any, high: Any, name: str = "", **more: Any) -> Series:
 
 
 def limit(value: float, name: str = "limit", **more: Any) -> Series:
-    """A level; `note`: written on it; `seen`: the axis reaches to it."""
+    """Return a level. `note` is written on it. `seen` extends the axis to it."""
     return {"kind": "limit", "colour": "limit", "name": name, "value": value, "seen": True} | more
 
 
 def at(value: float, name: str = "", **more: Any) -> Series:
-    """The same, upright."""
+    """Return a vertical level."""
     return {"kind": "at", "colour": "limit", "name": name, "value": value} | more
 
 
 def loop(hz: Any, level_db: Any, phase_deg: Any, name: str, marks: Sequence[Series] = (), **more: Any) -> Series:
-    """An open loop L over frequency, its phase without jumps, drawn in the `plane` of its panel.
+    """Return an open loop L over frequency, with its phase without jumps, drawn in the `plane` of its panel.
 
-    `marks`: points with `x`, `y`, `y2` as those of the loop, `what` ("lobe", "gain", "phase", "least") and `name`.
-    Of a figure's `loops` also `group` and `at`, by which a reader chooses it, its `text`, and `limits`: series by
-    plane.
+    `marks` are points with `x`, `y`, `y2` as those of the loop, `what` ("lobe", "gain", "phase", "least") and `name`. A
+    loop among a figure's `loops` also has `group` and `at`, by which a reader selects it, its `text`, and `limits`,
+    series by plane.
     """
     return {"kind": "loop", "name": name, "x": hz, "y": level_db, "y2": phase_deg, "marks": list(marks)} | more
 
 
 def shape(outline: Any, name: str = "", **more: Any) -> Series:
-    """A closed outline, (n, 2)."""
+    """Return a closed outline, (n, 2)."""
     corners = np.asarray(outline, float)
     return {"kind": "shape", "colour": "ink", "name": name, "x": corners[:, 0], "y": corners[:, 1]} | more
 
 
 def thinned(x: Any, y: Any, steps: float = 400.0) -> tuple[Any, Any]:
-    """A curve without the points that nobody would see: those within 1/steps of both ranges from the last one kept."""
+    """Return a curve without its invisible points: those within 1/steps of both ranges from the last one kept."""
     px, py = (np.asarray(v, float) for v in (x, y))
     finite = np.isfinite(px) & np.isfinite(py)
     if finite.sum() < 3:
@@ -129,13 +136,13 @@ def thinned(x: Any, y: Any, steps: float = 400.0) -> tuple[Any, Any]:
 
 
 def as_json(plots: Iterable[Plot]) -> str:
-    """For a script element: no character of it ends the element."""
+    """Return JSON for a script element. No character in it ends the element."""
     text = json.dumps([_plain(vars(p) | {"panels": [vars(panel) for panel in p.panels]}) for p in plots])
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
 def _plain(value: Any) -> Any:
-    """With six digits, and None for what is not finite."""
+    """Return numbers with six digits, and None for values that are not finite."""
     if isinstance(value, dict):
         return {key: _plain(v) for key, v in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -148,7 +155,7 @@ def _plain(value: Any) -> Any:
 
 
 def as_csv(plot: Plot) -> str:
-    """All that is drawn; y2 is the far side of a band, of bars those that miss the limit."""
+    """Return all data that is drawn. y2 is the far side of a band, or for bars the number that misses the limit."""
     out = io.StringIO()
     write = csv.writer(out).writerow
     write(("panel", "series", "x", "y", "y2", "run"))

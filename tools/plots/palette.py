@@ -1,5 +1,7 @@
-"""Colours of everything that is drawn, on paper and in the viewer: those of Okabe & Ito, which colour-blind people can
-tell apart. Nothing is imported here, so that the viewer's side does not load Matplotlib.
+"""The colours of all pictures, on paper and in the viewer: those of Okabe & Ito, which colour-blind people can
+distinguish.
+
+Nothing is imported here, so that the viewer's side does not load Matplotlib.
 """
 
 from __future__ import annotations
@@ -7,15 +9,15 @@ from __future__ import annotations
 BLUE, ORANGE, GREEN, RED, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9"
 PURPLE, YELLOW, BLACK, WHITE, GREY, PALE = "#cc79a7", "#f0e442", "#000000", "#ffffff", "#777777", "#dddddd"
 ON_LIGHT = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY, BLACK)
-"""Curves on white, in this order."""
+"""The colours of curves on white, in this order."""
 ON_DARK = (SKY, ORANGE, GREEN, PURPLE, YELLOW, RED)
-"""Curves on the viewer's dark background."""
+"""The colours of curves on the viewer's dark background."""
 FAILED = (RED, "#a34700", "#ff7733", "#7a3500", "#ff9d6e", "#ffc9ae")
-"""Flights that failed, shown among a few others: shades of one colour, never green."""
+"""The colours of flights that failed, shown among a few others: shades of one colour, never green."""
 LIMIT = RED
 VERDICT = {"passed": GREEN, "failed": RED, "unknown": SKY}
 
 
 def rgba(colour: str, alpha: float = 1.0) -> list[int]:
-    """Four bytes of a `#rrggbb`."""
+    """Return the four bytes of a `#rrggbb`."""
     return [*bytes.fromhex(colour[1:]), round(255 * alpha)]

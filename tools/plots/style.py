@@ -1,13 +1,13 @@
-"""The style of all Matplotlib pictures: fonts, sizes, and files that are equal when what they show is equal.
+"""The style of all Matplotlib pictures: fonts, sizes, and files that are equal if their content is equal.
 
     with drawing():
         figure, places = sheet(1, 2)
         places[0].plot(time_s, values, color=BLUE)
         save(figure, folder / "margins")          # margins.svg and margins.png
 
-Curves differ by dashes as well as by colour (palette.py), so that a print in grey can be read. The font is the one
-that comes with Matplotlib and SVG text is drawn as outlines: a picture looks the same everywhere. SVG files carry no
-date and no random names.
+Curves differ by dashes as well as by colour (palette.py), so that a greyscale print is readable. The font is that of
+Matplotlib, and SVG text is drawn as outlines, so that a picture looks the same everywhere. SVG files contain no date
+and no random names.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from maxq.tools.plots.palette import BLACK, ON_LIGHT, PALE
 DASHES = ("-", "--", "-.", ":", (0, (3, 1, 1, 1, 1, 1)), (0, (6, 2)), (0, (1, 1)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
-STYLE: Any = {  # newer stubs of Matplotlib want its keys as literals, older ones as text
+STYLE: Any = {  # newer stubs of Matplotlib expect its keys as literals, older ones as text
     "figure.dpi": 120,
-    "savefig.dpi": "figure",  # hinted text is not as wide at another resolution than that of the layout
+    "savefig.dpi": "figure",  # the width of hinted text at another resolution differs from that in the layout
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
     "axes.titlesize": 9.5,
@@ -82,9 +82,9 @@ _formats: ContextVar[tuple[str, ...]] = ContextVar("formats", default=FORMATS)
 
 @contextmanager
 def drawing(formats: Sequence[str] = FORMATS, settings: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """Draw and save with the style and these formats; a notebook's settings are restored.
+    """Draw and save with the style and these formats. A notebook's settings are restored.
 
-    `settings` replace or add some of the style's.
+    `settings` replace or extend those of the style.
     """
     before = _formats.set(tuple(formats))
     style: Any = dict(STYLE) | dict(settings or {})
@@ -96,7 +96,7 @@ def drawing(formats: Sequence[str] = FORMATS, settings: Mapping[str, Any] | None
 
 
 class _Shown(Figure):
-    """A figure that a notebook shows by itself: it belongs to no pyplot, which would see to that."""
+    """A figure that a notebook displays without pyplot, to which it does not belong."""
 
     def _repr_png_(self) -> bytes:
         return png(self)
@@ -105,9 +105,10 @@ class _Shown(Figure):
 def sheet(
     rows: int = 1, columns: int = 1, height_in: float = 2.6, width_in: float = PAGE_IN, title: str = "", **more: Any
 ) -> tuple[Figure, Any]:
-    """A figure as wide as a page, `height_in` for each row; its axes as an array (rows * columns,).
+    """Return a figure as wide as a page, with `height_in` per row, and its axes as an array (rows * columns,).
 
-    `more` goes to `Figure.subplots`. The figure belongs to no window: nothing has to be closed, no display is needed.
+    `more` is passed to `Figure.subplots`. The figure belongs to no window: it need not be closed, and no display is
+    needed.
     """
     figure = _Shown(figsize=(width_in, height_in * rows + (_TITLE_IN if title else 0.0)))
     if title:
@@ -121,8 +122,10 @@ _FLOATING = "floating"
 
 
 def name_point(place: Axes, x: float, y: float, text: str, *, must: bool = True, **look: Any) -> None:
-    """Name a point of a curve. Where the name stands is found when the figure is finished (`settle`): near the point,
-    over no curve and no other text. A name that finds no place is left out, unless it `must` stand.
+    """Name a point of a curve.
+
+    The position of the name is determined when the figure is finished (`settle`): near the point, over no curve and no
+    other text. A name without a free position is omitted, unless `must` is True.
     """
     style: dict[str, Any] = {"fontsize": 6.5, "color": BLACK} | look
     line: Any = {"arrowstyle": "-", "linewidth": 0.4, "color": style["color"], "shrinkA": 0.0, "shrinkB": 1.5}
@@ -141,9 +144,9 @@ def name_point(place: Axes, x: float, y: float, text: str, *, must: bool = True,
 
 
 def settle(figure: Figure) -> None:
-    """Break a title that is wider than the figure, lay it out and find places for the names of points."""
+    """Break a title that is wider than the figure, compute the layout and find positions for the names of points."""
     _take_as_written(figure)
-    title = figure._suptitle  # type: ignore[attr-defined]  # newer releases have a way to its text only
+    title = figure._suptitle  # type: ignore[attr-defined]  # newer releases give access to its text only
     if title is not None and "\n" not in title.get_text():
         room = 0.98 * figure.bbox.width / title.get_window_extent(FigureCanvasAgg(figure).get_renderer()).width  # type: ignore[no-untyped-call]
         if room < 1.0:
@@ -151,7 +154,7 @@ def settle(figure: Figure) -> None:
     layout = figure.get_layout_engine()
     if layout is not None:  # once for all formats: it takes as long as the drawing
         layout.execute(figure)
-        layout.execute(figure)  # once more: the ticks of the smaller axes may be others
+        layout.execute(figure)  # once more: the ticks of the smaller axes may differ
         figure.set_layout_engine("none")
     if any(str(text.get_gid()).startswith(_FLOATING) for place in figure.axes for text in place.texts):
         renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
@@ -198,7 +201,7 @@ def _place_names(place: Axes, renderer: Any) -> None:
 
 
 def dense(line: NDArray[Any]) -> NDArray[Any]:
-    """Points of a line no farther apart than a few pixels."""
+    """Return the points of a line at spacings of at most a few pixels."""
     line = line[np.isfinite(line).all(axis=1)]
     if len(line) < 2:
         return line.reshape(-1, 2)
@@ -209,9 +212,9 @@ def dense(line: NDArray[Any]) -> NDArray[Any]:
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write `stem`.svg and `stem`.png, or as `drawing` says.
+    """Write `stem`.svg and `stem`.png, or the formats of `drawing`.
 
-    Each under a temporary name first, so that there is a whole one or none.
+    Each file has a temporary name first, so that it is complete or absent.
     """
     settle(figure)
     files = []
@@ -224,7 +227,7 @@ def save(figure: Figure, stem: Path) -> list[Path]:
 
 
 def _take_as_written(figure: Figure) -> None:
-    """Names in files may hold dollar signs that are no mathematics: such texts are drawn as they are."""
+    """Draw texts as they are, since names in files may contain dollar signs that are not mathematics."""
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         if text.get_text().count("$") > 1:
@@ -235,7 +238,7 @@ def _take_as_written(figure: Figure) -> None:
 
 
 def png(figure: Figure, dpi: float | None = None) -> bytes:
-    """The picture in memory, `dpi` pixels an inch (None: as the style says)."""
+    """Return the picture in memory, with `dpi` pixels per inch (None: that of the style)."""
     out = io.BytesIO()
     figure.set_dpi(dpi or figure.dpi)
     settle(figure)
@@ -244,7 +247,7 @@ def png(figure: Figure, dpi: float | None = None) -> bytes:
 
 
 def label(place: Axes, x: str = "", y: str = "", title: str = "") -> None:
-    """Axis labels and a title, each left as it is where empty."""
+    """Set axis labels and a title. An empty text leaves its label unchanged."""
     if x:
         place.set_xlabel(x)
     if y:
@@ -254,11 +257,11 @@ def label(place: Axes, x: str = "", y: str = "", title: str = "") -> None:
 
 
 def plain_numbers(axis: Axis) -> None:
-    """0.1, 1, 10 at a logarithmic axis, as engineers write them."""
+    """Write 0.1, 1, 10 at a logarithmic axis, as is usual in engineering."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
 def curve(number: int) -> dict[str, Any]:
-    """Colour and dashes of the curve of that number."""
+    """Return the colour and dashes of the curve of that number."""
     return {"color": ON_LIGHT[number % len(ON_LIGHT)], "linestyle": DASHES[number % len(DASHES)]}

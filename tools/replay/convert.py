@@ -1,4 +1,4 @@
-"""From flights to a recording: everything that the viewer shows, and how it is laid out."""
+"""The conversion of flights to a recording: all data that the viewer shows, and its layout."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ _CORNERS = {  # right, top
     rrb.Corner2D.RightBottom: (True, False),
     rrb.Corner2D.LeftBottom: (False, False),
 }
-_WHOLE = 0.04  # share of an axis that half a number takes
-_BEHIND = 0.07  # of the powered flight is seen behind it: the number at its end is whole, too
-_LEGEND_LINES = 4  # a legend of more covers the curves of several flights
-_LEGEND_MOST = COLOURED = 6  # flights with a colour and a name of their own; more names would cover the plots
-_MOSTLY = 0.9  # share of the time under thrust from which on a flight is shown as a whole only
+_WHOLE = 0.04  # share of an axis for half a number
+_BEHIND = 0.07  # of the powered flight, visible after it, so that the number at its end is whole
+_LEGEND_LINES = 4  # with more curves than this, a legend covers the curves of several flights
+_LEGEND_MOST = COLOURED = 6  # flights with their own colour and name; more names would cover the plots
+_MOSTLY = 0.9  # share of the time under thrust above which only the whole flight is shown
 
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `simreplay`. None: a value that suits the flights."""
+    """The options of `simreplay`. None selects a value that suits the flights."""
 
     rate_hz: float | None = None
     bend_factor: float | None = None
@@ -56,13 +56,13 @@ class Options:
 
 @dataclass(frozen=True)
 class TimeSpan:
-    """A part of the time, and the axes of the plots that suit it; `name`: of its tab, where there are several."""
+    """A part of the time, and the axes of the plots that suit it. `name` is that of its tab, if there are several."""
 
     name: str
     span_s: tuple[float, float]
     axes: Mapping[str, PlotAxis]
     corners: Mapping[str, rrb.Corner2D] = field(default_factory=dict)
-    """Where the legend of a plot hides least, if not at the upper right."""
+    """The corner where the legend of a plot hides least, if not at the upper right."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class _Drawn:
 
 
 def save(flights: Sequence[ReplayFlight], options: Options, path: Path) -> None:
-    """Write an .rrd file that opens by itself in any viewer of this version."""
+    """Write an .rrd file that any viewer of this version opens without further files."""
     name = ", ".join(flight.label for flight in flights[:3]) + (" ..." if len(flights) > 3 else "")
     recording = rr.RecordingStream(stream.APPLICATION, recording_id=name)
     with recording:
@@ -89,7 +89,7 @@ def save(flights: Sequence[ReplayFlight], options: Options, path: Path) -> None:
 
 
 def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight], options: Options) -> rrb.Blueprint:
-    """Send everything; returns the layout."""
+    """Send all data. Return the layout."""
     many = len(flights) > 1
     interval_ns = round(1e9 / (options.rate_hz or (MANY_RATE_HZ if len(flights) > FEW else DEFAULT_RATE_HZ)))
     near = closest(flights)
@@ -146,12 +146,15 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
 
 
 def seen_of(part_s: tuple[float, float], span_s: tuple[float, float]) -> tuple[float, float]:
-    """Return the time that a plot of a part shows: a little more, so that the number at its end is whole."""
+    """Return the time that a plot of a part shows.
+
+    It is slightly longer than the part, so that the number at its end is whole.
+    """
     return part_s[0], min(part_s[1] + _BEHIND * (part_s[1] - part_s[0]), span_s[1])
 
 
 def parts_of(flights: Sequence[ReplayFlight], span_s: tuple[float, float]) -> dict[str, tuple[float, float]]:
-    """Parts of the time by name: the stages, or the powered flight where that is not nearly all; then the whole."""
+    """Return parts of the time by name: the stages, or the powered flight unless that is nearly all, then the whole."""
     whole = {"Whole flight": span_s}
     parted = [[m.time_s for m in f.moments if m.name == "separation"] for f in flights]
     if parted[0] and len({len(times) for times in parted}) == 1:
@@ -176,7 +179,7 @@ def _send_scene(
     *,
     near: bool,
 ) -> _Drawn:
-    """Vehicle and trajectory; `colour`: of one flight among others."""
+    """Send the vehicle and trajectory. `colour` is that of one flight among others."""
     place = place_of(flight)
     scenario = flight.scenario if near else None
     shape = shape_of(scenario.vehicle) if scenario is not None else None
@@ -193,7 +196,7 @@ def _send_scene(
 def _pictures(
     recording: rr.RecordingStream, roots: Sequence[str], drawn: Sequence[_Drawn], ex: Exaggeration, side_by_side: bool
 ) -> list[rrb.View | rrb.Container]:
-    """The views in three dimensions: vehicles from near by, and the trajectories from aside."""
+    """Return the views in three dimensions: vehicles in close-up, and the trajectories from the side."""
     first = drawn[0]
     positions = np.concatenate([each.path.translation_m for each in drawn])
     reach = float(np.abs(positions[:, :2]).max(initial=0.0))
@@ -213,8 +216,9 @@ def _pictures(
 
 
 def colours_of(flights: Sequence[ReplayFlight]) -> list[str]:
-    """Return a colour for each of several flights: of a few its own, in shades of red where it failed, of many that of
-    its verdict.
+    """Return a colour for each of several flights.
+
+    A few flights have separate colours, in shades of red if they failed. Many have that of their verdict.
     """
     if len(flights) > COLOURED:
         return [_NOMINAL_COLOUR if flight.is_nominal else VERDICT[flight.verdict] for flight in flights]
@@ -223,7 +227,7 @@ def colours_of(flights: Sequence[ReplayFlight]) -> list[str]:
 
 
 def _roots(flights: Sequence[ReplayFlight]) -> list[str]:
-    """An entity root for each flight, unlike the others."""
+    """Return a distinct entity root for each flight."""
     if len(flights) == 1:
         return ["flight"]
     out: list[str] = []
@@ -234,7 +238,7 @@ def _roots(flights: Sequence[ReplayFlight]) -> list[str]:
 
 
 def common_exaggeration(flights: Sequence[ReplayFlight], options: Options) -> Exaggeration:
-    """The factors that suit all of the flights whose vehicles are drawn, so that they can be compared."""
+    """Return the factors that suit all of the drawn vehicles, so that they can be compared."""
     each = []
     for flight in flights:
         shape = shape_of(flight.scenario.vehicle) if flight.scenario is not None else None
@@ -245,7 +249,7 @@ def common_exaggeration(flights: Sequence[ReplayFlight], options: Options) -> Ex
 # -- the layout: close-up, overview, plots in tabs, phases, events, and a page about the flight ----------------------
 @dataclass(frozen=True)
 class Eyes:
-    """The positions of the cameras: offset of the close-up from the vehicle; place and aim of the overview, m."""
+    """The positions of the cameras: offset of the close-up from the vehicle, place and aim of the overview, m."""
 
     close: tuple[float, float, float]
     overview: tuple[float, float, float]
@@ -253,7 +257,7 @@ class Eyes:
 
 
 def eyes_for(length_m: float, azimuth_deg: float, positions_m: Array) -> Eyes:
-    """Cameras that look across the plane of flight, from the right, a little from above."""
+    """Return cameras that look across the plane of flight, from the right and slightly from above."""
     a = np.radians(azimuth_deg)
     forward, right = np.array([np.sin(a), np.cos(a), 0.0]), np.array([np.cos(a), -np.sin(a), 0.0])
     close = 1.5 * length_m * (0.93 * right - 0.3 * forward) + np.array([0.0, 0.0, 0.35 * length_m])
@@ -265,7 +269,10 @@ def eyes_for(length_m: float, azimuth_deg: float, positions_m: Array) -> Eyes:
 
 
 def plot_view(plot: ReplayPlot, span: TimeSpan, roots: Sequence[str], legend: bool, rows: int) -> rrb.TimeSeriesView:
-    """A plot over a span, whose axis is left to the viewer where the span has none. `rows` of plots in the window."""
+    """Return a plot over a span.
+
+    The viewer sets the axis if the span has none. `rows` is the number of plots in the window.
+    """
     axis = span.axes.get(plot.key)
     beyond = axis.beyond_text("") if axis is not None else ""
     shown = None if axis is None else rrb.archetypes.ScalarAxis(range=with_scale(axis.low, axis.high, 30 // rows))
@@ -282,8 +289,8 @@ def plot_view(plot: ReplayPlot, span: TimeSpan, roots: Sequence[str], legend: bo
 def with_scale(low: float, high: float, most: int) -> tuple[float, float]:
     """Return the range, wide enough for two whole numbers on its axis.
 
-    The viewer writes the multiples of one power of ten: of the smallest of which at most `most` fit. It cuts a number
-    that is close to the edge.
+    The viewer writes the multiples of one power of ten: the smallest of which at most `most` fit. It cuts a number that
+    is close to the edge.
     """
     step = 10.0 ** math.ceil(math.log10((high - low) / most))
     edge = 0.04 * step  # a number on the very edge is not written
@@ -297,7 +304,7 @@ def with_scale(low: float, high: float, most: int) -> tuple[float, float]:
 def free_corner(
     plot: ReplayPlot, axis: PlotAxis, span_s: tuple[float, float], flights: Sequence[ReplayFlight]
 ) -> rrb.Corner2D:
-    """The corner with the least of the curves in it, for the legend."""
+    """Return the corner with the least of the curves in it, for the legend."""
     inside = dict.fromkeys(_CORNERS, 0.0)
     for flight in flights:
         for curve in (c for c in plot.curves if c.channel in flight.log):
@@ -313,7 +320,7 @@ def free_corner(
 
 
 def time_axis(span_s: tuple[float, float]) -> rrb.archetypes.TimeAxis:
-    """`span_s` of no length: from there to the cursor."""
+    """Return a time axis. A `span_s` of no length extends from there to the cursor."""
     start, end = (rr.TimeRangeBoundary.absolute(seconds=s) for s in span_s)
     if span_s[1] <= span_s[0]:
         end = rr.TimeRangeBoundary.cursor_relative()
@@ -321,7 +328,7 @@ def time_axis(span_s: tuple[float, float]) -> rrb.archetypes.TimeAxis:
 
 
 def close_view(root: str, eyes: Eyes, name: str) -> rrb.Spatial3DView:
-    """A camera that follows one vehicle; the ground moves away below it."""
+    """Return a camera that follows one vehicle. The ground moves away below it."""
     return rrb.Spatial3DView(
         name=name,
         origin=f"{root}/vehicle",
@@ -333,7 +340,7 @@ def close_view(root: str, eyes: Eyes, name: str) -> rrb.Spatial3DView:
 
 
 def overview(roots: Sequence[str], eyes: Eyes, grid: str) -> rrb.Spatial3DView:
-    """The whole trajectory from aside; a trail shows everything flown so far."""
+    """Return a view of the whole trajectory from the side, with a trail along the flown part."""
     contents = ["+ /ground/**", "- /ground/pad/**"]
     for root in roots:
         contents += [f"+ /{root}/{part}" for part in ("path", "trail", "marks", "vehicle/at")]
@@ -353,7 +360,7 @@ def overview(roots: Sequence[str], eyes: Eyes, grid: str) -> rrb.Spatial3DView:
 
 
 def _tab_number(tabs: Sequence[Tab], wanted: str | None) -> int:
-    """Which tab is in front. Raises ReplayError for a name that none has."""
+    """Return the number of the front tab. Raises ReplayError for a name that no tab has."""
     names = [tab.name.lower() for tab in tabs]
     if wanted is None:
         return 0
@@ -373,15 +380,15 @@ def layout(
     tab: str | None = None,
     bare: bool = False,
 ) -> rrb.Blueprint:
-    """The whole window: `pictures` (close-up, overview) if there are any, plots in tabs, phases, events, a page.
+    """Return the whole window: `pictures` (close-up, overview) if there are any, plots in tabs, phases, events, a page.
 
-    `plotted`: roots of what is plotted, where they are not those of the flights.
+    `plotted` are the roots of the plotted entities, if they are not those of the flights.
     """
     plotted = roots if plotted is None else plotted
 
     def tabs_over(span: TimeSpan) -> rrb.Tabs:
         pages = []
-        for page in tabs:  # side by side they are high enough for the viewer to write numbers at their axes
+        for page in tabs:  # side by side, they are high enough for the viewer to write numbers at their axes
             columns = 2 if len(page.plots) > 2 else 1
             rows = -(-len(page.plots) // columns)
             most = max(_LEGEND_LINES, len(roots) * min(len(p.curves) for p in page.plots)) if len(roots) > 1 else 99
@@ -427,7 +434,7 @@ def window(
     *,
     bare: bool = False,
 ) -> rrb.Blueprint:
-    """A window with this content and nothing around it but the time; `bare`: without the viewer's menu either."""
+    """Return a window with this content and only the time around it. `bare` removes the viewer's menu too."""
     return rrb.Blueprint(
         *([rrb.TopPanel(state="hidden")] if bare else []),
         content,

@@ -1,7 +1,7 @@
 """Decimation that keeps the extremes: every point kept is a sample of the log, at its own time.
 
 Averaging, or taking every n-th sample, shows an oscillation of 9 Hz too small or at a wrong frequency. Here the
-smallest and the largest sample of each interval are kept, and so are the first and the last sample.
+smallest and the largest sample of each interval are kept, as are the first and the last sample.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ KeptRows = NDArray[np.intp]
 
 
 def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> KeptRows:
-    """Indices, rising, of the samples to keep of `values` (n,): smallest and largest in each interval.
+    """Return the rising indices of the samples of `values` (n,) to keep: smallest and largest in each interval.
 
-    Gaps (nan) stay gaps: an interval without numbers keeps one nan. Samples inside a stretch that does not change are
-    left out, which loses nothing of a line.
+    Gaps (nan) remain gaps: an interval without numbers keeps one nan. Samples inside a constant stretch are omitted
+    without loss.
     """
     n = len(values)
     if n < 3:
@@ -51,9 +51,10 @@ def _first_of_each(values: Array, starts: KeptRows, extreme: np.ufunc) -> KeptRo
 
 
 def extremes_on_grid(times_ns: IntArray, values: Array, start_ns: int, interval_ns: int, count: int) -> Array:
-    """Smallest and largest of `values` (n,) in each of `count` intervals from `start_ns` on, as rows (2 count,).
+    """Return the smallest and largest of `values` (n,) in each of `count` intervals from `start_ns` on, as rows (2
+    count,).
 
-    The two are in the order of the trend. nan where an interval holds no number. Samples outside are left out.
+    The two are in the order of the trend. They are nan if an interval contains no number. Samples outside are omitted.
     """
     out = np.full((count, 2), np.nan)
     number = (times_ns - start_ns) // interval_ns
@@ -71,21 +72,23 @@ def extremes_on_grid(times_ns: IntArray, values: Array, start_ns: int, interval_
 
 
 def changed(values: Array, tolerance: float) -> KeptRows:
-    """Indices of the rows of `values` (n, ...) that differ from the row before by more than rounding to `tolerance`."""
+    """Return the indices of the rows of `values` (n, ...) that differ from the row before by more than rounding to
+    `tolerance`.
+    """
     steps = np.round(np.nan_to_num(values.reshape(len(values), -1)) / tolerance)
     if not len(steps):
         return np.zeros(0, np.intp)
     moved = (steps[1:] != steps[:-1]).any(axis=1)
     keep = np.append(True, moved)
-    keep[:-1] |= moved  # the last row of a standstill, so that nothing creeps from its beginning to its end
+    keep[:-1] |= moved  # the last row of a constant stretch, so that interpolation does not start at its beginning
     return np.flatnonzero(keep)
 
 
 def every(times_ns: IntArray, period_ns: int, last_period: int = -1) -> KeptRows:
-    """Indices of the first row in each period."""
+    """Return the indices of the first row in each period."""
     return np.flatnonzero(np.diff(times_ns // period_ns, prepend=last_period) > 0)
 
 
 def last_before(times_ns: IntArray, at_ns: IntArray) -> KeptRows:
-    """Indices of the last rows at or before times of another rate."""
+    """Return the indices of the last rows at or before times of another rate."""
     return np.clip(np.searchsorted(times_ns, at_ns, side="right") - 1, 0, None)

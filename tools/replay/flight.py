@@ -1,8 +1,8 @@
-"""Flights to be shown: finding their logs, the log of each, the scenario inside it, and how it ended.
+"""Flights to be shown: their logs, the scenario in each log, and the end of each flight.
 
-A log that is cut off or damaged is shown as far as it reaches. Where the scenario inside cannot be read (an older
-or a later maxq), numbers and trajectory are still shown, but no vehicle and no limits. Numbers of many flights do not
-fit into memory at once: those of the last few are held, the others are read again.
+A log that is cut off or damaged is shown up to its last readable row. If its scenario cannot be read (an older or a
+later maxq), numbers and trajectory are still shown, but no vehicle and no limits. The numbers of many flights exceed
+the memory. Those of the last few are kept, and the others are read again.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.world.earth import FLAT, ned_to_earth
 from maxq.tools.replay.viewer import ReplayError
 
-KEPT = ("flights", "kept")  # folders of a campaign that hold whole flights
+KEPT = ("flights", "kept")  # folders of a campaign that contain whole flights
 MOST = 200
-"""Flights shown at once: more cannot be read in one window, and take much memory."""
+"""The number of flights shown at once. More are illegible in one window, and need much memory."""
 FEW = 4
-"""Flights of which every vehicle is drawn."""
+"""The number of flights whose vehicles are all drawn."""
 FAR_KM = 20.0
-"""A flight that begins farther from its site than this is shown in the axes of the place where it begins."""
+"""The distance from its site beyond which the start of a flight becomes the origin of its axes."""
 ConversionWatch = Callable[[str, int, int], None]
-"""What is under way, steps done, steps in all."""
+"""A function that is called with the activity, the steps done and the total."""
 _FAULTS = ("control_lost", "diverged")
 _NEEDED = tuple(f"r_E_{a}_m" for a in "xyz") + tuple(f"q_BI_{c}" for c in "wxyz")
 
 
 class Channels(Protocol):
-    """Columns of a flight by channel name: a log, or a block of a flight under way."""
+    """The columns of a flight by channel name: a log, or a block of a running flight."""
 
     @property
     def table(self) -> ChannelTable: ...
@@ -65,7 +65,7 @@ class Channels(Protocol):
 
 @dataclass(frozen=True)
 class Moment:
-    """An event: `name` as in the log, `text` for people."""
+    """An event. `name` is as in the log, and `text` is for readers."""
 
     name: str
     time_ns: int
@@ -78,18 +78,18 @@ class Moment:
 
     @property
     def label(self) -> str:
-        """Name and time, for a picture."""
+        """Return the name and time, for a picture."""
         return f"{self.name.replace('_', ' ')} {self.time_s:.1f} s"
 
     @property
     def line(self) -> str:
-        """Time and text, for a list."""
+        """Return the time and text, for a list."""
         return f"{self.time_s:9.3f} s  {self.text}"
 
 
 @dataclass(frozen=True)
 class ShownRequirement:
-    """A requirement of a scenario: `kind` "limit" or "minimum"; value and verdict are None without a summary."""
+    """A requirement of a scenario. `kind` is "limit" or "minimum". Value and verdict are None without a summary."""
 
     name: str
     kind: str
@@ -100,12 +100,12 @@ class ShownRequirement:
 
     @property
     def utilisation(self) -> float:
-        """Return the used share of the limit; nan where there is none."""
+        """Return the used share of the limit, or nan without one."""
         return math.nan if self.value is None else utilisation(self.value, self.kind, self.bound)
 
     @property
     def shown(self) -> tuple[str, str, str]:
-        """Return value, limit and their engineering unit for people."""
+        """Return the value, limit and their engineering unit, as text."""
         return against_limit(math.nan if self.value is None else self.value, self.kind, self.bound, self.unit)
 
 
@@ -116,8 +116,10 @@ def tightest_first(requirements: Iterable[ShownRequirement]) -> list[ShownRequir
 
 @dataclass(frozen=True)
 class ReplayFlight:
-    """`label` names the flight for people; `moments` are its events and those read off its channels (largest dynamic
-    pressure), in order; `span_s` is its first and last time; `damage` says what of the log is missing, a sentence each.
+    """A flight to be shown.
+
+    `label` names the flight. `moments` are its events and those derived from its channels (largest dynamic pressure),
+    in order. `span_s` is its first and last time. `damage` describes the missing parts of the log, a sentence each.
     """
 
     path: Path
@@ -139,7 +141,7 @@ class ReplayFlight:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return a sentence for each thing that cannot be shown."""
+        """Return a sentence for each part that cannot be shown."""
         return (*self.damage, *self._scenario_and_complaint[1])
 
     @cached_property
@@ -154,34 +156,34 @@ class ReplayFlight:
 
     @property
     def outcome(self) -> str:
-        """As `Flight.outcome`; "cut off" where the log does not say it."""
+        """Return the outcome as `Flight.outcome` does, or "cut off" if the log does not contain it."""
         return self.end.get("outcome", "cut off")
 
     @cached_property
     def verdict(self) -> str:
-        """`passed`, `failed` or `unknown` (no summary beside the log, and no fault in it)."""
+        """Return `passed`, `failed` or `unknown` (no summary next to the log, and no fault in it)."""
         if isinstance(self.summary.get("passed"), bool):
             return "passed" if self.summary["passed"] else "failed"
         return "failed" if any(self.moment(name) for name in _FAULTS) else "unknown"
 
     @property
     def is_nominal(self) -> bool:
-        """The undispersed flight that a campaign keeps among the others."""
+        """Return True for the undispersed flight that a campaign keeps among the others."""
         return "nominal" in self.label.lower().split("/")[-1]
 
     @property
     def burn_end_s(self) -> float:
-        """Last burnout, or the end of the log where there is none."""
+        """Return the time of the last burnout, or the end of the log without one."""
         moment = self.moment("burnout")
         return moment.time_s if moment is not None else self.span_s[1]
 
     def moment(self, name: str) -> Moment | None:
-        """The last event of that name."""
+        """Return the last event of that name."""
         return next((m for m in reversed(self.moments) if m.name == name), None)
 
     @cached_property
     def requirements(self) -> tuple[ShownRequirement, ...]:
-        """Those of the scenario; values from the summary beside the log."""
+        """Return the requirements of the scenario, with values from the summary next to the log."""
         judged = {(r.get("name"), r.get("metric")): r for r in self.summary.get("requirements", [])}
         out = []
         for r in self.scenario.requirement if self.scenario is not None else ():
@@ -192,7 +194,7 @@ class ReplayFlight:
 
 
 def open_flight(path: Path, label: str = "", read: Callable[[Path], Log] | None = None) -> ReplayFlight:
-    """Read a log and what belongs to it. Raises ReplayError where nothing of it can be shown."""
+    """Read a log and its related files. Raises ReplayError if no part of it can be shown."""
     read = read or _keeping(None)
     log = read(path)
     times = [log.time_ns(topic.name) for topic in log.table.topics]
@@ -205,7 +207,10 @@ def open_flight(path: Path, label: str = "", read: Callable[[Path], Log] | None 
 
 
 def _keeping(most: int | None) -> Callable[[Path], Log]:
-    """Reads logs and keeps the `most` last used in memory (None: all). Raises ReplayError where one cannot be read."""
+    """Return a reader of logs that keeps the `most` last used in memory (None: all).
+
+    Raises ReplayError if a log cannot be read.
+    """
 
     @functools.lru_cache(most)
     def read(path: Path) -> Log:
@@ -225,7 +230,7 @@ def _moments(log: Log) -> tuple[Moment, ...]:
 
 
 def _largest_pressure(log: Channels) -> Moment | None:
-    """The largest dynamic pressure under thrust, which engineers call max q; None without air or thrust."""
+    """Return the largest dynamic pressure under thrust (max q), or None without air or thrust."""
     if "dynamic_pressure_Pa" not in log or "thrust_N" not in log:
         return None
     pressure, burning = log["dynamic_pressure_Pa"], log["thrust_N"] > 0.0
@@ -246,9 +251,11 @@ def _scenario_text(log: Log) -> str | None:
 
 
 def launch_of(log: Log) -> tuple[EarthSection, Site]:
-    """Earth and launch site, by the two tables of the scenario alone: all of it takes a third of a second to read.
+    """Return the Earth and launch site from two tables of the scenario.
 
-    Where they cannot be read: WGS-84, and the site that the log's metadata name.
+    Reading the whole scenario takes a third of a second.
+
+    If the tables cannot be read, the result is WGS-84 and the site that the log's metadata name.
     """
     tables = re.findall(r"^\[(?:earth|site)\]\n(?:[^\[\n].*\n|\n)*", _scenario_text(log) or "", re.MULTILINE)
     try:
@@ -268,21 +275,21 @@ def launch_of(log: Log) -> tuple[EarthSection, Site]:
 
 
 def _summary(log: Log) -> Mapping[str, Any]:
-    """The summary beside the log, if it belongs to the same flight."""
+    """Return the summary next to the log, if it belongs to the same flight."""
     try:
         summary = json.loads(log.path.with_name(SUMMARY_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     if not isinstance(summary, dict) or summary.get("state_hash") != log.end.get("state_hash", ""):
         return {}
-    judged = summary.get("requirements")  # of a file that anyone may have written
+    judged = summary.get("requirements")  # of a file with unknown author
     whole = isinstance(judged, list) and all(isinstance(r, dict) for r in judged)
     return summary if whole else summary | {"requirements": []}
 
 
 # -- finding logs ---------------------------------------------------------------------------------------------------
 def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
-    """Paths of logs with a label each. Raises ReplayError for a place that holds none."""
+    """Return paths of logs with a label each. Raises ReplayError for a place without logs."""
     found: list[tuple[Path, str]] = []
     for place in places:
         path = Path(place)
@@ -303,7 +310,7 @@ def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
 
 
 def _in_folder(folder: Path) -> list[tuple[Path, str]]:
-    """The nominal first, then the runs in the order of their names."""
+    """Return the nominal flight first, then the runs in the order of their names."""
     alone = folder / LOG_NAME
     kept = sorted(path for name in KEPT for path in (folder / name).glob(f"*/{LOG_NAME}"))
     if alone.is_file() and not kept:
@@ -319,10 +326,10 @@ def _in_folder(folder: Path) -> list[tuple[Path, str]]:
 def open_flights(
     places: Sequence[str], *, in_turn: bool = False, watch: ConversionWatch = lambda *_: None
 ) -> tuple[list[ReplayFlight], list[str]]:
-    """All flights that can be read, and a complaint for each that cannot, or not whole.
+    """Return all readable flights, and a message for each that cannot be read, or only in part.
 
-    `in_turn`: the caller goes through them one after the other, so that the numbers of a few in memory will do.
-    Raises ReplayError where none can be read.
+    `in_turn` means that the caller processes them one after the other, so that only the numbers of a few are in memory.
+    Raises ReplayError if none can be read.
     """
     logs = find_logs(places)
     flights: list[ReplayFlight] = []
@@ -356,8 +363,9 @@ def closest(flights: Sequence[ReplayFlight]) -> set[int]:
 
 
 def _unlike_labels(flights: Sequence[ReplayFlight]) -> list[ReplayFlight]:
-    """Labels that tell flights apart: the folder's name where two are alike, or the path, numbered where that is not
-    enough."""
+    """Return distinct labels of flights: the folder's name if two are equal, or the path, numbered if that is not
+    sufficient.
+    """
     count = Counter(flight.label for flight in flights)
     folders = Counter(flight.path.resolve().parent.name for flight in flights)
     seen: Counter[str] = Counter()
@@ -373,7 +381,7 @@ def _unlike_labels(flights: Sequence[ReplayFlight]) -> list[ReplayFlight]:
 
 # -- the frame of the launch site: x east, y north, z up (the log's `launch_site`) -----------------------------------
 class ShownLaunchSite(launch_frames.LaunchSite):
-    """The launch site's frame; `moved`: it lies where the flight begins instead."""
+    """The launch site's frame. `moved` is True if its origin is the start of the flight instead."""
 
     moved = False
 
@@ -381,7 +389,7 @@ class ShownLaunchSite(launch_frames.LaunchSite):
         return LaunchFrames(table, self, period_ns)
 
     def from_ned(self, latitude_deg: Array, longitude_deg: Array, v_N: Array) -> Array:
-        """Vectors (n, 3) given north, east, down at places (n,), in the axes of the site."""
+        """Return vectors (n, 3) given north, east, down at places (n,), in the axes of the site."""
         if self.earth.figure == FLAT:
             return np.asarray(v_N @ ENU_NED.T)
         lat, lon = np.radians(latitude_deg), np.radians(longitude_deg)
@@ -389,7 +397,7 @@ class ShownLaunchSite(launch_frames.LaunchSite):
         return np.asarray(np.stack(v_E, axis=1) @ self.enu_E.T)
 
     def ground(self, east_m: Array, north_m: Array) -> Array:
-        """Points (n, 3) on the ground at the site's altitude below points of the horizontal plane (n,)."""
+        """Return points (n, 3) on the ground at the site's altitude below points of the horizontal plane (n,)."""
         if self.earth.figure == FLAT:
             return np.stack([east_m, north_m, np.zeros_like(east_m)], axis=1)
         flattening, a = self.earth.flattening, self.earth.equatorial_radius_m
@@ -405,12 +413,12 @@ class ShownLaunchSite(launch_frames.LaunchSite):
 
 
 def place_of(flight: ReplayFlight) -> ShownLaunchSite:
-    """The launch site's frame of a logged flight."""
+    """Return the launch site's frame of a logged flight."""
     return launch_site(*launch_of(flight.log), flight.log)
 
 
 def launch_site(earth: EarthSection, site: Site, channels: Channels) -> ShownLaunchSite:
-    """The frame to draw in; `channels` say where the flight begins."""
+    """Return the frame to draw in. `channels` give the start of the flight."""
     place = ShownLaunchSite(pack_earth(earth), site)
     if place.earth.figure == FLAT or "latitude_deg" not in channels or not len(channels["latitude_deg"]):
         return place
@@ -425,7 +433,7 @@ def launch_site(earth: EarthSection, site: Site, channels: Channels) -> ShownLau
 
 
 def path_of(channels: Channels, frames: LaunchFrames) -> FramePath:
-    """The motion in a log or block; `frames` picks the poses and remembers where it was."""
+    """Return the motion in a log or block. `frames` selects the poses and stores the last one."""
     table = channels.table
     times_ns = channels.time_ns(_NEEDED[0])
     rows = np.zeros((len(times_ns), len(table.columns(table.topic(_NEEDED[0]).group))))

@@ -1,4 +1,4 @@
-"""Flights shown in a viewer by `simrun`: while they fly, in blocks of 0.2 s of flight, or once they have been flown.
+"""Flights shown in a viewer by `simrun`, either live in blocks of 0.2 s of flight, or after the flight.
 
     run = LiveRun(loaded, packed, view)      # in place of FlightRun: same flight, same log, to the bit
 
@@ -36,31 +36,34 @@ from maxq.tools.replay.viewer import LOCAL, ReplayError
 
 BLOCK_NS = 200_000_000
 BENDING, SLOSH = 1000.0, 5.0
-"""Exaggeration of a flight whose largest bending and slosh angle are not known yet."""
+"""The exaggeration of a flight whose largest bending and slosh angle are not known yet."""
 _ROOT = "flight"
 _PATIENCE_S, _FLOWN_PATIENCE_S = 5.0, 30.0
 _SCENE_EVERY_S, _PLOTS_EVERY_S = 0.15, 0.9
 
 
 def _connected(name: str, port: int) -> rr.RecordingStream:
-    """A recording in the viewer that listens on `port`."""
+    """Return a recording in the viewer that listens on `port`."""
     recording = rr.RecordingStream(stream.APPLICATION, recording_id=f"{name}, {time.time_ns()}")
     recording.connect_grpc(f"rerun+http://{LOCAL}:{port}/proxy")
     return recording
 
 
 class FlownView:
-    """The place where the log of a flight is shown once it has been flown: in a viewer that listens on `port` of this
-    machine, or in a window (None).
+    """The viewer that shows the log of a flight after the flight: one that listens on `port` of this machine, or a new
+    window (None).
 
-    Made before the flight, so that a missing viewer is reported before anything is flown: raises ReplayError.
+    It is created before the flight, so that a missing viewer is reported before the flight. Raises ReplayError.
     """
 
     def __init__(self, port: int | None) -> None:
         self._port = viewer.listening(port)
 
     def show(self, log: Path) -> None:
-        """Show it; a window is waited for. Raises ReplayError where the log or the viewer fails."""
+        """Show the log.
+
+        The function returns when a new window is closed. Raises ReplayError if the log or the viewer fails.
+        """
         flight = open_flight(log)
         if self._port is None:
             with temporary_recording() as path:
@@ -78,7 +81,7 @@ class FlownView:
 
 
 class Block:
-    """Rows of a flight under way, by channel name; `start_place_deg`: latitude and longitude where it began."""
+    """The rows of a running flight, by channel name. `start_place_deg` is the latitude and longitude of its start."""
 
     def __init__(self, table: ChannelTable, rows: LoggedRows, start_place_deg: tuple[float, float] | None) -> None:
         self.table = table
@@ -96,9 +99,10 @@ class Block:
 
 
 class LiveView:
-    """Sends a flight to a viewer: one that listens on `port` of this machine already, or a new window.
+    """A connection that sends a flight to a viewer: one that listens on `port` of this machine already, or a new
+    window.
 
-    Raises ReplayError where neither can be had.
+    Raises ReplayError if neither is available.
     """
 
     def __init__(self, loaded: LoadedScenario, port: int | None = None) -> None:
@@ -125,15 +129,16 @@ class LiveView:
         self.stop: Callable[[], bool] = lambda: False
 
     def run(self, packed: Packed, factor: float | None) -> LiveRun:
-        """The flight, to be flown like any other."""
+        """Return the flight, to be flown like any other."""
         return LiveRun(self._loaded, packed, self, factor)
 
     def add(self, run: FlightRun, rows: LoggedRows) -> None:
-        """Show the rows of a block and the events since the last.
+        """Show the rows of a block and the events since the last block.
 
-        A viewer takes some hundred messages a second, and each entity of a block is one. So rows are kept until the
-        last message is a while ago: in real time every block is shown at once, its plots every few blocks; a flight as
-        fast as it goes, thousands of blocks in a second or two, goes out in a few large ones.
+        A viewer processes some hundred messages per second, and each entity of a block is one message. Therefore, rows
+        are kept for a minimum time after the last message. In real time, every block is shown immediately, with its
+        plots every few blocks. A flight at full speed has thousands of blocks in a second or two, which are sent in a
+        few large ones.
         """
         if not len(rows[SLOW][0]):
             return
@@ -147,7 +152,7 @@ class LiveView:
         self._send_events(run)
 
     def end(self, run: FlightRun, flight: Flight) -> None:
-        """Show the whole of it: fixed axes, how it ended."""
+        """Show the complete flight, with fixed axes and its outcome."""
         if self._for_scene:
             self._send_scene(run)
         if self._for_plots:
@@ -209,7 +214,9 @@ class LiveView:
         self._recording.log("about", rr.TextDocument("\n".join(text), media_type="text/markdown"), static=True)
 
     def _send_limits(self, until_ns: int, *, styled: bool = False) -> None:
-        """They reach as far as the flight does: the viewer's cursor follows the latest of all samples."""
+        """Send the limits over the duration of the flight only, since the viewer's cursor follows the latest of all
+        samples.
+        """
         for plot in (plot for tab in self._tabs for plot in tab.plots):
             required = [limit for limit in plot.limits if limit.required]
             stream.send_limits(self._recording, plot, required, (self._limits_until_ns, until_ns), styled=styled)
@@ -238,7 +245,7 @@ class LiveView:
             self._phases = now
 
     def _reach_m(self) -> float:
-        """Estimate the range of the flight: the first stages' impulse without drag, thrown at 45 deg, halved."""
+        """Return an estimate of the range: a throw at 45 deg with the first stages' impulse without drag, halved."""
         speed = 0.0
         for stage in self._scenario.vehicle.stage:
             if not stage.engines:
@@ -259,10 +266,10 @@ class LiveView:
 
 
 class LiveRun(FlightRun):
-    """A flight sent to a view block by block. Its segments, rows and log are those of any `FlightRun`, bit by bit.
+    """A flight sent to a view block by block. Its segments, rows and log equal those of any `FlightRun`, bit by bit.
 
-    `factor`: so many seconds of flight in a second (1: real time), None: as fast as it goes. The view's `stop` is
-    asked after every block, so that a flight in real time can be interrupted at once.
+    `factor` is the ratio of flight time to real time (1: real time; None: full speed). The view's `stop` is called
+    after every block, so that a flight in real time can be interrupted immediately.
     """
 
     def __init__(
@@ -275,7 +282,7 @@ class LiveRun(FlightRun):
         self._block_ns = self._block_length_ns()
 
     def fly_segment(self, length_ns: int | None = None) -> LoggedRows:
-        """As `FlightRun.fly_segment`, shown block by block on the way."""
+        """Fly a segment as `FlightRun.fly_segment` does, and show it block by block."""
         if length_ns is not None:
             return super().fly_segment(length_ns)
         end_ns = (int(self.memory.clock.now_ns) // self.segment_ns + 1) * self.segment_ns
@@ -295,7 +302,7 @@ class LiveRun(FlightRun):
         return flight
 
     def _block_length_ns(self) -> int:
-        """0.2 s, or what of it divides a segment into whole blocks of whole steps."""
+        """Return 0.2 s, or the nearest shorter time that divides a segment into whole blocks of whole steps."""
         step_ns = int(self.packed.parameters[0].timeline.step_ns)
         for count in range(max(1, self.segment_ns // BLOCK_NS), 1, -1):
             if self.segment_ns % (count * step_ns) == 0:
@@ -311,7 +318,7 @@ class LiveRun(FlightRun):
 
 
 def joined(parts: list[LoggedRows]) -> LoggedRows:
-    """Blocks that follow one another as one."""
+    """Return consecutive blocks as one."""
     return {
         group: (np.concatenate([part[group][0] for part in parts]), np.concatenate([part[group][1] for part in parts]))
         for group in (FAST, SLOW)

@@ -1,10 +1,10 @@
-"""A layout for our logs as they are, for a viewer that has opened one without us.
+"""A layout for unchanged maxq logs, for a viewer that has opened a log directly.
 
     rerun flight.mcap &
     python -m maxq.tools.replay.log_layout flight.mcap [PORT]
 
-Rerun reads the numbers of an MCAP log, but plots none of them by itself: a layout must say which. Here every channel of
-the log is plotted, by topic and unit, beside the body's axes and the events.
+Rerun reads the numbers of an MCAP log, but plots none without a layout. Here every channel of the log is plotted, by
+topic and unit, next to the body's axes and the events.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _PORT = 9876  # Rerun's own
 
 
 def layout_of(log: Log) -> rrb.Blueprint:
-    """Plots in a tab for each topic, the frames in 3D, the events."""
+    """Return plots in a tab for each topic, the frames in 3D, and the events."""
     ends = [int(log.time_ns(topic.name)[-1]) for topic in log.table.topics if len(log.time_ns(topic.name))]
     whole = rrb.archetypes.TimeAxis(
         view_range=rr.TimeRange(
@@ -55,7 +55,7 @@ def layout_of(log: Log) -> rrb.Blueprint:
 
 
 def selectors(topic: Topic) -> dict[str, list[str]]:
-    """Channels to plot by unit, a few in each."""
+    """Return the channels to plot by unit, a few in each."""
     by_unit: dict[str, list[str]] = {}
     for channel in topic.channels:
         by_unit.setdefault(channel.unit, []).append(channel.name)
@@ -77,7 +77,7 @@ def _line(topic: Topic, name: str, number: int) -> rrb.Visualizer:
     source = VisualizerComponentMapping(
         "Scalars:scalars",
         ComponentSourceKind.SourceComponent,
-        source_component=f"{message_type(topic)}:message",  # what Rerun calls the messages of a topic
+        source_component=f"{message_type(topic)}:message",  # Rerun's name for the messages of a topic
         selector=f".{name}",
     )
     look = rr.SeriesLines(names=name, colors=rgba(ON_DARK[number % len(ON_DARK)]), widths=1.2)
@@ -85,9 +85,9 @@ def _line(topic: Topic, name: str, number: int) -> rrb.Visualizer:
 
 
 def send_layout(log: Path, port: int) -> None:
-    """Lay out the viewer that listens on `port` of this machine. Raises ReplayError, LogError."""
+    """Set the layout of the viewer that listens on `port` of this machine. Raises ReplayError, LogError."""
     listening(port)
-    application = log.stem  # what Rerun calls the recordings that it makes of files of that name
+    application = log.stem  # Rerun's name for the recordings that it makes of files of that name
     layout_of(read_log(log)).connect_grpc(application, url=f"rerun+http://{LOCAL}:{port}/proxy")
 
 

@@ -1,6 +1,6 @@
 """Triangle meshes of a vehicle's parts, cut into pieces that bend: skin, ribs, tanks, fins, nozzle, liquids.
 
-Metres; axis x points to the nose, as in B.
+Lengths are in metres. The x axis points to the nose, as in B.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _FIN, _RIB = [150, 156, 166, 255], [120, 128, 140, 255]
 
 @dataclass(frozen=True)
 class Mesh:
-    """`vertices` (n, 3) and `triangles` (m, 3), counter-clockwise from outside."""
+    """The `vertices` (n, 3) and `triangles` (m, 3) of a surface, counter-clockwise from outside."""
 
     vertices: Array
     triangles: NDArray[np.uint32]
 
     @property
     def normals(self) -> Array:
-        """Outward normals (n, 3): the means of the adjoining faces'."""
+        """Return the outward normals (n, 3): the means of the normals of the adjoining faces."""
         a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
         normals = np.zeros_like(self.vertices)
         for k in range(3):
@@ -42,13 +42,13 @@ class Mesh:
 
 
 def circle(sides: int = SIDES) -> Array:
-    """Unit circle in the y-z plane (sides, 2)."""
+    """Return the unit circle in the y-z plane (sides, 2)."""
     angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def revolved(profile: Sequence[tuple[float, float]], sides: int = SIDES) -> Mesh:
-    """A surface of revolution about x; `profile` lists (x, radius) from one end to the other."""
+    """Return a surface of revolution about x. `profile` lists (x, radius) from one end to the other."""
     x, radius = np.array(profile, float).T
     points = np.empty((len(x), sides, 3))
     points[:, :, 0] = x[:, None]
@@ -64,11 +64,13 @@ def _strip_triangles(rows: int, sides: int) -> NDArray[np.uint32]:
 
 
 def liquid_vertices(floor_x: Array, surface_x: Array, radius: float, tilt: Array, shift: Array) -> NDArray[np.float32]:
-    """Vertices (n, 4 sides, 3) of n states of a liquid in an upright cylinder: floor, wall (two rings), surface.
+    """Return the vertices (n, 4 sides, 3) of n states of a liquid in an upright cylinder: floor, wall (two rings),
+    surface.
 
-    `floor_x`, `surface_x` (n,): heights on the axis; `tilt` (n, 2): rise of the surface per metre along y and z;
-    `shift` (n, 2, 2): displacement in y and z of the floor and of the surface (bending). The surface does not go below
-    the floor. The rings of the wall and those of floor and surface are separate, so that edges look like edges.
+    `floor_x` and `surface_x` (n,) are heights on the axis. `tilt` (n, 2) is the rise of the surface per metre along y
+    and z. `shift` (n, 2, 2) is the displacement in y and z of the floor and of the surface (bending). The surface does
+    not go below the floor. The rings of the wall and those of floor and surface are separate, so that edges look like
+    edges.
     """
     ring = radius * circle()
     top = np.maximum(surface_x[:, None] + tilt @ ring.T, floor_x[:, None])
@@ -95,7 +97,7 @@ def _liquid(colour: str) -> rr.Mesh3D:
 
 
 def plate(corners: Sequence[tuple[float, float, float]], thickness: float) -> Mesh:
-    """A flat plate with four corners, thickened across its plane."""
+    """Return a flat plate with four corners, thickened across its plane."""
     base = np.array(corners, float)
     normal = np.cross(base[1] - base[0], base[2] - base[0])
     normal *= 0.5 * thickness / np.linalg.norm(normal)
@@ -107,7 +109,7 @@ def plate(corners: Sequence[tuple[float, float, float]], thickness: float) -> Me
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Several meshes as one."""
+    """Return several meshes as one."""
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes[:-1])])
     triangles = [m.triangles + np.uint32(start) for m, start in zip(meshes, starts, strict=True)]
     return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(triangles))
@@ -117,7 +119,7 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 def vehicle_meshes(shape: VehicleShape, number: int, loaded: bool) -> list[tuple[str, rr.AsComponents]]:
     """Return the pieces of a stage's vehicle, in the coordinates of the pieces.
 
-    Entities are given relative to the stage's. `loaded`: the skin's colour, its load, comes with time.
+    Entities are given relative to the stage's. `loaded` is True if the skin's colour, its load, changes with time.
     """
     out: list[tuple[str, rr.AsComponents]] = []
     flying = shape.stages[number:]
@@ -146,7 +148,7 @@ def vehicle_meshes(shape: VehicleShape, number: int, loaded: bool) -> list[tuple
 
 
 def mesh3d(body: Mesh, colour: Sequence[int] | None) -> rr.Mesh3D:
-    """A mesh for the viewer in one colour (RGBA), or in one that is sent by itself."""
+    """Return a mesh for the viewer in one colour (RGBA), or in a colour that is sent separately."""
     return rr.Mesh3D(
         vertex_positions=body.vertices,
         triangle_indices=body.triangles,
@@ -156,7 +158,7 @@ def mesh3d(body: Mesh, colour: Sequence[int] | None) -> rr.Mesh3D:
 
 
 def load_colours(shares: Array) -> IntArray:
-    """RGBA as 32-bit words for shares of a limit: the plain skin at 0, over yellow to red at 1, violet above."""
+    """Return RGBA as 32-bit words for shares of a limit: the plain skin at 0, over yellow to red at 1, violet above."""
     scale = np.array([_SKIN, [250, 205, 90, 150], [240, 120, 40, 200], [205, 30, 40, 235], [150, 30, 190, 255]])
     rgba = np.stack([np.interp(shares, LOAD_SHARES, channel) for channel in scale.T], axis=-1).round().astype("u4")
     return np.asarray(rgba @ np.array([1 << 24, 1 << 16, 1 << 8, 1], "u4"))
@@ -170,13 +172,13 @@ def _radius(stages: Sequence[StageShape], station: float) -> float:
 
 
 def _ring(x: float, radius: float) -> list[tuple[float, float]]:
-    """A thin hoop, so that the bent shape is seen through the skin."""
+    """Return a thin hoop, which shows the bent shape through the skin."""
     w = 0.02 * radius
     return [(-x - w, 1.002 * radius), (-x, 1.012 * radius), (-x + w, 1.002 * radius)]
 
 
 def _skin(stage: StageShape, a: float, b: float) -> Mesh | None:
-    """The skin between two stations, in the piece's coordinates (x forward from station a)."""
+    """Return the skin between two stations, in the piece's coordinates (x forward from station a)."""
     front, end = max(a, stage.front_m), min(b, stage.end_m)
     if end - front <= 1e-9:
         return None
@@ -199,7 +201,7 @@ def _tank_wall(tank: TankShape, a: float, b: float) -> Mesh | None:
 
 
 def _fins(stage: StageShape, a: float, b: float) -> list[Mesh]:
-    """Fins whose root's middle lies between two stations."""
+    """Return the fins whose root has its middle between two stations."""
     fins = stage.fins
     if fins is None or not a <= fins.root_station_m + 0.5 * fins.root_chord_m < b:
         return []
@@ -217,7 +219,7 @@ def _fins(stage: StageShape, a: float, b: float) -> list[Mesh]:
 
 
 def _bell(length: float, exit_radius: float) -> list[tuple[float, float]]:
-    """Chamber, throat and bell of a nozzle, from the exit to the gimbal at x = 0."""
+    """Return the chamber, throat and bell of a nozzle, from the exit to the gimbal at x = 0."""
     throat = 0.4 * exit_radius
     x = np.linspace(-length, -0.35 * length, 8)
     share = (x + length) / (0.65 * length)

@@ -19,19 +19,19 @@ from maxq.tools.replay.flight import Channels
 from maxq.tools.replay.vehicle_shape import PLANES, VehicleShape, shape_of, shapes_at
 
 NEAR = 3.0
-"""A limit farther away than so many times the largest value is named, not drawn."""
+"""The ratio to the largest value above which a limit is named, not drawn."""
 TimesAndValues = tuple[IntArray, Array]
 Computed = Callable[[Channels, str, VehicleShape | None], TimesAndValues]
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A bound in a plot's unit. `upper`: values above it are not allowed (else: below)."""
+    """A bound in a plot's unit. `upper` means that values above it are not allowed (else: below)."""
 
     value: float
     label: str
     upper: bool = True
-    required: bool = True  # by the scenario; else what the hardware cannot exceed
+    required: bool = True  # by the scenario; otherwise a limit of the hardware
 
     @property
     def text(self) -> str:
@@ -40,14 +40,14 @@ class Limit:
 
 @dataclass(frozen=True)
 class PlotLine:
-    """A line of a plot: a channel, and how its values follow from it where they are not those of the log."""
+    """A line of a plot: a channel, and the computation of its values if they are not those of the log."""
 
     label: str
     channel: str
     compute: Callable[[Channels], TimesAndValues] | None = None
 
     def values(self, channels: Channels) -> TimesAndValues:
-        """Times (n,) in ns and values (n,) in the plot's unit."""
+        """Return the times (n,) in ns and values (n,) in the plot's unit."""
         if self.compute is not None:
             return self.compute(channels)
         return channels.time_ns(self.channel), channels[self.channel]
@@ -58,9 +58,9 @@ _NEVER = np.iinfo(np.int64).max
 
 @dataclass(frozen=True)
 class ReplayPlot:
-    """`key` is its place below `plots/`, made of lower-case words; `unit` is "" for a bare number.
+    """A plot. `key` is its place below `plots/`, made of lower-case words. `unit` is "" for a bare number.
 
-    `glance`: so many of its curves are shown in the terminal, under a name in which {} is the curve's label.
+    `glance` is the number of its curves that the terminal shows, under a name in which {} is the curve's label.
     """
 
     key: str
@@ -75,7 +75,9 @@ class ReplayPlot:
         return f"{self.title}, {self.unit}" if self.unit else self.title
 
     def value_range(self, channels: Channels, from_ns: int = 0, until_ns: int = _NEVER) -> tuple[float, float] | None:
-        """Smallest and largest value between two times of the curves that a flight has; None: there is no number."""
+        """Return the smallest and largest value between two times of the curves that a flight has, or None without
+        numbers.
+        """
         curves = (c.values(channels) for c in self.curves if c.channel in channels)
         return range_of([values[(ns >= from_ns) & (ns <= until_ns)] for ns, values in curves])
 
@@ -88,12 +90,12 @@ class Tab:
 
 @dataclass(frozen=True)
 class _Row:
-    """A row of the table below: what a plot becomes once channels, scenario and vehicle are known.
+    """A row of the table below: the definition of a plot, independent of channels, scenario and vehicle.
 
-    `curves`: label and channel; {} in both stands for each mode or tank that the log has channels of. Values are
-    multiplied by `factor`, or made by `compute`; elsewhere than where the condition `only` holds (a channel exceeds a
-    number) they are gaps. `limits`: metrics whose requirements are drawn, at either sign where `both` (the metric is
-    the larger of either sign); `hardware`: key and axis of the actuator's own limit, and its label.
+    `curves` are label and channel. {} in both represents each mode or tank that has channels in the log. Values are
+    multiplied by `factor`, or computed by `compute`. They are gaps unless the condition `only` is met (a channel
+    exceeds a number). `limits` are metrics whose requirements are drawn, with either sign if `both` is True (the metric
+    is the larger of either sign). `hardware` is the key and axis of the actuator's own limit, and its label.
     """
 
     key: str
@@ -115,7 +117,10 @@ def _lateral(channels: Channels, name: str, shape: VehicleShape | None) -> Times
 
 
 def _distance_km(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
-    """Great circle from the first point, good to half a percent; blocks of a flight under way bring the point along."""
+    """Return the great-circle distance from the first point, accurate to half a percent.
+
+    Blocks of a running flight pass the point on.
+    """
     lat, lon = np.radians(channels[name]), np.radians(channels["longitude_deg"])
     start = getattr(channels, "start_place_deg", None)
     lat0, lon0 = np.radians(start) if start is not None else (lat[0], lon[0])
@@ -124,12 +129,15 @@ def _distance_km(channels: Channels, name: str, shape: VehicleShape | None) -> T
 
 
 def _in_motion(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
-    """A direction of flight, a gap where there is none."""
+    """Return a direction of flight, with a gap where it is undefined."""
     return channels.time_ns(name), np.where(channels["speed_mps"] > 1.0, channels[name], np.nan)
 
 
 def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
-    """Turning rate at the gyro by one mode: its slope there times the modal rate; `name` as eta_pitch_1_mps."""
+    """Return the angular rate at the gyro by one mode: its slope there times the modal rate.
+
+    `name` is like eta_pitch_1_mps.
+    """
     _, axis, mode, _ = name.split("_")
     ns, rate = channels.time_ns(name), channels[name]
     assert shape is not None
@@ -143,7 +151,10 @@ def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None
 
 
 def _largest_section(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
-    """Largest of all stations, kN or kN m: axial compression, or magnitude of both planes; `name` is station 1's."""
+    """Return the largest of all stations, kN or kN m: axial compression, or magnitude of both planes.
+
+    `name` is that of station 1.
+    """
     of_all = [n for n in channels.table.names if re.fullmatch(name.replace("_1_", r"_\d+_"), n)]
     if "_axial_" in name:
         values = [-channels[n] for n in of_all]
@@ -247,7 +258,9 @@ _TABLE: dict[str, list[_Row]] = {
 
 
 def tabs_of(table: ChannelTable, scenario: Scenario | None, shape: VehicleShape | None = None) -> tuple[Tab, ...]:
-    """All tabs that the channels of a log can fill; limits and bending at the gyro as far as the vehicle is known."""
+    """Return all tabs that the channels of a log can fill, with limits and bending at the gyro if the vehicle is
+    known.
+    """
     if shape is None and scenario is not None:
         shape = shape_of(scenario.vehicle)
     tabs = []
@@ -263,7 +276,7 @@ def tabs_of(table: ChannelTable, scenario: Scenario | None, shape: VehicleShape 
 
 
 def own_tabs(tabs: Sequence[Tab], table: ChannelTable, scenario: Scenario | None) -> list[Tab]:
-    """Those of `tabs` with the curves only that the channels of another log can fill."""
+    """Return those of `tabs` with only the curves that the channels of another log can fill."""
     own = {plot.key: plot for tab in tabs_of(table, scenario) for plot in tab.plots}
     return [replace(tab, plots=tuple(own[plot.key] for plot in tab.plots if plot.key in own)) for tab in tabs]
 
@@ -300,7 +313,7 @@ def _values(
 
 
 def _limits(row: _Row, scenario: Scenario | None) -> tuple[Limit, ...]:
-    """From the requirements of the scenario, and from what the actuator of the first stage that has one can do."""
+    """Return limits from the requirements of the scenario, and from the actuator of the first stage that has one."""
     if scenario is None:
         return ()
     out = []
@@ -322,7 +335,7 @@ def _limits(row: _Row, scenario: Scenario | None) -> tuple[Limit, ...]:
 
 # -- ranges --------------------------------------------------------------------------------------------------------
 def range_of(values: Sequence[Array]) -> tuple[float, float] | None:
-    """Smallest and largest of all that is finite; None where nothing is."""
+    """Return the smallest and largest of all finite values, or None if there are none."""
     ends = [(float(some.min()), float(some.max())) for v in values if len(some := v[np.isfinite(v)])]
     return (min(a for a, _ in ends), max(b for _, b in ends)) if ends else None
 
@@ -346,7 +359,7 @@ class PlotAxis:
 
 
 def axis_of(plot: ReplayPlot, found: tuple[float, float] | None) -> PlotAxis:
-    """A range that shows the data, and each limit that is near enough not to squash them."""
+    """Return a range that shows the data, and each limit that is near enough not to compress them."""
     low, high = found or (0.0, 1.0)
     reach = max(abs(low), abs(high), 1e-12)
     drawn = tuple(limit for limit in plot.limits if abs(limit.value) <= NEAR * reach)

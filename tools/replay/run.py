@@ -1,6 +1,6 @@
-"""`simreplay` once its command line has been read: open the logs and show them.
+"""The execution of `simreplay` after its command line has been parsed: open the logs and show them.
 
-What loads Matplotlib or Rerun is imported where it is needed: a summary in the terminal needs neither.
+Matplotlib and Rerun are imported only when they are needed. A summary in the terminal needs neither.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _WEB_PORT = 9090
 
 
 def execute(given: argparse.Namespace) -> int:
-    """Do what the command line asks for; returns the exit code. Raises ReplayError where nothing can be shown."""
-    find_logs(given.logs)  # a name that was mistyped is the greater trouble
+    """Execute the command line. Return the exit code. Raises ReplayError if nothing can be shown."""
+    find_logs(given.logs)  # a mistyped name is the more important error
     _check_before(given)
     with contextlib.ExitStack() as stack:
         client = None
-        if given.screenshot:  # the viewer starts beside the reading of the logs
+        if given.screenshot:  # the viewer starts while the logs are read
             client = stack.enter_context(viewer.headless(given.size or viewer.WINDOW))
         with Progress(at_once=True) as bar:
             flights, complaints = open_flights(given.logs, in_turn=not (given.plots or given.summary), watch=bar.show)
@@ -48,7 +48,7 @@ def _complain(complaints: Sequence[str]) -> None:
 
 
 def _check_before(given: argparse.Namespace) -> None:
-    """Check everything that does not depend on the logs, whose reading may take seconds."""
+    """Check all conditions that do not depend on the logs, since reading these may take seconds."""
     if given.plots or given.summary:
         return
     viewer.check_installed()
@@ -86,7 +86,7 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callab
         return Exit.OK
     with temporary_recording() as path:
         _convert(flights, given, path)
-        flights.clear()  # the viewer has what it needs: the memory of the logs is free for it
+        flights.clear()  # the viewer has its data: the memory of the logs can be freed for it
         _give_back_memory()
         if client is not None:
             return _screenshot(client(), path, given)
@@ -97,7 +97,7 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callab
 
 
 def _give_back_memory() -> None:
-    """glibc keeps a hundred megabytes of what was freed unless it is asked."""
+    """Return freed memory to the system, since glibc keeps a hundred megabytes unless requested."""
     if sys.platform.startswith("linux") and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
         trim(0)
 
@@ -123,7 +123,7 @@ def _check_writable(path: Path) -> None:
 
 @contextlib.contextmanager
 def temporary_recording() -> Iterator[Path]:
-    """A file for the viewer that is gone afterwards."""
+    """Return a file for the viewer that is deleted afterwards."""
     with tempfile.TemporaryDirectory(prefix="maxq-replay-") as folder:
         yield Path(folder) / "replay.rrd"
 

@@ -1,7 +1,7 @@
 """The flight in three dimensions: ground, trajectory and vehicle, sent to a recording block by block.
 
-A whole log is one block; a flight under way is many. Positions are in metres in the launch site's frame (x east,
-y north, z up). The body is cut into straight pieces that are sheared into a bent line; tanks, fins and skin belong to
+A whole log is one block; a running flight has many. Positions are in metres in the launch site's frame (x east, y
+north, z up). The body is cut into straight pieces that are sheared into a bent line. Tanks, fins and skin belong to
 their piece. Liquids are meshes whose surface is perpendicular to the slosh pendulum.
 """
 
@@ -38,18 +38,18 @@ from maxq.tools.replay.vehicle_shape import (
 
 MOTION_NS, ARROWS_NS, TRAIL_NS = 20_000_000, 40_000_000, 200_000_000
 FAR_NS = 100_000_000
-"""Between positions of flights that are not seen closely."""
+"""The period of positions of flights that are not seen closely."""
 _BEND_STEP_M, _LEVEL_STEP_M, _ANGLE_STEP_DEG = 2e-4, 1e-3, 2e-3  # smaller changes are not sent
 _LOAD_STEP = 0.02  # of the limit
 _STEEPEST = math.tan(math.radians(60.0))
-_MARKS_APART = 0.04  # of the extent of a trajectory, that names on it can be read
-_NO_SHAPE_M = 10.0  # length of a vehicle that is not known
+_MARKS_APART = 0.04  # of the extent of a trajectory, so that names on it are legible
+_NO_SHAPE_M = 10.0  # length of an unknown vehicle
 _GRID, _PAD, _BLOCK, _COMPASS = [74, 88, 106, 150], [96, 112, 132, 255], [110, 100, 88, 255], [150, 160, 175, 255]
 _NED = ("north", "east", "down")
 
 
 class Scene:
-    """The entities of a flight under `root`; for a flight that is not `near`, only its position."""
+    """The entities of a flight under `root`. A flight that is not `near` has only its position."""
 
     def __init__(
         self,
@@ -68,8 +68,8 @@ class Scene:
         self._trail_colours = [rgba(colour) for colour in trail]  # under thrust, coasting
         self._frames: LaunchFrames | None = None
         self.track: list[Array] = []
-        """Positions so far."""
-        self._last: dict[str, int] = {}  # period of the last row that was sent, by what was sent
+        """The positions so far."""
+        self._last: dict[str, int] = {}  # period of the last row that was sent, by its kind
         self._largest_thrust_N, self._largest_moment_Nm = 1.0, 0.0
         self._loaded = False
         self._stage = -1
@@ -87,7 +87,7 @@ class Scene:
         self._rec.send_columns(f"{self._root}/{entity}", times(times_ns), columns)
 
     def _due(self, what: str, times_ns: IntArray, period_ns: int) -> KeptRows:
-        """Rows of a block to be sent: the first in each period since the last block."""
+        """Return the rows of a block to be sent: the first in each period since the last block."""
         k = every(times_ns, period_ns, self._last.get(what, -1))
         if len(k):
             self._last[what] = int(times_ns[k[-1]] // period_ns)
@@ -105,7 +105,7 @@ class Scene:
             self._log(f"vehicle/{name}", style)
 
     def _legend(self, sections: LoadStations) -> None:
-        """A scale of the skin's colours, upright beside the vehicle, against the direction of flight."""
+        """Send a scale of the skin's colours, upright next to the vehicle, against the direction of flight."""
         azimuth = math.radians(self._place.site.azimuth_deg)
         forward = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
         share = np.linspace(0.0, 1.0, 21)
@@ -113,14 +113,14 @@ class Scene:
         colours = load_colours(0.5 * (share[1:] + share[:-1])) | np.uint32(255)
         strips = rr.LineStrips3D(np.stack([points[:-1], points[1:]], axis=1), colors=colours, radii=0.012 * self._size)
         self._log("vehicle/legend", strips)
-        largest = f"{self._largest_moment_Nm / 1e3:.3g} kN m: the largest so far"
+        largest = f"{self._largest_moment_Nm / 1e3:.3g} kN m: largest value so far"
         labels = ["bending moment: 0", "50 %", largest if sections.limit_Nm is None else "100 % of the limit"]
         marks = rr.Points3D(points[::10], labels=labels, show_labels=True, radii=0.0, colors=rgba(WHITE))
         self._log("vehicle/legend/shares", marks)
 
     # -- blocks ----------------------------------------------------------------------------------------------------
     def add(self, channels: Channels) -> None:
-        """Send the rows of a block; blocks follow one another in time."""
+        """Send the rows of a block. Blocks follow one another in time."""
         if self._frames is None:
             self._frames = self._place.frames(channels.table, MOTION_NS if self._near else FAR_NS)
         path = path_of(channels, self._frames)
@@ -138,7 +138,7 @@ class Scene:
             self._vehicle(channels)
 
     def mark(self, moments: Sequence[Moment], path: FramePath) -> None:
-        """Points on the trajectory with names and times; of several close together, the last."""
+        """Send points on the trajectory with names and times; of several close together, the last."""
         if not moments or not len(path.times_ns):
             return
         k = np.clip(np.searchsorted(path.times_ns, [m.time_ns for m in moments]), 0, len(path.times_ns) - 1)
@@ -152,7 +152,7 @@ class Scene:
         self._log("marks", rr.Points3D(points, labels=labels, show_labels=True, radii=radius, colors=rgba(WHITE)))
 
     def whole_path(self, path: FramePath, colour: str) -> None:
-        """The whole trajectory as a thin line."""
+        """Send the whole trajectory as a thin line."""
         points = path.translation_m[every(path.times_ns, 1_000_000_000)]
         self._log("path", rr.LineStrips3D([points], colors=rgba(colour, 0.7), radii=rr.Radius.ui_points(0.7)))
 
@@ -175,7 +175,10 @@ class Scene:
         self._send("trail", at, rr.LineStrips3D.columns(strips=list(strips), colors=colours, radii=radii))
 
     def _arrows(self, channels: Channels) -> None:
-        """Velocity over the ground in its direction, wind to scale; both are labelled with their size."""
+        """Send the velocity over the ground in its direction, and the wind to scale.
+
+        Both are labelled with their magnitude.
+        """
         if not all(f"v_N_{a}_mps" in channels for a in _NED):
             return
         ns = channels.time_ns("v_N_north_mps")
@@ -225,7 +228,7 @@ class Scene:
     def _send_loads(
         self, shape: VehicleShape, sections: LoadStations, channels: Channels, begin_ns: int, end_ns: int
     ) -> None:
-        """Colour of each piece by the bending moment in its middle."""
+        """Send the colour of each piece by the bending moment in its middle."""
         ns = channels.time_ns(SECTION)
         inside = slice(*np.searchsorted(ns, [begin_ns, end_ns + 1]))
         k = self._due(f"loads{self._stage}", ns[inside], ARROWS_NS) + inside.start
@@ -255,7 +258,7 @@ class Scene:
         self._rec.reset_time()
 
     def _bend(self, shape: VehicleShape, channels: Channels, begin_ns: int, end_ns: int) -> None:
-        """Pieces, engine and liquids of the stage that flies between two times."""
+        """Send the pieces, engine and liquids of the stage that flies between two times."""
         number, stage = self._stage, shape.stages[self._stage]
         hull = f"vehicle/body/hull/stage{number + 1}"
         ns = channels.time_ns("gimbal_pitch_angle_deg" if "gimbal_pitch_angle_deg" in channels else "cg_station_m")
@@ -355,7 +358,7 @@ class Scene:
         state = np.concatenate([height[:, None] / 2.0, tilt * tank.radius_m, shift.reshape(len(at), -1) / 5.0], axis=1)
         some = some[changed(state[some], _LEVEL_STEP_M)]
         floor = np.full(len(some), -tank.bottom_station_m)
-        # the surface's place between floor and roof decides how far it follows the bent line
+        # the position of the surface between floor and roof sets its displacement with the bent line
         share = np.clip(height[some] / (tank.bottom_station_m - tank.top_station_m), 0.0, 1.0)[:, None]
         low, high = shift[some, 0], shift[some, 0] * (1.0 - share) + shift[some, 1] * share
         vertices = liquid_vertices(
@@ -366,7 +369,7 @@ class Scene:
 
 
 def _at(channels: Channels, name: str, at_ns: IntArray) -> Array:
-    """Values of a channel at times of another rate."""
+    """Return values of a channel at times of another rate."""
     if name not in channels or not len(channels.time_ns(name)):
         return np.zeros(len(at_ns))
     return channels[name][last_before(channels.time_ns(name), at_ns)]
@@ -374,9 +377,11 @@ def _at(channels: Channels, name: str, at_ns: IntArray) -> Array:
 
 # -- the ground ----------------------------------------------------------------------------------------------------
 def send_ground(recording: rr.RecordingStream, place: ShownLaunchSite, reach_m: float, drop_m: float) -> str:
-    """A grid on the Earth's surface as far as the flight reaches, and the pad. Static. Returns the grid's spacing.
+    """Send a grid on the Earth's surface over the range of the flight, and the pad, as static data.
 
-    The simulation begins with the CG at the site's altitude; the ground is drawn `drop_m` lower, under the vehicle.
+    Return the grid's spacing.
+
+    The simulation begins with the CG at the site's altitude. The ground is drawn `drop_m` lower, under the vehicle.
     """
 
     def lines(entity: str, strips: Iterable[Array], colour: Sequence[int], radius: Any) -> None:
@@ -387,7 +392,7 @@ def send_ground(recording: rr.RecordingStream, place: ShownLaunchSite, reach_m: 
         step *= 5.0
     count = math.ceil(1.15 * reach_m / step)
     along, drop = np.linspace(-count * step, count * step, 16 * count + 1), np.array([0.0, 0.0, drop_m])
-    offsets = [np.full(len(along), (i + 0.5) * step) for i in range(-count, count + 1)]  # beside the site
+    offsets = [np.full(len(along), (i + 0.5) * step) for i in range(-count, count + 1)]  # off the site
     pairs = [pair for across in offsets for pair in ((along, across), (across, along))]
     thin = rr.Radius.ui_points(0.5)
     lines("grid", (place.ground(*pair) - drop for pair in pairs), _GRID, thin)

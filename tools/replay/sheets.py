@@ -1,7 +1,7 @@
 """The standard set of plots for a review: a sheet for each subject, as SVG and PNG, with events, limits and units.
 
-One flight gives lines in colours of their own; a few give a colour to each flight and dashes to each channel; a
-campaign gives envelopes over its kept flights, with the nominal on top and those that failed in red.
+One flight has lines in several colours. A few flights have a colour per flight and dashes per channel. A campaign has
+envelopes over its kept flights, with the nominal flight on top and failed flights in red.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from maxq.tools.replay.vehicle_shape import PLANES, borne, shape_of
 from maxq.tools.replay.viewer import ReplayError
 
 WIDTH_IN, ROW_IN = 8.0, 1.9
-"""Of a sheet; of one plot in it."""
-_SETTINGS = {"lines.linewidth": 1.1, "figure.dpi": 160, "svg.fonttype": "none"}  # text stays text: it is searched
+"""The sizes of a sheet and of one plot in it."""
+_SETTINGS = {"lines.linewidth": 1.1, "figure.dpi": 160, "svg.fonttype": "none"}  # text remains searchable
 _LEGEND: dict[str, Any] = {  # in one row above the plot
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.985),
@@ -51,7 +51,7 @@ _LEGEND: dict[str, Any] = {  # in one row above the plot
     "frameon": False,
 }
 _TITLE_LINE_IN = 0.26
-_ENVELOPE_FROM = 6  # so many flights are drawn as envelope instead of one by one
+_ENVELOPE_FROM = 6  # number of flights from which an envelope replaces single lines
 _BINS, _POINTS, _THIN_POINTS = 1500, 4000, 1500  # along a sheet: of an envelope, of a line, of one among many
 _PATH_NS = 100_000_000
 _WINDOW_S, _HIGHEST_HZ, _FLOOR_DB = 2.0, 60.0, -80.0
@@ -60,7 +60,7 @@ _SPECTRA |= {f"gimbal_{plane}_angle_deg": f"gimbal, {plane}" for plane in PLANES
 _IN_PATH = ("max_q", "burnout", "apogee", "impact", "fault", "control_lost", "diverged", "tumble")
 _EVENTS = (*_IN_PATH, "liftoff", "separation")
 _MOST_USED = 3.0  # share of the limit at which a bar ends
-_SECTION_LOADS = (  # title, unit, and by which column of the limits it is bounded, with its sign
+_SECTION_LOADS = (  # title, unit, the column of the limits that bounds it, and its sign
     ("axial force", "kN", {"compression_N": -1.0, "tension_N": 1.0}),
     ("shear", "kN", {"shear_N": 1.0}),
     ("bending moment", "kN m", {"bending_moment_Nm": 1.0}),
@@ -70,7 +70,7 @@ _SECTION_LOADS = (  # title, unit, and by which column of the limits it is bound
 
 @dataclass(frozen=True)
 class Flights:
-    """The content of a set of sheets; the `reference` (the nominal, or the first) gives events and the thick lines."""
+    """The content of a set of sheets. The `reference` (the nominal, or the first) gives events and the thick lines."""
 
     all: Sequence[ReplayFlight]
     reference: ReplayFlight
@@ -81,11 +81,11 @@ class Flights:
 
     @property
     def few(self) -> bool:
-        """So few that each has its colour."""
+        """Return True if the flights are few enough for separate colours."""
         return 1 < len(self.all) < _ENVELOPE_FROM
 
     def colour(self, flight: ReplayFlight) -> str:
-        """Return a flight's colour: black for the reference, of few flights a shade of red for one that failed."""
+        """Return a flight's colour: black for the reference, and for a failed one of few flights a shade of red."""
         others = [f for f in self.all if f is not self.reference]
         if flight is self.reference:
             return BLACK
@@ -109,9 +109,9 @@ class Flights:
 def write_sheets(
     flights: Sequence[ReplayFlight], folder: Path, only: str = "", watch: ConversionWatch = lambda *_: None
 ) -> list[Path]:
-    """Draw all sheets into a folder, which is made; returns the files. Raises ReplayError where that fails.
+    """Draw all sheets into a folder, which is created. Return the files. Raises ReplayError if the drawing fails.
 
-    `only`: those of one tab, a part of its name.
+    `only` selects those of one tab by a part of its name.
     """
     shown = Flights(flights, next((f for f in flights if f.is_nominal), flights[0]))
     tabs = tabs_of(shown.reference.log.table, shown.reference.scenario)
@@ -153,7 +153,7 @@ def _sheet(tab: Tab, shown: Flights) -> Figure:
 
 
 def _part(figure: Figure, place: Axes) -> None:
-    """Raise a title that its legend, in the same line, would lie over."""
+    """Raise a title that its legend, in the same line, would overlap."""
     legend = place.get_legend()
     if legend is None:
         return
@@ -166,7 +166,7 @@ def _part(figure: Figure, place: Axes) -> None:
 def _figure(
     name: str, shown: Flights, rows: int, columns: int = 1, height_in: float = ROW_IN, about: str = "", **more: Any
 ) -> tuple[Figure, Sequence[Axes]]:
-    """An empty sheet; below its title, in a line of its own, the colour of each of a few flights."""
+    """Return an empty sheet. A line below its title shows the colour of each of a few flights."""
     of = f"{len(shown.all)} flights" if shown.many else shown.reference.label
     figure, places = sheet(rows, columns, height_in, WIDTH_IN, f"{name} - {of}{about}", **more)
     if shown.few:
@@ -181,7 +181,10 @@ def _figure(
 
 
 def _span(tab: Tab, shown: Flights) -> tuple[float, float]:
-    """The whole flight for what concerns all of it; else until shortly after burnout, where the rest is at zero."""
+    """Return the whole flight for quantities that concern all of it.
+
+    For others, end shortly after burnout, if the rest is zero.
+    """
     start, end = min(f.span_s[0] for f in shown.all), max(f.span_s[1] for f in shown.all)
     burnouts = [m.time_s for f in shown.all if (m := f.moment("burnout")) is not None]
     if tab.name in ("Trajectory", "Air") or not burnouts:
@@ -200,11 +203,14 @@ def _draw(place: Axes, plot: ReplayPlot, shown: Flights, span_s: tuple[float, fl
     place.set_title(plot.title + (f"  [{beyond}]" if beyond else ""))
     place.set_ylabel(plot.unit)
     if len(plot.curves) > 1 or axis.drawn:
-        place.legend(**_LEGEND).set_in_layout(False)  # a long one does not squeeze the plot
+        place.legend(**_LEGEND).set_in_layout(False)  # a long flight does not compress the plot
 
 
 def _draw_curve(place: Axes, curve: PlotLine, number: int, shown: Flights, span_s: tuple[float, float]) -> list[Array]:
-    """Lines of a few flights, or the envelope of many with the failed ones and the reference as lines; the values."""
+    """Draw lines of a few flights, or the envelope of many with the failed ones and the reference as lines.
+
+    Return the values.
+    """
     span_ns = round(span_s[0] * 1e9), round(span_s[1] * 1e9) + 1
     look = look_of(number)
     envelopes, drawn = [], []
@@ -237,8 +243,10 @@ def _draw_curve(place: Axes, curve: PlotLine, number: int, shown: Flights, span_
 
 
 def envelope(times_ns: IntArray, values: Array, span_ns: tuple[int, int], bins: int = _BINS) -> tuple[Array, Array]:
-    """Smallest and largest value in each of `bins` intervals of a span; one without samples takes the value on the
-    line between its neighbours."""
+    """Return the smallest and largest value in each of `bins` intervals of a span.
+
+    An interval without samples has the interpolated value.
+    """
     width_ns = -((span_ns[0] - span_ns[1]) // bins)
     ends = extremes_on_grid(times_ns, values, span_ns[0], width_ns, bins).reshape(bins, 2)
     low, high = ends.min(axis=1), ends.max(axis=1)
@@ -262,14 +270,14 @@ def _draw_limits(place: Axes, axis: PlotAxis) -> None:
 
 
 def _mark_events(places: Sequence[Axes], flight: ReplayFlight, span_s: tuple[float, float]) -> None:
-    """Vertical lines through all plots, names above the first."""
+    """Draw vertical lines through all plots, with names above the first."""
     start, width = span_s[0], span_s[1] - span_s[0]
     named: list[float] = []
     low, high = places[0].get_ylim()
     drawn = [np.asarray(line.get_xydata()) for line in places[0].lines]
     curves = np.concatenate([np.zeros((0, 2)), *(points for points in drawn if len(points) > 2)])
     curves[:, 1] = (curves[:, 1] - low) / (high - low)
-    for moment in sorted(flight.moments, key=lambda m: m.level, reverse=True):  # what went wrong gets its name first
+    for moment in sorted(flight.moments, key=lambda m: m.level, reverse=True):  # failures get their names first
         if moment.name not in _EVENTS or not 0.0 <= moment.time_s - start <= width:
             continue
         for place in places:
@@ -288,7 +296,7 @@ def _mark_events(places: Sequence[Axes], flight: ReplayFlight, span_s: tuple[flo
 
 # -- plots that are not over time ------------------------------------------------------------------------------------
 def special_sheets(shown: Flights) -> Iterator[tuple[str, Figure]]:
-    """Name of the file and figure of each sheet that the logs have channels for."""
+    """Return the name of the file and figure of each sheet for which the logs have channels."""
     reference, has = shown.reference, shown.reference.log
     if moving := [f for f in shown.all if has_motion(f.log)]:
         yield "10-path", _path(Flights(moving, reference))
@@ -381,7 +389,9 @@ def _phase_plane(shown: Flights) -> Figure:
 
 
 def _spectra(channels: Sequence[str], flight: ReplayFlight) -> Figure:
-    """Amplitude over time and frequency (a sine of amplitude 1 reads 0 dB), in windows that overlap by 3/4."""
+    """Return the amplitude over time and frequency (a sine of amplitude 1 reads 0 dB), in windows that overlap by
+    3/4.
+    """
     figure, places = _figure("Spectra under thrust", Flights([flight], flight), len(channels))
     for place, channel in zip(places, channels, strict=True):
         time_s, values = flight.log.time_ns(channel) / 1e9, flight.log[channel]
@@ -408,7 +418,7 @@ def _spectra(channels: Sequence[str], flight: ReplayFlight) -> Figure:
 
 
 def _name_modes(place: Axes, flight: ReplayFlight, axis: str, times_s: Array) -> None:
-    """Frequencies of the first stage's bending modes by its table, without axial load and air."""
+    """Name the frequencies of the first stage's bending modes by its table, without axial load and air."""
     if flight.scenario is None:
         return
     stage = shape_of(flight.scenario.vehicle).stages[0]
@@ -456,7 +466,9 @@ def _requirements(shown: Flights) -> Figure:
 
 
 def _sections(shown: Flights, stage: int, loads: LoadsSection) -> Figure:
-    """Envelopes of the section loads over the stations, on the pad and under thrust, with what the sections bear."""
+    """Draw the envelopes of the section loads over the stations, on the pad and under thrust, with the permissible
+    loads.
+    """
     radius, stations = borne(loads, "radius_m"), np.array(loads.stations_m)
     rows = _SECTION_LOADS if radius is not None else _SECTION_LOADS[:3]
     figure, places = _figure(f"Section loads, stage {stage + 1}", shown, len(rows))

@@ -1,7 +1,8 @@
-"""Send data to a recording over time: curves decimated to their extremes, limits, events and phases.
+"""The sending of data to a recording over time: curves decimated to their extremes, limits, events and phases.
 
-An entity for each curve of each flight of a campaign, thousands of them, would keep the viewer busy for a minute: the
-curves of many flights are sent as families, an entity for each curve with a line for each flight in it.
+A campaign would need thousands of entities, one for each curve of each flight, and the viewer would need a minute for
+them. Therefore, the curves of many flights are sent as families: an entity for each curve with a line for each flight
+in it.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ from maxq.tools.replay.plots import Limit, PlotAxis, PlotLine, ReplayPlot, Tab
 TIMELINE = "sim_time"
 APPLICATION = "maxq"
 FAMILY = "family"
-"""Root of the curves of many flights."""
+"""The root of the curves of many flights."""
 FAMILY_FROM = 20
-"""So many flights, apart from those seen closely, become families."""
+"""The number of flights, apart from those seen closely, from which on they become families."""
 PHASES = {
     "held down": GREY,
     "powered": ORANGE,
@@ -48,15 +49,15 @@ _BEGUN_BY = {
     "diverged": "diverged",
 }
 _WORSE = ("control lost", "tumbling")
-_LEVELS = {Level.WARNING: "WARN", Level.FATAL: "CRITICAL"}  # where the viewer has another name
-_EVENT_WIDTH = 60  # letters that the list of events has room for, at 1920 pixels
+_LEVELS = {Level.WARNING: "WARN", Level.FATAL: "CRITICAL"}  # if the viewer has another name
+_EVENT_WIDTH = 60  # number of letters in the list of events, at 1920 pixels
 _TEETH = 240  # of the hatching over the whole flight
-_MIN_MAX = rr.components.AggregationPolicy.MinMax  # no extreme may be averaged away when the viewer zooms out
+_MIN_MAX = rr.components.AggregationPolicy.MinMax  # the viewer must not average extremes away when it zooms out
 
 
 # -- columns -------------------------------------------------------------------------------------------------------
 def times(times_ns: IntArray) -> list[rr.TimeColumn]:
-    """The time column of `send_columns`."""
+    """Return the time column of `send_columns`."""
     return [rr.TimeColumn(TIMELINE, duration=times_ns.astype("timedelta64[ns]"))]
 
 
@@ -65,7 +66,9 @@ def set_time(recording: rr.RecordingStream, time_ns: int) -> None:
 
 
 def matrices(columns: Array) -> pa.Array:
-    """Matrices (n, 9), column by column, for `Transform3D.columns`, which would convert other forms one by one."""
+    """Return matrices (n, 9), column by column, for `Transform3D.columns`, which would convert other forms one by
+    one.
+    """
     kind = rr.components.TransformMat3x3Batch(np.eye(3)).pa_array.type
     return pa.FixedSizeListArray.from_arrays(pa.array(columns.astype("f4").ravel()), type=kind)
 
@@ -76,7 +79,7 @@ def send_scalars(recording: rr.RecordingStream, entity: str, times_ns: IntArray,
 
 # -- curves --------------------------------------------------------------------------------------------------------
 def _curves(root: str, tabs: Sequence[Tab]) -> Iterator[tuple[str, int, ReplayPlot, PlotLine]]:
-    """Entity and number of every curve of these tabs."""
+    """Return the entity and number of every curve of these tabs."""
     for tab in tabs:
         for plot in tab.plots:
             for i, curve in enumerate(plot.curves):
@@ -91,7 +94,10 @@ def send_styles(
     prefix: str = "",
     alpha: float = 1.0,
 ) -> None:
-    """Names and colours: one `colour` for all curves of a flight, or one for each (None); `prefix` begins the names."""
+    """Send the names and colours: one `colour` for all curves of a flight, or one for each (None).
+
+    `prefix` precedes the names.
+    """
     for entity, i, _, curve in _curves(root, tabs):
         own = rgba(colour or ON_DARK[i % len(ON_DARK)], alpha)
         name = prefix + curve.label
@@ -102,7 +108,7 @@ def send_styles(
 def send_curves(
     recording: rr.RecordingStream, root: str, tabs: Sequence[Tab], channels: Channels, interval_ns: int
 ) -> None:
-    """The samples of a block or of a whole log."""
+    """Send the samples of a block or of a whole log."""
     for entity, _, _, curve in _curves(root, tabs):
         ns, values = curve.values(channels)
         if len(ns):
@@ -111,11 +117,11 @@ def send_curves(
 
 
 class Family:
-    """Collects the curves of many flights, then sends them.
+    """A collection of the curves of many flights, to be sent together.
 
-    Lines of one entity share their times. So every interval gives two rows, a quarter and three quarters into it, of
-    its smallest and its largest value in the order of the trend: no value is changed, but its time may be off by
-    up to three quarters of an interval.
+    Lines of one entity share their times. Therefore, every interval gives two rows, at a quarter and three quarters of
+    it, with its smallest and its largest value in the order of the trend. No value is changed, but its time may be off
+    by up to three quarters of an interval.
     """
 
     def __init__(self, span_s: tuple[float, float], interval_ns: int) -> None:
@@ -125,7 +131,7 @@ class Family:
         self._lines: dict[tuple[str, str], list[tuple[str, str, Array]]] = {}
 
     def add(self, label: str, colour: str, tabs: Sequence[Tab], channels: Channels) -> None:
-        """A flight's curves in these tabs, named after it."""
+        """Add a flight's curves in these tabs, named after it."""
         for _, _, plot, curve in _curves("", tabs):
             ns, values = curve.values(channels)
             rows = extremes_on_grid(ns, values, self._start_ns, self._interval_ns, self._count)
@@ -133,7 +139,7 @@ class Family:
             self._lines.setdefault((plot.key, curve.label), []).append(line)
 
     def send(self, recording: rr.RecordingStream) -> None:
-        """Everything collected; it is forgotten on the way."""
+        """Send all collected curves and clear the collection."""
         row = np.arange(2 * self._count)
         at = self._start_ns + row // 2 * self._interval_ns + np.where(row % 2, 3, 1) * self._interval_ns // 4
         for number, key in enumerate(list(self._lines)):
@@ -165,9 +171,10 @@ def send_limits(
     *,
     styled: bool = True,
 ) -> None:
-    """A line at each limit between two times, and hatching on the forbidden side as far as the axis, if it is known.
+    """Send a line at each limit between two times, and hatching on the forbidden side up to the end of the axis, if it
+    is known.
 
-    A flight under way sends them piece by piece: `styled` the first time.
+    A running flight sends them piece by piece. `styled` is True the first time.
     """
     ends = np.array(span_ns, np.int64)
     along = np.linspace(*span_ns, 2 * _TEETH + 1).astype(np.int64)
@@ -198,7 +205,7 @@ _READ = (
 
 
 def send_now(recording: rr.RecordingStream, flights: Sequence[tuple[str, Channels]]) -> None:
-    """A table of the key numbers at every fifth of a second, a column for each flight."""
+    """Send a table of the key numbers every fifth of a second, with a column for each flight."""
     rows = [row for row in _READ if any(row[1] in channels for _, channels in flights)]
     known = [channels.time_ns(name) for _, channels in flights for _, name, _ in rows if name in channels]
     known = [ns for ns in known if len(ns)]
@@ -228,7 +235,7 @@ def send_now(recording: rr.RecordingStream, flights: Sequence[tuple[str, Channel
 # -- events and phases ---------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Phase:
-    """A part of a flight as a person would name it, from `start_ns` on."""
+    """A part of a flight with a usual name, from `start_ns` on."""
 
     name: str
     start_ns: int
@@ -248,7 +255,7 @@ def first_phase(channels: Channels, start_ns: int) -> Phase:
 
 
 def phases(first: Phase, moments: Iterable[Moment]) -> list[Phase]:
-    """Phases in order; once control is lost nothing milder is said but the end."""
+    """Return the phases in order. After a loss of control, only the end follows."""
     out = [first]
     for moment in sorted(moments, key=lambda m: m.time_ns):
         name, now = _BEGUN_BY.get(moment.name), out[-1].name
@@ -270,7 +277,7 @@ def send_events(recording: rr.RecordingStream, root: str, moments: Iterable[Mome
 
 
 def send_phases(recording: rr.RecordingStream, root: str, some: Iterable[Phase], *, styled: bool) -> None:
-    """Phases as a band of colours."""
+    """Send the phases as a band of colours."""
     if styled:
         names, colours = list(PHASES), [rgba(colour) for colour in PHASES.values()]
         recording.log(f"{root}/phase", rr.StateConfiguration(values=names, labels=names, colors=colours), static=True)

@@ -1,4 +1,4 @@
-"""Flights in words: the page beside the views of the viewer, and the summary in a terminal."""
+"""Flights in words: the page next to the views of the viewer, and the summary in a terminal."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _BLOCKS, _PLAIN_BLOCKS = "▁▂▃▄▅▆▇█", "_.-=+*%#"
 _NARROWEST, _WIDEST = 20, 100
 
 
-# -- beside the pictures -------------------------------------------------------------------------------------------
+# -- next to the pictures ------------------------------------------------------------------------------------------
 def about(flights: Sequence[ReplayFlight], drawn: Sequence[str]) -> str:
-    """A Markdown page on one flight or several, which ends with the section `drawn`."""
+    """Return a Markdown page on one flight or several, which ends with the section `drawn`."""
     if len(flights) == 1:
         return "\n".join([*_about_flight(flights[0]), *drawn])
     lines = [f"# {len(flights)} flights", "", "| flight | outcome | verdict |", "|---|---|---|"]
-    for f in flights:  # the reasons of many would read every log again
+    for f in flights:  # the reasons of many would require reading every log again
         verdict = _verdict(f) if len(flights) <= FEW else _VERDICTS[f.verdict].partition(":")[0]
         lines.append(f"| {f.label} | {f.outcome} at {f.span_s[1]:.1f} s | {verdict} |")
-    if len(flights) > len(ON_DARK):  # else each has its own colour
+    if len(flights) > len(ON_DARK):  # otherwise each has its own colour
         lines += ["", "Green: passed. Red: failed. Blue: no verdict known. Purple: the nominal."]
     lines.append("")
     lines += _went_wrong([(f"{f.label}: ", f) for f in flights])
@@ -71,13 +71,13 @@ def _verdict(flight: ReplayFlight) -> str:
 
 
 def _went_wrong(flights: Sequence[tuple[str, ReplayFlight]]) -> list[str]:
-    """Return warnings and worse in whole sentences, which the narrow list of events cuts off."""
+    """Return warnings and more severe events in whole sentences, which the narrow list of events truncates."""
     said = [f"- {name}{m.line.strip()}" for name, f in flights for m in f.moments if m.level >= Level.WARNING]
-    return ["## What went wrong", "", *said, ""] if said else []
+    return ["## Problems", "", *said, ""] if said else []
 
 
 def _notes(notes: Sequence[str]) -> list[str]:
-    return ["## What is missing", "", *(f"- {note}" for note in notes), ""] if notes else []
+    return ["## Missing data", "", *(f"- {note}" for note in notes), ""] if notes else []
 
 
 def _requirement(r: ShownRequirement) -> str:
@@ -89,7 +89,7 @@ def _requirement(r: ShownRequirement) -> str:
 
 def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[str]:
     """Return the section on scales and colours of the picture."""
-    moved = ["- Axes: east, north, up where the flight began, which is far from the site."]
+    moved = ["- Axes: east, north, up at the start of the flight, which is far from the site."]
     return [
         "## How it is drawn",
         "",
@@ -102,7 +102,7 @@ def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[s
         *(moved if place is not None and place.moved else []),
         "- The ground is drawn under the vehicle; the simulation begins with the CG at the site's altitude.",
         "- Red, green and blue axes: x, y and z of the body, from its CG.",
-        "- Skin, nose and fins follow the file of the vehicle; what it does not say has customary proportions.",
+        "- Skin, nose and fins follow the vehicle file; missing dimensions have customary proportions.",
         "",
     ]
 
@@ -110,7 +110,7 @@ def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[s
 # -- in a terminal -------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _TextRow:
-    """A curve of the summary; `broken`: it goes beyond what the scenario allows, under thrust."""
+    """A curve of the summary. `broken` is True if it exceeds the scenario's limits under thrust."""
 
     name: str
     ns: IntArray
@@ -120,8 +120,9 @@ class _TextRow:
 
 
 def summary_text(flight: ReplayFlight, width: int | None = None, ascii_only: bool | None = None) -> str:
-    """Plain text of at most `width` columns (default: the terminal's): events, requirements, the key channels as lines
-    of small blocks."""
+    """Return plain text of at most `width` columns (default: the terminal's): events, requirements, the key channels as
+    lines of small blocks.
+    """
     width = width or shutil.get_terminal_size((100, 24)).columns
     if ascii_only is None:
         ascii_only = not _can_print_blocks()
@@ -180,7 +181,10 @@ def _row(plot: ReplayPlot, curve: PlotLine, flight: ReplayFlight) -> _TextRow | 
 
 
 def sparkline(ns: IntArray, values: Array, span_ns: tuple[int, int], cells: int, blocks: str = _BLOCKS) -> str:
-    """A character for each of `cells` intervals; where it swings, its largest excursion, so that no peak is lost."""
+    """Return a character for each of `cells` intervals.
+
+    For an oscillation, it shows the largest excursion, so that no peak is lost.
+    """
     found, finite = range_of([values]), np.isfinite(values)
     if found is None:
         return " " * cells

@@ -1,9 +1,9 @@
 """The shape of a vehicle, from its TOML. Stations are metres aft of the nose.
 
-Length and diameter, the gimbal, the nozzle's exit, the tanks with their levels and the places of nose and fins stand in
-the file. What it does not say is filled in: a tangent ogive whose length puts the nose's centre of pressure where the
-file has it, and four trapezoidal fins of customary proportions about the station where the fins' force
-acts. Bending is mode shapes times modal coordinates, drawn larger than life.
+The file contains length and diameter, the gimbal, the nozzle's exit, the tanks with their levels, and the positions of
+nose and fins. Missing parts are assumed. The nose is a tangent ogive whose length gives the nose's centre of pressure
+in the file. Four trapezoidal fins of customary proportions are centred at the station of the fins' force. Bending is
+mode shapes times modal coordinates, exaggerated.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ PIECES = 16  # of the body, each straight: enough for the third bending mode
 PLANES = ("pitch", "yaw")
 SECTION = "section_1_bending_pitch_Nm"  # a channel of every log with section loads
 _FACTORS = [step * 10.0**power for power in range(6) for step in (1.0, 2.0, 5.0)]
-_LARGEST = 0.35  # of the diameter: how far the automatic factor lets the body bend
-_STEEPEST_DEG = 25.0  # how far the automatic factor lets a surface tilt
+_LARGEST = 0.35  # of the diameter: largest bending by the automatic factor
+_STEEPEST_DEG = 25.0  # largest tilt of a surface by the automatic factor
 
 
 @dataclass(frozen=True)
 class TankShape:
-    """A cylindrical tank; `level` (times on the stage clock, heights) of the liquid above the bottom."""
+    """A cylindrical tank. `level` is (times on the stage clock, heights) of the liquid above the bottom."""
 
     name: str
     radius_m: float
@@ -47,7 +47,9 @@ class TankShape:
 
 @dataclass(frozen=True)
 class Fins:
-    """`count` equal trapezoids: stations of the leading edge at root and tip, chords, and radii of root and tip."""
+    """A set of `count` equal trapezoidal fins: stations of the leading edge at root and tip, chords, and radii of root
+    and tip.
+    """
 
     count: int
     root_station_m: float
@@ -60,7 +62,10 @@ class Fins:
 
 @dataclass(frozen=True)
 class EngineShape:
-    """An engine; `channels` begins the names of its gimbal's channels, `follows` gives the planes in which it moves."""
+    """An engine.
+
+    `channels` is the prefix of its gimbal's channels, and `follows` contains the planes in which it moves.
+    """
 
     gimbal_station_m: float
     exit_station_m: float
@@ -73,7 +78,7 @@ class EngineShape:
 
 @dataclass(frozen=True)
 class LoadStations:
-    """Stations at which section loads are known, and the bending moment that they bear, where that is known."""
+    """The stations at which section loads are known, and the permissible bending moment, if it is known."""
 
     station_m: Array
     limit_Nm: Array | None
@@ -88,10 +93,10 @@ class LoadStations:
 
 @dataclass(frozen=True)
 class StageShape:
-    """The part of the body that is dropped at the end of this stage, and what it holds.
+    """The part of the body that is dropped at the end of this stage, and its contents.
 
-    `profile` (n, 2) lists station and radius from the front to the end. `modes`: pitch and yaw, on the stage clock, of
-    the whole vehicle while this stage flies.
+    `profile` (n, 2) lists station and radius from the front to the end. `modes` are pitch and yaw, on the stage clock,
+    of the whole vehicle while this stage flies.
     """
 
     profile: Array
@@ -99,7 +104,7 @@ class StageShape:
     fins: Fins | None
     engine: EngineShape | None
     modes: tuple[ModeTable | None, ModeTable | None]
-    spatial: tuple[ModeTable, ModeTable] | None  # what spatial modes do along y and along z
+    spatial: tuple[ModeTable, ModeTable] | None  # motion of spatial modes along y and along z
     gyro_station_m: float | None
     clock_factor: float
     sections: LoadStations | None = None
@@ -107,7 +112,7 @@ class StageShape:
 
     @property
     def nozzles(self) -> list[tuple[str, EngineShape]]:
-        """All engines by the names of their entities."""
+        """Return all engines by the names of their entities."""
         first = [("engine", self.engine)] if self.engine is not None else []
         return first + [(f"engine_{n}", engine) for n, engine in enumerate(self.further_engines, start=2)]
 
@@ -127,15 +132,15 @@ class VehicleShape:
     stages: tuple[StageShape, ...]
 
     def joints(self, stage: int) -> Array:
-        """Stations at which the body that flies in a stage is cut into straight pieces."""
+        """Return the stations at which the body that flies in a stage is cut into straight pieces."""
         return np.linspace(0.0, self.stages[stage].end_m, PIECES + 1)
 
 
 def shape_of(vehicle: Vehicle) -> VehicleShape:
-    """The shape of a vehicle of any number of stages."""
+    """Return the shape of a vehicle with any number of stages."""
     length, radius = vehicle.reference.length_m, 0.5 * vehicle.reference.diameter_m
     ends = [_end(stage, length if k == 0 else math.inf) for k, stage in enumerate(vehicle.stage)]
-    for k in range(len(ends) - 2, -1, -1):  # a stage ends behind the one before it in flight begins
+    for k in range(len(ends) - 2, -1, -1):  # a stage ends at the beginning of the one before it in flight
         ends[k] = max(ends[k], ends[k + 1])
     if math.isinf(ends[-1]):
         ends = [length * (len(ends) - k) / len(ends) for k in range(len(ends))]
@@ -166,7 +171,7 @@ def _sections(loads: LoadsSection | None) -> LoadStations | None:
 
 
 def borne(loads: LoadsSection, column: str) -> Array | None:
-    """A column of the limits at the stations: the least over time; None where there is none."""
+    """Return a column of the limits at the stations, the least over time, or None without limits."""
     table = loads.limits
     if table is None or column not in table:
         return None
@@ -176,7 +181,7 @@ def borne(loads: LoadsSection, column: str) -> Array | None:
 
 
 def _end(stage: Stage, otherwise: float) -> float:
-    """Return the end of a stage's skin: a little aft of the gimbal, so that the engine is visible."""
+    """Return the end of a stage's skin, slightly aft of the gimbal, so that the engine is visible."""
     ends = [e.gimbal_station_m + 0.1 * max(e.exit_station_m - e.gimbal_station_m, 0.0) for e in stage.engines]
     return max(ends, default=otherwise)
 
@@ -187,7 +192,7 @@ def _surface(stage: Stage, part: str) -> AeroSurface | None:
 
 
 def _nose(stage: Stage, radius: float, end: float) -> Array:
-    """Stations and radii (n, 2) of a tangent ogive."""
+    """Return the stations and radii (n, 2) of a tangent ogive."""
     surface = _surface(stage, "nose")
     length = 1.5 * float(np.median(surface.table["station_m"])) if surface is not None else 5.0 * radius
     length = min(max(length, radius), 0.5 * end)
@@ -220,7 +225,7 @@ def _tank(stage: Stage, i: int, body_radius: float) -> TankShape:
         height = tank.radius_m * tank.profile.depth(table["liquid_mass_kg"] / (tank.density_kgpm3 * tank.radius_m**3))
     elif "liquid_height_m" in table and tank.bottom_station_m is not None:
         height, bottom = table["liquid_height_m"], tank.bottom_station_m
-    else:  # what is known is where the pendulum hangs, which is near the surface
+    else:  # only the pendulum's hinge is known, which is near the surface
         bottom = float((table["hinge_station_m"] + table["pendulum_length_m"]).max()) + radius
         height = bottom - table["hinge_station_m"]
     top = bottom - (float(height.max()) + 0.15 * body_radius)
@@ -234,7 +239,7 @@ def _fins(stage: Stage, radius: float, end: float) -> Fins | None:
     diameter = 2.0 * radius
     root, tip, span = 1.8 * diameter, 0.8 * diameter, 1.45 * diameter
     place = float(np.median(surface.table["station_m"]))
-    trailing = min(place + 0.62 * root, end)  # the force of swept fins acts behind the middle of the root chord
+    trailing = min(place + 0.62 * root, end)  # the force of swept fins acts aft of the middle of the root chord
     return Fins(4, trailing - root, root, trailing - tip, tip, radius, radius + span)
 
 
@@ -257,7 +262,7 @@ def _engine(stage: Stage, number: int) -> EngineShape:
 
 # -- bending and slosh ---------------------------------------------------------------------------------------------
 def modal_coordinates(channels: Channels, plane: str, at: KeptRows | slice = slice(None)) -> Array:
-    """Displacement coordinates (n, modes) of a plane, nan (a stage with fewer modes) as zero."""
+    """Return the displacement coordinates (n, modes) of a plane, with nan (a stage with fewer modes) as zero."""
     names = [name for name in channels.table.names if name.startswith(f"eta_{plane}_") and name.endswith("_m")]
     if not names:
         return np.zeros((0, 0))
@@ -265,7 +270,9 @@ def modal_coordinates(channels: Channels, plane: str, at: KeptRows | slice = sli
 
 
 def shapes_at(table: ModeTable, clock_s: Array, stations_m: Array, column: str = "phi") -> Array:
-    """Mode shapes (n, modes, stations), or their slopes, at stage times (n,) and stations; linear between the rows."""
+    """Return mode shapes (n, modes, stations), or their slopes, at stage times (n,) and stations, linear between the
+    rows.
+    """
     values: Array = getattr(table, column)
     at = np.clip(stations_m, table.station_m[0], table.station_m[-1])
     along = make_interp_spline(table.station_m, values, k=1, axis=2)(at)
@@ -284,9 +291,10 @@ def bent_line(
     column: str = "phi",
     spatial: Array | None = None,
 ) -> Array:
-    """Displacement (n, stations, 2) of the axis along body y and z, true to scale; with `slope_pm` its slope.
+    """Return the displacement (n, stations, 2) of the axis along body y and z, true to scale, with `slope_pm` its
+    slope.
 
-    `pitch`, `yaw`, `spatial`: coordinates (n, modes) of each kind of modes.
+    `pitch`, `yaw` and `spatial` are coordinates (n, modes) of each kind of modes.
     """
     out = np.zeros((len(clock_s), len(stations_m), 2))
     moves = [(0, stage.modes[1], yaw), (1, stage.modes[0], pitch)]
@@ -300,7 +308,9 @@ def bent_line(
 
 
 def nice_factor(largest_m: float, wanted_m: float) -> float:
-    """The largest of 1, 2, 5, 10, 20, ... that keeps `largest_m` times it below `wanted_m`; 1 for no bending at all."""
+    """Return the largest of 1, 2, 5, 10, 20, ... that keeps `largest_m` times it below `wanted_m`, or 1 without
+    bending.
+    """
     if not 0.0 < largest_m < wanted_m:
         return 1.0
     return max(x for x in _FACTORS if x <= wanted_m / largest_m * (1.0 + 1e-12))
@@ -308,14 +318,14 @@ def nice_factor(largest_m: float, wanted_m: float) -> float:
 
 @dataclass(frozen=True)
 class Exaggeration:
-    """Factors by which bending and slosh angles are drawn larger, and the most that bending is drawn, m."""
+    """The factors by which bending and slosh angles are exaggerated, and the largest bending that is drawn, m."""
 
     bending: float
     slosh: float
     most_m: float
 
     def text(self, table: ChannelTable) -> str:
-        """The factors in a few words, of what the vehicle has."""
+        """Return the factors in a few words, as far as the vehicle has the parts."""
         factors = (("eta_", "bending", self.bending), ("slosh_", "slosh", self.slosh))
         has = [f"{what} x{x:g}" for start, what, x in factors if any(name.startswith(start) for name in table.names)]
         return ", ".join([*has, *(["skin: bending moment"] if SECTION in table.names else [])])
@@ -324,7 +334,7 @@ class Exaggeration:
 def exaggeration_of(
     channels: Channels, shape: VehicleShape | None, bending: float | None = None, slosh: float | None = None
 ) -> Exaggeration:
-    """Factors as asked for, or so that the largest deflection and tilt of the flight can be seen."""
+    """Return the requested factors, or factors that make the largest deflection and tilt of the flight visible."""
     diameter = shape.diameter_m if shape is not None else 1.0
     if bending is None:
         bending = nice_factor(_largest_bending_m(channels, shape), _LARGEST * diameter)
@@ -334,7 +344,7 @@ def exaggeration_of(
 
 
 def _largest_bending_m(channels: Channels, shape: VehicleShape | None) -> float:
-    """Over all stations, at 100 Hz."""
+    """Return the largest bending over all stations, at 100 Hz."""
     name = next((name for name in channels.table.names if name.startswith("eta_")), None)
     if shape is None or name is None:
         return 0.0
@@ -347,7 +357,7 @@ def _largest_bending_m(channels: Channels, shape: VehicleShape | None) -> float:
 
 
 def _largest_slosh_deg(channels: Channels) -> float:
-    """The largest pendulum angle under thrust: without it a pendulum hangs anywhere."""
+    """Return the largest pendulum angle under thrust. Without thrust, a pendulum has no equilibrium."""
     end_ns = np.iinfo(np.int64).max
     if "thrust_N" in channels and (burning := channels["thrust_N"] > 0.0).any():
         end_ns = int(channels.time_ns("thrust_N")[burning][-1])

@@ -1,9 +1,9 @@
-"""The Rerun viewer as a program of its own: on the desktop, in a browser, or without any display.
+"""The Rerun viewer as a separate program: on the desktop, in a browser, or without any display.
 
-It listens on 127.0.0.1 only and reports nothing to anyone: it is run with a configuration folder of our own, in which
-its collection of usage data is switched off. A viewer without a window that outlives its command would hold memory and
-a port unseen. `finally` ends it as a rule, but not after SIGKILL: there Linux kills the child. On other systems a
-parent that is killed outright leaves its child.
+The viewer listens on 127.0.0.1 only and reports no data. It runs with a separate configuration folder, in which the
+collection of usage data is switched off. A viewer without a window that outlives its command would occupy memory and a
+port unnoticed. `finally` ends it as a rule, but not after SIGKILL. In that case, Linux kills the child. On other
+systems, a parent that is killed leaves its child running.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ _KEPT_HEADERS = ("content-type", "content-encoding", "cache-control", "etag")
 
 
 class ReplayError(CommandError):
-    """Nothing can be shown; the text says why and what can be done."""
+    """An error that prevents a display. The text gives the reason and the remedy."""
 
 
 def check_installed() -> None:
-    """Raise ReplayError where rerun-sdk, which all else in maxq does without, is not installed."""
+    """Raise ReplayError if rerun-sdk is not installed. No other part of maxq needs it."""
     if importlib.util.find_spec("rerun") is None:
         raise _not_installed()
 
 
 def executable() -> Path:
-    """Return the viewer that came with the Python package. Raises ReplayError where it is missing."""
+    """Return the viewer of the Python package. Raises ReplayError if it is missing."""
     found = importlib.util.find_spec("rerun_cli")
     for folder in (found.submodule_search_locations or ()) if found is not None else ():
         for path in (Path(folder) / "rerun", Path(folder) / "rerun.exe"):
@@ -65,15 +65,15 @@ def executable() -> Path:
 
 
 def _not_installed() -> ReplayError:
-    """Return the error that names the versions which this installation of maxq asks for."""
+    """Return the error that names the versions which this installation of maxq requires."""
     wanted = next(line for line in importlib.metadata.requires("maxq") or () if line.startswith("rerun-sdk"))
     return ReplayError(f"the Rerun viewer is not installed; install it with: pip install '{wanted}'")
 
 
 def environment() -> dict[str, str]:
-    """Environment of the viewer: no usage data, no log output, a run-time folder even where there is none.
+    """Return the environment of the viewer: no usage data, no log output, a run-time folder even if none is set.
 
-    Raises ReplayError where the viewer cannot be run.
+    Raises ReplayError if the viewer cannot be run.
     """
     env = dict(os.environ)
     env.setdefault("RUST_LOG", "error")
@@ -93,7 +93,9 @@ def environment() -> dict[str, str]:
 
 
 def _own_config() -> Path:
-    """Beside the kernels of `control/kernel/jit.py`, a module that takes a quarter of a second to load."""
+    """Return a folder next to the kernels of `control/kernel/jit.py`, a module that takes a quarter of a second to
+    load.
+    """
     user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     folder = Path(os.environ.get("MAXQ_CACHE") or os.path.join(user, "maxq")) / "viewer"
     try:
@@ -121,7 +123,7 @@ def free_port() -> int:
 
 
 def check_port(port: int) -> None:
-    """Raise ReplayError where someone else listens already."""
+    """Raise ReplayError if another program listens already."""
     if not 0 < port < 65536:
         raise ReplayError(f"--port {port}: a port is a number from 1 to 65535")
     if not port_is_free(port):
@@ -129,7 +131,7 @@ def check_port(port: int) -> None:
 
 
 def check_display() -> None:
-    """Raise ReplayError where no window can be opened."""
+    """Raise ReplayError if no window can be opened."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ReplayError(
             "there is no display to open a window on; use --web (then open the address in a browser), "
@@ -139,7 +141,7 @@ def check_display() -> None:
 
 # -- processes -------------------------------------------------------------------------------------------------------
 def _bind_to(parent: int) -> Callable[[], None] | None:
-    """Return the function that a child runs between fork and exec; prctl is looked up before, since little is safe
+    """Return the function that a child runs between fork and exec. prctl is looked up before, since few calls are safe
     there.
     """
     if not sys.platform.startswith("linux"):
@@ -148,7 +150,7 @@ def _bind_to(parent: int) -> Callable[[], None] | None:
 
     def bind() -> None:
         prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
-        if os.getppid() != parent:  # it has died in between
+        if os.getppid() != parent:  # the parent has died in between
             os._exit(1)
 
     return bind
@@ -156,9 +158,9 @@ def _bind_to(parent: int) -> Callable[[], None] | None:
 
 @contextlib.contextmanager
 def _viewer(*options: str, quiet: bool = True) -> Iterator[subprocess.Popen[bytes]]:
-    """A viewer with these options, ended with the block, the calling thread or its process.
+    """Run a viewer with these options. It ends with the block, the calling thread or its process.
 
-    `quiet`: its stderr can be read; else what it says goes where ours goes. Raises ReplayError, OSError.
+    With `quiet`, its stderr can be read; otherwise its output goes to that of the command. Raises ReplayError, OSError.
     """
     process = subprocess.Popen(
         [str(executable()), *options, "--bind", LOCAL],
@@ -205,14 +207,14 @@ def _last_words(process: subprocess.Popen[bytes]) -> str:
 
 # -- ways to show something ------------------------------------------------------------------------------------------
 def show(rrd: Path) -> None:
-    """Open a recording in a window and wait until it is closed. Raises ReplayError where the viewer fails."""
+    """Open a recording in a window and wait until it is closed. Raises ReplayError if the viewer fails."""
     with _viewer(str(rrd), "--port", str(free_port()), "--hide-welcome-screen", quiet=False) as process:
         if code := process.wait():
             raise ReplayError(f"the Rerun viewer ended with code {code}; --web or --screenshot may do instead")
 
 
 def listening(port: int | None) -> int | None:
-    """`port`, on which a viewer listens; None where a window is wanted and there is a display for it.
+    """Return `port`, on which a viewer listens, or None if a window is requested and a display is available.
 
     Raises ReplayError otherwise.
     """
@@ -225,7 +227,7 @@ def listening(port: int | None) -> int | None:
 
 
 def window(port: int) -> subprocess.Popen[bytes]:
-    """A window that waits for a flight on `port`; it stays open when we are gone. Raises ReplayError."""
+    """Open a window that waits for a flight on `port`. It stays open after the command ends. Raises ReplayError."""
     command = [str(executable()), "--bind", LOCAL, "--port", str(port), "--hide-welcome-screen", "--expect-data-soon"]
     process = subprocess.Popen(
         command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
@@ -236,9 +238,9 @@ def window(port: int) -> subprocess.Popen[bytes]:
 
 @contextlib.contextmanager
 def served(rrd: Path, port: int) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """Serve a recording to browsers of this machine; gives the server, which answers already, and the address.
+    """Serve a recording to browsers of this machine. Return the server, which is ready, and the address.
 
-    Raises ReplayError where it cannot be started.
+    Raises ReplayError if it cannot be started.
     """
     grpc, inner = free_port(), free_port()
     options = ("--serve-web", "--web-viewer-port", str(inner), "--port", str(grpc))
@@ -251,10 +253,10 @@ def served(rrd: Path, port: int) -> Iterator[tuple[subprocess.Popen[bytes], str]
 
 @contextlib.contextmanager
 def _local_page(port: int, inner_port: int, grpc_port: int) -> Iterator[None]:
-    """A server on `port` that passes on the page of the viewer's server on `inner_port`, for this machine alone.
+    """Return a server on `port` that forwards the page of the viewer's server on `inner_port`, for this machine alone.
 
-    The viewer's own page asks other machines for a font and tells its makers that it was opened. Here it is sent with
-    a content security policy: it may run the viewer it came with, and fetch the flight from its server.
+    The viewer's own page requests a font from other machines and notifies its makers that it was opened. Here it is
+    sent with a content security policy: it may run its own viewer and fetch the flight from its server.
     """
     here = "'self' data: blob:"
     policy = (
@@ -285,7 +287,7 @@ def _local_page(port: int, inner_port: int, grpc_port: int) -> Iterator[None]:
             self.wfile.write(body)
 
         def log_message(self, format: str, *args: Any) -> None:  # its name in the base class
-            """Say nothing."""
+            """Suppress the message."""
 
     with ThreadingHTTPServer((LOCAL, port), Handler) as server:
         server.daemon_threads = True
@@ -298,9 +300,11 @@ def _local_page(port: int, inner_port: int, grpc_port: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def headless(window: str = WINDOW) -> Iterator[Callable[[], ViewerControl]]:
-    """A viewer without a window. It starts at once; what is given drives it, and waits until it answers.
+    """Run a viewer without a window.
 
-    Ends with its block, and with the thread that made it. Raises ReplayError where it cannot run.
+    It starts immediately; the returned object controls it, and waits until it responds.
+
+    The viewer ends with its block, and with the thread that made it. Raises ReplayError if it cannot run.
     """
     port = free_port()
     options = ("--headless", "--port", str(port), "--window-size", window, "--hide-welcome-screen")
@@ -324,11 +328,13 @@ def headless(window: str = WINDOW) -> Iterator[Callable[[], ViewerControl]]:
 
 
 def steady_picture(viewer: ViewerControl, view_id: str | None = None) -> bytes:
-    """A PNG once two pictures in a row are equal and everything is loaded. Raises ReplayError if that never happens.
+    """Return a PNG once two successive pictures are equal and all data is loaded.
 
-    Painting takes half a second without a graphics card. What views need is fetched when they are laid out for the
-    first time, painted or not, and each question after the viewer's state lays them out: so it is asked a few times
-    before the first picture, which then is the last but one as a rule.
+    Raises ReplayError if that never happens.
+
+    Painting takes half a second without a graphics card. The data of views is fetched at their first layout, with or
+    without painting, and each query of the viewer's state causes a layout. Therefore, the state is queried a few times
+    before the first picture, which is then usually the last but one.
     """
     for _ in range(_LAYOUTS):
         viewer.get_state()
@@ -347,7 +353,7 @@ def steady_picture(viewer: ViewerControl, view_id: str | None = None) -> bytes:
 
 
 def open_whole(viewer: ViewerControl, rrd: Path) -> None:
-    """Open a recording and wait until it is there. Raises ReplayError if that never happens."""
+    """Open a recording and wait until it is loaded. Raises ReplayError if that never happens."""
     viewer.open(str(rrd.resolve()))
     deadline = time.monotonic() + _STEADY_S
     while time.monotonic() < deadline:
@@ -359,7 +365,7 @@ def open_whole(viewer: ViewerControl, rrd: Path) -> None:
 
 
 def pictures(client: ViewerControl, rrd: Path, times_s: Sequence[float]) -> tuple[list[bytes], list[str]]:
-    """Pictures (PNG) of the whole window at these times, and what views complained of."""
+    """Return pictures (PNG) of the whole window at these times, and the error messages of its views."""
     open_whole(client, rrd)
     shots, complaints = [], []
     for time_s in times_s:
@@ -370,7 +376,7 @@ def pictures(client: ViewerControl, rrd: Path, times_s: Sequence[float]) -> tupl
 
 
 def complaints_of(viewer: ViewerControl) -> list[str]:
-    """Return the complaints of the viewer's views: a broken mapping, data that cannot be drawn."""
+    """Return the error messages of the viewer's views: a broken mapping, data that cannot be drawn."""
     return [
         f"{view.name}: {report.severity}: {report.summary}{f' ({report.details})' if report.details else ''}"
         for view in viewer.get_state().views

@@ -1,6 +1,6 @@
-"""The control of a running viewer, in which Rerun 0.41 renamed most of the methods of 0.40.
+"""The control of a running viewer. Rerun 0.41 renamed most of the methods of 0.40.
 
-Imports rerun, which is not needed to open a window or to serve a page (`viewer`).
+This module imports rerun, which is not needed to open a window or to serve a page (`viewer`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _SAVE_S = 15.0  # as long as Rerun 0.41 waits
 
 
 class ViewerControl:
-    """A connection to the viewer at `url` on this machine, with 0.41's names for what maxq uses of it."""
+    """A connection to the viewer at `url` on this machine, with 0.41's names for the functions that maxq uses."""
 
     def __init__(self, url: str) -> None:
         self.url = url

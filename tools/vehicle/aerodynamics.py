@@ -1,8 +1,9 @@
-"""Slender-body and fin aerodynamics over Mach number: first estimates, to be replaced by a wind tunnel's.
+"""Slender-body and fin aerodynamics over Mach number: first estimates, to be replaced by wind-tunnel data.
 
-Normal force: slender-body theory for nose and changes of diameter (2 / rad on the area gained), Barrowman's method for
-fins with body interference (J. S. Barrowman, NARAM-8, 1966), both over Mach by a factor that peaks at 1.1. Cross-flow
-drag 1.2 on the planform. Rate damping by strips. The axial force is an assumed curve of a clean launcher.
+The normal force follows slender-body theory for nose and changes of diameter (2 / rad on the area gained), and
+Barrowman's method for fins with body interference (J. S. Barrowman, NARAM-8, 1966). Both are scaled over Mach by a
+factor with its peak at 1.1. The cross-flow drag coefficient is 1.2 on the planform. Rate damping is integrated over
+strips. The axial force is an assumed curve of a clean launcher.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Aerodynamics:
-    """The aerodynamics of a stack, over `mach`; the reference is the largest diameter of the whole vehicle."""
+    """The aerodynamics of a stack, over `mach`. The reference is the largest diameter of the whole vehicle."""
 
     mach: Array
     diameter_m: float
@@ -59,13 +60,13 @@ class Aerodynamics:
         return 0.25 * math.pi * self.diameter_m**2
 
     def normal(self, mach: float) -> tuple[float, float]:
-        """Slope, 1/rad, and centre of pressure, m aft of the nose."""
+        """Return the slope, 1/rad, and centre of pressure, m aft of the nose."""
         slopes = [float(np.interp(mach, self.mach, s.slope_pr)) for s in self.surfaces]
         stations = [float(np.interp(mach, self.mach, s.station_m)) for s in self.surfaces]
         return sum(slopes), float(np.dot(slopes, stations)) / (sum(slopes) or math.nan)
 
     def pitch_damping(self, x_cg_m: float) -> Array:
-        """Cmq about a CG, per q d / (2 U), over the Mach numbers."""
+        """Return Cmq about a CG, per q d / (2 U), over the Mach numbers."""
         if self.damping is not None:
             return self.damping
         moment = sum((s.slope_pr * (s.station_m - x_cg_m) ** 2 for s in self.surfaces), np.zeros(len(self.mach)))
@@ -172,7 +173,9 @@ def _with_given(estimate: Aerodynamics, given: AeroSection) -> Aerodynamics:
 
 
 def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]:
-    """Slopes of normal force and pitch moment, 1/rad, and the axial force coefficient, at zero angle of attack."""
+    """Return the slopes of normal force and pitch moment, 1/rad, and the axial force coefficient, at zero angle of
+    attack.
+    """
     values = grid.values
     for axis in reversed(range(len(grid.axes))):
         if grid.axes[axis] not in ("mach", "total_deg", "alpha_deg"):
@@ -202,7 +205,7 @@ def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]
 
 
 def _fins(fins: LayoutFins, name: str, radius_m: float, reference_m: float) -> tuple[Surface, Array, float]:
-    """Surface, Clp and the area of one fin, by Barrowman (equations 3-57, 3-31 and strip theory in roll)."""
+    """Return the surface, Clp and the area of one fin, by Barrowman (equations 3-57, 3-31 and strip theory in roll)."""
     s, root, tip = fins.semispan_m, fins.root_chord_m, fins.tip_chord_m
     middle = math.hypot(s, fins.sweep_m + 0.5 * (tip - root))  # length of the mid-chord line
     interference = 1.0 + radius_m / (s + radius_m)

@@ -1,8 +1,9 @@
-"""Free-free bending modes of a stack: Euler-Bernoulli elements with cubic shapes (Hermite), engines locked as a rigid
-mass behind the last node, sloshing masses removed.
+"""The free-free bending modes of a stack: Euler-Bernoulli elements with cubic shapes (Hermite).
 
-No shear, no rotary inertia of the sections, no compliance of joints beyond EI. Shapes are 1 at the gimbal; the slope is
-d(phi)/d(station). (Przemieniecki, Theory of Matrix Structural Analysis, sections 5.6 and 11.5.)
+The engines are locked as a rigid mass behind the last node, and sloshing masses are removed.
+
+Shear, rotary inertia of the sections, and compliance of joints beyond EI are neglected. Shapes are 1 at the gimbal; the
+slope is d(phi)/d(station). (Przemieniecki, Theory of Matrix Structural Analysis, sections 5.6 and 11.5.)
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class Beam:
 
     @staticmethod
     def of(stack: Stack) -> Beam:
-        """From the nose to the gimbal of the burning engines."""
+        """Return the beam from the nose to the gimbal of the burning engines."""
         nodes = np.linspace(0.0, stack.tail_m, ELEMENTS + 1)
         middles, stiffness = 0.5 * (nodes[1:] + nodes[:-1]), np.zeros(ELEMENTS)
         for stage in reversed(stack.layout.stage[stack.number :]):
@@ -51,7 +52,9 @@ class Beam:
         return Beam(nodes, stiffness)
 
     def modes(self, rods: Sequence[Rod], count: int, *, clamped: bool = False) -> list[BeamMode]:
-        """The first `count` bending modes with these masses on the beam; `clamped` at its end, where it is held down.
+        """Return the first `count` bending modes with these masses on the beam.
+
+        `clamped` fixes its end, where the vehicle is held down.
 
         Free shapes are 1 at the gimbal, clamped ones at the nose.
         """
@@ -69,7 +72,7 @@ class Beam:
         return out
 
     def _matrices(self, density_kgpm: Array) -> tuple[Array, Array]:
-        """Stiffness and consistent mass over (displacement, slope) of each node."""
+        """Return the stiffness and consistent mass over (displacement, slope) of each node."""
         h = float(self.nodes_m[1] - self.nodes_m[0])
         k_unit = (
             np.array(
@@ -103,6 +106,6 @@ class Beam:
         return k, m
 
     def mass_forward_kg(self, rods: Sequence[Rod]) -> Array:
-        """Mass ahead of each node: times the axial acceleration, the compression there."""
+        """Return the mass ahead of each node. Times the axial acceleration, it is the compression there."""
         density, _ = line_density_kgpm(rods, self.nodes_m)
         return np.concatenate([[0.0], np.cumsum(density * np.diff(self.nodes_m))])

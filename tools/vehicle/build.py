@@ -1,6 +1,6 @@
-"""A layout worked out: masses, modes, aerodynamics, ascent and first gains; what was assumed, what is implausible.
+"""A vehicle built from a layout: masses, modes, aerodynamics, ascent and first gains, with assumptions and warnings.
 
-Every number is an estimate to begin with. What was assumed beyond the layout is listed in `Built.assumed`.
+Every number is a first estimate. `Built.assumed` lists the assumptions beyond the layout.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from maxq.tools.vehicle.trajectory import Ascent, TrajectoryPoint, ascent
 MODE_ROWS = 13
 MOST_RIGID_HZ = 0.4
 SHARE = 0.8  # of the first gains' frequency that a design must keep
-BELOW = 8.0  # the rigid body's frequency is at most this part of mode 1's and of the actuator's
+BELOW = 8.0  # the rigid body's frequency is at most this share of those of mode 1 and of the actuator
 _NEAR_NODE = 0.1  # of the largest displacement
-TimedModes = tuple[Array, list[list[BeamMode]]]  # times of the stage's clock, modes at each
+TimedModes = tuple[Array, list[list[BeamMode]]]  # times of the stage's clock, with modes at each
 
 
 @dataclass(frozen=True)
 class Built:
-    """A layout worked out. `modes`: of each stage, at times of its clock."""
+    """A vehicle built from a layout. `modes` are those of each stage, at times of its clock."""
 
     layout: Layout
     stacks: list[Stack]
@@ -39,18 +39,19 @@ class Built:
     modes: list[TimedModes]
     flight: Ascent
     gains: list[tuple[float, float, float]]  # flight time, k_p, k_d
-    assumed: list[str] = field(default_factory=list)  # those of `build` first: modes that are left out
-    design: Design | None = None  # with gains and filters that were searched, instead of `gains` and wide notches
+    assumed: list[str] = field(default_factory=list)  # those of `build` first: modes that are omitted
+    design: Design | None = None  # with gains and filters that were searched for, instead of `gains` and wide notches
 
     @property
     def mode_1_hz(self) -> float:
-        """Return the frequency of mode 1 of the first stage, mean over its burn; infinite without modes."""
+        """Return the frequency of mode 1 of the first stage, mean over its burn, or infinity without modes."""
         found = [modes[0].frequency_hz for modes in self.modes[0][1] if modes]
         return float(np.mean(found)) if found else math.inf
 
     def rigid_hz(self, p: TrajectoryPoint) -> float:
-        """Return the rigid-body frequency of the first gains: the layout's, or an eighth of mode 1 and of the actuator
-        then, at most 0.4 Hz.
+        """Return the rigid-body frequency of the first gains: that of the layout.
+
+        Its default is an eighth of mode 1 and of the actuator at that time, at most 0.4 Hz.
         """
         times, modes = self.modes[p.number]
         own = [of[0].frequency_hz for of in modes if of]
@@ -60,7 +61,7 @@ class Built:
 
 
 def build(layout: Layout) -> Built:
-    """Work out a layout. Raises ValueError where it cannot fly."""
+    """Build a vehicle from a layout. Raises ValueError if it cannot fly."""
     whole = stacks(layout)
     flight = ascent(layout, whole, [aerodynamics(stack) for stack in whole])
     every = flight.stacks
@@ -73,7 +74,7 @@ def build(layout: Layout) -> Built:
 
 
 def slosh_kg(tank: LayoutTank, liquid_kg: float) -> float:
-    """Mass of the first slosh mode of a tank's liquid."""
+    """Return the mass of the first slosh mode of a tank's liquid."""
     scale = tank.density_kgpm3 * tank.radius_m**3
     depth = tank.profile.depth(np.array([liquid_kg / scale]))
     return float(scale * modes_over(tank.profile, depth, 1)[0].mass[0])
@@ -96,7 +97,9 @@ def _modes(stack: Stack) -> TimedModes:
 
 
 def _renormalise(found: list[list[BeamMode]], k: int) -> None:
-    """Mode k with 1 as its largest displacement, the same way round at all times: the gimbal lies near a node."""
+    """Return mode k with 1 as its largest displacement and the same sign at all times, since the gimbal is near a
+    node.
+    """
     before = found[0][k].phi
     for modes in found:
         mode = modes[k]
@@ -113,7 +116,9 @@ def _renormalise(found: list[list[BeamMode]], k: int) -> None:
 def _that_count(
     every: Sequence[Stack], modes: list[TimedModes], highest_hz: float
 ) -> tuple[list[TimedModes], list[str]]:
-    """The beam's modes that begin below a frequency, as many in all parts of a stage; and words about the others."""
+    """Return the beam's modes that begin below a frequency, with the same number in all parts of a stage, and a text
+    about the others.
+    """
     out, words = list(modes), []
     for number, stage in enumerate(every[0].layout.stage):
         parts = [n for n, stack in enumerate(every) if stack.number == number]
@@ -125,7 +130,7 @@ def _that_count(
             out[n] = modes[n][0], [at[:kept] for at in modes[n][1]]
         if kept < stage.modes:
             above = f"from {lowest[kept]:.0f} Hz, above the computer's {highest_hz:g} samples a second"
-            words.append(f"{stage.name}: bending modes from number {kept + 1} on are left out ({above})")
+            words.append(f"{stage.name}: bending modes from number {kept + 1} on are omitted ({above})")
     return out, words
 
 
@@ -139,7 +144,7 @@ def beam_load(stack: Stack, t: float) -> list[Rod]:
 
 
 def on_the_pad(built: Built) -> list[BeamMode]:
-    """Bending modes of the full vehicle held at its tail; none where the beam is not used."""
+    """Return the bending modes of the full vehicle held at its tail, or none if the beam is not used."""
     stack = built.stacks[0]
     if not stack.stage.modes or stack.stage.bending is not None or stack.stage.spatial_modes is not None:
         return []
@@ -163,31 +168,31 @@ def m_alpha_1ps2(built: Built, p: TrajectoryPoint) -> float:
 
 
 def m_delta_1ps2(built: Built, p: TrajectoryPoint) -> float:
-    """Angular acceleration per gimbal angle."""
+    """Return the angular acceleration per gimbal angle."""
     stack = built.stacks[p.number]
     props = stack.mass_properties(p.clock_s)
     return p.thrust_N * (stack.stage.engine.gimbal_station_m - props.x_cg_m) / props.pitch_kgm2
 
 
 def burning(built: Built, number: int | None = None) -> list[TrajectoryPoint]:
-    """Points at full thrust, of all stacks or of one."""
+    """Return the points at full thrust, of all stacks or of one."""
     full_s = [stack.burn.full_s for stack in built.stacks]
     points = [p for p in built.flight.points if number in (None, p.number)]
     return [p for p in points if full_s[p.number][0] <= p.clock_s <= full_s[p.number][1]]
 
 
 def spread(points: Sequence[TrajectoryPoint], count: int) -> list[TrajectoryPoint]:
-    """So many of them, evenly from the first to the last."""
+    """Return this number of points, evenly spaced from the first to the last."""
     return [points[k] for k in np.unique(np.linspace(0, len(points) - 1, count).astype(int))]
 
 
 def _dozen(built: Built) -> list[TrajectoryPoint]:
-    """Points at full thrust, a dozen a stage."""
+    """Return points at full thrust, a dozen per stage."""
     return [p for n in range(len(built.stacks)) for p in spread(burning(built, n), 12)]
 
 
 def _gains(built: Built) -> list[tuple[float, float, float]]:
-    """Gains that give the rigid body its frequency and damping with M_alpha in it."""
+    """Return gains that give the rigid body its frequency and damping with M_alpha included."""
     zeta, rows = built.layout.control.rigid_zeta, []
     for p in _dozen(built):
         omega, delta = 2.0 * math.pi * built.rigid_hz(p), m_delta_1ps2(built, p)
@@ -197,10 +202,12 @@ def _gains(built: Built) -> list[tuple[float, float, float]]:
 
 
 def least_rigid_hz(built: Built, aero_gain_db: float) -> tuple[list[float], list[float]]:
-    """Flight times and the frequency that the rigid body is to have at least: SHARE of that of the first gains, or what
-    an unstable vehicle needs for a gain margin downwards, M_delta k_p = g M_alpha: omega^2 = (g - 1) M_alpha.
+    """Return flight times and the least required frequency of the rigid body.
 
-    Of instants on a straight line only the ends are kept.
+    It is SHARE of that of the first gains, or the frequency that an unstable vehicle needs for its lower gain margin,
+    M_delta k_p = g M_alpha: omega^2 = (g - 1) M_alpha.
+
+    Of instants on a straight line, only the ends are kept.
     """
     factor, rows = 10.0 ** (aero_gain_db / 20.0) - 1.0, []
     for p in _dozen(built):
@@ -225,7 +232,7 @@ def _assumed(built: Built) -> list[str]:
         "propellants drain in proportion to their load; liquids contribute to the roll inertia only via roll_share",
         f"first gains: {first_hz} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
     ]
-    lines.append(f"limit wind of the suite: from the west, {layout.site.jet_mps:g} m/s at 11 km; put your site's there")
+    lines.append(f"limit wind of the suite: from the west, {layout.site.jet_mps:g} m/s at 11 km; use that of your site")
     if layout.fairing is not None:
         dropped = [n for n, stack in enumerate(built.stacks) if stack.drops_fairing]
         at = f"dropped at {built.flight.begins_s[dropped[0] + 1]:.1f} s" if dropped else "never dropped: too low"
@@ -242,7 +249,7 @@ INCIDENCE_deg = 5.0
 
 
 def too_weak(built: Built) -> list[str]:
-    """Stages whose gimbals cannot hold `INCIDENCE_deg`; empty where all can."""
+    """Return the stages whose gimbals cannot hold `INCIDENCE_deg`, or nothing if all can."""
     out = []
     for n, stack in enumerate(built.stacks):
         worst = max(burning(built, n), key=lambda p: m_alpha_1ps2(built, p) / m_delta_1ps2(built, p))

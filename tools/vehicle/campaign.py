@@ -1,4 +1,4 @@
-"""The campaign that simvehicle writes of a layout: the deviations of every stage, of the wind and of the computer."""
+"""The campaign that simvehicle writes for a layout: the deviations of every stage, of the wind and of the computer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ AXIAL, DAMPING = 0.1, {"distribution": "log-normal", "three_sigma": 0.6931}  # h
 
 
 def campaign_of(built: Built) -> dict[str, Any]:
-    """Return the campaign of all stages, each with deviations of its own, in winds up to the limit wind."""
+    """Return the campaign of all stages, each with its own deviations, in winds up to the limit wind."""
     spread = [
         {
             "name": "share of the limit wind",
@@ -75,7 +75,7 @@ def campaign_of(built: Built) -> dict[str, Any]:
 def _deviations(
     built: Built, stage: LayoutStage, parts: Sequence[int]
 ) -> Iterator[tuple[str, list[str], dict[str, Any]]]:
-    """Yield the name, keys and distribution of the deviations of a stage of the layout, alike in its `parts`.
+    """Yield the name, keys and distribution of the deviations of a stage of the layout, equal in its `parts`.
 
     Their sizes are those of a suite without a campaign.
     """
@@ -118,5 +118,7 @@ def _modes_flown(built: Built, n: int) -> int:
 
 
 def _each(count: int) -> list[tuple[str, str]]:
-    """Return the distinguishing parts of a list's elements in names and in key paths; empty for a single one."""
+    """Return the distinguishing parts of a list's elements in names and in key paths, or nothing for a single
+    element.
+    """
     return [(f" {k + 1}", f".{k}") for k in range(count)] if count > 1 else [("", "")]

@@ -1,4 +1,4 @@
-"""A vehicle built from a layout compared with a given one: the packed quantities that are flown, over the burns."""
+"""The comparison of a vehicle built from a layout with a given one, by the packed quantities over the burns."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Difference:
 
     @property
     def largest(self) -> float:
-        """Relative to the largest value of the given vehicle."""
+        """Return the largest difference relative to the largest value of the given vehicle."""
         scale = float(np.abs(self.there).max())
         return float(np.abs(self.here - self.there).max()) / (scale or 1.0)
 
@@ -67,7 +67,7 @@ class Difference:
 def compared(built: Built, folder: Path, vehicle: str) -> list[Difference]:
     """Compare the files in `folder`, written from `built`, with a vehicle in a folder or of a built-in name.
 
-    Raises ScenarioError for a vehicle that cannot be read, ValueError for one of other stages, tanks or modes.
+    Raises ScenarioError for a vehicle that cannot be read, and ValueError for one with other stages, tanks or modes.
     """
     path = Path(vehicle) if Path(vehicle).exists() else scenarios_folder() / vehicle
     ours = load_scenario(folder / "scenario.toml")

@@ -16,7 +16,7 @@ from maxq.tools.vehicle.layout import LayoutStage
 from maxq.tools.vehicle.report import notes, numbers, tables
 from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
-_AIR_Pa = 100.0  # below this dynamic pressure a centre of pressure is of no consequence
+_AIR_Pa = 100.0  # below this dynamic pressure, the centre of pressure is irrelevant
 _TIME, _STATION = "flight time, s", "station, m aft of the nose"
 
 
@@ -78,7 +78,7 @@ def _stage(stage: LayoutStage, nose_m: float, nose: str) -> list[Series]:
 
 
 def _of_stacks(built: Built, value: Callable[[int, float], float]) -> list[Series]:
-    """A quantity of each stack over flight time."""
+    """Return a quantity of each stack over flight time."""
     out = list[Series]()
     for n, stack in enumerate(built.stacks):
         t = np.linspace(0.0, stack.burn.end_s, 61)
@@ -104,7 +104,7 @@ def _masses(built: Built) -> Plot:
 
 
 def _modes(built: Built) -> Plot:
-    """Shapes at each ignition, and frequencies over flight time."""
+    """Return the shapes at each ignition, and frequencies over flight time."""
     shown = [n for n, (_, modes) in enumerate(built.modes) if modes[0]]
     panels, frequencies = list[Panel](), list[Series]()
     for n in shown:
@@ -130,7 +130,7 @@ def _modes(built: Built) -> Plot:
 
 
 def _split(points: list[TrajectoryPoint], values: list[float]) -> tuple[Array, Array]:
-    """Over flight time, apart where the stage changes."""
+    """Return values over flight time, separated at changes of the stage."""
     t, y = np.array([p.time_s for p in points]), np.array(values, dtype=float)
     changes = np.flatnonzero(np.diff([p.number for p in points])) + 1
     return np.insert(t, changes, np.nan), np.insert(y, changes, np.nan)

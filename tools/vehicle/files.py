@@ -1,5 +1,5 @@
-"""Write the files that follow from a layout: the tables of the vehicle, a pitch programme, a first design, a scenario,
-a campaign, a case and a suite, as simrun, simdesign and simverify read them.
+"""The writer of the files of a layout, as simrun, simdesign and simverify read them. The files are the tables of the
+vehicle, a pitch programme, a first design, a scenario, a campaign, a case and a suite.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from maxq.tools.vehicle.trajectory import TrajectoryPoint
 SUITE = "launcher"
 MASS_ROWS, SHAPE_STATIONS = 41, 41
 DIGITS = ".12g"  # of numbers that a table and vehicle.toml may share
-ROOM_DB, ROOM_DEG = 0.5, 2.0  # by which a case asks for more than its suite: nodes differ, and what is rounded
-ROLL_SHARE = 0.25  # of the gimbals' angle that roll may take
-FASTER = 0.1  # share of its burn by which a part's tables go on where the next part burns on
+ROOM_DB, ROOM_DEG = 0.5, 2.0  # added by a case to its suite: points and rounding differ
+ROLL_SHARE = 0.25  # of the gimbals' angle, available to roll
+FASTER = 0.1  # share of its burn by which a part's tables continue if the next part continues the burn
 SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
 CsvFile = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
 Tables = dict[str, CsvFile]  # by the file's name
 
 
 def write(built: Built, folder: Path) -> list[Path]:
-    """All files, into a folder; returns them."""
+    """Write all files to a folder. Return them."""
     layout, files = built.layout, []
     tables: Tables = {"pitch_programme.csv": _programme(built)}
     vehicle = _vehicle(built, tables)
@@ -66,7 +66,7 @@ def write(built: Built, folder: Path) -> list[Path]:
 
 
 def _rounded(value: Any) -> Any:
-    """Numbers as tables have them: a gimbal at the last station of the modes must not lie behind it."""
+    """Return numbers as in the tables, so that a gimbal at the last station of the modes is not behind it."""
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -75,7 +75,7 @@ def _rounded(value: Any) -> Any:
 
 
 def _limit_wind(jet_mps: float) -> CsvFile:
-    """A jet stream to begin with: a light wind on the ground, a light one above."""
+    """Return a preliminary jet stream: a light wind on the ground and a light one above."""
     rows = [(0.0, min(8.0, jet_mps)), (11e3, jet_mps), (20e3, min(10.0, jet_mps)), (30e3, min(10.0, jet_mps))]
     return "altitude_m,speed_mps,from_deg", [(*row, 270.0) for row in rows]
 
@@ -85,14 +85,17 @@ def _prefix(built: Built, n: int) -> str:
 
 
 def _times_s(stack: Stack) -> list[float]:
-    """Rows of tables of what the burn changes."""
+    """Return the rows of tables of quantities that the burn changes."""
     burn = stack.burn
     both = np.concatenate([burn.times_s, np.linspace(0.0, burn.end_s, MASS_ROWS)])
     return [float(t) for t in np.unique(both.round(6))]
 
 
 def _continued(stack: Stack, rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
-    """Rows of a table over time, and where the burn goes on in the next part, one more for a burn that is faster."""
+    """Return rows of a table over time.
+
+    If the burn continues in the next part, they include one more for a faster burn.
+    """
     if not stack.drops_fairing:
         return rows
     before, last = np.array(rows[-2]), np.array(rows[-1])
@@ -110,7 +113,7 @@ _LIQUID = attrgetter("mass_kg", "front_station_m")
 
 
 def _copied(value: Any, name: str, tables: Tables) -> Any:
-    """A section as a file holds it, its tables (into `tables`) named `name` and key."""
+    """Return a section as in a file, with its tables (into `tables`) named `name` and key."""
     if isinstance(value, CsvTable):
         tables[f"{name}.csv"] = ",".join(value.columns), list(zip(*value.columns.values(), strict=True))
         return f"{name}.csv"
@@ -134,7 +137,7 @@ def _aero(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         "Clp": aero.roll_damping,
         "C_crossflow": np.full(len(aero.mach), aero.crossflow),
     }
-    if given is not None and given.coefficients:  # what stands there acts besides
+    if given is not None and given.coefficients:  # the given coefficients act in addition
         worked_out = {key: worked_out[key] for key in ("Cmq", "Clp", "C_crossflow")}
     out = {} if given is None else _copied(given, name, tables)
     if missing := {key: column for key, column in worked_out.items() if key not in table}:
@@ -152,7 +155,7 @@ def _aero(built: Built, n: int, tables: Tables) -> dict[str, Any]:
 
 
 def _loads(stack: Stack, prefix: str, tables: Tables) -> dict[str, Any]:
-    """Masses along the body, what the shells bear, and the liquids, for section loads."""
+    """Return the masses along the body, the strength of the shells, and the liquids, for section loads."""
     stage, layout = stack.stage, stack.layout
     assert stage.loads is not None
     dry = sorted((r.front_station_m, r.rear_station_m, r.mass_kg) for r in stack.dry)
@@ -192,7 +195,7 @@ def _mode_table(built: Built, n: int) -> CsvFile:
 
 
 def _cg_over_mach(built: Built, n: int) -> Array:
-    """CG at the time of each Mach number in the ascent."""
+    """Return the CG at the time of each Mach number in the ascent."""
     points = [p for p in built.flight.points if p.number == n]
     order = np.argsort([p.mach for p in points])
     cg = [built.stacks[n].mass_properties(p.clock_s).x_cg_m for p in points]
@@ -200,10 +203,10 @@ def _cg_over_mach(built: Built, n: int) -> Array:
 
 
 def _lead_rad(built: Built, p: TrajectoryPoint, k_p: float, k_d: float, rate_radps: float) -> tuple[float, float]:
-    """Angle of attack along the path at an instant, and by how much the command leads so that the law holds it.
+    """Return the angle of attack along the path at an instant, and the lead of the command with which the law holds it.
 
-    Static trim: the angle of attack that turns the path, the gimbal angle that holds it against M_alpha and pitch
-    damping; the law (-k_p error - k_d rate) has no integral and needs an error for all of that.
+    In static trim, an angle of attack turns the path, and a gimbal angle holds it against M_alpha and pitch damping.
+    The law (-k_p error - k_d rate) has no integral and needs an error for both.
     """
     stack, aero = built.stacks[p.number], built.aero[p.number]
     if p.thrust_N <= 0.0 or p.excess_radps == p.incidence_rad == p.dynamic_pressure_Pa == 0.0:
@@ -220,9 +223,9 @@ def _lead_rad(built: Built, p: TrajectoryPoint, k_p: float, k_d: float, rate_rad
 
 
 def _programme(built: Built) -> CsvFile:
-    """Pitch rate that makes the law fly the point-mass path."""
+    """Return the pitch rate with which the law flies the point-mass path."""
     every, gains = built.flight.points, np.array(built.gains)
-    points = [p for p, q in pairwise(every) if p.time_s < q.time_s] + every[-1:]  # a separation may take no time
+    points = [p for p, q in pairwise(every) if p.time_s < q.time_s] + every[-1:]  # a separation may be instantaneous
     t, end = np.array([p.time_s for p in points]), built.flight.points[-1].time_s
     k_p, k_d = (np.interp(t, gains[:, 0], gains[:, k]) for k in (1, 2))
     incidence = [_lead_rad(built, p, k_p[k], k_d[k], 0.0)[0] for k, p in enumerate(points)]
@@ -344,7 +347,9 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
 
 
 def _filter(built: Built, n: int) -> dict[str, Any]:
-    """A first filter of a stage: a wide notch at each of its first two modes that a sample shows, poles below them."""
+    """Return a first filter of a stage: a wide notch at each of its first two modes that the sampling resolves, and
+    poles below them.
+    """
     modes, most_hz = built.modes[n][1], SHOWN / built.layout.control.sample_s
     if not modes or not modes[0]:
         return {"structure": "none"}
@@ -361,8 +366,10 @@ def _filter(built: Built, n: int) -> dict[str, Any]:
 
 
 def _roll(built: Built, n: int) -> dict[str, Any]:
-    """Roll control of a stage: by thrusters, and by the gimbals where engines stand off the axis, alike in frequency
-    and damping to the first gains of pitch."""
+    """Return the roll control of a stage: by thrusters, and by the gimbals if engines are off the axis.
+
+    Frequency and damping are similar to those of the first gains of pitch.
+    """
     out: dict[str, Any] = {"roll": {"k_rate_s": 0.5, "dead_band_deg": 1.0, "hysteresis_deg": 0.2, "minimum_on_s": 0.02}}
     stack, e = built.stacks[n], built.stacks[n].stage.engine
     sides = [
@@ -429,7 +436,10 @@ def _scenario(built: Built) -> dict[str, Any]:
 
 
 def _closed_loop(built: Built) -> dict[str, Any]:
-    """Guidance to the layout's orbit. Raises ScenarioError for an apogee that the point-mass ascent does not reach."""
+    """Return guidance to the layout's orbit.
+
+    Raises ScenarioError for an apogee that the point-mass ascent does not reach.
+    """
     wanted, last = built.layout.trajectory, built.flight.stacks[-1].burn
     if wanted.apogee_altitude_m is None:
         return {}
@@ -437,7 +447,7 @@ def _closed_loop(built: Built) -> dict[str, Any]:
     if wanted.apogee_altitude_m > reached_m:
         raise ScenarioError(
             built.layout.name,
-            "is beyond what all propellant reaches",
+            "exceeds the altitude that all propellant reaches",
             "trajectory.apogee_altitude_m",
             value=wanted.apogee_altitude_m,
             allowed=f"up to {reached_m:.6g}",
@@ -491,9 +501,9 @@ def _suite(built: Built) -> dict[str, Any]:
         "file": "campaign.toml",
         "limits": "dispersed",
         "success": 0.95,
-        "why": "what a hundred flights can show if none of them fails; for 99.73 % more runs are needed",
+        "why": "demonstrated by a hundred flights without failure; 99.73 % needs more runs",
     }
-    why = "what 60 vehicles can show with none or one that fails"
+    why = "demonstrated by 60 vehicles with at most one failure"
     margins: dict[str, Any] = {"nodes_per_stage": 7, "cases": 60, "success": 0.95, "why": why}
     return {
         "schema": 2,

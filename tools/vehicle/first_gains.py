@@ -1,9 +1,11 @@
-"""First gains that hold their own flight: checked there by the linear model, and searched where the formula fails.
+"""First gains that control their own flight.
 
-`build` gives the rigid body its frequency and damping, and knows neither slosh nor the phase of a bending mode. Where
-the sampled loop is unstable at an operating point of the flight, or the flight is lost, the case that is written with
-the vehicle is solved for few operating points and from few starts; gains, filters and the leads of the pitch programme
-are those of the result, whether it meets the limits of the case or not.
+The linear model checks them there, and a search replaces them if the formula fails.
+
+`build` sets frequency and damping of the rigid body, without slosh or the phase of a bending mode. If the sampled loop
+is unstable at an operating point of the flight, or the flight is lost, the case of the vehicle is solved. The solution
+uses few operating points and few starts. Gains, filters and the leads of the pitch programme are those of the result,
+whether it meets the limits of the case or not.
 """
 
 from __future__ import annotations
@@ -30,9 +32,11 @@ SHOWN = 6  # times in a message
 
 @dataclass(frozen=True)
 class FirstGains:
-    """First gains along their own flight, in pitch: times of unstable loops, and the least gain margin of the others.
+    """The first gains along their own flight, in pitch: times of unstable loops, and the least gain margin of the
+    others.
 
-    `loss`: of that flight, after which there are no points. `searched`: by the optimiser.
+    `loss` is that of the flight, after which there are no points. `searched` is True if the optimiser has found the
+    gains.
     """
 
     points: int
@@ -44,12 +48,12 @@ class FirstGains:
 
     @property
     def hold(self) -> bool:
-        """The loop is stable at every point, and the flight is not lost."""
+        """Return True if the loop is stable at every point and the flight is not lost."""
         return not self.unstable_s and self.loss is None
 
     @property
     def text(self) -> str:
-        """Return one sentence for people."""
+        """Return one sentence of text."""
         by = " by search," if self.searched else ""
         if self.hold:
             least = f"least gain margin {self.gain_margin_db:.2f} dB at {self.at_s:.1f} s"
@@ -64,7 +68,7 @@ class FirstGains:
 def write_with_first_gains(
     built: Built, folder: Path, progress: Callable[[str, int, int], None] = lambda *_: None
 ) -> tuple[Built, list[Path], FirstGains]:
-    """Write a vehicle, check its first gains along their own flight, and search others where they do not hold."""
+    """Write a vehicle, check its first gains along their own flight, and search for others if they fail."""
     files = write(built, folder)
     progress("flying", 0, 0)
     found = checked(folder)
@@ -75,7 +79,7 @@ def write_with_first_gains(
             read_case(folder / "case.toml", SEARCH),
             lambda stage, number: lambda done, of, best_db, what: progress("searching first gains", done, of),
         )
-    except ValueError:  # no operating point: lost at once
+    except ValueError:  # no operating point: lost immediately
         return built, files, found
     changed = with_design(built, made)
     files = write(changed, folder)
@@ -102,7 +106,7 @@ def checked(folder: Path) -> FirstGains:
 
 
 def with_design(built: Built, made: CaseDesign) -> Built:
-    """Return the vehicle with the gains and filters of a design, in which every stage flies its own."""
+    """Return the vehicle with the gains and filters of a design, in which every stage flies with its own."""
     design, rows = made.design, dict[float, tuple[float, float, float]]()
     for _, solution in made.results:
         table = design.of_stage(solution.nodes[0].stage).gains.table

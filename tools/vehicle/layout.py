@@ -1,5 +1,6 @@
-"""The layout of a launcher: what a designer knows before there are tables. Stations in m aft of the nose of the whole
-vehicle; a stage flies with all that is ahead of it.
+"""The layout of a launcher: the data that a designer has before there are tables.
+
+Stations are in m aft of the nose of the whole vehicle. A stage flies with all parts ahead of it.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from maxq.sim.vehicle.slosh.section import Profile, check_domes
 
 
 class Between(Section):
-    """Something between two stations."""
+    """A part between two stations."""
 
     front_station_m: float = Field(description="forward end, m aft of the nose")
     rear_station_m: float = Field(description="aft end, m aft of the nose")
@@ -65,7 +66,7 @@ class Shell(Between):
             raise refuse("no stiffness, or two", "EI_Nm2, or wall_m with modulus_Pa", ("EI_Nm2",))
 
     def stiffness_Nm2(self, station_m: float, radius_m: float) -> float:
-        """Bending stiffness at a station; `radius_m`: of the stage."""
+        """Return the bending stiffness at a station. `radius_m` is that of the stage."""
         if self.EI_Nm2 is None:
             return math.pi * (self.modulus_Pa or 0.0) * (self.radius_m or radius_m) ** 3 * (self.wall_m or 0.0)
         share = (station_m - self.front_station_m) / (self.rear_station_m - self.front_station_m)
@@ -88,7 +89,7 @@ class LayoutTank(Section):
 
     @property
     def profile(self) -> Profile:
-        """In radii."""
+        """Return the profile, in radii."""
         bottom, top = (dome / self.radius_m for dome in self.dome_m)
         return Profile(bottom, self.height_m / self.radius_m - bottom - top, top)
 
@@ -97,7 +98,7 @@ class LayoutTank(Section):
 
 
 class Grain(Between):
-    """Solid propellant: burns uniformly, does not slosh."""
+    """A solid propellant grain, which burns uniformly and does not slosh."""
 
     mass_kg: Positive = Field(description="kg")
     radius_m: Positive | None = optional("outside, m (default: the radius of its stage)")
@@ -114,7 +115,7 @@ _STACKED = ("upper", "middle", "lower")  # z is down
 
 
 class LayoutEngines(Section):
-    """The engines of a stage, all equal; several form groups left of the axis, right of it and between."""
+    """The engines of a stage, all equal. Several engines form groups left of the axis, right of it and between."""
 
     positions_m: tuple[Pair, ...] = optional("of each engine's gimbal, y and z, m", ((0.0, 0.0),), min_length=1)
     thrust: Annotated[CsvTable, THRUST_COLUMNS] | None = optional(
@@ -158,7 +159,7 @@ class LayoutEngines(Section):
 
 
 class LayoutFins(Section):
-    """Fins of trapezoidal planform."""
+    """A set of fins with trapezoidal planform."""
 
     count: Annotated[int, Field(ge=3, le=8)] = optional("number of fins", 4)
     root_chord_m: Positive = Field(description="at the body's wall, m")
@@ -191,7 +192,7 @@ class LayoutStage(Between):
 
     @property
     def usable_kg(self) -> float:
-        """Propellant that burns."""
+        """Return the propellant that burns."""
         return sum(t.liquid_mass_kg - t.residual_kg for t in self.tank) + sum(g.mass_kg for g in self.grain)
 
     def _check(self) -> None:
@@ -222,14 +223,14 @@ class LayoutSite(Section):
 
 
 class Fairing(Between):
-    """Fairing, dropped while an upper stage burns; its shell is part of the last stage's structure."""
+    """The fairing, dropped while an upper stage burns. Its shell is part of the last stage's structure."""
 
     mass_kg: Positive = Field(description="kg")
     jettison_altitude_m: Positive = optional("dropped when a stage burns above this altitude, m", 110e3)
 
 
 class Trajectory(Section):
-    """Vertical rise, pitch-over and gravity turn; upper stages reach an orbit by a linear tangent law."""
+    """The ascent: vertical rise, pitch-over and gravity turn. Upper stages reach an orbit by a linear tangent law."""
 
     pitch_over_start_s: Positive = optional("end of the vertical rise, s after ignition", 5.0)
     pitch_over_s: Positive = optional("duration of the pitch-over, s", 12.0)
@@ -253,7 +254,7 @@ class Trajectory(Section):
 
 
 class Control(Section):
-    """Flight computer, gyro and the first gains."""
+    """The flight computer, gyro and first gains."""
 
     sample_s: values.Period = optional("sample period, s", 0.01)
     delay_s: values.Seconds = optional("from sample to command, s", 0.003)
@@ -310,5 +311,5 @@ class Layout(Section):
 
 
 def read_layout(name: str | Path) -> Layout:
-    """The layout in a file. Raises ScenarioError."""
+    """Read the layout in a file. Raises ScenarioError."""
     return load_file(Layout, "layout", name, ())[0]

@@ -1,4 +1,4 @@
-"""Mass, CG and inertia of a layout over a stage's burn, and what of it loads the beam."""
+"""Mass, CG and inertia of a layout over a stage's burn, and the masses that load the beam."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _RAMP_ROWS, _STEADY_ROWS = 9, 20
 
 @dataclass(frozen=True)
 class Rod:
-    """A mass spread evenly between two stations, with gyration radii squared of its cross-section."""
+    """A mass spread evenly between two stations, with the squared gyration radii of its cross-section."""
 
     mass_kg: float
     front_station_m: float
     rear_station_m: float
     roll_m2: float  # Ixx / m
-    across_m2: float  # of the transverse inertia / m, beside L^2 / 12
+    across_m2: float  # of the transverse inertia / m, in addition to L^2 / 12
 
     @property
     def station_m(self) -> float:
@@ -34,19 +34,22 @@ class Rod:
 
     @property
     def inertia_kgm2(self) -> float:
-        """Transverse, about its own CG."""
+        """Return the transverse inertia about its own CG."""
         length = self.rear_station_m - self.front_station_m
         return self.mass_kg * (length**2 / 12.0 + self.across_m2)
 
 
 def ring(mass_kg: float, front_m: float, rear_m: float, radius_m: float) -> Rod:
-    """A thin ring or tube."""
+    """Return a thin ring or tube."""
     return Rod(mass_kg, front_m, rear_m, radius_m**2, 0.5 * radius_m**2)
 
 
 @dataclass(frozen=True)
 class MassProperties:
-    """About the CG, body axes; the liquids are frozen across and do not turn about the axis."""
+    """The mass properties about the CG in body axes.
+
+    The liquids are frozen laterally and do not rotate about the axis.
+    """
 
     mass_kg: float
     x_cg_m: float
@@ -56,9 +59,12 @@ class MassProperties:
 
 @dataclass(frozen=True)
 class ThrustCurve:
-    """Thrust in vacuum and flow of all engines of a stage over its clock; the rows, joined by PCHIP, are the thrust.
+    """The thrust in vacuum and the flow of all engines of a stage over its clock.
 
-    The flow is proportional to the thrust. `used_shares`: of the usable propellant, burned before and at the end.
+    PCHIP between the rows defines the thrust.
+
+    The flow is proportional to the thrust. `used_shares` are those of the usable propellant, burned before and at the
+    end.
     """
 
     times_s: Array
@@ -88,7 +94,7 @@ class ThrustCurve:
         return float(np.interp(t, self.times_s, self.thrust_N)) if 0.0 <= t <= self.end_s else 0.0
 
     def used(self, t: float) -> float:
-        """Share of the usable propellant burned by t, 0 to exactly 1."""
+        """Return the share of the usable propellant burned by t, 0 to exactly 1."""
         share = float(np.clip(self._impulse(np.clip(t, 0.0, self.end_s)) / self._impulse(self.end_s), 0.0, 1.0))
         before, after = self.used_shares
         return before * (1.0 - share) + after * share
@@ -106,9 +112,11 @@ class ThrustCurve:
 
 
 def burn_of(stage: LayoutStage, ignition_s: float) -> ThrustCurve:
-    """Smooth steps up and down; full thrust lasts so long that the impulse is that of the usable propellant.
+    """Return a curve with smooth steps up and down.
 
-    Between them the thrust falls linearly to `thrust_end_share` of what it was.
+    The duration of full thrust gives the impulse of the usable propellant.
+
+    Between the steps, the thrust falls linearly to `thrust_end_share` of its initial value.
     """
     e, usable = stage.engine, stage.usable_kg
     if e.thrust is not None:
@@ -133,7 +141,7 @@ def burn_of(stage: LayoutStage, ignition_s: float) -> ThrustCurve:
 
 
 def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: float) -> ThrustCurve:
-    """A curve of thrust as it is given, from ignition; full thrust is what is above half its mean."""
+    """Return a given curve of thrust, from ignition. Full thrust is the part above half its mean."""
     times, thrust = ignition_s + table["time_s"] - table["time_s"][0], engines * table["thrust_vacuum_N"]
     high = np.flatnonzero(thrust > 0.5 * np.trapezoid(thrust, times) / (times[-1] - times[0]))
     full = (float(times[high[0]]), float(times[high[-1]]))
@@ -146,7 +154,7 @@ def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: 
 class Stack:
     """The vehicle while one stage burns: the stage and everything ahead of it.
 
-    A stage that drops the fairing while it burns makes two of them.
+    A stage that drops the fairing during its burn has two stacks.
     """
 
     layout: Layout
@@ -162,12 +170,12 @@ class Stack:
 
     @property
     def tail_m(self) -> float:
-        """End of the beam: the gimbal of the burning engines."""
+        """Return the end of the beam: the gimbal of the burning engines."""
         return self.stage.engine.gimbal_station_m
 
     @cached_property
     def dry(self) -> list[Rod]:
-        """Structure, engines and, of the stages ahead, full tanks."""
+        """Return the structure, engines and, of the stages ahead, full tanks."""
         rods = []
         if self.fairing and (f := self.layout.fairing) is not None:
             rods.append(ring(f.mass_kg, f.front_station_m, f.rear_station_m, 0.5 * self.layout.stage[-1].diameter_m))
@@ -188,7 +196,7 @@ class Stack:
         return rods
 
     def liquid_kg(self, tank: LayoutTank, t: float) -> float:
-        """In a tank of the burning stage; all drain in proportion."""
+        """Return the liquid in a tank of the burning stage. All tanks drain in proportion."""
         return tank.liquid_mass_kg - (tank.liquid_mass_kg - tank.residual_kg) * self.burn.used(t)
 
     def liquids(self, t: float) -> list[Rod]:
@@ -200,7 +208,7 @@ class Stack:
 
     @cached_property
     def mass_properties(self) -> Callable[[float], MassProperties]:
-        """At a time of the stage's clock; worked out once."""
+        """Return the mass properties at a time of the stage's clock. The result is cached."""
         return cache(self._mass_properties)
 
     def _mass_properties(self, t: float) -> MassProperties:
@@ -219,12 +227,12 @@ def _part(part: DryMass, radius_m: float) -> Rod:
 
 
 def _grain(grain: Grain, mass_kg: float, radius_m: float) -> Rod:
-    square = 0.5 * (grain.radius_m or radius_m) ** 2  # a solid cylinder's; a bore widens as it burns, which is left out
+    square = 0.5 * (grain.radius_m or radius_m) ** 2  # of a solid cylinder; the burning of a bore is neglected
     return Rod(mass_kg, grain.front_station_m, grain.rear_station_m, square, 0.5 * square)
 
 
 def _column(tank: LayoutTank, mass_kg: float) -> Rod:
-    """A liquid as a rod with its centroid and depth; in a dome the depth is that of the same centroid."""
+    """Return a liquid as a rod with its centroid and depth. In a dome, the depth is that of the same centroid."""
     profile, r = tank.profile, tank.radius_m
     depth = float(profile.depth(np.array(mass_kg / (tank.density_kgpm3 * r**3))))
     z = np.linspace(0.0, depth, 201)
@@ -247,7 +255,7 @@ def stacks(layout: Layout) -> list[Stack]:
 
 
 def without_fairing(every: Sequence[Stack], number: int, clock_s: float) -> list[Stack]:
-    """The stacks where the fairing is dropped at `clock_s` of the burn of stack `number`."""
+    """Return the stacks if the fairing is dropped at `clock_s` of the burn of stack `number`."""
     out = list(every[:number])
     first, rest = every[number].burn.split(clock_s)
     out.append(replace(every[number], burn=first, drops_fairing=True))
@@ -256,7 +264,7 @@ def without_fairing(every: Sequence[Stack], number: int, clock_s: float) -> list
 
 
 def engine_inertia(e: LayoutEngines) -> tuple[float, float, float]:
-    """Gimballed mass, its CG aft of the gimbal, transverse inertia about the gimbal, of one engine."""
+    """Return the gimballed mass, its CG aft of the gimbal, and transverse inertia about the gimbal, of one engine."""
     length = e.exit_station_m - e.gimbal_station_m
     mass = 0.8 * e.mass_kg if e.gimballed_mass_kg is None else e.gimballed_mass_kg
     arm = 0.3 * length if e.cg_from_gimbal_m is None else e.cg_from_gimbal_m
@@ -264,7 +272,9 @@ def engine_inertia(e: LayoutEngines) -> tuple[float, float, float]:
 
 
 def line_density_kgpm(rods: Sequence[Rod], edges_m: Array) -> tuple[Array, tuple[float, float, float]]:
-    """Mass per length of the elements between `edges_m`; mass, moment, inertia about their end of what lies behind."""
+    """Return the mass per length of the elements between `edges_m`, and the mass, the moment and the inertia about
+    their end of the parts behind.
+    """
     density, behind = np.zeros(len(edges_m) - 1), np.zeros(3)
     end, element = float(edges_m[-1]), np.diff(edges_m)
     for rod in rods:

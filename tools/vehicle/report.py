@@ -26,7 +26,7 @@ def report(built: Built) -> str:
     """Return the whole text."""
     parts = [[printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))]]
     for heading, note, rows in tables(built):
-        less = [n for n, name in enumerate(rows[0]) if name in ("CG, m", "CP, m")]  # a narrow terminal goes without
+        less = [n for n, name in enumerate(rows[0]) if name in ("CG, m", "CP, m")]  # omitted on a narrow terminal
         parts.append([heading.lower(), *aligned(rows, "  ", right=numbers(rows[0]), drop=less), f"  {note}"])
     parts += [[title, *(f"  {line}" for line in lines)] for title, lines in notes(built)]
     return "\n\n".join("\n".join(part) for part in parts)
@@ -43,7 +43,7 @@ def tables(built: Built) -> list[LayoutTable]:
 
 
 def notes(built: Built) -> list[tuple[str, list[str]]]:
-    """Return titles and lines of the assumptions and of unusual values."""
+    """Return the titles and lines of the assumptions and of unusual values."""
     both = (("assumed beyond the layout", built.assumed), ("unusual", warnings(built)))
     return [(title, lines) for title, lines in both if lines]
 

@@ -1,8 +1,10 @@
-"""Point-mass ascent of a layout in the plane of the launch, over a round Earth that turns: straight up, pitched over,
-gravity turn; to an orbit the upper stages steer by a linear tangent law. No wind; the air turns with the Earth.
+"""The point-mass ascent of a layout in the plane of the launch, over a round, rotating Earth: vertical rise,
+pitch-over, gravity turn.
+
+The upper stages reach an orbit by a linear tangent law. There is no wind, and the air rotates with the Earth.
 
 Speed and path angle are relative to the Earth, the path angle above the local horizon, in rad. Gravity has its J2 term
-along the vertical. Across the plane the Earth's turning adds a speed that counts in the orbit and nowhere else.
+along the vertical. The Earth's rotation adds a speed across the plane, which affects only the orbit.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ TrajectoryState = tuple[float, float, float, float]  # range m, altitude m, spee
 
 @dataclass(frozen=True)
 class TrajectoryPoint:
-    """An instant of the ascent: stack and its clock, flight time, and what acts."""
+    """An instant of the ascent: stack and its clock, flight time, and the forces."""
 
     number: int
     clock_s: float
@@ -49,24 +51,24 @@ class TrajectoryPoint:
     dynamic_pressure_Pa: float
     mach: float
     incidence_rad: float  # of the steering
-    excess_radps: float  # turn of the path by pitch-over, beyond gravity's
+    excess_radps: float  # turn of the path by pitch-over, in addition to gravity
     horizon_rad: float  # turn of the local horizon since liftoff, in inertial space
 
     @property
     def pitch_rad(self) -> float:
-        """Attitude above the launch site's horizon at liftoff."""
+        """Return the attitude above the launch site's horizon at liftoff."""
         return self.path_rad + self.incidence_rad - self.horizon_rad
 
 
 class Orbit(NamedTuple):
-    """Heights of perigee and apogee above the equatorial radius, m (apogee infinite: it escapes)."""
+    """The heights of perigee and apogee above the equatorial radius, m (apogee infinite: it escapes)."""
 
     perigee_m: float
     apogee_m: float
 
     @staticmethod
     def of(radius_m: float, horizontal_mps: float, vertical_mps: float) -> Orbit:
-        """From inertial velocity along and across the local horizon."""
+        """Return the orbit from the inertial velocity along and across the local horizon."""
         momentum = radius_m * horizontal_mps
         energy = 0.5 * (horizontal_mps**2 + vertical_mps**2) - earth.WGS84_MU_m3ps2 / radius_m
         e = math.sqrt(max(1.0 + 2.0 * energy * (momentum / earth.WGS84_MU_m3ps2) ** 2, 0.0))
@@ -78,7 +80,7 @@ class Orbit(NamedTuple):
 
 @dataclass(frozen=True)
 class Ascent:
-    """Points along the powered flight, the stacks that fly it, and when each begins, s of flight time."""
+    """The points along the powered flight, the stacks that fly it, and the start of each, s of flight time."""
 
     points: list[TrajectoryPoint]
     stacks: list[Stack]
@@ -89,7 +91,7 @@ class Ascent:
 
 
 class _StackPlace(NamedTuple):
-    """The constants of the launch site: local radius, turning about the plane's normal and along it, and the
+    """The constants of the launch site: local radius, rotation about the plane's normal and along it, and the
     latitude.
     """
 
@@ -113,7 +115,7 @@ class _StackPlace(NamedTuple):
         )
 
     def gravity_mps2(self, radius_m: float, angle_rad: float) -> float:
-        """Towards the centre, `angle_rad` along the plane from the site."""
+        """Return gravity towards the centre, `angle_rad` along the plane from the site."""
         sin_latitude = self.sin_latitude * math.cos(angle_rad) + self.cos_north * math.sin(angle_rad)
         flattened = 1.0 - 1.5 * earth.WGS84_J2 * (earth.WGS84_RADIUS_m / radius_m) ** 2 * (3.0 * sin_latitude**2 - 1.0)
         return earth.WGS84_MU_m3ps2 / radius_m**2 * flattened
@@ -133,7 +135,7 @@ class _Model:
 
     @cached_property
     def masses(self) -> list[tuple[Array, Array]]:
-        """Return clock and mass of each stack."""
+        """Return the clock and mass of each stack."""
         out = []
         for stack in self.stacks:
             clock = np.linspace(0.0, stack.burn.end_s, 201)
@@ -145,14 +147,14 @@ class _Model:
 
     @cached_property
     def steering_s(self) -> tuple[float, float]:
-        """Flight time between which the upper stages steer."""
+        """Return the flight times between which the upper stages steer."""
         first = self.stacks[0]
         begin = first.burn.end_s + first.stage.separation_after_s
         ends = [s.burn.end_s + s.stage.separation_after_s for s in self.stacks[1:]]
         return begin + self.stacks[1].burn.start_s, begin + sum(ends) - self.stacks[-1].stage.separation_after_s
 
     def acts(self, n: int, t: float, altitude: float, speed: float) -> tuple[float, float, float, float]:
-        """Thrust N, drag N, dynamic pressure Pa, Mach number."""
+        """Return the thrust (N), the drag (N), the dynamic pressure (Pa) and the Mach number."""
         density, pressure, sound = air(altitude)
         mach, q = speed / sound, 0.5 * density * speed**2
         burn, e, aero = self.stacks[n].burn, self.layout.stage[n].engine, self.aero[n]
@@ -162,7 +164,7 @@ class _Model:
         return thrust, q * aero.area_m2 * coefficient, q, mach
 
     def incidence(self, n: int, time_s: float, path: float) -> float:
-        """Attitude above the path: 0, but where the tangent law steers."""
+        """Return the attitude above the path: 0, except where the tangent law steers."""
         if self.tangents is None or n == 0:
             return 0.0
         begin, end = self.steering_s
@@ -186,11 +188,11 @@ class _Model:
         return speed * math.cos(path) * place.radius_m / radius, speed * math.sin(path), accel, turn
 
     def _free(self, radius: float, speed: float, path: float, gravity: float) -> float:
-        """Turn of the path by gravity, the Earth's curvature and its turning (Coriolis), rad/s."""
+        """Return the turn of the path by gravity, the Earth's curvature and its rotation (Coriolis), rad/s."""
         return (speed / radius - gravity / speed) * math.cos(path) + 2.0 * self.place.spin_radps
 
     def _pitch_over(self, time_s: float) -> tuple[float, float]:
-        """Turn by the pitch-over, rad/s (a raised cosine), and the share of gravity's turn, 1 behind it."""
+        """Return the turn by the pitch-over, rad/s (a raised cosine), and the share of gravity's turn, 1 after it."""
         wanted = self.layout.trajectory
         x = (time_s - wanted.pitch_over_start_s) / wanted.pitch_over_s
         push = -self.kick_rad / wanted.pitch_over_s * (1.0 - math.cos(2.0 * math.pi * x)) if 0.0 < x < 1.0 else 0.0
@@ -211,7 +213,10 @@ class _Model:
         return TrajectoryPoint(n, t, time_s, reach, altitude, speed, path, thrust, q, mach, incidence, excess, horizon)
 
     def fly(self, points: int) -> tuple[list[TrajectoryPoint], list[float], tuple[int, float] | None]:
-        """All stages: `points` of each burn, when each begins, and stack and clock at which the fairing is dropped."""
+        """Fly all stages, with `points` per burn.
+
+        Return the points, the start of each stage, and stack and clock of the fairing separation.
+        """
         fairing, wanted = self.layout.fairing, self.layout.trajectory
         jettison_m = math.inf if fairing is None else fairing.jettison_altitude_m
         y: TrajectoryState = (0.0, self.layout.site.altitude_m, 0.0, 0.5 * math.pi)
@@ -220,7 +225,7 @@ class _Model:
         def above(_: float, y: Array) -> float:
             return float(y[1]) - jettison_m
 
-        above.terminal, above.direction = True, 1.0  # type: ignore[attr-defined]  # so SciPy ends the integration there
+        above.terminal, above.direction = True, 1.0  # type: ignore[attr-defined]  # SciPy ends the integration there
         for n, stack in enumerate(self.stacks):
             burn, stage = stack.burn, stack.stage
             begins.append(time_s)
@@ -252,7 +257,7 @@ class _Model:
                         kept.append(self.point(n, time_s, float(t), _state(row)))
                 if (
                     found.y_events and found.t_events and len(found.y_events[0])
-                ):  # at the fairing's altitude: on without it
+                ):  # at the fairing's altitude: continue without it
                     reach, _, speed, path = _state(found.y_events[0][0])
                     y = (reach, jettison_m, speed, path)
                     spans.insert(0, (float(found.t_events[0][0]), b))
@@ -277,7 +282,9 @@ _standard, _upper = from_python(us1976), upper_air()
 
 
 def air(altitude_m: float) -> tuple[float, float, float]:
-    """Density, pressure, speed of sound of US Standard Atmosphere 1976; its end values hold above 1000 km."""
+    """Return the density, pressure and speed of sound of US Standard Atmosphere 1976. Its end values apply above 1000
+    km.
+    """
     if altitude_m >= TOP_m:
         log_density, log_pressure, _ = _upper(min(altitude_m, 999e3))
         density, pressure = math.exp(log_density), math.exp(log_pressure)
@@ -288,7 +295,7 @@ def air(altitude_m: float) -> tuple[float, float, float]:
 
 
 def ascent(layout: Layout, stacks: Sequence[Stack], aero: Sequence[Aerodynamics], points: int = 241) -> Ascent:
-    """The ascent whose last burnout is as asked for. Raises ValueError where no pitch-over gives it."""
+    """Return the ascent with the requested last burnout. Raises ValueError if no pitch-over gives it."""
     model, wanted = _Model(layout, stacks, aero), layout.trajectory
     weight = float(model.masses[0][1][0]) * model.place.gravity_mps2(model.place.radius_m, 0.0)
     begin, end = stacks[0].burn.full_s
@@ -315,7 +322,7 @@ def ascent(layout: Layout, stacks: Sequence[Stack], aero: Sequence[Aerodynamics]
 
 
 def _turn_to(model: _Model, path_rad: float) -> None:
-    """The pitch-over of a gravity turn that ends at this path angle."""
+    """Return the pitch-over of a gravity turn that ends at this path angle."""
 
     def beyond(kick_rad: float) -> float:
         model.kick_rad = kick_rad
@@ -334,8 +341,8 @@ def _turn_to(model: _Model, path_rad: float) -> None:
 def _level(ends: Callable[[Array], Array], x: Array) -> Array:
     """Return the level ascent next to `x` (pitch-over and tangents, scaled), the same on every processor.
 
-    The search that ends at `x` leaves the pitch-over where the speed hardly changes. Processors round differently, and
-    the search ends up to 0.03 mrad apart on them. So the pitch-over is rounded, and the tangents follow from it.
+    At the end of the search, `x`, the speed hardly depends on the pitch-over. Processors round differently, so that the
+    search ends up to 0.03 mrad apart on them. Therefore, the pitch-over is rounded, and the tangents follow from it.
     """
     kick = _KICK_STEP * round(float(x[0]) / _KICK_STEP)
 
@@ -346,14 +353,16 @@ def _level(ends: Callable[[Array], Array], x: Array) -> Array:
 
 
 def _steer_to(model: _Model, altitude_m: float) -> None:
-    """Pitch-over and tangents of the largest speed at a level last burnout at this altitude.
+    """Return the pitch-over and the tangents of the largest speed at a level last burnout at this altitude.
 
-    Raises ValueError where there is none, or the speed is short of an orbit's.
+    Raises ValueError if there is none, or if the speed is below orbital speed.
     """
     radius, flown = earth.WGS84_RADIUS_m + altitude_m, dict[tuple[float, ...], Array]()
 
     def ends(x: Array) -> Array:
-        """Height above the altitude wanted, path angle and speed at the end, each over its scale; x likewise."""
+        """Return the height above the required altitude, path angle and speed at the end, each over its scale. x is
+        scaled likewise.
+        """
         given = tuple(float(v) for v in x)
         if given not in flown:
             model.kick_rad, model.tangents = 0.1 * given[0], (given[1], given[2])

@@ -236,7 +236,7 @@ def _sample(
 
 
 def _said(rows: Sequence[dict[str, Any]]) -> list[tuple[Any, ...]]:
-    """Return name, wanted, found and verdict of the requirements of campaigns."""
+    """Return the name, wanted, found and verdict of the requirements of campaigns."""
     mine = (row for row in rows if row["part"] == "campaign")
     return [(row["name"], row["wanted"], row["found"], row.get("verdict", row.get("judgement"))) for row in mine]
 

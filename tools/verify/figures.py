@@ -34,7 +34,7 @@ _ALLOWED = (("dB", 0.2), ("deg", 1.5))  # differences of a certificate's lines t
 
 
 def plots(found: Verification, command: str) -> list[Plot]:
-    """All that can be drawn of what was found. `command` repeats the review."""
+    """Return all figures of the results. `command` repeats the review."""
     out = [_vehicle(found)]
     if found.scenario.design is not None:
         out.append(filter_plot(found.scenario.vehicle, found.scenario.design))
@@ -116,7 +116,7 @@ def _flights(found: Verification) -> Plot:
 
 
 def _worst_flights(found: Verification) -> Plot:
-    """Small multiples of the flights with the least room."""
+    """Return small multiples of the flights with the least margin."""
 
     def room(f: FlownResult) -> float:
         shares = [
@@ -137,7 +137,7 @@ def _worst_flights(found: Verification) -> Plot:
                 if v.requirement.metric == metric and abs(v.value) > 0.5 * v.bound[1]:
                     series += [limit(side * v.bound[1], note=f"{side * v.bound[1]:g}") for side in (1, -1)]
             panels.append(Panel(f"{f.name}: {title}", series, "time, s", "deg"))
-    caption = "The scenarios with the least room at any of their limits. Limits are drawn where half of one is used."
+    caption = "The scenarios with the least margin to any of their limits. Limits are drawn if half of one is used."
     return Plot("worst-flights", "Worst scenarios", panels, caption, 2, 130)
 
 
@@ -154,7 +154,7 @@ def _planes(found: Verification, wanted: LinearMargins) -> list[tuple[str, Plane
 
 
 def _equal(one: MarginStudy, other: MarginStudy) -> bool:
-    """Return True where all that is drawn of two studies is the same."""
+    """Return True if all drawn data of two studies is equal."""
     cases = [([m.nominal], m.corners, [m.case(k) for k in range(len(m.random))]) for m in (one, other)]
     values = [
         [[[n.get(key, math.nan) for key in SWEPT] for n in c.nodes] for group in groups for c in group]
@@ -246,7 +246,7 @@ def _titled(plane: str) -> str:
 
 
 def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:
-    """Differences of the lines; those beyond what is allowed tell their reason."""
+    """Return the differences of the lines. Those above the tolerance state their reason."""
     panels = []
     kinds = ((True, "measured less sampled loop, converter as it flies"), (False, "the same without rounding"))
     for rounded, title in kinds:
@@ -273,7 +273,7 @@ def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:
 
 
 def _lines(nodes: Sequence[NodeCertificate], n: int, *, rounded: bool) -> Iterator[tuple[float, float, str, str]]:
-    """Frequency, difference, reason and node of every line that is judged."""
+    """Return the frequency, difference, reason and operating point of every line that is judged."""
     for c in nodes:
         r = c.responses
         flown, clean = ((r.difference_db, r.unrounded_db), (r.difference_deg, r.unrounded_deg))[n]
@@ -285,7 +285,7 @@ def _lines(nodes: Sequence[NodeCertificate], n: int, *, rounded: bool) -> Iterat
 
 
 def _campaign(found: Verification, number: int) -> list[Plot]:
-    """The figures of the campaign's own report."""
+    """Return the figures of the campaign's own report."""
     result = found.campaigns[number]
     data = analysis.DataSet(result.folder, campaign_in(result.folder), result.runs)
     sample = analysis.sample_of(data)
@@ -350,7 +350,7 @@ def _slosh(found: Verification) -> Plot:
         here, name = [a.time_s for a in mine], tank_name(found.scenario.vehicle, stage, tank)
         stations.append(line(here, [a.bob_station_m for a in mine], name, **look(n)))
         damping.append(line(here, [a.needed for a in mine], f"{name}", **look(n)))
-        damping.append(line(here, [a.damping for a in mine], "what the tank has (thin)", **(look(n) | {"width": 0.7})))
+        damping.append(line(here, [a.damping for a in mine], "of the tank (thin)", **(look(n) | {"width": 0.7})))
     panels = [
         Panel("where the liquid swings", stations, "time, s", "m aft of the nose", down=True),
         Panel("damping ratio that the loop needs", damping, "time, s", ""),

@@ -18,7 +18,7 @@ _AT_POINT = re.compile(r"(\S+ s), (pitch|yaw)")
 
 
 def headline(found: Verification, name: str = "") -> str:
-    """Return the outcome in one line; `name`: the design's, in front where there are several."""
+    """Return the outcome in one line. `name` is that of the design and precedes the line if there are several."""
     met, count = len(found.of(ACCEPTED)), len(found.requirements)
     reasons, texts = found.missing_evidence, [_decisive(found)]
     texts.append(f"{met} of {count} requirement{'s' * (count != 1)} met")
@@ -31,7 +31,7 @@ def headline(found: Verification, name: str = "") -> str:
 
 
 def _decisive(found: Verification) -> str:
-    """Return the requirement that decides: missed or undecided by the largest share, or the tightest one."""
+    """Return the decisive requirement: missed or undecided by the largest share, or the tightest one."""
     if found.judgement == REJECTED:
         return _missed(found.of(REJECTED))
     if found.judgement == UNDECIDED:

@@ -39,7 +39,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _PRINT_S = 60.0
 _RANKED = ("upper gain margin", "phase margin", "phase margin at mode 1")
 WORDS = {ACCEPTED: MET, REJECTED: REJECTED, UNDECIDED: UNDECIDED}  # of a single requirement
-_KEYS = {"judgement": "verdict"}  # of a requirement, as verdict.json has them
+_KEYS = {"judgement": "verdict"}  # of a requirement, as in verdict.json
 FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
 _LINE = (
     "difference_db",
@@ -55,7 +55,7 @@ _LINE = (
 
 @dataclass(frozen=True)
 class Signed:
-    """Who answers for a review, as its title block says; `date`: empty for today."""
+    """The person responsible for a review, as stated in its title block. `date` is empty for today."""
 
     author: str = ""
     revision: str = ""
@@ -63,9 +63,9 @@ class Signed:
 
 
 def write_pack(found: Verification, folder: Path, command: str, pack: bool, signed: Signed = Signed()) -> list[Path]:
-    """Write verdict.json with the hashes of the other files of the pack, and these; return their paths.
+    """Write verdict.json with the hashes of the other files of the pack, and these files. Return their paths.
 
-    They are a copy of the ledger, the worst vehicles and, with `pack`, the review as HTML and PDF (where a browser can
+    They are a copy of the ledger, the worst vehicles and, with `pack`, the review as HTML and PDF (if a browser can
     print) and its figures as CSV. Raises FileError.
     """
     (folder / f"{VERDICT_NAME}{SUFFIX}").unlink(missing_ok=True)  # of an earlier pack
@@ -86,7 +86,7 @@ def write_pack(found: Verification, folder: Path, command: str, pack: bool, sign
 
 
 def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Signed = Signed()) -> str:
-    """The review as HTML."""
+    """Return the review as HTML."""
     dated = {"date": signed.date} if signed.date else {}
     return render(
         "review.html.j2",
@@ -134,7 +134,7 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
 
 
 def _limiting(found: Verification) -> list[JudgedRequirement]:
-    """The requirement with the least room of each part."""
+    """Return the requirement with the least margin of each part."""
     nearest: dict[str, JudgedRequirement] = {}
     for r in sorted((r for r in found.requirements if math.isfinite(r.room)), key=lambda r: r.room):
         nearest.setdefault(r.part, r)
@@ -142,7 +142,10 @@ def _limiting(found: Verification) -> list[JudgedRequirement]:
 
 
 def _matrix(flights: Sequence[FlownResult]) -> dict[str, Any]:
-    """Values of all flights, a column for each requirement; `used`: share of the limit in percent."""
+    """Return the values of all flights, with a column for each requirement.
+
+    `used` is the share of the limit in percent.
+    """
 
     def bound_text(v: Verdict) -> str:
         return f"{'<=' if v.bound[0] == 'limit' else '>='} {v.bound[1]:g}"
@@ -167,7 +170,7 @@ def _matrix(flights: Sequence[FlownResult]) -> dict[str, Any]:
 
 
 def _loop(found: Verification) -> dict[str, Any]:
-    """Words of the blocks of the control loop; of the first stage where stages differ."""
+    """Return texts for the blocks of the control loop, those of the first stage if stages differ."""
     vehicle, design = found.scenario.vehicle, found.scenario.design
     computer, stage = vehicle.computer_of(0), vehicle.stage[0]
     if computer is None:
@@ -201,7 +204,7 @@ def _loop(found: Verification) -> dict[str, Any]:
 
 
 def print_page(page: Path, pdf: Path) -> Path | None:
-    """The page as PDF by a headless browser; None where there is none, or it fails."""
+    """Return the page as PDF by a headless browser, or None if there is none, or it fails."""
     browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
     if browser is None:
         return None
@@ -233,8 +236,10 @@ def print_page(page: Path, pdf: Path) -> Path | None:
 
 
 def _headings(part: Sequence[JudgedRequirement]) -> list[str]:
-    """The plane of each requirement of a part, as the end of its heading: that of the next one with a plane, where all
-    but a few that come first in it have one; else none.
+    """Return the plane of each requirement of a part, as the end of its heading.
+
+    A requirement without a plane has that of the next one with a plane, if all but the first few have one. Otherwise
+    there is none.
     """
     planes = [(r.where.rpartition(", ")[2] if r.where.endswith((", pitch", ", yaw")) else "") for r in part]
     if 2 * sum(map(bool, planes)) < len(planes):
@@ -247,7 +252,7 @@ def _headings(part: Sequence[JudgedRequirement]) -> list[str]:
 
 
 def report(found: Verification, title: str) -> list[str]:
-    """Every requirement, a row each, under the name of its part and plane."""
+    """Return every requirement, one per row, below the name of its part and plane."""
     rows: list[tuple[str, ...]] = [("requirement", "verdict", "wanted", "found", "room", "where")]
     headed = [(_headings(list(group)), part) for part, group in groupby(found.requirements, lambda r: r.part)]
     every = zip(found.requirements, (f"{part}{h}" for own, part in headed for h in own), strict=True)
@@ -308,7 +313,7 @@ def _mark(judgement: str) -> str:
 
 
 def reasons(found: Verification) -> list[str]:
-    """Why a design is not accepted, a line each, and the command that shows it."""
+    """Return the reasons for which a design is not accepted, a line each, and the command that shows each."""
     out = []
     for r in (*found.of(REJECTED), *found.of(UNDECIDED)):
         out.append(f"  {r.judgement}: {printable(r.reason)}")
@@ -317,17 +322,17 @@ def reasons(found: Verification) -> list[str]:
 
 
 def from_here(text: str) -> str:
-    """Paths below the working folder without it."""
+    """Return paths below the working folder relative to it."""
     return text.replace(f"{Path.cwd()}{os.sep}", "")
 
 
 def ranked(every: Sequence[Verification]) -> list[Verification]:
-    """The best first."""
+    """Return the verifications, the best first."""
     return sorted(every, key=lambda v: v.merit, reverse=True)
 
 
 def ranking(every: Sequence[Verification]) -> list[str]:
-    """Designs side by side, the best first."""
+    """Return a table of designs, the best first."""
     head = ("", "design", "verdict", "rejected", "undecided", "tightest", "room", "gain dB", "phase deg", "mode 1 deg")
     rows: list[tuple[str, ...]] = [head]
     for n, v in enumerate(ranked(every), 1):
@@ -353,7 +358,7 @@ def ranking(every: Sequence[Verification]) -> list[str]:
 
 
 def verdict_record(found: Verification, command: str) -> dict[str, Any]:
-    """All but histories."""
+    """Return the whole verification without histories."""
     return {
         "schema": 2,
         "design": found.design,

@@ -1,6 +1,6 @@
-"""`simverify DESIGN...`: judge designs by a suite, write verdicts and review packs, rank them.
+"""The command `simverify DESIGN...`: judge designs by a suite, write verdicts and review packs, rank them.
 
-`simdesign CASE... --verify`: try what has been designed in order of merit until the suite accepts one.
+`simdesign CASE... --verify` tries designs in order of merit until the suite accepts one.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def execute(
     revision: str = "",
     date: str = "",
 ) -> int:
-    """Verify designs and rank them; returns the exit code. The arguments are the options of `simverify`."""
+    """Verify designs and rank them. Return the exit code. The arguments are the options of `simverify`."""
     if len(set(designs)) < len(designs):
         raise CommandError("a design is named twice")
     paths = [design_name(name) for name in designs]
@@ -91,7 +91,7 @@ def execute(
             except ValueError as error:
                 if not str(error).startswith("node at"):
                     raise
-                raise ScenarioError(loaded.label, str(error)) from None  # the suite's times are wrong
+                raise ScenarioError(loaded.label, str(error)) from None  # the suite's times are invalid
             found.append(one)
             progress.show(f"writing {name}", 0, 1)
             signed = report.Signed(author, revision, date)
@@ -145,7 +145,7 @@ def campaigns_of(loaded: suites.LoadedSuite, design: str, vehicle: str | None = 
 
 
 def folder_of(design: str, out: str | None, only: str | None, designs: int) -> Path:
-    """Return the folder of a design's pack; several designs get a folder each inside --out."""
+    """Return the folder of a design's pack. Several designs have one each inside --out."""
     path = Path(design)
     name = path.parent.name if path.name == DESIGN_NAME else path.name.removesuffix(".toml")
     plain = plain_name(name, "design")
@@ -159,7 +159,10 @@ def folder_of(design: str, out: str | None, only: str | None, designs: int) -> P
 
 @dataclass(frozen=True)
 class Candidate:
-    """A design in a folder. `objective_db` is the case's, less is better; `modulus` the least |1 + L| as it flies."""
+    """A design in a folder.
+
+    `objective_db` is that of the case, and less is better. `modulus` is the least |1 + L| as it flies.
+    """
 
     folder: Path
     meets_limits: bool
@@ -169,7 +172,7 @@ class Candidate:
 
 
 def candidates(made: run_case.Made) -> Iterator[Candidate]:
-    """The case's design, and with --orders those of every filter and schedule that meet the limits."""
+    """Return the case's design, and with --orders those of every filter and schedule that meet the limits."""
     found = made.found
     nodes = [j.node for outcome, _ in found.results for j in outcome.judged]
 
@@ -184,15 +187,17 @@ def candidates(made: run_case.Made) -> Iterator[Candidate]:
 
 
 def in_order(found: Sequence[Candidate]) -> list[Candidate]:
-    """Those that meet their cases' limits first; then by the objective where all have the same, else by the least
-    |1 + L|, which can be compared."""
+    """Return candidates that meet their cases' limits first.
+
+    The order is by the objective if all have the same, else by the least |1 + L|, which is comparable.
+    """
     same = len({c.kind for c in found}) < 2
     return sorted(found, key=lambda c: (not c.meets_limits, c.objective_db if same else -c.modulus))
 
 
 def execute_cases(cases: Iterable[Callable[[], run_case.Made]], suite: str, pack: bool = True) -> int:
-    """Design each case by calling it, then verify in order of merit; returns the exit code."""
-    suites.read_suite(suite)  # a mistake in it is reported before the minutes of designing
+    """Run each case, then verify the designs in order of merit. Return the exit code."""
+    suites.read_suite(suite)  # an error in it is reported before the minutes of designing
     made = []
     for design in cases:
         made.append(design())
@@ -243,13 +248,13 @@ def try_in_order(
     watch: Watch = lambda what, done, of: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[str | None, list[Verification]]:
-    """Verify one design after the other up to the first that is accepted, or passes where the suite is a screening.
+    """Verify one design after the other up to the first that is accepted, or that passes if the suite is a screening.
 
-    Each candidate has its share of the risk of a wrong acceptance, and draws of its own (`shared_risk`). `designs` as
-    for `simverify`, in order of preference. `tell` gets, line by line, the verdict on each and the requirements not
-    met; `keep` each verification when it is complete, with the suite that it was judged by. An undecided design is not
-    accepted. Returns the accepted design, or None, and all verifications. Raises ScenarioError before anything is
-    flown, KeyboardInterrupt soon after `stop` returns True.
+    Each candidate has its share of the risk of a wrong acceptance, and its own draws (`shared_risk`). `designs` are as
+    for `simverify`, in order of preference. `tell` receives, line by line, the verdict on each and the requirements not
+    met. `keep` receives each verification when it is complete, with the suite by which it was judged. An undecided
+    design is not accepted. Returns the accepted design, or None, and all verifications. Raises ScenarioError before any
+    flight, and KeyboardInterrupt soon after `stop` returns True.
     """
     wanted, paths = suites.read_suite(suite, overrides), [design_path(design) for design in designs]
     campaigns, given = campaigns_of(wanted, paths[0]), wanted.overrides

@@ -1,9 +1,9 @@
-"""The same equations flown by SciPy's DOP853 from instant to instant, with its error control: the
-reference.
+"""The reference flight: the same equations, integrated by SciPy's DOP853 from instant to instant with its error
+control.
 
-Between two instants (computer sample, command, schedule breakpoint, ...) nothing switches; there the
-kernel's own derivative is handed to the adaptive method of order eight (Hairer, Norsett & Wanner, section
-II.5), which starts again after each. The flight's instants themselves are met by the flight's own kernels.
+No switching occurs between two instants (computer sample, command, schedule breakpoint, ...). There, the kernel's own
+derivative is integrated by the adaptive method of order eight (Hairer, Norsett & Wanner, section II.5), which starts
+again after each instant. The flight's own kernels process the instants themselves.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from maxq.sim.vehicle.workspace import Evaluation
 
 @entry
 def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: Array, scratch: Records) -> None:
-    """Derivative `elapsed_s` after the flight's present instant."""
+    """Return the derivative `elapsed_s` after the flight's present instant."""
     p, memory = P[0], state[0]
     pool, y, dy = bare_pointer(pool), bare_pointer(y), bare_pointer(dy)
     props, work, aux = bare_pointer(scratch[0].properties), scratch[0].work, scratch[0].aux
@@ -38,7 +38,7 @@ def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: A
 
 @entry
 def next_instant(P: Array, pool: Array, state: Array, y: Array, scratch: Records) -> int:
-    """Meet all that is due now; nanoseconds until something is due again."""
+    """Process all events that are due now. Return the nanoseconds until the next event is due."""
     p, memory = P[0], state[0]
     pool, y, props = bare_pointer(pool), bare_pointer(y), bare_pointer(scratch[0].properties)
     process_due_events(p, pool, memory, y, scratch[0].aux, props)
@@ -47,7 +47,7 @@ def next_instant(P: Array, pool: Array, state: Array, y: Array, scratch: Records
 
 @dataclass
 class AdaptiveFlight:
-    """Flies a run on from where it stands (in flight, one stage, no turbulence)."""
+    """A flight that continues a run from its present state (in flight, one stage, no turbulence)."""
 
     run: FlightRun
     relative: float  # tolerance
@@ -59,11 +59,11 @@ class AdaptiveFlight:
     def __post_init__(self) -> None:
         packed = self.run.packed
         self._n = int(state_size(packed.parameters[0].vehicle.sizes))
-        packed.parameters[0].timeline.step_ns = NEVER // 4  # no other grid than the instants
-        # position and speed are thousands of times what changes of them in a step, the rest begins near zero
+        packed.parameters[0].timeline.step_ns = NEVER // 4  # no grid other than the instants
+        # position and speed are thousands of times their change in a step; the other states begin near zero
         tolerance = np.full(self._n, self.relative)
         tolerance[R_I : R_I + 3], tolerance[V_I : V_I + 3] = 1e-3 * self.relative, 1e-2 * self.relative
-        self._relative = np.maximum(tolerance, 3e-14)  # SciPy refuses less than 100 eps
+        self._relative = np.maximum(tolerance, 3e-14)  # SciPy rejects less than 100 eps
         self._absolute = 1e-3 * self.relative
 
     def _rates(self, elapsed_s: float, y: Array) -> Array:
@@ -74,7 +74,7 @@ class AdaptiveFlight:
         return self._dy[: self._n].copy()
 
     def until(self, end_ns: int, every_ns: int) -> Iterator[tuple[int, Array]]:
-        """Time (ns) and state at every multiple of `every_ns` up to `end_ns`; these must be instants."""
+        """Return the time (ns) and state at every multiple of `every_ns` up to `end_ns`, which must be instants."""
         packed, clock = self.run.packed, self.run.memory.clock
         arguments = (packed.parameters, packed.pool, packed.memory, packed.state, self._scratch)
         while int(clock.now_ns) < end_ns:

@@ -1,7 +1,8 @@
-"""Campaigns: flights a second on one worker and on all cores, what a campaign costs beside its kernel, memory, Dask.
+"""Benchmarks of campaigns: flights per second on one worker and on all cores, overhead of a campaign, memory, Dask.
 
-The whole set of dispersions of campaigns/ksr3, full powered ascents. Overhead is measured in processor time, which
-other work on the machine disturbs least: of the whole process, beside what of it is spent inside the kernel.
+The runs have the whole set of dispersions of campaigns/ksr3 and full powered ascents. The overhead is measured in
+processor time, which other work on the machine affects least. It is the time of the whole process less the time inside
+the kernel.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from maxq.sim.campaign.store import Store
 from maxq.sim.flight import loop
 from maxq.sim.run import fly
 
-RUNS = 1000  # as many as a person asks for over coffee; kernels of their own from 500
+RUNS = 1000  # a typical number for an interactive campaign; separate kernels from 500
 SHORT = ("run.duration_s=0.02", "run.stop_at=[]", "campaign.keep=[]", "campaign.batch=256")
 _FLOWN, _ROWS = 4000, 100_000
 
@@ -38,7 +39,7 @@ def _ksr3(*overrides: str) -> LoadedCampaign:
 
 
 def local(runs: int = RUNS) -> dict[str, float]:
-    """Rates and overhead with threads."""
+    """Return the rates and overhead with threads."""
     campaign = _ksr3().with_campaign(runs=runs)
     load_kernels(campaign)
     workers = cores()
@@ -64,7 +65,7 @@ def local(runs: int = RUNS) -> dict[str, float]:
 
 
 def _timed(spent: dict[str, float], name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, whose processor time goes to `spent[name]`."""
+    """Return the function with its processor time added to `spent[name]`."""
 
     def call(*arguments: Any, **named: Any) -> Any:
         start = time.thread_time()
@@ -85,11 +86,14 @@ PARTS: dict[str, tuple[Any, str]] = {
     "metrics, verdicts, row": (campaign_runs._Run, "recorded"),
     "Arrow tables, Parquet files": (Store, "write"),
 }
-"""Where a campaign's time goes: functions that each do one part of it, called one after the other."""
+"""The parts of a campaign's time: functions that each do one part of it, called one after the other."""
 
 
 def profile(runs: int = RUNS // 2) -> dict[str, float]:
-    """Processor time by part, ms a run, of a campaign on one worker; "other" is what is left of the process's."""
+    """Return the processor time by part, ms per run, of a campaign on one worker.
+
+    "other" is the remainder of the process's time.
+    """
     campaign = _ksr3().with_campaign(runs=runs)
     load_kernels(campaign)
     spent = dict.fromkeys(PARTS, 0.0)
@@ -104,9 +108,9 @@ def profile(runs: int = RUNS // 2) -> dict[str, float]:
 
 
 def memory(runs: int = _FLOWN, rows: int = _ROWS) -> dict[str, float]:
-    """Peak memory, MB: of flying very short flights, and of judging and drawing `rows` runs.
+    """Return the peak memory, MB, of flying very short flights, and of judging and drawing `rows` runs.
 
-    The data set that is judged holds the flown rows over and over, under new numbers.
+    The judged data set contains the flown rows repeatedly, under new numbers.
     """
     from maxq.sim.campaign.analysis import DataSet, judged, lost  # noqa: PLC0415  # counts as memory
     from maxq.tools.campaign_report import write_report  # noqa: PLC0415  # counts as memory
@@ -140,7 +144,7 @@ def _peak_MB() -> float:
 
 
 def _repeat(folder: Path, runs: int, rows: int) -> None:
-    """Further parts of the runs that are there, until there are `rows`; in a process of its own, for its memory."""
+    """Repeat the runs under new numbers until there are `rows`, in a separate process because of its memory."""
     script = (
         "import sys, pyarrow as pa, pyarrow.parquet as pq; from pathlib import Path\n"
         "from maxq.sim.campaign.store import parts_in\n"
@@ -157,7 +161,9 @@ def _repeat(folder: Path, runs: int, rows: int) -> None:
 
 
 def dask(runs: int = RUNS) -> dict[str, float]:
-    """The same campaign on worker processes of one thread each, and on as many threads; batches of 2 s or more."""
+    """Run the same campaign on worker processes of one thread each, and on the same number of threads, in batches of 2
+    s or more.
+    """
     from distributed import Client, LocalCluster  # noqa: PLC0415  # an extra
 
     workers = cores()
@@ -183,7 +189,7 @@ def dask(runs: int = RUNS) -> dict[str, float]:
 
 
 def cold(runs: int = 200) -> dict[str, float]:
-    """The command as a person gives it, from its start to its end; the second time, when its kernels are there."""
+    """Run the command as a user does, from its start to its end. The second time, its kernels are cached."""
     with tempfile.TemporaryDirectory() as scratch:
         for attempt in ("first", "second"):
             command = [sys.executable, "-m", "maxq.tools.simrun", "campaigns/ksr3", "--runs", str(runs)]
@@ -195,7 +201,7 @@ def cold(runs: int = 200) -> dict[str, float]:
 
 
 def measure() -> dict[str, Any]:
-    """All of it, each in a process of its own."""
+    """Measure all parts, each in a separate process."""
     return {name: _own(f"{name}()") for name in ("local", "profile", "cold", "memory", "dask")}
 
 

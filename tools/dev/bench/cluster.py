@@ -1,9 +1,9 @@
 """Campaigns on a Dask scheduler: eight worker processes that fly, and a thousand simulated workers that wait instead.
 
-A simulated worker is a worker of Dask like any other, many of them to a process: it takes real tasks, draws their runs,
-waits for as long as their flights would take on a core of its own (one batch in fifty ten times as long) and returns
-real rows. So scheduler, client, data set and verdicts work as with so many cores; once, a quarter of the workers is
-killed under way.
+A simulated worker is an ordinary worker of Dask, with many of them per process. It takes real tasks, draws their runs,
+and waits for the time of their flights on a separate core. One batch in fifty takes ten times as long. It then returns
+real rows. Scheduler, client, data set and verdicts thus work as with this number of cores. In one case, a quarter of
+the workers is killed during the campaign.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SLOW_SHARE, SLOW_FACTOR = 0.02, 10.0
 
 
 def _simulate(flight_s: float) -> None:
-    """Let tasks of this process wait instead of flying; the rows are those of its first run."""
+    """Let tasks of this process wait instead of flying. The rows are those of its first run."""
     fly, chance = runner.fly_batch, random.Random(os.getpid())
     known: list[tuple[list[Row], dict[str, str]]] = []
     at_once = threading.Lock()
@@ -51,7 +51,7 @@ def _simulate(flight_s: float) -> None:
     runner.fly_batch = waited
 
 
-_QUIET = {  # of many workers to a process: each would look at its own stack a hundred times a second, and so on
+_QUIET = {  # of many workers per process: each would sample its own stack a hundred times a second, among others
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "60s",
     "distributed.admin.system-monitor.interval": "60s",
@@ -70,7 +70,10 @@ async def _workers(address: str, count: int) -> None:
 
 
 def _measured(workers: int, processes: int, runs: int, flight_s: float | None, kill: bool) -> dict[str, Any]:
-    """A campaign on `workers` Dask workers in so many processes; one of them killed when a third is flown."""
+    """Measure a campaign on `workers` Dask workers in the given number of processes.
+
+    One process is killed after a third of the flights.
+    """
     from distributed import Client  # noqa: PLC0415  # an extra
 
     campaign = load_campaign("campaigns/ksr3", ["campaign.keep=[]"]).with_campaign(runs=runs)

@@ -1,8 +1,9 @@
-"""Flight code from outside beside the built-in law: what it costs, and whether exported C gives the same bits.
+"""The benchmark of external flight code against the built-in law: its cost, and a bitwise comparison of exported C.
 
-Flights of KSR-III, 59 s, alternately with the built-in law, with the law exported as C (`simdesign export --c`) and
-with examples/flight_software/pd_law.py; then campaigns/ksr3 on all cores, alternately. `--bits N`: instead, N dispersed
-flights to 70 s of each law and filter structure, with the built-in and with the exported law, compared by state hash.
+Flights of KSR-III, 59 s, alternate between the built-in law, the law exported as C (`simdesign export --c`) and
+examples/flight_software/pd_law.py. Campaigns of campaigns/ksr3 on all cores alternate likewise. `--bits N` instead
+flies N dispersed flights to 70 s of each law and filter structure, with the built-in and with the exported law, and
+compares state hashes.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ OPTIONS = {
 
 
 def design_text(law: str, structure: str, option: str) -> str:
-    """A design file with round numbers near those of ksr3-robust."""
+    """Return a design file with round numbers near those of ksr3-robust."""
     quadratic, first_order = SECTIONS[structure]
     over = ("mass_kg", 3500.0, 5500.0) if option == "gains over mass" else ("time_s", 5.0, 50.0)
     rows = [
@@ -76,7 +77,7 @@ def design_text(law: str, structure: str, option: str) -> str:
 
 
 def built(folder: Path, *changes: str) -> list[str]:
-    """Overrides that fly the law of a scenario as a library of exported C."""
+    """Return overrides that fly the law of a scenario as a library of exported C."""
     export_c(load_scenario("nominal", changes), folder)
     sources = [str(folder / name) for name in ("flight_law.c", "flight_law_tables.c", "flight_law_fsw.c")]
     subprocess.run(["cc", *FLAGS, "-shared", "-fPIC", "-o", str(folder / "libfsw.so"), *sources], check=True)
@@ -117,7 +118,7 @@ def costs(rounds: int, runs: int) -> dict[str, Any]:
 
 
 def bits(runs: int) -> dict[str, int]:
-    """Dispersed flights of each law and structure whose state hash is the same, of `runs`."""
+    """Return the number, of `runs`, of dispersed flights of each law and structure with equal state hashes."""
     chosen = [("pd", structure, "") for structure in SECTIONS]
     chosen += [(law, "F4", "") for law in MORE_GAINS if law != "pd"] + [("pd", "F4", option) for option in OPTIONS]
     out = {}

@@ -1,4 +1,4 @@
-"""Worker: JSBSim flies its own rigid launch vehicle (script J2461.xml of its wheel) for 60 s, output off.
+"""The JSBSim worker: its own rigid launch vehicle (script J2461.xml of its wheel) for 60 s, output off.
 
 Its control system runs at every step.
 """
@@ -9,7 +9,7 @@ import math
 import sys
 from collections.abc import Callable
 
-import jsbsim  # type: ignore[import-not-found]  # in .venv-bench only, which holds the programs compared with
+import jsbsim  # type: ignore[import-not-found]  # in .venv-bench only, which contains the compared programs
 
 from maxq.tools.dev.bench.serve import State, serve
 
@@ -36,7 +36,7 @@ def prepare() -> Callable[[], tuple[int, State]]:
 
 
 def _state(read: Callable[[str], float]) -> State:
-    """Position in the Earth's frame, attitude in the local one."""
+    """Return the position in the Earth's frame and the attitude in the local frame."""
     half = [0.5 * read(f"attitude/{name}-rad") for name in ("phi", "theta", "psi")]
     (cr, cp, cy), (sr, sp, sy) = ([f(a) for a in half] for f in (math.cos, math.sin))
     position_m = [M_PER_FT * read(f"position/ecef-{axis}-ft") for axis in "xyz"]

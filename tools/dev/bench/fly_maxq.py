@@ -1,8 +1,8 @@
-"""Worker: the nominal scenario's powered phase with everything switched on, no log, on one core.
+"""The maxq worker: the nominal scenario's powered phase with everything switched on, no log, on one core.
 
-`--own-kernels`: by kernels that are compiled for this vehicle's sizes, as large campaigns fly. `--nine-engines`: the
-engine as nine of a ninth, each with actuators of its own; those that move together would count as one. Further
-arguments are overrides of the scenario.
+`--own-kernels` uses kernels that are compiled for this vehicle's sizes, as large campaigns do. `--nine-engines`
+replaces the engine by nine, each with a ninth of its size and its own actuators; equal groups would count as one.
+Further arguments are overrides of the scenario.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ WHOLE_FLIGHT_NS = 10**12  # one segment holds it
 
 
 def nine_engines(one: EngineSection) -> str:
-    """The stage's engine as nine, each a group."""
+    """Return the stage's engine as nine engines, each a group."""
     whole = {
         "table": "'vehicles/ksr3/thrust.csv'",
         "gimbal_station_m": one.gimbal_station_m,

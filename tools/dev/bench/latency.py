@@ -1,7 +1,7 @@
-"""Measure the waiting time for `simrun`, and the memory of a flight.
+"""The benchmark of the response time of `simrun` and of the memory of a flight.
 
-Only the standard library is loaded here: the peak memory that the kernel reports for a child begins with
-its parent's.
+Only the standard library is loaded here, since the peak memory that the system reports for a child begins with that of
+its parent.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ IN_MEMORY = "maxq.tools.dev.bench.fly_in_memory"
 
 
 def _run(command: list[str], environment: dict[str, str], codes: tuple[int, ...]) -> dict[str, float]:
-    """Wall and CPU time (s) and peak memory (MB) of a command, its children included in the CPU time.
+    """Return the wall and CPU time (s) and peak memory (MB) of a command, with its children included in the CPU time.
 
-    Raises RuntimeError where it does not end with one of `codes`.
+    Raises RuntimeError if the exit code is not one of `codes`.
     """
     with tempfile.TemporaryFile() as said:
         start = time.perf_counter()
@@ -54,7 +54,7 @@ def _typical(runs: list[dict[str, float]]) -> dict[str, float]:
 
 
 def measure(repetitions: int = REPETITIONS) -> dict[str, Any]:
-    """Each command's `wall_s`, `cpu_s`, `peak_MB`; or `skipped`, why."""
+    """Return each command's `wall_s`, `cpu_s`, `peak_MB`, or the reason in `skipped`."""
     results: dict[str, Any] = {}
     simrun = Path(sys.executable).with_name("simrun")
     missing = None
@@ -64,7 +64,7 @@ def measure(repetitions: int = REPETITIONS) -> dict[str, Any]:
         missing = "simrun is not installed in this environment"
     with tempfile.TemporaryDirectory(prefix="maxq-bench-") as scratch:
         environment = {**os.environ, "MAXQ_CACHE": str(Path(scratch) / "cache")}
-        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # Python keeps what it has translated, as for everyone
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # with Python's bytecode cache, as for every user
         nominal = [str(simrun), "nominal", "--out", str(Path(scratch) / "flight")]
         cases: tuple[tuple[str, list[str], tuple[int, ...], int], ...] = (
             ("help", [str(simrun), "--help"], (0,), repetitions + 1),

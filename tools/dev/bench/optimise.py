@@ -1,14 +1,14 @@
-"""The optimiser: how long it takes, and whether a global search without gradients ever finds better.
+"""The benchmark of the optimiser: its time, and a comparison with global searches without gradients.
 
     python -m maxq.tools.dev.bench.optimise [--seconds 20] [--seeds 1] [--workers 2] [--only F4/free,...]
 
-prints as JSON: seconds for one F6 with free gains, at four times the nodes, for the fifteen optima of one table of
-docs/case-study, for a robust design, and F2 to F4 with all three gain schedules beside two searches that know nothing
-of gradients, from populations drawn at random: differential evolution (SciPy) and CMA-ES with restarts (pycma). They
-share with the optimiser the exact responses of the fixed paths and nothing else: limits as a penalty, crossings between
-grid points by linear interpolation. That errs, and a search makes use of it: in F2 a margin missed by 0.01 dB brings
-0.08 dB. So its best is judged by what is left after a descent to where the limits are met exactly. The long run takes
-`--seconds 1800`.
+The module prints seconds as JSON: for one F6 with free gains, and at four times the operating points. It adds those of
+the fifteen optima of one table of docs/case-study, and of a robust design. It compares F2 to F4, with all three gain
+schedules, with two searches without gradients, from random populations: differential evolution (SciPy) and CMA-ES with
+restarts (pycma). They share only the exact responses of the fixed paths with the optimiser. Limits are a penalty, and
+crossings between grid points are interpolated linearly. A search exploits the interpolation error: in F2, a margin
+missed by 0.01 dB gains 0.08 dB. Its best point is therefore judged after a descent to a point that meets the limits
+exactly. The long run takes `--seconds 1800`.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ from maxq.tools.design.run_case import order_cases, solve_orders
 CASE = "ksr3-identical"
 STRUCTURES, SCHEDULES = ("F2", "F3", "F4", "F5", "F6"), ("two-phase", "linear", "free")
 RIVALS = tuple((structure, schedule) for structure in STRUCTURES[:3] for schedule in SCHEDULES)
-PENALTY = 50.0  # dB of the objective for each dB that is missed
+PENALTY = 50.0  # dB of the objective for each dB of violation
 HIGHEST_HZ = 60.0
-GAIN_BOUNDS = (0.1, 3.0)  # wide enough, and kinder than the optimiser's own
+GAIN_BOUNDS = (0.1, 3.0)  # wider than the optimiser's own, in favour of the rival
 MET_DB = 1e-6
 STEP = 0.25  # CMA-ES's first standard deviation, as a share of the bounds
 
 
 class Rival:
-    """Cost of a design for a search without gradients."""
+    """The cost of a design for a search without gradients."""
 
     def __init__(self, case: Case, plants: Plants, problem: Problem) -> None:
         assert isinstance(problem.law, PdVariables)
@@ -105,7 +105,9 @@ class Rival:
 
 
 def interpolated(zero: Array, value: Array, where: NDArray[np.bool_]) -> Array:
-    """`value` where `zero` changes its sign between a point and the next one, `where` that counts; linearly."""
+    """Return `value` where `zero` changes its sign between a point and the next one and `where` is True, by linear
+    interpolation.
+    """
     k = np.flatnonzero((np.sign(zero[1:]) != np.sign(zero[:-1])) & where)
     share = zero[k] / (zero[k] - zero[k + 1])
     return np.asarray(value[k] + share * (value[k + 1] - value[k]))
@@ -114,7 +116,7 @@ def interpolated(zero: Array, value: Array, where: NDArray[np.bool_]) -> Array:
 def evolve(
     cost: Callable[[Array], float], lower: Array, upper: Array, seconds: float, seed: int
 ) -> tuple[Array, float]:
-    """Differential evolution for so much CPU time, begun again where its population has shrunk to a point."""
+    """Run differential evolution for this CPU time, restarted when its population has converged to a point."""
     begun, rng = time.process_time(), np.random.default_rng(seed)
     best: tuple[Array, float] = (lower, np.inf)
 
@@ -132,7 +134,7 @@ def evolve(
 
 
 def adapt(cost: Callable[[Array], float], lower: Array, upper: Array, seconds: float, seed: int) -> tuple[Array, float]:
-    """CMA-ES for so much CPU time, begun again with twice the population wherever it has converged."""
+    """Run CMA-ES for this CPU time, restarted with twice the population when it has converged."""
     import cma  # noqa: PLC0415  # needed here only; comes with the extra "test"
 
     begun, rng, generation = time.process_time(), np.random.default_rng(seed), 0
@@ -159,7 +161,7 @@ METHODS = {"differential evolution": evolve, "CMA-ES": adapt}
 
 
 def compare(structure: str, schedule: str, method: str, seconds: float, seed: int) -> dict[str, Any]:
-    """A search without gradients for a time, and the optimiser on the same problem."""
+    """Run a search without gradients for a time, and the optimiser on the same problem."""
     loaded = read_case(CASE, [f"filter.structure={structure}", f"gains.schedule={schedule}"])
     plants = nominal_plants(loaded)
     begun = time.process_time()
@@ -195,7 +197,9 @@ def compare(structure: str, schedule: str, method: str, seconds: float, seed: in
 
 
 def one_table() -> tuple[float, list[dict[str, Any]]]:
-    """Seconds by the clock for the fifteen optima of one table, on all cores, and what each is; CPU seconds each."""
+    """Return wall-clock seconds for the fifteen optima of one table, on all cores, the optima, and CPU seconds of
+    each.
+    """
     loaded = read_case(CASE)
     begun = time.perf_counter()
     found = solve_orders(order_cases(loaded), nominal_plants(loaded), lambda _done, _of: None)
@@ -218,7 +222,7 @@ def one_table() -> tuple[float, list[dict[str, Any]]]:
 
 
 def single() -> dict[str, Any]:
-    """F6 with free gains by itself: 34 variables, eleven nodes."""
+    """Measure F6 with free gains alone: 34 variables, eleven operating points."""
     loaded = read_case(CASE, ["filter.structure=F6", "gains.schedule=free"])
     begun, clock = time.process_time(), time.perf_counter()
     plants = nominal_plants(loaded)
@@ -234,7 +238,9 @@ def single() -> dict[str, Any]:
 
 
 def more_nodes() -> float:
-    """CPU time of F6 with free gains at 44 nodes, the flights that give them included, over that at 11."""
+    """Return the CPU time of F6 with free gains at 44 operating points, including their flights, relative to that at
+    11.
+    """
     seconds = []
     for nodes in (11, 44):
         times_s = np.linspace(5.0, 55.0, nodes).round(3).tolist()
@@ -246,7 +252,7 @@ def more_nodes() -> float:
 
 
 def robust() -> float:
-    """Seconds by the clock for the robust design, against the worst plants that its searches find."""
+    """Return wall-clock seconds for the robust design, against the worst plants that its searches find."""
     begun, loaded = time.perf_counter(), read_case("ksr3-robust")
     solve(loaded, nominal_plants(loaded))
     return time.perf_counter() - begun
@@ -269,7 +275,7 @@ def main() -> None:
     ]
     result: dict[str, Any] = {"single": {}, "table": []}
     if not options.only:
-        single()  # imports and first calls are not what is measured
+        single()  # imports and first calls are excluded from the measurement
         one = single() | {"nodes_ratio": more_nodes(), "robust_s": robust()}
         one["table_s"], table = one_table()
         result = {"single": one, "table": table}

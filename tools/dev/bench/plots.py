@@ -19,7 +19,7 @@ WORK = (1000, 2000, 5000, 10_000, 20_000, 50_000)
 
 
 def work_precision(precision: dict[str, Any], path: Path) -> None:
-    """Errors over derivative evaluations per second of flight, both axes logarithmic."""
+    """Draw errors over derivative evaluations per second of flight, with both axes logarithmic."""
     with drawing(("svg",)):
         figure, places = sheet(2, 2, height_in=3.5, width_in=9.0, sharex=True)
         for place, (key, text) in zip(places, PANELS, strict=True):

@@ -1,8 +1,8 @@
-"""Error against work: the powered phase through a gust, with the default method at many step sizes, and
+"""The work-precision benchmark: the powered phase through a gust, with the default method at many step sizes, and with
 DOP853.
 
-The converter, DAC and roll thrusters only know steps: which one is taken turns on the last digit, so a
-difference of 1e-12 becomes one of a whole count. They are switched off here; the limits stay on.
+The outputs of converter, DAC and roll thrusters are steps. The last digit can decide which step is taken, so that a
+difference of 1e-12 becomes a whole count. They are switched off here; the limits remain on.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from maxq.tools.dev.bench.adaptive_flight import AdaptiveFlight
 
 NS = 1_000_000_000
 END_NS = 59 * NS
-EVERY_NS = NS // 10  # where errors are looked at; a sample of the computer, so that no step is cut for it
-AFLOAT_NS = 1 * NS  # DOP853 takes over from the fine reference after liftoff
+EVERY_NS = NS // 10  # times of the error evaluation; a sample of the computer, so that no step is cut for it
+AFLOAT_NS = 1 * NS  # DOP853 continues from the fine reference after liftoff
 STEPS_NS = (5_000_000, 4_000_000, 2_000_000, 1_000_000, 500_000, 250_000, 125_000)
 FINEST_NS = 62_500
 RELATIVE = (1e-3, 1e-6, 1e-10)  # the last one is the reference
@@ -41,7 +41,7 @@ CONDITIONS = (
 
 @dataclass
 class Course:
-    """States at every `EVERY_NS`, what they cost, and whose they are."""
+    """The states at every `EVERY_NS`, their cost, and their source."""
 
     states: dict[int, Array]
     evaluations: int
@@ -54,7 +54,7 @@ def _run(step_ns: int) -> FlightRun:
 
 
 def _fly(step_ns: int) -> Course:
-    """The flight with the default method; after a warm-up flight nothing compiles."""
+    """Return the flight with the default method. After a warm-up flight, no compilation occurs."""
     run = _run(step_ns)
     states, cpu = {}, 0.0
     while not run.finished:
@@ -78,13 +78,13 @@ def _fly_adaptive(relative: float) -> Course:
 
 
 def _angle_deg(a: Array, b: Array) -> float:
-    """Angle between two directions, exact for small ones too."""
+    """Return the angle between two directions, exact for small ones too."""
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     return math.degrees(2.0 * math.asin(min(0.5 * float(np.linalg.norm(a - b)), 1.0)))
 
 
 def differences(a: Array, b: Array, sizes: Any) -> dict[str, float]:
-    """Distance of two states: attitude (angle of the rotation between them), modal coordinates, bobs,
+    """Return the distance of two states: attitude (angle of the rotation between them), modal coordinates, bobs,
     position.
     """
     q, p = a[Q_BI : Q_BI + 4], b[Q_BI : Q_BI + 4]
@@ -100,7 +100,7 @@ def differences(a: Array, b: Array, sizes: Any) -> dict[str, float]:
 
 
 def _errors(course: Course, reference: Course) -> dict[str, Any]:
-    """At burnout and the largest on the way."""
+    """Return the errors at burnout and the largest during the flight."""
     if set(course.states) != set(reference.states):
         raise RuntimeError("two flights were looked at at different times")
     all_of = [differences(course.states[t], reference.states[t], course.sizes) for t in sorted(course.states)]
@@ -125,8 +125,8 @@ def _sizes_of_motion(course: Course) -> dict[str, float]:
 
 
 def measure() -> dict[str, Any]:
-    """`steps`: errors of the default method against the reference; `adaptive`: those of DOP853; `agreement`
-    of the two references, fine steps and DOP853.
+    """Return `steps`, the errors of the default method against the reference, `adaptive`, those of DOP853, and
+    `agreement` of the two references, fine steps and DOP853.
     """
     reference = _fly_adaptive(RELATIVE[-1])
     return {

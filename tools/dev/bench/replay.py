@@ -1,7 +1,9 @@
-"""Measure the replay: `simreplay` from command to picture, conversion, memory, size, many flights. Prints JSON.
+"""The benchmark of the replay: `simreplay` from command to picture, conversion, memory, size, many flights.
 
-A picture comes from the headless viewer that the tests use; what a graphics card would do faster is drawn in software
-where there is none.
+It prints JSON.
+
+The picture is that of the headless viewer of the tests. Without a graphics card, it is drawn in software, which is
+slower.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ _SIMRUN, _SIMREPLAY = "maxq.tools.simrun", "maxq.tools.simreplay"
 
 
 def _memory_of(process: subprocess.Popen[bytes]) -> float:
-    """Largest memory of a process and its children together, MB, sampled 20 times a second; waits for its end."""
+    """Return the largest memory of a process and its children together, MB, sampled 20 times a second until its end."""
     most = 0.0
     whole = psutil.Process(process.pid)
     while process.poll() is None:
@@ -40,9 +42,9 @@ def _memory_of(process: subprocess.Popen[bytes]) -> float:
 
 
 def _timed(*arguments: str) -> dict[str, float]:
-    """Wall and processor time and memory of a command with its children; the best of a few rounds.
+    """Return the wall and processor time and memory of a command with its children, the best of a few rounds.
 
-    Raises RuntimeError where it fails.
+    Raises RuntimeError if the command fails.
     """
     walls, cpus, peaks = [], [], []
     for _ in range(ROUNDS):
@@ -65,7 +67,7 @@ def _timed(*arguments: str) -> dict[str, float]:
 
 
 def _conversion(log: Path, folder: Path) -> dict[str, float]:
-    """Reading and converting alone, in a process that has its modules loaded."""
+    """Measure reading and converting alone, in a process that has its modules loaded."""
     from maxq.tools.replay.convert import Options, save  # noqa: PLC0415  # loads rerun
     from maxq.tools.replay.flight import open_flight  # noqa: PLC0415  # lazy
 
@@ -82,7 +84,7 @@ def _conversion(log: Path, folder: Path) -> dict[str, float]:
 
 
 def _many(folder: Path) -> dict[str, float]:
-    """Dispersed powered ascents, all kept: families of curves in one window."""
+    """Measure dispersed powered ascents, all kept: families of curves in one window."""
     coarse = ["--set", "log.fast_hz=100", "--set", "log.slow_hz=20"]
     kept = ["--runs", str(FLIGHTS), "--keep", ",".join(map(str, range(FLIGHTS))), "--no-report"]
     command = [sys.executable, "-m", _SIMRUN, "campaigns/first", *kept, *coarse, "--out", str(folder / "campaign")]
@@ -96,7 +98,9 @@ def _many(folder: Path) -> dict[str, float]:
 
 
 def _picture(rrd: Path, time_s: float) -> dict[str, float]:
-    """Opening a recording, a settled picture, laying the window out again, moving the cursor; memory of the viewer."""
+    """Measure opening a recording, a settled picture, a new layout of the window, moving the cursor, and memory of the
+    viewer.
+    """
     from maxq.tools.replay import viewer  # noqa: PLC0415  # loads rerun
 
     start = time.perf_counter()
@@ -121,7 +125,7 @@ def _picture(rrd: Path, time_s: float) -> dict[str, float]:
 
 
 def measure() -> dict[str, Any]:
-    """All figures; what cannot be measured here is left out with the reason."""
+    """Return all figures. Those that cannot be measured here have the reason instead."""
     from maxq.tools.replay.viewer import ReplayError  # noqa: PLC0415  # lazy
 
     folder = Path(tempfile.mkdtemp(prefix="maxq-bench-"))

@@ -1,4 +1,6 @@
-"""All benchmarks: `make bench`. Results go to docs/performance.json, tables and picture to docs/performance.md.
+"""The runner of all benchmarks: `make bench`.
+
+Results go to docs/performance.json, tables and picture to docs/performance.md.
 
 Every part runs in separate processes, so that no part uses the memory and caches of another.
 """
@@ -68,7 +70,7 @@ def main() -> int:
         "--search-seconds",
         type=float,
         default=20.0,
-        help="CPU time of each search beside the optimiser (default 20; long run: 1800)",
+        help="CPU time of each search compared with the optimiser (default 20; long run: 1800)",
     )
     parser.add_argument("--only", default="", help="comma-separated parts; the others keep their last results")
     choice = parser.parse_args()

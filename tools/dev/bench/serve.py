@@ -1,6 +1,6 @@
-"""Fly once for each line: a worker reads a line from its standard input, flies and answers with a line of JSON.
+"""The loop of a worker: it reads a line from its standard input, flies and answers with a line of JSON.
 
-So the flights of several programs alternate in one run, each in a process of its own that stays warm.
+The flights of several programs thus alternate in one run, each in a separate process that stays warm.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from collections.abc import Callable
 from typing import Any
 
 State = list[float]
-"""At the end of a flight: position, m, then the quaternion of the attitude, both of any frame that stands still."""
+"""The end of a flight: position, m, then the quaternion of the attitude, both in any frame at rest."""
 Prepare = Callable[[], Callable[[], tuple[int, State]]]
 
 
 def serve(about: dict[str, Any], prepare: Prepare) -> None:
     """Answer until the input ends.
 
-    `prepare` sets a flight up and returns what flies it, which returns its steps and where it ended; both are timed,
-    apart. Whatever else the program prints on its standard output, from C too, is thrown away.
+    `prepare` sets up a flight and returns a function that flies it. This function returns its steps and its end. Both
+    calls are timed separately. All other text that the program prints on its standard output, from C too, is discarded.
     """
     answers = os.fdopen(os.dup(1), "w")
     nowhere = os.open(os.devnull, os.O_WRONLY)

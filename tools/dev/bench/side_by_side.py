@@ -1,4 +1,4 @@
-"""Other programs and maxq, flown in turn in the same run, each in a process of its own."""
+"""The comparison of other programs with maxq, flown alternately in the same run, each in a separate process."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from maxq.tools.dev.bench.steps import IDEAL
 
 @dataclass(frozen=True)
 class ProgramFlight:
-    """A program's flight: what it is, in words, and which worker flies it."""
+    """The flight of a program: its description, and the worker that flies it."""
 
     key: str
     what: str
@@ -26,7 +26,7 @@ class ProgramFlight:
     ours: bool = False
     arguments: tuple[str, ...] = ()
     rounds: int | None = None  # None: in every round
-    needed: float | None = None  # ratio of its time to maxq's that is to be reached
+    needed: float | None = None  # target ratio of its time to that of maxq
 
 
 CASES = (
@@ -75,7 +75,7 @@ def _line(process: subprocess.Popen[str]) -> str:
 
 @dataclass(frozen=True)
 class Refined:
-    """A program whose steps are made finer: arguments of its worker with what they mean, the reference last."""
+    """A program with refined steps: arguments of its worker with their meaning, the reference last."""
 
     program: str
     module: str
@@ -107,8 +107,11 @@ REFINED = (
 
 
 def accuracy(peers_python: Path, flights: int = 3) -> list[dict[str, Any]]:
-    """By program and method: least CPU time of some flights, `cpu_s`, and how far the flight's end lies from that with
-    the finest of its steps, `position_m` and `attitude_deg`; or `skipped`, why."""
+    """Return by program and method the least CPU time of some flights, `cpu_s`, and the distance of the flight's end
+    from that with its finest steps, `position_m` and `attitude_deg`.
+
+    A skipped program has the reason in `skipped`.
+    """
     return [
         row for each in REFINED for row in _refined(each, Path(sys.executable) if each.ours else peers_python, flights)
     ]
@@ -153,9 +156,10 @@ def _start(case: ProgramFlight, python: Path) -> _Worker:
 
 
 def measure(peers_python: Path, rounds: int) -> dict[str, Any]:
-    """Fly `rounds` rounds: each other program once, maxq before each of them. First flights do not count.
+    """Fly `rounds` rounds: each other program once, with maxq before each of them. First flights do not count.
 
-    Times per program: `cpu_s`, `wall_s`, `set_up_s` (each a list), `steps`, `flown_s`; or `skipped`, why.
+    The times per program are `cpu_s`, `wall_s`, `set_up_s` (each a list), with `steps` and `flown_s`. A skipped program
+    has the reason in `skipped`.
     """
     results: dict[str, Any] = {}
     workers: list[_Worker] = []

@@ -1,7 +1,8 @@
-"""Error against step: RK4 on its grid, and steps chosen by run.accuracy, for both vehicles and for stiff ones.
+"""The benchmark of error against step: RK4 on its grid, and steps selected by run.accuracy, for both vehicles and for
+stiff ones.
 
-Converter, DAC and roll thrusters, which know steps only, are ideal as in precision.py; the reference is RK4 at 0.1 ms.
-Metrics are compared in shares of what the scenario requires of them, of their own size where it requires nothing.
+Converter, DAC and roll thrusters, whose outputs are steps, are ideal as in precision.py. The reference is RK4 at 0.1
+ms. Metric errors are relative to the scenario's requirements, or to the metric itself without a requirement.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ GUST = (
 
 @dataclass
 class StepStudyFlight:
-    """States every `EVERY_NS` with the sizes of their stage, and what the flight cost."""
+    """The states every `EVERY_NS` with the sizes of their stage, and the cost of the flight."""
 
     states: dict[int, tuple[Array, Any]]
     flight: Flight
@@ -97,7 +98,7 @@ def _shares(flight: Flight, exact: Flight) -> Iterator[tuple[str, float]]:
 
 
 def measure() -> dict[str, Any]:
-    """By vehicle and method."""
+    """Return the errors by vehicle and method."""
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as scratch:
         made = Path(scratch) / "petrel"

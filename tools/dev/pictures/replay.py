@@ -1,8 +1,8 @@
 """The pictures of docs/replay.md: `python -m maxq.tools.dev.pictures.replay [DIR]`.
 
-Flies the nominal scenario, the same in the November wind and in four times that wind, one that loses control, and
-petrel in its limit wind with section loads; then takes pictures of what `simreplay` shows of them, and draws a sheet of
-the standard set. Needs no display.
+The module flies the nominal scenario without wind, in the November wind and in four times that wind. It also flies a
+scenario that loses control, and petrel in its limit wind with section loads. It then takes pictures of `simreplay`
+showing these flights, and draws a sheet of the standard set. It needs no display.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ WIDTH = 1280  # of a picture in the repository
 
 
 def _eyes(close: tuple[float, float, float] | None) -> Callable[..., convert.Eyes]:
-    """Cameras as usual, but for the close one, in m east, north and up of the vehicle."""
+    """Return the usual cameras, but with the close one at a position in m east, north and up of the vehicle."""
     usual = convert.eyes_for
     return lambda *given: usual(*given) if close is None else replace(usual(*given), close=close)
 
@@ -104,7 +104,7 @@ def main() -> int:
 
 
 def _as_rerun_shows_it(log: Path, target: Path) -> None:
-    """A log opened without us: as it is, and once it has been told what to plot."""
+    """Take pictures of a log opened directly by Rerun: without a layout, and with that of maxq."""
     with viewer.headless() as start:
         client = start()
         viewer.open_whole(client, log)
@@ -119,7 +119,7 @@ def _as_rerun_shows_it(log: Path, target: Path) -> None:
 def _keep(png: bytes, path: Path) -> None:
     picture = Image.open(io.BytesIO(png)).convert("RGB")
     picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
-    few = picture.quantize(256, kmeans=2, dither=Image.Dither.NONE)  # half the size; colours of curves stay apart
+    few = picture.quantize(256, kmeans=2, dither=Image.Dither.NONE)  # half the size; colours of curves remain distinct
     few.save(path, optimize=True)
     print(path)
 

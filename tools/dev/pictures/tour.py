@@ -1,8 +1,9 @@
 """Take the pictures of README.md and of the first pages of docs: `python -m maxq.tools.dev.pictures.tour [RUNS]`.
 
-Draws two flights of the nominal scenario next to the margins of the design that they fly. Runs the commands of the
-pages in the folder RUNS (default: a temporary one), and takes pictures of the files and report pages that they write.
-A result that is already in RUNS is used as it is. Needs Chromium, and about ten minutes for all results.
+The module draws two flights of the nominal scenario next to the margins of the design that they fly. It runs the
+commands of the pages in the folder RUNS (default: a temporary one), and takes pictures of the files and report pages
+that they write. A result that is already in RUNS is used as it is. The module needs Chromium, and about ten minutes for
+all results.
 """
 
 from __future__ import annotations
@@ -93,7 +94,7 @@ def _take_pictures(folder: Path) -> None:
 
 
 def _photograph(page: Path, shown: str, target: Path) -> None:
-    """Save a picture of some elements of a page, without the white around them."""
+    """Save a picture of some elements of a page, without the white margin around them."""
     script = f"""<script>addEventListener("load", () => setTimeout(() =>
         document.body.replaceChildren(...document.querySelectorAll({shown!r})), 500));</script>"""
     with tempfile.TemporaryDirectory() as name:

@@ -1,12 +1,13 @@
 """Measure the rates at which the harness accepts vehicles that fail too often, or rejects others:
 `python -m maxq.tools.dev.verification.false_verdicts` writes the table of docs/verification.md (some minutes).
 
-The vehicles are synthetic, with a known probability of failure. A formula replaces the loop and the flight: it shifts
+The vehicles are synthetic, with a known probability of failure. A formula replaces the loop and the flight. It shifts
 the drawn deviations so that exactly the share p of the phase margins and metrics exceeds the limit. All else is the
 harness with the standard suite: draws by seed, limits, verdicts on random vehicles and campaign, and their union.
 
-Three users: one runs the suite once; one follows the advice "N more would settle it" at most `MOST_STEPS` times; one
-verifies four designs and takes any that is accepted (`simdesign --verify`, which shares the risk among them).
+There are three users. The first runs the suite once. The second follows the advice "N more would settle it" at most
+`MOST_STEPS` times. The third verifies four designs and takes any that is accepted (`simdesign --verify`, which shares
+the risk among them).
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 MOST_STEPS, MOST_VEHICLES, MOST_RUNS = 6, 30_000, 100_000
 LIMIT_DEG, LIMIT_ALPHA_DEG = 15.0, 1.0  # of the phase margin, and as CAMPAIGN says
 SHARES = ((0.0, 0.0), (0.1, 0.1), (0.5, 0.5), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (0.0, 2.0), (2.0, 0.0), (2.0, 2.0))
-"""Probability of failure divided by the allowed one, of linear vehicles and of flights."""
+"""The probability of failure divided by the allowed one, of linear vehicles and of flights."""
 CAMPAIGN = """\
 schema = 1
 extends = "nominal.toml"

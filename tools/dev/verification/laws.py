@@ -1,9 +1,9 @@
 """Designs, certifies and flies every law on both shipped vehicles: `python -m maxq.tools.dev.verification.laws DIR`.
 
-Each row is a case of simdesign with other keys; its design is certified in flight at nodes of the stage it was made
-for, in both planes, and flown, without wind and in the vehicle's limit wind. Rows that DIR has are not made again, so
-that it can be stopped and gone on with; `--only WORD` takes the rows with that word in them. Exit code 1 where a limit
-is missed or a certificate disagrees.
+Each row is a case of simdesign with other keys. Its design is certified in flight at operating points of its stage, in
+both planes, and flown without wind and in the vehicle's limit wind. Existing rows in DIR are not repeated, so that the
+program can be stopped and continued. `--only WORD` selects the rows that contain the word. The exit code is 1 if a
+limit is missed or a certificate disagrees.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ limits.rigid_hz = 0.3
 SENSORS = """schema = 1
 extends = "scenario.toml"
 [vehicle_overrides]
-""" + "".join(  # an accelerometer and a second gyro; those of the upper stages where their first one stands
+""" + "".join(  # an accelerometer and a second gyro; those of the upper stages are at the position of their first one
     f"stage.{n}.accelerometer = {{station_m = 6.8, count_mps = 0.001, {GYRO}}}\n"
     f"stage.{n}.rate_gyro = [{{station_m = {station_m}, {GYRO}}}]\n"
     for n, station_m in enumerate((14.5, 6.8, 6.8))
@@ -78,7 +78,7 @@ ROWS: dict[str, tuple[list[str], Mapping[str, list[str]]]] = {  # keys of the ca
     "pd sections": ([*SMALL, "filter.structure=sections", "filter.quadratic=3", "filter.first_order=1"], PLAIN),
 }
 ADAPTED, IN_LOOPS = "pd F4, adaptation", "pd F4, loop filters of attitude and rate F2"
-FLOWN_WITH = {  # what a design is flown with besides
+FLOWN_WITH = {  # overrides with which a design is flown
     (name, ADAPTED): [
         f"design.adaptive={{reference_hz={hz}, reference_zeta=0.8, error_gain_pdeg2s={error}, "
         f"damper_gain_pdeg2s=30.0, high_pass_hz={high_pass_hz}}}"
@@ -88,7 +88,9 @@ FLOWN_WITH = {  # what a design is flown with besides
 
 
 def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
-    """A row: designed (or flown with what `FLOWN_WITH` adds to the design of "pd F4"), certified and flown."""
+    """Make a row: designed (or flown with the additions of `FLOWN_WITH` to the design of "pd F4"), certified and
+    flown.
+    """
     base = folder / vehicle
     out = base / _plain(name)
     out.mkdir(parents=True, exist_ok=True)
@@ -101,7 +103,7 @@ def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
             with (out / "report.txt").open("w") as report, contextlib.redirect_stdout(report):
                 run_case.make(str(base / "sensed.toml"), overrides=tuple(keys), out=str(out), page=False)
         row["said"] = (out / "report.txt").read_text().splitlines()[-1]
-    if vehicle == "petrel" and name == "pd F4":  # what the other rows' upper stages fly
+    if vehicle == "petrel" and name == "pd F4":  # the design of the other rows' upper stages
         (base / "design.toml").write_bytes(design.read_bytes())
     scenario = "load-relief" if vehicle == "ksr3" else str(base / "sensors.toml")
     changes = [f"design={design}", *FLOWN_WITH.get((vehicle, name), ())]
@@ -118,8 +120,9 @@ def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
 
 
 def _certified(loaded: LoadedScenario, times_s: list[float], kept: Path) -> dict[str, Any]:
-    """Return the content of each node's certificate, by time and plane; those in `kept` that agree are not made
-    again.
+    """Return the content of each operating point's certificate, by time and plane.
+
+    Those in `kept` that agree are not repeated.
     """
     found = json.loads(kept.read_text()) if kept.exists() else {}
     for plane in PLANES:
@@ -143,7 +146,7 @@ def _plain(name: str) -> str:
 
 
 def line(vehicle: str, name: str, row: dict[str, Any]) -> str:
-    """A row of the table."""
+    """Return a row of the table."""
     found = row["certified"].values()
     off = {"dB": 0.0, "s": 0.0}  # gain margins in dB, delay margins as a share
     for _, unit, held, measured, _ in (m for c in found for m in c["margins"]):

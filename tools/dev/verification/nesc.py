@@ -39,7 +39,7 @@ def row(case: str, scenario: str, flight: Flight, differences: list[LargestDiffe
 
 
 def insert(table: str, document: Path = DOCUMENT) -> None:
-    """Put the table between its markers. Raises ValueError where they are missing."""
+    """Put the table between its markers. Raises ValueError if they are missing."""
     rewrite(document, "nesc", table)
 
 

@@ -1,4 +1,4 @@
-"""The NESC check cases: fly them as scenarios and compare with the published time histories.
+"""The NESC check cases: their flights as scenarios, and the comparison with the published time histories.
 
 Reference data and tolerances are in tests/data/nesc (with their notice), scenarios in scenarios/checkcases.
 """
@@ -23,7 +23,7 @@ from maxq.tools.dev.verification.nesc_units import in_nesc_units
 DATA = Path(__file__).resolve().parents[3] / "tests" / "data" / "nesc"
 ATMOSPHERIC = ("01", "02", "04", "05", "06", "07", "09")
 
-# exo 6A, per simulation of the reference: the scenario, and the largest distance allowed, m
+# exo 6A, per simulation of the reference: the scenario, and the largest permitted distance, m
 ORBITS_WITH_DRAG = {"B": ("exo-06a", 0.1), "C": ("exo-06a", 0.01), "D": ("exo-06a-no-drag", 0.01)}
 JEOD = {"8A": "exo-08a", "9B": "exo-09b", "10D": "exo-10d"}
 JEOD_TOLERANCES = {"pos": 1e-3, "vel": 1e-6, "w": 1e-10, "T": 1e-7}  # m, m/s, rad/s, direction cosines
@@ -32,7 +32,7 @@ AS_RECORDED = 1e-9  # s
 
 @dataclass(frozen=True)
 class LargestDifference:
-    """Largest difference of one variable from one reference simulation."""
+    """The largest difference of one variable from one reference simulation."""
 
     case: str
     variable: str
@@ -48,12 +48,12 @@ class LargestDifference:
 
 
 def fly_case(scenario: str) -> Flight:
-    """Flight of a scenario in scenarios/checkcases, as anyone flies it."""
+    """Return the flight of a scenario in scenarios/checkcases, flown with the usual settings."""
     return fly(load_scenario(f"checkcases/{scenario}"))
 
 
 def read_columns(path: Path) -> dict[str, list[str]]:
-    """Columns of a CSV file, gzipped or not, as text."""
+    """Return the columns of a CSV file, gzipped or not, as text."""
     content = path.read_bytes()
     text = (gzip.decompress(content) if path.suffix == ".gz" else content).decode()
     header, *rows = csv.reader(text.splitlines())
@@ -67,7 +67,7 @@ def read_tolerances() -> list[dict[str, str]]:
 
 @dataclass(frozen=True)
 class ErrorOverTime:
-    """Differences of one variable from one reference, (n,) at `time_s`."""
+    """The differences of one variable from one reference, (n,) at `time_s`."""
 
     variable: str
     reference: str
@@ -81,7 +81,7 @@ class ErrorOverTime:
 
 
 def atmospheric_errors(case: str, flight: Flight) -> list[ErrorOverTime]:
-    """Strict tolerances at t = 0, 0.1 .. 30 s, every variable of the table of tolerances."""
+    """Return differences and strict tolerances at t = 0, 0.1 .. 30 s, for every variable of the table of tolerances."""
     columns = read_columns(DATA / f"nesc-{case}.csv.gz")
     time = np.array(columns["time"], float)
     chosen = _rows_at(flight, time)
@@ -105,7 +105,7 @@ def compare_atmospheric(case: str, flight: Flight) -> list[LargestDifference]:
 
 
 def orbit_errors(simulation: str, flight: Flight) -> ErrorOverTime:
-    """Distance from the position in exo 6A, every 60 s for eight hours, m."""
+    """Return the distance from the position in exo 6A, every 60 s for eight hours, m."""
     columns = read_columns(DATA / "exo-06a.csv.gz")
     time = np.array(columns["time"], float)
     chosen = _rows_at(flight, time)
@@ -120,7 +120,7 @@ def compare_orbit_with_drag(simulation: str, flight: Flight) -> list[LargestDiff
 
 
 def compare_jeod(run: str, flight: Flight) -> list[LargestDifference]:
-    """Position, velocity, body rate and attitude at the instants that NASA's JEOD has recorded."""
+    """Compare position, velocity, body rate and attitude at the instants that NASA's JEOD has recorded."""
     columns = read_columns(DATA / "exo-jeod.csv")
     mine = [i for i, name in enumerate(columns["run"]) if name == run]
     time = np.array(columns["time_s"], float)[mine]
@@ -155,11 +155,11 @@ ALL_CASES: dict[str, tuple[str, Callable[[Flight], list[LargestDifference]]]] = 
     },
     **{f"exo {run}": (scenario, partial(compare_jeod, run)) for run, scenario in JEOD.items()},
 }
-"""Scenario of each case and the comparison that judges its flight."""
+"""The scenario of each case and the comparison that judges its flight."""
 
 
 def _rows_at(flight: Flight, time_s: Array) -> Array:
-    """Indices of the rows that the flight has logged at these times; ValueError where there is none."""
+    """Return the indices of the rows that the flight has logged at these times. Raises ValueError if one is missing."""
     logged = flight.time_s("r_I_x_m")
     rows = np.clip(np.searchsorted(logged, time_s - AS_RECORDED), 0, len(logged) - 1)
     if np.abs(logged[rows] - time_s).max() > AS_RECORDED:
@@ -172,7 +172,9 @@ def _vector(flight: Flight, name: str) -> Array:
 
 
 def _inertial_to_body(q: Array) -> Array:
-    """Direction cosines (9, n), row by row, that turn I components into B, from quaternions B to I (4, n)."""
+    """Return the direction cosines (9, n), row by row, that turn I components into B, from quaternions B to I (4,
+    n).
+    """
     w, x, y, z = q
     return np.stack(
         [

@@ -29,13 +29,13 @@ SHOWN = {
 
 
 def draw(flights: Mapping[str, Flight]) -> list[Path]:
-    """Both pictures; `flights` by the name of their scenario."""
+    """Draw both pictures. `flights` are given by the name of their scenario."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     return [*histories(flights, PICTURES / "nesc-histories"), *differences(flights, PICTURES / "nesc-differences")]
 
 
 def histories(flights: Mapping[str, Flight], stem: Path) -> list[Path]:
-    """Two cases: ours as lines, NASA's every second as marks."""
+    """Draw two cases: those of maxq as lines, those of NASA every second as marks."""
     figure, places = sheet(1, 2, height_in=2.3)
     for place, (case, (title, unit, name, endings)) in zip(places, SHOWN.items(), strict=True):
         columns, flight = read_columns(DATA / f"nesc-{case}.csv.gz"), flights[f"nesc-{case}"]

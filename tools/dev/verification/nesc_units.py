@@ -1,4 +1,4 @@
-"""Channels of a flight under the names and in the units of the NESC check cases (English units, degrees)."""
+"""The channels of a flight under the names and in the units of the NESC check cases (English units, degrees)."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ def in_nesc_units(flight: Flight, variable: str) -> Array:
 
 
 def _downward_gravitation_mps2(flight: Flight) -> Array:
-    """Component of the gravitation along the geodetic normal, without the centrifugal part."""
+    """Return the component of the gravitation along the geodetic normal, without the centrifugal part."""
     latitude = np.radians(flight["latitude_deg"])
-    # the meridian's azimuth in I: altitude and latitude do not change when the Earth turns
+    # the meridian's azimuth in I: altitude and latitude are independent of the Earth's rotation
     azimuth = np.arctan2(flight["r_I_y_m"], flight["r_I_x_m"])
     up = (np.cos(latitude) * np.cos(azimuth), np.cos(latitude) * np.sin(azimuth), np.sin(latitude))
     pull = [flight[f"gravitation_I_{axis}_mps2"] for axis in "xyz"]

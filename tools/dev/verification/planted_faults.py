@@ -1,4 +1,4 @@
-"""Faults that are planted in the simulator to test that the margin certificate finds them.
+"""The faults that are planted in the simulator to test that the margin certificate finds them.
 
 Each fault alters the packed flight: the table of the vehicle, the records of its components, the computer. Nothing is
 compiled again, and the linear model is unchanged. A fault is found if a line of the frequency response or a measured
@@ -28,12 +28,12 @@ PITCH = schedule.PITCH
 @dataclass(frozen=True)
 class PlantedFault:
     name: str
-    where: str  # the coupling or part it touches
+    where: str  # the affected coupling or part
     plant: PackedChange
 
 
 def _columns(packed: Packed, columns: slice | list[int], factor: float = 1.0, shift: float = 0.0) -> None:
-    """Columns of the vehicle's table times `factor`, plus `shift`."""
+    """Multiply columns of the vehicle's table by `factor`, and add `shift`."""
     table = table_in(packed.pool, packed.parameters[0].vehicle.schedule).coefficients
     table[:, :, columns] *= factor
     table[:, 0, columns] += shift
@@ -50,7 +50,7 @@ def _mode(row: int, modes: slice, factor: float) -> PackedChange:
 
 
 def _mode_at(kind: str, index: int, factor: float) -> PackedChange:
-    """Shapes of all modes at a tank or a surface times a factor."""
+    """Multiply the shapes of all modes at a tank or a surface by a factor."""
 
     def plant(packed: Packed) -> None:
         sizes = packed.parameters[0].vehicle.sizes
@@ -140,7 +140,9 @@ def _without_prewarping(packed: Packed) -> None:
 
 
 def _to_continuous(z: Array, c: float) -> Array:
-    """Coefficients in s of a polynomial in 1/z under s = 2c (z - 1) / (z + 1), c for 1/T; without the common factor."""
+    """Return the coefficients in s of a polynomial in 1/z under s = 2c (z - 1) / (z + 1), c for 1/T, without the common
+    factor.
+    """
     b0, b1, b2 = z
     return np.array([b0 - b1 + b2, 4.0 * c * (b0 - b2), 4.0 * c * c * (b0 + b1 + b2)])
 

@@ -1,4 +1,4 @@
-"""Tables that a program writes into a document, between `<!-- name: begin -->` and `<!-- name: end -->`."""
+"""The tables that a program writes into a document, between `<!-- name: begin -->` and `<!-- name: end -->`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def markers(name: str) -> tuple[str, str]:
 
 
 def rewrite(document: Path, name: str, table: str) -> None:
-    """Put a table between its markers. Raises ValueError where they are missing."""
+    """Put a table between its markers. Raises ValueError if they are missing."""
     begin, end = markers(name)
     text = document.read_text()
     before, found, rest = text.partition(begin)
