@@ -77,7 +77,8 @@ def missing_evidence(e: Evidence) -> tuple[str, ...]:
     out = [*_flights(e), *([] if e.guarded else ["flight code ran in the process that judges it"])]
     out += [] if e.campaigns else ["no dispersed flight flown"]
     for wanted, campaign in zip(e.suite.campaign, e.campaigns, strict=True):
-        out += [f"campaign {campaign.name}: {text}" for text in _campaign(e, wanted, campaign)]
+        name = campaign.name if campaign.name == "campaign" else f"campaign {campaign.name}"
+        out += [f"{name}: {text}" for text in _campaign(e, wanted, campaign)]
     margins, certificate = e.suite.margins, e.suite.certificate
     if margins is None or not margins.cases or not e.linear:
         out.append("no dispersed vehicle" if e.linear else "no dispersed vehicle: flight code has no linear model")
