@@ -71,7 +71,7 @@ def test_guidance_to_an_orbit_and_an_accelerometer_are_written(layout: Layout, t
     assert orbit.isp_s == pytest.approx(layout.stage[-1].engine.isp_vacuum_s, rel=1e-3)
     assert [s.accelerometer.station_m for s in loaded.vehicle.stage if s.accelerometer] == [3.4] * 3
     far = wanted.model_copy(update={"apogee_altitude_m": 1e7})
-    with pytest.raises(ScenarioError, match="beyond what all propellant reaches"):
+    with pytest.raises(ScenarioError, match="exceeds the altitude that all propellant reaches"):
         write(build(layout.model_copy(update={"trajectory": far})), tmp_path)
     for keys in ({"apogee_altitude_m": 3e5}, {"apogee_altitude_m": 2e5, "orbit_altitude_m": 2.5e5}):
         with pytest.raises(ValueError, match="needs a perigee below it"):

@@ -150,7 +150,9 @@ def _add_campaigns(parser: Parser) -> None:
     rare = parser.command("rare", about, examples, lambda **given: _campaigns().rare(**given), exits)
     _add_folder(rare)
     rare.option("METRIC", "metric of the requirement")
-    rare.option("--runs N", "flights to plan for, which set the size of the populations (default: 10000)", type=count_of_runs)
+    rare.option(
+        "--runs N", "flights to plan for, which set the size of the populations (default: 10000)", type=count_of_runs
+    )
     _add_workers(rare)
 
 

@@ -239,7 +239,7 @@ class Parser(argparse.ArgumentParser):
 
     def format_help(self) -> str:
         width = shutil.get_terminal_size().columns - 2  # as argparse has it
-        self.usage = self._usage(width - 7)
+        self.usage = self._usage(width - 11)  # further lines are indented by 11
         self._optionals._group_actions.sort(key=lambda action: action.dest == "help")  # last in the list
         self.description = _hung("", self._about, width)
         codes = "\n".join(_hung(f"{code:5d}  ", text, width) for code, text in sorted(self._exits.items()))
