@@ -160,7 +160,8 @@ def _population(
             there = value(move, fresh)
             flights += len(there)
             accepted = there > level
-            changed, stayed = changed + int(np.sum(fresh != noise)), stayed + int(np.sum(accepted & (fresh != noise)))
+            other = fresh != noise
+            changed, stayed = changed + int(other.sum()), stayed + int((accepted & other).sum())
             z, noise = np.where(accepted[:, None], move, z), np.where(accepted, fresh, noise)
             v = np.where(accepted, there, v)
             kept.append((z, noise, v))
