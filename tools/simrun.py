@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from maxq.tools.cli.frame import Command, CommandError, Exit
-from maxq.tools.cli.parser import Parser, count, count_from_1, count_of_runs, positive
+from maxq.tools.cli.parser import Parser, count, count_from_1, count_of_runs, number, positive
 from maxq.tools.cli.terminal import announce, tell, wipe
 
 _EXAMPLES = """\
@@ -80,6 +80,25 @@ def _add_flights(parser: Parser) -> None:
     refly.overrides("the scenario in the log; nothing is compared then", without=["--run"])
     refly.option("--out DIR", "where to write (default: of a log nothing, of a run DIR/flights/run-N)")
     _add_views(refly)
+
+    examples = """\
+  simrun limit nominal wind.speed_mps --set wind.from_deg=270
+  simrun limit nominal run.step_s --start 0.001 --end 0.01
+"""
+    exits = {
+        Exit.OK: "found, or all values flown meet all requirements",
+        Exit.FAILED: "the first value misses a requirement",
+    }
+    about = "Find the largest value of a number at which a flight meets all requirements"
+    limit = parser.command("limit", about, examples, _limit, exits)
+    limit.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
+    limit.option("KEY", "number of the scenario, as for --set")
+    limit.option("--start A", "first value (default: the scenario's, 0 if it has none)", type=number)
+    about = (
+        "last value, which may be smaller than the first (default: steps that double, until a requirement is missed)"
+    )
+    limit.option("--end B", about, type=number)
+    limit.overrides("the scenario")
 
 
 def _add_views(parser: Parser) -> None:
@@ -194,12 +213,15 @@ def _run(arguments: list[str]) -> int:
 
 def _in_present_form(arguments: list[str]) -> list[str]:
     """Return the arguments with a subcommand in place of an option that names the task: --copy NAME DIR, --schema KIND,
-    --upgrade FILE, or --from LOG or DIR with --run, --shrink, --search or --rare."""
+    --upgrade FILE, --search KEY, or --from LOG or DIR with --run, --shrink, --search or --rare."""
     parted = tuple(f"{name}=" for name in (*_FORMER, "--search", "--rare"))
     words = [part for word in arguments for part in (word.split("=", 1) if word.startswith(parted) else [word])]
     asked = next((word for word in words if word in _FORMER), None)
     if asked is None:
-        return arguments
+        if "--search" not in words:
+            return arguments
+        at = words.index("--search")
+        return ["limit", *words[:at], *words[at + 2 :], *words[at + 1 : at + 2]]
     at = words.index(asked)
     if asked != "--from":
         return [asked.removeprefix("--"), *words[:at], *words[at + 1 :]]
@@ -241,6 +263,14 @@ def _fly(**given: Any) -> int:
     from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
 
     return simrun_fly.execute(start_s, **given)
+
+
+def _limit(**given: Any) -> int:
+    announce("loading the simulator")
+    _refuse_result(given["scenario"])
+    from maxq.tools import simrun_limit  # noqa: PLC0415  # lazy
+
+    return simrun_limit.execute(**given)
 
 
 def _refly(place: str, run: int | None = None, **given: Any) -> int:

@@ -1,0 +1,103 @@
+"""The largest value of a number of the scenario at which a flight meets all requirements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from maxq.sim.input.errors import ScenarioError
+from maxq.sim.run.flight import Flight
+
+_INTERVALS = 8
+_DOUBLINGS = 20  # a million first steps
+_BISECTIONS = 40
+_DIGITS = 6  # of a value, which a command line repeats
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The result of `find_limit`.
+
+    `flown`: flights by value, in their order. `met`: last value before the first miss, None if the first value misses.
+    `missed`: first value that misses, None if none does. `refused`: message for the value that ended the search because
+    the scenario does not allow it.
+    """
+
+    flown: dict[float, Flight]
+    met: float | None
+    missed: float | None
+    refused: str = ""
+
+
+def find_limit(
+    fly_at: Callable[[float], Flight],
+    first: float,
+    last: float | None = None,
+    share: float = 0.01,
+    stop: Callable[[], bool] = lambda: False,
+) -> Limit:
+    """Search from `first` towards `last` for the first value whose flight misses a requirement.
+
+    `fly_at` returns the flight at a value and raises ScenarioError for a value that is not allowed. Without `last`, the
+    values grow by steps that double, from a quarter of `first` (1 if that is 0). Eight intervals between `first` and
+    the end found so far are then flown in turn, and the first one with a miss at its end is halved until it is at most
+    `share` of the distance of its end from `first`. A miss between two flown values that are both met is not seen.
+
+    `stop` is called before each flight after the first; if it returns True, the result is that of the flights so far.
+    Raises ScenarioError if `first` is not allowed.
+    """
+    flown: dict[float, Flight] = {}
+    refused = ""
+
+    def meets(value: float) -> bool:
+        value = _rounded(value)
+        if value not in flown:
+            flown[value] = fly_at(value)
+        return flown[value].passed
+
+    if not meets(first):
+        return _limit(flown, first, refused)
+    try:
+        if last is None:
+            step, end = abs(first) / 4.0 or 1.0, first
+            for k in range(1, _DOUBLINGS + 1):
+                if stop():
+                    return _limit(flown, first, refused)
+                end = first + step * (2.0**k - 1.0)
+                if not meets(end):
+                    break
+        else:
+            end = last
+    except ScenarioError as error:
+        refused, end = str(error), max(flown)
+    below = first
+    for i in range(1, _INTERVALS + 1):
+        if stop():
+            return _limit(flown, first, refused)
+        above = first + i * (end - first) / _INTERVALS
+        if not meets(above):
+            break
+        below = above
+    else:
+        return _limit(flown, first, refused)
+    for _ in range(_BISECTIONS):
+        middle = _rounded(0.5 * (below + above))
+        if stop() or abs(above - below) <= share * abs(above - first) or middle in (below, above):
+            break
+        below, above = (middle, above) if meets(middle) else (below, middle)
+    return _limit(flown, first, refused)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def _limit(flown: dict[float, Flight], first: float, refused: str) -> Limit:
+    ordered = dict(sorted(flown.items(), key=lambda item: abs(item[0] - first)))
+    met = missed = None
+    for value, flight in ordered.items():
+        if not flight.passed:
+            missed = value
+            break
+        met = value
+    return Limit(ordered, met, missed, refused)
