@@ -27,7 +27,7 @@ settings.register_profile("random", derandomize=False, deadline=None, print_blob
 settings.load_profile(os.environ.get("MAXQ_EXAMPLES") or "same")
 
 os.environ.setdefault("MAXQ_LEDGER", tempfile.mkdtemp(prefix="maxq-ledger-"))  # attempts of tests are none of a user's
-os.environ.pop("COLUMNS", None)  # workers of pytest-xdist are told 80, as if they wrote to a terminal
+os.environ.pop("COLUMNS", None)  # pytest-xdist sets 80 for its workers, as if they wrote to a terminal
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,4 +1,4 @@
-"""Parts of the margin certificate, each by itself.
+"""Separate parts of the margin certificate.
 
 | what | expected |
 |---|---|
@@ -88,7 +88,7 @@ def _gain(pulses: float, slow_pulses: float, remainder: float = 0.0) -> float:
 def test_converter_has_no_gain_of_its_own_only_when_dithered() -> None:
     assert _gain(0.2, 0.0, 0.0) < 0.1  # no pulse ever comes
     assert _gain(0.2, 0.0, 0.45) > 1.5  # whole pulses come
-    noise = 0.05  # of rounding, 1/sqrt(12) pulse differenced, in one of 4000 bins beside 0.2 pulses
+    noise = 0.05  # of rounding, 1/sqrt(12) pulse differenced, in one of 4000 bins, with a signal of 0.2 pulses
     assert _gain(0.2, 6.0, 0.0) == pytest.approx(1.0, abs=3.0 * noise)
     assert _gain(0.2, 6.0, 0.45) == pytest.approx(1.0, abs=3.0 * noise)
     assert _gain(20.0, 0.0) == pytest.approx(1.0, abs=0.005)

@@ -125,7 +125,7 @@ def test_limits_hold_between_the_nodes_where_they_are_asked_to() -> None:
 
 
 def test_an_unstable_body_is_stabilised_without_limits_that_ask_for_gain() -> None:
-    """The centre of pressure 3 m further forward: M_alpha > 0, no feedback is unstable by itself."""
+    """The centre of pressure 3 m further forward: M_alpha > 0, so that the vehicle is unstable without feedback."""
     loaded = kit.case(NODES, "filter.structure=F3", "search.starts=3", "search.leaps=0", "limits.without=['rigid_hz']")
     nodes = [p.node.with_(centre_of_pressure_m=-3.0) for p in kit.plants(NODES).each]
     plants = make_plants([make_plant(node, loaded.case) for node in nodes])
@@ -462,7 +462,7 @@ def test_multipliers_are_what_a_limit_costs() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("structure", "known_db"), [("F3", -10.383), ("F6", -25.253)])
 def test_one_solve_finds_the_best_that_is_known(structure: str, known_db: float) -> None:
-    """Free gains, by itself. All starts of F3 end at -10.15 dB or worse: leaps find -10.38, and come back to it."""
+    """Solve with free gains. All starts of F3 end at -10.15 dB or worse; leaps find -10.38, and return to it."""
     s = kit.solution(f"filter.structure={structure}", "gains.schedule=free")
     assert s.objective_db < known_db + 0.05
     c = s.certificate

@@ -151,7 +151,7 @@ def _failures(seed: int, runs: int = 3000) -> np.ndarray:
 
 
 def _follows_the_advice(failures: np.ndarray, planned: int | None, judge: Judge) -> bool:
-    """Flies so many more runs as would settle it, again and again, and stops when it is met."""
+    """Fly the number of further runs that would settle the verdict, again and again, and stop when it is met."""
     n = planned or 100
     while n <= len(failures):
         shown = judge(int(failures[n - 1]), n, planned)

@@ -45,7 +45,7 @@ def test_all_errata_corrected_make_the_corrected_plant(time_s: float) -> None:
 @pytest.mark.parametrize("exchange", ["true", "false"])
 @EVERY_NODE
 def test_each_erratum_is_that_of_the_general_equations(time_s: float, exchange: str, plane: str) -> None:
-    """oracles/planar has engines beside the axis, spatial modes and TVC loads besides, with the same switches."""
+    """oracles/planar also has engines off the axis, spatial modes and TVC loads, with the same switches."""
     node = published_at(time_s, plane, f"switches.slosh_exchange={exchange}")
     assert node.liquids is not None
     tanks, vehicle = Liquids(node.liquids.radius_m, node.liquids.height_m), planar_of(node)

@@ -218,8 +218,10 @@ def test_dispersed_flights_have_the_same_bits(tmp_path: Path) -> None:
 @needs_compiler
 @pytest.mark.slow
 def test_a_vehicle_of_several_stages_and_groups(tmp_path: Path) -> None:
-    """Three stages with gains and filters of their own, those before fading out, a filter of the rate in the first and
-    third and a total gain that adapts, flown across both separations.
+    """Fly an exported law of three stages across both separations.
+
+    Each stage has its own gains and filters, and the previous filters fade out. The first and third stage have a
+    filter of the rate; the total gain adapts.
     """
     folder = tmp_path / "petrel"
     assert simvehicle.main(["petrel", "--out", str(folder)]) == 0

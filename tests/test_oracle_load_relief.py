@@ -174,7 +174,7 @@ def test_limits_in_wind_by_the_complex_step() -> None:
 
 
 def test_only_what_a_case_asks_for_is_a_limit_in_wind() -> None:
-    """The case by itself limits the load, not the drift."""
+    """Without other settings, the case limits the load, not the drift."""
     case = kit.case(*CASE, "loop=pade", name="ksr3-load-relief").case
     made = make_problem(case, problem("pade")[1])
     assert [limit.unit for limit in made.law.limits][3:] == ["Pa deg"]

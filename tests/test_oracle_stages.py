@@ -201,7 +201,7 @@ def test_a_design_of_one_stage_leaves_the_others_as_they_were(case) -> None:
 def test_orders_of_several_stages(
     case, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Each stage by itself; a design of all of them for what every stage can do; the report shows each one's gains."""
+    """Design each stage alone, and all of them together; the report shows the gains of each stage."""
     monkeypatch.setattr(run_case, "STRUCTURES", ("F2",))
     words = [str(petrel.folder() / "two-nodes.toml"), "--orders", "--no-pictures", "--out", str(tmp_path)]
     assert simdesign.main([*words, "--set", "stages=[2,3]", "--set", "stage=[]"]) == 0

@@ -146,7 +146,7 @@ def test_masses_add_up_and_the_propellant_is_burned(layout: Layout) -> None:
 
 
 def test_cg_and_inertia_are_the_integrals_over_slices(layout: Layout) -> None:
-    """A flat tank, half full, beside rings: the same sums over a thousand slices."""
+    """A flat tank, half full, next to rings: the same sums over a thousand slices."""
     tank = layout.stage[0].tank[0].model_copy(update={"dome_m": (0.0, 0.0), "liquid_mass_kg": 3000.0})
     stack = stacks(changed(layout, 0, tank=(tank,)))[0]
     found, rods = stack.mass_properties(0.0), [*stack.dry, *stack.liquids(0.0)]
@@ -248,7 +248,7 @@ def test_a_wrong_layout_is_answered_in_one_line(
 
 
 def test_the_gimbals_of_a_cluster_hold_its_roll() -> None:
-    """Moments of every engine by itself, its force across times its arm: roll turns at 0.4 Hz with damping 0.7."""
+    """Sum the moments of the engines, lateral force times arm: roll has 0.4 Hz and a damping ratio of 0.7."""
     loaded = load_scenario(petrel.folder() / "scenario.toml")
     scenario, stage = loaded.scenario, loaded.vehicle.stage[0]
     assert [e.group for e in stage.engines].count("left") == [e.offset_m[0] < -0.1 for e in stage.engines].count(True)
@@ -317,7 +317,7 @@ def test_a_case_from_a_layout_asks_for_what_its_suite_asks() -> None:
 
 @pytest.mark.slow
 def test_rigid_limits_follow_actuator_and_mode_1(layout: Layout) -> None:
-    """At most an eighth of both, of each stage by itself; a layout may name one for all."""
+    """The value is at most an eighth of both, for each stage; a layout may state one value for all stages."""
     engine = layout.stage[0].engine.model_copy(update={"servo_hz": (2.0,)})
     slow = build(changed(layout, 0, engine=engine))
     assert {slow.rigid_hz(p) for p in slow.flight.points if p.number == 0} == {0.25}

@@ -103,7 +103,7 @@ def test_slopes_are_those_of_the_sampled_loop() -> None:
 @pytest.mark.long
 @pytest.mark.slow
 def test_no_vehicle_by_chance_in_the_ellipsoid_is_worse() -> None:
-    """300 vehicles on its surface, half of them near the worst one found; every mode and tank by itself."""
+    """300 vehicles on its surface, half of them near the worst one found; every mode and tank deviates separately."""
     node = design_nodes.node_at(45.0)
     spread, places = usual(), deviations_of(usual(), node).places
     assert {"slosh mass 1", "slosh mass 2", "bending frequency 3", "bending slope 2"} <= set(places)
@@ -303,7 +303,7 @@ def test_the_worst_between_nodes_and_along_other_flights_is_found(monkeypatch: p
 
 @pytest.mark.parametrize("shape", ["ellipsoid", "box"])
 def test_a_descent_ends_where_scipys_does(shape: Any) -> None:
-    """A quadratic in six coordinates whose least value in the region lies on its border, with free coordinates."""
+    """A quadratic in six coordinates whose least value in the region is on its border, with free coordinates."""
     rng = np.random.default_rng(11)
     root = rng.normal(size=(6, 6))
     curved, centre = 0.05 * root @ root.T + np.eye(6), np.array([1.2, 0.3, -0.8, 0.1, 2.0, -0.2])

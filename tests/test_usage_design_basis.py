@@ -6,7 +6,7 @@
 | limits that `analyse` judges | the same |
 | limits that hold between operating points | an independent scan of ksr3-sampled: 23.79 deg at 53.75 s |
 | limits in wind, and of the integral | the case's by number; k_i / (2 pi k_p) |
-| a suite beside the basis | its limits, compared by hand |
+| a suite and the basis | their limits, compared by hand |
 | every shipped design by its own analysis | met |
 | a shipped design made again by the line in its file | the file |
 """

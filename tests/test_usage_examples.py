@@ -1,4 +1,4 @@
-"""Hypothesis tries the same examples in every run, unless it is asked for new ones (tests/conftest.py)."""
+"""Hypothesis tries the same examples in every run, unless new ones are requested (tests/conftest.py)."""
 
 from __future__ import annotations
 

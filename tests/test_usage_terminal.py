@@ -215,7 +215,7 @@ def test_a_bar_is_never_without_a_name() -> None:
         "    progress._bar.refresh()\n"
         "    print('x' * 40 + ' ' + 'y' * 39)\n"
     )
-    assert "x" * 40 + " " + "y" * 39 in shown  # what is printed beside it has the whole width
+    assert "x" * 40 + " " + "y" * 39 in shown  # text printed next to it has the whole width
     lines = [re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", part).strip() for part in re.split(r"[\r\n]", shown)]
     bars = [line for line in lines if "\u2501" in line]
     assert len(bars) > 2

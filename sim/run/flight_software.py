@@ -65,7 +65,7 @@ def checked(loaded: LoadedScenario) -> ComputerSection:
             problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
             raise ScenarioError(loaded.label, problem, where, value=code.title) from None
         if hashlib.sha256(content).hexdigest() != code.sha256:
-            allowed = f"that with sha256 {code.sha256[:16]}, or --set {where}=FILE for what is there now"
+            allowed = f"that with sha256 {code.sha256[:16]}, or --set {where}=FILE for the present file"
             raise ScenarioError(
                 loaded.label, "is not the flight code that was flown", where, value=code.title, allowed=allowed
             )

@@ -1,6 +1,6 @@
 """`simverify --check PACK`: a pack verified by someone else: hashes, signature, ledger, and a sample computed again.
 
-The inputs are loaded by the names in the pack, from this machine; a random sample of the flights, operating points and
+The inputs are loaded by the names in the pack, from this machine. A random sample of the flights, operating points and
 campaign runs is computed again and compared with the pack, bit by bit.
 """
 

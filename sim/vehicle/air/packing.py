@@ -105,7 +105,7 @@ def _incidence_tables(aero: schema.AeroSection, pool: Pool) -> IncidenceTables:
 
 @cached_by_identity
 def _fitted(table: CsvTable, aeroballistic: bool, method: str) -> tuple[Grid, tuple[str, ...]]:
-    """Return the columns of vehicle/air/incidence.py over the variables of a table, and the column names.
+    """Return the columns of `sim/vehicle/air/incidence.py` over the variables of a table, and the column names.
 
     Angles are in rad.
     """
