@@ -244,7 +244,7 @@ def test_drift_of_a_held_loop_is_measured_and_named(drifting: LoadedScenario) ->
     slow = by_name["drift"]
     assert slow.sampled < 0.0 < slow.held
     assert slow.measured == pytest.approx(slow.held, abs=2e-4)
-    assert (slow.reason, by_name["gain_down"].reason) == ("held gravity", "held gravity")
+    assert (slow.reason, by_name["gain_down"].reason) == ("frozen-point gravity", "frozen-point gravity")
     assert math.isfinite(by_name["gain_up"].measured)
     assert math.isfinite(by_name["delay"].measured)
 
@@ -262,7 +262,7 @@ def test_held_loop_that_grows_fast_is_not_taken_for_a_drift(certificate) -> None
     lost = dataclasses.replace(certificate, margins=(), cycle=LimitCycle("lost", 0.0, 5.0, 3.0, 40.0))
     assert lost.stable
     assert lost.unexplained == (
-        "the loop of the held flight, and not that of the flown instant, is unstable; in flight: lost after 40 s",
+        "the loop of the frozen point, and not that of the flown instant, is unstable; in flight: lost after 40 s",
     )
 
 

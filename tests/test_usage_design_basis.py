@@ -142,7 +142,7 @@ def test_limits_that_hold_between_operating_points_are_judged_there(capsys: Prin
     code, lines, record = analysed(capsys, "mine.toml")
     assert code == 1
     assert lines[2].startswith("judged by the design's own basis: sampled loop, 11 operating points, 6 limits, held ")
-    assert lines[2].endswith("held between them (190 instants)")
+    assert lines[2].endswith("checked between them (190 instants)")
     phase = next(c for c in record["limits"] if c["key"] == "phase_margin_deg")
     assert phase["worst"] == pytest.approx(23.79, abs=0.02)
     assert phase["at_s"] == 53.75

@@ -531,7 +531,7 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     study = MarginStudy("", "yaw", (40.0,), nominal, (), values)
     loaded = read_suite("standard", ["margins.seed=7"])
     *_, row = margin_requirements(study, wanted, lambda label: loaded.command("designs/ksr3-robust.toml", None, label))
-    assert row.found == "51 of 60; phase margin, rigid body: 14.10 deg, wanted >= 15 deg"
+    assert row.found == "51 of 60; phase margin, rigid body: 14.10 deg, required >= 15 deg"
     assert row.where == "vehicle 59, 40 s, yaw"
     *_, of_stage = margin_requirements(dataclasses.replace(study, stage="stage 1 (first)"), wanted)
     assert "; phase margin, rigid body, stage 1 (first): 14.10 deg" in of_stage.found

@@ -28,7 +28,7 @@ from maxq.sim.scenario.loader import LoadedScenario
 PLANES: tuple[Plane, ...] = ("pitch", "yaw")
 MARGIN_WITHIN_DB, DELAY_WITHIN = 0.2, 0.02
 NOISE_WITHIN_DB, NOISE_WITHIN = 0.5, 0.05  # for rows in which the two agree to the above tolerance without rounding
-HELD_GRAVITY = "held gravity"
+HELD_GRAVITY = "frozen-point gravity"
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class MarginRow:
     """A margin in `unit`: of the linear loop at the flown instant (continuous and sampled), of the linear loop of the
     held flight, and measured in the held flight.
 
-    `reason` is "" if flight and linear loop agree. "held gravity" means that they agree, but the margin at the flown
+    `reason` is "" if flight and linear loop agree. "frozen-point gravity" means that they agree, but the margin at the flown
     instant differs: the axial load acts on the slowest root in the held flight, and gravity acts on it in the ascent.
     "longer than can be inserted" marks a delay margin of more samples than the computer's filter can hold; it is not
     measured. "converter noise" means that they agree without rounding and differ by less than 0.5 dB or 5 % with
@@ -114,7 +114,7 @@ class NodeCertificate:
             if not e.agrees
         ]
         if self.cycle is not None or not self.stable:
-            whose = "linear loop" if not self.stable else "loop of the held flight, and not that of the flown instant,"
+            whose = "linear loop" if not self.stable else "loop of the frozen point, and not that of the flown instant,"
             in_flight = f"; in flight: {self.cycle.text}" if self.cycle else ""
             return (f"the {whose} is unstable{in_flight}", *out)
         return tuple(out)

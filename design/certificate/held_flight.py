@@ -148,7 +148,7 @@ def hold(
         raise ValueError(f"{loaded.label}: there is no design, and so no loop to hold")
     load = node.axial_load_mps2
     if load <= 0.0:
-        raise ValueError(f"node at {node.time_s:g} s: the axial load is {load:g} m/s2: allowed is above 0")
+        raise ValueError(f"operating point at {node.time_s:g} s: the axial load is {load:g} m/s2: allowed is above 0")
     held = dataclasses.replace(
         loaded,
         scenario=scenario.model_copy(update=_stillness(scenario, node, load)),

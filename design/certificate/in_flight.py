@@ -162,7 +162,7 @@ def _window(time_s: float, spans: Sequence[Span]) -> tuple[float, float]:
         for span in spans:
             allowed.append(f"{span.begin_s + least:.6g} s to {span.end_s - 0.1 - 0.2 * WINDOW_S:.6g} s")
         raise ValueError(
-            f"node at {time_s:g} s: too near to the ends of thrust to be measured in flight; "
+            f"operating point at {time_s:g} s: too near to the ends of thrust to be measured in flight; "
             f"allowed is {', '.join(allowed)}, or certificate.in_flight = false"
         )
     half = max(_half(time_s, span) for span in spans)

@@ -94,7 +94,7 @@ class Node:
         """Raise ValueError, naming the operating point, if pendulums do not hang under a positive axial load."""
         if len(self.vehicle.pendulums.mass_kg) and self.axial_load_mps2 <= 0.0:
             problem = f"a pendulum needs a positive axial load, not {self.axial_load_mps2:g} m/s2"
-            raise ValueError(f"node at {self.time_s:g} s: {problem}")
+            raise ValueError(f"operating point at {self.time_s:g} s: {problem}")
 
     @property
     def drives(self) -> Drives:
@@ -162,7 +162,7 @@ class Node:
         if over == "mass_kg":
             return self.vehicle.total_mass_kg
         if not math.isfinite(self.speed_mps):
-            raise ValueError(f"node at {self.time_s:g} s: it has no speed, over which the gains are scheduled")
+            raise ValueError(f"operating point at {self.time_s:g} s: it has no speed, over which the gains are scheduled")
         return self.speed_mps if over == "speed_mps" else 0.5 * self.condition.density_kgpm3 * self.speed_mps**2
 
     def steps(self) -> list[Node]:
@@ -204,7 +204,7 @@ def nodes_along(
         return []
     for time_s in wanted:
         if not abs(time_s) <= LONGEST_S:
-            raise ValueError(f"node at {time_s} s: allowed are times up to {LONGEST_S:g} s")
+            raise ValueError(f"operating point at {time_s} s: allowed are times up to {LONGEST_S:g} s")
     run = flown_run(scenario, faults)
     found = {time_s: refine(run, _node(run, time_s, plane)) for time_s in sorted(set(wanted))}
     return with_swings([found[time_s] for time_s in wanted], scenario, faults)
@@ -344,7 +344,7 @@ def at_same_propellant_s(run: FlightRun, flown: Scenario, node: Node) -> float:
     spent_s = table_time_s(flown.vehicle.stage[n], other, node.time_s - node.stage_start_s)
     at_s = start_s + when_spent_s(scenario.vehicle.stage[n], mine, spent_s)
     if not math.isfinite(at_s):
-        raise ValueError(f"node at {node.time_s:g} s: the flight never burns the propellant that is gone there")
+        raise ValueError(f"operating point at {node.time_s:g} s: the flight never burns the propellant that is gone there")
     return at_s
 
 

@@ -66,14 +66,14 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
     for name in measured:
         if name not in MEASUREMENTS and name not in (sensed for sensed, _, _ in path.sensors):
             raise ValueError(
-                f"node at {node.time_s:g} s: the vehicle has no accelerometer, which the law {case.law} takes"
+                f"operating point at {node.time_s:g} s: the vehicle has no accelerometer, which the law {case.law} takes"
             )
     wind = None if case.wind is None else wind_of(path, case)
     modes = modes_of(path)
     if OBJECTIVES[case.objective.kind].needs_mode and not any(mode.number == 1 for mode in modes):
         others = " or ".join(f'"{name}"' for name, objective in OBJECTIVES.items() if not objective.needs_mode)
         raise ValueError(
-            f"node at {node.time_s:g} s: there is no first bending mode whose peak could be made small; "
+            f"operating point at {node.time_s:g} s: there is no first bending mode whose peak could be made small; "
             f"allowed is objective.kind = {others}"
         )
     d = node.derivatives
@@ -90,7 +90,7 @@ def wind_of(path: FixedPath, case: Basis) -> WindResponse:
         stations_m = case.bending_stations_m(path.node.vehicle.cut_stations_m)
         return wind_response(path, Spectrum(**dict(case.wind)), stations_m)
     except ValueError as problem:
-        raise ValueError(f"node at {path.node.time_s:g} s: {problem}") from None
+        raise ValueError(f"operating point at {path.node.time_s:g} s: {problem}") from None
 
 
 def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> list[Node]:
@@ -187,7 +187,7 @@ class Plants:
 def make_plants(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> Plants:
     """Return the plants of paths. `tolerance` is that of the curves. Raises ValueError for no plants."""
     if not plants:
-        raise ValueError("there is no node to design for")
+        raise ValueError("there is no operating point to design for")
     return _with_curves(tuple(plants), Curves(_meshes(plants, tolerance)))
 
 

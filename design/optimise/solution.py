@@ -184,7 +184,7 @@ class Solution:
     def met(self) -> str:
         """Return where a feasible design meets its limits: "all limits met at its 11 operating points"."""
         if self.unchecked:
-            return f"limits met at the nodes; {self.unchecked}"
+            return f"limits met at the operating points; {self.unchecked}"
         count = len(self.nodes)
         where = "" if self.case.between_nodes == "hold" else f" at its {count} operating point{'s' * (count != 1)}"
         return f"all limits met{where}"

@@ -43,7 +43,7 @@ def each_stage(loaded: LoadedCase, before_s: float = math.inf) -> list[LoadedCas
         by_stage.setdefault(next((s.stage for s in spans if s.holds(t)), spans[0].stage if spans else 0), []).append(t)
     chosen = sorted(by_stage if wanted is None else wanted & set(by_stage))
     if not chosen:
-        raise ValueError("none of the nodes is in the stages to be designed")
+        raise ValueError("no operating point is in a stage to be designed")
     return [replace(loaded, case=case.of_stage(n, tuple(by_stage[n]))) for n in chosen]
 
 

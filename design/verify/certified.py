@@ -27,8 +27,8 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> 
         return JudgedRequirement(_MEASURED, name, wanted, found, judgement, math.nan, at)
 
     shaky = [n for n in nodes if not n.stable]
-    said = f"{len(nodes) - len(shaky)} of {len(nodes)} nodes"
-    out = [judged("stable in held flight", "at every node", said, shaky)]
+    said = f"{len(nodes) - len(shaky)} of {len(nodes)} operating points"
+    out = [judged("stable at the frozen points", "at every operating point", said, shaky)]
     quantities: dict[str, tuple[float, Callable[[MeasuredNode], float]]] = {
         "gain_up_db": (1.0, lambda n: n.margin("gain_up")),
         "gain_down_db": (1.0, lambda n: n.margin("gain_down")),
@@ -49,7 +49,7 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> 
             JudgedRequirement(_MEASURED, name, f"{about.sense} {limit:g} {about.unit}", text, met, room, where(worst))
         )
     ends = [(c, n) for n in nodes for c in n.cycles if c.kind not in ("decays", "limit cycle")]
-    said = ends[0][0].text if ends else "decays or ends in a limit cycle at every node"
+    said = ends[0][0].text if ends else "decays or ends in a limit cycle at every operating point"
     return [*out, judged("burst at slosh", "does not grow", said, [n for _, n in ends])]
 
 
@@ -73,7 +73,7 @@ def certificate_requirements(
     for plane in dict.fromkeys(c.plane for c in certificates):
         mine = [c for c in certificates if c.plane == plane]
         bad = [c for c in mine if not c.agrees]
-        found = f"{len(mine) - len(bad)} of {len(mine)} nodes" + (f": {bad[0].unexplained[0]}" if bad else "")
+        found = f"{len(mine) - len(bad)} of {len(mine)} operating points" + (f": {bad[0].unexplained[0]}" if bad else "")
         add(f"flight and linear loop agree, {plane}", found, bad)
     for end, what in enumerate(("gain_down", "gain_up")):
         adapted = [(c.total_gain_room_db(end), c) for c in certificates if c.total_gain_db[end] != 0.0]

@@ -157,7 +157,7 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequiremen
             found, left = "; ".join(r.failures), -1.0
         elif len(missed) > 1:
             wanted, left = "all limits", _room(worst) if worst is not None else -1.0
-            found = "; ".join(f"{_said(v)}, wanted {v.wanted}" for v in missed)
+            found = "; ".join(f"{_said(v)}, required {v.wanted}" for v in missed)
         elif worst is not None:
             wanted, found, left = worst.wanted, _said(worst), _room(worst)
             where = f"at {worst.time_s:.2f} s" if math.isfinite(worst.time_s) else ""

@@ -203,7 +203,7 @@ def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, w
             if len(found) >= count:
                 return found[:count]
     if not found:
-        problem, allowed = "none of its flights is under thrust at all nodes", "0, or a campaign that flies longer"
+        problem, allowed = "none of its flights is under thrust at all operating points", "0, or a campaign that flies longer"
         raise ScenarioError(campaign.name, problem, "margins.trajectories", value=count, allowed=allowed)
     return found
 
@@ -338,12 +338,12 @@ def margin_requirements(
     """
     out = []
     if wanted.only in ("", AS_DESIGNED):
-        out += _limits("margins", "at every node", AS_DESIGNED, [found.nominal], wanted.nominal, found, again)
+        out += _limits("margins", "at every operating point", AS_DESIGNED, [found.nominal], wanted.nominal, found, again)
     if found.corners:
         out += _limits("dispersed", "at every corner", "corners", found.corners, wanted.dispersed, found, again)
     if len(found.random) and wanted.only:
         alone = [found.case(k) for k in range(len(found.random))]
-        out += _limits("dispersed", "at every node", wanted.only, alone, wanted.dispersed, found, again)
+        out += _limits("dispersed", "at every operating point", wanted.only, alone, wanted.dispersed, found, again)
     elif len(found.random):
         whose = f", {found.stage}" if found.stage else ""
         failures = [found.case(k) for k in np.flatnonzero(~meet_limits(found.random, wanted.dispersed)).tolist()]
@@ -353,7 +353,7 @@ def margin_requirements(
         worst = min((r for r in missed if r.judgement == suite.REJECTED), key=lambda r: r.room, default=None)
         said = f"{len(found.random) - len(failures)} of {len(found.random)}"
         if worst is not None:
-            said += f"; {worst.name}: {worst.found}, wanted {worst.wanted}"
+            said += f"; {worst.name}: {worst.found}, required {worst.wanted}"
         out.append(
             JudgedRequirement(
                 "dispersed",

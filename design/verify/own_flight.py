@@ -83,7 +83,7 @@ class Round:
         if self.own_loss is not None:
             own = f"its own flight is lost: {loss_text(self.own_loss)}"
         elif self.loss is not None:
-            own = "its own flight is held"
+            own = "its own flight keeps control"
         elif self.missed:
             own = f"along its own flight {self.missed[0]}"
         return f"round {self.number}: {made}{lost}; {own}"
@@ -278,7 +278,7 @@ def _texts(more: Mapping[int, Mapping[str, float]], in_vain: Collection[int]) ->
     """Return in words the largest increases of the limits of the searches over those of the case."""
     most = {key: max((by.get(key, 0.0) for by in more.values()), default=0.0) for key in COUPLED}
     named = ((QUANTITIES[key], by) for key, by in most.items() if by > 0.0)
-    texts = [f"{about.label} held to {by:.4f} {about.unit} more" for about, by in named]
+    texts = [f"limit on {about.label} raised by {by:.4f} {about.unit}" for about, by in named]
     return (*texts, *["without a design that meets this, so that the last one stays"] * bool(in_vain))
 
 

@@ -102,7 +102,7 @@ class Parts:
         wanted, design = self.suite.margins, self.design
         if wanted is None or design is None:
             return []
-        self.watch("nodes of the linear model", 0, 0)
+        self.watch("operating points of the linear model", 0, 0)
         out, parts = [], list(self._by_stage("margins", wanted))
         flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts] if wanted.cases else [])
         for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):

@@ -61,7 +61,7 @@ class JudgedRequirement:
     @property
     def reason(self) -> str:
         """Return the reason as one line."""
-        said = f"{self.name}: {self.found}, wanted {self.wanted}" + (f" ({self.where})" if self.where else "")
+        said = f"{self.name}: {self.found}, required {self.wanted}" + (f" ({self.where})" if self.where else "")
         if self.judgement != UNDECIDED:
             return said
         return f"{said}; not settled" + (f": {self.more_runs} more runs" if self.more_runs else "")

@@ -427,5 +427,5 @@ def flight_requirement(along: LoadedScenario) -> list[JudgedRequirement]:
     if loss is None:
         return []
     found = f"{loss_text(loss)}; no operating point after that"
-    wanted, at = "held up to the last burnout", f"{loss.time_s:.3f} s"
-    return [JudgedRequirement("scenarios", "flight of the nodes", wanted, found, REJECTED, math.nan, at)]
+    wanted, at = "control kept to the last burnout", f"{loss.time_s:.3f} s"
+    return [JudgedRequirement("scenarios", "flight of the operating points", wanted, found, REJECTED, math.nan, at)]

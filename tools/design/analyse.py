@@ -313,7 +313,7 @@ def judged_by_text(
     first = next(iter(bases.values()))
     limits = len({key for basis in bases.values() for key in basis.limits.asked})
     parts = [f"{order.kind} loop", count, f"{limits} limit{'s' * (limits != 1)}"]
-    parts += [f"held between them ({between} instants)"] if between else []
+    parts += [f"checked between them ({between} instants)"] if between else []
     if any(b.robust is not None for b in bases.values()):
         searched = "and those of dispersed vehicles at the worst found"
         flies = flies_as_measured(order.kind, order.errata, order.plant)

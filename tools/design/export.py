@@ -74,7 +74,7 @@ def execute(
     planes: tuple[Plane, ...] = (axis,) if axis is not None else ("pitch", "yaw")
     nodes = [node for plane in planes for node in operating_points.nodes(loaded, times_s or None, plane=plane)]
     write_matrices(path, form, [described(node, gains) for node in nodes])
-    tell(f"{len(nodes)} nodes in {path}")
+    tell(f"{len(nodes)} operating points in {path}")
     return Exit.OK
 
 

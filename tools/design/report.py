@@ -217,7 +217,7 @@ def uncovered_record(found: Sequence[Uncovered]) -> list[dict[str, Any]]:
 
 def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
     """Return every limit, its worst value and the place."""
-    rows = [("limit", "verdict", "wanted", "worst", "at")]
+    rows = [("requirement", "verdict", "limit", "value", "at")]
     for check in checks:
         k, unit = check.worst, f" {check.unit}" if check.unit else ""
         at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
@@ -246,7 +246,7 @@ def nodes_table(checks: Sequence[Check], judged: Sequence[JudgedLoop]) -> list[s
         cells = [number(float(c.values[n]), 3) + (" " if m else "!") for c, m in zip(shown, met, strict=True)]
         passed = "pass" if good and all(met) else "FAIL"
         rows.append((f"{j.time_s:g}", passed, "stable" if good else "UNSTABLE", *cells))
-    return ["at the nodes", *aligned(rows, "  ", right=(0, *range(3, 3 + len(shown))))]
+    return ["at the operating points", *aligned(rows, "  ", right=(0, *range(3, 3 + len(shown))))]
 
 
 def _bound(check: Check) -> str:
@@ -394,10 +394,10 @@ def search_rows(solution: Solution) -> list[tuple[str, str]]:
     """Return the names and texts of the search and of the certainty of the optimum."""
     c = solution.certificate
     counts = Counter(x.what for x in solution.constraints if x.active)
-    active = [f"{what} ({n} nodes)" if n > 1 else what for what, n in counts.items()]
+    active = [f"{what} ({n} points)" if n > 1 else what for what, n in counts.items()]
     active += [bound.text for bound in solution.bounds]
     worse = f"{c.worst_instant_db:.2g} dB" if c.worst_instant_db > 0.0 else "no"
-    between = f"{c.instants} instants tried; {worse} worse than the worst node at most"
+    between = f"{c.instants} instants tried; {worse} worse than the worst operating point at most"
     between = between if c.instants else solution.unchecked
     return [
         ("objective", f"{solution.objective_db:.4f} dB"),

@@ -244,7 +244,7 @@ def errata() -> list[str]:
         mine = [e for e in found if e.erratum == name]
         lost = sum(e.printed.get("unstable", 0.0) > 0.0 for e in mine)
         cells = [_largest(e.change(key) for e in mine) for key in ("peak 1", "peak 2")]
-        unstable = f"unstable at {lost} nodes"
+        unstable = f"unstable at {lost} operating points"
         cells += [unstable if lost else _largest(e.change(key) for e in mine) for key in ("gain", "phase")]
         about = EXPLAINED[name]
         printed = about.printed if about.printed != "none" else f"left out: {about.corrected}"

@@ -510,7 +510,7 @@ def _suite(built: Built) -> dict[str, Any]:
         "extends": SUITE,
         "scenario": "scenario.toml",
         "limit_wind": LIMIT_WIND,
-        "description": f"{built.layout.name}, to begin with: the suite of any launcher with fewer nodes and vehicles",
+        "description": f"{built.layout.name}: the suite of any launcher, with fewer operating points and vehicles",
         "margins": margins,
         "certificate": {"nodes_per_stage": 2},
         "campaign": [campaign],

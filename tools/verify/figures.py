@@ -266,8 +266,8 @@ def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:
             series += [limit(side * allowed, "allowed without a reason") for side in (1.0, -1.0)]
             panels.append(Panel(title, series, "frequency, Hz", unit, log_x=True))
     caption = (
-        "Differences at all nodes and lines. What lies beyond the band has a reason (in the data, or point at it), or "
-        "stands as unexplained."
+        "Differences at all operating points and lines. A difference beyond the band has a reason (in the data, or point "
+        "at it), or is unexplained."
     )
     return Plot("certificate", "Measured in flight against the linear loop", panels, caption, 2, 200)
 
@@ -315,7 +315,7 @@ def _authority(found: Verification) -> Plot:
     shares = ((1.0, "all of the gimbal angle", ""), (0.5, "half of it", "6 3"), (0.25, "a quarter", "2 2"))
     winds = [line(times, share * wind, name, colour="limit", dash=dash) for share, name, dash in shares]
     if found.suite.wind_limit_mps is not None:
-        winds.append(limit(found.suite.wind_limit_mps, "wind asked for", colour="ink"))
+        winds.append(limit(found.suite.wind_limit_mps, "wind required", colour="ink"))
     top = min(float(np.nanmax(wind[np.isfinite(wind)], initial=10.0)), 100.0)
     panels = [
         Panel("gimbal per angle of attack, |M_alpha / M_delta|", [line(times, ratio)], "time, s", "deg/deg"),

@@ -37,7 +37,7 @@ def _decisive(found: Verification) -> str:
     if found.judgement == UNDECIDED:
         open_ = max(found.of(UNDECIDED), key=lambda r: r.more_runs, default=None)
         more = f", {open_.more_runs} more runs would settle it" if open_ and open_.more_runs else ""
-        return f"{open_.name}: {open_.found}, wanted {open_.wanted}{more}" if open_ else ""
+        return f"{open_.name}: {open_.found}, required {open_.wanted}{more}" if open_ else ""
     finite = [r for r in found.requirements if math.isfinite(r.room)]
     if not finite:
         return ""
@@ -54,7 +54,7 @@ def _missed(rejected: Sequence[JudgedRequirement]) -> str:
     same = [r for r in rejected if (r.part, r.name) == (worst.part, worst.name) and _time(r) == _time(worst)]
     if sense and re.match(r"-?[0-9.]", worst.found):
         return f"{_name(worst)} {worst.found} {_BEYOND[sense[1]]} {sense[2]}{_at(same)}"
-    beyond = f" {_BEYOND[sense[1]]} {sense[2]}" if sense else f", wanted {worst.wanted}"
+    beyond = f" {_BEYOND[sense[1]]} {sense[2]}" if sense else f", required {worst.wanted}"
     return f"{_name(worst)}: {worst.found}{beyond}{_at(same)}"
 
 

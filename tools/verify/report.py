@@ -116,13 +116,13 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
     asked = {"scenarios": f"{len(found.flights)} flights, each within its limits"}
     if margins is not None:
         nodes = sum(len(m.times_s) for m in found.margins)
-        asked["margins"] = f"linear margins of the design at {nodes} nodes, {' and '.join(margins.planes)}"
+        asked["margins"] = f"linear margins of the design at {nodes} operating points, {' and '.join(margins.planes)}"
         vehicles = len(found.margins[0].random) + len(found.margins[0].corners) if found.margins else 0
         asked["dispersed"] = f"the same of {vehicles} {found.deviations or 'dispersed vehicles'}"
     if suite.certificate is not None:
         nodes = len(found.certificates)
-        asked["certificate"] = f"linear loop and flight agree at {nodes} node{'s' * (nodes != 1)}"
-    asked["measured only"] = f"margins of flight code, measured at {len(found.measured)} nodes"
+        asked["certificate"] = f"linear loop and flight agree at {nodes} operating point{'s' * (nodes != 1)}"
+    asked["measured only"] = f"margins of flight code, measured at {len(found.measured)} operating points"
     asked["campaign"] = "; ".join(
         f"{c.runs} flights, {100.0 * c.success:g} % with {100.0 * c.confidence:g} % confidence" for c in found.campaigns
     )
@@ -253,7 +253,7 @@ def _headings(part: Sequence[JudgedRequirement]) -> list[str]:
 
 def report(found: Verification, title: str) -> list[str]:
     """Return every requirement, one per row, below the name of its part and plane."""
-    rows: list[tuple[str, ...]] = [("requirement", "verdict", "wanted", "found", "room", "where")]
+    rows: list[tuple[str, ...]] = [("requirement", "verdict", "limit", "value", "margin", "at")]
     headed = [(_headings(list(group)), part) for part, group in groupby(found.requirements, lambda r: r.part)]
     every = zip(found.requirements, (f"{part}{h}" for own, part in headed for h in own), strict=True)
     for heading, group in groupby(every, lambda pair: pair[1]):
@@ -275,8 +275,8 @@ def report(found: Verification, title: str) -> list[str]:
 
 
 def measured_lines(found: Verification) -> list[str]:
-    """Return a table of the margins that were measured in flight, and of the linear loop held likewise."""
-    rows: list[tuple[str, ...]] = [("at", "plane", "margin", "measured", "linear, held", "remark")]
+    """Return a table of the margins measured at the frozen points, and of the linear loop there."""
+    rows: list[tuple[str, ...]] = [("at", "plane", "margin", "measured", "linear", "remark")]
 
     def row(
         at: NodeCertificate | MeasuredNode, what: str, unit: str, values: Sequence[float], remark: str = ""
@@ -333,7 +333,7 @@ def ranked(every: Sequence[Verification]) -> list[Verification]:
 
 def ranking(every: Sequence[Verification]) -> list[str]:
     """Return a table of designs, the best first."""
-    head = ("", "design", "verdict", "rejected", "undecided", "tightest", "room", "gain dB", "phase deg", "mode 1 deg")
+    head = ("", "design", "verdict", "rejected", "undecided", "tightest", "margin", "gain dB", "phase deg", "mode 1 deg")
     rows: list[tuple[str, ...]] = [head]
     for n, v in enumerate(ranked(every), 1):
         finite = [r for r in v.requirements if math.isfinite(r.room)]

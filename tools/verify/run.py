@@ -89,7 +89,7 @@ def execute(
                     sample=sample,
                 )
             except ValueError as error:
-                if not str(error).startswith("node at"):
+                if not str(error).startswith("operating point at"):
                     raise
                 raise ScenarioError(loaded.label, str(error)) from None  # the suite's times are invalid
             found.append(one)
