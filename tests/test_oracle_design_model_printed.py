@@ -67,7 +67,8 @@ def test_each_erratum_is_that_of_the_general_equations(time_s: float, exchange: 
 )
 def test_vehicles_that_the_paper_does_not_describe(change: str, words: str) -> None:
     scenario = nominal(f"vehicle.stage.0.{change}")
-    with pytest.raises(ValueError, match=rf"operating point at 40 s: the published equations describe {words} only; allowed is"):
+    said = rf"operating point at 40 s: the published equations describe {words} only; allowed is"
+    with pytest.raises(ValueError, match=said):
         _ = maxq.nodes(scenario, [40.0], errata=PAPER)[0].plant
 
 

@@ -242,7 +242,8 @@ def test_load_as_an_objective_needs_a_wind_and_no_limit() -> None:
         ("bending moment at 6 m ", True),
         ("bending moment at 8.1 ", False),
     ]
-    with pytest.raises(ValueError, match=r"operating point at 40 s: bending moment at 6.1 m: allowed are .* 1, 2, 3, 3.6, 4.5, "):
+    said = r"operating point at 40 s: bending moment at 6.1 m: allowed are .* 1, 2, 3, 3.6, 4.5, "
+    with pytest.raises(ValueError, match=said):
         kit.plants(wind, bending, "objective.stations_m=[6.1]", "nodes_s=[40.0]")
 
 

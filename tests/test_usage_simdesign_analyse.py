@@ -174,7 +174,7 @@ WRONG = {
     "misspelt option": (["analyse", "ksr3-default", "--axes", "yaw"], "unknown option --axes; did you mean --axis?"),
     "time before liftoff": (["analyse", "ksr3-default", "--at", "-1"], "operating point at -1 s"),
     "time after burnout": (["analyse", "ksr3-default", "--at", "70"], "operating point at 70 s"),
-    "time without load": (["errata", "--at", "59.25"], "operating point at 59.25 s: a pendulum needs a positive axial load"),
+    "time without load": (["errata", "--at", "59.25"], "point at 59.25 s: a pendulum needs a positive axial load"),
     "no time": (["analyse", "ksr3-default", "--at", "nan"], "--at: 'nan' is not a time in seconds"),
     "unknown scenario": (["analyse", "ksr3-default", "--scenario", "nominl"], "did you mean nominal?"),
     "unknown vehicle": (["analyse", "ksr3-default", "--vehicle", "nowhere"], "nowhere"),

@@ -22,7 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from maxq.sim.flight.metric_table import figures
+from maxq.sim.run.quantities import number_text
 from maxq.tools import simdesign, simreplay, simrun, simvehicle, simverify
 from maxq.tools.cli import terminal
 from maxq.tools.cli.terminal import aligned, folded, painted
@@ -151,7 +151,7 @@ def test_a_pipe_gets_whole_lines_unless_columns_are_given(monkeypatch: pytest.Mo
         (0.00630254, "0.006303"),
         (-1.31316e-07, "0"),
         (0.0, "0"),
-        (-4.25, "-4.25"),
+        (-4.25, "-4.250"),
         (float("nan"), "-"),
         (float("inf"), "inf"),
         (3.6e9, "3.6e+09"),
@@ -159,7 +159,7 @@ def test_a_pipe_gets_whole_lines_unless_columns_are_given(monkeypatch: pytest.Mo
     ],
 )
 def test_four_significant_digits(value: float, text: str) -> None:
-    assert figures(value) == text
+    assert number_text(value) == text
 
 
 def test_many_threads_move_one_bar_that_goes_away() -> None:

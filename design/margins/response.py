@@ -132,7 +132,7 @@ def _ask(address: int, token: int, frequency_hz: Array, out: ComplexArray) -> No
 
 @overload(_ask)
 def _ask_compiled(address, token, frequency_hz, out):  # type: ignore[no-untyped-def]  # Numba compares both signatures
-    def asked(address, token, frequency_hz, out):  # type: ignore[no-untyped-def]
+    def asked(address, token, frequency_hz, out):  # type: ignore[no-untyped-def]  # as above
         _call(address, token, len(frequency_hz), frequency_hz.ctypes.data, out.ctypes.data)
 
     return asked

@@ -162,7 +162,7 @@ class Node:
         if over == "mass_kg":
             return self.vehicle.total_mass_kg
         if not math.isfinite(self.speed_mps):
-            raise ValueError(f"operating point at {self.time_s:g} s: it has no speed, over which the gains are scheduled")
+            raise ValueError(f"operating point at {self.time_s:g} s: no speed, over which gains are scheduled")
         return self.speed_mps if over == "speed_mps" else 0.5 * self.condition.density_kgpm3 * self.speed_mps**2
 
     def steps(self) -> list[Node]:
@@ -344,7 +344,7 @@ def at_same_propellant_s(run: FlightRun, flown: Scenario, node: Node) -> float:
     spent_s = table_time_s(flown.vehicle.stage[n], other, node.time_s - node.stage_start_s)
     at_s = start_s + when_spent_s(scenario.vehicle.stage[n], mine, spent_s)
     if not math.isfinite(at_s):
-        raise ValueError(f"operating point at {node.time_s:g} s: the flight never burns the propellant that is gone there")
+        raise ValueError(f"operating point at {node.time_s:g} s: the flight never burns the propellant gone there")
     return at_s
 
 

@@ -132,7 +132,7 @@ def node_times(
             times += [round(float(t), 3) for t in chosen]
     if not times:
         which = "no stage" if stage is None else f"stage {stage + 1} not"
-        raise ValueError(f"{scenario.label}: {which} under thrust by engines that can be moved; there is no operating point")
+        raise ValueError(f"{scenario.label}: {which} under thrust by movable engines; there is no operating point")
     return tuple(times)
 
 
@@ -170,10 +170,12 @@ def flown_to(run: FlightRun, time_s: float) -> int:
         run.fly_segment(at_ns)
     if round(run.now_s * 1e9) != at_ns:
         events = ", ".join(f"{e.title} at {e.time_s:.4g} s" for e in run.events)
-        raise ValueError(f"operating point at {time_s:g} s: the flight ends at {run.now_s:.6g} s ({events or 'no events'})")
+        end = f"the flight ends at {run.now_s:.6g} s ({events or 'no events'})"
+        raise ValueError(f"operating point at {time_s:g} s: {end}")
     if (loss := loss_of(run.events)) is not None:
         raise ValueError(
-            f"operating point at {time_s:g} s: the flight is lost before ({loss_text(loss)}); allowed are times before the loss"
+            f"operating point at {time_s:g} s: the flight is lost before ({loss_text(loss)}); "
+            "allowed are times before the loss"
         )
     held = run.memory.held
     if held.on_pad == 1 or held.burning == 0:

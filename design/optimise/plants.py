@@ -66,7 +66,7 @@ def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
     for name in measured:
         if name not in MEASUREMENTS and name not in (sensed for sensed, _, _ in path.sensors):
             raise ValueError(
-                f"operating point at {node.time_s:g} s: the vehicle has no accelerometer, which the law {case.law} takes"
+                f"operating point at {node.time_s:g} s: the vehicle has no accelerometer, which {case.law} requires"
             )
     wind = None if case.wind is None else wind_of(path, case)
     modes = modes_of(path)

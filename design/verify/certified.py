@@ -73,7 +73,8 @@ def certificate_requirements(
     for plane in dict.fromkeys(c.plane for c in certificates):
         mine = [c for c in certificates if c.plane == plane]
         bad = [c for c in mine if not c.agrees]
-        found = f"{len(mine) - len(bad)} of {len(mine)} operating points" + (f": {bad[0].unexplained[0]}" if bad else "")
+        why = f": {bad[0].unexplained[0]}" if bad else ""
+        found = f"{len(mine) - len(bad)} of {len(mine)} operating points{why}"
         add(f"flight and linear loop agree, {plane}", found, bad)
     for end, what in enumerate(("gain_down", "gain_up")):
         adapted = [(c.total_gain_room_db(end), c) for c in certificates if c.total_gain_db[end] != 0.0]

@@ -28,6 +28,7 @@ from maxq.sim.files import plain_name
 from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import Verdict
+from maxq.sim.run.quantities import sign_of
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import LogSection
@@ -62,16 +63,12 @@ class FlownResult:
         return min(self.verdicts, key=lambda v: (v.met, _room(v)), default=None)
 
 
-def _sense(kind: str) -> str:
-    return "<=" if kind == "limit" else ">="
-
-
 def _room(v: Verdict) -> float:
     """Return the remaining share of the bound. For a bound of zero, return 1 if it is met and -1 if not."""
     kind, bound = v.bound
     if bound == 0.0:
         return 1.0 if v.met else -1.0
-    left = suite.room_left(v.value, bound, _sense(kind))
+    left = suite.room_left(v.value, bound, sign_of(kind))
     return left if math.isfinite(left) else -math.inf
 
 
@@ -300,7 +297,7 @@ def campaign_requirements(result: CampaignResult) -> list[JudgedRequirement]:
     level = f"{100.0 * result.success:g} % with {100.0 * result.confidence:g} %"
     out = []
     for v in result.verdicts:
-        sense = _sense(v.kind)
+        sense = sign_of(v.kind)
         bound = f"{sense} {v.bound:g}, " if v.metric else ""
         worst = v.worst[0] if v.worst else None
         found = f"{v.shown.failures} of {v.shown.runs} failed" + (f", worst {worst.value:.4g}" if worst else "")

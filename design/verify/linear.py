@@ -203,7 +203,10 @@ def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, w
             if len(found) >= count:
                 return found[:count]
     if not found:
-        problem, allowed = "none of its flights is under thrust at all operating points", "0, or a campaign that flies longer"
+        problem, allowed = (
+            "none of its flights is under thrust at all operating points",
+            "0, or a longer campaign flight",
+        )
         raise ScenarioError(campaign.name, problem, "margins.trajectories", value=count, allowed=allowed)
     return found
 
@@ -338,7 +341,8 @@ def margin_requirements(
     """
     out = []
     if wanted.only in ("", AS_DESIGNED):
-        out += _limits("margins", "at every operating point", AS_DESIGNED, [found.nominal], wanted.nominal, found, again)
+        everywhere = "at every operating point"
+        out += _limits("margins", everywhere, AS_DESIGNED, [found.nominal], wanted.nominal, found, again)
     if found.corners:
         out += _limits("dispersed", "at every corner", "corners", found.corners, wanted.dispersed, found, again)
     if len(found.random) and wanted.only:

@@ -16,7 +16,7 @@ from maxq.design.model.node import Node
 from maxq.design.quantities import TOLERANCE
 from maxq.design.verify.judging import Check, JudgedLoop, Wanted, judge
 from maxq.sim.files import write_whole
-from maxq.sim.flight.metric_table import figures
+from maxq.sim.run.quantities import number_text
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.design import figures as drawn
@@ -158,7 +158,7 @@ def _cells(check: Check) -> tuple[str, str, str, str]:
     left = value - check.wanted if check.sense == ">=" else check.wanted - value
     left = 0.0 if check.passed and left < TOLERANCE else left
     at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
-    worst = f"{figures(value, 4)}{unit}" if math.isfinite(value) else "none"
+    worst = f"{number_text(value)}{unit}" if math.isfinite(value) else "none"
     return f"{check.sense} {check.wanted:g}{unit}", worst, f"{left:z.3g}{unit}" if math.isfinite(left) else "", at
 
 

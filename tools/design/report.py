@@ -30,8 +30,8 @@ from maxq.design.verify.names import stage_name
 from maxq.design.verify.own_flight import CaseDesign
 from maxq.design.verify.uncovered import Uncovered
 from maxq.sim.files import write_whole
-from maxq.sim.flight.metric_table import figures
 from maxq.sim.run.flight import Event
+from maxq.sim.run.quantities import number_text
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.cli.terminal import aligned, printable
@@ -223,7 +223,7 @@ def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
         at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
         digits = 4 if check.passed else 7  # after rounding, a miss may look like the limit
         value = float(check.values[k])
-        worst = "-" if math.isinf(value) else figures(value, digits) + unit  # no quantity there that could miss it
+        worst = "-" if math.isinf(value) else number_text(value, digits) + unit  # no quantity there that could miss it
         limit = f"{check.sense} {check.wanted:g}{unit}"
         rows.append((check.text, MET if check.passed else MISSED, limit, worst, at))
     return [title, *aligned(rows, "  ", right=(3, 4))]
@@ -428,7 +428,7 @@ def _worst(values: Array, times_s: Sequence[float], unit: str) -> tuple[str, str
     """Return the largest value and its operating point. An unstable loop has none."""
     k = int(np.argmax(np.isnan(values) if np.isnan(values).any() else values))
     value = float(values[k])
-    return "unstable" if math.isnan(value) else f"{figures(value, 4)} {unit}", f"{times_s[k]:g} s"
+    return "unstable" if math.isnan(value) else f"{number_text(value)} {unit}", f"{times_s[k]:g} s"
 
 
 def _lobe(lobe: Lobe | None, stable: bool) -> str:

@@ -21,7 +21,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from maxq.sim.flight.metric_table import figures
+from maxq.sim.run.quantities import number_text
 from maxq.tools.plots.figures import Plot, as_json
 
 
@@ -67,7 +67,7 @@ def _environment() -> Environment:
     )
     made.filters["number"] = number
     made.filters["in_css"] = _in_css
-    made.filters["figures"] = figures
+    made.filters["number_text"] = number_text
     return made
 
 

@@ -157,7 +157,7 @@ def _part(figure: Figure, place: Axes) -> None:
     legend = place.get_legend()
     if legend is None:
         return
-    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
+    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]  # Matplotlib does not annotate it
     key, name = legend.get_window_extent(renderer), place._left_title.get_window_extent(renderer)  # type: ignore[attr-defined]  # no public way
     if key.width + name.width > 0.88 * figure.bbox.width:
         place.set_title(place.get_title("left"), pad=key.height * 72.0 / figure.dpi)

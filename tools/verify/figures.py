@@ -266,8 +266,8 @@ def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:
             series += [limit(side * allowed, "allowed without a reason") for side in (1.0, -1.0)]
             panels.append(Panel(title, series, "frequency, Hz", unit, log_x=True))
     caption = (
-        "Differences at all operating points and lines. A difference beyond the band has a reason (in the data, or point "
-        "at it), or is unexplained."
+        "Differences at all operating points and lines. A difference beyond the band has a reason (in the data, or "
+        "point at it), or is unexplained."
     )
     return Plot("certificate", "Measured in flight against the linear loop", panels, caption, 2, 200)
 

@@ -38,6 +38,7 @@ VERDICT_NAME, PAGE_NAME, PDF_NAME, FIGURES_NAME = "verdict.json", "review.html",
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _PRINT_S = 60.0
 _RANKED = ("upper gain margin", "phase margin", "phase margin at mode 1")
+_HEADINGS = ("gain dB", "phase deg", "mode 1 deg")  # of the same in the ranking
 WORDS = {ACCEPTED: MET, REJECTED: REJECTED, UNDECIDED: UNDECIDED}  # of a single requirement
 _KEYS = {"judgement": "verdict"}  # of a requirement, as in verdict.json
 FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
@@ -333,7 +334,7 @@ def ranked(every: Sequence[Verification]) -> list[Verification]:
 
 def ranking(every: Sequence[Verification]) -> list[str]:
     """Return a table of designs, the best first."""
-    head = ("", "design", "verdict", "rejected", "undecided", "tightest", "margin", "gain dB", "phase deg", "mode 1 deg")
+    head = ("", "design", "verdict", "rejected", "undecided", "tightest", "margin", *_HEADINGS)
     rows: list[tuple[str, ...]] = [head]
     for n, v in enumerate(ranked(every), 1):
         finite = [r for r in v.requirements if math.isfinite(r.room)]
