@@ -132,8 +132,9 @@ def measure_node(
 
 
 def measured_loop(held: HeldFlight, path: FixedPath, bands: tuple[LineBand, ...]) -> tuple[Array, ComplexArray, Array]:
-    """Return the lines, L and its relative standard error, measured first at a low level, then at a level that suits
-    the first result.
+    """Measure L at the lines of the bands, first at a low level, then at a level adapted to the first result.
+
+    Return the lines (Hz), L, and its relative standard error.
     """
     if not bands:
         return np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)

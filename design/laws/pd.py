@@ -39,7 +39,7 @@ BANKS = ("attitude", "rate", "acceleration")
 class Pd:
     """The law at one instant (`law.Controller`).
 
-    A `filter` of None is 1. Raises ValueError for gains that are not finite.
+    Without a `filter`, its response is 1. Raises ValueError for gains that are not finite.
 
     `blend` contains the weights of the first gyro and of further ones. `lag` is that of the acceleration, with a gain
     k_a or k_alpha. The latter needs `percussion_m` and `accel_per_incidence_mps2` of control/laws/load_relief.py.
@@ -97,7 +97,7 @@ class Pd:
         return {"rate_radps": self.blend[0], **{further_rate(k): w for k, w in enumerate(self.blend[1:], 2)}}
 
     def _of_inputs(self, loops: Sequence[Any], lag: Any, change: Any) -> ComplexArray:
-        """Return C without the bending filter, (..., inputs), from the loops' filters and the acceleration's lag."""
+        """Return C without the bending filter, (..., inputs), from responses of the loop filters and of the lag."""
         attitude, rate, acceleration = loops
         turning = (self.k_d_s - self._per_mps2 * self.percussion_m * change) * rate
         found = {name: weight * turning for name, weight in self._weights.items()}

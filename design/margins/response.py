@@ -230,7 +230,9 @@ def by_pairs(poles: ComplexArray, mu: ComplexArray, alpha: ComplexArray, beta: C
 
 @routine
 def _sum_terms(f: Array, loop: LoopResponse, out: ComplexArray) -> None:
-    """Compute L from its numbers. Each term is added at all frequencies in real arithmetic, which is vectorised."""
+    """Compute L at the frequencies `f` (Hz) from its partial fractions.
+
+    Each term is added at all frequencies in real arithmetic, which the compiler vectorises."""
     n = len(f)
     real, imag, late_re, late_im, re, im = np.empty((6, n))
     direct_0, direct_1 = loop.direct[0], loop.direct[1]

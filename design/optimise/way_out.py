@@ -180,7 +180,7 @@ def tried(
     """Return the trials from an infeasible solution, and True if they were interrupted.
 
     `loaded` is the case of the stage along the flight of its search. The trials together use about as many evaluations
-    as the search. A KeyboardInterrupt ends them, and the completed trials are returned.
+    as the search. After a KeyboardInterrupt, the completed trials are returned.
     """
     if solution.status != "infeasible":
         return (), False

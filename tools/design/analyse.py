@@ -292,7 +292,7 @@ def operating_points_s(
 def instants_between(
     points_s: Iterable[float], scenario: LoadedScenario, order: AnalysisOrder, bases: Mapping[int, Basis]
 ) -> list[float]:
-    """Return instants between the first and the last operating point of each stage whose limits hold between them."""
+    """Return instants between the operating points of each stage whose limits also apply between them."""
     out: list[float] = []
     if order.times_s or "every_s" in order.given:
         return out

@@ -90,5 +90,5 @@ def every(times_ns: IntArray, period_ns: int, last_period: int = -1) -> KeptRows
 
 
 def last_before(times_ns: IntArray, at_ns: IntArray) -> KeptRows:
-    """Return the indices of the last rows at or before times of another rate."""
+    """Return, for each time `at_ns`, the index of the last row at or before it, or 0."""
     return np.clip(np.searchsorted(times_ns, at_ns, side="right") - 1, 0, None)

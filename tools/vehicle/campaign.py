@@ -15,7 +15,7 @@ AXIAL, DAMPING = 0.1, {"distribution": "log-normal", "three_sigma": 0.6931}  # h
 
 
 def campaign_of(built: Built) -> dict[str, Any]:
-    """Return the campaign of all stages, each with its own deviations, in winds up to the limit wind."""
+    """Return the campaign of the whole ascent in winds up to the limit wind; every stage has its own deviations."""
     spread = [
         {
             "name": "share of the limit wind",

@@ -213,9 +213,9 @@ class _Model:
         return TrajectoryPoint(n, t, time_s, reach, altitude, speed, path, thrust, q, mach, incidence, excess, horizon)
 
     def fly(self, points: int) -> tuple[list[TrajectoryPoint], list[float], tuple[int, float] | None]:
-        """Fly all stages, with `points` per burn.
+        """Fly all stages with `points` points per burn.
 
-        Return the points, the start of each stage, and stack and clock of the fairing separation.
+        Return the points, the start time of each stage (s), and stack and time (s) of the fairing separation.
         """
         fairing, wanted = self.layout.fairing, self.layout.trajectory
         jettison_m = math.inf if fairing is None else fairing.jettison_altitude_m

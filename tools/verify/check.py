@@ -200,7 +200,7 @@ def _sample(
     found: Findings,
     progress: Progress,
 ) -> None:
-    """Compute a sample of each kind again, and judge the campaigns of the pack again."""
+    """Recompute a random sample of each kind of result, and judge the campaigns of the pack again."""
     suite = prepared.loaded.suite
     jobs = {
         "flights": _flights(record, prepared, found),

@@ -56,7 +56,7 @@ _LINE = (
 
 @dataclass(frozen=True)
 class Signed:
-    """The person responsible for a review, as stated in its title block. `date` is empty for today."""
+    """The person responsible for a review, as stated in its title block. An empty `date` means today."""
 
     author: str = ""
     revision: str = ""
