@@ -431,8 +431,8 @@ def flown_nodes() -> dict[tuple[int, str], Node]:
 def test_round_rotating_earth_changes_what_gravity_does(flown_nodes: dict[tuple[int, str], Node], time_s: int) -> None:
     """Centrifugal and Coriolis acceleration change what gravity does when the body pitches, by 0.2 to 0.3 %.
 
-    That is all of the slow root (theta -> w by gravity, w -> q by the weathercock), little of the short
-    period, less the faster it is, and none of the motion of the body alone.
+    This applies to all of the slow root (theta -> w by gravity, w -> q by the weathercock). It applies to little of the
+    short period, less the faster it is, and not to the motion of the body alone.
     """
     groups = vehicle_pole_groups(flown_nodes[time_s, "zero incidence"])
     bounds = {"slow": 3e-3, "short period": 2e-4, "slosh": 5e-7, "bending": 1e-9}
