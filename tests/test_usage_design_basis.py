@@ -141,7 +141,7 @@ def test_limits_that_hold_between_operating_points_are_judged_there(capsys: Prin
     with_basis("ksr3-sampled", ('between_nodes = "ignore"', 'between_nodes = "hold"'))
     code, lines, record = analysed(capsys, "mine.toml")
     assert code == 1
-    assert lines[2].startswith("judged by the design's own basis: sampled loop, 11 operating points, 6 limits, held ")
+    assert lines[2].startswith("judged by the design's own basis: sampled loop, 11 operating points, 6 limits, checked ")
     assert lines[2].endswith("checked between them (190 instants)")
     phase = next(c for c in record["limits"] if c["key"] == "phase_margin_deg")
     assert phase["worst"] == pytest.approx(23.79, abs=0.02)

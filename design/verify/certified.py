@@ -28,7 +28,7 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> 
 
     shaky = [n for n in nodes if not n.stable]
     said = f"{len(nodes) - len(shaky)} of {len(nodes)} operating points"
-    out = [judged("stable at the frozen points", "at every operating point", said, shaky)]
+    out = [judged("stable at every frozen point", "stable", said, shaky)]
     quantities: dict[str, tuple[float, Callable[[MeasuredNode], float]]] = {
         "gain_up_db": (1.0, lambda n: n.margin("gain_up")),
         "gain_down_db": (1.0, lambda n: n.margin("gain_down")),

@@ -1,6 +1,6 @@
 """Flight of a rigid body from first principles, by SciPy's DOP853: shares no line with maxq's kernels.
 
-Everything is formulated differently on purpose: The oracle has Newton's law in the frame that rotates with the Earth
+Everything is formulated differently on purpose. The oracle has Newton's law in the frame that rotates with the Earth
 (Coriolis and centrifugal terms), and the attitude as direction cosines body to Earth. Gravitation is the derivative of
 its potential by a complex step. Geodetic latitude follows by iteration, the standard atmosphere by its layers. SI
 units.
