@@ -108,7 +108,7 @@ def test_accepted_design_leaves_verdict_and_pack(
     code, said, _ = _run(capsys, "ksr3-robust", "--suite", str(suite), "--out", str(out))
     assert code == 0, said
     assert said.splitlines()[0] == (
-        "the suite does not ask for: gain margin 6 dB, phase margin 30 deg, peak of mode 2 -6 dB, rigid-body frequency "
+        "the suite does not limit: gain margin 6 dB, phase margin 30 deg, peak of mode 2 -6 dB, rigid-body frequency "
         "0.5 Hz, rigid-body damping ratio 0.7"
     )
     last = said.rstrip().splitlines()[-1]

@@ -289,7 +289,7 @@ class Suite(Section):
             if name in names[:n]:
                 raise refuse("is the name of another flight already", "each name once", ("flight", n, "name"))
         if not self.flight and self.margins is None and self.certificate is None and not self.campaign:
-            raise refuse("asks for nothing", "[[flight]], [margins], [certificate] or [[campaign]]", "flight")
+            raise refuse("requires nothing", "[[flight]], [margins], [certificate] or [[campaign]]", "flight")
 
 
 def set_words(changes: Iterable[str]) -> list[str]:
