@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import gc
 import re
 import subprocess
 import sys
@@ -247,4 +248,5 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    gc.disable()  # measured: searching the million nodes of the syntax trees for cycles takes two thirds of the time
     sys.exit(main())
