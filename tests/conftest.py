@@ -12,6 +12,10 @@ import signal
 import tempfile
 from collections.abc import Iterator
 
+# Before NumPy is loaded, as the commands do: threads of its library, two for each worker, mostly wait for each other.
+# Measured on two busy cores, the modes of a beam take 0.005 s of processor time instead of 0.24 s.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 from hypothesis import settings
 from matplotlib.figure import Figure
