@@ -151,6 +151,7 @@ def test_a_search_begins_from_the_design_that_its_case_names(tmp_path: Path, mon
         read_case("ksr3-identical", ["search.start_design=nosuch"])
 
 
+@pytest.mark.slow
 def test_limit_that_no_stable_loop_meets_is_named() -> None:
     s = solve(kit.case(NODES, "filter.structure=F2", "search.starts=3", "search.leaps=0", "limits.rigid_hz=5.0"))
     assert not s.feasible
@@ -440,6 +441,7 @@ def test_a_point_at_which_no_row_leads_is_certified_by_nothing() -> None:
     assert found.multipliers.shape == at.rows.excess_db.shape
 
 
+@pytest.mark.slow
 def test_multipliers_are_what_a_limit_costs() -> None:
     """The gain margin moved by 0.02 dB either way: the optimum changes as the certificate says."""
     change = ("filter.structure=F2", "gains.schedule=linear", "search.starts=2", "search.leaps=2")

@@ -278,6 +278,7 @@ def test_a_mode_that_aliases_is_held_with_a_finer_step(monkeypatch: pytest.Monke
     assert any(" at 20.6" in said for said in coarse.unexplained)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stage", "changes"),
     [
