@@ -7,7 +7,9 @@ Every picture that a test makes is looked at.
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import signal
 import tempfile
 from collections.abc import Iterator
@@ -31,6 +33,9 @@ settings.register_profile("random", derandomize=False, deadline=None, print_blob
 settings.load_profile(os.environ.get("MAXQ_EXAMPLES") or "same")
 
 os.environ.setdefault("MAXQ_LEDGER", tempfile.mkdtemp(prefix="maxq-ledger-"))  # attempts of tests are none of a user's
+if "MAXQ_TEST_FILES" not in os.environ:  # of made_once.py, for the workers of pytest-xdist, too
+    os.environ["MAXQ_TEST_FILES"] = tempfile.mkdtemp(prefix="maxq-tests-")
+    atexit.register(shutil.rmtree, os.environ["MAXQ_TEST_FILES"], ignore_errors=True)
 os.environ.pop("COLUMNS", None)  # workers of pytest-xdist are told 80, as if they wrote to a terminal
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
