@@ -81,8 +81,8 @@ def _attitude() -> tuple[sp.Matrix, sp.Matrix]:
     c_dot = sp.zeros(3, 3)
     for angle, rate in zip(_E, _ED, strict=True):
         c_dot += c.diff(angle) * rate
-    skew = (c.T * c_dot).applyfunc(sp.trigsimp)
-    return c, sp.Matrix([skew[2, 1], skew[0, 2], skew[1, 0]])
+    skew = c.T * c_dot
+    return c, sp.Matrix([skew[2, 1], skew[0, 2], skew[1, 0]]).applyfunc(sp.trigsimp)
 
 
 @dataclass(frozen=True)
