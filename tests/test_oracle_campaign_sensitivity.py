@@ -35,6 +35,27 @@ def test_first_order_indices_of_ishigamis_function() -> None:
     assert found == pytest.approx([0.3139, 0.4424, 0.0], abs=0.02)
 
 
+def test_first_order_indices_of_sobols_g_function() -> None:
+    """Their variances are 1 / (3 (1 + a)^2) and that of all is the product of 1 + V less 1 (Saltelli & Sobol', 1995)."""
+    a = np.array([0.0, 1.0, 4.5, 9.0, 99.0])
+    x = np.random.default_rng(5).random((20_000, len(a)))
+    y = np.prod((np.abs(4.0 * x - 2.0) + a) / (1.0 + a), axis=1)
+    parts = 1.0 / (3.0 * (1.0 + a) ** 2)
+    exact = parts / (np.prod(1.0 + parts) - 1.0)
+    found = [first_order(x[:, i], y) for i in range(len(a))]
+    assert found == pytest.approx(exact, abs=0.01)
+
+
+def test_indices_of_a_linear_function_of_normal_inputs() -> None:
+    """The first-order index is the square of the correlation r, the rank correlation 6/pi asin(r/2) (Pearson, 1907)."""
+    weights = np.array([3.0, -2.0, 1.0, 0.0])
+    x = np.random.default_rng(6).normal(size=(20_000, 4))
+    y, r = x @ weights, weights / np.linalg.norm(weights)
+    assert [first_order(x[:, i], y) for i in range(4)] == pytest.approx(r**2, abs=0.015)
+    ranks = [rank_correlation(x[:, i], y) for i in range(4)]
+    assert ranks == pytest.approx(6.0 / math.pi * np.arcsin(0.5 * r), abs=0.02)
+
+
 def test_rank_correlation_is_scipys_with_ties() -> None:
     rng = np.random.default_rng(2)
     for _ in range(20):
