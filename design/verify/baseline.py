@@ -35,7 +35,7 @@ _COUNTS = frozenset({"success", "confidence", "availability", "runs", "cases", "
 _COUNTS |= {"corner_sigmas", "sigmas", "starts", "in_flight", "bound", "together", "planes", "between_nodes"}
 _LEAST = frozenset({"modulus", "minimum", "wind_limit_mps"})  # limits that a larger value makes stricter
 _SPREADS = frozenset({"sigma", "three_sigma", "factor"})
-_NOT_COMPARED = "whose own numbers, limits, winds and deviations are not compared"
+_NOT_COMPARED = "whose own numbers, limits and winds are not compared"
 _MOST_SHOWN = 6  # elements of a list
 
 KeyPath = tuple[str, ...]
@@ -153,6 +153,7 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> list[SuiteDiff
     out = []
     if names[0] != names[1]:  # whose numbers are its own
         out += [SuiteDifference(CHANGED, f"vehicle, {_NOT_COMPARED}", *names)] if all(names) else []
+        out += _smaller_spreads(old, new)
         old, new = ({p: v for p, v in each.items() if not _of_vehicle(p)} for each in (old, new))
     for mine, other, kind in ((old, new, REMOVED), (new, old, STRICTER)):
         for head in _parts_of(mine):
@@ -205,6 +206,30 @@ def _parts_of(leaves: dict[KeyPath, Any]) -> list[KeyPath]:
 def _of_vehicle(path: KeyPath) -> bool:
     """Return True for keys whose values differ for every vehicle."""
     return "deviation" in path or ("scenario" in path and "switches" not in path) or path[0] == "limit_wind"
+
+
+def _smaller_spreads(before: dict[KeyPath, Any], after: dict[KeyPath, Any]) -> Iterator[SuiteDifference]:
+    """Yield the deviations of factors, and of what is not the vehicle, that are smaller than those of the same key."""
+    old, new = _standard_deviations(before), _standard_deviations(after)
+    for path in (path for path in old if path in new and new[path] < old[path]):
+        yield SuiteDifference(SPREAD, f"{_title(path)}, standard deviation", _shown(old[path]), _shown(new[path]))
+
+
+def _standard_deviations(leaves: dict[KeyPath, Any]) -> dict[KeyPath, float]:
+    """Return the standard deviations of normal and uniform draws that vehicles have in common, by deviation."""
+    every: dict[KeyPath, dict[str, Any]] = {}
+    for path, value in leaves.items():
+        if "deviation" in path[:-2]:
+            every.setdefault(path[: path.index("deviation") + 2], {})[path[-1]] = value
+    out = {}
+    for path, d in every.items():
+        if d.get("apply") != "scale" and path[-1].startswith("vehicle.") and "_factor" not in path[-1]:
+            continue  # a value in units of one vehicle
+        if d["distribution"] == "uniform":
+            out[path] = (d["high"] - d["low"]) / math.sqrt(12.0)
+        elif d["distribution"] in ("normal", "log-normal") and "covariance" not in d:
+            out[path] = d.get("sigma", d.get("three_sigma", 0.0) / 3.0)
+    return out
 
 
 def _leaves(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
