@@ -140,17 +140,20 @@ def headline(data: DataSet, verdicts: Sequence[Judged]) -> str:
     ordered, failed = tightest_first(verdicts), f"{len(failed_runs(data))} of {runs} runs failed"
     missed = [v for v in ordered if v.shown.judgement == NOT_MET]
     undecided = [v for v in ordered if v.shown.judgement == OPEN]
-    met = f"{len(ordered) - len(missed) - len(undecided)} of {len(ordered)} requirements met"
+    each = [v for v in ordered if not v.joint]
+    met = f"{sum(v.shown.judgement == MET for v in each)} of {len(each)} requirements met"
     if missed:
+        others = [printable(v.name) for v in missed[1:] if not v.joint]
         said = [f"{_failures(missed[0])}; required in {level}"]
-        said += [f"also missed: {', '.join(printable(v.name) for v in missed[1:])}"] * (len(missed) > 1)
+        said += [f"also missed: {', '.join(others)}"] * bool(others)
         return f"MISSED: {'; '.join((*said, met))}"
     if undecided:
         first = max(undecided, key=lambda v: v.shown.more)
         said = [f"{first.shown.more} more runs needed to show {level}"]
         said += [_failures(undecided[0])] * (undecided[0].shown.failures > 0)
         return f"UNDECIDED: {'; '.join((*said, met, failed, *_tightest(ordered)))}"
-    return f"MET: all {len(ordered)} requirements in {level}; {'; '.join((failed, *_tightest(ordered)))}"
+    every = f"all {len(each)} requirements together" if len(each) != 1 else each[0].name
+    return f"MET: {every} in {level}; {'; '.join((failed, *_tightest(ordered)))}"
 
 
 def _failures(v: Judged) -> str:
@@ -159,7 +162,7 @@ def _failures(v: Judged) -> str:
     """
     often = f"in {v.shown.failures} of {v.shown.runs} runs"
     if not v.metric or not v.worst or meets(v.worst[0].value, v.kind, v.bound):
-        return f"{printable(v.name)}: missed {often}"
+        return f"{printable(v.name)}{' together' if v.joint else ''}: missed {often}"
     value, limit, unit = v.worst_text
     unit, sign = f" {unit}" if unit else "", ">" if v.kind == "limit" else "<"
     return f"{printable(v.name)} {value}{unit} {sign} {limit}{unit} {often} (worst: run {v.worst[0].run})"
@@ -180,9 +183,10 @@ def _tightest(ordered: Sequence[Judged]) -> list[str]:
 def next_step(data: DataSet, verdicts: Sequence[Judged]) -> str:
     """Return the next step: fly a missed run again, fly more runs, or read the report."""
     runs = len(data.runs)
-    missed = [v for v in tightest_first(verdicts) if v.shown.judgement == NOT_MET and v.worst]
-    if missed:
-        return f"next: {replay(data.folder, missed[0].worst[0].run)}"
+    for v in tightest_first(verdicts):
+        run = v.worst[0].run if v.worst else v.first_missed
+        if v.shown.judgement == NOT_MET and run is not None:
+            return f"next: {replay(data.folder, run)}"
     more = max((v.shown.more for v in verdicts), default=0)
     if runs and more:
         return f"next: repeat the command with --runs {runs + more}"

@@ -171,7 +171,7 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequiremen
 class CampaignResult:
     """The result of a flown campaign, and its verdict on each requirement.
 
-    The first requirement is that control is kept.
+    The first requirement is that control is kept, the last that a flight meets all requirements.
     """
 
     name: str
@@ -294,7 +294,9 @@ def availability_requirements(result: CampaignResult, wanted: float) -> list[Jud
 
 
 def campaign_requirements(result: CampaignResult) -> list[JudgedRequirement]:
-    """Return a requirement for each requirement of the campaign, or for each month if its availability is required."""
+    """Return a requirement for each requirement of the campaign and for all together, or for each month if its
+    availability is required.
+    """
     if result.availability is not None:
         return availability_requirements(result, result.availability)
     level = f"{100.0 * result.success:g} % with {100.0 * result.confidence:g} %"
@@ -305,8 +307,8 @@ def campaign_requirements(result: CampaignResult) -> list[JudgedRequirement]:
         worst = v.worst[0] if v.worst else None
         found = f"{v.shown.failures} of {v.shown.runs} failed" + (f", worst {worst.value:.4g}" if worst else "")
         left = suite.room_left(worst.value, v.bound, sense) if worst is not None else math.nan
-        run, gone = worst.run if worst else None, result.first_lost
-        if not v.metric and gone is not None:
+        run, gone = worst.run if worst else v.first_missed, result.first_lost
+        if not (v.metric or v.joint) and gone is not None:
             run, found = gone.run, f"{found}, first: {gone.cause or gone.outcome}"
         out.append(_of_campaign(result, v.name, bound + level, found, v.shown, left, run))
     return out
