@@ -417,8 +417,12 @@ def test_words_claim_no_more_than_was_searched() -> None:
     bounded = replace(found, within_sigmas=2.0, within_hz=31.75, within_tried=146, together_sigmas=1.9)
     assert worst_requirements(bounded, WorstWanted(modulus=0.25), "")[0].found.endswith(
         "; mu, to first order: none unstable within 2 sigma each (146 frequencies, 31.8 Hz); "
-        "pitch, yaw and roll together within 1.9 sigma each"
+        "pitch, yaw and roll together within 1.9 sigma each; a bound below 3 sigma proves nothing at 3 sigma"
     )
+    reached = replace(found, within_sigmas=3.1, within_hz=31.75, within_tried=146, together_sigmas=3.0)
+    for sigmas, nothing in ((3.0, False), (3.5, True)):
+        wanted = WorstWanted(modulus=0.25, sigmas=sigmas)
+        assert ("proves nothing" in worst_requirements(reached, wanted, "")[0].found) is nothing
 
 
 def going_together(*pairs: tuple[tuple[str, str], float]) -> Spread:

@@ -373,6 +373,9 @@ def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> 
         said += f"({found.within_tried} frequencies, {found.within_hz:.3g} Hz)"
     if not math.isnan(found.together_sigmas):
         said += f"; pitch, yaw and roll together within {found.together_sigmas:.2g} sigma each"
+    bounds = [found.within_sigmas] * bool(found.within_tried) + [found.together_sigmas]
+    if any(bound < wanted.sigmas for bound in bounds):
+        said += f"; a bound below {wanted.sigmas:g} sigma proves nothing at {wanted.sigmas:g} sigma"
     rows = [(f"that vehicle flown, {whose}", "control kept", found.flown, found.kept_control, math.nan)]
     if wanted.modulus is not None:
         met, room = found.modulus >= wanted.modulus, room_left(found.modulus, wanted.modulus, ">=")
