@@ -71,7 +71,9 @@ def test_the_last_line_names_all_together_where_no_requirement_is_missed_alone()
         "required in 99.73 % of flights with 90 % confidence; 11 of 11 requirements met"
     )
     assert next_step(data, verdicts).endswith(f" --run {np.flatnonzero(~data.passed)[0]}")
-    worse = flown(0, 4000, 4.0 * P)
+    values = missed_alone(np.random.default_rng(0).random(4000), 4.0 * P, TEN)
+    loaded = campaign(TEN, 1.0).with_campaign(runs=4000, success=SUCCESS)
+    worse = Formula(loaded, {name: 1.0 + value for name, value in values.items()})  # 2 where 1 is allowed
     first, *rest = tightest_first(judged(worse))
     assert (first.joint, first.shown.judgement) == (False, "missed")  # the cause comes before its consequence
     assert [v.joint for v in rest].index(True) == sum(v.shown.failures > 0 for v in rest) - 1

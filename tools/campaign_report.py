@@ -216,6 +216,11 @@ def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
     return [(v, tail(v)) for v in nearest_limits(verdicts)]
 
 
+def tails_shown(tails: Tails) -> bool:
+    """Return True if there is an estimate, or one that is withheld because of its largest values."""
+    return any(not (tail.problem and math.isnan(tail.largest)) for _, tail in tails)
+
+
 def tail_rows(tails: Tails) -> ReportRows:
     """Return the table of tails, with values in the unit of the limit."""
     rows: ReportRows = [
@@ -265,9 +270,10 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], ta
         shown = aligned(month_rows(months), "  ", right=range(1, 5))
         sure = f"{100.0 * months[0].confidence:g} % confidence, Clopper-Pearson"
         lines += ["", f"launch availability by month of the wind (bounds at {sure})", *shown]
-    if any(not tail.problem for _, tail in tails):
+    if tails_shown(tails):
         shown = aligned(tail_rows(tails), "  ", right=range(2, 9))
         lines += ["", f"estimates by peaks over threshold, in addition to the verdicts ({TAIL_NOTE})", *shown]
+        lines += [f"  {plots.unseen_text(tails)}"] * any(not tail.problem for _, tail in tails)
     flights = [(f"run {run.run}", run.outcome, printable(run.cause)[:90]) for run in losses[:5]]
     for v in tightest_first(verdicts):
         if v.metric and v.shown.failures and v.worst:
@@ -339,7 +345,7 @@ def write_report(
         labels=labels,
         distribution=distribution,
         requirements=rows,
-        tails=tail_rows(tails),
+        tails=tail_rows(tails) if tails_shown(tails) else [],
         tail_note=TAIL_NOTE,
         months=month_rows(availability(data)),
         replay=replay,
