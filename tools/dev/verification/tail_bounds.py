@@ -22,19 +22,19 @@ from maxq.tools.dev.verification.section import DOCS, rewrite
 RUNS, SUCCESS, CONFIDENCE, RARE = 1000, 0.9973, 0.9, 1e-4
 
 
-class Law(NamedTuple):
+class KnownLaw(NamedTuple):
     """A distribution: its draws, and the value that a flight exceeds with a probability."""
 
     draw: Callable[[np.random.Generator], Array]
     exceeded: Callable[[float], float]
 
 
-def single(law: Any) -> Law:
+def single(law: Any) -> KnownLaw:
     """Return a distribution of SciPy."""
-    return Law(lambda rng: law.rvs(size=RUNS, random_state=rng), lambda p: float(law.isf(p)))
+    return KnownLaw(lambda rng: law.rvs(size=RUNS, random_state=rng), lambda p: float(law.isf(p)))
 
 
-def mixture(share: float, sigmas: float, sigma: float = 1.0) -> Law:
+def mixture(share: float, sigmas: float, sigma: float = 1.0) -> KnownLaw:
     """Return normal numbers, of which a share comes from a mechanism at `sigmas` with its own standard deviation."""
     second = stats.norm(sigmas, sigma)
 
@@ -45,7 +45,7 @@ def mixture(share: float, sigmas: float, sigma: float = 1.0) -> Law:
     def exceeded(p: float) -> float:
         return float(brentq(lambda x: (1.0 - share) * stats.norm.sf(x) + share * second.sf(x) - p, 0.0, 50.0))
 
-    return Law(draw, exceeded)
+    return KnownLaw(draw, exceeded)
 
 
 LAWS = {
