@@ -69,7 +69,7 @@ class Formula(DataSet):
     def __init__(self, campaign: LoadedCampaign, values: Mapping[str, np.ndarray]) -> None:
         super().__init__(Path(), campaign)
         missed = np.array([values[r.metric] > r.limit for r in campaign.base.scenario.requirement])
-        self.passed = ~missed.any(axis=0)
+        self.passed = np.asarray(~missed.any(axis=0))
         self.runs, self.void = np.arange(len(self.passed)), np.zeros(len(self.passed), bool)
         self.kept, self.values = ~self.void, values
 
