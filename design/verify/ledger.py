@@ -179,6 +179,11 @@ class Attempt:
         texts += [f"LEDGER DAMAGED: {text}" for text in self.damage]
         return "; ".join(texts)
 
+    @property
+    def date(self) -> str:
+        """Return the day on which the attempt began, UTC, YYYY-MM-DD."""
+        return str(self.line["date"])[:10]
+
     def end(self, verdict: str, met: str = "") -> None:
         """Write the end of the attempt. Raises FileError."""
         append(self.path, {"state": ENDED, "attempt": self.line["hash"], "verdict": verdict, "met": met})

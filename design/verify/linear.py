@@ -54,6 +54,8 @@ NEAR = 0.01
 """The distance from its limit within which a margin is measured once more, dB, deg or ms."""
 WORSE = {"dB": 0.02, "deg": 0.1, "ms": 0.05, "Hz": 0.002, "": 0.005}
 """The amount by which an instant must be worse to become an operating point, by unit."""
+AUTHORITY_NAME = "gimbal trims a steady cross-wind"
+RANDOM_NAME = "random vehicles meet the dispersed limits"
 _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett-Burman design of twelve runs
 _FACTORS = (
     "bending_frequency",
@@ -357,7 +359,7 @@ def margin_requirements(
         out.append(
             JudgedRequirement(
                 "dispersed",
-                f"random vehicles meet the dispersed limits{whose}",
+                f"{RANDOM_NAME}{whose}",
                 f"{100.0 * wanted.success:g} % with {100.0 * wanted.confidence:g} % confidence",
                 said,
                 suite.judgement_of(shown.judgement),
@@ -473,7 +475,7 @@ def authority_requirement(found: Sequence[Authority], wind_mps: float, again: st
     judgement = suite.ACCEPTED if worst.wind_mps >= wind_mps else suite.REJECTED
     return JudgedRequirement(
         "authority",
-        "gimbal trims a steady cross-wind",
+        AUTHORITY_NAME,
         f">= {wind_mps:g} m/s",
         f"{worst.wind_mps:.1f} m/s",
         judgement,

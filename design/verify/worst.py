@@ -363,6 +363,11 @@ def _refined_beside(
     return found, 3 * len(nodes) + sum(count for _, (_, _, count) in found)
 
 
+def modulus_name(wanted: WorstWanted) -> str:
+    """Return the name of the requirement on the worst vehicle, without plane and stage."""
+    return f"least |1 + L| within {wanted.sigmas:g} sigma"
+
+
 def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> list[JudgedRequirement]:
     """Judge the distance of the worst vehicle, if a limit is given, and its control in flight."""
     whose = ", ".join(filter(None, (found.plane, found.stage)))
@@ -376,7 +381,7 @@ def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> 
     rows = [(f"that vehicle flown, {whose}", "control kept", found.flown, found.kept_control, math.nan)]
     if wanted.modulus is not None:
         met, room = found.modulus >= wanted.modulus, room_left(found.modulus, wanted.modulus, ">=")
-        name = f"least |1 + L| within {wanted.sigmas:g} sigma, {whose}"
+        name = f"{modulus_name(wanted)}, {whose}"
         rows.insert(0, (name, f">= {wanted.modulus:g}", said, met, room))
     return [
         JudgedRequirement("worst", name, asked, text, ACCEPTED if met else REJECTED, room, found.label, again=again)

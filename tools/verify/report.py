@@ -30,7 +30,8 @@ from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.report import GAIN_HEADS, uncovered_lines, uncovered_record, uncovered_table, write_record
 from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot, as_csv
-from maxq.tools.verify.outcome import headline
+from maxq.tools.verify.board import board_record, board_tables, waiver_lines
+from maxq.tools.verify.outcome import headline, verdict_word
 from maxq.tools.verify.records import file_hashes, record_lines, records, write_attempts, write_runs
 from maxq.tools.verify.signing import SUFFIX
 
@@ -94,6 +95,8 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
         found=found,
         command=command,
         headline=headline(found),
+        verdict_word=verdict_word(found.judgement, found.requirements),
+        board_tables=board_tables(found),
         record_lines=record_lines(found),
         tank_name=tank_name,
         signed=signed,
@@ -260,10 +263,11 @@ def report(found: Verification, title: str) -> list[str]:
         rows += [("",) * 6, (f"{heading}:", *("",) * 5)]
         for r, _ in group:
             room = f"{100.0 * r.room:.0f} %" if math.isfinite(r.room) else ""
-            rows.append((printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
+            verdict = _mark(WORDS[r.judgement]) + (", waived" if r.waived else "")
+            rows.append((printable(r.name), verdict, r.wanted, printable(r.found), room, r.where))
     return [
         title,
-        *map(printable, record_lines(found)),
+        *map(printable, (*record_lines(found), *waiver_lines(found))),
         *baseline_lines(found),
         *([printable(from_here(found.deviations))] if found.deviations else []),
         "",
@@ -380,6 +384,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
             "shipped": found.compared.shipped,
             "differences": [vars(d) for d in found.compared.differences],
         },
+        "board": board_record(found),
         "against_basis": against_basis(found.suite, found.scenario),
         "flights": [{key: getattr(f, key) for key in FLIGHT} for f in found.flights],
         "margins": [

@@ -32,6 +32,7 @@ from maxq.tools.verify.outcome import headline
 
 _EXIT: dict[suites.SuiteVerdict, Exit] = {
     suites.ACCEPTED: Exit.OK,
+    suites.WAIVED: Exit.OK,
     suites.SCREENED: Exit.OK,
     suites.REJECTED: Exit.FAILED,
     suites.UNDECIDED: Exit.UNDECIDED,
