@@ -108,7 +108,7 @@ class LoadedScenario:
         if not about or not told or any(text.startswith("description=") for text in told):
             return self
         short = (text if len(text) <= _TOLD else f"{text[:_TOLD]}..." for text in told)
-        changed = self.scenario.model_copy(update={"description": f"{about}; with {', '.join(short)}"})
+        changed = self.scenario.model_copy(update={"description": f"{about}; changed: {', '.join(short)}"})
         return replace(self, scenario=changed)
 
 

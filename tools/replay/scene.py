@@ -402,12 +402,17 @@ def send_ground(recording: rr.RecordingStream, place: ShownLaunchSite, reach_m: 
     corners = [(-4.0, -4.0), (4.0, -4.0), (4.0, 4.0), (-4.0, 4.0)]
     block = plate([(x, y, -drop_m - 0.3) for x, y in corners], 0.6)
     recording.log("ground/pad/block", mesh3d(block, _BLOCK), static=True)
-    ends = place.ground(np.array([0.12 * reach_m, 0.0]), np.array([0.0, 0.12 * reach_m]))
+    ends = compass_ends(place, reach_m)
     arrows = rr.Arrows3D(vectors=ends, origins=np.zeros((2, 3)), colors=_COMPASS, radii=rr.Radius.ui_points(1.0))
     recording.log("ground/compass", arrows, static=True)
     names = rr.Points3D(1.15 * ends, labels=["E", "N"], show_labels=True, colors=_COMPASS, radii=thin)
     recording.log("ground/compass/names", names, static=True)
     return f"{step / 1000.0:g} km" if step >= 1000.0 else f"{step:g} m"
+
+
+def compass_ends(place: ShownLaunchSite, reach_m: float) -> Array:
+    """Return the ends (2, 3) of the compass's arrows to east and north, m."""
+    return place.ground(np.array([0.12 * reach_m, 0.0]), np.array([0.0, 0.12 * reach_m]))
 
 
 def tail_below_cg(channels: Channels, shape: VehicleShape | None) -> float:

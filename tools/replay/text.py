@@ -55,7 +55,7 @@ def _about_flight(flight: ReplayFlight) -> list[str]:
         lines += ["| requirement | value | limit | used |", "|---|--:|---|--:|"]
         lines += [*(_requirement(r) for r in tightest_first(flight.requirements)), ""]
     lines += _notes(flight.notes)
-    lines += [data.get("description", ""), "", "| | |", "|---|---|"]
+    lines += [data.get("description", ""), "", "| item | value |", "|---|---|"]
     return [*lines, *(f"| {name} | {value} |" for name, value in facts.items() if value), ""]
 
 
