@@ -224,6 +224,12 @@ def test_the_report_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert set(re.findall(r"https?:[^\"']*", page)) == {"http://www.w3.org/2000/svg"}
     assert page.count('<figure class="plot') >= 3
     assert f"simrun refly {tmp_path / 'out'} --run" in page
+    data = DataSet(tmp_path / "out", maxq.load(file))
+    limits = [(r.metric, r.limit) for r in data.campaign.base.scenario.requirement if r.metric and r.limit]
+    used = [100.0 * np.nanmax(data.numbers(metric)) / limit for metric, limit in limits]
+    bars = [int(share) for share in re.findall(r'class="n used(?: bad)?" style="--used:(\d+)%"', page)]
+    assert bars == sorted(map(round, used), reverse=True)
+    assert len(bars) >= 5
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["outcomes"] == {"duration": 40}
     first = summary["requirements"][1]

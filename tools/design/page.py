@@ -138,7 +138,12 @@ def _named(stage: str, text: str) -> str:
 
 def _caption(group: Group) -> str:
     worst = f"dispersed: {group.worst.text}" if group.worst is not None else ""
-    return "; ".join(filter(None, (group.stage, worst)))
+    return "; ".join(filter(None, (titled("Limits", group.stage), worst)))
+
+
+def titled(what: str, stage: str) -> str:
+    """Return a title with the name of its stage, if there are several."""
+    return f"{what}, {stage}" if stage else what
 
 
 def _nearest(check: Check) -> float:
@@ -200,15 +205,15 @@ def _tables(groups: Sequence[Group]) -> list[tuple[str, str, Sequence[PageTable]
     margins, budgets, lobes = list[PageTable](), list[PageTable](), list[PageTable]()
     for g in groups:
         _, _, *rows = margins_rows([(j.time_s, j.margins) for j in g.judged])
-        margins.append((g.stage, [_MARGINS, *rows]))
+        margins.append((titled("Margins", g.stage), [_MARGINS, *rows]))
         for crossing, unit, found in (
             ("phase margin", "deg", budget_rows(g.judged, "phase margin", "phase_deg")),
             ("upper gain margin", "dB", budget_rows(g.judged, "upper gain margin", "gain_db")),
         ):
             if found:
-                budgets.append((_named(g.stage, f"Budget of the {crossing}, {unit}"), found))
+                budgets.append((titled(f"Budget of the {crossing}, {unit}", g.stage), found))
         if rows := lobes_rows(g.judged):
-            lobes.append((g.stage, [tuple(head.replace("bending", "mode") for head in rows[0]), *rows[1:]]))
+            lobes.append((titled("Lobes", g.stage), [tuple(head.replace("bending", "mode") for head in rows[0]), *rows[1:]]))
     parts = (
         ("Margins", "Over all crossings, where not of the rigid body.", margins),
         ("Error budgets", "Contribution of each part to gain or phase at the crossing that sets the margin.", budgets),

@@ -109,12 +109,12 @@ class Scene:
         azimuth = math.radians(self._place.site.azimuth_deg)
         forward = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
         share = np.linspace(0.0, 1.0, 21)
-        points = self._size * (-0.62 * forward + (share[:, None] - 0.5) * np.array([0.0, 0.0, 0.7]))
+        points = self._size * (-0.5 * forward + (share[:, None] - 0.5) * np.array([0.0, 0.0, 0.7]))
         colours = load_colours(0.5 * (share[1:] + share[:-1])) | np.uint32(255)
         strips = rr.LineStrips3D(np.stack([points[:-1], points[1:]], axis=1), colors=colours, radii=0.012 * self._size)
         self._log("vehicle/legend", strips)
-        largest = f"{self._largest_moment_Nm / 1e3:.3g} kN m: largest value so far"
-        labels = ["bending moment: 0", "50 %", largest if sections.limit_Nm is None else "100 % of the limit"]
+        largest = f"maximum {self._largest_moment_Nm / 1e3:.3g} kN m"
+        labels = ["0", "50 %", largest if sections.limit_Nm is None else "limit"]
         marks = rr.Points3D(points[::10], labels=labels, show_labels=True, radii=0.0, colors=rgba(WHITE))
         self._log("vehicle/legend/shares", marks)
 
