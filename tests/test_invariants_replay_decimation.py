@@ -64,7 +64,7 @@ def test_an_oscillation_keeps_its_amplitude(hertz: float) -> None:
 
 
 def test_a_viewer_that_merges_a_number_of_samples_gets_them_at_an_even_rate() -> None:
-    """Rerun drew thrust over weight at 0.8 for minutes after burnout: two samples followed, which it merged into one."""
+    """Rerun drew thrust over weight at 0.8 after burnout: it merged the two samples that followed."""
     times = np.arange(20_000) * MS
     values = np.where(times < 5_000 * MS, 4.0 - times / (5_000 * MS), 0.0)
     assert np.diff(times[extremes(times, values, 20 * MS)]).max() == 14_999 * MS

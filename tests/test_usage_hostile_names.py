@@ -140,11 +140,12 @@ def only_shows(page: str, *names: str, acts: tuple[str, ...] = ()) -> None:
     assert "alert(1)" not in page
 
 
+_HEARD = {"html": "lang", "th": "scope", "img": "alt"} | dict.fromkeys(("nav", "input", "select", "svg"), "aria-label")
+_FIRST = {"table": "caption", "details": "summary"}  # elements that must come first inside others
+
+
 class Heard(HTMLParser):
     """A page as a screen reader announces it: elements without a name, a caption or a scope are faults."""
-
-    NAMES = {"html": "lang", "th": "scope", "img": "alt"} | dict.fromkeys(("nav", "input", "select", "svg"), "aria-label")
-    FIRST = {"table": "caption", "details": "summary"}  # what must be the first element inside
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -156,13 +157,13 @@ class Heard(HTMLParser):
         self.faults += ["a head without text"] * self.heads.count("")
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given, name = dict(attrs), self.NAMES.get(tag)
+        given, name = dict(attrs), _HEARD.get(tag)
         if name and not given.get(name) and "label" not in self.open:
             self.faults.append(f"{tag} without {name}")
         if tag == "svg" and given.get("role") != "img":
             self.faults.append("svg without a role")
-        if tag != self.FIRST.get(self.last, tag):
-            self.faults.append(f"{self.last} without {self.FIRST[self.last]}")
+        if tag != _FIRST.get(self.last, tag):
+            self.faults.append(f"{self.last} without {_FIRST[self.last]}")
         if re.fullmatch("h[1-6]", tag):
             self.headings.append(int(tag[1]))
         self.heads += [""] * (tag == "th")

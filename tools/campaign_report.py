@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -33,6 +34,7 @@ from maxq.tools.plots.figures import as_csv
 
 TAIL_NOTE = "quantile: that the required share does not exceed; fit: share of samples that fit worse, 0.05 is poor"
 _DRIVEN = 6  # requirements whose drivers are shown: those nearest to their limits
+_SHOWN = 3  # requirements in the line of progress: the tightest
 _NAMED = 8  # drivers in the summary of each
 
 
@@ -45,7 +47,7 @@ def watcher(bar: terminal.Progress) -> Callable[[CampaignProgress], None]:
         left = f", {duration(progress.left_s)} left" if unfinished else ""
         shares = [(utilisation(t.worst, *t.requirement.bound), t) for t in interim.tallies if t.requirement is not None]
         tightest = sorted(((s, t) for s, t in shares if not math.isnan(s)), key=lambda item: -item[0])
-        notes = [f"{interim.failed} failed", *(f"{t.name} {share_text(s)} used" for s, t in tightest)]
+        notes = [f"{interim.failed} failed", *(f"{t.name} {share_text(s)} used" for s, t in tightest[:_SHOWN])]
         count = f"{progress.done} of {progress.total} runs, {progress.rate:.1f}/s{left}"
         bar.show("flying", progress.done, progress.total, "; ".join(notes), count)
 
@@ -178,7 +180,7 @@ def _tightest(ordered: Sequence[Judged]) -> list[str]:
 
 
 def next_step(data: DataSet, verdicts: Sequence[Judged]) -> str:
-    """Return the next step: fly a missed run again, fly more runs, or read the report."""
+    """Return the next step: fly a missed run again, fly more runs, or read or write the report."""
     runs = len(data.runs)
     missed = [v for v in tightest_first(verdicts) if v.shown.judgement == NOT_MET and v.worst]
     if missed:
@@ -186,7 +188,8 @@ def next_step(data: DataSet, verdicts: Sequence[Judged]) -> str:
     more = max((v.shown.more for v in verdicts), default=0)
     if runs and more:
         return f"next: repeat the command with --runs {runs + more}"
-    return f"next: read {data.folder / 'report.html'}"
+    page = data.folder / "report.html"
+    return f"next: read {page}" if page.exists() else f"next: simrun report {shlex.quote(str(data.folder))}"
 
 
 def how_judged(data: DataSet, verdicts: Sequence[Judged]) -> str:

@@ -59,7 +59,7 @@ class Designed:
             (c.text, "met" if c.passed else "MISSED", f"{c.values[c.worst]:.4g}", f"{c.sense} {c.limit:g} {c.unit}")
             for c in (*self.outcome.found, *self.outcome.coupled_found)
         ]
-        return html_table(repr(self).strip("<>"), ("limit", "", "worst", "wanted"), rows)
+        return html_table(repr(self).strip("<>"), ("requirement", "", "value", "limit"), rows)
 
 
 def designed(case: str | Path, overrides: Sequence[str]) -> Designed:

@@ -170,8 +170,9 @@ def _cells(check: Check) -> tuple[str, str, str, str]:
 def _row(check: Check) -> tuple[str, ...]:
     limit, value, left, at = _cells(check)
     if drawn.is_stability(check):
-        limit, value, left = "none", f"{float(check.values[check.worst]):g}" if not check.passed else "none", ""
-    return check.text, limit, value, left, "" if value == "none" else at, _outcome(check)
+        limit, value, left = "0", f"{float(check.values[check.worst]):g}" if not check.passed else "0", ""
+        at = "" if check.passed else at
+    return check.text, limit, value, left, at, _outcome(check)
 
 
 def _sentence(check: Check) -> str:
@@ -213,7 +214,9 @@ def _tables(groups: Sequence[Group]) -> list[tuple[str, str, Sequence[PageTable]
             if found:
                 budgets.append((titled(f"Budget of the {crossing}, {unit}", g.stage), found))
         if rows := lobes_rows(g.judged):
-            lobes.append((titled("Lobes", g.stage), [tuple(head.replace("bending", "mode") for head in rows[0]), *rows[1:]]))
+            lobes.append(
+                (titled("Lobes", g.stage), [tuple(head.replace("bending", "mode") for head in rows[0]), *rows[1:]])
+            )
     parts = (
         ("Margins", "Over all crossings, where not of the rigid body.", margins),
         ("Error budgets", "Contribution of each part to gain or phase at the crossing that sets the margin.", budgets),

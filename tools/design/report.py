@@ -217,7 +217,7 @@ def uncovered_record(found: Sequence[Uncovered]) -> list[dict[str, Any]]:
 
 def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
     """Return every limit, its worst value and the place."""
-    rows = [("limit", "verdict", "wanted", "worst", "at")]
+    rows = [("requirement", "outcome", "limit", "value", "at")]
     for check in checks:
         k, unit = check.worst, f" {check.unit}" if check.unit else ""
         at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"

@@ -114,7 +114,9 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
             family.add(flight.label, colour, own, flight.log)
         else:
             plotted.append(root)
-            stream.send_styles(recording, root, own, colour, prefix_of(flight, many=many), alpha=1.0 if len(flights) <= FEW else 0.55)
+            stream.send_styles(
+                recording, root, own, colour, prefix_of(flight, many=many), alpha=1.0 if len(flights) <= FEW else 0.55
+            )
             stream.send_curves(recording, root, own, flight.log, interval_ns)
         for plot in (plot for tab in own for plot in tab.plots):
             for name, part_s in parts.items():
@@ -331,7 +333,7 @@ def rows_and_columns(tab: Tab) -> tuple[int, int]:
 def free_corner(
     plot: ReplayPlot, axis: PlotAxis, span_s: tuple[float, float], flights: Sequence[ReplayFlight], rows: int
 ) -> rrb.Corner2D:
-    """Return the corner in which the legend hides the least of the curves. `rows` is the number of plots in a column."""
+    """Return the corner where the legend hides least of the curves. `rows` is the number of plots in a column."""
     names = [prefix_of(f, many=len(flights) > 1) + c.label for f in flights for c in plot.curves]
     names += [f"limit: {text}" for text in {limit.text for limit in axis.drawn}]
     wide = min((40.0 + 7.5 * max(map(len, names))) / _PLOT_PX[0], 0.9)  # shares of the plot

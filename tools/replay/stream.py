@@ -218,7 +218,7 @@ def send_now(recording: rr.RecordingStream, flights: Sequence[tuple[str, Channel
             return [""] * len(at)
         values = factor * channels[name][last_before(ns, at)]
         shown = np.isfinite(values) & (at <= ns[-1] + step)
-        return [f"{round(v, digits) + 0.0:.{digits}f}" if ok else "" for v, ok in zip(values.tolist(), shown, strict=True)]
+        return [f"{v:z.{digits}f}" if ok else "" for v, ok in zip(values.tolist(), shown, strict=True)]
 
     head = "| | " + " | ".join(label or "value" for label, _ in flights) + " |\n|---|" + "--:|" * len(flights)
     table = [(what, [cells(*how, channels) for _, channels in flights]) for what, how in rows]
