@@ -21,6 +21,7 @@ from maxq.design.verify.verify import Verification
 from maxq.sim.campaign import analysis
 from maxq.sim.campaign.read import channel_units
 from maxq.sim.campaign.store import campaign_in
+from maxq.sim.run.quantities import propellant_text
 from maxq.tools.campaign_report import labels_of, nearest_limits, tails_of
 from maxq.tools.design.figures import bode_panels, diamond, filter_plot, lobe_colours, nichols_panel, open_loop
 from maxq.tools.plots import campaign as campaign_plots
@@ -70,7 +71,8 @@ def _vehicle(found: Verification) -> Plot:
         bodies.append(side_view.revolved(*stage.profile.T, fill="page", opacity=1.0))
         for k, t in enumerate(stage.tanks):
             surface = t.bottom_station_m - float(t.level[1][0])
-            for top, said, full in ((t.top_station_m, "", False), (surface, f"{t.name} at liftoff", True)):
+            name = f"{propellant_text(t.name)} at liftoff"
+            for top, said, full in ((t.top_station_m, "", False), (surface, name, True)):
                 bodies.append(side_view.tank([top, t.bottom_station_m], t.radius_m, said, COLOURS[k % 4], full=full))
     lowest = vehicle.stages[0]
     marks = [("gyro", lowest.gyro_station_m, "green")] if lowest.gyro_station_m is not None else []

@@ -253,7 +253,7 @@ def _headings(part: Sequence[JudgedRequirement]) -> list[str]:
 
 def report(found: Verification, title: str) -> list[str]:
     """Return every requirement, one per row, below the name of its part and plane."""
-    rows: list[tuple[str, ...]] = [("requirement", "verdict", "wanted", "found", "room", "where")]
+    rows: list[tuple[str, ...]] = [("requirement", "outcome", "limit", "value", "margin to limit", "at")]
     headed = [(_headings(list(group)), part) for part, group in groupby(found.requirements, lambda r: r.part)]
     every = zip(found.requirements, (f"{part}{h}" for own, part in headed for h in own), strict=True)
     for heading, group in groupby(every, lambda pair: pair[1]):
