@@ -104,7 +104,7 @@ class LoadedScenario:
 
         The description would be incorrect without them.
         """
-        about, told = self.scenario.description.rstrip(), [*overrides]
+        about, told = self.scenario.description.rstrip(), [text for text in overrides if not text.startswith("name=")]
         if not about or not told or any(text.startswith("description=") for text in told):
             return self
         short = (text if len(text) <= _TOLD else f"{text[:_TOLD]}..." for text in told)

@@ -245,7 +245,8 @@ def lobes_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "
     for k, name in enumerate(labels):
         found = [(j.time_s, lobe) for j in judged for lobe in j.lobes if lobe.label == name]
         style = curve(k)
-        place.plot([t for t, _ in found], [lobe.peak_db for _, lobe in found], **style, label=name.replace("bending", "mode"))
+        shown = name.replace("bending", "mode")
+        place.plot([t for t, _ in found], [lobe.peak_db for _, lobe in found], **style, label=shown)
         for how in ("phase", "gain"):
             some = [(t, lobe.peak_db) for t, lobe in found if lobe.stabilised == how]
             face = style["color"] if how == "phase" else "white"
