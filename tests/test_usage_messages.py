@@ -104,7 +104,7 @@ def test_a_description_tells_what_was_changed() -> None:
     assert described(wind).endswith(f", no wind; changed: {wind}")
     assert described(wind, "description=in wind") == "in wind"
     assert described(wind, "name=windy") == described(wind)
-    long = described(f"vehicle.name={'x' * 200}")
+    long = described(f"design.description={'x' * 200}")
     assert long.endswith("...")
     assert len(long) < 200
 
