@@ -88,15 +88,12 @@ class Computer:
     roll. The switches are 1 or 0. With `control_on` = 0 the law returns 0, and injected commands still pass. With
     `guidance_on` = 0 the programme is stopped, and with `roll_on` = 0 no thruster fires.
 
-    `external`: 1 where external flight code is called. If `held_time_s` is above 0, the code receives this time, s, at
-    all samples. `first_stage`: number of the first stage flown, or of the stage of a frozen-point flight.
+    `external`: 1 where external flight code is called.
     """
 
     sample_ns: int
     delay_ns: int
     external: int
-    held_time_s: float
-    first_stage: int
     control_on: int
     guidance_on: int
     roll_on: int
@@ -212,8 +209,6 @@ def build_computer(
         sample_ns=sample_ns,
         delay_ns=delay_ns,
         external=int(external),
-        held_time_s=0.0,
-        first_stage=0,
         control_on=int(control_on),
         guidance_on=int(guidance_on),
         roll_on=int(roll_on and (external or roll is not None)),
@@ -401,8 +396,6 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
     """Pass the sample to the external flight code, which writes `state.external.outputs`."""
     inputs, converter, guidance, attitude = state.external.inputs, state.converter, state.guidance, state.attitude
     inputs.tick, inputs.time_s = state.ticks, time_s
-    if computer.held_time_s > 0.0:
-        inputs.time_s = computer.held_time_s
     inputs.time_ns = round(1.0e9 * inputs.time_s)
     inputs.health = 1 if state.invalid_inputs == state.external.invalid_before else 0
     state.external.invalid_before = state.invalid_inputs

@@ -162,7 +162,7 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         for component in range(4):
             orbit.start_q_BI[component] = memory.truth.start_q_BI[component]
     clock.samples += 1
-    memory.computer.external.inputs.stage = clock.stage + p.computer.first_stage
+    memory.computer.external.inputs.stage = clock.stage
     computer_tick(
         p.computer,
         pool,

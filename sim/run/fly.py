@@ -43,6 +43,7 @@ from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
 
 if TYPE_CHECKING:
     from maxq.sim.run.flight_software import FlightSoftware
+    from maxq.sim.run.held_code import CodeWindows
 
 _SEGMENT_NS = 1_000_000_000  # one log chunk
 _UNSEEN_NS = 60_000_000_000  # a tenth of a second's work
@@ -76,11 +77,17 @@ class FlightRun:
 
     The constructor loads the compiled kernels, or compiles them (about half a minute, once). `segment_ns`: length of a
     segment, a multiple of the step. The default is 1 s, less if that is many steps or log rows, and more if it is few.
-    It is 4 s for a flight in another process, which must be woken for each segment.
+    It is 4 s for a flight in another process, which must be woken for each segment. `held` is required of a held flight
+    with external flight code (held_code.py).
     """
 
     def __init__(
-        self, loaded: LoadedScenario, packed: Packed | None = None, log: bool = True, segment_ns: int | None = None
+        self,
+        loaded: LoadedScenario,
+        packed: Packed | None = None,
+        log: bool = True,
+        segment_ns: int | None = None,
+        held: CodeWindows | None = None,
     ) -> None:
         self.loaded = loaded
         self.packed = packed or pack_flight(loaded.scenario)
@@ -112,7 +119,7 @@ class FlightRun:
         if external:
             from maxq.sim.run.flight_software import FlightSoftware  # noqa: PLC0415  # lazy: few flights have any
 
-            self._software = FlightSoftware(loaded)
+            self._software = FlightSoftware(loaded, held)
             self._own = self._arrays(self._logged, self._rows)
             self._hold(self._software.start(self._own))
 
