@@ -44,7 +44,9 @@ class Superposition:
 
 
 @entry
-def superpose(tape: Records, row: int, heard: Records, place: int, share: float, states: Records, outs: Records) -> None:
+def superpose(
+    tape: Records, row: int, heard: Records, place: int, share: float, states: Records, outs: Records
+) -> None:
     """Write the inputs of a row of a flight's tape plus the deviations in a held flight, `heard[place]`, to `outs[0]`.
 
     `tape`, `heard` and `outs` are of FswInputs, and `states` has one Superposition.

@@ -14,14 +14,23 @@ oscillation within the rounding of the gyro's converter (`FLOOR_COUNTS`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.certificate import measured_margins
 from maxq.design.certificate.excitation import LineBand, burst_rad, excitation_level, gimbal_injection
-from maxq.design.certificate.held_flight import HeldFlight, PackedChange, hold, linear_limits, unchanged
+from maxq.design.certificate.held_flight import (
+    CodeDiffers,
+    CodeLost,
+    HeldFlight,
+    PackedChange,
+    hold,
+    linear_limits,
+    unchanged,
+)
+from maxq.design.certificate.in_flight import LINES_HZ, WINDOW_S
 from maxq.design.certificate.measured_margins import MARGIN_NAMES, UNBOUNDED, UNITS, MarginName, MeasuredMargin
 from maxq.design.certificate.response import BANDS, measure
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
@@ -44,6 +53,7 @@ MOST_FLIGHTS = measured_margins.MOST_FLIGHTS + 4  # between two trials
 FLOOR_COUNTS = 2.0  # of the gyro's converter: rounding alone occasionally sustains such an oscillation
 _PROBE = 0.15  # of the level at which the loop would be excited if it had no feedback
 _ACROSS = 0.3  # of a limit: a larger oscillation has grown
+_IN_FLIGHT = LineBand(np.array(LINES_HZ), 10.0 * WINDOW_S, 40.0, 1)
 _TOLERANCE = {"dB": 0.02, "s": 1e-4}
 
 
@@ -70,6 +80,10 @@ class MeasuredNode:
     L at lines (Hz) has a standard error relative to L. The margins are measured in flight, and their `linear` is NaN.
     The limit cycles give the outcome of a burst at each slosh frequency. All are empty if the unaltered loop is
     unstable.
+
+    `clock_s` is the range of the code's clock in the held flight (sim/run/held_code.py), and `in_flight` is L at
+    `in_flight.LINES_HZ`. `ended` is the reason if the code's own flight ends before. `differs` is the message of a
+    failed replay check. Both are "" otherwise.
     """
 
     time_s: float
@@ -80,6 +94,10 @@ class MeasuredNode:
     error: Array
     margins: tuple[MeasuredMargin, ...]
     cycles: tuple[measured_margins.LimitCycle, ...]
+    clock_s: tuple[float, float] = (math.nan, math.nan)
+    in_flight: ComplexArray = field(default_factory=lambda: np.zeros(0, np.complex128))
+    ended: str = ""
+    differs: str = ""
 
     def margin(self, what: MarginName) -> float:
         """Return a margin in its unit.
@@ -118,17 +136,34 @@ def measure_node(
 
     Raises ValueError if the point cannot be held (held_flight.py).
     """
-    held = hold(loaded, node, fault)
+    empty = np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)
+    nothing = MeasuredNode(node.time_s, node.plane, False, *empty, (), ())
+    try:
+        held = hold(loaded, node, fault)
+        return _measured(held, bands, names)
+    except CodeLost as error:
+        return replace(nothing, ended=str(error))
+    except CodeDiffers as error:
+        return replace(nothing, differs=str(error))
+
+
+def _measured(held: HeldFlight, bands: tuple[LineBand, ...], names: tuple[MarginName, ...]) -> MeasuredNode:
+    node, clock_s = held.node, (math.nan, math.nan)
+    if held.tape is not None:
+        clock_s = held.windows(held.tape, held.packed).span_s
     path = fixed_path(held.node, "sampled")
     floor = _trial(held, path, unchanged)
     if floor.grows:
-        return MeasuredNode(node.time_s, node.plane, False, *measured_loop(held, path, ()), (), ())
+        return MeasuredNode(node.time_s, node.plane, False, *measured_loop(held, path, ()), (), (), clock_s)
     lines, response, error = measured_loop(held, path, bands)
     loop = _Loop(path, lines, response)
     margins = tuple(broken(held, loop, name, floor.level_deg) for name in names)
     slosh = [r.frequency_hz for r in path.resonances() if r.kind == "slosh"]
     cycles = tuple(measured_margins.limit_cycle(held, hz) for hz in slosh)
-    return MeasuredNode(node.time_s, node.plane, True, lines, response, error, margins, cycles)
+    in_flight = np.zeros(0, np.complex128)
+    if bands:
+        in_flight = measure(held, _IN_FLIGHT, excitation_level(held, loop, _IN_FLIGHT), in_flight).response
+    return MeasuredNode(node.time_s, node.plane, True, lines, response, error, margins, cycles, clock_s, in_flight)
 
 
 def measured_loop(held: HeldFlight, path: FixedPath, bands: tuple[LineBand, ...]) -> tuple[Array, ComplexArray, Array]:

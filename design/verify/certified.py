@@ -15,7 +15,11 @@ _MEASURED = "measured only"
 
 
 def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> list[JudgedRequirement]:
-    """Judge flight code without a linear model: stability when held, and margins by the limits of a linear loop."""
+    """Judge flight code without a linear model.
+
+    It must give the same commands for the same inputs, be stable when held, and have the margins of a linear loop's
+    limits.
+    """
     if not nodes:
         return []
 
@@ -26,9 +30,13 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> 
         judgement, at = (REJECTED, where(bad[0])) if bad else (ACCEPTED, "")
         return JudgedRequirement(_MEASURED, name, wanted, found, judgement, math.nan, at)
 
+    unlike = [n for n in nodes if n.differs]
+    said = unlike[0].differs if unlike else f"{len(nodes)} of {len(nodes)} nodes"
+    out = [judged("same commands for same inputs", "in flight and held flight, to the last bit", said, unlike)]
     shaky = [n for n in nodes if not n.stable]
     said = f"{len(nodes) - len(shaky)} of {len(nodes)} nodes"
-    out = [judged("stable in held flight", "at every node", said, shaky)]
+    said += next((f": {n.ended}" for n in shaky if n.ended), "")
+    out.append(judged("stable in held flight", "at every node", said, shaky))
     quantities: dict[str, tuple[float, Callable[[MeasuredNode], float]]] = {
         "gain_up_db": (1.0, lambda n: n.margin("gain_up")),
         "gain_down_db": (1.0, lambda n: n.margin("gain_down")),

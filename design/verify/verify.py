@@ -293,6 +293,7 @@ def _verify(
         worst = job.worst()
     with timed("certificate"):
         (certificates, through), measured, gaps = job.certificates(), job.measured(), job.uncovered()
+        through += job.in_flight_of_code(measured)
     campaigns = []
     with timed("campaigns"):
         for k, asked in enumerate(suite.campaign):
@@ -397,8 +398,8 @@ def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequen
         parts[f"campaign {n}, {loaded.name}"] = [description_of(loaded), told(loaded.file)]
     out = {name: content_hash(content) for name, content in parts.items()} | {"code": code_hash()}
     computers = filter(None, (vehicle.computer_of(n) for n in range(len(vehicle.stage))))
-    files = [file for computer in computers for file in (computer.library, computer.python) if file is not None]
-    return out | {f"{UNDER_TEST}: {file.title}": file.sha256 for file in files}
+    files = [file for computer in computers for file in (computer.library, computer.python, computer.sources) if file]
+    return out | {f"{UNDER_TEST}: {file.hashed}": file.sha256 for file in files}
 
 
 def part_alone(loaded: LoadedSuite, part: str, design: str, vehicle: str | None, kept: PartsOnDisk) -> LoadedSuite:

@@ -9,7 +9,6 @@ guarded.
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import logging
 import os
 import signal
@@ -24,6 +23,7 @@ from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.guard import MEMORY, STARTING, Arrays, Worker, advance_to, instance_for, time_limit_s, worker_for
 from maxq.sim.run.held_code import CodeWindows
 from maxq.sim.run.instances import Inputs, Instance, Outputs, Setup, Unusable
+from maxq.sim.scenario.flight_code import code_hash
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
@@ -61,11 +61,11 @@ def checked(loaded: LoadedScenario) -> ComputerSection:
     if code is not None:
         where = f"{KEY}.{computer.code_keys[0]}"
         try:
-            content = Path(code.file).read_bytes()
+            sha256, _ = code_hash(Path(code.file))
         except OSError as error:
             problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
             raise ScenarioError(loaded.label, problem, where, value=code.title) from None
-        if hashlib.sha256(content).hexdigest() != code.sha256:
+        if sha256 != code.sha256:
             allowed = f"that with sha256 {code.sha256[:16]}, or --set {where}=FILE for what is there now"
             raise ScenarioError(
                 loaded.label, "is not the flight code that was flown", where, value=code.title, allowed=allowed

@@ -21,7 +21,7 @@ from maxq.sim.input.values import (
     Triple,
     optional,
 )
-from maxq.sim.scenario.flight_code import Address, LibraryFile, PythonClass, Settings
+from maxq.sim.scenario.flight_code import Address, LibraryFile, PythonClass, Settings, SourceFiles
 from maxq.sim.vehicle.actuator.section import ActuatorSection
 from maxq.sim.vehicle.air.section import AeroSection
 from maxq.sim.vehicle.body.section import Mass, Reference
@@ -63,6 +63,7 @@ class ComputerSection(Section):
     library: LibraryFile | None = optional("flight code: shared library (C ABI of maxq_fsw.h)")
     python: PythonClass | None = optional("flight code: Python class, file.py:Class")
     address: Address | None = optional("flight code: computer behind a socket, tcp://127.0.0.1:PORT or udp://...")
+    sources: SourceFiles | None = optional("sources of the library, a folder or file: hashed, not run")
     settings: Settings = optional("text passed to the flight code at its start", "")
     timeout_s: Positive = optional("time limit of the flight code for one sample, s", 2.0)
     guard: bool = optional("run the flight code in its own process; off: a crash ends maxq, for debuggers", True)
@@ -75,6 +76,7 @@ class ComputerSection(Section):
     def _check(self) -> None:
         self.only_with(_CODE, self.law == "external", "law = 'external'")
         self.at_most_one(*_CODE)
+        self.only_with(("sources",), self.library is not None, "library")
         if self.law == "external" and not self.code_keys:
             raise refuse("names no flight code", f"external with one of {', '.join(_CODE)}", ("law",))
         if self.delay_s > self.sample_s:

@@ -412,6 +412,8 @@ def measured_record(n: MeasuredNode) -> dict[str, Any]:
         "time_s": n.time_s,
         "plane": n.plane,
         "stable": n.stable,
+        "clock_s": list(n.clock_s),
+        "differs": n.differs,
         "margins": [vars(m) for m in n.margins],
         "phase_deg": n.phase_deg if n.stable else math.nan,
         "slosh": [vars(c) for c in n.cycles],
