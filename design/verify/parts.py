@@ -258,8 +258,8 @@ class Parts:
         def one(loaded: LoadedScenario, node: Node) -> NodeCertificate:
             held = hold(loaded, node)
             law, computer = law_at(design, node), repr(loaded.vehicle.computer)
-            depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law, computer)
-            depends += (loaded.as_flown,) if held.tape is not None else ()
+            flown = "" if held.tape is None else loaded.as_flown
+            depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law, computer, flown)
             return memory.recall("node", depends, lambda: certify_node(loaded, node), node_name(node))
 
         one_told = counted(one, partial(self.watch, "certificate"), len(times_s) * len(planes))

@@ -42,7 +42,7 @@ from maxq.control.kernel.records import Array, Records, blank, dtype_of
 from maxq.sim.run.instances import Instance, Outputs, Setup, StepFunction, described, module_of, started
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
-WINDOW_S, SHORTEST_S, SHORTER = 8.0, 2.0, 0.3
+WINDOW_S, SHORTEST_S, SHORTER = 5.0, 2.0, 0.3
 LISTENED_S, LEAST_LISTENED_S, GRADUAL_S = 6.0, 1.5, 2.0
 UNEXPLAINED_SHARE = 0.05
 DIFFERS = "gives other commands for the same inputs"

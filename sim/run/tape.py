@@ -30,8 +30,9 @@ def record(loaded: LoadedScenario) -> Tape:
         clock = run.packed.memory["clock"]
         if clock["stage_burnout_ns"][0, stages - 1] >= 0 or clock["event_ns"][0, CONTROL_LOST] >= 0:
             break
-        stage = int(clock["stage"][0])
-        run.fly_segment(to_ns(loaded.vehicle.computer_of(stage).sample_s))
+        flown = loaded.vehicle.computer_of(int(clock["stage"][0]))
+        assert flown is not None
+        run.fly_segment(to_ns(flown.sample_s))
         state = run.packed.memory["computer"]["external"]
         if int(state["calls"][0]) > calls and int(state["fault"][0]) == 0:
             calls = int(state["calls"][0])

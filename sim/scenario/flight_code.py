@@ -111,7 +111,8 @@ class CodeFile(Section):
     @property
     def hashed(self) -> str:
         """Return the title with what the hash covers."""
-        return f"{self.title} ({len(self.files)} files: {', '.join(self.files)})" if self.files else self.title
+        count = f"{len(self.files)} file{'s' * (len(self.files) != 1)}"
+        return f"{self.title} ({count}: {', '.join(self.files)})" if self.files else self.title
 
 
 def _loopback(text: str) -> str:

@@ -122,6 +122,8 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
     if suite.certificate is not None:
         nodes = len(found.certificates)
         asked["certificate"] = f"linear loop and flight agree at {nodes} node{'s' * (nodes != 1)}"
+        if found.measured:
+            asked["certificate"] = "flight code responds in the ascent as in held flight"
     asked["measured only"] = f"margins of flight code, measured at {len(found.measured)} nodes"
     asked["campaign"] = "; ".join(
         f"{c.runs} flights, {100.0 * c.success:g} % with {100.0 * c.confidence:g} % confidence" for c in found.campaigns
