@@ -71,6 +71,7 @@ class NodeCertificate:
 
     `stable` is True if the loop at the flown instant is stable. `cycle` describes how a held loop ends in flight if it
     is unstable by more than a drift. `total_gain_db` gives the range of the adaptive total gain, downwards and upwards.
+
     `differs` is the message of external flight code that fails the replay check, or "".
     """
 

@@ -37,6 +37,7 @@ from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray
+from maxq.sim.run.fly import SOFTWARE_NAME
 from maxq.sim.scenario.loader import LoadedScenario
 
 _TRIALS_DB = (1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 28.0)
@@ -81,9 +82,10 @@ class MeasuredNode:
     The limit cycles give the outcome of a burst at each slosh frequency. All are empty if the unaltered loop is
     unstable.
 
-    `clock_s` is the range of the code's clock in the held flight (sim/run/held_code.py), and `in_flight` is L at
-    `in_flight.LINES_HZ`. `ended` is the reason if the code's own flight ends before. `differs` is the message of a
-    failed replay check. Both are "" otherwise.
+    - `clock_s`: range of the code's clock in the held flight (sim/run/held_code.py).
+    - `in_flight`: L at `in_flight.LINES_HZ`.
+    - `ended`: the reason if the code's own flight ends before or the code ends the held flight, or "".
+    - `differs`: the message of a failed replay check, or "".
     """
 
     time_s: float
@@ -154,7 +156,8 @@ def _measured(held: HeldFlight, bands: tuple[LineBand, ...], names: tuple[Margin
     path = fixed_path(held.node, "sampled")
     floor = _trial(held, path, unchanged)
     if floor.grows:
-        return MeasuredNode(node.time_s, node.plane, False, *measured_loop(held, path, ()), (), (), clock_s)
+        empty = measured_loop(held, path, ())
+        return MeasuredNode(node.time_s, node.plane, False, *empty, (), (), clock_s, ended=floor.cause)
     lines, response, error = measured_loop(held, path, bands)
     loop = _Loop(path, lines, response)
     margins = tuple(broken(held, loop, name, floor.level_deg) for name in names)
@@ -189,6 +192,7 @@ class _Trial:
     grows: bool
     frequency_hz: float
     level_deg: float  # amplitude at the end
+    cause: str = ""  # for which the flight code has ended the flight
 
 
 def _trial(held: HeldFlight, path: FixedPath, change: PackedChange, floor_deg: float = 0.0) -> _Trial:
@@ -202,7 +206,8 @@ def _trial(held: HeldFlight, path: FixedPath, change: PackedChange, floor_deg: f
     samples = rows[:, run.table.index(f"filtered_{held.plane}_deg")]
     quarter = round(0.25 * WATCHED_S / held.sample_s)
     if len(samples) < 4 * quarter:
-        return _Trial(True, _strongest(samples[-quarter:], held.sample_s), math.inf)
+        cause = next((event.detail for event in run.events if event.name == SOFTWARE_NAME), "")
+        return _Trial(True, _strongest(samples[-quarter:], held.sample_s), math.inf, cause)
     parts = (_without_trend(samples[k * quarter : (k + 1) * quarter]) for k in (1, 3))
     second, last = (math.sqrt(2.0 * float(np.mean(part**2))) for part in parts)  # of sines of equal power
     frequency_hz = _strongest(samples[3 * quarter :], held.sample_s)

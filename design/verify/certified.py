@@ -32,7 +32,7 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> 
 
     unlike = [n for n in nodes if n.differs]
     said = unlike[0].differs if unlike else f"{len(nodes)} of {len(nodes)} nodes"
-    out = [judged("same commands for same inputs", "in flight and held flight, to the last bit", said, unlike)]
+    out = [judged("replay of inputs", "same commands", said, unlike)]
     shaky = [n for n in nodes if not n.stable]
     said = f"{len(nodes) - len(shaky)} of {len(nodes)} nodes"
     said += next((f": {n.ended}" for n in shaky if n.ended), "")

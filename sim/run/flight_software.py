@@ -21,7 +21,7 @@ from typing import Any
 from maxq.control.external import ABI, BAD_THRUSTER, CRASHED, NOT_FINITE, STUCK
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.guard import MEMORY, STARTING, Arrays, Worker, advance_to, instance_for, time_limit_s, worker_for
-from maxq.sim.run.held_code import CodeWindows
+from maxq.sim.run.held_code import CodeWindows, load_kernels
 from maxq.sim.run.instances import Inputs, Instance, Outputs, Setup, Unusable
 from maxq.sim.scenario.flight_code import code_hash
 from maxq.sim.scenario.loader import LoadedScenario
@@ -95,6 +95,8 @@ class FlightSoftware:
 
     def __init__(self, loaded: LoadedScenario, held: CodeWindows | None = None) -> None:
         self._held = held
+        if held is not None:
+            load_kernels()
         self._label, self._computer = loaded.label, checked(loaded)
         self._guarded = guards(loaded)
         self._worker: Worker | None = None

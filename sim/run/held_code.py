@@ -2,9 +2,8 @@
 
 A held flight (design/certificate/held_flight.py) stays at one operating point for minutes. Its clock, mass, speed and
 attitude would show the code that it is being tested. Therefore the code receives the inputs that it had in a flight
-through the operating point, plus the deviations of the held flight (control/held_inputs.py), and the held vehicle
-receives the code's commands less those of that flight. Nothing is added where nothing deviates, and then the code
-receives the inputs of its flight, bit for bit.
+through the operating point, plus the deviations of the held flight (control/held_inputs.py). The held vehicle receives
+the code's commands minus those of that flight. Without deviations, the inputs are those of the flight, bit for bit.
 
 Time cannot stay at an operating point for minutes. The held flight is therefore flown in windows of at most
 `WINDOW_S` about the time of the operating point. In each window a fresh instance of the code flies:
@@ -31,6 +30,7 @@ import sys
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +75,9 @@ def commands_of(outputs: Records) -> Array:
 class CodeWindows:
     """The windows of a held flight: rows of the tape of the code's flight, about that of the operating point, `row`.
 
-    `first` and `last` are the rows of the stage. `rounded` is True if the held flight has the pulses of the tape's
-    flight. `method` and `limit_rad` are those of the attitude error.
+    - `first`, `last`: rows of the stage.
+    - `rounded`: True if the held flight has the pulses of the tape's flight.
+    - `method`, `limit_rad`: those of the attitude error.
     """
 
     tape: Tape
@@ -259,6 +260,13 @@ class HeldCode(Instance):
 
     def unload(self) -> bool:
         return self._instance is not None and self._instance.unload()
+
+
+@lru_cache(maxsize=1)
+def load_kernels() -> None:
+    """Load or compile `superpose`, which would otherwise count as time of the flight code."""
+    tape, outs = blank(FswInputs), blank(FswInputs)
+    superpose(tape, 0, blank(FswInputs), 0, 1.0, blank(Superposition), outs)
 
 
 def command_offset(before: Array, after: Array) -> float:

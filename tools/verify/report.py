@@ -415,6 +415,7 @@ def measured_record(n: MeasuredNode) -> dict[str, Any]:
         "plane": n.plane,
         "stable": n.stable,
         "clock_s": list(n.clock_s),
+        "ended": n.ended,
         "differs": n.differs,
         "margins": [vars(m) for m in n.margins],
         "phase_deg": n.phase_deg if n.stable else math.nan,
