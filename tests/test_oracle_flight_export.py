@@ -109,6 +109,16 @@ structure = "sections"
 first_order = [{zero_hz=20.0, pole_hz=5.0}]
 discretization = "matched"
 """
+DRIFT = """
+schema = 2
+name = "drift with an integral"
+law = "pid-drift"
+[gains]
+table = [
+    {time_s=5.0, k_p=1.1, k_d_s=0.47, k_i_ps=0.1, k_zd_radspm=0.001, k_z_radpm=1e-4},
+    {time_s=50.0, k_p=0.7, k_d_s=0.37, k_i_ps=0.2, k_zd_radspm=0.002, k_z_radpm=2e-4},
+]
+"""
 LOOPS = """
 [loop_filters.rate]
 structure = "F2"
@@ -162,8 +172,12 @@ def test_the_c_sources_give_the_commands_of_the_flown_law(tmp_path: Path, name: 
 
 @needs_compiler
 @pytest.mark.slow  # four flights
-@pytest.mark.parametrize("law", [RELIEF, INCIDENCE], ids=["acceleration", "incidence"])
-def test_load_relief_and_blended_gyros_give_the_same_bits(tmp_path: Path, law: str) -> None:
+@pytest.mark.parametrize(
+    ("law", "share"),
+    [(RELIEF, "relief_pitch_deg"), (INCIDENCE, "relief_pitch_deg"), (DRIFT, "drift_share_pitch_deg")],
+    ids=["acceleration", "incidence", "drift"],
+)
+def test_laws_with_an_accelerometer_and_blended_gyros_give_the_same_bits(tmp_path: Path, law: str, share: str) -> None:
     design = tmp_path / "d.toml"
     design.write_text(law)
     library = built(tmp_path, str(design), "--scenario", "load-relief")
@@ -171,7 +185,7 @@ def test_load_relief_and_blended_gyros_give_the_same_bits(tmp_path: Path, law: s
     built_in = fly(load_scenario("load-relief", changes))
     own = fly(load_scenario("load-relief", [*changes, *flies(library=library)]))
     assert_same_commands(own, built_in)
-    assert np.abs(built_in["relief_pitch_deg"]).max() > 0.05
+    assert np.abs(built_in[share]).max() > 0.05
 
 
 def _unquantised(folder: Path) -> str:

@@ -6,9 +6,9 @@ own flight (`quantities.violation`: within 5e-4 dB or deg). Stages that disagree
 the last design, from its values. If limits must hold between the operating points, they are judged there at the
 instants of `simdesign analyse`. An instant that misses a limit becomes an operating point of the next round.
 
-The search applies the limits to the loop of one plane. `simdesign analyse` judges each axis with the loops of the
-others closed by the same limits, which reduces the margins slightly. If a stage misses limits for this reason, the
-limits of the next round's search are raised by the missing amount. The design states the limits of the case. If no
+The search applies the limits to the loop of one plane. The command `simdesign analyse` judges each axis with the loops
+of the others closed by the same limits, which reduces the margins slightly. If a stage misses limits for this reason,
+the limits of the next round's search are raised by the missing amount. The design states the limits of the case. If no
 design meets the raised limits, the last one remains. The roll loop is judged too, but the search does not affect it.
 Nor does the search affect slow roots of a vehicle whose roll rate no linear loop controls. Stability with all axes is
 therefore left to `simdesign analyse`.
@@ -24,7 +24,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from maxq.design.case.schema import LoadedCase
-from maxq.design.model.node import Node
+from maxq.design.model.node import Node, flown_point
 from maxq.design.model.powered import loss_text, powered_flight
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.over_time import gains_at_nodes, instants_beside, with_nodes
@@ -325,7 +325,7 @@ def _worst_between(loaded: LoadedCase, solution: Solution, design: Design) -> li
     nodes = [*solution.nodes, *nodes_of(loaded, instants_beside(points_s))]
     found = stage_checks(judge(nodes, design, case.loop), design, case.basis("", points_s), case.loop)
     worst_s = worst_times_s(found).difference(points_s)
-    return [node for node in nodes if node.time_s in worst_s]
+    return [flown_point(node) for node in nodes if node.time_s in worst_s]
 
 
 def _uncovered(judged: _Judged, loaded: LoadedCase) -> tuple[Uncovered, ...]:

@@ -26,7 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.laws.law import MEASUREMENTS
+from maxq.design.laws.law import DRIFTS, MEASUREMENTS
+from maxq.design.laws.navigated import navigated
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop, law_at
 from maxq.design.margins.crossings import growing_count
@@ -151,6 +152,9 @@ def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Arr
     and the search measures the loop at its end points.
     """
     deviations, law, node = deviations_of(campaign, node), law_at(design, node), with_drives_apart(node)
+    if any(name in DRIFTS for name in law.inputs):
+        node = node.held_still()
+        law = navigated(law, node.axial_load_mps2, node.instruments.sample_s)
     plant, ideal = node.plant, bool(node.actuator.ideal)
     inputs = tuple(x for x in plant.inputs if not ideal or x.startswith("delta_rad"))
     columns = [plant.inputs.index(x) for x in inputs]

@@ -16,6 +16,7 @@ import numpy as np
 from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.records import Array, IntArray, Records, blank, pack
 from maxq.control.orbit_guidance import CUT_OFF, STEERING
+from maxq.control.structures import DRIFT
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import advance, begin
 from maxq.sim.flight.metric_table import METRIC_NAMES, MetricIndex, StepMetrics, WaveMetrics
@@ -38,6 +39,7 @@ from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, 
 from maxq.sim.run.metrics import end_metrics, judge, orbit_metrics, section_extremes, section_metrics, step_failure
 from maxq.sim.run.quantities import propellant_text
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
 
@@ -89,7 +91,15 @@ class FlightRun:
         waves = int(_logs_waves(loaded.scenario, self.packed.sizes))
         engines = len(engine_names(loaded.scenario))
         external = int(self.packed.parameters[0].computer.external)
-        widths = self.packed.sizes, stations, waves, engines, external, int(_adapts(loaded.scenario))
+        widths = (
+            self.packed.sizes,
+            stations,
+            waves,
+            engines,
+            external,
+            int(_adapts(loaded.scenario)),
+            int(_drifts(loaded.scenario)),
+        )
         self._on, self._off = (_logged(on, *widths) for on in (1, 0))
         self._arena = blank(Arena)
         timeline = self.packed.parameters[0].timeline
@@ -414,15 +424,28 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
         external,
         senses,
         _adapts(scenario),
+        _drifts(scenario),
     )
+
+
+def _flown_design(scenario: Scenario) -> Design | None:
+    """Return the design that the computer flies, or None without one."""
+    computer = scenario.vehicle.computer
+    return None if computer is None or computer.law == "external" else scenario.design
 
 
 def _adapts(scenario: Scenario) -> bool:
     """Return True if any stage flies adaptive augmenting control."""
-    design, computer = scenario.design, scenario.vehicle.computer
-    if design is None or computer is None or computer.law == "external":
+    design = _flown_design(scenario)
+    if design is None:
         return False
     return design.adaptive is not None or any(own.adaptive is not None for own in design.stage)
+
+
+def _drifts(scenario: Scenario) -> bool:
+    """Return True if the law feeds back the drift."""
+    design = _flown_design(scenario)
+    return design is not None and design.law in DRIFT
 
 
 def engine_names(scenario: Scenario) -> tuple[str, ...]:

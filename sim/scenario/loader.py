@@ -186,6 +186,11 @@ def load_file(
     return _validated(model, tree, reading), tree, file, label, files
 
 
+def read_design(name: str | Path) -> Design:
+    """Read the design in a file, or the built-in one, without a vehicle to fly it. Raises ScenarioError."""
+    return load_file(Design, "design", name, ())[0]
+
+
 def _validated(model: type[Model], tree: TomlTable, reading: Reading) -> Model:
     _refuse_huge_numbers(tree)
     try:

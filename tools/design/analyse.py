@@ -226,10 +226,10 @@ def dispersed_checks(
     """
     if basis.robust is None or not flies_as_measured(order.kind, order.errata, order.plant):
         return None, []
-    at = [j.node for j in judged if j.time_s in points_s]
-    beside = [j.node for j in judged if j.time_s not in points_s]
+    at = [j.flown for j in judged if j.time_s in points_s]
+    beside = [j.flown for j in judged if j.time_s not in points_s]
     show = partial(progress.show, "searching dispersed vehicles")
-    campaign = acting_at(campaign_of(basis.robust, scenario), basis.robust, judged[0].node)
+    campaign = acting_at(campaign_of(basis.robust, scenario), basis.robust, judged[0].flown)
     worst = worst_of_basis(at, beside, design, basis.robust, campaign, show)
     limits = basis.model_copy(update={"limits": basis.robust.limits})
     found = stage_checks(judge(worst.nodes, design, order.kind), design, limits, order.kind)

@@ -191,7 +191,7 @@ def _plots(shown: DesignPage) -> list[Plot]:
         *drawn.limits_over_flight(checks),
         drawn.explorer(judged, names, wanted, planes),
         drawn.gains_plot(shown.design, GAIN_HEADS),
-        drawn.filter_plot(shown.vehicle, shown.design, [j.node for _, j in mine]),
+        drawn.filter_plot(shown.vehicle, shown.design, [j.flown for _, j in mine]),
     ]
 
 

@@ -49,7 +49,10 @@ GAIN_HEADS = {
     "k_alpha": "k_alpha",
     "percussion_m": "percussion, m",
     "accel_per_incidence_mps2": "per angle of attack, m/s2",
+    "k_zd_radspm": "k_zd, rad s/m",
+    "k_z_radpm": "k_z, rad/m",
 }
+DRIFT_GAINS = ("k_zd_radspm", "k_z_radpm")  # orders of magnitude below the others
 MET, MISSED = "met", "MISSED"
 KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
 _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
@@ -73,6 +76,7 @@ class AnalysisOrder:
     out: str | None = None
     page: bool = True
     plots: bool = False  # pictures of every operating point, too
+    points: str | None = None  # file of published derivatives instead of a scenario
 
 
 @dataclass(frozen=True)
@@ -104,7 +108,8 @@ def analysis_report(
 
     `judged_by` is `judged_by_text`. `loss` is that of the design's flight.
     """
-    where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {KINDS[order.kind]}"
+    way = "at" if order.points is not None else "along"
+    where = f"{way} {order.scenario}, {order.axis}; loop opened at the gimbal command; {KINDS[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
         where += f"; errata: {order.errata}; plant: {order.plant}"
     parts: list[Sequence[str]] = [
@@ -151,9 +156,10 @@ def case_report(outcome: DesignOutcome, solution: Solution) -> str:
     """Return the report of `simdesign CASE`."""
     loaded, case = outcome.loaded, outcome.loaded.case
     design = outcome.design.of_stage(outcome.judged[0].node.stage)
+    where = f"along {case.scenario}" if case.points is None else f"at the points of {case.points}"
     head = [
         printable(f"{loaded.name}: {case.description}" if case.description else loaded.name),
-        f"{case.filter.structure}, {case.gains.schedule} gains; along {case.scenario}, {case.plane}; "
+        f"{case.filter.structure}, {case.gains.schedule} gains; {where}, {case.plane}; "
         f"{KINDS[case.loop]}; errata: {case.errata}; plant: {case.plant}",
     ]
     off, flown = outcome.dispersed_found, outcome.flown_found
@@ -161,7 +167,7 @@ def case_report(outcome: DesignOutcome, solution: Solution) -> str:
         head,
         limits_table([*outcome.found, *outcome.coupled_found]),
         limits_table(off, f"limits of {len(off[0].values)} dispersed plants") if off else [],
-        limits_table(flown, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
+        limits_table(flown, "the same design as it flies (sampled)") if outcome.flies_otherwise else [],
         way_out_table(solution),
         design_table(design),
         search_table(solution),
@@ -374,7 +380,8 @@ def design_table(design: Design) -> list[str]:
     names = (design.gains.over, *design.gain_names)
     rows = [tuple(GAIN_HEADS[name] for name in names)]
     for at, *gains in zip(*(design.gains.table[name] for name in names), strict=True):
-        rows.append((f"{at:g}", *(f"{gain:.4f}" for gain in gains)))
+        named = zip(names[1:], gains, strict=True)
+        rows.append((f"{at:g}", *(f"{g:.3g}" if name in DRIFT_GAINS else f"{g:.4f}" for name, g in named)))
     sections = [("section", "zero Hz", "zeta", "pole Hz", "zeta")]
     for q in design.filter.quadratic:
         cells = (f"{q.zero_hz:.3f}", f"{q.zero_zeta:.4f}", f"{q.pole_hz:.3f}", f"{q.pole_zeta:.4f}")
@@ -419,7 +426,7 @@ def wind_table(outcome: DesignOutcome) -> list[str]:
         text, unit = one.about.label, one.about.unit
         cells = [_worst(values, times, unit) if values is not None else ("-", "") for values in (one.rms, one.before)]
         rows.append((text.removesuffix(", rms"), *cells[0], *cells[1]))
-    before = outcome.loaded.scenario.design
+    before = None if outcome.loaded.base is None else outcome.loaded.base.design
     named = f" (before: {before.name or 'design'}, the scenario's own design)" if before is not None else ""
     return [printable(f"in the case's wind{named}"), *aligned(rows, "  ", right=(1, 2, 3, 4))]
 

@@ -300,7 +300,7 @@ def _draw(
 ) -> list[Path]:
     from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: Matplotlib, with --plots only
 
-    loaded, nodes = outcome.loaded, [j.node for j in outcome.judged]
+    loaded, nodes = outcome.loaded, [j.flown for j in outcome.judged]
     stage = _number(outcome)
     tanks = loaded.scenario.vehicle.stage[stage].pendulum_names
     sheets = [

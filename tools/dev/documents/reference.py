@@ -94,7 +94,9 @@ def topics(scenario: str) -> str:
     assert stage.loads is not None
     first = f"station 1 at {stage.loads.stations_m[0]:g} m"
     return topics_markdown(
-        channel_table(sizes, stage.pendulum_names, (first,), external=True, accelerometer=True, adaptive=True)
+        channel_table(
+            sizes, stage.pendulum_names, (first,), external=True, accelerometer=True, adaptive=True, drift=True
+        )
     )
 
 
