@@ -37,7 +37,7 @@ _CAMPAIGN = {
     Exit.UNDECIDED: "undecided: more runs are needed",
 }
 _RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
-_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "flight-software")
+_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points", "flight-software")
 _FORMER = ("--copy", "--schema", "--upgrade", "--from")
 
 

@@ -227,9 +227,10 @@ def locate(name: str, role: str) -> tuple[Path, str]:
         return known[stem], shown(known[stem])
     hint = _below(Path(f"{stem}.toml")) or suggestion(stem, known)
     as_a_file = not name.isidentifier() or hint  # a bare word may denote a built-in file
-    missing = "no such file" if as_a_file else f"neither a file nor a built-in {role}"
+    called = "file of derivatives" if role == "points" else role
+    missing = "no such file" if as_a_file else f"neither a file nor a built-in {called}"
     problem = {"folder": "is a folder", "other": "is not an ordinary file"}.get(there, missing)
-    listed = "" if hint else f", or a built-in {role} ({_LISTED_BY[role]} --list names them)"
+    listed = "" if hint else f", or a built-in {called} ({_LISTED_BY[role]} --list names them)"
     raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=WANTED[role] + listed)
 
 
