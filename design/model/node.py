@@ -360,10 +360,11 @@ def met_by(node: Node, met: Node) -> Node:
 def surface_radii_m(stage: Stage, clock_s: float) -> tuple[float, ...]:
     """Return the radius of the surface at rest in the tank of each pendulum, or NaN if the file does not state it."""
     out: list[float] = []
-    for tank in stage.tank:
+    for body, _, tank in stage.tanks:
         radius = math.nan if tank.radius_m is None else tank.radius_m
         if tank.shape is not None and tank.density_kgpm3 is not None:
-            mass = np.interp(clock_s, tank.table["time_s"], tank.table["liquid_mass_kg"])
+            since_s = clock_s - (stage.booster[body - 1].ignition_s if body > 0 else 0.0)
+            mass = np.interp(since_s, tank.table["time_s"], tank.table["liquid_mass_kg"])
             depth = tank.profile.depth(np.array(mass / (tank.density_kgpm3 * radius**3)))
             radius *= float(tank.profile.surface_radius(depth))
         out += [radius] * tank.pendulums

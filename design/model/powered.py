@@ -137,8 +137,11 @@ def node_times(
 
 
 def full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
-    """Return the first and last instant on the vehicle clock at which the thrust by the tables is half the largest."""
-    tables = [engine.table for engine in stage.engines]
+    """Return the first and last instant on the vehicle clock at which the thrust by the tables is half the largest.
+
+    Boosters do not count, because they have burned out before they leave.
+    """
+    tables = [engine.table for engine in stage.own_engines or stage.engines]
     if any(len(table) == 1 for table in tables):
         return -math.inf, math.inf
     times = np.unique(np.concatenate([table["time_s"] for table in tables]))

@@ -50,6 +50,7 @@ _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # limits of a segment: tens of millise
 _FEW = 1_000  # steps and rows: a segment with fewer may be longer
 
 IGNITION_NAME, FAULT_NAME, FAULT_END_NAME = "ignition", "fault", "fault_end"
+BOOSTER_NAMES = ("booster_ignition", "booster_burnout")
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
 SOFTWARE_NAME = "flight_software"  # external flight code has ended the flight
@@ -171,7 +172,9 @@ class FlightRun:
         found = []
         for index in range(clock.stage + 1):
             number = index + 1 if len(timelines) > 1 else 0
-            ignition_ns, goes_on = int(timelines["burn_start_ns"][index]), timelines["continues"][index] == 1
+            ignition_ns, goes_on = int(timelines["burn_start_ns"][index]), timelines["continues"][index] > 0
+            if goes_on and ignition_ns > timelines["separation_ns"][index - 1]:
+                goes_on = False  # the core ignites after its boosters have left
             if start_ns <= ignition_ns <= clock.now_ns and ignition_ns < NEVER and not goes_on:
                 found.append(Event(IGNITION_NAME, ignition_ns, number))
             for name, times_ns in zip(_OF_STAGES, (clock.stage_burnout_ns, clock.stage_separation_ns), strict=True):
@@ -181,11 +184,23 @@ class FlightRun:
             if time_ns >= 0 and name not in _OF_STAGES:
                 causes = {DIVERGED_NAME: CAUSES[clock.cause], CONTROL_LOST_NAME: CONTROL_LOST_CAUSE}
                 found.append(Event(name, int(time_ns), detail=causes.get(name, "")))
+        found += self._boosters(clock, start_ns)
         found += self._faults(clock, start_ns)
         found += self._broken_waves(clock)
         if self._software is not None and (said := self._software.complaint(self.memory.computer.external)):
             found.append(Event(SOFTWARE_NAME, clock.now_ns, detail=said))
         return tuple(sorted(found, key=lambda event: event.time_ns))
+
+    def _boosters(self, clock: Clock, start_ns: int) -> Iterator[Event]:
+        """Yield ignition and burnout of the boosters so far, as long as they are attached."""
+        several = len(self.packed.parameters) > 1
+        for name, stage, *instants in self.packed.boosters:
+            begins_ns = int(clock.stage_separation_ns[stage - 1]) if stage > 0 else start_ns
+            ends_ns = int(clock.stage_separation_ns[stage])
+            until_ns = clock.now_ns if ends_ns < 0 else min(ends_ns, clock.now_ns)
+            for kind, time_ns in zip(BOOSTER_NAMES, instants, strict=True):
+                if stage <= clock.stage and begins_ns <= time_ns <= until_ns:
+                    yield Event(kind, time_ns, (stage + 1) * several, name)
 
     def _broken_waves(self, clock: Clock) -> list[Event]:
         """Return the first time at which a wave breaks in each tank, for the stages so far."""
