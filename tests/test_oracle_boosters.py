@@ -40,6 +40,7 @@ from maxq import ScenarioError
 from maxq.control.kernel.records import Array
 from maxq.design import operating_points
 from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import load_scenario_text
 from maxq.sim.vehicle import state as layout
 
 
@@ -368,6 +369,11 @@ def test_wrong_boosters_are_refused_in_a_line(change: Tree, said: str) -> None:
         load(tree)
 
 
+def test_a_vehicle_with_boosters_reads_back_to_the_bit() -> None:
+    loaded = load(launcher(core({"separation_after_burnout_s": 1.0}, PAIR), core(AFTER, [])))
+    assert load_scenario_text(loaded.as_flown).scenario == loaded.scenario
+
+
 def test_boosters_of_a_stage_that_continues_are_those_before() -> None:
     swapped = launcher(core({"separation_s": 20.0}, PAIR), core(AFTER, PAIR[1:]))
     with pytest.raises(ScenarioError, match=r'stage\.1\.booster = "right": boosters that stay are the first'):
@@ -418,3 +424,47 @@ def test_linear_model_is_the_difference_of_two_flights(stage: int, instant_s: fl
     flights = [fly(load(alone | {"injection": injected})) for injected in ([], [step])]
     rates = [f["w_BI_B_y_radps"] for f in flights]
     assert rates[1][-1] - rates[0][-1] == pytest.approx(found.y[1, -1], rel=1e-3)
+
+
+def test_a_booster_that_fails_keeps_its_propellant() -> None:
+    """The left engine is off from 5 s on: 350 kg stay, the thrust is one-sided, and the other's burnout counts.
+
+    The yaw acceleration is the moment about the CG of both bodies over the inertia by sums of points.
+    """
+    off = {"kind": "engine-off", "stage": 0, "engine": 1, "at_s": 5.0}
+    tree = launcher(
+        core({"separation_after_burnout_s": 1.0}, PAIR), core(AFTER, []), run={"duration_s": 14.0}, fault=[off]
+    )
+    flight = fly(load(tree))
+    t, mass = flight.time_s("mass_kg"), flight["mass_kg"]
+    assert [(e.name, e.time_s, e.detail) for e in flight.events if e.name == "booster_burnout"] == [
+        ("booster_burnout", 5.0, "left"),
+        ("booster_burnout", 12.0, "right"),
+    ]
+    assert [e.time_s for e in flight.events if e.name == "separation"] == [13.0]
+    at = [int(np.argmin(np.abs(t - time))) for time in (12.9, 13.5)]
+    assert mass[at] == pytest.approx([4000.0 - 40.0 * 12.9 + 750.0 + 400.0, 4000.0 - 40.0 * 13.5], rel=1e-9)
+    k = int(np.argmin(np.abs(t - 5.05)))
+    bodies = [(4000.0 - 40.0 * t[k], np.array([-6.0, 0.0, 0.0]), 3e4)]
+    bodies += [(750.0, np.array([-8.0, -1.2, 0.0]), 900.0), (1000.0 - 50.0 * t[k], np.array([-8.0, 1.2, 0.0]), 900.0)]
+    total = sum(m for m, *_ in bodies)
+    cg = sum(m * r for m, r, _ in bodies) / total
+    about_z = sum(j + m * ((r - cg) @ (r - cg)) for m, r, j in bodies)
+    moment = -(110e3 * (0.0 - cg[1]) + 120e3 * (1.2 - cg[1]))
+    rate = flight["w_BI_B_z_radps"]
+    grows = (rate[k + 1] - rate[k - 1]) / (t[k + 1] - t[k - 1])
+    assert grows == pytest.approx(moment / about_z, rel=2e-2)  # jet damping and the change over 0.1 s are below
+
+
+def test_burn_rate_and_late_separation_of_boosters() -> None:
+    """A burn rate of 1.2 expels the same mass in 10 s; a separation 5 s later leaves the core its rest."""
+    pair = copy.deepcopy(PAIR)
+    for booster in pair:
+        booster["engine"]["mass_flow_factor"] = 1.2
+    tree = launcher(core({"separation_after_burnout_s": 5.0}, pair), core(AFTER, []), run={"duration_s": 20.0})
+    flight = fly(load(tree))
+    t, mass, thrust = flight.time_s("mass_kg"), flight["mass_kg"], flight["thrust_N"]
+    assert [e.time_s for e in flight.events if e.name in ("booster_burnout", "separation")] == [10.0, 10.0, 15.0]
+    for at, kg, newton in ((5.0, 5200.0, 398e3), (12.0, 4320.0, 110e3), (16.0, 3360.0, 110e3)):
+        k = int(np.argmin(np.abs(t - at)))
+        assert (mass[k], thrust[k]) == pytest.approx((kg, newton), rel=1e-9)

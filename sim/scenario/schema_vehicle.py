@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, Tag, model_validator
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES, MAX_SURFACES
 from maxq.control.structures import Attitude
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.values import TABLE_FORM, NotNegative, Period, Positive, Seconds, Section, Triple, optional
@@ -325,6 +325,11 @@ class Stage(Section):
             raise refuse(
                 "section loads of a stage with boosters are not modelled", "a stage without", "loads", value={}
             )
+        lifting = sum(b.aero is not None and "CN_alpha_pr" in b.aero.table for b in self.booster)
+        own = len(self.aero.surface) + len(self.aero.coefficients) if self.aero is not None else 0
+        if lifting and own + lifting > MAX_SURFACES:
+            problem = f"{own + lifting} surfaces and tables with the boosters"
+            raise refuse(problem, f"{MAX_SURFACES} in all", "booster", value=len(self.booster))
         for n, booster in enumerate(self.booster):
             if booster.aero is not None and self.aero is None:
                 raise refuse("the stage has no aerodynamics", "[stage.aero]", ("booster", n, "aero"), value={})

@@ -251,7 +251,8 @@ class Scene:
         set_time(self._rec, begin_ns)
         if self._stage >= 0:
             self._rec.log(f"{hull}/stage{self._stage + 1}", rr.Clear(recursive=True))
-            self._stage_start_ns = begin_ns
+            if not shape.stages[number].keeps_clock:
+                self._stage_start_ns = begin_ns
         self._stage = number
         for entity, item in vehicle_meshes(shape, number, self._loaded):
             self._rec.log(f"{hull}/stage{number + 1}/{entity}", item, static=len(shape.stages) == 1)

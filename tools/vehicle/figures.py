@@ -81,7 +81,7 @@ def _of_stacks(built: Built, value: Callable[[int, float], float]) -> list[Serie
     """Return a quantity of each stack over flight time."""
     out = list[Series]()
     for n, stack in enumerate(built.stacks):
-        t = np.linspace(0.0, stack.burn.end_s, 61)
+        t = np.linspace(stack.begins_s, stack.end_s, 61)
         out.append(line(built.flight.begins_s[n] + t, [value(n, float(x)) for x in t], stack.name, **look(n)))
     return out
 
@@ -92,7 +92,7 @@ def _masses(built: Built) -> Plot:
     cg = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).x_cg_m)
     inertia = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).pitch_kgm2 / 1e3)
     for n, stack in enumerate(stacks):
-        times_s = np.array([0.0, stack.burn.end_s])
+        times_s = np.array([stack.begins_s, stack.end_s])
         roll = [stack.mass_properties(t).roll_kgm2 / 1e3 for t in times_s]
         inertia.append(line(built.flight.begins_s[n] + times_s, roll, "roll" * (n == 0), colour="grey", dash="2 2"))
     panels = [
