@@ -12,7 +12,7 @@ from maxq.control.kernel.tables import table_in
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule as columns
-from maxq.tools.vehicle.beam import ELEMENTS, Beam, Carried
+from maxq.tools.vehicle.beam import ELEMENTS, Beam, RigidLoad
 from maxq.tools.vehicle.build import Built, build
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout
@@ -34,7 +34,7 @@ def test_modes_of_a_beam_with_boosters_are_free_and_orthogonal(attachments: tupl
     """Each mode has neither momentum nor angular momentum, boosters included; energies give its frequency."""
     length, stiffness = 12.0, 3e7
     beam = Beam(np.linspace(0.0, length, ELEMENTS + 1), np.full(ELEMENTS, stiffness))
-    booster = Carried(attachments, [Rod(90.0, 4.0, 11.0, 0.0, 0.0)])
+    booster = RigidLoad(attachments, [Rod(90.0, 4.0, 11.0, 0.0, 0.0)])
     modes = beam.modes([Rod(480.0, 0.0, length, 0.0, 0.0)], 3, [booster, booster])
     x, y = beam.nodes_m, np.linspace(4.0, 11.0, 2001)
     fine = np.linspace(0.0, length, 24001)

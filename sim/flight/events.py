@@ -363,8 +363,8 @@ def transfer_state(
 def keep_parts(old: Counts, new: Counts, turned: vec.Vector, whole: Array, y: Array) -> None:
     """Write the states of the parts that remain when boosters leave: they are the first of each kind.
 
-    The modes of the remaining configuration are at rest until their motion is handed on. `turned`: rotation of the axes
-    B (rad), in which the bobs keep their inertial direction and rate.
+    The modes of the remaining configuration are at rest until their motion is handed on. The axes B turn by `turned`,
+    rad. The bobs keep their inertial direction and rate.
     """
     for i in range(states.N_FIXED, states.state_size(new)):
         y[i] = 0.0

@@ -143,7 +143,7 @@ class Stage(Section):
         "rate gyros in addition to the first; the same number in all stages", (), max_length=MAX_SENSORS - 1
     )
     accelerometer: Accelerometer | None = optional("absent: none; all stages have one, or none")
-    booster: tuple[Booster, ...] = optional("bodies beside the core; those that stay longest come first", ())
+    booster: tuple[Booster, ...] = optional("bodies next to the core; those that stay longest come first", ())
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
     loads: LoadsSection | None = optional("absent: no section loads")
 
@@ -202,8 +202,9 @@ class Stage(Section):
         return tuple(own)
 
     def mass_over_time(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return times of the stage clock (n,), and rows (n, 10) of the whole vehicle's mass, CG station, y and z, and
-        inertia integrals Ixx, Iyy, Izz, Ixy, Ixz, Iyz, linear between the rows of the nominal tables.
+        """Return times of the stage clock (n,), and rows (n, 10) of the whole vehicle as `Mass.rows`.
+
+        They are linear between the rows of the nominal tables.
         """
         own = self.mass.rows(self.ignition_s)
         if not self.booster:

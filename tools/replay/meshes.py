@@ -220,6 +220,13 @@ def _fins(stage: StageShape, a: float, b: float) -> list[Mesh]:
     ]
 
 
+def booster_mesh(booster: BoosterShape) -> rr.Mesh3D:
+    """Return a whole booster, in coordinates whose origin is the nose of the vehicle."""
+    skin = _booster(booster, 0.0, math.inf)
+    assert skin is not None
+    return mesh3d(skin, _BOOSTER)
+
+
 def _booster(booster: BoosterShape, a: float, b: float) -> Mesh | None:
     """Return the skin of a booster between two stations."""
     stations, radii = booster.profile.T

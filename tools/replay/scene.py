@@ -19,10 +19,11 @@ import rerun as rr
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.log.messages import FramePath
 from maxq.sim.run.launch_frames import LaunchFrames
+from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.plots.palette import BLUE, ORANGE, RED, SKY, WHITE, rgba
 from maxq.tools.replay.decimate import KeptRows, changed, every, last_before
 from maxq.tools.replay.flight import Channels, Moment, ShownLaunchSite, path_of
-from maxq.tools.replay.meshes import liquid_vertices, load_colours, mesh3d, plate, vehicle_meshes
+from maxq.tools.replay.meshes import booster_mesh, liquid_vertices, load_colours, mesh3d, plate, vehicle_meshes
 from maxq.tools.replay.stream import matrices, set_time, times
 from maxq.tools.replay.vehicle_shape import (
     PLANES,
@@ -42,6 +43,7 @@ FAR_NS = 100_000_000
 _BEND_STEP_M, _LEVEL_STEP_M, _ANGLE_STEP_DEG = 2e-4, 1e-3, 2e-3  # smaller changes are not sent
 _LOAD_STEP = 0.02  # of the limit
 _STEEPEST = math.tan(math.radians(60.0))
+_FALL_NS, _DRIFT_mps = 6_000_000_000, 2.0  # of a booster that has left, as it is shown
 _MARKS_APART = 0.04  # of the extent of a trajectory, so that names on it are legible
 _NO_SHAPE_M = 10.0  # length of an unknown vehicle
 _GRID, _PAD, _BLOCK, _COMPASS = [74, 88, 106, 150], [96, 112, 132, 255], [110, 100, 88, 255], [150, 160, 175, 255]
@@ -216,6 +218,7 @@ class Scene:
             rows = np.flatnonzero(numbers == number)
             begin_ns, end_ns = int(ns[rows[0]]), int(ns[rows[-1]])
             if number != self._stage:
+                self._drop(self._shape, number, begin_ns, channels)
                 self._change_stage(self._shape, number, begin_ns)
             cg = channels["cg_station_m"][rows]
             k = changed(cg[:, None], _LEVEL_STEP_M)
@@ -245,6 +248,27 @@ class Scene:
             some = changed(shares[:, i : i + 1], _LOAD_STEP)
             columns = rr.Mesh3D.columns(albedo_factor=colours[some, i])
             self._send(f"vehicle/body/hull/stage{self._stage + 1}/piece_{i:02}/skin", ns[k][some], columns)
+
+    def _drop(self, shape: VehicleShape, number: int, begin_ns: int, channels: Channels) -> None:
+        """Send the boosters that leave: without thrust and drag they fall behind the core, and drift outwards."""
+        if self._stage < 0 or not shape.stages[number].keeps_clock:
+            return
+        staying = [booster.name for booster in shape.stages[number].boosters]
+        ns = begin_ns + np.arange(0, _FALL_NS + 1, MOTION_NS)
+        t = (ns - begin_ns)[:, None] / 1e9
+        load_mps2 = STANDARD_GRAVITY_mps2 * float(_at(channels, "axial_load_g", ns[:1])[0])
+        for booster in shape.stages[self._stage].boosters:
+            if booster.name in staying:
+                continue
+            outward = np.array([0.0, *booster.position_m]) / max(math.hypot(*booster.position_m), 1e-9)
+            moved = -0.5 * load_mps2 * t**2 * np.array([1.0, 0.0, 0.0]) + _DRIFT_mps * t * outward
+            entity = f"vehicle/body/hull/left/{booster.name}"
+            set_time(self._rec, begin_ns)
+            self._rec.log(f"{self._root}/{entity}", booster_mesh(booster))
+            self._send(entity, ns, rr.Transform3D.columns(translation=moved))
+            set_time(self._rec, begin_ns + _FALL_NS)
+            self._rec.log(f"{self._root}/{entity}", rr.Clear(recursive=True))
+        self._rec.reset_time()
 
     def _change_stage(self, shape: VehicleShape, number: int, begin_ns: int) -> None:
         hull = f"{self._root}/vehicle/body/hull"

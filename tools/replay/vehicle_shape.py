@@ -96,6 +96,7 @@ class LoadStations:
 class BoosterShape:
     """A booster: station and radius from the front to the end (n, 2), and the position of its axis, y and z."""
 
+    name: str
     profile: Array
     position_m: tuple[float, float]
 
@@ -188,7 +189,9 @@ def _booster(booster: Booster, body_radius: float) -> BoosterShape:
     ends = [e.gimbal_station_m for e in booster.own_engines]
     front, end = station_m - half, max([station_m + half, *ends])
     nose = front + min(2.0 * radius, 0.4 * (end - front))
-    return BoosterShape(np.array([[front, 0.0], [nose, radius], [end, radius], [end, 0.0]]), booster.position_m)
+    return BoosterShape(
+        booster.name, np.array([[front, 0.0], [nose, radius], [end, radius], [end, 0.0]]), booster.position_m
+    )
 
 
 def _sections(loads: LoadsSection | None) -> LoadStations | None:

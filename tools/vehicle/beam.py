@@ -34,7 +34,7 @@ class BeamMode:
 
 
 @dataclass(frozen=True)
-class Carried:
+class RigidLoad:
     """The masses of a rigid booster, which one station of the beam clamps, or two hold."""
 
     attachments_m: tuple[float, ...]
@@ -60,7 +60,7 @@ class Beam:
         return Beam(nodes, stiffness)
 
     def modes(
-        self, rods: Sequence[Rod], count: int, carried: Sequence[Carried] = (), *, clamped: bool = False
+        self, rods: Sequence[Rod], count: int, carried: Sequence[RigidLoad] = (), *, clamped: bool = False
     ) -> list[BeamMode]:
         """Return the first `count` bending modes with these masses on the beam, and the rigid boosters that it carries.
 
@@ -117,7 +117,7 @@ class Beam:
             m[span, span] += density_kgpm[e] * m_unit
         return k, m
 
-    def mass_forward_kg(self, rods: Sequence[Rod], carried: Sequence[Carried] = ()) -> Array:
+    def mass_forward_kg(self, rods: Sequence[Rod], carried: Sequence[RigidLoad] = ()) -> Array:
         """Return the mass ahead of each node. Times the axial acceleration, it is the compression there.
 
         A booster hangs on its first attachment.
@@ -128,7 +128,7 @@ class Beam:
             forward += sum(rod.mass_kg for rod in each.rods) * (self.nodes_m >= each.attachments_m[0])
         return forward
 
-    def _mass_of(self, carried: Carried) -> Array:
+    def _mass_of(self, carried: RigidLoad) -> Array:
         """Return the mass matrix of a rigid body whose axis moves as its attachments do."""
         first, last = carried.attachments_m[0], carried.attachments_m[-1]
         moved, turned = self._field(first)

@@ -16,7 +16,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle.modes.tables import ModeTable
 from maxq.sim.vehicle.slosh.shapes import modes_over
 from maxq.tools.vehicle.aerodynamics import Aerodynamics, aerodynamics
-from maxq.tools.vehicle.beam import Beam, BeamMode, Carried
+from maxq.tools.vehicle.beam import Beam, BeamMode, RigidLoad
 from maxq.tools.vehicle.layout import Layout, LayoutTank
 from maxq.tools.vehicle.masses import Rod, Stack, engine_inertia, stacks
 from maxq.tools.vehicle.trajectory import Ascent, TrajectoryPoint, ascent
@@ -146,14 +146,14 @@ def beam_load(stack: Stack, t: float) -> list[Rod]:
     return rods
 
 
-def beam_boosters(stack: Stack, t: float) -> list[Carried]:
+def beam_boosters(stack: Stack, t: float) -> list[RigidLoad]:
     """Return the boosters that the beam carries, without their sloshing masses."""
     out = []
     for s in stack.boosters:
         rods = s.rods(t)
         for k, tank in enumerate(s.booster.tank, start=len(s.dry)):
             rods[k] = replace(rods[k], mass_kg=rods[k].mass_kg - slosh_kg(tank, rods[k].mass_kg))
-        out += [Carried(s.booster.attachments_m, rods)] * len(s.booster.positions_m)
+        out += [RigidLoad(s.booster.attachments_m, rods)] * len(s.booster.positions_m)
     return out
 
 

@@ -25,7 +25,7 @@ from maxq.sim.input.values import Section
 from maxq.sim.vehicle.actuator.section import SECTIONS
 from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.aerodynamics import aerodynamics
-from maxq.tools.vehicle.beam import Beam, Carried
+from maxq.tools.vehicle.beam import Beam, RigidLoad
 from maxq.tools.vehicle.build import Built, burning, least_rigid_hz
 from maxq.tools.vehicle.campaign import LIMIT_WIND, campaign_of
 from maxq.tools.vehicle.layout import LayoutTank
@@ -202,7 +202,7 @@ def _mode_table(built: Built, n: int) -> CsvFile:
         times, every = np.append(0.0, times), [every[0], *every]
     for t, modes in zip(times, every, strict=True):
         now = min(max(float(t), stack.begins_s), stack.end_s) if stack.leave_s is not None else float(t)
-        carried = [Carried(s.booster.attachments_m, s.rods(now)) for s in stack.boosters for _ in s.booster.names]
+        carried = [RigidLoad(s.booster.attachments_m, s.rods(now)) for s in stack.boosters for _ in s.booster.names]
         forward = beam.mass_forward_kg([*stack.dry, *stack.liquids(now), *stack.grains(now)], carried)
         for number, mode in enumerate(modes, start=1):
             given = (t, number, mode.frequency_hz, mode.generalized_mass_kg)

@@ -31,6 +31,7 @@ from maxq.tools.vehicle.masses import Stack, without_fairing
 
 STEERING_BLEND_s = 15.0  # from the gravity turn's attitude to that of the tangent law
 _LEAST_SPEED_mps = 1.0
+_LEAST_SHARE = 0.02  # of a burn with the fairing, so that it has operating points
 _STEP_s = 10.0
 _KICK_STEP = 0.0025  # of the scaled pitch-over: 0.25 mrad
 TrajectoryState = tuple[float, float, float, float]  # range m, altitude m, speed m/s, path angle rad
@@ -249,7 +250,8 @@ class _Model:
                     not lowest and fairing is not None and dropped is None and burn.full_s[0] <= a < burn.full_s[1]
                 )
                 if can_drop and y[1] >= jettison_m:
-                    dropped, can_drop = (n, max(a, burn.full_s[0] + 1.0)), False
+                    early_s = max(1.0, _LEAST_SHARE * (burn.full_s[1] - burn.full_s[0]))
+                    dropped, can_drop = (n, max(a, burn.full_s[0] + early_s)), False
                 gone = fairing.mass_kg if fairing is not None and dropped is not None else 0.0
                 found = solve_ivp(
                     partial(self.rate, n, time_s, gone),

@@ -35,7 +35,7 @@ from maxq.sim.vehicle.modes.planar import Modes, add_to_modes, modal_sum, of_pla
 from maxq.sim.vehicle.modes.spatial import apply_spatial_load, outer_spatial_load, spatial_motion
 
 # Columns of the Mach table; CD is the drag along the relative wind at any attitude. From FIRST_SURFACE on, per
-# surface, CN_alpha and CN_alpha times its station. From `Aero.beside` on, CA of the boosters times y and z of their
+# surface, CN_alpha and CN_alpha times its station. From `Aero.off_axis` on, CA of the boosters times y and z of their
 # axes.
 CA, CA_COAST, CD, CMQ, CNR, CLP, CROSSFLOW, CM0, FIRST_SURFACE = range(9)
 
@@ -63,7 +63,7 @@ class Aero:
     station_m: Annotated[Array, (MAX_SURFACES + 1,)]  # station of each surface and table for modes and wind
     place_y_m: Annotated[Array, (MAX_SURFACES + 1,)]  # of each surface from the body axis
     place_z_m: Annotated[Array, (MAX_SURFACES + 1,)]
-    beside: int  # column of the Mach table for axial forces beside the body axis, or -1
+    off_axis: int  # column of the Mach table for axial forces off the body axis, or -1
     reference: TableRef  # station about which moments of tables, and of the slopes of `remainder`, are given
     reference_moves: int  # FIXED, OVER_TIME, OVER_MASS
     remainder: int  # the surface whose moment uses a moving reference, or -1
@@ -145,10 +145,10 @@ def body_loads(
     mx += -cg[1] * fz_cross + cg[2] * fy_cross
     my += -cg[2] * fx
     mz += cg[1] * fx
-    if aero.beside >= 0:
+    if aero.off_axis >= 0:
         push = -half * aero.axial_factor * u * abs(u)
-        my += push * row[aero.beside + 1]
-        mz -= push * row[aero.beside]
+        my += push * row[aero.off_axis + 1]
+        mz -= push * row[aero.off_axis]
     return (fx, fy_cross - drag * v, fz_cross - drag * w), (mx, my, mz)
 
 

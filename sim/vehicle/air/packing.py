@@ -48,7 +48,7 @@ def pack_aero(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Aero:
     reference: Reference = scenario.vehicle.reference
     aero = stage.aero or schema.AeroSection.model_construct()  # its defaults, without a table
     on = stage.aero is not None and scenario.switches.aerodynamics
-    lifting, beside = _boosters(stage)
+    lifting, increments = _boosters(stage)
     moves, table = aero.moment_reference
     mach_table, moving, remainder = NO_TABLE, NO_TABLE, -1
     stations = np.zeros(MAX_SURFACES + 1)
@@ -57,7 +57,7 @@ def pack_aero(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Aero:
     if on:
         fixed_m = 0.0 if moves else aero.moment_reference_m
         mach_table = pool.add(
-            _mach_table(aero.table, aero.surface, aero.interpolation, fixed_m, reference.chord_m, beside)
+            _mach_table(aero.table, aero.surface, aero.interpolation, fixed_m, reference.chord_m, increments)
         )
         joined = fit(table[moves], table["station_m"], stage.interpolation if moves else "linear")
         moving = pool.add(on_clock(joined, burn) if moves == "time_s" else joined)
@@ -88,7 +88,7 @@ def pack_aero(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Aero:
         station_m=stations,
         place_y_m=places[0],
         place_z_m=places[1],
-        beside=FIRST_SURFACE + 2 * (behind + len(lifting)) if beside else -1,
+        off_axis=FIRST_SURFACE + 2 * (behind + len(lifting)) if increments else -1,
         reference=moving,
         reference_moves=_MOVES[moves],
         remainder=remainder,
@@ -176,7 +176,7 @@ def _mach_table(
         axial.append(fit(mach, np.stack([force, y * force, z * force], axis=1), method))
     merged = merge([*parts, *axial])
     c, first = merged.coefficients, sum(part.n_columns for part in parts)
-    added = sum(c[:, :, k : k + 3] for k in range(first, first + 3 * len(axial), 3))
+    added = c[:, :, first:].reshape(*c.shape[:2], len(axial), 3).sum(axis=2)
     out = np.concatenate([c[:, :, :first], added[:, :, 1:]], axis=2)
     out[:, :, CA : CA_COAST + 1] += added[:, :, :1]
     return Cubics(merged.breaks, out)

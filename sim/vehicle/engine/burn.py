@@ -20,7 +20,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from maxq.sim.scenario.schema_fault import Fault
     from maxq.sim.scenario.schema_vehicle import Stage
 
-    Body = Stage | Booster
+    Body: TypeAlias = "Stage | Booster"
 
 BurnNumbers = NDArray[np.float64]
 
@@ -195,8 +195,8 @@ class TableClock:
 class Burn:
     """A stage's burn: its zero on the vehicle clock, and burnout and end on its own clock.
 
-    `clock` is None if the tables' clock is the stage clock times `burn_rate`. `bodies` holds the burn of the core and
-    of each booster, on the clock of the stage; it is empty without boosters.
+    `clock` is None if the tables' clock is the stage clock times `burn_rate`. `bodies` holds the burns of the core and
+    of each booster on the clock of the stage. It is empty without boosters.
     """
 
     start_s: float
@@ -230,8 +230,8 @@ def stage_burns(stages: Sequence[Stage], faults: Sequence[Fault], liftoff_s: flo
     for n, stage in enumerate(stages):
         start_s, end_s = stage_spans(stages[: n + 2], [burn.end_s for burn in out])[n]
         first = n if stage.clock == "own" else first
-        flown_s = {k: (out[k - 1].end_s if k > first else 0.0, out[k].end_s if k < n else math.inf)
-                   for k in range(first, n + 1)}  # fmt: skip  # a table
+        ends_s = [0.0, *(burn.end_s for burn in out[first:n]), math.inf]
+        flown_s = dict(zip(range(first, n + 1), pairwise(ends_s), strict=True))
         own = [(f, (liftoff_s if f.since == "liftoff" else 0.0) - start_s) for f in faults if f.of_engines]
         mine = []
         for f, zero_s in own:
@@ -258,7 +258,8 @@ def stage_burns(stages: Sequence[Stage], faults: Sequence[Fault], liftoff_s: flo
 
 def _body_burns(stage: Stage, faults: tuple[EngineFault, ...]) -> tuple[Burn, ...]:
     """Return the burn of the core and of each booster, on the clock of the stage."""
-    out, first = [], 0
+    out: list[Burn] = []
+    first = 0
     for body in stage.bodies:
         ignition_s = body.ignition_s if out else 0.0  # the tables of the core are over the stage clock
         own = tuple(

@@ -29,8 +29,7 @@ _thrust_axis_motion = from_python(thrust_axis_motion)
 class Alike:
     """Engines that move together and differ only in their lateral position.
 
-    The fields are their numbers in the stage, one of them, its faults, its body (the first one of several alike), and
-    the stations of the core that carry a booster.
+    `body` is the first of several alike. `attachments_m` are the stations of the core that carry a booster.
     """
 
     numbers: tuple[int, ...]
