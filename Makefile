@@ -127,10 +127,12 @@ $(TO_FLY): $(PLACE) pyproject.toml constraints.txt
 	@$(PIP) install --quiet --constraint constraints.txt --no-build-isolation --editable .
 	@touch $@
 
-$(TO_TEST): $(TO_FLY)
-	@echo "Installing what the tests and linters need into $(VENV)."
+# All at once: after an installation to fly, pip would resolve and build a second time.
+$(TO_TEST): $(PLACE) pyproject.toml constraints.txt
+	@echo "Installing maxq and what its tests and linters need into $(VENV)."
+	@$(PIP) install --quiet --constraint constraints.txt setuptools
 	@$(PIP) install --quiet --constraint constraints.txt --no-build-isolation --editable '.[test,lint,docs]'
-	@touch $@
+	@touch $(TO_FLY) $@
 
 # --- benchmarks: the programs compared with live in an environment of their own, since some pin what maxq needs newer
 BENCH := .venv-bench

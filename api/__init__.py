@@ -35,8 +35,11 @@ if TYPE_CHECKING:  # for type checkers and editors; _HOMES provides the same to 
     from maxq.design.loop.multiloop import multiloops
     from maxq.design.margins.measure import Margins, margins
     from maxq.design.margins.multiloop import multiloop_margins
+    from maxq.design.model.given import GivenPoint, point_of_matrices
+    from maxq.design.model.given_file import given_points
     from maxq.design.model.instruments import Plane
     from maxq.design.model.node import Node
+    from maxq.design.model.operating_point import OperatingPoint
     from maxq.design.operating_points import PlantKind, nodes
     from maxq.design.paper.errata import Errata
     from maxq.design.verify.verify import Verification
@@ -60,6 +63,7 @@ __all__ = [
     "Designed",
     "Flight",
     "FlightRun",
+    "GivenPoint",
     "LoadedCampaign",
     "LoadedScenario",
     "Log",
@@ -67,12 +71,14 @@ __all__ = [
     "Loop",
     "Margins",
     "Node",
+    "OperatingPoint",
     "ScenarioError",
     "Verification",
     "bode",
     "builtin_names",
     "campaign",
     "fly",
+    "given_points",
     "load",
     "load_design",
     "loop",
@@ -83,6 +89,7 @@ __all__ = [
     "nodes",
     "optimise",
     "plot",
+    "point_of_matrices",
     "read",
     "record",
     "replay",
@@ -95,7 +102,10 @@ _HOMES = {
     "maxq.design.loop.multiloop": ("multiloops",),
     "maxq.design.margins.measure": ("Margins", "margins"),
     "maxq.design.margins.multiloop": ("multiloop_margins",),
+    "maxq.design.model.given": ("GivenPoint", "point_of_matrices"),
+    "maxq.design.model.given_file": ("given_points",),
     "maxq.design.model.node": ("Node",),
+    "maxq.design.model.operating_point": ("OperatingPoint",),
     "maxq.design.operating_points": ("nodes",),
     "maxq.design.verify.verify": ("Verification",),
     "maxq.sim.campaign.analysis": ("DataSet",),
@@ -254,7 +264,7 @@ def bode(design: str | Path, time_s: float, scenario: str | Path = "nominal", pl
 
 
 def loop(
-    where: Node | LoadedScenario | str | Path,
+    where: OperatingPoint | LoadedScenario | str | Path,
     design: Design | str | Path | None = None,
     time_s: float | None = None,
     *,
@@ -266,26 +276,30 @@ def loop(
 ) -> Loop:
     """Return a design's loop at one operating point.
 
-    `where` is an operating point (`nodes`) with its own time, plane, errata and plant, or a scenario, flown up to
-    `time_s`. `design` is loaded, a file, a built-in name, or None for the scenario's own. The other arguments are those
-    of `nodes` and `loops`. Raises ScenarioError, and ValueError for arguments that are missing or not allowed.
+    `where` is an operating point (`nodes`, `given_points`, `point_of_matrices`) with its own time and plane, or a
+    scenario, flown up to `time_s`. The `design` is loaded, a file, a built-in name, or None for the scenario's own. The
+    other arguments are those of `nodes` and `loops`. Raises ScenarioError, and ValueError for arguments that
+    are missing or not allowed.
     """
     from pathlib import Path
 
     from maxq.design.laws.design_file import load_design
     from maxq.design.loop.loop import loops
-    from maxq.design.model.node import Node
+    from maxq.design.model.given import GivenPoint
+    from maxq.design.model.operating_point import OperatingPoint
     from maxq.design.operating_points import nodes
-    from maxq.sim.scenario.loader import load_scenario
+    from maxq.sim.scenario.loader import load_scenario, read_design
     from maxq.sim.scenario.schema_design import Design
 
-    node, scenario = (where, None) if isinstance(where, Node) else (None, where)
+    node, scenario = (where, None) if isinstance(where, OperatingPoint) else (None, where)
     if isinstance(scenario, str | Path):
         scenario = load_scenario(scenario)
     if design is None:
         design = scenario.design if scenario is not None else None
         if design is None:
             raise ValueError("no design is given, and there is no scenario that has one")
+    elif not isinstance(design, Design) and isinstance(node, GivenPoint):
+        design = read_design(design)
     elif not isinstance(design, Design):
         design = load_design(design, scenario if scenario is not None else "nominal")
     if node is None:

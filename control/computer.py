@@ -42,6 +42,7 @@ from maxq.control.kernel.rows import PitchYaw, QuaternionRow, RollPitchYaw, degr
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
 from maxq.control.laws import load_relief
 from maxq.control.laws.adaptive import Adaptive, AdaptiveState, augmented, start_adaptive
+from maxq.control.laws.drift import DriftState, navigate_drift, start_drift, tick_drift
 from maxq.control.laws.pd import (
     LawInputs,
     LawRow,
@@ -71,6 +72,7 @@ INCREMENT_LIMIT_RAD = 1.0e3
 
 _UNUSED_ROLL = Roll(0.0, 1.0, 0.0, 0)
 _PID, _LOAD_RELIEF, _INCIDENCE_RELIEF = map(LAWS.index, ("pid", "load-relief", "incidence-relief"))
+_DRIFT, _PID_DRIFT = map(LAWS.index, ("drift", "pid-drift"))
 
 
 @dataclass(frozen=True)
@@ -88,15 +90,12 @@ class Computer:
     roll. The switches are 1 or 0. With `control_on` = 0 the law returns 0, and injected commands still pass. With
     `guidance_on` = 0 the programme is stopped, and with `roll_on` = 0 no thruster fires.
 
-    `external`: 1 where external flight code is called. If `held_time_s` is above 0, the code receives this time, s, at
-    all samples. `first_stage`: number of the first stage flown, or of the stage of a frozen-point flight.
+    `external`: 1 where external flight code is called.
     """
 
     sample_ns: int
     delay_ns: int
     external: int
-    held_time_s: float
-    first_stage: int
     control_on: int
     guidance_on: int
     roll_on: int
@@ -149,6 +148,7 @@ class ComputerState:
     external: ExternalState
     sensors: SensorState
     relief: load_relief.LoadReliefState
+    drift: DriftState
     orbit: OrbitGuidanceState
     adaptive: AdaptiveState
     loops: loop_filters.LoopFilterState
@@ -212,8 +212,6 @@ def build_computer(
         sample_ns=sample_ns,
         delay_ns=delay_ns,
         external=int(external),
-        held_time_s=0.0,
-        first_stage=0,
         control_on=int(control_on),
         guidance_on=int(guidance_on),
         roll_on=int(roll_on and (external or roll is not None)),
@@ -261,6 +259,7 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
     start_allocation(state.allocation)
     start_sensors(computer.sensors, state.sensors)
     load_relief.start_load_relief(state.relief)
+    start_drift(state.drift)
     start_orbit_guidance(state.orbit)
     start_adaptive(computer.adaptive, state.adaptive)
     loop_filters.start_loop_filters(state.loops)
@@ -401,8 +400,6 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
     """Pass the sample to the external flight code, which writes `state.external.outputs`."""
     inputs, converter, guidance, attitude = state.external.inputs, state.converter, state.guidance, state.attitude
     inputs.tick, inputs.time_s = state.ticks, time_s
-    if computer.held_time_s > 0.0:
-        inputs.time_s = computer.held_time_s
     inputs.time_ns = round(1.0e9 * inputs.time_s)
     inputs.health = 1 if state.invalid_inputs == state.external.invalid_before else 0
     state.external.invalid_before = state.invalid_inputs
@@ -478,6 +475,9 @@ def update_command(
     lateral_mps2, sample_s = 0.0, computer.sample_ns / 1.0e9
     if computer.external == 0 and computer.flown_law >= _LOAD_RELIEF:
         lateral_mps2 = state.sensors.value[computer.sensors.accelerometer, 2 - gimbal]
+    if computer.external == 0 and computer.flown_law >= _DRIFT:
+        axial_mps2, turned_rad = state.sensors.value[computer.sensors.accelerometer, 0], state.attitude.error_rad
+        navigate_drift(state.drift, gimbal, lateral_mps2, axial_mps2, turned_rad[gimbal + 1], sample_s)
     if computer.loops.on != 0 or state.loops.fading > 0:
         error_rad = loop_filters.filtered_input(computer.loops, state.loops, loop_filters.ATTITUDE, gimbal, error_rad)
         rate_radps = loop_filters.filtered_input(computer.loops, state.loops, loop_filters.RATE, gimbal, rate_radps)
@@ -496,6 +496,9 @@ def update_command(
         law_rad = load_relief.tick_load_relief(computer.law, computer.relief, pool, state.law, state.relief, given)
     elif computer.flown_law == _INCIDENCE_RELIEF:
         law_rad = load_relief.tick_incidence_relief(computer.law, computer.relief, pool, state.law, state.relief, given)
+    elif computer.flown_law >= _DRIFT:
+        with_integral = 1 if computer.flown_law == _PID_DRIFT else 0
+        law_rad = tick_drift(computer.law, computer.pid, pool, state.law, state.pid, state.drift, given, with_integral)
     elif computer.flown_law == _PID:
         law_rad = tick_pid(computer.law, computer.pid, pool, state.law, state.pid, given)
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-Law = Literal["pd", "pid", "load-relief", "incidence-relief"]
+Law = Literal["pd", "pid", "load-relief", "incidence-relief", "drift", "pid-drift"]
 """The modules of control/laws and design/laws."""
 LAWS: tuple[Law, ...] = get_args(Law)
 
@@ -13,10 +13,16 @@ GAINS: dict[Law, tuple[str, ...]] = {
     "pid": ("k_p", "k_d_s", "k_i_ps"),
     "load-relief": ("k_p", "k_d_s", "k_a_s2pm"),
     "incidence-relief": ("k_p", "k_d_s", "k_alpha", "percussion_m", "accel_per_incidence_mps2"),
+    "drift": ("k_p", "k_d_s", "k_zd_radspm", "k_z_radpm"),
+    "pid-drift": ("k_p", "k_d_s", "k_i_ps", "k_zd_radspm", "k_z_radpm"),
 }
 GAIN_NAMES = tuple(dict.fromkeys(name for names in GAINS.values() for name in names))
 RELIEF: tuple[Law, ...] = ("load-relief", "incidence-relief")
 """The laws with an accelerometer behind a lag."""
+DRIFT: tuple[Law, ...] = ("drift", "pid-drift")
+"""The laws that integrate an accelerometer (control/laws/drift.py)."""
+INTEGRAL: tuple[Law, ...] = ("pid", "pid-drift")
+"""The laws with an integral of the attitude error."""
 
 Over = Literal["time_s", "speed_mps", "mass_kg", "dynamic_pressure_Pa"]
 """The variables of a gain schedule.

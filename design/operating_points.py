@@ -25,13 +25,15 @@ def nodes(
     errata: Errata | str = "corrected",
     plant: PlantKind = "flown",
     faults: bool = False,
+    held: bool = False,
 ) -> list[Node]:
     """Return the operating points of a scenario's flight in one plane, in the order of `times_s`.
 
     `scenario` is loaded, a file, or the name of a built-in one. `times_s` are vehicle times, s. None selects times
     under full thrust, stage by stage (`node_times`). `plant` is the vehicle as flown, or with the derivatives of the
     paper's Table 2 (design/paper/table2.py). `errata` are switches, or the name of a preset. If an erratum is left in,
-    the plant is the published equations (design/paper). `faults` includes the failures of the scenario. Raises
+    the plant is the published equations (design/paper). `faults` includes the failures of the scenario. With
+    `held`, gravity is the axial load, as in a certificate's held flight: the vehicle then keeps its speed. Raises
     ScenarioError, and ValueError for a time outside the powered flight.
     """
     if plant not in ("flown", "table2"):
@@ -39,9 +41,11 @@ def nodes(
     loaded = scenario if isinstance(scenario, LoadedScenario) else load_scenario(scenario)
     times = node_times(loaded) if times_s is None else times_s
     if preset(errata) != CORRECTED:
-        return list(published_nodes(loaded, times, plane=plane, errata=errata, plant=plant, faults=faults))
+        printed = published_nodes(loaded, times, plane=plane, errata=errata, plant=plant, faults=faults)
+        return [node.held_still() for node in printed] if held else list(printed)
     found = nodes_along(loaded, times, plane, faults)
-    return imposed(found, read_derivatives()) if plant == "table2" else found
+    found = imposed(found, read_derivatives()) if plant == "table2" else found
+    return [node.held_still() for node in found] if held else found
 
 
 def published_nodes(

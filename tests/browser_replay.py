@@ -1,7 +1,7 @@
 """`simreplay --web` in a real browser: `make test-browser`. Not collected by `make test`: it needs Chromium.
 
-The page is opened in headless Chromium, driven by the DevTools protocol, and looked at: the viewer has loaded the
-flight and drawn something, and nothing was fetched from anywhere but this machine.
+The page is opened in headless Chromium, driven by the DevTools protocol. The checks are that the viewer has loaded the
+flight and drawn something, and that all requests went to this machine.
 """
 
 from __future__ import annotations

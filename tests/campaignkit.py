@@ -74,7 +74,7 @@ def data_set(folder: Path) -> pa.Table:
 
 
 def data_set_of(folder: Path) -> pa.Table:
-    """As `data_set`, where files that were set aside lie beside the parts."""
+    """Return the same as `data_set` if the folder also contains files that were set aside."""
     parts = [pq.read_table(part) for part in sorted((folder / "runs").glob("*.parquet"))]
     return pa.concat_tables(parts).sort_by("run").combine_chunks()
 

@@ -136,7 +136,8 @@ def frozen(time_s: float, *overrides: str, plane: str = "pitch") -> tuple[Loaded
         9.80665,
     )
     held = hold_stage(packed, table_clock_s(packed.parameters[0], time_s))
-    return loaded, Node(time_s, held, condition, instruments_of(packed.parameters[0], plane), plane)
+    instruments = instruments_of(packed.parameters[0], plane)
+    return loaded, Node(time_s=time_s, held=held, condition=condition, instruments=instruments, plane=plane)
 
 
 def agrees_with_a_kick(loop: Loop, plain: Flight, kicked: Flight, command: str, node_s: float, kick_deg: float) -> None:

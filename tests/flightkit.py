@@ -60,7 +60,7 @@ def load(tree: Tree) -> LoadedScenario:
 # --- vehicles by their parts
 @dataclass(frozen=True)
 class Tank:
-    """A pendulum; its hinge lies on the body axis."""
+    """A pendulum with its hinge on the body axis."""
 
     mass_kg: float
     length_m: float

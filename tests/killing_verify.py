@@ -1,9 +1,9 @@
-"""Verifies a design in a child that is killed when so many parts are kept, then in another that gets through.
+"""Verify a design in a child that is killed after a number of stored parts, then in another that completes.
 
     python killing_verify.py SUITE DIR PARTS SIGNAL
 
-The parent has loaded everything before it forks. Prints, as JSON, the parts and campaign runs that were there when the
-signal went off, what the killed child returned, and what the second one recalled, worked out and found.
+The parent has loaded everything before it forks. Print, as JSON, the parts and campaign runs that existed at the
+signal, the exit code of the killed child, and the numbers that the second child recalled, computed and found.
 """
 
 from __future__ import annotations

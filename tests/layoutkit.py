@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
 from functools import cache
 from pathlib import Path
+
+from made_once import copy_of
 
 import maxq
 from maxq import LoadedScenario
@@ -38,15 +39,17 @@ minimum_on_s = 0.02
 @cache
 def folder(name: str) -> Path:
     """Return a folder with the files of a layout in tests/data/layouts; kept for the session."""
-    out = Path(tempfile.mkdtemp(prefix=f"{name}-"))
-    return maxq.vehicle(LAYOUTS / f"{name}.toml", out)
+    return _copy(name)
+
+
+def _copy(name: str) -> Path:
+    return copy_of(name, lambda out: maxq.vehicle(LAYOUTS / f"{name}.toml", out))
 
 
 @cache
 def lost() -> Path:
     """Return a folder with the student rocket, its case, and a scenario whose flight is lost while the engine burns."""
-    out = Path(tempfile.mkdtemp(prefix="lost-"))
-    maxq.vehicle(LAYOUTS / "student.toml", out)
+    out = _copy("student")
     (out / "design.toml").write_text(WEAK)
     return out
 

@@ -2,21 +2,42 @@
 
 from __future__ import annotations
 
-import tempfile
+import json
 from functools import cache
 from pathlib import Path
 
-import maxq
+from made_once import copy_of
+
 from maxq import LoadedScenario, Node
 from maxq.design.model.node import nodes_along
 from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.vehicle.build import build
+from maxq.tools.vehicle.files import write
+from maxq.tools.vehicle.layout import read_layout
 
 
 @cache
 def folder() -> Path:
-    """With the files of the vehicle; kept for the session."""
-    out = Path(tempfile.mkdtemp(prefix="petrel-"))
-    return maxq.vehicle("petrel", out)
+    """Return a folder with the files of the vehicle; kept for the session."""
+    return _files() / "petrel"
+
+
+def path() -> tuple[float, tuple[float, float]]:
+    """Return pitch-over and tangents of its ascent to orbit, the search for which takes twenty seconds."""
+    kick_rad, *tangents = json.loads((_files() / "path.json").read_text())
+    return kick_rad, (tangents[0], tangents[1])
+
+
+@cache
+def _files() -> Path:
+    return copy_of("petrel", _build)
+
+
+def _build(out: Path) -> None:
+    built = build(read_layout("petrel"))
+    write(built, out / "petrel")
+    assert built.flight.tangents is not None
+    (out / "path.json").write_text(json.dumps([built.flight.kick_rad, *built.flight.tangents]))
 
 
 @cache

@@ -23,7 +23,7 @@ def settled_faults(figure: Figure) -> list[str]:
     off their axes are not drawn and do not count.
     """
     figure.draw_without_rendering()
-    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
+    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]  # Matplotlib does not annotate it
     off = {
         label
         for place in figure.axes

@@ -1,4 +1,4 @@
-"""Parts of the margin certificate, each by itself.
+"""Separate parts of the margin certificate.
 
 | what | expected |
 |---|---|
@@ -88,7 +88,7 @@ def _gain(pulses: float, slow_pulses: float, remainder: float = 0.0) -> float:
 def test_converter_has_no_gain_of_its_own_only_when_dithered() -> None:
     assert _gain(0.2, 0.0, 0.0) < 0.1  # no pulse ever comes
     assert _gain(0.2, 0.0, 0.45) > 1.5  # whole pulses come
-    noise = 0.05  # of rounding, 1/sqrt(12) pulse differenced, in one of 4000 bins beside 0.2 pulses
+    noise = 0.05  # of rounding, 1/sqrt(12) pulse differenced, in one of 4000 bins, with a signal of 0.2 pulses
     assert _gain(0.2, 6.0, 0.0) == pytest.approx(1.0, abs=3.0 * noise)
     assert _gain(0.2, 6.0, 0.45) == pytest.approx(1.0, abs=3.0 * noise)
     assert _gain(20.0, 0.0) == pytest.approx(1.0, abs=0.005)
@@ -244,7 +244,7 @@ def test_drift_of_a_held_loop_is_measured_and_named(drifting: LoadedScenario) ->
     slow = by_name["drift"]
     assert slow.sampled < 0.0 < slow.held
     assert slow.measured == pytest.approx(slow.held, abs=2e-4)
-    assert (slow.reason, by_name["gain_down"].reason) == ("held gravity", "held gravity")
+    assert (slow.reason, by_name["gain_down"].reason) == ("frozen-point gravity", "frozen-point gravity")
     assert math.isfinite(by_name["gain_up"].measured)
     assert math.isfinite(by_name["delay"].measured)
 
@@ -262,7 +262,7 @@ def test_held_loop_that_grows_fast_is_not_taken_for_a_drift(certificate) -> None
     lost = dataclasses.replace(certificate, margins=(), cycle=LimitCycle("lost", 0.0, 5.0, 3.0, 40.0))
     assert lost.stable
     assert lost.unexplained == (
-        "the loop of the held flight, and not that of the flown instant, is unstable; in flight: lost after 40 s",
+        "the loop of the frozen point, and not that of the flown instant, is unstable; in flight: lost after 40 s",
     )
 
 

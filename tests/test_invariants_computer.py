@@ -145,7 +145,7 @@ def test_angle_error_is_the_exact_sum() -> None:
 
 
 def test_law_sees_counts_only() -> None:
-    """Rate and error are whole pulses: what lies between two pulses is not known to the flight software."""
+    """Rate and error are whole pulses: the flight software receives no fraction of a pulse."""
     flown = Flown(programme=None, angle_error_limit_rad=np.inf)
     for increment_rad in noise(samples=50):
         flown.tick(increment_rad)

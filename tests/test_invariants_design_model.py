@@ -104,11 +104,11 @@ def test_nodes_come_back_from_another_process() -> None:
 @pytest.mark.parametrize(
     ("time_s", "words"),
     [
-        (0.05, r"node at 0.05 s: the vehicle is held down; allowed are times under thrust: liftoff to"),
-        (-1.0, "node at -1 s: the flight begins at 0 s"),
-        (61.0, "node at 61 s: the engine does not burn; allowed .*liftoff to 59.2874 s"),
-        (500.0, "node at 500 s: the flight ends at 2.*impact"),
-        (np.nan, "node at nan s: allowed are times up to 1e.08 s"),
+        (0.05, r"operating point at 0.05 s: the vehicle is held down; allowed are times under thrust: liftoff to"),
+        (-1.0, "operating point at -1 s: the flight begins at 0 s"),
+        (61.0, "operating point at 61 s: the engine does not burn; allowed .*liftoff to 59.2874 s"),
+        (500.0, "operating point at 500 s: the flight ends at 2.*impact"),
+        (np.nan, "operating point at nan s: allowed are times up to 1e.08 s"),
     ],
 )
 def test_nodes_outside_the_powered_flight(time_s: float, words: str) -> None:
@@ -415,7 +415,7 @@ def test_imposed_derivatives_span_table_2() -> None:
 
 def test_imposed_derivatives_that_cannot_be() -> None:
     table = read_derivatives()
-    with pytest.raises(ValueError, match=r"node at 57 s: .*derivatives.csv holds 5 s to 55 s"):
+    with pytest.raises(ValueError, match=r"operating point at 57 s: .*derivatives.csv holds 5 s to 55 s"):
         table.at(57.0)
     between = table.at(42.5)
     assert 11.462 < between["m_delta_1ps2"] < 12.542

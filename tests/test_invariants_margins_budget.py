@@ -23,7 +23,7 @@ from maxq import Node, margins
 from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import close_loop
-from maxq.design.margins.budget import build_up, crossing_budgets, loop_budget, split
+from maxq.design.margins.budget import crossing_budgets, loop_budget, split
 from maxq.design.model.vehicle_at import without_engine_inertia
 from maxq.design.paper.errata import PAPER
 
@@ -81,7 +81,7 @@ def test_an_absent_effect_has_no_share():
 
 def test_frozen_liquid_keeps_mass_cg_and_inertia():
     node = node_at(20.0)
-    frozen = dict(build_up(node))["aerodynamics"]
+    frozen = dict(node.steps())["aerodynamics"]
     assert not frozen.vehicle.pendulums.mass_kg.any()
     ours, whole = (dataclasses.asdict(n.derivatives) for n in (frozen, node))
     assert ours == pytest.approx(whole, rel=1e-10)

@@ -63,6 +63,18 @@ def test_an_oscillation_keeps_its_amplitude(hertz: float) -> None:
         assert seen.min() == values[here].min()
 
 
+def test_a_viewer_that_merges_a_number_of_samples_gets_them_at_an_even_rate() -> None:
+    """Rerun drew thrust over weight at 0.8 after burnout: it merged the two samples that followed."""
+    times = np.arange(20_000) * MS
+    values = np.where(times < 5_000 * MS, 4.0 - times / (5_000 * MS), 0.0)
+    assert np.diff(times[extremes(times, values, 20 * MS)]).max() == 14_999 * MS
+    kept = extremes(times, values, 20 * MS, even=True)
+    assert np.diff(times[kept]).max() <= 20 * MS
+    assert len(kept) <= 2 * 1000 + 2
+    constant = np.full(20_000, 3.0)
+    assert extremes(times, constant, 20 * MS, even=True).tolist() == [0, 19_999]
+
+
 def test_a_gap_stays_a_gap() -> None:
     values = np.sin(np.arange(1000) / 7.0)
     values[300:600] = np.nan

@@ -89,7 +89,7 @@ def test_an_interrupted_verification_goes_on(
     assert parts <= told["parts"] < PARTS or told["runs"] < 8
     assert told["worked_out"] == PARTS - told["parts"]  # nothing that was whole is done again
     assert told["recalled"] == PARTS - told["worked_out"]
-    wanted = [{**r, "again": ""} for r in in_one_go["requirements"]]  # which folder the runs lie in differs
+    wanted = [{**r, "again": ""} for r in in_one_go["requirements"]]  # the folder of the runs differs
     assert [{**r, "again": ""} for r in told["requirements"]] == wanted
 
 

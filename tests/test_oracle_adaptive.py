@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import petrelkit
 import pytest
 from scipy.signal import butter, cont2discrete, lfilter
 
@@ -31,7 +32,6 @@ from maxq.design.verify.judging import Wanted, checks, judge
 from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
-from maxq.tools import simvehicle
 
 T = 0.01
 GIVEN: dict[str, Any] = {
@@ -207,8 +207,7 @@ def test_flights_of_both_vehicles(tmp_path: Path) -> None:
     )
     assert largest(without, "filtered_pitch_deg") > 2.0 * largest(helped, "filtered_pitch_deg")
     assert 0.5 <= helped["total_gain_pitch"].min() < 0.55
-    folder = tmp_path / "petrel"
-    assert simvehicle.main(["petrel", "--out", str(folder)]) == 0
+    folder = petrelkit.folder()
     windy = ["run.duration_s=100", "requirement=", f"wind.profile='{folder}/vehicle/limit_wind.csv'"]
     for factor, within_deg in ((0.4, 3.0), (3.0, 1.0)):
         errors, swings = [], []

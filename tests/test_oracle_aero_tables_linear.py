@@ -155,7 +155,7 @@ def test_flexible_vehicle_along_its_axis(plane: str) -> None:
 
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_rigid_vehicle_at_its_trim(plane: str) -> None:
-    """The planar slopes, and Z_alpha, M_alpha and M_q from them, with tables that are not symmetric, in incidence."""
+    """The planar slopes, and Z_alpha, M_alpha and M_q from them, for asymmetric tables at an angle of attack."""
     alpha, beta = np.radians((6.0, -4.0))
     speed = 290.0
     flow = speed * np.array([math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)])
@@ -185,7 +185,7 @@ ROUND = {
 
 
 def inclined(trim_deg: tuple[float, float], coefficients: list[Tree], loads: Tree | None = None, **changes: Any) -> Rig:
-    """Flexible, with liquid and an engine, in angle of attack; slopes over Mach and cross-flow beside the tables."""
+    """Flexible, with liquid and an engine, at an angle of attack; tables plus slopes over Mach and cross-flow."""
     alpha, beta = np.radians(trim_deg)
     flow = 290.0 * np.array([math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)])
     aero = symmetric() | ROUND | {"coefficients": coefficients}

@@ -87,7 +87,7 @@ def test_bound_for_the_case_study() -> None:
         slope, nose = shapes.slope(x)[:, at, :], shapes.value(x[:1])[0, at, :]
         squares = scipy.integrate.simpson(slope**2, x=x, axis=0)
         stiffness = modes.generalized_mass_kg * modes.omega_radps**2
-        # the nose's displacement and turned force turn the body, which the gyro feels beside the mode's own slope
+        # the nose's displacement and turned force turn the body, measured by the gyro in addition to the mode's slope
         lever = np.abs(nose + (vehicle.body.core_cg_station_m - x[0]) * slope[0])
         felt = modes.omega_radps**2 * np.abs(modes.slope_gyro_pm)
         shares = [squares / (2.0 * stiffness), np.abs(squares + nose * slope[0]) / (2.0 * stiffness)]

@@ -100,7 +100,7 @@ def test_points_that_are_not_possible_are_no_part_of_the_space() -> None:
 
 @pytest.mark.parametrize("p", [1e-4, 1e-5])
 def test_a_value_that_stops_short_of_its_limit_is_undecided(p: float) -> None:
-    """A decoy saturates at 2 sigma: none of the populations finds the failure beside it, and no bound is given."""
+    """A decoy saturates at 2 sigma: no population finds the other failure, and no bound is given."""
     state = decoy(p)
     found = subset_simulation(state.value, state.scores, 435, 0.9)
     assert (found.probability, found.low, found.high) == (0.0, 0.0, 1.0)

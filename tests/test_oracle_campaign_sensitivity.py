@@ -35,6 +35,27 @@ def test_first_order_indices_of_ishigamis_function() -> None:
     assert found == pytest.approx([0.3139, 0.4424, 0.0], abs=0.02)
 
 
+def test_first_order_indices_of_sobols_g_function() -> None:
+    """Their variances are 1 / (3 (1 + a)^2) and that of all is the product of 1 + V, less 1 (Sobol', 1993)."""
+    a = np.array([0.0, 1.0, 4.5, 9.0, 99.0])
+    x = np.random.default_rng(5).random((20_000, len(a)))
+    y = np.prod((np.abs(4.0 * x - 2.0) + a) / (1.0 + a), axis=1)
+    parts = 1.0 / (3.0 * (1.0 + a) ** 2)
+    exact = parts / (np.prod(1.0 + parts) - 1.0)
+    found = [first_order(x[:, i], y) for i in range(len(a))]
+    assert found == pytest.approx(exact, abs=0.01)
+
+
+def test_indices_of_a_linear_function_of_normal_inputs() -> None:
+    """The first-order index is the square of the correlation r, the rank correlation 6/pi asin(r/2) (Pearson, 1907)."""
+    weights = np.array([3.0, -2.0, 1.0, 0.0])
+    x = np.random.default_rng(6).normal(size=(20_000, 4))
+    y, r = x @ weights, weights / np.linalg.norm(weights)
+    assert [first_order(x[:, i], y) for i in range(4)] == pytest.approx(r**2, abs=0.015)
+    ranks = [rank_correlation(x[:, i], y) for i in range(4)]
+    assert ranks == pytest.approx(6.0 / math.pi * np.arcsin(0.5 * r), abs=0.02)
+
+
 def test_rank_correlation_is_scipys_with_ties() -> None:
     rng = np.random.default_rng(2)
     for _ in range(20):
@@ -224,6 +245,12 @@ def test_the_report_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert set(re.findall(r"https?:[^\"']*", page)) == {"http://www.w3.org/2000/svg"}
     assert page.count('<figure class="plot') >= 3
     assert f"simrun refly {tmp_path / 'out'} --run" in page
+    data = DataSet(tmp_path / "out", maxq.load(file))
+    limits = [(r.metric, r.limit) for r in data.campaign.base.scenario.requirement if r.metric and r.limit]
+    used = [100.0 * np.nanmax(data.numbers(metric)) / limit for metric, limit in limits]
+    bars = [int(share) for share in re.findall(r'class="n used(?: bad)?" style="--used:(\d+)%"', page)]
+    assert bars == sorted(map(round, used), reverse=True)
+    assert len(bars) >= 5
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["outcomes"] == {"duration": 40}
     first = summary["requirements"][1]

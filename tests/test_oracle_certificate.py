@@ -122,7 +122,7 @@ def test_growth_of_a_known_oscillation() -> None:
 
 
 def test_growth_of_a_slow_oscillation_beside_a_drift() -> None:
-    """Two turns a window, and a decaying root of ten times its size beside it."""
+    """Two periods in a window, and a decaying root of ten times the amplitude."""
     times = np.arange(100_000) * 0.01
     swing = np.exp(0.002 * times) * np.sin(2 * np.pi * 0.01 * times + 0.3)
     assert growth_rate(swing + 10.0 * np.exp(-0.004 * times), 0.01, 0.01, 200.0) == pytest.approx(0.002, abs=3e-4)
@@ -140,7 +140,7 @@ def test_growth_changes_with_the_gain_as_a_line_does(monkeypatch: pytest.MonkeyP
 
 
 def test_neither_mean_nor_nyquist_counts_as_noise() -> None:
-    """Both bins are real, and hold the offset and half of a tone; the noise beside the lines tells the error."""
+    """Both bins are real, and hold the offset and half of a tone; the noise next to the lines gives the error."""
     top = LineBand(np.array([45.0, 49.5]), 4.0, 4.0, 1)
     lines = np.round(top.lines_hz * top.period_s).astype(int)
     rng = np.random.default_rng(4)

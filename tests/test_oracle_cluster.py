@@ -1,7 +1,7 @@
 """Several engines against Newton's and Euler's laws, written body by body, and against one engine of n-fold size.
 
-The oracle sums momentum and angular momentum of the core without engines and of each engine by itself; it knows
-nothing of equivalent engines, of the mass matrix of docs/model.md (7.1), or of the kernels' workspace.
+The oracle sums momentum and angular momentum of the core without engines and of each engine. It contains no equivalent
+engines, no mass matrix of docs/model.md (7.1), and no workspace of the kernels.
 """
 
 from __future__ import annotations

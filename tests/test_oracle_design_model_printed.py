@@ -45,7 +45,7 @@ def test_all_errata_corrected_make_the_corrected_plant(time_s: float) -> None:
 @pytest.mark.parametrize("exchange", ["true", "false"])
 @EVERY_NODE
 def test_each_erratum_is_that_of_the_general_equations(time_s: float, exchange: str, plane: str) -> None:
-    """oracles/planar has engines beside the axis, spatial modes and TVC loads besides, with the same switches."""
+    """oracles/planar also has engines off the axis, spatial modes and TVC loads, with the same switches."""
     node = published_at(time_s, plane, f"switches.slosh_exchange={exchange}")
     assert node.liquids is not None
     tanks, vehicle = Liquids(node.liquids.radius_m, node.liquids.height_m), planar_of(node)
@@ -67,7 +67,8 @@ def test_each_erratum_is_that_of_the_general_equations(time_s: float, exchange: 
 )
 def test_vehicles_that_the_paper_does_not_describe(change: str, words: str) -> None:
     scenario = nominal(f"vehicle.stage.0.{change}")
-    with pytest.raises(ValueError, match=rf"node at 40 s: the published equations describe {words} only; allowed is"):
+    said = rf"operating point at 40 s: the published equations describe {words} only; allowed is"
+    with pytest.raises(ValueError, match=said):
         _ = maxq.nodes(scenario, [40.0], errata=PAPER)[0].plant
 
 
@@ -247,7 +248,7 @@ def test_tanks_with_the_diameter_for_the_radius() -> None:
 
 def test_errata_of_the_tanks_need_tanks_that_are_known() -> None:
     bare = dataclasses.replace(published_at(40.0), liquids=None)
-    with pytest.raises(ValueError, match=r"node at 40 s: .*radius_m and liquid_height_m"):
+    with pytest.raises(ValueError, match=r"operating point at 40 s: .*radius_m and liquid_height_m"):
         _ = bare.with_errata(PAPER).plant
     found = errata_effects([bare], lambda node, cut: {"order": len(node.plant.states)})
     assert {e.erratum for e in found if e.error} == {"tank_radius", "tank_liquid", "paper"}

@@ -199,8 +199,10 @@ def test_the_scenario_of_scores_flies_that_vehicle() -> None:
 
 @pytest.mark.slow
 def test_engines_of_a_cluster_deviate_each_by_itself() -> None:
-    """Petrel's campaign: unlike burn rates make nine engines of three in the record, and the tables of its throttled
-    first stage run on another clock: at the same propellant the loops are those of the packed scenario."""
+    """Compare the loops of petrel's campaign with those of the packed scenario at the same propellant.
+
+    Unequal burn rates make nine engines of three in the record. The tables of the throttled first stage have another
+    clock."""
     campaign = maxq.load(petrelkit.folder() / "campaign.toml")
     hz = np.geomspace(0.3, 45.0, 100)
     for time_s, stage in ((40.0, 0), (150.0, 1)):
@@ -277,7 +279,7 @@ def test_deviations_that_go_together_and_those_that_are_not_followed(own: Path) 
 
 
 def test_a_suite_takes_the_draws_of_its_campaign(own: Path, tmp_path: Path) -> None:
-    """`campaign` of [margins.three_sigma] is looked for beside the suite, and takes no other number beside it."""
+    """`campaign` of [margins.three_sigma] is searched next to the suite, and excludes other numbers."""
     suite = tmp_path / "suite.toml"
     suite.write_text('schema = 2\n[margins.three_sigma]\ncampaign = "own"\n')
     wanted = read_suite(suite).suite.margins

@@ -221,7 +221,7 @@ def thrust_load(parts: Parts, state: State, follower: bool) -> tuple[Load, float
     load = force[0] / composed(parts)[0]
     mass, arm = parts.engine_mass_kg, parts.engine_cg_m
     displaced = -arm * (straight - np.array([1.0, 0.0, 0.0]))
-    # moments about y and z on the gimbal: thrust line beside the axis, and the displaced engine's weight
+    # moments about y and z on the gimbal: thrust line off the axis, and the displaced engine's weight
     # under load
     bend_y = parts.gimbal_offset_m[1] * force[0] - mass * load * displaced[2]
     bend_z = -parts.gimbal_offset_m[0] * force[0] + mass * load * displaced[1]

@@ -1,7 +1,7 @@
 """A test for each coupling path alone: its direction in pitch and in yaw, and its size.
 
-The signs are the contract's: x forward, y right, z down; positive gimbal angles give positive moments; a mode
-moves to +z (pitch) and +y (yaw); its slope turns the body by +sigma eta about y and by -sigma xi about z.
+The signs are those of docs/model.md: x forward, y right, z down; positive gimbal angles give positive moments. A mode
+moves to +z (pitch) and +y (yaw). Its slope turns the body by +sigma eta about y and by -sigma xi about z.
 """
 
 from __future__ import annotations

@@ -98,9 +98,9 @@ def von_karman(f, sigma, length, longitudinal):
 
 
 def assert_spectrum(gust, spectrum, sigma, length, longitudinal, share=0.0):
-    """`share`: what the model is off by itself."""
+    """Compare the spectra; `share` is the error of the model alone."""
     f, got = scipy.signal.welch(gust, fs=100.0, nperseg=SEGMENT)
-    # sampling folds what lies above 50 Hz back, and that must be in the comparison
+    # sampling folds components above 50 Hz back, and the comparison must contain them
     expected = sum(spectrum(np.abs(f + 100.0 * k), sigma, length, longitudinal) for k in range(-400, 401))
     for low, high in [(0.1, 0.3), (0.3, 0.7), (0.7, 1.5), (1.5, 4.0), (4.0, 10.0), (10.0, 45.0)]:
         band = (f >= low) & (f < high)
@@ -217,12 +217,12 @@ def test_spectrum_over_altitude():
     assert total == pytest.approx(np.trapezoid(over, fine), rel=2e-2)
     for b, (low, high) in enumerate(bands):
         inside = (fine >= low) & (fine < high)
-        # a line may lie on either side of a band's end: one of a dozen or more in it, in each of the flights
+        # a line may be on either side of a band's end: one of a dozen or more in it, in each of the flights
         assert got[b] == pytest.approx(np.trapezoid(over[inside], fine[inside]), rel=0.08)
 
 
 def test_the_shipped_spectrum_is_its_formula():
-    """Its closed form, 98.8 % of whose variance lies between its ends."""
+    """The closed form, with 98.8 % of its variance between its ends."""
     loaded = load_scenario(
         "nominal", ("wind.turbulence={model='spectrum',spectrum='winds/small-scale-spectrum.csv',seed=4}",)
     )

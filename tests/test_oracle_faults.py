@@ -85,7 +85,7 @@ def test_a_noisy_gyro_has_the_random_walk_asked_for(healthy: Flight) -> None:
     faulty = flown('{kind = "gyro-noisy", at_s = 0.0, noise_deg_rt_h = 30.0}')
     steps = [np.diff(measured(faulty, a)[1] - measured(healthy, a)[1]) for a in ("roll", "pitch", "yaw")]
     normal = np.concatenate(steps)[np.newaxis] / (30.0 / 60.0 * math.sqrt(0.01))
-    spread = 5.0 * math.sqrt(2.0 / normal.size)  # five sigma of a variance of so many draws
+    spread = 5.0 * math.sqrt(2.0 / normal.size)  # five sigma of the variance of this number of draws
     assert abs(normal.var() - 1.0) < spread
     assert abs(np.corrcoef(steps[0], steps[1])[0, 1]) < 5.0 / math.sqrt(len(steps[0]))
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import control
 import numpy as np
+import petrelkit
 import pytest
 from flight_code import COMPILER, STRICT, flies, needs_compiler
 from scipy.io import loadmat
@@ -25,7 +26,7 @@ from maxq import Flight, margins
 from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
-from maxq.tools import simdesign, simvehicle
+from maxq.tools import simdesign
 
 POWERED = ["run.duration_s=59", "requirement="]
 COMMANDS = ("gimbal_pitch_command_deg", "gimbal_yaw_command_deg")
@@ -109,6 +110,16 @@ structure = "sections"
 first_order = [{zero_hz=20.0, pole_hz=5.0}]
 discretization = "matched"
 """
+DRIFT = """
+schema = 2
+name = "drift with an integral"
+law = "pid-drift"
+[gains]
+table = [
+    {time_s=5.0, k_p=1.1, k_d_s=0.47, k_i_ps=0.1, k_zd_radspm=0.001, k_z_radpm=1e-4},
+    {time_s=50.0, k_p=0.7, k_d_s=0.37, k_i_ps=0.2, k_zd_radspm=0.002, k_z_radpm=2e-4},
+]
+"""
 LOOPS = """
 [loop_filters.rate]
 structure = "F2"
@@ -162,8 +173,12 @@ def test_the_c_sources_give_the_commands_of_the_flown_law(tmp_path: Path, name: 
 
 @needs_compiler
 @pytest.mark.slow  # four flights
-@pytest.mark.parametrize("law", [RELIEF, INCIDENCE], ids=["acceleration", "incidence"])
-def test_load_relief_and_blended_gyros_give_the_same_bits(tmp_path: Path, law: str) -> None:
+@pytest.mark.parametrize(
+    ("law", "share"),
+    [(RELIEF, "relief_pitch_deg"), (INCIDENCE, "relief_pitch_deg"), (DRIFT, "drift_share_pitch_deg")],
+    ids=["acceleration", "incidence", "drift"],
+)
+def test_laws_with_an_accelerometer_and_blended_gyros_give_the_same_bits(tmp_path: Path, law: str, share: str) -> None:
     design = tmp_path / "d.toml"
     design.write_text(law)
     library = built(tmp_path, str(design), "--scenario", "load-relief")
@@ -171,7 +186,7 @@ def test_load_relief_and_blended_gyros_give_the_same_bits(tmp_path: Path, law: s
     built_in = fly(load_scenario("load-relief", changes))
     own = fly(load_scenario("load-relief", [*changes, *flies(library=library)]))
     assert_same_commands(own, built_in)
-    assert np.abs(built_in["relief_pitch_deg"]).max() > 0.05
+    assert np.abs(built_in[share]).max() > 0.05
 
 
 def _unquantised(folder: Path) -> str:
@@ -218,11 +233,13 @@ def test_dispersed_flights_have_the_same_bits(tmp_path: Path) -> None:
 @needs_compiler
 @pytest.mark.slow
 def test_a_vehicle_of_several_stages_and_groups(tmp_path: Path) -> None:
-    """Three stages with gains and filters of their own, those before fading out, a filter of the rate in the first and
-    third and a total gain that adapts, flown across both separations.
+    """Fly an exported law of three stages across both separations.
+
+    Each stage has its own gains and filters, and the previous filters fade out. The first and third stage have a
+    filter of the rate; the total gain adapts.
     """
     folder = tmp_path / "petrel"
-    assert simvehicle.main(["petrel", "--out", str(folder)]) == 0
+    shutil.copytree(petrelkit.folder(), folder)
     scenario, design = folder / "scenario.toml", folder / "design.toml"
     adaptive = "reference_hz = 0.4\nerror_gain_pdeg2s = 1.0\ndamper_gain_pdeg2s = 300.0\nhigh_pass_hz = 3.0\n"
     text = design.read_text()

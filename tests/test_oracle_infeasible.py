@@ -1,8 +1,8 @@
 """The excess of limits that cannot be met together, against a global search that shares nothing with the optimiser.
 
 SciPy's differential evolution over filter and gains, polished by Nelder & Mead. It judges a design by sign changes
-between dense points of L = F (k_p / s + k_d) P, by the winding of 1 + L about zero, and by (35), (36) of the paper;
-a phase is worth the gain margin over the phase margin, as the optimiser counts it.
+between dense points of L = F (k_p / s + k_d) P, by the winding of 1 + L about zero, and by (35), (36) of the paper. A
+phase is worth the gain margin over the phase margin, as the optimiser counts it.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ altitude and path angle that the nominal flight has at eleven nodes.
 | pitch-plane A and B, entry by entry | equal; nothing else enters the pitch plane |
 | eigenvalues | equal |
 | frequency responses command -> gyro, engine angle -> pitch rate, 0.05 to 50 Hz | equal |
-| yaw plane | the pitch plane mirrored; beside it only the roll angle, through gravity |
+| yaw plane | the pitch plane mirrored; in addition only the roll angle, through gravity |
 | stability derivatives of Table 2 | those of the simulated vehicle, liquid frozen and body stiff |
 | Table 2 along the flight | within 6 % of the paper's ends; M_delta within its range |
 | mass going over from bob to core | left out by the simulator: effect bounded |
@@ -191,7 +191,7 @@ def test_vehicle_matrices_are_equal(nodes: dict[int, Node], time_s: int) -> None
     node, n = nodes[time_s], VEHICLE_STATES
     block = node.block("pitch")
     ours, theirs = node.model.a[:n, :n], block.a[:n, :n]
-    # each entry by itself: the model's zeros are exact, the simulator's are rounding
+    # each entry separately: the model's zeros are exact, the simulator's are rounding
     np.testing.assert_allclose(theirs, ours, rtol=TOLERANCE, atol=1e-8)
     # (engine angle, acceleration) -> vehicle, from the actuator's states: both realisations of (28) differ
     through = np.linalg.lstsq(_engine_motion(block), block.a[:n, n : n + 6].T, rcond=None)[0].T
@@ -385,7 +385,7 @@ def test_complete_mass_flow_is_that_of_the_frozen_liquid(flight: Flight, time_s:
         _rate_damping_in_vacuum(*flat_earth(flight, time_s, "switches.bending=false", slosh))
         for slosh in ("switches.slosh=true", "switches.slosh=false")
     )
-    # mass.csv and the tanks' tables are interpolated each by itself: between rows their rates agree to 2e-3
+    # mass.csv and the tanks' tables are interpolated separately: between rows their rates agree to 2e-3
     # only
     np.testing.assert_allclose(locked, solid, rtol=2e-3)
 
@@ -431,8 +431,8 @@ def flown_nodes() -> dict[tuple[int, str], Node]:
 def test_round_rotating_earth_changes_what_gravity_does(flown_nodes: dict[tuple[int, str], Node], time_s: int) -> None:
     """Centrifugal and Coriolis acceleration change what gravity does when the body pitches, by 0.2 to 0.3 %.
 
-    That is all of the slow root (theta -> w by gravity, w -> q by the weathercock), little of the short
-    period, less the faster it is, and nothing of what the body does by itself.
+    This applies to all of the slow root (theta -> w by gravity, w -> q by the weathercock). It applies to little of the
+    short period, less the faster it is, and not to the motion of the body alone.
     """
     groups = vehicle_pole_groups(flown_nodes[time_s, "zero incidence"])
     bounds = {"slow": 3e-3, "short period": 2e-4, "slosh": 5e-7, "bending": 1e-9}

@@ -174,7 +174,7 @@ def test_limits_in_wind_by_the_complex_step() -> None:
 
 
 def test_only_what_a_case_asks_for_is_a_limit_in_wind() -> None:
-    """The case by itself limits the load, not the drift."""
+    """Without other settings, the case limits the load, not the drift."""
     case = kit.case(*CASE, "loop=pade", name="ksr3-load-relief").case
     made = make_problem(case, problem("pade")[1])
     assert [limit.unit for limit in made.law.limits][3:] == ["Pa deg"]
@@ -242,7 +242,8 @@ def test_load_as_an_objective_needs_a_wind_and_no_limit() -> None:
         ("bending moment at 6 m ", True),
         ("bending moment at 8.1 ", False),
     ]
-    with pytest.raises(ValueError, match=r"node at 40 s: bending moment at 6.1 m: allowed are .* 1, 2, 3, 3.6, 4.5, "):
+    said = r"operating point at 40 s: bending moment at 6.1 m: allowed are .* 1, 2, 3, 3.6, 4.5, "
+    with pytest.raises(ValueError, match=said):
         kit.plants(wind, bending, "objective.stations_m=[6.1]", "nodes_s=[40.0]")
 
 

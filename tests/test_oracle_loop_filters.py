@@ -1,4 +1,4 @@
-"""Filters of each loop, filters that fade out behind a separation, and load relief by incidence.
+"""Filters of each loop, filters that fade out behind a separation, and load relief by angle of attack.
 
 | what | oracle |
 |---|---|

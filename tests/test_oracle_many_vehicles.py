@@ -1,7 +1,7 @@
 """Many vehicles at once: their plants are those of one, and their margins those of `margins` of each.
 
-Both use the same curve and lobes; `margins` samples by matrix exponentials, finds closed poles as eigenvalues, and
-bounds slopes between its points, where the margins of many have residues, Aberth's iteration and a grid.
+Both use the same curve and lobes. `margins` samples by matrix exponentials, finds closed poles as eigenvalues, and
+bounds slopes between its points. The margins of many vehicles have residues, Aberth's iteration and a grid instead.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def test_plants_of_many_are_those_of_each(change: tuple[str, ...]) -> None:
 
 @pytest.mark.slow
 def test_margins_are_those_of_each_vehicle_by_itself() -> None:
-    """400 vehicles at four nodes: 0.01 dB and deg are asked for."""
+    """Compare 400 vehicles at four operating points within 0.01 dB and deg."""
     unstable = 0
     for time_s, design in (
         (5.0, "ksr3-robust"),

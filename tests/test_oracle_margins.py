@@ -177,7 +177,7 @@ def on_axis(found: np.ndarray, within: float, above_hz: float = 2e-5) -> Array:
 
 
 def missing(ours: Array, theirs: Array, rel: float) -> list[float]:
-    """Those of `theirs` that have none of `ours` beside them."""
+    """Return the values of `theirs` without a near value of `ours`."""
     return [float(x) for x in theirs if not (np.abs(ours - x) < rel * x).any()]
 
 
@@ -185,7 +185,7 @@ def missing(ours: Array, theirs: Array, rel: float) -> list[float]:
 @given(loops())
 @example(ModalLoop.of([(0.0, 2.0**-8)], [(1.0, 1e-5, 0.0, 0.0)], 10.0**-1.5))  # crosses at 1.97e-5 Hz
 def test_no_crossing_of_a_random_loop_is_missed_or_invented(loop):
-    """Each has its eigenvalue beside it and the other way about, and is one: |L| = 1, or real, to 1e-9."""
+    """Each crossing has its eigenvalue and each eigenvalue its crossing, with |L| = 1, or L real, to 1e-9."""
     m = margins(loop)
     gain, phase = m.gain_crossings.frequency_hz, m.phase_crossings.frequency_hz[m.phase_crossings.turn != 0]
     assert np.abs(loop.response(gain)) == pytest.approx(1.0, abs=1e-9)

@@ -1,7 +1,7 @@
 """Nichols zones and disks against a brute-force search along the curve.
 
-The search takes the least value over a grid of tens of thousands of points, drawn again ten times around the least
-one: slow, sure, and knows neither kinks nor parabolas.
+The search takes the least value over a grid of tens of thousands of points, drawn again ten times around the least one.
+It is slow and reliable, and uses neither kinks nor parabolas.
 """
 
 from __future__ import annotations

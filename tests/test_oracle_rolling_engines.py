@@ -1,10 +1,11 @@
 """Gimballed engines on a bent, rolling body with liquid against particles (tests/oracles/rolling_particles.py).
 
-Roll rate 1 rad/s, everything else small: two engines off the axis at two stations, on compliant gimbals or driven by
-their actuators, two pairs of modes (planar, or spatial and turned about x), two bobs. The equations of motion agree
-with the particles' to first order in modal coordinates and rates, gimbal angles and rates, bob angles and rates, pitch
-and yaw rate. Without the products of roll rate, gimbal angle and modal rate in the engine's energy (docs/model.md, 3.2)
-the modal accelerations per modal rate are off by 0.71 of 2.0, per gimbal rate by 0.18, the engines' by 5.3 and 0.69.
+The roll rate is 1 rad/s, everything else is small. There are two engines off the axis at two stations, on compliant
+gimbals or driven by their actuators. Two pairs of modes (planar, or spatial and turned about x) and two bobs follow.
+The equations of motion agree with the particles' to first order in modal coordinates and rates, gimbal angles and
+rates, bob angles and rates, pitch and yaw rate. Without the products of roll rate, gimbal angle and modal rate in the
+engine's energy (docs/model.md, 3.2) the modal accelerations per modal rate are off by 0.71 of 2.0, per gimbal rate by
+0.18, the engines' by 5.3 and 0.69.
 """
 
 from __future__ import annotations
@@ -187,7 +188,7 @@ def of_particles(v: Vehicles, q: Floats, rate: Floats, motion: Floats) -> Floats
 
 
 def preload(engine: PointEngine) -> Floats:
-    """Return the moments (pitch, yaw; N m) that hold an engine beside the axis straight in its centrifugal field."""
+    """Return the moments (pitch, yaw; N m) that hold an engine off the axis straight in its centrifugal field."""
     y, z = engine.offset_m
     force = engine.mass_kg * ROLL_RADPS**2 * np.array([y, z])
     return engine.length_m * np.array([force[1], -force[0]])

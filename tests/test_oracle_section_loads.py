@@ -330,7 +330,7 @@ def test_what_is_forward_of_the_gimbal_balances_what_is_behind_it() -> None:
     force = aux.engines.axial_thrust_N * d - BOTH.engine_mass_kg * of_engine
     moment = np.cross(arm * d, -BOTH.engine_mass_kg * of_engine)
     last = now.sections[-1]
-    # about the body axis at the gimbal: the force acts beside it
+    # about the body axis at the gimbal: the force acts off the axis
     beside = np.array([0.0, *BOTH.gimbal_offset_m])
     moment = moment + np.cross(beside, force)
     assert last[AXIAL] + force[0] == pytest.approx(0.0, abs=1e-6)

@@ -230,7 +230,7 @@ def test_a_thrust_step_travels_as_an_axial_wave(share: float) -> None:
 
 @pytest.mark.parametrize("share", [0.5, 1.3, 1.8, 2.5])
 def test_a_torque_step_travels_as_a_torsion_wave(share: float) -> None:
-    """The thrust's axis beside the body axis and inclined: its torque acts at the gimbal, the gyro sits at the nose."""
+    """The thrust axis is off the body axis and inclined: its torque acts at the gimbal; the gyro is at the nose."""
     offset, yaw = 0.5, 0.1
     made, time_s = rod(3, yaw, thrust_N=1.0e5, gimbal_offset_m=(0.0, offset)), share * LENGTH_M / SPEED_MPS
     y = flown(made, round(time_s, 4))[-1]
@@ -306,7 +306,7 @@ def test_axial_force_of_a_rod_that_vibrates_and_of_one_that_is_pushed() -> None:
 
 
 def test_section_loads_of_coupled_modes_are_those_of_particles() -> None:
-    """Six modes that move along all axes at once, rolling, pushed beside the axis: Newton for what is forward."""
+    """Six modes that move along all axes at once, rolling, pushed off the axis: Newton's law for the part forward."""
     rng = np.random.default_rng(31)
     mass, x, lateral = particles(rng)
     axial = np.linalg.qr(np.sqrt(mass)[:, None] * np.stack([np.ones(15), x, x**2], axis=1))[0][:, 1:]

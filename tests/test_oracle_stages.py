@@ -201,7 +201,7 @@ def test_a_design_of_one_stage_leaves_the_others_as_they_were(case) -> None:
 def test_orders_of_several_stages(
     case, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Each stage by itself; a design of all of them for what every stage can do; the report shows each one's gains."""
+    """Design each stage alone, and all of them together; the report shows the gains of each stage."""
     monkeypatch.setattr(run_case, "STRUCTURES", ("F2",))
     words = [str(petrel.folder() / "two-nodes.toml"), "--orders", "--no-pictures", "--out", str(tmp_path)]
     assert simdesign.main([*words, "--set", "stages=[2,3]", "--set", "stage=[]"]) == 0
@@ -278,6 +278,7 @@ def test_a_mode_that_aliases_is_held_with_a_finer_step(monkeypatch: pytest.Monke
     assert any(" at 20.6" in said for said in coarse.unexplained)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stage", "changes"),
     [

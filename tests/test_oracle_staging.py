@@ -194,6 +194,7 @@ def upper() -> float:
     )
 
 
+@pytest.mark.slow
 def test_a_stage_flies_its_own_law_and_its_own_computer(upper: float) -> None:
     """Gains and filter of the second stage by the log; its sample period and limit; no angle is lost at the change."""
     until = [f"run.duration_s={math.ceil(upper) + 8.0}", "log.fast_hz=100.0", "log.slow_hz=10.0"]

@@ -253,47 +253,43 @@ def planar_equations(modes: int) -> tuple[sp.Matrix, sp.Matrix, list[sp.Symbol]]
     Core with the engine locked by its free-free modes, less the locked engine, plus the engine where it is: at the
     gimbal of the bent axis, turned by theta + sum sigma eta - delta. Thrust along the engine.
     """
-    t = sp.symbols("t")
     m, j, m_e, l_e, i_t, arm, k, a = sp.symbols("m j m_e l_e i_t arm k a", positive=True)
     phi, sigma, mass, stiffness = (sp.symbols(f"{name}:{modes}") for name in ("phi", "sigma", "mass", "stiff"))
     names = ["z", "theta", *[f"eta{i}" for i in range(modes)], "delta"]
-    q = [sp.Function(name)(t) for name in names]
-    x = sp.Function("x")(t)
+    q, rates, (x, x_rate) = sp.symbols(names), sp.symbols([f"{name}_rate" for name in names]), sp.symbols("x x_rate")
     z, theta, eta, delta = q[0], q[1], q[2:-1], q[-1]
     slope = sum(s * e for s, e in zip(sigma, eta, strict=True))
     shift = sum(p * e for p, e in zip(phi, eta, strict=True))
+
+    def squared_rate(place: sp.Expr) -> sp.Expr:
+        return sum(place.diff(c) * rate for c, rate in zip([*q, x], [*rates, x_rate], strict=True)) ** 2
 
     def engine(angle: sp.Expr) -> sp.Expr:
         """Kinetic energy of the engine, its axis at theta + slope - angle (about y, from x to -z)."""
         turn = theta + slope - angle
         at_x = x - arm * sp.cos(theta) + shift * sp.sin(theta) - l_e * sp.cos(turn)
         at_z = z + arm * sp.sin(theta) + shift * sp.cos(theta) + l_e * sp.sin(turn)
-        return m_e / 2 * (at_x.diff(t) ** 2 + at_z.diff(t) ** 2) + i_t / 2 * turn.diff(t) ** 2
+        return m_e / 2 * (squared_rate(at_x) + squared_rate(at_z)) + i_t / 2 * squared_rate(turn)
 
-    kinetic = m / 2 * (x.diff(t) ** 2 + z.diff(t) ** 2) + j / 2 * theta.diff(t) ** 2
-    kinetic += sum(w / 2 * e.diff(t) ** 2 for w, e in zip(mass, eta, strict=True))
+    kinetic = m / 2 * (squared_rate(x) + squared_rate(z)) + j / 2 * squared_rate(theta)
+    kinetic += sum(w / 2 * squared_rate(e) for w, e in zip(mass, eta, strict=True))
     kinetic += engine(delta) - engine(sp.Integer(0))
     potential = k / 2 * delta**2 + sum(s / 2 * e**2 for s, e in zip(stiffness, eta, strict=True))
-    lagrangian = kinetic - potential
     # thrust m a along the engine, at the gimbal
     turn = theta + slope - delta
     gimbal_x = x - arm * sp.cos(theta) + shift * sp.sin(theta)
     gimbal_z = z + arm * sp.sin(theta) + shift * sp.cos(theta)
+    # Lagrange's equations to first order about rest, where only x accelerates: terms with two rates vanish
+    at_rest = dict.fromkeys([*q, x], 0)
+    momenta = [kinetic.diff(rate) for rate in rates]
+    inertia = sp.Matrix([[p.diff(rate).subs(at_rest) for rate in rates] for p in momenta])
     rows = []
-    for c in q:
+    for c, momentum in zip(q, momenta, strict=True):
         thrust = m * a * (sp.cos(turn) * gimbal_x.diff(c) - sp.sin(turn) * gimbal_z.diff(c))
-        rows.append(lagrangian.diff(c.diff(t)).diff(t) - lagrangian.diff(c) - thrust)
-    accel, at_rest = {}, {}
-    for order in (2, 1, 0):
-        for c in [*q, x]:
-            symbol = sp.Symbol(f"{c.func}_{order}")
-            accel[c.diff(t, order) if order else c] = symbol
-            at_rest[symbol] = a if (order == 2 and c == x) else 0
-    flat = [row.doit().subs(accel) for row in rows]
-    by = [[sp.Symbol(f"{c.func}_{order}") for c in q] for order in (2, 0)]
-    matrices = [sp.Matrix([[row.diff(s).subs(at_rest) for s in group] for row in flat]) for group in by]
+        row = momentum.diff(x_rate) * a + potential.diff(c) - thrust
+        rows.append([row.diff(by).subs(at_rest) for by in q])
     symbols = [m, j, m_e, l_e, i_t, arm, k, a, *phi, *sigma, *mass, *stiffness]
-    return matrices[0], matrices[1], symbols
+    return inertia, sp.Matrix(rows), symbols
 
 
 def stiff_air(vehicle: PlanarVehicle) -> PlanarVehicle:

@@ -7,7 +7,7 @@
 | corners | every factor as often high as low, and every pair of factors uncorrelated |
 | margins of a vehicle that does not deviate | those of the design |
 | damping that slosh needs | the closed loop grows with less and not with more |
-| one changed gain | only nodes beside it are worked out again |
+| one changed gain | only the neighbouring operating points are computed again |
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def test_gimbal_trims_just_the_wind_that_takes_all_of_it(nodes: list[Node]) -> N
 
 
 def of_modes(node: Node, n: int) -> Node:
-    """`node` with so many modes as far as drawing goes."""
+    """Return `node` with `n` modes, sufficient for drawing."""
     found = dataclasses.replace(node)
     found.__dict__["vehicle"] = dataclasses.replace(node.vehicle, omega_radps=np.ones(n))
     return found

@@ -103,7 +103,7 @@ def test_slopes_are_those_of_the_sampled_loop() -> None:
 @pytest.mark.long
 @pytest.mark.slow
 def test_no_vehicle_by_chance_in_the_ellipsoid_is_worse() -> None:
-    """300 vehicles on its surface, half of them near the worst one found; every mode and tank by itself."""
+    """300 vehicles on its surface, half of them near the worst one found; every mode and tank deviates separately."""
     node = design_nodes.node_at(45.0)
     spread, places = usual(), deviations_of(usual(), node).places
     assert {"slosh mass 1", "slosh mass 2", "bending frequency 3", "bending slope 2"} <= set(places)
@@ -303,7 +303,7 @@ def test_the_worst_between_nodes_and_along_other_flights_is_found(monkeypatch: p
 
 @pytest.mark.parametrize("shape", ["ellipsoid", "box"])
 def test_a_descent_ends_where_scipys_does(shape: Any) -> None:
-    """A quadratic in six coordinates whose least value in the region lies on its border, with free coordinates."""
+    """A quadratic in six coordinates whose least value in the region is on its border, with free coordinates."""
     rng = np.random.default_rng(11)
     root = rng.normal(size=(6, 6))
     curved, centre = 0.05 * root @ root.T + np.eye(6), np.array([1.2, 0.3, -0.8, 0.1, 2.0, -0.2])
@@ -417,8 +417,12 @@ def test_words_claim_no_more_than_was_searched() -> None:
     bounded = replace(found, within_sigmas=2.0, within_hz=31.75, within_tried=146, together_sigmas=1.9)
     assert worst_requirements(bounded, WorstWanted(modulus=0.25), "")[0].found.endswith(
         "; mu, to first order: none unstable within 2 sigma each (146 frequencies, 31.8 Hz); "
-        "pitch, yaw and roll together within 1.9 sigma each"
+        "pitch, yaw and roll together within 1.9 sigma each; a bound below 3 sigma proves nothing at 3 sigma"
     )
+    reached = replace(found, within_sigmas=3.1, within_hz=31.75, within_tried=146, together_sigmas=3.0)
+    for sigmas, nothing in ((3.0, False), (3.5, True)):
+        wanted = WorstWanted(modulus=0.25, sigmas=sigmas)
+        assert ("proves nothing" in worst_requirements(reached, wanted, "")[0].found) is nothing
 
 
 def going_together(*pairs: tuple[tuple[str, str], float]) -> Spread:

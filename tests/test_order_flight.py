@@ -1,9 +1,8 @@
 """Order of convergence of the whole closed-loop flight, step halving, and agreement with another integrator.
 
-The nominal vehicle with its design, in flight at 25 s, flies five seconds through a gust with everything on:
-bending, slosh, actuators, gyros, computer. Quantisation is off, so that the flight depends smoothly on its
-steps; so are the actuators' limits where an order is measured: a rate limit switches inside a step, which
-costs an order or two there.
+The nominal vehicle with its design, in flight at 25 s, flies five seconds through a gust with everything on: bending,
+slosh, actuators, gyros, computer. Quantisation is off, so that the flight depends smoothly on its steps. The actuators'
+limits are off where an order is measured, because a rate limit that switches inside a step costs an order or two.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ ROLLING_KGM2 = LUMPS_KG / 4200.0 * 800.0  # under the torsion's cosine half of i
 
 
 def conm2(factor: float = 1.0) -> str:
-    """Free field, small field with a continuation, and large field; a part of one hangs beside the axis."""
+    """Free field, small field with a continuation, and large field; a part of one is off the axis."""
     out = []
     for n, (kg, about_x) in enumerate(zip(factor * LUMPS_KG, factor * ROLLING_KGM2, strict=True)):
         if n == 1:
@@ -133,7 +133,7 @@ def conm2(factor: float = 1.0) -> str:
             out.append(f"CONM2*  {502:16d}{103:16d}{0:16d}{kg:16g}*")
             out.append(f"*       {0.0:16g}{0.0:16g}{0.0:16g}{'':16s}*")
             out.append(f"*       {about_x:16g}")
-        elif n == 3:  # 10 kg of it at the point beside the axis, 1.5 m from it
+        elif n == 3:  # 10 kg of it at the point 1.5 m off the axis
             out.append(f"CONM2,503,104,,{kg - 10.0 * factor:.9g},,,,,+\n+,{about_x - 22.5 * factor:.9g}")
             out.append(f"CONM2,599,900,0,{10.0 * factor:g}")
         else:
@@ -209,7 +209,7 @@ def test_displacements_in_a_system_of_their_own_are_refused(bulk: str, tmp_path:
 
 
 def test_displacement_systems_in_the_op2(tmp_path: Path) -> None:
-    """Refused on the axis; a point beside it is left out."""
+    """Rejected on the axis; a point off the axis is omitted."""
     data = (DATA / "beam.op2").read_bytes()
     for grid, place, left in ((104, (3.0, 0.0, 0.0), None), (900, (3.0, 1.5, 0.0), 15)):
         card = struct.pack("<ii3f3i", grid, 0, *place, 0, 0, 0)

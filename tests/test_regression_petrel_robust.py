@@ -2,7 +2,7 @@
 
 | claim | expected |
 |---|---|
-| corners of its case's ranges, by another search, at nodes and beside | its stated least distance from -1 |
+| corners of its case's ranges, by another search, at and between operating points | its stated least distance from -1 |
 | vehicles within three sigma together, every deviation of a suite | farther than 0.5; the first gains: 0.4 |
 | limits of the case in both planes | met |
 """

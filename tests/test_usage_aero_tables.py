@@ -1,4 +1,4 @@
-"""Tables of coefficients over angle of attack that are wrong are refused in one line with what is allowed."""
+"""Wrong tables of coefficients over angle of attack are rejected with a one-line error and the values allowed."""
 
 from __future__ import annotations
 

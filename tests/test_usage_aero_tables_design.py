@@ -50,7 +50,7 @@ def loaded(file: Path | str) -> LoadedScenario:
 
 
 def along_the_axis(node: Node) -> Node:
-    """Without what the flown angle of attack adds beside the tables: cross-flow above all."""
+    """Without the effects of the flown angle of attack outside the tables, mainly cross-flow."""
     assert abs(planar_of(node).aerodynamics.slope_pr[-1]) > 1e-3, (
         "a vehicle without tables is taken at zero angle of attack"
     )

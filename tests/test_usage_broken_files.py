@@ -158,7 +158,7 @@ _COMMANDS = [
     (
         simdesign,
         ["analyse", "designs/trial.toml", "--scenario", "ascent.toml", "--at", "1e300"],
-        "node at 1e+300 s: all",
+        "operating point at 1e+300 s: all",
     ),
     (
         simverify,

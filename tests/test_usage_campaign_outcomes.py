@@ -37,7 +37,8 @@ def told(folder: Path, capsys: pytest.CaptureFixture[str], rest: str = REQUIREME
 
 def test_a_settled_campaign_names_its_tightest_requirement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = told(tmp_path, capsys, campaign="success = 0.5\nconfidence = 0.5")
-    said = "MET: all 4 requirements in 50 % of flights with 50 % confidence; 0 of 20 runs failed; tightest: speed, "
+    said = "MET: all 4 requirements together in 50 % of flights with 50 % confidence; "
+    said += "0 of 20 runs failed; tightest: speed, "
     assert lines[-1].startswith(said)
     assert re.search(r", \d\.\d{3} of 100 m/s, \d % used in run \d+$", lines[-1])
     at = lines.index("requirements")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -13,8 +14,12 @@ from flight_code import EXAMPLES, compiled, flies, needs_compiler
 import maxq
 from maxq.control.external import HEADER
 from maxq.design.verify import certified as judge
+from maxq.design.verify.verify import _hashes
+from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run import guard
+from maxq.sim.run.flight_software import checked
 from maxq.sim.run.fly import fly as fly_once
+from maxq.sim.scenario.flight_code import CodeFile
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 
@@ -132,6 +137,7 @@ def test_wrong_python_is_told_in_a_line(capsys: Printed, text: str, code: int, s
 
 
 MEDDLING = """
+import hashlib
 import os
 import sys
 import maxq.design.verify.certified as judge
@@ -188,6 +194,52 @@ def test_python_code_that_does_not_return_at_its_start_is_ended(
 def test_a_wrong_name_is_told_in_a_line(capsys: Printed, computer: dict[str, str], said: str) -> None:
     assert fly(*flies(**computer)) == 2
     assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_hash_covers_all_files_of_the_code(tmp_path: Path) -> None:
+    """The modules that a file can import; in a package or of sources, all files; one file alone has its own hash."""
+    law, helper, other = tmp_path / "law.py", tmp_path / "gains" / "__init__.py", tmp_path / "notes.txt"
+    law.write_text("class Autopilot: ...\n", encoding="utf-8")
+
+    def python() -> CodeFile:
+        found = load_scenario("nominal", ["design=", *flies(python=f"{law}:Autopilot")]).vehicle.computer
+        assert found is not None
+        assert found.python is not None
+        return found.python
+
+    alone = python()
+    assert (alone.sha256, alone.files) == (hashlib.sha256(law.read_bytes()).hexdigest(), ())
+    helper.parent.mkdir()
+    helper.write_text("GAIN = 1.0\n", encoding="utf-8")
+    before = python()
+    assert before.files == ("law.py", "gains/__init__.py")
+    other.write_text("not code", encoding="utf-8")
+    assert python() == before
+    helper.write_text("GAIN = 1.8\n", encoding="utf-8")
+    assert python().sha256 != before.sha256
+    (tmp_path / "__init__.py").touch()
+    assert python().files == ("__init__.py", "law.py", "notes.txt", "gains/__init__.py")
+
+    library = tmp_path / "libfsw.so"
+    library.write_bytes(b"code")
+    named = load_scenario("nominal", ["design=", *flies(library=library, sources=tmp_path / "gains")])
+    assert named.vehicle.computer is not None
+    assert named.vehicle.computer.sources is not None
+    assert named.vehicle.computer.sources.files == ("__init__.py",)
+    under_test = [name for name in _hashes(named, {}, ()) if name.startswith("code under test")]
+    assert [name.removeprefix("code under test: ").replace(f"{tmp_path}/", "") for name in under_test] == [
+        "libfsw.so",
+        "gains (1 file: __init__.py)",
+    ]
+
+
+def test_a_log_with_another_helper_module_is_not_flown_again(tmp_path: Path) -> None:
+    for name in ("law", "gains"):
+        (tmp_path / f"{name}.py").write_text("class Autopilot: ...\n", encoding="utf-8")
+    flown = load_scenario("nominal", ["design=", *flies(python=f"{tmp_path / 'law.py'}:Autopilot")])
+    (tmp_path / "gains.py").write_text("other = 1\n", encoding="utf-8")
+    with pytest.raises(ScenarioError, match="is not the flight code that was flown"):
+        checked(flown)
 
 
 def test_a_log_is_flown_again_with_the_same_code_only(capsys: Printed, caplog: pytest.LogCaptureFixture) -> None:

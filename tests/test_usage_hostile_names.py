@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -125,6 +127,7 @@ class Page(HTMLParser):
 def only_shows(page: str, *names: str, acts: tuple[str, ...] = ()) -> None:
     found = Page(page)
     assert found.acts == list(acts)
+    assert Heard(page).faults == []
     for name in names:
         assert f"{NAME} {name}".strip() in found.words, name
     for shown in (
@@ -135,6 +138,52 @@ def only_shows(page: str, *names: str, acts: tuple[str, ...] = ()) -> None:
     ):
         page = page.replace(shown, "")
     assert "alert(1)" not in page
+
+
+_HEARD = {"html": "lang", "th": "scope", "img": "alt"} | dict.fromkeys(("nav", "input", "select", "svg"), "aria-label")
+_FIRST = {"table": "caption", "details": "summary"}  # elements that must come first inside others
+
+
+class Heard(HTMLParser):
+    """A page as a screen reader announces it: elements without a name, a caption or a scope are faults."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.faults: list[str] = []
+        self.open, self.headings, self.heads, self.last = [""], [], [], ""
+        self.feed(page.replace(f"<script>\n{OURS}\n</script>", "", 1))
+        if self.headings[:1] != [1] or self.headings.count(1) > 1 or any(b > a + 1 for a, b in pairwise(self.headings)):
+            self.faults.append(f"headings {self.headings}")
+        self.faults += ["a head without text"] * self.heads.count("")
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given, name = dict(attrs), _HEARD.get(tag)
+        if name and not given.get(name) and "label" not in self.open:
+            self.faults.append(f"{tag} without {name}")
+        if tag == "svg" and given.get("role") != "img":
+            self.faults.append("svg without a role")
+        if tag != _FIRST.get(self.last, tag):
+            self.faults.append(f"{self.last} without {_FIRST[self.last]}")
+        if re.fullmatch("h[1-6]", tag):
+            self.headings.append(int(tag[1]))
+        self.heads += [""] * (tag == "th")
+        self.last = tag
+        self.open += [tag] * (tag not in ("meta", "img", "input", "br", "hr"))
+
+    def handle_endtag(self, tag: str) -> None:
+        while len(self.open) > 1 and self.open.pop() != tag:
+            pass
+
+    def handle_data(self, data: str) -> None:
+        if "th" in self.open:
+            self.heads[-1] += data.strip()
+
+
+def test_a_page_that_cannot_be_heard_is_found() -> None:
+    page = "<html><h1>a</h1><h3>b</h3><table><tr><th></th></tr></table><svg></svg><input><img src=x><nav></nav>"
+    expected = ["html without lang", "table without caption", "th without scope", "svg without aria-label"]
+    expected += ["svg without a role", "input without aria-label", "img without alt", "nav without aria-label"]
+    assert Heard(page).faults == [*expected, "headings [1, 3]", "a head without text"]
 
 
 def test_a_page_that_acts_is_found() -> None:

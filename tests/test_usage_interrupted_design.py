@@ -98,7 +98,7 @@ def test_stages_that_were_not_designed_are_named(
     written = tomllib.loads(text)
     first, second = written["description"].split(". ")
     assert first.endswith("all limits met")
-    assert second.endswith("limits met at the nodes; the instants between them were not checked")
+    assert second.endswith("limits met at the operating points; the instants between them were not checked")
     rows = own.of_stage(2).gains.table["k_p"].tolist()
     assert [row["k_p"] for row in written["stage"][2]["gains"]["table"]] == rows
 

@@ -57,7 +57,8 @@ def test_a_node_after_the_loss_is_refused() -> None:
     loss = powered_flight(scenario)[1]
     assert loss is not None
     assert nodes_along(scenario, [loss.time_s - 1.0])[0].time_s == pytest.approx(loss.time_s - 1.0, abs=1e-3)
-    said = rf"^node at 24 s: the flight is lost before \({loss_text(loss)}\); allowed are times before the loss$"
+    lost = rf"the flight is lost before \({loss_text(loss)}\); allowed are times before the loss"
+    said = rf"^operating point at 24 s: {lost}$"
     for take in (nodes_along, lambda s, t: maxq.multiloops(s, s.design, t)):
         with pytest.raises(ValueError, match=said):
             take(scenario, [10.0, 24.0])
@@ -118,7 +119,7 @@ def test_an_analysis_of_a_lost_flight_says_so(capsys: pytest.CaptureFixture[str]
     assert simdesign.main([*words, "--at", "24"]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "node at 24 s: the flight is lost before" in said
+    assert "operating point at 24 s: the flight is lost before" in said
 
 
 @pytest.mark.slow

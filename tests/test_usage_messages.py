@@ -101,9 +101,10 @@ def test_a_description_tells_what_was_changed() -> None:
         return loaded.scenario.description
 
     wind = "wind.profile=winds/anheung-november.csv"
-    assert described(wind).endswith(f", no wind; with {wind}")
+    assert described(wind).endswith(f", no wind; changed: {wind}")
     assert described(wind, "description=in wind") == "in wind"
-    long = described(f"name={'x' * 200}")
+    assert described(wind, "name=windy") == described(wind)
+    long = described(f"design.description={'x' * 200}")
     assert long.endswith("...")
     assert len(long) < 200
 

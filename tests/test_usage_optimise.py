@@ -141,7 +141,7 @@ def test_the_same_seed_gives_the_same_design() -> None:
 
 
 def test_nodes_outside_the_powered_flight_are_refused() -> None:
-    for nodes, said in (("[5.0, 80.0]", "node at 80 s"), ("[-1.0, 5.0]", "node at -1 s")):
+    for nodes, said in (("[5.0, 80.0]", "operating point at 80 s"), ("[-1.0, 5.0]", "operating point at -1 s")):
         with pytest.raises(ValueError, match=said):
             nominal_plants(read_case("ksr3-identical", [f"nodes_s={nodes}"]))
 

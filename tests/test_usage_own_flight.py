@@ -46,7 +46,7 @@ def test_a_design_keeps_its_limits_with_the_other_axes_closed() -> None:
     first, *_, last = made.rounds
     assert first.tightened == ()
     assert "along its own flight phase margin, pitch, other axes closed missed by" in first.text
-    assert any(text.startswith("phase margin held to 0.02") for text in last.tightened)
+    assert any(text.startswith("limit on phase margin raised by 0.02") for text in last.tightened)
     assert last.text.endswith("its own flight agrees")
     ((outcome, solution),) = made.results
     alone = next(c for c in outcome.found if c.key == "phase_margin_deg")

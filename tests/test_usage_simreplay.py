@@ -26,8 +26,8 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import logged_channels
 from maxq.tools import simreplay
 from maxq.tools.replay import flight as flight_module
-from maxq.tools.replay import viewer
-from maxq.tools.replay.convert import Options, colours_of, free_corner, parts_of, save, with_scale
+from maxq.tools.replay import stream, viewer
+from maxq.tools.replay.convert import Options, colours_of, free_corner, part_with, parts_of, save, with_scale
 from maxq.tools.replay.flight import Moment, open_flight
 from maxq.tools.replay.plots import PlotAxis, PlotLine, ReplayPlot, tabs_of
 from maxq.tools.replay.sheets import write_sheets
@@ -209,13 +209,47 @@ def test_plots_are_parted_by_stages_and_legends_stand_aside_of_curves() -> None:
     assert (first, second, name, whole) == ((start, start + 4.0), (start + 4.0, end), "Whole flight", (start, end))
     ns = np.linspace(start * 1e9, end * 1e9, 500).astype(np.int64)
 
-    def corner(values: list[float]) -> str:
+    def corner(values: list[float], name: str = "", lines: int = 1) -> str:
         rows = np.interp(ns, [ns[0], ns[-1]], values)
-        plot = ReplayPlot("a/b", "", "", (PlotLine("", "mach", lambda _: (ns, rows)),))
-        return free_corner(plot, PlotAxis(0.0, 1.0, (), ()), (start, end), [flight]).name
+        plot = ReplayPlot("a/b", "", "", (PlotLine(name, "mach", lambda _: (ns, rows)),) * lines)
+        return free_corner(plot, PlotAxis(0.0, 1.0, (), ()), (start, end), [flight], 3).name
 
     assert corner([0.0, 1.0]) == "LeftTop"
     assert corner([1.0, 0.0]) == "RightTop"
+    assert corner([0.4, 0.62]) == "RightTop", "above the curve"
+    assert corner([0.4, 0.62], "a curve with a long name", 5) == "RightBottom", "27 % of it, at the top 36 % and more"
+
+
+def test_pictures_show_the_plots_of_the_part_with_their_times() -> None:
+    """A picture at 150 s showed the first stage, which ends at 120 s."""
+    parts = [(0.0, 4.0), (4.0, 10.0), (0.0, 10.0)]
+    assert [part_with(parts, times) for times in ((), (1.0,), (5.0,), (3.0, 5.0), (20.0,))] == [0, 0, 1, 2, 2]
+
+
+def test_the_last_event_so_far_is_bold(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[tuple[int, list[str]]] = []
+    now = [0]
+    monkeypatch.setattr(stream, "set_time", lambda _, time_ns: now.append(time_ns))
+    log = lambda _, entity, document: sent.append((now[-1], document.text.as_arrow_array()[0].as_py().splitlines()))  # noqa: E731
+    monkeypatch.setattr(stream.rr.RecordingStream, "log", log)
+    events = (Moment("ignition", 500_000_000, "ignition"), Moment("end", 2_000_000_000, "the end " * 9))
+    stream.send_events(stream.rr.RecordingStream("test"), [("", events)], 0)
+    assert [time_ns for time_ns, _ in sent] == [0, 500_000_000, 2_000_000_000]
+    assert sent[0][1][:3] == ["| time, s | event |", "|--:|---|", "| 0.500 | ignition |"]
+    assert sent[1][1][2:4] == ["| **0.500** | **ignition** |", f"| 2.000 | {'the end ' * 5}the |"]
+    assert sent[2][1][2:5] == [
+        "| 0.500 | ignition |",
+        f"| **2.000** | **{'the end ' * 5}the** |",
+        f"|  | **end {'the end ' * 3}**".rstrip("* ") + "** |",
+    ]
+    sent.clear()
+    stream.send_events(stream.rr.RecordingStream("test"), [("one", events[:1]), ("two", events[:1])], 0)
+    assert sent[1][1][:4] == [
+        "| time, s | flight | event |",
+        "|--:|---|---|",
+        "| **0.500** | **one** | **ignition** |",
+        "| 0.500 | two | ignition |",
+    ]
 
 
 def test_of_many_flights_a_few_are_in_memory_and_plots_are_families(monkeypatch: pytest.MonkeyPatch) -> None:

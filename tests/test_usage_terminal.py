@@ -22,7 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from maxq.sim.flight.metric_table import figures
+from maxq.sim.run.quantities import number_text
 from maxq.tools import simdesign, simreplay, simrun, simvehicle, simverify
 from maxq.tools.cli import terminal
 from maxq.tools.cli.terminal import aligned, folded, painted
@@ -151,7 +151,7 @@ def test_a_pipe_gets_whole_lines_unless_columns_are_given(monkeypatch: pytest.Mo
         (0.00630254, "0.006303"),
         (-1.31316e-07, "0"),
         (0.0, "0"),
-        (-4.25, "-4.25"),
+        (-4.25, "-4.250"),
         (float("nan"), "-"),
         (float("inf"), "inf"),
         (3.6e9, "3.6e+09"),
@@ -159,7 +159,7 @@ def test_a_pipe_gets_whole_lines_unless_columns_are_given(monkeypatch: pytest.Mo
     ],
 )
 def test_four_significant_digits(value: float, text: str) -> None:
-    assert figures(value) == text
+    assert number_text(value) == text
 
 
 def test_many_threads_move_one_bar_that_goes_away() -> None:
@@ -215,7 +215,7 @@ def test_a_bar_is_never_without_a_name() -> None:
         "    progress._bar.refresh()\n"
         "    print('x' * 40 + ' ' + 'y' * 39)\n"
     )
-    assert "x" * 40 + " " + "y" * 39 in shown  # what is printed beside it has the whole width
+    assert "x" * 40 + " " + "y" * 39 in shown  # text printed next to it has the whole width
     lines = [re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", part).strip() for part in re.split(r"[\r\n]", shown)]
     bars = [line for line in lines if "\u2501" in line]
     assert len(bars) > 2

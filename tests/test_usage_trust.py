@@ -167,7 +167,7 @@ PLACES = (
 def test_a_scenario_in_a_log_reads_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], place: str, name: str
 ) -> None:
-    """Not beside the log, not in the working folder, not among the built-in ones, not anywhere else."""
+    """Not next to the log, not in the working folder, not among the built-in ones, not anywhere else."""
     monkeypatch.chdir(tmp_path)
     write_ascent(tmp_path)
     whole = load_scenario("ascent.toml").as_flown

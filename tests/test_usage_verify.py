@@ -108,7 +108,7 @@ def test_accepted_design_leaves_verdict_and_pack(
     code, said, _ = _run(capsys, "ksr3-robust", "--suite", str(suite), "--out", str(out))
     assert code == 0, said
     assert said.splitlines()[0] == (
-        "the suite does not ask for: gain margin 6 dB, phase margin 30 deg, peak of mode 2 -6 dB, rigid-body frequency "
+        "the suite does not limit: gain margin 6 dB, phase margin 30 deg, peak of mode 2 -6 dB, rigid-body frequency "
         "0.5 Hz, rigid-body damping ratio 0.7"
     )
     last = said.rstrip().splitlines()[-1]
@@ -485,8 +485,10 @@ def test_commands_need_few_quotes() -> None:
 
 
 def test_a_candidate_picked_because_it_passed_keeps_the_risk() -> None:
-    """Ten candidates that are each just not good enough, tried until one is accepted: with its share of the risk each,
-    at most one search in ten ends with one; with the whole risk each, far more do."""
+    """Try ten candidates, each just not good enough, until one is accepted.
+
+    If each has its share of the risk, at most one search in ten accepts one. If each has the whole risk, far more do.
+    """
     rng = np.random.default_rng(8)
     accepted = dict.fromkeys((0.9, 0.99), 0)
     for _ in range(300):
@@ -499,7 +501,7 @@ def test_a_candidate_picked_because_it_passed_keeps_the_risk() -> None:
 
 
 def test_one_comparison_for_designs_and_verdicts() -> None:
-    """30.00 deg that are asked for and found within the search's tolerance are met on both sides, with no room."""
+    """A limit of 30.00 deg is met within the search's tolerance on both sides, with no margin."""
     for value, met in ((30.0, True), (30.0 - 4e-4, True), (30.0 - 6e-4, False), (31.0, True)):
         assert (violation(value, 30.0, ">=", "deg") <= 0.0) == met
         assert (violation(-value, -30.0, "<=", "dB") <= 0.0) == met
@@ -529,7 +531,7 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     study = MarginStudy("", "yaw", (40.0,), nominal, (), values)
     loaded = read_suite("standard", ["margins.seed=7"])
     *_, row = margin_requirements(study, wanted, lambda label: loaded.command("designs/ksr3-robust.toml", None, label))
-    assert row.found == "51 of 60; phase margin, rigid body: 14.10 deg, wanted >= 15 deg"
+    assert row.found == "51 of 60; phase margin, rigid body: 14.10 deg, required >= 15 deg"
     assert row.where == "vehicle 59, 40 s, yaw"
     *_, of_stage = margin_requirements(dataclasses.replace(study, stage="stage 1 (first)"), wanted)
     assert "; phase margin, rigid body, stage 1 (first): 14.10 deg" in of_stage.found

@@ -134,10 +134,29 @@ def test_another_vehicle_is_named_and_its_numbers_are_not_compared() -> None:
     Path("other.toml").write_text('extends = "nominal.toml"\nunset = ["design"]\n[vehicle_overrides]\nname = "other"\n')
     Path("mine.toml").write_text('schema = 2\nextends = "standard"\nscenario = "other.toml"\n')
     (found,) = _differences("mine.toml")
-    assert found.startswith(
-        "changed: vehicle, whose own numbers, limits, winds and deviations are not compared, KSR-III"
-    )
+    assert found.startswith("changed: vehicle, whose own numbers, limits and winds are not compared, KSR-III")
     assert found.endswith(" -> other")
+
+
+def test_smaller_spreads_of_another_vehicle_are_listed() -> None:
+    """Those of factors and of the air, by standard deviation; a larger one and one in the vehicle's units are not."""
+    Path("other.toml").write_text('extends = "nominal.toml"\nunset = ["design"]\n[vehicle_overrides]\nname = "other"\n')
+    draws = {
+        "atmosphere.density_factor": "three_sigma = 0.01",
+        "vehicle.stage.0.engine.thrust_factor": "sigma = 0.001",
+        "vehicle.stage.0.engine.mass_flow_factor": "three_sigma = 0.04",
+        "vehicle.stage.0.engine.misalignment_deg.0": "three_sigma = 0.01",
+    }
+    text = "".join(f'[[disperse]]\nkey = "{key}"\ndistribution = "normal"\n{size}\n' for key, size in draws.items())
+    Path("calm.toml").write_text(f'schema = 1\nextends = "other.toml"\n[campaign]\nruns = 2000\n{text}')
+    campaign = '[[campaign]]\nfile = "calm.toml"\nlimits = "dispersed"\nruns = 1200\n'
+    Path("mine.toml").write_text(f'schema = 2\nextends = "standard"\nscenario = "other.toml"\n{campaign}')
+    found = [text for text in _differences("mine.toml") if text.startswith("spread reduced")]
+    of = "spread reduced: campaign 1: deviation."
+    assert found == [
+        f"{of}vehicle.stage.0.engine.thrust_factor, standard deviation, 0.00333333 -> 0.001",
+        f"{of}atmosphere.density_factor, standard deviation, 0.025 -> 0.00333333",
+    ]
 
 
 def test_an_agreed_baseline_is_named_as_not_shipped() -> None:

@@ -218,9 +218,10 @@ def test_the_last_line_names_outcome_reason_and_count() -> None:
     load = replace(gust, wanted="<= 5e+04 Pa deg", found="q alpha 5.2e+04 Pa deg", room=-0.9, where="")
     assert _line(gust, load) == "REJECTED: gust: q alpha 5.2e+04 Pa deg > 5e+04 Pa deg; 0 of 2 requirements met"
     lost = replace(flown, judgement="rejected", room=-0.5)
-    assert _line(lost) == "REJECTED: c: q: 4 of 60 failed, wanted <= 8, 99 % with 90 % (run 3); 0 of 1 requirement met"
+    expected = "REJECTED: c: q: 4 of 60 failed, required <= 8, 99 % with 90 % (run 3); 0 of 1 requirement met"
+    assert _line(lost) == expected
     assert _line(good, flown) == (
-        "UNDECIDED: c: q: 4 of 60 failed, wanted <= 8, 99 % with 90 %, 7 more runs would settle it; "
+        "UNDECIDED: c: q: 4 of 60 failed, required <= 8, 99 % with 90 %, 7 more runs would settle it; "
         "1 of 2 requirements met"
     )
     assert _line(good) == (

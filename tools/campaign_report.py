@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -33,6 +34,7 @@ from maxq.tools.plots.figures import as_csv
 
 TAIL_NOTE = "quantile: that the required share does not exceed; fit: share of samples that fit worse, 0.05 is poor"
 _DRIVEN = 6  # requirements whose drivers are shown: those nearest to their limits
+_SHOWN = 3  # requirements in the line of progress: the tightest
 _NAMED = 8  # drivers in the summary of each
 
 
@@ -45,7 +47,7 @@ def watcher(bar: terminal.Progress) -> Callable[[CampaignProgress], None]:
         left = f", {duration(progress.left_s)} left" if unfinished else ""
         shares = [(utilisation(t.worst, *t.requirement.bound), t) for t in interim.tallies if t.requirement is not None]
         tightest = sorted(((s, t) for s, t in shares if not math.isnan(s)), key=lambda item: -item[0])
-        notes = [f"{interim.failed} failed", *(f"{t.name} {share_text(s)} used" for s, t in tightest)]
+        notes = [f"{interim.failed} failed", *(f"{t.name} {share_text(s)} used" for s, t in tightest[:_SHOWN])]
         count = f"{progress.done} of {progress.total} runs, {progress.rate:.1f}/s{left}"
         bar.show("flying", progress.done, progress.total, "; ".join(notes), count)
 
@@ -140,17 +142,20 @@ def headline(data: DataSet, verdicts: Sequence[Judged]) -> str:
     ordered, failed = tightest_first(verdicts), f"{len(failed_runs(data))} of {runs} runs failed"
     missed = [v for v in ordered if v.shown.judgement == NOT_MET]
     undecided = [v for v in ordered if v.shown.judgement == OPEN]
-    met = f"{len(ordered) - len(missed) - len(undecided)} of {len(ordered)} requirements met"
+    each = [v for v in ordered if not v.joint]
+    met = f"{sum(v.shown.judgement == MET for v in each)} of {len(each)} requirements met"
     if missed:
+        others = [printable(v.name) for v in missed[1:] if not v.joint]
         said = [f"{_failures(missed[0])}; required in {level}"]
-        said += [f"also missed: {', '.join(printable(v.name) for v in missed[1:])}"] * (len(missed) > 1)
+        said += [f"also missed: {', '.join(others)}"] * bool(others)
         return f"MISSED: {'; '.join((*said, met))}"
     if undecided:
         first = max(undecided, key=lambda v: v.shown.more)
         said = [f"{first.shown.more} more runs needed to show {level}"]
         said += [_failures(undecided[0])] * (undecided[0].shown.failures > 0)
         return f"UNDECIDED: {'; '.join((*said, met, failed, *_tightest(ordered)))}"
-    return f"MET: all {len(ordered)} requirements in {level}; {'; '.join((failed, *_tightest(ordered)))}"
+    every = f"all {len(each)} requirements together" if len(each) != 1 else each[0].name
+    return f"MET: {every} in {level}; {'; '.join((failed, *_tightest(ordered)))}"
 
 
 def _failures(v: Judged) -> str:
@@ -159,7 +164,7 @@ def _failures(v: Judged) -> str:
     """
     often = f"in {v.shown.failures} of {v.shown.runs} runs"
     if not v.metric or not v.worst or meets(v.worst[0].value, v.kind, v.bound):
-        return f"{printable(v.name)}: missed {often}"
+        return f"{printable(v.name)}{' together' if v.joint else ''}: missed {often}"
     value, limit, unit = v.worst_text
     unit, sign = f" {unit}" if unit else "", ">" if v.kind == "limit" else "<"
     return f"{printable(v.name)} {value}{unit} {sign} {limit}{unit} {often} (worst: run {v.worst[0].run})"
@@ -178,15 +183,17 @@ def _tightest(ordered: Sequence[Judged]) -> list[str]:
 
 
 def next_step(data: DataSet, verdicts: Sequence[Judged]) -> str:
-    """Return the next step: fly a missed run again, fly more runs, or read the report."""
+    """Return the next step: fly a missed run again, fly more runs, or read or write the report."""
     runs = len(data.runs)
-    missed = [v for v in tightest_first(verdicts) if v.shown.judgement == NOT_MET and v.worst]
-    if missed:
-        return f"next: {replay(data.folder, missed[0].worst[0].run)}"
+    for v in tightest_first(verdicts):
+        run = v.worst[0].run if v.worst else v.first_missed
+        if v.shown.judgement == NOT_MET and run is not None:
+            return f"next: {replay(data.folder, run)}"
     more = max((v.shown.more for v in verdicts), default=0)
     if runs and more:
         return f"next: repeat the command with --runs {runs + more}"
-    return f"next: read {data.folder / 'report.html'}"
+    page = data.folder / "report.html"
+    return f"next: read {page}" if page.exists() else f"next: simrun report {shlex.quote(str(data.folder))}"
 
 
 def how_judged(data: DataSet, verdicts: Sequence[Judged]) -> str:
@@ -210,6 +217,11 @@ def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
         return tail_of(values, v.bound, campaign.success, campaign.confidence, v.kind == "limit")
 
     return [(v, tail(v)) for v in nearest_limits(verdicts)]
+
+
+def tails_shown(tails: Tails) -> bool:
+    """Return True if there is an estimate, or one that is withheld because of its largest values."""
+    return any(not (tail.problem and math.isnan(tail.largest)) for _, tail in tails)
 
 
 def tail_rows(tails: Tails) -> ReportRows:
@@ -261,9 +273,10 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], ta
         shown = aligned(month_rows(months), "  ", right=range(1, 5))
         sure = f"{100.0 * months[0].confidence:g} % confidence, Clopper-Pearson"
         lines += ["", f"launch availability by month of the wind (bounds at {sure})", *shown]
-    if any(not tail.problem for _, tail in tails):
+    if tails_shown(tails):
         shown = aligned(tail_rows(tails), "  ", right=range(2, 9))
         lines += ["", f"estimates by peaks over threshold, in addition to the verdicts ({TAIL_NOTE})", *shown]
+        lines += [f"  {plots.unseen_text(tails)}"] * any(not tail.problem for _, tail in tails)
     flights = [(f"run {run.run}", run.outcome, printable(run.cause)[:90]) for run in losses[:5]]
     for v in tightest_first(verdicts):
         if v.metric and v.shown.failures and v.worst:
@@ -335,7 +348,7 @@ def write_report(
         labels=labels,
         distribution=distribution,
         requirements=rows,
-        tails=tail_rows(tails),
+        tails=tail_rows(tails) if tails_shown(tails) else [],
         tail_note=TAIL_NOTE,
         months=month_rows(availability(data)),
         replay=replay,

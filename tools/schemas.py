@@ -6,6 +6,7 @@ from typing import Any
 
 from maxq.design.case.basis import Basis
 from maxq.design.case.schema import Case
+from maxq.design.model.given_file import GivenPoints
 from maxq.design.verify.suite import Suite
 from maxq.sim.campaign.schema import CampaignFile
 from maxq.sim.input.ranges import range_of
@@ -30,6 +31,7 @@ MODELS: dict[str, type[Section]] = {
     "case": Case,
     "suite": Suite,
     "layout": Layout,
+    "points": GivenPoints,
 }
 KINDS = tuple(MODELS)
 _EXTENDS = {"type": "string", "description": "file that this one extends"}

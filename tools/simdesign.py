@@ -40,7 +40,13 @@ def _parser() -> Parser:
     _add_optimise(parser)
     _add_analyse(parser)
     _add_others(parser)
-    parser.about_itself({"case": "cases (simdesign CASE)", "design": "designs (simdesign analyse DESIGN)"})
+    parser.about_itself(
+        {
+            "case": "cases (simdesign CASE)",
+            "design": "designs (simdesign analyse DESIGN)",
+            "points": "published derivatives (simdesign analyse DESIGN --points FILE)",
+        }
+    )
     return parser
 
 
@@ -76,6 +82,7 @@ def _add_analyse(parser: Parser) -> None:
     examples = """\
   simdesign analyse ksr3-default           margins of a built-in design
   simdesign analyse runs/mine --at 30 --at 45   of the design that a case has left there, at two times
+  simdesign analyse greensite-hm3          of a launcher that is known by published derivatives only
 """
     exits = {
         Exit.OK: "stable at every operating point, and all limits met that the design states",
@@ -92,6 +99,7 @@ def _add_analyse(parser: Parser) -> None:
     add("--errata corrected|paper", "equations corrected or as the paper prints them (default: as designed)")
     _add_plant(analyse)
     add("--faults", "operating points of the flight with the scenario's faults")
+    add("--points FILE", "operating points of published derivatives (.toml, or built in) instead of a flight")
     add("--out DIR", "where to write (default: runs/analyse-<name of the design>)")
     _add_page(analyse)
 
@@ -178,8 +186,14 @@ def _optimise(
         raise CommandError("a case is named twice")
     if len(cases) > 1 and not verify:
         raise CommandError(f"what is {cases[1]!r}? one case at a time, or several with --verify")
-    from maxq.tools.design import run_case  # noqa: PLC0415  # lazy, as all imports below: --help is fast
+    from maxq.tools.design import points, run_case  # noqa: PLC0415  # lazy, as all imports below: --help is fast
 
+    if any(map(points.is_case_of_points, cases)):
+        search = (f"search.{key}={given.pop(key)}" for key in ("starts", "seed") if given.get(key) is not None)
+        changes = (*given.pop("overrides", ()), *search)
+        if verify or any(given.get(key) for key in ("orders", "plots")):
+            raise CommandError("a case of points has no vehicle: allowed are --out, --starts, --seed and --set")
+        return points.make(cases[0], overrides=changes, out=out)
     given |= {"page": not no_pictures, "trials": not no_trials}
     makes = [partial(run_case.make, case, out=_folder(out, case, len(cases)), **given) for case in cases]
     if not verify:
@@ -190,9 +204,11 @@ def _optimise(
 
 
 def _analyse(*, no_pictures: bool = False, **given: Any) -> int:
-    from maxq.tools.design import analyse, report  # noqa: PLC0415  # lazy
+    from maxq.tools.design import analyse, points, report  # noqa: PLC0415  # lazy
 
-    return analyse.execute(report.AnalysisOrder(page=not no_pictures, given=tuple(given), **given))
+    order = report.AnalysisOrder(page=not no_pictures, given=tuple(given), **given)
+    file = points.points_of(order)
+    return analyse.execute(order) if file is None else points.execute(order, file)
 
 
 def _errata(**given: Any) -> int:

@@ -15,7 +15,7 @@ _EXAMPLES = """\
   simreplay runs/nominal runs/windy                two flights, one over the other
   simreplay runs/nominal --screenshot q.png --at 43   a picture without any display
   simreplay runs/nominal --plots review            the standard set as SVG and PNG
-  simreplay runs/nominal --summary                 a glance in the terminal
+  simreplay runs/nominal --summary                 a summary in the terminal
 """
 _EXITS = {
     Exit.OK: "shown",
@@ -40,14 +40,14 @@ def _parser() -> Parser:
     add = parser.option
     add("LOG|DIR...", "a log, a folder with flight.mcap, or a campaign's folder", dest="logs")
     way = parser.add_mutually_exclusive_group()
-    add("--web", "serve it to a browser on this machine (127.0.0.1)", group=way)
+    add("--web", "serve the flight to a browser on this machine (127.0.0.1)", group=way)
     add("--save FILE.rrd", "write a file that `rerun` opens", group=way)
     add("--screenshot FILE.png", "write a picture; no display is needed", needs=["--at"], group=way)
     add("--plots DIR", "write the standard set of plots as SVG and PNG", group=way)
-    add("--summary", "print a glance at the flight", group=way)
+    add("--summary", "print a summary of the flight", group=way)
     add("--at S...", "time of the picture, s; repeatable", needs=["--screenshot"], type=seconds)
-    add("--size WxH", "of the picture (default 1920x1080)", needs=["--screenshot"], type=_size)
-    add("--port N", "of --web (default 9090)", needs=["--web"], type=int)
+    add("--size WxH", "size of the picture (default 1920x1080)", needs=["--screenshot"], type=_size)
+    add("--port N", "port of --web (default 9090)", needs=["--web"], type=int)
     scene = partial(add, without=["--plots", "--summary"])
     scene("--tab NAME", "the tab of plots that is in front, e.g. Bending")
     about = "plots keep the smallest and the largest sample of each 1/HZ s (default 50; 10 for more than 4 flights)"

@@ -37,7 +37,7 @@ _CAMPAIGN = {
     Exit.UNDECIDED: "undecided: more runs are needed",
 }
 _RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
-_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "flight-software")
+_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points", "flight-software")
 _FORMER = ("--copy", "--schema", "--upgrade", "--from")
 
 
@@ -312,7 +312,7 @@ def _kept(text: str) -> str:
 
 
 def _load_numba_without_blas() -> None:
-    """Load Numba without its search for BLAS, which imports scipy.linalg and takes a fifth of a second.
+    """Load Numba without its search for BLAS, which imports scipy.linalg and takes 0.2 s.
 
     Kernels use no linear algebra (CONTRIBUTING.md). Therefore, this process, which ends after the flight, marks
     scipy.linalg as unavailable.

@@ -19,7 +19,7 @@ from maxq.sim.campaign.investigation import flight_folder, refly, search_worst, 
 from maxq.sim.campaign.rare import rare_failure
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.campaign.runner import run_campaign
-from maxq.sim.campaign.statistics import MET, NOT_MET, OPEN
+from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.campaign.store import RUNS, campaign_in
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.files import plain_name, write_whole
@@ -312,14 +312,10 @@ def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | 
         tell("a population reached a value that no flight exceeded: the lower bound is not known")
     if found.nearest is not None:
         tell(*_nearest(campaign, place, metric, found.nearest))
-    verdict, code = OPEN, Exit.UNDECIDED
-    if found.high <= allowed:
-        verdict, code = MET, Exit.OK
-    elif found.low > allowed:
-        verdict, code = NOT_MET, Exit.FAILED
+    verdict = found.judgement(allowed)
     bounds = f"probability of a miss {found.low:.2g} to {found.high:.2g}, {allowed:.2g} allowed"
     tell(f"{verdict.upper()}: {bounds} (estimate; it covers only the failure modes found)")
-    return code
+    return {MET: Exit.OK, NOT_MET: Exit.FAILED}.get(verdict, Exit.UNDECIDED)
 
 
 def _nearest(campaign: LoadedCampaign, folder: Path, metric: str, point: tuple[np.ndarray, int]) -> list[str]:

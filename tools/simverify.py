@@ -21,7 +21,8 @@ _EXAMPLES = """\
 """
 _EXITS = {
     Exit.OK: "accepted: every requirement is met, and shown with the required confidence "
-    "(of several designs: by the best); with less evidence than an acceptance needs: passed the screening",
+    "(of several designs: by the best), or those that are missed are waived; with less evidence than an acceptance "
+    "needs: passed the screening",
     Exit.FAILED: "rejected: at least one requirement is not met; of --check: something differs",
     Exit.BAD_INPUT: "bad input, nothing flown, or files that cannot be read or written",
     Exit.UNDECIDED: "undecided: more runs are needed; it says how many",

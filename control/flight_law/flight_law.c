@@ -301,6 +301,8 @@ void law_start(law_state *state)
         state->requested_rad[axis] = REAL(0.0);
         state->accel_mps2[axis] = REAL(0.0);
         state->rate_radps[axis] = REAL(0.0);
+        state->drift_mps[axis] = REAL(0.0);
+        state->drift_m[axis] = REAL(0.0);
         for (i = 0; i < LAW_MOST_SECTIONS; ++i) {
             state->filter[axis][i][0] = REAL(0.0);
             state->filter[axis][i][1] = REAL(0.0);
@@ -329,6 +331,9 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
     law_real gains[2 * LAW_GAINS];
     law_real error_rad[3];
     law_real rate_radps[3];
+#if LAW_DRIFT == 1
+    law_real unlimited_rad[3];
+#endif
     int32_t axis;
     for (axis = 0; axis < 3; ++axis) {
         law_real increment_rad = in->delta_angle_rad[axis];
@@ -345,6 +350,9 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
             whole_rad = state->angle_rad[axis] - in->commanded_angle_rad[axis];
         }
         error_rad[axis] = limited(whole_rad, of->angle_error_limit_rad);
+#if LAW_DRIFT == 1
+        unlimited_rad[axis] = whole_rad;
+#endif
     }
 #if LAW_FURTHER_GYROS > 0
     for (axis = 0; axis < 2; ++axis) {
@@ -384,8 +392,8 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
         state->accel_mps2[axis] += of->accel_share * (there_mps2 - state->accel_mps2[axis]);
         wanted_rad += -own[2] * (state->accel_mps2[axis] / own[4]);
         state->rate_radps[axis] = rate_in_radps;
-#elif LAW_GAINS == 3
-        const law_real more_rad = of->sample_s * gains[3 * axis + 2] * angle_in_rad;
+#elif LAW_INTEGRAL == 1
+        const law_real more_rad = of->sample_s * gains[LAW_GAINS * axis + 2] * angle_in_rad;
         law_real cut_rad = state->requested_rad[axis];
         if (limited(cut_rad, of->command_limit_rad) == cut_rad) {
             cut_rad = REAL(0.0);
@@ -394,6 +402,17 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
             state->integral_rad[axis] = limited(state->integral_rad[axis] + more_rad, of->integral_limit_rad);
         }
         wanted_rad -= state->integral_rad[axis];
+#endif
+#if LAW_DRIFT == 1
+        {
+            const law_real side_mps2 = in->delta_velocity_mps[2 - axis] / of->sample_s;
+            const law_real forward_mps2 = in->delta_velocity_mps[0] / of->sample_s;
+            const law_real *const own = &gains[LAW_GAINS * axis + 2 + LAW_INTEGRAL]; /* k_zd_radspm, k_z_radpm */
+            state->drift_mps[axis] += of->sample_s
+                * (((axis == 0) ? side_mps2 : -side_mps2) - forward_mps2 * unlimited_rad[axis + 1]);
+            state->drift_m[axis] += of->sample_s * state->drift_mps[axis];
+            wanted_rad += own[0] * state->drift_mps[axis] + own[1] * state->drift_m[axis];
+        }
 #endif
         state->law_rad[axis] = wanted_rad;
         state->requested_rad[axis] =

@@ -29,7 +29,7 @@ typedef struct {
     law_real commanded_rate_radps[3];/* over the sample; where LAW_ADAPTIVE is 1 */
     law_real attitude_error_rad[3];  /* from the navigation, commanded to measured; where LAW_RATE_INTEGRAL is 0 */
     law_real further_rate_radps[4][3];/* rate gyros beyond the first, mean over the sample; LAW_FURTHER_GYROS of them */
-    law_real delta_velocity_mps[3];  /* accelerometer, of the sample; where LAW_LOAD_RELIEF is not 0 */
+    law_real delta_velocity_mps[3];  /* accelerometer, of the sample; where LAW_LOAD_RELIEF or LAW_DRIFT is not 0 */
 } law_inputs;
 
 typedef struct {
@@ -48,6 +48,8 @@ typedef struct {
     law_real requested_rad[2]; /* and behind it */
     law_real accel_mps2[2];    /* behind its lag */
     law_real rate_radps[2];    /* of the sample before; where LAW_LOAD_RELIEF is 2 */
+    law_real drift_mps[2];     /* velocity across the reference trajectory, along +z and -y; where LAW_DRIFT is 1 */
+    law_real drift_m[2];       /* and displacement */
     int32_t adapts[2];         /* 1: the reference model runs */
     law_real added_gain[2];
     law_real total_gain[2];

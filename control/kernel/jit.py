@@ -126,7 +126,7 @@ class _Formula(_Kernel):
 def _for_kernels(
     function: Function, compiler: type[CompilerBase] = KernelCompiler, kind: type[_Kernel] = _Kernel, **options: Any
 ) -> Function:
-    return function if numba.config.DISABLE_JIT else kind(function, compiler, options)  # type: ignore[return-value]
+    return function if numba.config.DISABLE_JIT else kind(function, compiler, options)  # type: ignore[return-value]  # called like the function
 
 
 def _compile_for_all_integers(compiled: Any) -> None:

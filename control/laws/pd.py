@@ -28,6 +28,7 @@ class GainSchedule:
 
     `k_p` (n,). `k_d_s` (n,), s. With an integral `k_i_ps` (n,), 1/s. With load relief `k_a_s2pm` (n,), s2/m. With
     `incidence-relief` `k_alpha` (n,) and the parameters of the estimate of the angle of attack (laws/load_relief.py).
+    With feedback of the drift `k_zd_radspm` (n,), rad s/m, and `k_z_radpm` (n,), rad/m (laws/drift.py).
     """
 
     at: Sequence[float]
@@ -38,6 +39,8 @@ class GainSchedule:
     k_alpha: Sequence[float] = ()
     percussion_m: Sequence[float] = ()
     accel_per_incidence_mps2: Sequence[float] = ()
+    k_zd_radspm: Sequence[float] = ()
+    k_z_radpm: Sequence[float] = ()
     over: Over = "time_s"
 
     @property

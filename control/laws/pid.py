@@ -42,17 +42,24 @@ def start_pid(state: PidState) -> None:
 
 
 @kernel
+def integrate(pid: Pid, integral: PidState, k_i_ps: float, given: LawInputs) -> None:
+    """Add the attitude error of a sample to the integral of an axis, which is held at its limit."""
+    gimbal = given.gimbal
+    integral.k_i_ps[gimbal] = k_i_ps
+    more_rad = given.sample_s * k_i_ps * given.error_rad
+    if more_rad * given.cut_rad >= 0.0:  # a positive error lowers the command, away from the upper limit
+        whole_rad = integral.integral_rad[gimbal] + more_rad
+        integral.integral_rad[gimbal] = min(max(whole_rad, -pid.limit_rad), pid.limit_rad)
+
+
+@kernel
 def tick_pid(law: PdRecord, pid: Pid, pool: Array, state: PdState, integral: PidState, given: LawInputs) -> float:
     """Tick as `tick_pd` does, with three columns per axis in the gain table. With `on` = 0 the integral is 0."""
     pid_rad, gimbal = 0.0, given.gimbal
     if given.on == 0:
         integral.integral_rad[gimbal] = 0.0
     elif law.gains.n_breaks != 0:
-        integral.k_i_ps[gimbal] = look_up(pool, law.gains, given.at, 3 * gimbal + 2)
-        more_rad = given.sample_s * integral.k_i_ps[gimbal] * given.error_rad
-        if more_rad * given.cut_rad >= 0.0:  # a positive error lowers the command, away from the upper limit
-            whole_rad = integral.integral_rad[gimbal] + more_rad
-            integral.integral_rad[gimbal] = min(max(whole_rad, -pid.limit_rad), pid.limit_rad)
+        integrate(pid, integral, look_up(pool, law.gains, given.at, 3 * gimbal + 2), given)
         pd_rad = proportional_derivative(law, pool, state, given, 3)
         pid_rad = pd_rad - integral.integral_rad[gimbal]
     return filtered(law, state, gimbal, pid_rad)

@@ -169,6 +169,9 @@ class Basis(Section):
     """The plant, the loop, the operating points and the limits of a design."""
 
     scenario: str = optional("name of the scenario whose flight gave the operating points", "")
+    points: str | None = optional(
+        "file of published derivatives that gives the operating points, instead of a flight (docs/design.md)"
+    )
     plant: Literal["flown", "table2"] = optional(
         "flown: the scenario's vehicle; table2: with derivatives that span the paper's Table 2", "flown"
     )

@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_STAGES
-from maxq.control.structures import MAX_SECTIONS, RELIEF, STRUCTURES, DesignedStructure, Law, Over
+from maxq.control.structures import INTEGRAL, MAX_SECTIONS, RELIEF, STRUCTURES, DesignedStructure, Law, Over
 from maxq.design.case.basis import (
     BETWEEN,
     WIND_KEYS,
@@ -30,11 +30,12 @@ from maxq.design.case.basis import (
     check_rising,
     limit_of,
 )
+from maxq.design.model.given_file import GivenPoints, read_points
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import ScenarioError, refuse
 from maxq.sim.input.files import builtin_files, find, named_in_file
 from maxq.sim.input.values import Positive, Section, at_time, optional
-from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario
+from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario, read_design
 from maxq.sim.scenario.schema_design import Design, LoadReliefSection
 
 ObjectiveName = Literal["first-mode-peak", "least-margin", "load", "bending-moment"]
@@ -205,7 +206,9 @@ class Case(Basis, CaseHead):
 
     earlier: ClassVar[dict[str, str]] = {"between_nodes": "ignore"}
 
-    scenario: str = Field(description="scenario whose flight gives speed, air and attitude at the operating points")
+    scenario: str = optional(
+        "scenario whose flight gives speed, air and attitude at the operating points; needed without points", ""
+    )
     between_nodes: BetweenNodes = optional(BETWEEN, "hold")
     limits: Limits = Limits()
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional(
@@ -216,7 +219,8 @@ class Case(Basis, CaseHead):
     )
     law: Law = optional(
         "control law; pd: proportional-derivative with a bending filter; pid: pd with an integral; load-relief: pd "
-        "with feedback of the lateral acceleration; incidence-relief: pd with feedback of an estimated angle of attack",
+        "with feedback of the lateral acceleration; incidence-relief: pd with that of an estimated angle of attack; "
+        "drift: pd with feedback of velocity and displacement across the path; pid-drift: drift with an integral",
         "pd",
     )
     blend: BetweenTimes | None = optional(
@@ -237,6 +241,10 @@ class Case(Basis, CaseHead):
 
     def _check(self) -> None:
         super()._check()
+        if (self.points is None) == (self.scenario == ""):
+            raise refuse("names both a flight and points, or neither", "one of scenario, points", "scenario")
+        if self.points is not None and self.robust is not None:
+            raise refuse("deviates from a vehicle, which points do not have", "scenario in place of points", "robust")
         if self.blend is not None and not self.blend[0] < self.blend[1]:
             raise refuse("is empty", "two numbers, the lower one first", "blend")
         objective = {"load": WIND_KEYS[0], "bending-moment": WIND_KEYS[2]}.get(self.objective.kind)
@@ -252,8 +260,10 @@ class Case(Basis, CaseHead):
         if self.law != "pd" and self.gains.schedule == "two-phase":
             raise refuse("finds gains of the law pd only", "linear, free, nodes", ("gains", "schedule"))
         for name in ("integral_hz", "most_integral_hz"):
-            if self.law != "pid" and getattr(self.limits, name) is not None:
-                raise refuse(f"the law {self.law} has no integral", "with law = 'pid' only", ("limits", name))
+            if self.law not in INTEGRAL and getattr(self.limits, name) is not None:
+                raise refuse(
+                    f"the law {self.law} has no integral", "with law = 'pid' or 'pid-drift' only", ("limits", name)
+                )
 
     @property
     def bends(self) -> bool:
@@ -286,7 +296,7 @@ class Case(Basis, CaseHead):
         stated = {key: limit_of(self.limits, key) for key in DesignLimits.model_fields}
         if self.gains.schedule == "two-phase":
             stated |= {key: getattr(self.reference, key) for key in ("rigid_hz", "rigid_zeta")}
-        if self.law == "pid":
+        if self.law in INTEGRAL:
             stated["integral_hz"] = self.integral_hz(nodes_s)
         given = {key: getattr(self, key) for key in Basis.model_fields}
         return Basis(**given | {"scenario": scenario, "nodes_s": nodes_s, "limits": DesignLimits(**stated)})
@@ -318,20 +328,28 @@ def _laid_over(below: Model, over: Section) -> Model:
 
 @dataclass(frozen=True)
 class LoadedCase:
-    """A case and its scenario.
+    """A case, and its scenario or its points.
 
     `flight` provides the operating points; its default is the scenario with its own design.
     """
 
     case: Case
     label: str
-    scenario: LoadedScenario
+    base: LoadedScenario | None
     start: Design | None = None  # `search.start_design`
     flight: LoadedScenario | None = None
+    points: GivenPoints | None = None
 
     @property
     def name(self) -> str:
         return self.case.name
+
+    @property
+    def scenario(self) -> LoadedScenario:
+        """Return the scenario. Raises ValueError for a case of points, which has none."""
+        if self.base is None:
+            raise ValueError("the case has points in place of a scenario: it has no vehicle and no flight")
+        return self.base
 
     @property
     def along(self) -> LoadedScenario:
@@ -345,6 +363,12 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
     The scenario is searched for in the folder of the case, then as `load_scenario` does.
     """
     case, tree, file, label, _ = load_file(Case, "case", name, overrides)
+    if case.points is not None:
+        found = find(Text.of(case.points, tree.sources.get("points", tree.source)), ("{}", "{}.toml"))
+        known = case.points in builtin_files("points") or found is None
+        points = read_points(case.points if known else str(found))
+        start = case.search.start_design
+        return LoadedCase(case, label, None, None if start is None else read_design(start), points=points)
     given = tree.get("scenario")
     flown = named_in_file(given, file) if isinstance(given, Text) else case.scenario
     campaign = tree.get("robust", {}).get("campaign")

@@ -15,7 +15,7 @@ from functools import partial
 from maxq.design import operating_points
 from maxq.design.certificate import measured_margins, response
 from maxq.design.certificate.excitation import LineBand, below
-from maxq.design.certificate.held_flight import HeldFlight, PackedChange, hold, with_ideal_converters
+from maxq.design.certificate.held_flight import CodeDiffers, HeldFlight, PackedChange, hold, with_ideal_converters
 from maxq.design.certificate.measured_margins import MARGIN_NAMES, LimitCycle, MarginName, MeasuredMargin, bound_of
 from maxq.design.certificate.response import BANDS, FAULTY, NOISE, UNEXPLAINED, ResponseTable, RingLine
 from maxq.design.loop.loop import loops
@@ -28,7 +28,7 @@ from maxq.sim.scenario.loader import LoadedScenario
 PLANES: tuple[Plane, ...] = ("pitch", "yaw")
 MARGIN_WITHIN_DB, DELAY_WITHIN = 0.2, 0.02
 NOISE_WITHIN_DB, NOISE_WITHIN = 0.5, 0.05  # for rows in which the two agree to the above tolerance without rounding
-HELD_GRAVITY = "held gravity"
+HELD_GRAVITY = "frozen-point gravity"
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class MarginRow:
     """A margin in `unit`: of the linear loop at the flown instant (continuous and sampled), of the linear loop of the
     held flight, and measured in the held flight.
 
-    `reason` is "" if flight and linear loop agree. "held gravity" means that they agree, but the margin at the flown
-    instant differs: the axial load acts on the slowest root in the held flight, and gravity acts on it in the ascent.
+    `reason` is "" if flight and linear loop agree. "frozen-point gravity" means that they agree, but the margin at the
+    flown instant differs: the axial load acts on the slowest root in the held flight, and gravity in the ascent.
     "longer than can be inserted" marks a delay margin of more samples than the computer's filter can hold; it is not
     measured. "converter noise" means that they agree without rounding and differ by less than 0.5 dB or 5 % with
     rounding. Any other reason states the fault.
@@ -71,6 +71,8 @@ class NodeCertificate:
 
     `stable` is True if the loop at the flown instant is stable. `cycle` describes how a held loop ends in flight if it
     is unstable by more than a drift. `total_gain_db` gives the range of the adaptive total gain, downwards and upwards.
+
+    `differs` is the message of external flight code that fails the replay check, or "".
     """
 
     time_s: float
@@ -81,6 +83,7 @@ class NodeCertificate:
     cycle: LimitCycle | None = None
     total_gain_db: tuple[float, float] = (0.0, 0.0)
     rings: tuple[RingLine, ...] = ()
+    differs: str = ""
 
     def total_gain_room_db(self, end: int) -> float:
         """Return the gain margin beyond the least (`end` 0) or the largest (1) total gain.
@@ -96,6 +99,8 @@ class NodeCertificate:
     @property
     def unexplained(self) -> tuple[str, ...]:
         """Return a description of the differences that have no reason, or "" if flight and linear loop agree."""
+        if self.differs:
+            return (f"the flight code {self.differs}",)
         r = self.responses
         out = [
             f"L at {r.lines_hz[i]:.4g} Hz is {r.difference_db[i]:+.2f} dB and {r.difference_deg[i]:+.1f} deg off "
@@ -114,7 +119,7 @@ class NodeCertificate:
             if not e.agrees
         ]
         if self.cycle is not None or not self.stable:
-            whose = "linear loop" if not self.stable else "loop of the held flight, and not that of the flown instant,"
+            whose = "linear loop" if not self.stable else "loop of the frozen point, and not that of the flown instant,"
             in_flight = f"; in flight: {self.cycle.text}" if self.cycle else ""
             return (f"the {whose} is unstable{in_flight}", *out)
         return tuple(out)
@@ -157,11 +162,26 @@ def certify_node(
 ) -> NodeCertificate:
     """Return the certificate at one operating point, in its plane.
 
-    Raises ValueError if the point cannot be held (held_flight.py).
+    Raises ValueError if the point cannot be held (held_flight.py), and CodeLost if external flight code does not fly
+    there.
 
     `fault` alters the flights and not the linear model, to test that the certificate detects the fault. `bands` and
     `names` select the responses and the margins to be measured.
     """
+    try:
+        return _certified(loaded, node, fault, bands, names)
+    except CodeDiffers as error:
+        nothing = response.no_response()
+        return NodeCertificate(node.time_s, node.plane, False, nothing, (), differs=str(error))
+
+
+def _certified(
+    loaded: LoadedScenario,
+    node: Node,
+    fault: PackedChange | None,
+    bands: tuple[LineBand, ...],
+    names: tuple[MarginName, ...],
+) -> NodeCertificate:
     if loaded.design is None:
         raise ValueError(f"{loaded.label}: there is no design to certify")
     adaptive = loaded.design.of_stage(node.stage).adaptive

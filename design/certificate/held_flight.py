@@ -26,8 +26,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+
+import numpy as np
 
 from maxq.control.kernel.records import Array, pack
 from maxq.control.kernel.tables import Pool
@@ -39,7 +42,10 @@ from maxq.sim.input.values import to_ns
 from maxq.sim.packing.computer import pack_injections
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.flight import GrowingRows
-from maxq.sim.run.fly import FlightRun
+from maxq.sim.run.fly import SOFTWARE_NAME, FlightRun
+from maxq.sim.run.held_code import DIFFERS, SHORTEST_S, CodeWindows, Tape
+from maxq.sim.run.instances import Setup
+from maxq.sim.run.tape import record
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_environment import AtmosphereSection, EarthSection, WindSection
 from maxq.sim.scenario.schema_scenario import Geodetic, Guidance, Initial, Injection, LogSection, Run, Scenario
@@ -48,6 +54,7 @@ from maxq.sim.world.earth import ALONG_BODY
 
 ALTITUDE_M = 1.0e6  # high enough never to reach the ground; the air does not depend on the altitude
 DETUNED = 0.02  # share of half the bandwidth of a mode, its damping ratio times its frequency
+_MOST_TAPES = 4
 _NOSE_UP_DEG = (0.0, 90.0, 0.0)
 
 
@@ -72,6 +79,7 @@ class HeldFlight:
     node: Node
     plane: Plane
     fault: PackedChange = unchanged
+    tape: Tape | None = None  # of external flight code, in its own flight
 
     @property
     def axis(self) -> int:
@@ -96,7 +104,24 @@ class HeldFlight:
         row.timeline.stop_ns = int(packed.memory[0].clock.now_ns) + to_ns(duration_s)
         self.fault(packed)
         change(packed)
-        return FlightRun(dataclasses.replace(self.loaded, scenario=scenario), packed)
+        windows = None if self.tape is None else self.windows(self.tape, packed)
+        return FlightRun(dataclasses.replace(self.loaded, scenario=scenario), packed, held=windows)
+
+    def windows(self, tape: Tape, packed: Packed) -> CodeWindows:
+        """Return the windows in which external flight code flies a packed flight."""
+        computer, stage = packed.parameters[0].computer, np.flatnonzero(tape.inputs["stage"] == self.node.stage)
+        count_rad = Setup.from_buffer_copy(tape.setup).count_rad
+        return CodeWindows(
+            tape,
+            int(np.searchsorted(tape.inputs["time_s"], self.node.time_s)),
+            int(stage[0]),
+            int(stage[-1]) + 1,
+            1e-9 * int(computer.sample_ns),
+            count_rad,
+            count_rad > 0.0 and float(computer.converter.count_rad) == count_rad,
+            int(computer.attitude),
+            float(computer.angle_error_limit_rad),
+        )
 
     def fly(
         self, duration_s: float, injections: tuple[Injection, ...], change: PackedChange = unchanged
@@ -106,7 +131,43 @@ class HeldFlight:
         Return the flight and its rows at the computer's sample rate (samples, channels).
         """
         run = self.run(duration_s, injections, change)
-        return run, fast_rows(run)
+        rows = fast_rows(run)
+        if self.tape is not None:
+            raise_if_differing(run)
+        return run, rows
+
+
+class CodeDiffers(Exception):
+    """Flight code that gives other commands for the inputs of its flight: the message says where."""
+
+
+class CodeLost(ValueError):
+    """A flight of external flight code that ends before an operating point."""
+
+
+def raise_if_differing(run: FlightRun) -> None:
+    """Raise CodeDiffers if external flight code has failed the replay check."""
+    for event in run.events:
+        if event.name == SOFTWARE_NAME and event.detail.startswith(DIFFERS):
+            raise CodeDiffers(event.detail)
+
+
+_recording = threading.Lock()
+_tapes: dict[str, Tape] = {}
+
+
+def tape_at(loaded: LoadedScenario, node: Node) -> Tape:
+    """Return the tape of the scenario's flight code, recorded once. Raises CodeLost if it ends before the point."""
+    with _recording:
+        if loaded.as_flown not in _tapes:
+            _tapes[loaded.as_flown] = record(loaded)
+            while len(_tapes) > _MOST_TAPES:
+                del _tapes[next(iter(_tapes))]
+        tape = _tapes[loaded.as_flown]
+    end_s = float(tape.inputs["time_s"][-1]) if len(tape.inputs) else loaded.scenario.run.start_s
+    if not (tape.inputs["stage"] == node.stage).any() or end_s < node.time_s + SHORTEST_S / 2.0:
+        raise CodeLost(f"node at {node.time_s:g} s: the flight of the code under control ends at {end_s:.3f} s")
+    return tape
 
 
 def fast_rows(run: FlightRun) -> Array:
@@ -140,7 +201,8 @@ def hold(
 
     Valid under thrust: of several stages, the stage that burns at the operating point is held alone. Raises ValueError
     if the axial load is not positive. Raises ValueError if the scenario has neither a design nor external flight code.
-    Flight code receives the time and the stage of the operating point throughout.
+    External flight code flies the scenario first; in the held flight it receives the inputs of that flight with the
+    deviations of the held one (sim/run/held_code.py). Raises CodeLost if that flight ends before the operating point.
     """
     scenario, computer = loaded.scenario, loaded.vehicle.computer
     external = computer is not None and computer.law == "external"
@@ -148,15 +210,13 @@ def hold(
         raise ValueError(f"{loaded.label}: there is no design, and so no loop to hold")
     load = node.axial_load_mps2
     if load <= 0.0:
-        raise ValueError(f"node at {node.time_s:g} s: the axial load is {load:g} m/s2: allowed is above 0")
+        raise ValueError(f"operating point at {node.time_s:g} s: the axial load is {load:g} m/s2: allowed is above 0")
     held = dataclasses.replace(
         loaded,
         scenario=scenario.model_copy(update=_stillness(scenario, node, load)),
         label=f"{loaded.label} held at {node.time_s:g} s",
     )
     packed = pack_flight(held.scenario)
-    packed.parameters[0].computer.held_time_s = max(node.time_s, 1e-9)
-    packed.parameters[0].computer.first_stage = node.stage
     bobs, slosh = node.vehicle.pendulums, packed.parameters[0].vehicle.slosh
     if bobs.ring.any() and not rings_by_law:
         slosh.damping_ratio[: len(bobs.ring)], slosh.law_factor[:] = bobs.damping(load), 0.0
@@ -165,7 +225,7 @@ def hold(
         packed.parameters[0].environment.earth.gravity = ALONG_BODY
         same = dataclasses.replace(same, condition=dataclasses.replace(same.condition, gravity_mps2=0.0))
     same = dataclasses.replace(at_swing(same, bobs.swing_rad), stage=node.stage, surface_radius_m=node.surface_radius_m)
-    return HeldFlight(held, packed, same, node.plane, fault or unchanged)
+    return HeldFlight(held, packed, same, node.plane, fault or unchanged, tape_at(loaded, node) if external else None)
 
 
 def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, object]:

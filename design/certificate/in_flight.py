@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from maxq.design import operating_points
 from maxq.design.certificate.excitation import SHARE_OF_BURST, gimbal_injection
 from maxq.design.certificate.held_flight import fast_rows, with_ideal_converters
 from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, UNEXPLAINED, decibels, degrees
+from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.loop.loop import loops
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, with_swings
@@ -32,7 +34,6 @@ from maxq.design.model.state_space import ComplexArray
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Injection, LogSection
 
 WINDOW_S = 8.0
@@ -82,13 +83,62 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
     design = loaded.design
     if design is None:
         raise ValueError(f"{loaded.label}: there is no design to measure")
+    return _by_stage(loaded, lambda nodes: loops(nodes, design), times_s, plane)
+
+
+def in_flight_response_of_code(
+    loaded: LoadedScenario, held: Mapping[float, ComplexArray], plane: Plane
+) -> list[InFlightResponse]:
+    """Measure the response of flight code around each time, and compare it with that of held flights at LINES_HZ.
+
+    `frozen` is then the response in the held flight. Of the loop's change in the window, only that of the vehicle is
+    known, and of its poles those of the vehicle without feedback.
+    """
+
+    def of(nodes: Sequence[Node]) -> list[_ResponseOfCode]:
+        paths = [fixed_path(node, "sampled") for node in nodes]
+        middle = len(nodes) // 2
+        return [_ResponseOfCode(path, paths[middle], held[nodes[middle].time_s]) for path in paths]
+
+    return _by_stage(loaded, of, list(held), plane)
+
+
+class _Response(Protocol):
+    def response(self, frequencies_hz: Array) -> ComplexArray: ...
+
+    def closed_poles(self) -> ComplexArray: ...
+
+
+@dataclass(frozen=True)
+class _ResponseOfCode:
+    """The loop of flight code at a node near that of a held flight: measured there, with the vehicle of this node."""
+
+    path: FixedPath
+    there: FixedPath
+    held: ComplexArray
+
+    def response(self, frequencies_hz: Array) -> ComplexArray:
+        return np.asarray(self.held * self.path.response(frequencies_hz) / self.there.response(frequencies_hz))
+
+    def closed_poles(self) -> ComplexArray:
+        return np.array([r.pole_radps for r in self.path.resonances()], np.complex128)
+
+
+LoopsAt = Callable[[Sequence[Node]], Sequence[_Response]]
+
+
+def _by_stage(
+    loaded: LoadedScenario, loops_at: LoopsAt, times_s: Sequence[float], plane: Plane
+) -> list[InFlightResponse]:
     by_stage: dict[int, list[Node]] = {}
     for node in operating_points.nodes(loaded, times_s, plane=plane):
         by_stage.setdefault(node.stage, []).append(node)
-    return [found for nodes in by_stage.values() for found in _of_stage(loaded, design, nodes, plane)]
+    return [found for nodes in by_stage.values() for found in _of_stage(loaded, loops_at, nodes, plane)]
 
 
-def _of_stage(loaded: LoadedScenario, design: Design, points: Sequence[Node], plane: Plane) -> list[InFlightResponse]:
+def _of_stage(
+    loaded: LoadedScenario, loops_at: LoopsAt, points: Sequence[Node], plane: Plane
+) -> list[InFlightResponse]:
     """Measure the response around the operating points of one stage."""
     times_s, sample_s = [node.time_s for node in points], points[0].instruments.sample_s
     whole = powered_spans(loaded)
@@ -113,7 +163,7 @@ def _of_stage(loaded: LoadedScenario, design: Design, points: Sequence[Node], pl
         back = excited.filtered[first:last] - quiet.filtered[first:last]
         sent = excited.command[first + 1 : last + 1] - quiet.command[first + 1 : last + 1]  # shows after its tick
         (u, u_noise), (e, _) = (_at_lines(x, lines, sample_s) for x in (back, sent))
-        mine = loops(nodes[k * len(ACROSS) : (k + 1) * len(ACROSS)], design)
+        mine = loops_at(nodes[k * len(ACROSS) : (k + 1) * len(ACROSS)])
         responses = np.stack([loop.response(lines) for loop in mine])
         frozen = responses[len(mine) // 2]
         measured = -u / e
@@ -129,7 +179,7 @@ def _of_stage(loaded: LoadedScenario, design: Design, points: Sequence[Node], pl
         out.append(InFlightResponse(time_s, plane, lines, frozen, measured, error, reasons))
     unexplained = [k for k, found in enumerate(out) if UNEXPLAINED in found.reason]
     if unexplained and loaded.scenario.switches.converter == "full":
-        again = in_flight_response(with_ideal_converters(loaded), [times_s[k] for k in unexplained], plane)
+        again = _by_stage(with_ideal_converters(loaded), loops_at, [times_s[k] for k in unexplained], plane)
         for k, fine in zip(unexplained, again, strict=True):
             out[k] = dataclasses.replace(out[k], reason=converters_share(out[k].reason, fine.reason))
     return out
@@ -162,7 +212,7 @@ def _window(time_s: float, spans: Sequence[Span]) -> tuple[float, float]:
         for span in spans:
             allowed.append(f"{span.begin_s + least:.6g} s to {span.end_s - 0.1 - 0.2 * WINDOW_S:.6g} s")
         raise ValueError(
-            f"node at {time_s:g} s: too near to the ends of thrust to be measured in flight; "
+            f"operating point at {time_s:g} s: too near to the ends of thrust to be measured in flight; "
             f"allowed is {', '.join(allowed)}, or certificate.in_flight = false"
         )
     half = max(_half(time_s, span) for span in spans)

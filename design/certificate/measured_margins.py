@@ -29,8 +29,8 @@ from maxq.design.certificate.response import UNEXPLAINED
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import LeastValue, Margins, margins
-from maxq.design.model.dispersion import Dispersion
-from maxq.design.model.node import disperse, slosh_columns
+from maxq.design.model.dispersion import Dispersion, disperse_instruments
+from maxq.design.model.node import slosh_columns
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.schema_scenario import Injection
 
@@ -231,7 +231,9 @@ def build_up_rate(boundary: Loop, frequency_hz: float) -> float:
 def altered(loop: Loop, what: MarginName, amount: float) -> Loop:
     """Return the linear loop with gain (dB) added or removed, or a delay (s) added to the computer's delay."""
     if what == "delay":
-        path = fixed_path(disperse(loop.fixed.node, Dispersion(delay_s=amount)), loop.fixed.kind, loop.fixed.cut)
+        node = loop.fixed.node
+        late = disperse_instruments(node.instruments, Dispersion(delay_s=amount))
+        path = fixed_path(dataclasses.replace(node, instruments=late), loop.fixed.kind, loop.fixed.cut)
         return dataclasses.replace(loop, fixed=path)
     return dataclasses.replace(loop, law=loop.law.scaled(_gain(what, amount)))
 

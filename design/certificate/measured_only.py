@@ -14,20 +14,30 @@ oscillation within the rounding of the gyro's converter (`FLOOR_COUNTS`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.certificate import measured_margins
 from maxq.design.certificate.excitation import LineBand, burst_rad, excitation_level, gimbal_injection
-from maxq.design.certificate.held_flight import HeldFlight, PackedChange, hold, linear_limits, unchanged
+from maxq.design.certificate.held_flight import (
+    CodeDiffers,
+    CodeLost,
+    HeldFlight,
+    PackedChange,
+    hold,
+    linear_limits,
+    unchanged,
+)
+from maxq.design.certificate.in_flight import LINES_HZ, WINDOW_S
 from maxq.design.certificate.measured_margins import MARGIN_NAMES, UNBOUNDED, UNITS, MarginName, MeasuredMargin
 from maxq.design.certificate.response import BANDS, measure
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray
+from maxq.sim.run.fly import SOFTWARE_NAME
 from maxq.sim.scenario.loader import LoadedScenario
 
 _TRIALS_DB = (1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 28.0)
@@ -44,6 +54,7 @@ MOST_FLIGHTS = measured_margins.MOST_FLIGHTS + 4  # between two trials
 FLOOR_COUNTS = 2.0  # of the gyro's converter: rounding alone occasionally sustains such an oscillation
 _PROBE = 0.15  # of the level at which the loop would be excited if it had no feedback
 _ACROSS = 0.3  # of a limit: a larger oscillation has grown
+_IN_FLIGHT = LineBand(np.array(LINES_HZ), 10.0 * WINDOW_S, 40.0, 1)
 _TOLERANCE = {"dB": 0.02, "s": 1e-4}
 
 
@@ -70,6 +81,11 @@ class MeasuredNode:
     L at lines (Hz) has a standard error relative to L. The margins are measured in flight, and their `linear` is NaN.
     The limit cycles give the outcome of a burst at each slosh frequency. All are empty if the unaltered loop is
     unstable.
+
+    - `clock_s`: range of the code's clock in the held flight (sim/run/held_code.py).
+    - `in_flight`: L at `in_flight.LINES_HZ`.
+    - `ended`: the reason if the code's own flight ends before or the code ends the held flight, or "".
+    - `differs`: the message of a failed replay check, or "".
     """
 
     time_s: float
@@ -80,6 +96,10 @@ class MeasuredNode:
     error: Array
     margins: tuple[MeasuredMargin, ...]
     cycles: tuple[measured_margins.LimitCycle, ...]
+    clock_s: tuple[float, float] = (math.nan, math.nan)
+    in_flight: ComplexArray = field(default_factory=lambda: np.zeros(0, np.complex128))
+    ended: str = ""
+    differs: str = ""
 
     def margin(self, what: MarginName) -> float:
         """Return a margin in its unit.
@@ -118,22 +138,41 @@ def measure_node(
 
     Raises ValueError if the point cannot be held (held_flight.py).
     """
-    held = hold(loaded, node, fault)
+    empty = np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)
+    nothing = MeasuredNode(node.time_s, node.plane, False, *empty, (), ())
+    try:
+        held = hold(loaded, node, fault)
+        return _measured(held, bands, names)
+    except CodeLost as error:
+        return replace(nothing, ended=str(error))
+    except CodeDiffers as error:
+        return replace(nothing, differs=str(error))
+
+
+def _measured(held: HeldFlight, bands: tuple[LineBand, ...], names: tuple[MarginName, ...]) -> MeasuredNode:
+    node, clock_s = held.node, (math.nan, math.nan)
+    if held.tape is not None:
+        clock_s = held.windows(held.tape, held.packed).span_s
     path = fixed_path(held.node, "sampled")
     floor = _trial(held, path, unchanged)
     if floor.grows:
-        return MeasuredNode(node.time_s, node.plane, False, *measured_loop(held, path, ()), (), ())
+        empty = measured_loop(held, path, ())
+        return MeasuredNode(node.time_s, node.plane, False, *empty, (), (), clock_s, ended=floor.cause)
     lines, response, error = measured_loop(held, path, bands)
     loop = _Loop(path, lines, response)
     margins = tuple(broken(held, loop, name, floor.level_deg) for name in names)
     slosh = [r.frequency_hz for r in path.resonances() if r.kind == "slosh"]
     cycles = tuple(measured_margins.limit_cycle(held, hz) for hz in slosh)
-    return MeasuredNode(node.time_s, node.plane, True, lines, response, error, margins, cycles)
+    in_flight = np.zeros(0, np.complex128)
+    if bands:
+        in_flight = measure(held, _IN_FLIGHT, excitation_level(held, loop, _IN_FLIGHT), in_flight).response
+    return MeasuredNode(node.time_s, node.plane, True, lines, response, error, margins, cycles, clock_s, in_flight)
 
 
 def measured_loop(held: HeldFlight, path: FixedPath, bands: tuple[LineBand, ...]) -> tuple[Array, ComplexArray, Array]:
-    """Return the lines, L and its relative standard error, measured first at a low level, then at a level that suits
-    the first result.
+    """Measure L at the lines of the bands, first at a low level, then at a level adapted to the first result.
+
+    Return the lines (Hz), L, and its relative standard error.
     """
     if not bands:
         return np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)
@@ -154,6 +193,7 @@ class _Trial:
     grows: bool
     frequency_hz: float
     level_deg: float  # amplitude at the end
+    cause: str = ""  # for which the flight code has ended the flight
 
 
 def _trial(held: HeldFlight, path: FixedPath, change: PackedChange, floor_deg: float = 0.0) -> _Trial:
@@ -167,7 +207,8 @@ def _trial(held: HeldFlight, path: FixedPath, change: PackedChange, floor_deg: f
     samples = rows[:, run.table.index(f"filtered_{held.plane}_deg")]
     quarter = round(0.25 * WATCHED_S / held.sample_s)
     if len(samples) < 4 * quarter:
-        return _Trial(True, _strongest(samples[-quarter:], held.sample_s), math.inf)
+        cause = next((event.detail for event in run.events if event.name == SOFTWARE_NAME), "")
+        return _Trial(True, _strongest(samples[-quarter:], held.sample_s), math.inf, cause)
     parts = (_without_trend(samples[k * quarter : (k + 1) * quarter]) for k in (1, 3))
     second, last = (math.sqrt(2.0 * float(np.mean(part**2))) for part in parts)  # of sines of equal power
     frequency_hz = _strongest(samples[3 * quarter :], held.sample_s)

@@ -198,13 +198,18 @@ def degrees(ratio: ComplexArray) -> Array:
     return np.asarray(np.degrees(np.angle(ratio)))
 
 
+def no_response() -> ResponseTable:
+    """Return a table without lines."""
+    empty, none = np.zeros(0), np.zeros(0, np.complex128)
+    return ResponseTable(empty, none, none, none, none, empty, empty, empty, ())
+
+
 def measured_response(
     held: HeldFlight, loop: Loop, pade: Loop, bands: tuple[LineBand, ...] = BANDS, *, at_half: bool = True
 ) -> ResponseTable:
     """Measure and judge all bands, with and without rounding. `at_half` measures them at half the level as well."""
     if not bands:
-        empty, none = np.zeros(0), np.zeros(0, np.complex128)
-        return ResponseTable(empty, none, none, none, none, empty, empty, empty, ())
+        return no_response()
     poles = loop.closed_poles()
     seen = [measure(held, b, excitation_level(held, loop, b), poles) for b in bands]
     lines = np.concatenate([s.lines_hz for s in seen])

@@ -13,8 +13,9 @@ design or of a case selects one. No other module of design/ depends on the choic
 Available are `angle_rad`, the counted attitude less the commanded one, `rate_radps`, the mean rate over a sample, and
 `angle_integral_rads`, the sum of the angle over the samples. A vehicle with further sensors also provides
 `rate_2_radps` and so on, the mean rates of further gyros, and `accel_mps2`. The latter is the mean lateral specific
-force at the accelerometer, positive in the direction of the push of a positive command of the plane's model. A law may
-use any of these, in any order.
+force at the accelerometer, positive in the direction of the push of a positive command of the plane's model. From both,
+navigation obtains `drift_mps` and `drift_m`, the velocity and the displacement of the accelerometer's station across
+the reference trajectory (control/laws/drift.py). A law may use any of these, in any order.
 
 **Sign.** C is positive for negative feedback: the gimbal command is -C times the measurements, and L = sum of C_i P_i.
 
@@ -38,6 +39,7 @@ from maxq.design.quantities import QUANTITIES, Quantity
 
 MEASUREMENTS = ("angle_rad", "rate_radps", "angle_integral_rads")
 ANGLES = MEASUREMENTS[::2]  # quantities derived from the angle
+DRIFTS = ("drift_mps", "drift_m")  # quantities that navigation derives from the lateral acceleration and the angle
 
 
 class Controller(Protocol):

@@ -2,7 +2,8 @@
 
     C = F(s) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
-with k_i = 0 here. With an integral it is the law of pid.py, and with the lateral acceleration that of load_relief.py.
+with k_i = 0 here. With an integral it is the law of pid.py, with the lateral acceleration that of load_relief.py, and
+with the drift that of drift.py.
 The rate may be blended from several gyros (control/sensors.py); each gyro then has the gain k_d times its weight. The
 kernel of the law is control/laws/pd.py.
 """
@@ -24,6 +25,7 @@ from maxq.control.kernel.tables import Cubics
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.structures import Over, structure_of
 from maxq.design.laws.bending_filter import AnyFilter, Lag, check_period, filter_poles, filter_state_space
+from maxq.design.laws.law import DRIFTS
 from maxq.design.model.instruments import ACCELERATION, Plane, further_rate
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 from maxq.sim.input.tables_csv import CsvTable
@@ -39,7 +41,7 @@ BANKS = ("attitude", "rate", "acceleration")
 class Pd:
     """The law at one instant (`law.Controller`).
 
-    A `filter` of None is 1. Raises ValueError for gains that are not finite.
+    Without a `filter`, its response is 1. Raises ValueError for gains that are not finite.
 
     `blend` contains the weights of the first gyro and of further ones. `lag` is that of the acceleration, with a gain
     k_a or k_alpha. The latter needs `percussion_m` and `accel_per_incidence_mps2` of control/laws/load_relief.py.
@@ -57,6 +59,8 @@ class Pd:
     percussion_m: float = 0.0
     accel_per_incidence_mps2: float = -1.0
     loops: tuple[AnyFilter, ...] = (None, None, None)
+    k_zd_radspm: float = 0.0
+    k_z_radpm: float = 0.0
 
     def __post_init__(self) -> None:
         if not np.isfinite(list(self.gains.values())).all():
@@ -68,7 +72,7 @@ class Pd:
 
     @property
     def gains(self) -> Mapping[str, float]:
-        names = ("k_i_ps", "k_a_s2pm", "k_alpha")
+        names = ("k_i_ps", "k_a_s2pm", "k_alpha", "k_zd_radspm", "k_z_radpm")
         return {"k_p": self.k_p, "k_d_s": self.k_d_s, **{n: k for n in names if (k := getattr(self, n)) != 0.0}}
 
     def check(self, sample_s: float | None) -> None:
@@ -97,11 +101,12 @@ class Pd:
         return {"rate_radps": self.blend[0], **{further_rate(k): w for k, w in enumerate(self.blend[1:], 2)}}
 
     def _of_inputs(self, loops: Sequence[Any], lag: Any, change: Any) -> ComplexArray:
-        """Return C without the bending filter, (..., inputs), from the loops' filters and the acceleration's lag."""
+        """Return C without the bending filter, (..., inputs), from responses of the loop filters and of the lag."""
         attitude, rate, acceleration = loops
         turning = (self.k_d_s - self._per_mps2 * self.percussion_m * change) * rate
         found = {name: weight * turning for name, weight in self._weights.items()}
         found |= {"angle_rad": self.k_p * attitude, "angle_integral_rads": self.k_i_ps * attitude}
+        found |= {name: self.static_gain(name) for name in DRIFTS}
         found[ACCELERATION] = self.static_gain(ACCELERATION) * lag * acceleration
         return np.stack([found[name] + 0.0 * lag for name in self.inputs], axis=-1)
 
@@ -110,7 +115,8 @@ class Pd:
         """Return the gains at zero frequency by measurement, that of the acceleration last."""
         rates = {name: self.k_d_s * weight for name, weight in self._weights.items()}
         own = {"angle_rad": self.k_p, "rate_radps": rates.pop("rate_radps"), "angle_integral_rads": self.k_i_ps}
-        return {**own, **rates, ACCELERATION: self._per_mps2 - self.k_a_s2pm}
+        drifts = dict(zip(DRIFTS, (-self.k_zd_radspm, -self.k_z_radpm), strict=True))
+        return {**own, **rates, **drifts, ACCELERATION: self._per_mps2 - self.k_a_s2pm}
 
     def static_gain(self, name: str) -> float:
         return self._static.get(name, 0.0)
@@ -124,7 +130,7 @@ class Pd:
         change = -self._per_mps2 * self.percussion_m
         rows = []
         for name in self.inputs:
-            gain, own = self.static_gain(name), attitude
+            gain, own = self.static_gain(name), filter_state_space(None) if name in DRIFTS else attitude
             none = (np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)))
             one = StateSpace(*none, np.array([[gain]]), (), (name,), ("law_rad",))
             if name in self._weights:
@@ -140,7 +146,7 @@ class Pd:
         return chain(StateSpace(a, b, c, d, states, self.inputs, ("law_rad",)), filter_state_space(self.filter))
 
     def scaled(self, factor: float) -> Pd:
-        names = ("k_p", "k_d_s", "k_i_ps", "k_a_s2pm", "k_alpha")
+        names = ("k_p", "k_d_s", "k_i_ps", "k_a_s2pm", "k_alpha", "k_zd_radspm", "k_z_radpm")
         return replace(self, **{name: factor * getattr(self, name) for name in names})
 
 

@@ -1,7 +1,7 @@
 """The variables of the proportional-derivative law (pd.py) for the optimiser: gains at nodes, bending filter, gyro
 weights, filters of each loop.
 
-With an integral they are those of pid.py, with load relief those of load_relief.py.
+With an integral they are those of pid.py, with load relief those of load_relief.py, with the drift those of drift.py.
 """
 
 from __future__ import annotations
@@ -19,7 +19,17 @@ from maxq.control.laws.pd import GainSchedule
 from maxq.control.structures import Over
 from maxq.design.laws import bending_filter
 from maxq.design.laws.bending_filter import AnyFilter, FilterVariables, Lag, lifted
-from maxq.design.laws.law import ANGLES, MEASUREMENTS, Axis, Controller, DesignedLaw, LawLimit, LimitValues, LogResponse
+from maxq.design.laws.law import (
+    ANGLES,
+    DRIFTS,
+    MEASUREMENTS,
+    Axis,
+    Controller,
+    DesignedLaw,
+    LawLimit,
+    LimitValues,
+    LogResponse,
+)
 from maxq.design.laws.pd import BANKS, LoopFilter, Pd, PdDesign, as_flown
 from maxq.design.laws.schedule import GAIN_BOUNDS, GainSchedules, UnsolvableError, interpolation_weights, lowest_above
 from maxq.design.laws.task import DB, Rigid, Task
@@ -35,6 +45,8 @@ START_HZ, START_ZETA = 0.3, 0.5  # of the rigid body with its aerodynamics, if n
 GAIN_FACTOR = 1.02  # of the starting gains relative to the least that meet the limits
 HERTZ, ZETA, AT_INFINITY = range(3)  # numbers of `PdVariables.limits`
 GAIN_OF = {"angle_rad": "k_p", "angle_integral_rads": "k_i_ps"}
+GAIN_OF |= {"drift_mps": "k_zd_radspm", "drift_m": "k_z_radpm"}
+BOUNDS_OF = {"k_zd_radspm": (1e-7, 1.0), "k_z_radpm": (1e-9, 1.0)}  # others: GAIN_BOUNDS
 AIR = ("percussion_m", "accel_per_incidence_mps2")
 ValueAndSlopes = tuple[ComplexArray, ComplexArray, ComplexArray]
 """The values at points with their first and second derivatives by x = ln f."""
@@ -132,11 +144,12 @@ class PdVariables:
         b = self.task.case.filter.bounds
         quadratic = [math.log(b.zero_hz[end]), b.zero_zeta[end], math.log(b.pole_hz[end]), b.pole_zeta[end]]
         first_order = [math.log(b.first_order_zero_hz[end]), math.log(b.first_order_pole_hz[end])]
-        gain = math.log(GAIN_BOUNDS[end])
+        gains = [math.log(BOUNDS_OF.get(key, GAIN_BOUNDS)[end]) for key in self.keys]
+        per_key = self.gains.size // len(self.keys)  # 0 where the gains are no variables
         filter_ = quadratic * self.filter.quadratic + first_order * self.filter.first_order
         weight = (self.task.case.blend or (0.0, 0.0))[end]
         of_loops = [x for loop in self.loops for x in quadratic * loop.quadratic + first_order * loop.first_order]
-        return np.array(filter_ + [gain] * self.gains.size + [weight] * self.further + of_loops)
+        return np.array(filter_ + [gain for gain in gains for _ in range(per_key)] + [weight] * self.further + of_loops)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -189,7 +202,8 @@ class PdVariables:
     @property
     def _plain(self) -> bool:
         """Return True if each gain belongs to one measurement and is constant over frequency."""
-        return self.further == 0 and self.lag is None and self.in_loops == 0
+        signed = any(name in DRIFTS for name in self.inputs)
+        return self.further == 0 and self.lag is None and self.in_loops == 0 and not signed
 
     def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
         y, u, *_ = self.split(variables)
@@ -221,6 +235,10 @@ class PdVariables:
         lag: ValueAndSlopes = axis[3:6] if self.lag is not None else one  # type: ignore[assignment]  # three of them
         change: ValueAndSlopes = axis[6:9] if self.by_incidence else one  # type: ignore[assignment]  # three of them
         for i, name in enumerate(self.inputs):
+            if name in DRIFTS:
+                j = keys.index(GAIN_OF[name])
+                out[0][:, i] = slopes[:, i, j] = -k[:, j]
+                continue
             bank = 0 if name in ANGLES else 2 if name == ACCELERATION else 1
             loop, y = self.loops[bank], own[:, at_loops[bank] : at_loops[bank + 1]]
             # terms: gain, index of the key, a factor of the point and one of frequency
@@ -484,8 +502,8 @@ def _gain_nodes(task: Task, schedule: str) -> Array:
 def least_gains(rigid: Rigid, weights: Array, rigid_hz: float, rigid_zeta: float, with_air: bool) -> Array:
     """Return the least k_p, then the least k_d, (2, nodes), in sum over all plants, that meet (47) and (48).
 
-    This is phase 1 of the paper's two-phase design (5.1). k_d gives the required damping ratio with the k_p in force,
-    not only with the least one. `with_air` includes M_alpha and M_q (erratum 12).
+    This is phase 1 of the paper's two-phase design (5.1). The gain k_d gives the required damping ratio with the k_p in
+    force, not only with the least one. `with_air` includes M_alpha and M_q (erratum 12).
     """
     omega = 2.0 * math.pi * rigid_hz
     m_alpha, m_q = (rigid.m_alpha, rigid.m_q) if with_air else (0.0, 0.0)

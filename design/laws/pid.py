@@ -24,8 +24,8 @@ from maxq.design.laws.task import DB, Task
 class PidVariables(PdVariables):
     """The variables (`law.LawVariables`) of PID: those of PD, then ln k_i at the gain nodes."""
 
-    inputs = MEASUREMENTS
-    keys = ("k_p", "k_d_s", "k_i_ps")
+    inputs: tuple[str, ...] = MEASUREMENTS
+    keys: tuple[str, ...] = ("k_p", "k_d_s", "k_i_ps")
 
     def __init__(self, task: Task, like: PdVariables | None = None, schedule: str | None = None) -> None:
         super().__init__(task, like, schedule)

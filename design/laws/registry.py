@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from maxq.design.laws.drift import DriftVariables, PidDriftVariables
 from maxq.design.laws.law import DesignedLaw, LawVariables
 from maxq.design.laws.load_relief import IncidenceReliefVariables, LoadReliefVariables
 from maxq.design.laws.pd import PdDesign
@@ -34,6 +35,8 @@ LAWS: dict[str, LawKind] = {
     "pd": LawKind(PdVariables),
     "pid": LawKind(PidVariables, PidVariables.inputs),
     "load-relief": LawKind(LoadReliefVariables, LoadReliefVariables.inputs),
+    "drift": LawKind(DriftVariables, DriftVariables.inputs),
+    "pid-drift": LawKind(PidDriftVariables, PidDriftVariables.inputs),
     "incidence-relief": LawKind(IncidenceReliefVariables, IncidenceReliefVariables.inputs),
 }
 

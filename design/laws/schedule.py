@@ -95,7 +95,7 @@ def lowest_above(weights: Array, floor: Array) -> Array:
     if found is None or found.x is None:
         raise UnsolvableError(
             f"rigid_hz, rigid_zeta: no schedule of gains up to {GAIN_BOUNDS[1]:g} is above {floor.max():.4g} at the "
-            "node that needs most; allowed are limits, or nodes, that such gains can meet"
+            "operating point that needs most; allowed are limits, or operating points, that such gains can meet"
         )
     # off the limit by a rounding error, on the safe side
     return np.asarray(found.x) * (1.0 + 1e-12)

@@ -12,7 +12,10 @@ with negative feedback (`loop.OpenLoop`). Three kinds with one interface:
 | `pade` | `PadeFixedPath` | the paper's eqs 30 to 32 | 1 / s |
 | `exact` | `ExactFixedPath` | their exact factors, without aliasing | 1 / s |
 
-For a law that uses further sensors (`senses`), the path includes the responses of their measurements.
+For a law that uses further sensors (`senses`), the path includes the responses of their measurements. Navigation
+integrates the lateral acceleration in the axes of the reference trajectory, with the axial specific force a_x:
+
+    drift_mps = integrator (accel_mps2 - a_x angle_rad),    drift_m = integrator drift_mps
 
 A loop can be opened at three points (`Cut`). `gimbal_command` is the loop's own point and gives the margins of the
 loop. The other two follow eq. 42 to the letter: from the commanded rate q_c to the pitch rate q of the rigid body, or
@@ -25,6 +28,7 @@ from __future__ import annotations
 
 import abc
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar, Literal, get_args
@@ -34,19 +38,20 @@ import scipy.linalg
 from numpy.typing import ArrayLike
 
 from maxq.control.kernel.records import Array
-from maxq.design.laws.law import ANGLES, MEASUREMENTS
+from maxq.design.laws.law import ANGLES, DRIFTS, MEASUREMENTS
 from maxq.design.loop.own_part import centre_of, dominance, folded_hz
 from maxq.design.loop.rational import Rational, average, converter_pade, delay_pade, hold_pade
 from maxq.design.loop.resonance import NamedPole, Resonance, named, resonances, vehicle_poles
 from maxq.design.loop.sampling import SampledPlant, sample
-from maxq.design.model.instruments import actuator_poles, actuators, gyro, lag, per_command
-from maxq.design.model.node import Node
+from maxq.design.model.instruments import ACCELERATION, actuator_poles, actuators, gyro, lag, per_command
+from maxq.design.model.operating_point import OperatingPoint
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace, chain, channels
 
 LoopKind = Literal["sampled", "pade", "exact"]
 Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]
 KINDS: tuple[LoopKind, ...] = get_args(LoopKind)
 CUTS: tuple[Cut, ...] = get_args(Cut)
+SETTLED = 1e-7  # of the terms that cancel in a quantity at rest: beyond rounding of the linear model
 IMAGES = 8  # on either side of a mode's own part; they decrease at least with the third power of their number
 
 
@@ -55,7 +60,7 @@ class FixedPath(abc.ABC):
 
     kind: ClassVar[LoopKind]
 
-    def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
+    def __init__(self, node: OperatingPoint, cut: Cut = "gimbal_command", senses: bool = False) -> None:
         if cut not in CUTS:
             raise ValueError(f"cut = {cut!r}: allowed is {', '.join(CUTS)}")
         self.node, self.cut = node, cut
@@ -81,12 +86,19 @@ class FixedPath(abc.ABC):
     def sample_s(self) -> float | None:
         """Return the period of a sampled path, or None for a continuous one."""
 
-    @property
-    def with_sensors(self) -> FixedPath:
-        """Return the path with the measurements of further sensors. Raises ValueError if there are none."""
+    def with_inputs(self, measurements: Iterable[str]) -> FixedPath:
+        """Return the path with the further sensors that a law needs.
+
+        With a drift among the measurements, gravity is the axial load, as in the frame of the trajectory. The gravity
+        of the flown instant does not fit a model of constant speed. Raises ValueError for a measurement that the
+        vehicle does not have.
+        """
+        if all(name in MEASUREMENTS for name in measurements):
+            return self
         if not self.node.instruments.sensors:
             raise ValueError("the vehicle has no sensors beyond the gyro: allowed is a law that takes the gyro alone")
-        return self if self.sensors else type(self)(self.node, self.cut, senses=True)
+        node = self.node.held_still() if any(name in DRIFTS for name in measurements) else self.node
+        return self if self.sensors and node is self.node else type(self)(node, self.cut, senses=True)
 
     @abc.abstractmethod
     def responses(self, frequencies_hz: ArrayLike) -> ComplexArray:
@@ -128,11 +140,15 @@ class FixedPath(abc.ABC):
         if measurement in further:
             all_of_them = self._remembered(f)
             return np.asarray(all_of_them[..., 1 + further.index(measurement)] / all_of_them[..., 0])
+        integrator = self.integrator(f)
+        if measurement in DRIFTS and ACCELERATION in further:
+            across = self.ratio(ACCELERATION, f) - self.node.axial_load_mps2 * integrator
+            return np.asarray(across * integrator ** (1 + DRIFTS.index(measurement)))
         if measurement not in MEASUREMENTS:
-            known = ", ".join((*MEASUREMENTS, *further))
+            known = ", ".join((*MEASUREMENTS, *further, *(DRIFTS if ACCELERATION in further else ())))
             raise ValueError(f"a law uses {measurement}; measured are {known}")
         if measurement in ANGLES:
-            return self.integrator(f) ** (1 + ANGLES.index(measurement))
+            return integrator ** (1 + ANGLES.index(measurement))
         return np.full(f.shape, 1.0 if self.takes_rate else 0.0, np.complex128)
 
     def measured(self, measurements: tuple[str, ...]) -> StateSpace:
@@ -140,29 +156,26 @@ class FixedPath(abc.ABC):
         path.
         """
         path, period = self.state_space(), self.sample_s
-        rate = path.c[0]
-        a, b, states = path.a, path.b, path.states
-        # kept in addition to the rate while integrators are added
-        others = {name: k for k, (name, _, _) in enumerate(self.sensors, 1) if name in measurements}
-        # a sampled angle includes the increment of this sample
-        drift, per_rate = (a, rate) if period is None else (a - np.eye(len(a)), period * rate)
-        angle = np.zeros(len(a)) if period is None else per_rate
-        wanted = any(name in measurements for name in ANGLES)
-        if wanted and self.rests_at_dc:
-            # the angle follows from the path's states: `known` times their rate of change is the measured rate
-            angle = angle + np.linalg.lstsq(drift.T, per_rate, rcond=None)[0]
-        elif wanted:
-            a, b, (rate,), angle = _integrated(a, b, (rate,), per_rate, period)
-            states = (*states, "angle_rad")
-        integral = angle
-        if "angle_integral_rads" in measurements:
-            added = angle if period is None else period * angle
-            a, b, (rate, angle), integral = _integrated(a, b, (rate, angle), added, period)
-            states = (*states, "angle_integral_rads")
-        rows = dict(zip(MEASUREMENTS, (angle, rate if self.takes_rate else 0.0 * rate, integral), strict=True))
-        rows |= {name: np.append(path.c[k], np.zeros(len(a) - len(path.a))) for name, k in others.items()}
-        c = np.array([rows[name] for name in measurements])
-        return StateSpace(a, b, c, np.zeros((len(c), 1)), states, path.inputs, measurements)
+        system = _Summed(
+            path.a, path.b, period, dict(zip(("rate_radps", *(n for n, _, _ in self.sensors)), path.c, strict=True))
+        )
+        states = list(path.states)
+        if not self.takes_rate:
+            system.rows["rate_radps"] = 0.0 * path.c[0]
+        if set(measurements) & {*ANGLES, *DRIFTS}:
+            states += system.add("angle_rad", path.c[0], known=self.rests_at_dc)
+        if set(measurements) & set(DRIFTS):
+            if ACCELERATION not in system.rows:
+                self.ratio(DRIFTS[0], 1.0)  # raises the error
+            across = system.rows[ACCELERATION] - self.node.axial_load_mps2 * system.rows["angle_rad"]
+            states += system.add(DRIFTS[0], across, known=self.drift_rests_at_dc)
+        # integrals that are states come last: with their poles at zero, a known integral would not be unique
+        if ANGLES[1] in measurements:
+            states += system.add(ANGLES[1], system.rows["angle_rad"])
+        if DRIFTS[1] in measurements:
+            states += system.add(DRIFTS[1], system.rows[DRIFTS[0]])
+        c = np.array([system.rows[name] for name in measurements])
+        return StateSpace(system.a, system.b, c, np.zeros((len(c), 1)), tuple(states), path.inputs, measurements)
 
     def named_poles(self) -> list[NamedPole]:
         """Return the poles of actuator, vehicle and gyro and their owners, rad/s, not folded.
@@ -261,9 +274,30 @@ class FixedPath(abc.ABC):
         body = self.vehicle
         if "theta_rad" not in body.states:
             return False
-        settled = np.linalg.lstsq(body.a, -body.b[:, 0], rcond=None)[0]
+        settled = self._settled
         terms = np.abs(body.c[0] * settled)
         return bool(abs(body.c[0] @ settled) <= 1e-9 * (terms.sum() + np.abs(settled).max()))
+
+    @cached_property
+    def drift_rests_at_dc(self) -> bool:
+        """Return True if a constant command results in zero acceleration across the reference trajectory.
+
+        The drift velocity is then a combination of the path's states. This is so in the air, if gravity is the axial
+        load (`held_still`), and if accelerometer and gyro tilt alike with the bent body.
+        """
+        body, names = self.vehicle, [name for name, _, _ in self.sensors]
+        if not self.rests_at_dc or ACCELERATION not in names:
+            return False
+        row, settled = 1 + names.index(ACCELERATION), self._settled
+        angle = np.linalg.lstsq(body.a.T, body.c[0], rcond=None)[0]  # at the gyro, by the states
+        turned = self.node.axial_load_mps2 * float(angle @ settled)
+        terms = np.append(body.c[row] * settled, (body.d[row, 0], -turned))
+        return bool(abs(terms.sum()) <= SETTLED * np.abs(terms).sum())
+
+    @cached_property
+    def _settled(self) -> Array:
+        """Return the states of the vehicle under a constant unit angle of the first drive, if there are such."""
+        return np.asarray(np.linalg.lstsq(self.vehicle.a, -self.vehicle.b[:, 0], rcond=None)[0], float)
 
 
 class _ContinuousFixedPath(FixedPath):
@@ -272,7 +306,7 @@ class _ContinuousFixedPath(FixedPath):
     No digit is lost by cancellation, in contrast to a sum of partial fractions.
     """
 
-    def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
+    def __init__(self, node: OperatingPoint, cut: Cut = "gimbal_command", senses: bool = False) -> None:
         super().__init__(node, cut, senses)
         self._turning = Resolvent(self.vehicle.a, self.vehicle.b, self.vehicle.c)
 
@@ -311,15 +345,16 @@ class PadeFixedPath(_ContinuousFixedPath):
 
     kind = "pade"
 
-    def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
+    def __init__(self, node: OperatingPoint, cut: Cut = "gimbal_command", senses: bool = False) -> None:
         super().__init__(node, cut, senses)
         if any(samples > 0 for _, _, samples in self.sensors):
             raise ValueError("the kind pade has no latency of single sensors: allowed is sampled or exact")
         timing = node.instruments
-        self.computer: list[Rational] = [hold_pade(timing.sample_s)]
+        sampled = timing.sample_s > 0.0
+        self.computer: list[Rational] = [hold_pade(timing.sample_s)] if sampled else []
         if timing.delay_s > 0.0:
             self.computer.append(delay_pade(timing.delay_s))
-        if self.takes_rate:
+        if self.takes_rate and sampled:
             self.computer.append(converter_pade(timing.sample_s))
 
     def computer_at(self, s: ComplexArray) -> ComplexArray:
@@ -357,7 +392,7 @@ class SampledFixedPath(FixedPath):
 
     kind = "sampled"
 
-    def __init__(self, node: Node, cut: Cut = "gimbal_command", senses: bool = False) -> None:
+    def __init__(self, node: OperatingPoint, cut: Cut = "gimbal_command", senses: bool = False) -> None:
         super().__init__(node, cut, senses)
         self.sampled: SampledPlant = sample(self.continuous, node.instruments.sample_s, node.instruments.delay_s)
         self._resolvent = self.sampled.resolvent()
@@ -403,7 +438,9 @@ def delayed(path: StateSpace, output: int, samples: int) -> StateSpace:
     return StateSpace(a, b, c, path.d, states, path.inputs, path.outputs)
 
 
-def fixed_path(node: Node, kind: LoopKind = "sampled", cut: Cut = "gimbal_command", senses: bool = False) -> FixedPath:
+def fixed_path(
+    node: OperatingPoint, kind: LoopKind = "sampled", cut: Cut = "gimbal_command", senses: bool = False
+) -> FixedPath:
     """Return the fixed path of an operating point.
 
     `senses` adds further sensors. Raises ValueError for an unknown kind or cut.
@@ -442,18 +479,30 @@ def image_points(poles_radps: ComplexArray, sample_s: float | None) -> ComplexAr
     return np.asarray(2j * np.pi * (centres[:, None] + images))
 
 
-def _integrated(
-    a: Array, b: Array, rows: tuple[Array, ...], added: Array, period: float | None
-) -> tuple[Array, Array, list[Array], Array]:
-    """Return state matrices with one additional state, the integral (the sum) of the output `added`, and the rows of
-    the outputs and of the new state.
+class _Summed:
+    """A path with sums of its outputs as further outputs, in z for a sampled path, and the `rows` of all outputs."""
 
-    A sum includes the addend of the present sample.
-    """
-    n, kept = len(a), 0.0 if period is None else 1.0
-    a = np.block([[a, np.zeros((n, 1))], [added[None], np.full((1, 1), kept)]])
-    b = np.vstack([b, np.zeros((1, 1))])
-    return a, b, [np.append(row, 0.0) for row in rows], np.append(kept * added, 1.0)
+    def __init__(self, a: Array, b: Array, period: float | None, rows: dict[str, Array]) -> None:
+        self.a, self.b, self.period, self.rows = a, b, period, rows
+
+    def add(self, name: str, added: Array, known: bool = False) -> list[str]:
+        """Add the integral (the sum, with the addend of the present sample) of an output, and return the new states.
+
+        `known` is True if the integral is a combination of the states, so that it needs none.
+        """
+        n, period = len(self.a), self.period
+        if known:
+            # combination times the states' rate of change is the output
+            drift, kept = (self.a, 0.0) if period is None else (self.a - np.eye(n), 1.0)
+            addend = added if period is None else period * added
+            self.rows[name] = kept * addend + np.linalg.lstsq(drift.T, addend, rcond=None)[0]
+            return []
+        addend, kept = (added, 0.0) if period is None else (period * added, 1.0)
+        self.a = np.block([[self.a, np.zeros((n, 1))], [addend[None], np.full((1, 1), kept)]])
+        self.b = np.vstack([self.b, np.zeros((1, 1))])
+        self.rows = {key: np.append(row, 0.0) for key, row in self.rows.items()}
+        self.rows[name] = np.append(kept * addend, 1.0)
+        return [name]
 
 
 def _pair(omega: float, zeta: float) -> ComplexArray:

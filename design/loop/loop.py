@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 
 from maxq.control.kernel.records import Array
 from maxq.design.laws.bending_filter import FASTEST
-from maxq.design.laws.law import ANGLES, MEASUREMENTS, Controller
+from maxq.design.laws.law import ANGLES, DRIFTS, Controller
 from maxq.design.laws.registry import designed_law
 from maxq.design.loop.fixed_path import Cut, ExactFixedPath, FixedPath, LoopKind, PadeFixedPath, fixed_path
-from maxq.design.model.node import Node
+from maxq.design.model.instruments import ACCELERATION
+from maxq.design.model.operating_point import OperatingPoint
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain, zeros_and_poles
 from maxq.sim.scenario.schema_design import Design
 
@@ -63,8 +64,7 @@ class Loop:
 
     def __post_init__(self) -> None:
         self.law.check(self.fixed.sample_s)
-        if any(name not in MEASUREMENTS for name in self.law.inputs):
-            object.__setattr__(self, "fixed", self.fixed.with_sensors)
+        object.__setattr__(self, "fixed", self.fixed.with_inputs(self.law.inputs))
 
     @property
     def highest_hz(self) -> float:
@@ -89,12 +89,14 @@ class Loop:
 
     def open_poles(self) -> ComplexArray:
         """Return the poles of L in rad/s, of a sampled loop log(z) / T."""
-        parts = [self.fixed.poles(), self.law.poles()]
-        if any(name in ANGLES for name in self.law.inputs) and not self.fixed.rests_at_dc:
-            parts.append(np.zeros(1, np.complex128))
-        if "angle_integral_rads" in self.law.inputs:
-            parts.append(np.zeros(1, np.complex128))
-        return np.concatenate(parts)
+        wanted, fixed = set(self.law.inputs), self.fixed
+        at_zero = (
+            bool(wanted & {*ANGLES, *DRIFTS}) and not fixed.rests_at_dc,
+            "angle_integral_rads" in wanted,
+            bool(wanted & set(DRIFTS)) and not fixed.drift_rests_at_dc,
+            "drift_m" in wanted,
+        )
+        return np.concatenate([fixed.poles(), self.law.poles(), np.zeros(sum(at_zero), np.complex128)])
 
     def closed_poles(self) -> ComplexArray:
         """Return the zeros of 1 + L in rad/s, of a sampled loop log(z) / T, from the state matrix.
@@ -148,8 +150,11 @@ class Loop:
         return control.FRD(self.response(f), 2.0 * np.pi * f, dt=self.sample_s or 0)
 
     def _refined_poles(self, exact: ExactFixedPath) -> ComplexArray:
-        start = Loop(PadeFixedPath(exact.node, exact.cut), self.law).closed_poles()
-        s = start[np.abs(start) < 2.0 * np.pi / exact.node.instruments.sample_s]
+        start, sample_s = (
+            Loop(PadeFixedPath(exact.node, exact.cut), self.law).closed_poles(),
+            exact.node.instruments.sample_s,
+        )
+        s = start[np.abs(start) * sample_s < 2.0 * np.pi]
         for _ in range(60):
             step = 1e-6 * (np.abs(s) + 1e-3)
             slope = (self._at(exact, s + step) - self._at(exact, s - step)) / (2.0 * step)
@@ -165,13 +170,20 @@ class Loop:
         return np.asarray(s[~again])
 
     def _at(self, exact: ExactFixedPath, s: ComplexArray) -> ComplexArray:
-        rate = np.full(np.shape(s), 1.0 if exact.takes_rate else 0.0)
-        ratios = dict(zip(MEASUREMENTS, (1.0 / s, rate, 1.0 / s**2), strict=True))
-        law = self.law.response(s / 2j / np.pi) * np.stack([ratios[name] for name in self.law.inputs], axis=-1)
-        return np.asarray(law.sum(axis=-1) * exact.at(s))
+        ways = {name: exact.plant_at(s, k) for k, (name, _, _) in enumerate(exact.sensors, 1)}
+        computer, rate = exact.computer_at(s), exact.plant_at(s)
+        for name, _, samples in exact.sensors:
+            ways[name] = ways[name] * np.exp(-s * samples * exact.node.instruments.sample_s)
+        ways |= {"rate_radps": rate if exact.takes_rate else 0.0 * rate}
+        ways |= {name: rate / s ** (1 + k) for k, name in enumerate(ANGLES)}
+        if ACCELERATION in ways:
+            across = ways[ACCELERATION] - exact.node.axial_load_mps2 * ways["angle_rad"]
+            ways |= {name: across / s ** (1 + k) for k, name in enumerate(DRIFTS)}
+        law = self.law.response(s / 2j / np.pi) * np.stack([ways[name] for name in self.law.inputs], axis=-1)
+        return np.asarray(law.sum(axis=-1) * computer)
 
 
-def law_at(design: Design, node: Node, kind: LoopKind = "sampled") -> Controller:
+def law_at(design: Design, node: OperatingPoint, kind: LoopKind = "sampled") -> Controller:
     """Return the design's law at the time of an operating point and in its plane, as the flight computer runs it or
     continuous.
     """
@@ -185,7 +197,7 @@ def close_loop(path: FixedPath, design: Design) -> Loop:
 
 
 def loops(
-    where: Iterable[Node], design: Design, *, kind: LoopKind = "sampled", cut: Cut = "gimbal_command"
+    where: Iterable[OperatingPoint], design: Design, *, kind: LoopKind = "sampled", cut: Cut = "gimbal_command"
 ) -> list[Loop]:
     """Return a design's loop at each operating point, opened at `cut`.
 

@@ -25,11 +25,12 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.design.laws.bending_filter import FASTEST
 from maxq.design.laws.law import MEASUREMENTS, Controller
+from maxq.design.laws.navigated import navigated
 from maxq.design.laws.pd import Pd
 from maxq.design.laws.registry import designed_law
 from maxq.design.loop.fixed_path import delayed
 from maxq.design.loop.sampling import SampledPlant, sample
-from maxq.design.model.instruments import ACCELERATION, instruments_of
+from maxq.design.model.instruments import ACCELERATION, Plane, instruments_of
 from maxq.design.model.linearised import at_rest, linearise
 from maxq.design.model.node import node_of
 from maxq.design.model.powered import flown_run, flown_to
@@ -38,7 +39,8 @@ from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 
-AXES = ("pitch", "yaw", "roll")
+PLANES: tuple[Plane, Plane] = ("pitch", "yaw")
+AXES = (*PLANES, "roll")
 _HELD = ("x_I_m", "y_I_m", "z_I_m", "u_mps")  # position and speed, as in the model of one plane
 
 
@@ -196,8 +198,9 @@ def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
     allocation, t = row.computer.allocation, 1e-9 * int(row.computer.sample_ns)
     axes: tuple[str, ...] = AXES[:2]
     law, roll = designed_law(design.of_stage(stage)), Pd(float(allocation.k_p), float(allocation.k_d_s))
-    at = time_s if law.over == "time_s" else node_of(packed, time_s, stage).scheduled(law.over)
-    laws: tuple[Controller, ...] = (law.at(at, "pitch", t), law.at(at, "yaw", t))
+    node = node_of(packed, time_s, stage)
+    at = node.scheduled(law.over)
+    laws: tuple[Controller, ...] = tuple(navigated(law.at(at, plane, t), node.axial_load_mps2, t) for plane in PLANES)
     if int(allocation.groups) > 1:
         matrix = table_in(packed.pool, allocation.matrix)(time_s).reshape(-1, 3)
         if matrix[:, 2].any() and (roll.k_p, roll.k_d_s) != (0.0, 0.0):

@@ -8,11 +8,12 @@ import math
 
 import numpy as np
 
+from maxq.design.laws.law import DRIFTS
 from maxq.design.laws.wind import HIGHEST_HZ, Spectrum, WindResponse
 from maxq.design.loop.fixed_path import FixedPath
 from maxq.design.loop.rational import average
 from maxq.design.model.held import WIND, moment_name
-from maxq.design.model.instruments import lag, per_command
+from maxq.design.model.instruments import ACCELERATION, lag, per_command
 from maxq.design.model.state_space import ComplexArray, Resolvent, channels
 
 
@@ -24,7 +25,7 @@ def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, 
     reaches half the sample rate.
     """
     node, timing = path.node, path.node.instruments
-    if spectrum.band_hz[1] > max(HIGHEST_HZ, 0.499 / timing.sample_s):
+    if spectrum.band_hz[1] > max(HIGHEST_HZ, 0.499 / max(timing.sample_s, 1e-9)):
         raise ValueError(
             f"wind.band_hz: allowed are frequencies below half the sample rate, {0.5 / timing.sample_s:g} Hz"
         )
@@ -47,6 +48,10 @@ def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, 
     for row, (name, (record, late)) in enumerate(zip(("rate_radps", *sensed[1:]), lags, strict=True)):
         out = way[:, row, -1] * average(s, timing.sample_s) * np.exp(-s * late * timing.sample_s)
         means[name] = out if record.ideal else out * lag(s, record.omega_radps, record.zeta)
+    summed = path.integrator(f)
+    if ACCELERATION in means:
+        across = means[ACCELERATION] - node.axial_load_mps2 * summed * means["rate_radps"]
+        means |= {name: across * summed ** (1 + k) for k, name in enumerate(DRIFTS)}
     measured = [
         means[name] if name in means else means["rate_radps"] * path.ratio(name, f) for name in path.measurements
     ]

@@ -20,13 +20,11 @@ from maxq.design.loop.rational import average
 from maxq.design.margins.measure import Margins
 from maxq.design.margins.solving import DB, wrapped
 from maxq.design.model.instruments import actuator_response, lag, per_actuator_angle
-from maxq.design.model.node import Node
+from maxq.design.model.operating_point import OperatingPoint
 from maxq.design.model.state_space import ComplexArray, Resolvent, channels
 
 Response = Callable[[Array], ComplexArray]
 
-BUILD_UP = ("rigid body", "aerodynamics", "slosh", "engine inertia", "bending")
-"""The steps in which the vehicle is built up."""
 _PATH = 400  # points, and decades below the frequency, along which a phase is unwrapped
 _DECADES = 4.0
 
@@ -129,7 +127,7 @@ def loop_budget(loop: Loop, frequencies_hz: Sequence[float]) -> tuple[Budget, ..
         *_computer(loop),
         *_instruments(fixed.node),
     ]
-    steps = [(name, _vehicle(node)) for name, node in build_up(fixed.node)]
+    steps = [(name, _vehicle(node)) for name, node in fixed.node.steps()]
     if loop.sample_s is not None:
         whole_path = [*_computer(loop), *_instruments(fixed.node), steps[-1]]
 
@@ -169,7 +167,7 @@ def _computer(loop: Loop) -> list[tuple[str, Response]]:
     ]
 
 
-def _instruments(node: Node) -> list[tuple[str, Response]]:
+def _instruments(node: OperatingPoint) -> list[tuple[str, Response]]:
     gyro, out = node.instruments.gyro, []
     if not gyro.ideal:
         out.append(("gyro", _of_s(lambda s: lag(s, gyro.omega_radps, gyro.zeta))))
@@ -178,7 +176,7 @@ def _instruments(node: Node) -> list[tuple[str, Response]]:
     return out
 
 
-def _vehicle(node: Node) -> Response:
+def _vehicle(node: OperatingPoint) -> Response:
     """Return the response from the angle of the first drive's actuators to the local rate at the gyro, by all
     drives.
     """
@@ -199,10 +197,3 @@ def _vehicle(node: Node) -> Response:
 
 def _of_s(function: Callable[[ComplexArray], ComplexArray]) -> Response:
     return lambda f: np.asarray(function(2j * np.pi * np.asarray(f, float)), np.complex128)
-
-
-def build_up(node: Node) -> list[tuple[str, Node]]:
-    """Return models of the operating point by the steps of BUILD_UP, each with one more effect than the one before
-    (`Node.steps`).
-    """
-    return list(zip(BUILD_UP, node.steps(), strict=True))

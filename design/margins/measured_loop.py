@@ -6,12 +6,13 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-from maxq.design.laws.law import ANGLES
+from maxq.design.laws.law import ANGLES, DRIFTS
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.instruments import ACCELERATION
-from maxq.design.model.node import Node
+from maxq.design.model.node import Node, flown_point
+from maxq.design.model.operating_point import OperatingPoint
 from maxq.design.model.vehicle_at import StabilityDerivatives
 from maxq.design.quantities import MEASURED, Convention, RigidBody
 
@@ -28,8 +29,13 @@ class LoopAtPoint:
         return self.margins.lobes
 
     @property
-    def node(self) -> Node:
+    def node(self) -> OperatingPoint:
         return self.loop.fixed.node
+
+    @property
+    def flown(self) -> Node:
+        """Return the operating point with its vehicle. Raises ValueError if it has none."""
+        return flown_point(self.node)
 
     @property
     def time_s(self) -> float:
@@ -85,7 +91,9 @@ class LoopAtPoint:
         if square <= 0.0:
             return 0.0, math.nan
         omega = math.sqrt(square)
-        rates = [name for name in law.inputs if name not in (*ANGLES, ACCELERATION)]  # all gyros of a blended rate
+        rates = [
+            name for name in law.inputs if name not in (*ANGLES, *DRIFTS, ACCELERATION)
+        ]  # all gyros of a blended rate
         damping = d.m_delta_1ps2 * sum(law.static_gain(name) for name in rates) - m_q
         return omega / (2.0 * math.pi), damping / (2.0 * omega)
 

@@ -132,7 +132,7 @@ def _ask(address: int, token: int, frequency_hz: Array, out: ComplexArray) -> No
 
 @overload(_ask)
 def _ask_compiled(address, token, frequency_hz, out):  # type: ignore[no-untyped-def]  # Numba compares both signatures
-    def asked(address, token, frequency_hz, out):  # type: ignore[no-untyped-def]
+    def asked(address, token, frequency_hz, out):  # type: ignore[no-untyped-def]  # as above
         _call(address, token, len(frequency_hz), frequency_hz.ctypes.data, out.ctypes.data)
 
     return asked
@@ -230,7 +230,9 @@ def by_pairs(poles: ComplexArray, mu: ComplexArray, alpha: ComplexArray, beta: C
 
 @routine
 def _sum_terms(f: Array, loop: LoopResponse, out: ComplexArray) -> None:
-    """Compute L from its numbers. Each term is added at all frequencies in real arithmetic, which is vectorised."""
+    """Compute L at the frequencies `f` (Hz) from its partial fractions.
+
+    Each term is added at all frequencies in real arithmetic, which the compiler vectorises."""
     n = len(f)
     real, imag, late_re, late_im, re, im = np.empty((6, n))
     direct_0, direct_1 = loop.direct[0], loop.direct[1]

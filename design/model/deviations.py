@@ -295,7 +295,7 @@ def _key_in_stage(key: str, stage: Stage, number: int) -> str | None:
     """Return a key path of the scenario as a key of a stage, or None if it does not belong to this stage."""
     prefix = f"vehicle.stage.{number}."
     if key.startswith(prefix):
-        return key.removeprefix(prefix)
+        return stage.counted_key(key.removeprefix(prefix))
     name = key.removeprefix("vehicle.computer.")
     own = stage.computer is not None and getattr(stage.computer, name, None) is not None
     return None if name == key or own else f"computer.{name}"
@@ -363,9 +363,10 @@ def _sections(key: str, numbers: list[int], stage: Stage, node: Node) -> list[in
 
 def _pendulums_of(stage: Stage, tank: int, key: str) -> list[int]:
     """Return the pendulums of a tank that a key changes: all of its modes, or a mode that has its own damping."""
-    first = sum(each.pendulums for each in stage.tank[:tank])
-    mine = list(range(first, first + stage.tank[tank].pendulums))
+    tanks = [each for *_, each in stage.tanks]
+    first = sum(each.pendulums for each in tanks[:tank])
+    mine = list(range(first, first + tanks[tank].pendulums))
     if key.endswith("second_damping_ratio"):
         return mine[1:]
-    own = key.endswith("damping_ratio") and stage.tank[tank].second_damping_ratio is not None
+    own = key.endswith("damping_ratio") and tanks[tank].second_damping_ratio is not None
     return mine[:1] if own else mine

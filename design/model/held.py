@@ -45,9 +45,9 @@ Drives = Sequence[Sequence[tuple[int, float]]]
 
 _NOISE = 3e-14  # of the largest entry of a row, each times its step: smaller entries are rounding
 _SETTLING = 3  # steps of Newton's method
-_UNIT = {"omega_1_radps": 1.0, "zeta_1": 0.5, "order": 2, "bias_rad": 0.0, "backlash_rad": 0.0, "ideal": 0} | {
-    name: math.inf for name in ("angle_limit_rad", "rate_limit_radps", "stop_rad")
-}  # fmt: skip  # angle'' = command - angle - angle'
+_UNIT = {"omega_1_radps": 1.0, "zeta_1": 0.5, "order": 2, "bias_rad": 0.0, "backlash_rad": 0.0, "ideal": 0}
+_UNIT |= dict.fromkeys(("angle_limit_rad", "rate_limit_radps", "stop_rad"), math.inf)
+"""The actuator angle'' = command - angle - angle'."""
 
 
 @dataclass(frozen=True)

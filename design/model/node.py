@@ -1,4 +1,4 @@
-"""An operating point: all quantities on which a linear loop depends at one instant of one flight, in one plane."""
+"""An operating point of a flight: vehicle, air and instruments at one instant, in one plane."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from maxq.control.kernel.records import Array
 from maxq.control.structures import Over
 from maxq.design.model.dispersion import NOMINAL, Dispersion, deviated, disperse_instruments, unlike_drives
 from maxq.design.model.held import Drives, FlightCondition, HeldStage, Trim, hold_stage, table_clock_s
-from maxq.design.model.instruments import Instruments, Plane, allocation_at, instruments_of
+from maxq.design.model.instruments import Plane, allocation_at, instruments_of
+from maxq.design.model.operating_point import BUILD_UP, OperatingPoint
 from maxq.design.model.powered import flown_run, flown_to
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import (
@@ -40,34 +41,25 @@ from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import LogSection, Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.vehicle.actuator.kernel import Actuator
 from maxq.sim.vehicle.engine.burn import stage_burns, table_time_s, when_spent_s
 from maxq.sim.vehicle.slosh.kernel import RING_DRAG
 from maxq.sim.vehicle.state import Q_BI, R_I, V_I
 from maxq.sim.world.earth import ground_velocity
 
 
-@dataclass(frozen=True)
-class Node:
-    """An operating point: vehicle, air and instruments of one plane at a vehicle time."""
+@dataclass(frozen=True, kw_only=True)
+class Node(OperatingPoint):
+    """An operating point of a flight: vehicle, air and instruments of one plane at a vehicle time."""
 
-    time_s: float
     held: HeldStage
-    condition: FlightCondition
-    instruments: Instruments
-    plane: Plane = "pitch"
     allocation: tuple[tuple[float, float], ...] = ((1.0, 0.0),)  # angles per command of each group, own and other plane
     surface_radius_m: tuple[float, ...] = ()  # of the liquid under each pendulum, nan if unknown; nominal vehicle
-    label: str = ""
-    stage: int = 0  # stage that burns, from 0
     stage_start_s: float = 0.0  # zero of that stage's clock on the vehicle clock
     trim: Trim = (0.0, 0.0)  # angles of attack and sideslip at which tables over angle of attack have their slopes, rad
-    speed_mps: float = math.nan  # relative to the rotating Earth
 
-    @cached_property
-    def plant(self) -> StateSpace:
+    def plant_in_wind(self, wind: bool = True) -> StateSpace:
         """Return the linear model of the plane, from the motion of the actuators and the wind to the rates of body,
-        modes and pendulums.
+        modes and pendulums (`plant` without the wind).
 
         The model is the Jacobian of the simulator's derivative (held.py). The states are w (m/s, of the body point at
         the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s; the spatial modes first), slosh angles (rad) and
@@ -77,12 +69,10 @@ class Node:
         station of section loads that are switched on, N m. The yaw plane has the states and signs of the pitch plane
         turned about x.
 
+        The last input is the lateral velocity of the air in the plane, m/s.
+
         Raises ValueError if no such system exists. The message names the operating point.
         """
-        return self.plant_in_wind(wind=False)
-
-    def plant_in_wind(self, wind: bool = True) -> StateSpace:
-        """Return `plant` with the lateral velocity of the air in the plane, m/s, as its last input."""
         self.check_axial_load()
         *parts, names = self.held.plants(
             self.condition, self.trim, self.plane, self.drives, wind=wind, moments=bool(self.vehicle.cut_stations_m)
@@ -94,7 +84,7 @@ class Node:
         """Raise ValueError, naming the operating point, if pendulums do not hang under a positive axial load."""
         if len(self.vehicle.pendulums.mass_kg) and self.axial_load_mps2 <= 0.0:
             problem = f"a pendulum needs a positive axial load, not {self.axial_load_mps2:g} m/s2"
-            raise ValueError(f"node at {self.time_s:g} s: {problem}")
+            raise ValueError(f"operating point at {self.time_s:g} s: {problem}")
 
     @property
     def drives(self) -> Drives:
@@ -126,14 +116,12 @@ class Node:
         return stability_derivatives(self.held, self.condition, self.trim, self.plane, self.drives)
 
     @property
-    def actuators(self) -> tuple[Actuator, ...]:
-        """Return the actuator of each drive."""
-        return self.instruments.actuators
+    def omega_radps(self) -> Array:
+        return self.vehicle.omega_radps
 
     @property
-    def actuator(self) -> Actuator:
-        """Return the actuator of the first drive."""
-        return self.actuators[0]
+    def cut_stations_m(self) -> tuple[float, ...]:
+        return self.vehicle.cut_stations_m
 
     @property
     def gains(self) -> tuple[float, ...]:
@@ -153,22 +141,10 @@ class Node:
         return min((a.angle_limit_rad / gain for a, gain in limits if gain > 0.0 and not a.ideal), default=math.inf)
 
     def scheduled(self, over: Over) -> float:
-        """Return the quantity over which gains are scheduled, with the flight computer's value at this instant.
+        return self.vehicle.total_mass_kg if over == "mass_kg" else super().scheduled(over)
 
-        Raises ValueError for an operating point that was not flown and has no speed.
-        """
-        if over == "time_s":
-            return self.time_s
-        if over == "mass_kg":
-            return self.vehicle.total_mass_kg
-        if not math.isfinite(self.speed_mps):
-            raise ValueError(f"node at {self.time_s:g} s: it has no speed, over which the gains are scheduled")
-        return self.speed_mps if over == "speed_mps" else 0.5 * self.condition.density_kgpm3 * self.speed_mps**2
-
-    def steps(self) -> list[Node]:
+    def steps(self) -> list[tuple[str, OperatingPoint]]:
         """Return the vehicle built up: rigid body, air, slosh, engine inertia, bending.
-
-        The last model is that of the operating point.
 
         Without slosh, the liquid is frozen at its bobs. Without aerodynamics, the axial force remains, since it sets
         the axial load on liquid and engine. Without engine inertia, the gimbal moves a massless engine.
@@ -177,7 +153,8 @@ class Node:
         light = without_engine_inertia(stiff)
         frozen = with_frozen_liquid(light)
         bare = without_lateral_air(frozen)
-        return [*(dataclasses.replace(self, held=held) for held in (bare, frozen, light, stiff)), self]
+        built = [*(dataclasses.replace(self, held=held) for held in (bare, frozen, light, stiff)), self]
+        return list(zip(BUILD_UP, built, strict=True))
 
     def with_(self, **deviations: Any) -> Node:
         """Return the operating point with deviations, by the fields of `dispersion.Dispersion`."""
@@ -204,7 +181,7 @@ def nodes_along(
         return []
     for time_s in wanted:
         if not abs(time_s) <= LONGEST_S:
-            raise ValueError(f"node at {time_s} s: allowed are times up to {LONGEST_S:g} s")
+            raise ValueError(f"operating point at {time_s} s: allowed are times up to {LONGEST_S:g} s")
     run = flown_run(scenario, faults)
     found = {time_s: refine(run, _node(run, time_s, plane)) for time_s in sorted(set(wanted))}
     return with_swings([found[time_s] for time_s in wanted], scenario, faults)
@@ -344,8 +321,15 @@ def at_same_propellant_s(run: FlightRun, flown: Scenario, node: Node) -> float:
     spent_s = table_time_s(flown.vehicle.stage[n], other, node.time_s - node.stage_start_s)
     at_s = start_s + when_spent_s(scenario.vehicle.stage[n], mine, spent_s)
     if not math.isfinite(at_s):
-        raise ValueError(f"node at {node.time_s:g} s: the flight never burns the propellant that is gone there")
+        raise ValueError(f"operating point at {node.time_s:g} s: the flight never burns the propellant gone there")
     return at_s
+
+
+def flown_point(point: OperatingPoint) -> Node:
+    """Return an operating point that has a vehicle. Raises ValueError for one that is given (given.py)."""
+    if not isinstance(point, Node):
+        raise ValueError(f"node at {point.time_s:g} s: it has no vehicle: allowed is an operating point of a flight")
+    return point
 
 
 def met_by(node: Node, met: Node) -> Node:
@@ -360,10 +344,11 @@ def met_by(node: Node, met: Node) -> Node:
 def surface_radii_m(stage: Stage, clock_s: float) -> tuple[float, ...]:
     """Return the radius of the surface at rest in the tank of each pendulum, or NaN if the file does not state it."""
     out: list[float] = []
-    for tank in stage.tank:
+    for body, _, tank in stage.tanks:
         radius = math.nan if tank.radius_m is None else tank.radius_m
         if tank.shape is not None and tank.density_kgpm3 is not None:
-            mass = np.interp(clock_s, tank.table["time_s"], tank.table["liquid_mass_kg"])
+            since_s = clock_s - (stage.booster[body - 1].ignition_s if body > 0 else 0.0)
+            mass = np.interp(since_s, tank.table["time_s"], tank.table["liquid_mass_kg"])
             depth = tank.profile.depth(np.array(mass / (tank.density_kgpm3 * radius**3)))
             radius *= float(tank.profile.surface_radius(depth))
         out += [radius] * tank.pendulums

@@ -132,13 +132,16 @@ def node_times(
             times += [round(float(t), 3) for t in chosen]
     if not times:
         which = "no stage" if stage is None else f"stage {stage + 1} not"
-        raise ValueError(f"{scenario.label}: {which} under thrust by engines that can be moved; there is no node")
+        raise ValueError(f"{scenario.label}: {which} under thrust by movable engines; there is no operating point")
     return tuple(times)
 
 
 def full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
-    """Return the first and last instant on the vehicle clock at which the thrust by the tables is half the largest."""
-    tables = [engine.table for engine in stage.engines]
+    """Return the first and last instant on the vehicle clock at which the thrust by the tables is half the largest.
+
+    Boosters do not count, because they have burned out before they leave.
+    """
+    tables = [engine.table for engine in stage.own_engines or stage.engines]
     if any(len(table) == 1 for table in tables):
         return -math.inf, math.inf
     times = np.unique(np.concatenate([table["time_s"] for table in tables]))
@@ -165,20 +168,22 @@ def flown_to(run: FlightRun, time_s: float) -> int:
     at_ns = round(time_s * 1e9 / step_ns) * step_ns
     begins_s = run.now_s
     if at_ns < round(begins_s * 1e9):
-        raise ValueError(f"node at {time_s:g} s: the flight begins at {begins_s:g} s; {_allowed(run)}")
+        raise ValueError(f"operating point at {time_s:g} s: the flight begins at {begins_s:g} s; {_allowed(run)}")
     if round(run.now_s * 1e9) < at_ns:
         run.fly_segment(at_ns)
     if round(run.now_s * 1e9) != at_ns:
         events = ", ".join(f"{e.title} at {e.time_s:.4g} s" for e in run.events)
-        raise ValueError(f"node at {time_s:g} s: the flight ends at {run.now_s:.6g} s ({events or 'no events'})")
+        end = f"the flight ends at {run.now_s:.6g} s ({events or 'no events'})"
+        raise ValueError(f"operating point at {time_s:g} s: {end}")
     if (loss := loss_of(run.events)) is not None:
         raise ValueError(
-            f"node at {time_s:g} s: the flight is lost before ({loss_text(loss)}); allowed are times before the loss"
+            f"operating point at {time_s:g} s: the flight is lost before ({loss_text(loss)}); "
+            "allowed are times before the loss"
         )
     held = run.memory.held
     if held.on_pad == 1 or held.burning == 0:
         why = "the vehicle is held down" if held.on_pad == 1 else "the engine does not burn"
-        raise ValueError(f"node at {time_s:g} s: {why}; {_allowed(run)}")
+        raise ValueError(f"operating point at {time_s:g} s: {why}; {_allowed(run)}")
     return at_ns
 
 

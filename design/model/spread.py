@@ -139,7 +139,7 @@ def _deviations(vehicle: Vehicle, number: int) -> Iterator[tuple[str, int, list[
         for k in range(len(stage.spatial_modes.damping_ratio) if stage.spatial_modes else 0)
     ]
     modes += [f"{s}bending.{{}}.{k}" for k in range(len(stage.bending.damping_ratio) if stage.bending else 0)]
-    tanks = [f"{s}tank.{k}.{{}}" for k in range(len(stage.tank))]
+    tanks = [f"{s}{'.'.join(map(str, stage.tank_key(k)))}.{{}}" for k in range(len(stage.tanks))]
     for parts, key, name in (
         (modes, "bending_frequency", "frequency_factor"),
         (modes, "bending_slope", "gyro_slope_factor"),

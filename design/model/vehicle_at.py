@@ -108,7 +108,10 @@ def total_of(held: HeldStage) -> tuple[Array, Array, Array]:
     total = core + mass.sum(axis=1)
     cg = (core * station + (mass * bob).sum(axis=1)) / total
     added = core * (station - cg) ** 2 + (mass * (bob - cg[:, None]) ** 2).sum(axis=1)
-    return total, cg, p[:, schedule.CORE_INERTIA + 1 : schedule.CORE_INERTIA + 3] + added[:, None]
+    slosh, n = held.vehicle["slosh"], len(held.swing_rad)  # tanks of boosters are off the axis
+    added_by_place = [(mass * slosh[f"place_{axis}_m"][:, :n] ** 2).sum(axis=1) for axis in "zy"]
+    own = p[:, schedule.CORE_INERTIA + 1 : schedule.CORE_INERTIA + 3]
+    return total, cg, own + (added[:, None] + np.stack(added_by_place, axis=1))
 
 
 def axial_load_mps2(held: HeldStage, condition: FlightCondition, trim: Trim) -> float:

@@ -14,7 +14,7 @@ from maxq.control.kernel.records import Array
 from maxq.design import operating_points
 from maxq.design.case.basis import Basis
 from maxq.design.case.schema import Case, LoadedCase
-from maxq.design.laws.law import MEASUREMENTS
+from maxq.design.laws.law import DRIFTS, MEASUREMENTS
 from maxq.design.laws.registry import law_kind
 from maxq.design.laws.task import PlantLimits, Rigid, Task
 from maxq.design.laws.wind import Spectrum, WindResponse
@@ -22,8 +22,10 @@ from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.loop.own_part import NEAREST_NYQUIST, attribution, peak_band
 from maxq.design.loop.wind import wind_response
 from maxq.design.margins.curve import lowest_hz_of
+from maxq.design.model.given_file import given_points
 from maxq.design.model.instruments import ACCELERATION
-from maxq.design.model.node import Node, with_cuts
+from maxq.design.model.node import Node, flown_point, with_cuts
+from maxq.design.model.operating_point import OperatingPoint
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import incidence_by_acceleration
 from maxq.design.optimise.criteria import OBJECTIVES
@@ -36,7 +38,7 @@ from maxq.design.optimise.problem import bands_of
 class Plant:
     """The fixed part of a loop. `dispersed` selects the limits of the plant."""
 
-    node: Node
+    node: OperatingPoint
     path: FixedPath
     modes: tuple[FeatureMode, ...]
     m_delta: float
@@ -44,6 +46,11 @@ class Plant:
     m_q: float
     dispersed: bool = False
     wind: WindResponse | None = None
+
+    @property
+    def flown(self) -> Node:
+        """Return the operating point with its vehicle. Raises ValueError if it has none."""
+        return flown_point(self.node)
 
     @property
     def bands_hz(self) -> list[tuple[int, float, float]]:
@@ -55,25 +62,26 @@ class Plant:
         return np.asarray(poles[np.abs(poles) > 2.0 * np.pi * lowest_hz_of(self.path.poles())])
 
 
-def make_plant(node: Node, case: Case, dispersed: bool = False) -> Plant:
+def make_plant(node: OperatingPoint, case: Case, dispersed: bool = False) -> Plant:
     """Return the plant of an operating point.
 
     Raises ValueError for a point without a first bending mode if that is the objective.
     """
     measured = (*law_kind(case.law).inputs, *(_further_gyros(node) if case.blend is not None else ()))
-    path = fixed_path(node, case.loop, senses=any(name not in MEASUREMENTS for name in measured))
-    path.measurements = measured
-    for name in measured:
-        if name not in MEASUREMENTS and name not in (sensed for sensed, _, _ in path.sensors):
+    needed = tuple(ACCELERATION if name in DRIFTS else name for name in measured)
+    for name in needed:
+        if name not in MEASUREMENTS and name not in (sensed for sensed, _, _ in node.instruments.sensors):
             raise ValueError(
-                f"node at {node.time_s:g} s: the vehicle has no accelerometer, which the law {case.law} takes"
+                f"operating point at {node.time_s:g} s: the vehicle has no accelerometer, which {case.law} requires"
             )
+    path = fixed_path(node, case.loop).with_inputs(measured)
+    path.measurements = measured
     wind = None if case.wind is None else wind_of(path, case)
     modes = modes_of(path)
     if OBJECTIVES[case.objective.kind].needs_mode and not any(mode.number == 1 for mode in modes):
         others = " or ".join(f'"{name}"' for name, objective in OBJECTIVES.items() if not objective.needs_mode)
         raise ValueError(
-            f"node at {node.time_s:g} s: there is no first bending mode whose peak could be made small; "
+            f"operating point at {node.time_s:g} s: there is no first bending mode whose peak could be made small; "
             f"allowed is objective.kind = {others}"
         )
     d = node.derivatives
@@ -87,15 +95,17 @@ def wind_of(path: FixedPath, case: Basis) -> WindResponse:
     """
     assert case.wind is not None
     try:
-        stations_m = case.bending_stations_m(path.node.vehicle.cut_stations_m)
+        stations_m = case.bending_stations_m(path.node.cut_stations_m)
         return wind_response(path, Spectrum(**dict(case.wind)), stations_m)
     except ValueError as problem:
-        raise ValueError(f"node at {path.node.time_s:g} s: {problem}") from None
+        raise ValueError(f"operating point at {path.node.time_s:g} s: {problem}") from None
 
 
-def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> list[Node]:
+def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> Sequence[OperatingPoint]:
     """Return the operating points of a case of one stage, at vehicle times."""
     case = loaded.case
+    if loaded.points is not None:
+        return given_points(loaded.points, times_s)
     nodes = operating_points.nodes(loaded.along, times_s, plane=case.plane, errata=case.errata, plant=case.plant)
     return with_cuts(nodes, loaded.along) if case.bends else nodes
 
@@ -111,7 +121,7 @@ def modes_of(path: FixedPath) -> tuple[FeatureMode, ...]:
     return tuple(out)
 
 
-def _further_gyros(node: Node) -> tuple[str, ...]:
+def _further_gyros(node: OperatingPoint) -> tuple[str, ...]:
     return tuple(name for name, _, _ in node.instruments.sensors if name != ACCELERATION)
 
 
@@ -161,7 +171,7 @@ class Plants:
         if case.law == "incidence-relief":
             told = np.array(
                 [
-                    incidence_by_acceleration(p.node.vehicle, p.node.derivatives, p.node.condition.airspeed_mps)
+                    incidence_by_acceleration(p.flown.vehicle, p.node.derivatives, p.node.condition.airspeed_mps)
                     for p in self.each
                 ]
             )
@@ -187,7 +197,7 @@ class Plants:
 def make_plants(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> Plants:
     """Return the plants of paths. `tolerance` is that of the curves. Raises ValueError for no plants."""
     if not plants:
-        raise ValueError("there is no node to design for")
+        raise ValueError("there is no operating point to design for")
     return _with_curves(tuple(plants), Curves(_meshes(plants, tolerance)))
 
 

@@ -198,7 +198,7 @@ class _Worst:
             for k, plant in enumerate(instants.plants(at_s)):
                 points = points_beside(at_s[k], taken)
                 plants += [plant] + [
-                    make_plant(deviated(plant.node, self.ranges, point), self.case, dispersed=True) for point in points
+                    make_plant(deviated(plant.flown, self.ranges, point), self.case, dispersed=True) for point in points
                 ]
                 of += [k] * (1 + len(points))
             self.tried += len(plants)
@@ -213,7 +213,7 @@ class _Worst:
             fine = [t for t in (grid[k] + FINE_S * np.arange(-9, 10)).round(9) if times_s[0] <= t <= times_s[-1]]
             score = worst_at(fine)
             j = int(np.argmax(score))
-            found.append((float(score[j]), instants.plants(fine)[j].node))
+            found.append((float(score[j]), instants.plants(fine)[j].flown))
         return found
 
 
@@ -238,7 +238,7 @@ def solve_robust(
         loaded = gains_at_nodes(loaded, nominal)
         instants = Instants(loaded, {p.node.time_s: p for p in nominal.each})
     case = loaded.case
-    nodes = [p.node for p in nominal.each]
+    nodes = [p.flown for p in nominal.each]
     ranges = ranges_of(loaded, nodes)
     assert case.robust is not None
     assert ranges is not None

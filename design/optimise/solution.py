@@ -12,7 +12,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case
 from maxq.design.laws.law import DesignedLaw
-from maxq.design.model.node import Node
+from maxq.design.model.operating_point import OperatingPoint
 from maxq.design.optimise.features import FeatureKind
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.problem import Problem, ProblemAtPoint
@@ -90,8 +90,8 @@ class Trial:
 
     It claims only the violation that it reached.
 
-    `settings` is the change as keys of the case, or of the vehicle. `missing_db` is the least violation reached, 0 if
-    all limits are met. `problem` is the reason for which the change could not be tried.
+    `settings` is the change as keys of the case, or of the vehicle. The value `missing_db` is the least violation
+    reached, 0 if all limits are met. `problem` is the reason for which the change could not be tried.
     """
 
     change: str
@@ -161,7 +161,7 @@ class Solution:
     certificate: Certificate
     variables: Array
     nominal_objective_db: float  # over the nominal plants alone
-    nodes: tuple[Node, ...]  # of the nominal plants
+    nodes: tuple[OperatingPoint, ...]  # of the nominal plants
     stable_without: tuple[str, ...] = ()  # limits, if no design is stable: a design is stable without any one of these
     trials: tuple[Trial, ...] = ()  # from an infeasible design
 
@@ -184,7 +184,7 @@ class Solution:
     def met(self) -> str:
         """Return where a feasible design meets its limits: "all limits met at its 11 operating points"."""
         if self.unchecked:
-            return f"limits met at the nodes; {self.unchecked}"
+            return f"limits met at the operating points; {self.unchecked}"
         count = len(self.nodes)
         where = "" if self.case.between_nodes == "hold" else f" at its {count} operating point{'s' * (count != 1)}"
         return f"all limits met{where}"

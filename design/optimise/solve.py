@@ -27,7 +27,10 @@ def each_stage(loaded: LoadedCase, before_s: float = math.inf) -> list[LoadedCas
     `before_s` is the time of the loss of the flight; the case's own times from then on are omitted. Raises ValueError
     if no operating point remains.
     """
-    case, count = loaded.case, len(loaded.scenario.vehicle.stage)
+    case = loaded.case
+    if loaded.points is not None:
+        return [replace(loaded, case=case.of_stage(0, case.nodes_s or loaded.points.times_s))]
+    count = len(loaded.scenario.vehicle.stage)
     wanted = None if case.stages is None else {n - 1 for n in case.stages}
     if wanted is not None and not wanted <= set(range(count)):
         raise ValueError(f"stages = {list(case.stages or ())}: the vehicle has {count}; allowed are numbers from 1")
@@ -43,7 +46,7 @@ def each_stage(loaded: LoadedCase, before_s: float = math.inf) -> list[LoadedCas
         by_stage.setdefault(next((s.stage for s in spans if s.holds(t)), spans[0].stage if spans else 0), []).append(t)
     chosen = sorted(by_stage if wanted is None else wanted & set(by_stage))
     if not chosen:
-        raise ValueError("none of the nodes is in the stages to be designed")
+        raise ValueError("no operating point is in a stage to be designed")
     return [replace(loaded, case=case.of_stage(n, tuple(by_stage[n]))) for n in chosen]
 
 

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from maxq.control.kernel.records import Array
 from maxq.control.structures import MAX_SECTIONS, STRUCTURES
 from maxq.design.case.schema import Case, LoadedCase
-from maxq.design.model.node import Node
+from maxq.design.model.node import Node, flown_point
 from maxq.design.optimise.at_nodes import LEAST_EVALUATIONS, MORE_STARTS, closes_stably, make_problem, meet_limits
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.problem import Problem, ProblemAtPoint
@@ -180,14 +180,14 @@ def tried(
     """Return the trials from an infeasible solution, and True if they were interrupted.
 
     `loaded` is the case of the stage along the flight of its search. The trials together use about as many evaluations
-    as the search. A KeyboardInterrupt ends them, and the completed trials are returned.
+    as the search. After a KeyboardInterrupt, the completed trials are returned.
     """
     if solution.status != "infeasible":
         return (), False
     out: list[Trial] = []
     try:
         with threadpool_limits(limits=1, user_api="blas"):
-            nodes = nodes_of(loaded, [node.time_s for node in solution.nodes])
+            nodes = [flown_point(node) for node in nodes_of(loaded, [node.time_s for node in solution.nodes])]
             certificate, ranges = solution.certificate, ranges_of(loaded, nodes)
             changes = changes_of(case_as_searched(solution), nodes)
             most = max(LEAST_EVALUATIONS, certificate.evaluations // len(changes))

@@ -39,7 +39,7 @@ class PaperNode(Node):
             vehicle = plane_vehicle(self.held, self.condition, self.plane)
             plant = published_plant(vehicle, self.condition, self.axial_load_mps2, self.errata, self.liquids)
         except ValueError as problem:
-            raise ValueError(f"node at {self.time_s:g} s: {problem}") from problem
+            raise ValueError(f"operating point at {self.time_s:g} s: {problem}") from problem
         return (
             plant
             if wind

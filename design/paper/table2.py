@@ -45,7 +45,8 @@ class DerivativeTable:
         """Return the derivatives at a time. Raises ValueError outside the table."""
         first, last = float(self.time_s[0]), float(self.time_s[-1])
         if not first <= time_s <= last:
-            raise ValueError(f"node at {time_s:g} s: {self.source or 'the table'} holds {first:g} s to {last:g} s")
+            holds = f"{self.source or 'the table'} holds {first:g} s to {last:g} s"
+            raise ValueError(f"operating point at {time_s:g} s: {holds}")
         row = self.values[0] if len(self.time_s) == 1 else PchipInterpolator(self.time_s, self.values)(time_s)
         return dict(zip(COLUMNS, (float(x) for x in row), strict=True))
 
@@ -85,12 +86,12 @@ def impose(node: N, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: float,
     """
     before, vehicle = node.derivatives, node.vehicle
     if min(before.z_delta_1ps, before.m_delta_1ps2, -before.z_alpha_1ps, z_delta_1ps, m_delta_1ps2) <= 0.0:
-        raise ValueError(f"node at {node.time_s:g} s: derivatives can be imposed on a thrusting vehicle with lift only")
+        raise ValueError(f"operating point at {node.time_s:g} s: imposed derivatives need thrust and lift")
     push, lift = z_delta_1ps / before.z_delta_1ps, z_alpha_1ps / before.z_alpha_1ps
     old, core = vehicle.total_inertia_kgm2, vehicle.core_inertia_kgm2
     inertia = push * before.m_delta_1ps2 * old / m_delta_1ps2
     if core + inertia - old <= 0.0:
-        raise ValueError(f"node at {node.time_s:g} s: M_delta = {m_delta_1ps2:g} leaves the core no inertia")
+        raise ValueError(f"operating point at {node.time_s:g} s: M_delta = {m_delta_1ps2:g} leaves the core no inertia")
     lift_Nprad = -z_alpha_1ps * vehicle.total_mass_kg * node.condition.airspeed_mps
     aft_m = (lift * before.m_alpha_1ps2 * old - m_alpha_1ps2 * inertia) / lift_Nprad
     vacuum_N, net_N = _axial_thrust(node)

@@ -23,19 +23,20 @@ from maxq.sim.scenario.loader import load_scenario, told
 from maxq.sim.scenario.schema_scenario import Switches
 
 OFF, EXCUSED, REMOVED = "physics switched off", "design_must_keep = false", "removed"
-SEED = "seed chosen by hand"
+SEED, WAIVED = "seed chosen by hand", "requirement waived"
 LOOSENED, SPREAD, LOWERED, SHORTENED = "limit loosened", "spread reduced", "level or number lowered", "shortened"
 CHANGED, STRICTER = "changed", "added or stricter"
-KINDS = (OFF, EXCUSED, SEED, REMOVED, LOOSENED, SPREAD, LOWERED, SHORTENED, CHANGED, STRICTER)
+KINDS = (OFF, WAIVED, EXCUSED, SEED, REMOVED, LOOSENED, SPREAD, LOWERED, SHORTENED, CHANGED, STRICTER)
 """The kinds of differences, in the order in which they are listed."""
 
 _WORDS = frozenset({"why", "description", "name", "schema", "schema_version", "source", "only", "log", "design"})
 """The keys that change no verdict, and the design, which is judged."""
 _COUNTS = frozenset({"success", "confidence", "availability", "runs", "cases", "trajectories", "nodes_per_stage"})
 _COUNTS |= {"corner_sigmas", "sigmas", "starts", "in_flight", "bound", "together", "planes", "between_nodes"}
-_LEAST = frozenset({"modulus", "minimum", "wind_limit_mps"})  # limits that a larger value makes stricter
+_LEAST = frozenset({"modulus", "minimum", "wind_limit_mps", "room", "probability"})  # a larger value is stricter
+_MOST = frozenset({"fault_probability", "tolerance"})  # a smaller value is stricter
 _SPREADS = frozenset({"sigma", "three_sigma", "factor"})
-_NOT_COMPARED = "whose own numbers, limits, winds and deviations are not compared"
+_NOT_COMPARED = "whose own numbers, limits and winds are not compared"
 _MOST_SHOWN = 6  # elements of a list
 
 KeyPath = tuple[str, ...]
@@ -85,6 +86,8 @@ def against_baseline(loaded: LoadedSuite, vehicle: str | None = None) -> Compare
     own, named = ("scenario" in suite.asked.model_fields_set for suite in (baseline, loaded))
     before, after = resolved(baseline.asked, own=own), resolved(loaded.asked, vehicle, own or named)
     hashes = {"baseline": _hash(before), "suite": _hash(after)}
+    if loaded.asked.board is not None:  # of the whole section, words included
+        hashes["suite: board"] = content_hash(told(loaded.asked.board))
     hashes |= {f"suite: {part.replace('_', ' ')}": _hash(content) for part, content in after.items() if content}
     shipped = loaded.baseline in builtin_files("suite")
     return Compared(loaded.baseline, shipped, hashes, tuple(differences(before, after)))
@@ -114,6 +117,10 @@ def resolved(suite: Suite, vehicle: str | None = None, own: bool = True) -> dict
     for n, wanted in enumerate(suite.campaign, 1):
         mine = {key: value for key, value in told(wanted).items() if key not in ("file", "set")}
         out["campaign"][str(n)] = _campaign(wanted.file, [*changes, *wanted.set]) | mine
+    if suite.board is not None:
+        out["waiver"] = {one.about: told(one) for one in suite.board.waiver}
+        out["second_tool"] = {one.about: told(one) for one in suite.board.second_tool}
+        out["fault_probability"] = suite.board.fault_probability
     return {key: value for key, value in out.items() if value is not None}
 
 
@@ -124,7 +131,8 @@ def _scenario(loaded: Any) -> dict[str, Any]:
 
 
 def _flight(suite: Suite, flight: SuiteFlight, changes: Sequence[str]) -> dict[str, Any]:
-    out: dict[str, Any] = {key: getattr(flight, key) for key in ("limits", "design_must_keep", "each_stage")}
+    keys = ("limits", "design_must_keep", "each_stage", "probability")
+    out: dict[str, Any] = {key: getattr(flight, key) for key in keys}
     for text in (*suite.every, *flight.set):
         path, value = parse_override(text)
         out[".".join(map(str, path))] = value if isinstance(value, bool | int | float) else str(value)
@@ -153,14 +161,13 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> list[SuiteDiff
     out = []
     if names[0] != names[1]:  # whose numbers are its own
         out += [SuiteDifference(CHANGED, f"vehicle, {_NOT_COMPARED}", *names)] if all(names) else []
+        out += _smaller_spreads(old, new)
         old, new = ({p: v for p, v in each.items() if not _of_vehicle(p)} for each in (old, new))
     for mine, other, kind in ((old, new, REMOVED), (new, old, STRICTER)):
         for head in _parts_of(mine):
             below = [path for path in mine if path[: len(head)] == head]
             if below and not any(path[: len(head)] == head for path in other):
-                out.append(
-                    SuiteDifference(SPREAD if kind == REMOVED and "deviation" in head else kind, " ".join(head), "", "")
-                )
+                out.append(SuiteDifference(_kind_of_part(head, kind), " ".join(head), "", ""))
                 for path in below:
                     del mine[path]
     alike: dict[tuple[Any, ...], list[str]] = {}
@@ -174,6 +181,13 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> list[SuiteDiff
         of = f"{len(flights)} flights" if len(flights) > 1 else f"flight {flights[0]}"
         out.append(SuiteDifference(kind, f"{of}: {'.'.join(path)}" if flights[0] else _title(path), a, b))
     return sorted(_joined(out), key=lambda d: KINDS.index(d.kind))
+
+
+def _kind_of_part(head: KeyPath, kind: str) -> str:
+    """Return the kind of a part that is removed, or added (`STRICTER`)."""
+    if head[0] == "waiver":
+        return STRICTER if kind == REMOVED else WAIVED
+    return SPREAD if kind == REMOVED and "deviation" in head else kind
 
 
 def _joined(found: Sequence[SuiteDifference]) -> Iterator[SuiteDifference]:
@@ -192,7 +206,7 @@ def _parts_of(leaves: dict[KeyPath, Any]) -> list[KeyPath]:
     for path in leaves:
         if path[0] in ("margins", "certificate"):
             out[path[:1]] = None
-        if path[0] in ("flight", "campaign"):
+        if path[0] in ("flight", "campaign", "waiver", "second_tool"):
             out[path[:2]] = None
         for n, word in enumerate(path[:-1]):
             if word in ("deviation", "requirement"):
@@ -205,6 +219,30 @@ def _parts_of(leaves: dict[KeyPath, Any]) -> list[KeyPath]:
 def _of_vehicle(path: KeyPath) -> bool:
     """Return True for keys whose values differ for every vehicle."""
     return "deviation" in path or ("scenario" in path and "switches" not in path) or path[0] == "limit_wind"
+
+
+def _smaller_spreads(before: dict[KeyPath, Any], after: dict[KeyPath, Any]) -> Iterator[SuiteDifference]:
+    """Yield the deviations of factors, and of what is not the vehicle, that are smaller than those of the same key."""
+    old, new = _standard_deviations(before), _standard_deviations(after)
+    for path in (path for path in old if path in new and new[path] < old[path]):
+        yield SuiteDifference(SPREAD, f"{_title(path)}, standard deviation", _shown(old[path]), _shown(new[path]))
+
+
+def _standard_deviations(leaves: dict[KeyPath, Any]) -> dict[KeyPath, float]:
+    """Return the standard deviations of normal and uniform draws that vehicles have in common, by deviation."""
+    every: dict[KeyPath, dict[str, Any]] = {}
+    for path, value in leaves.items():
+        if "deviation" in path[:-2]:
+            every.setdefault(path[: path.index("deviation") + 2], {})[path[-1]] = value
+    out = {}
+    for path, d in every.items():
+        if d.get("apply") != "scale" and path[-1].startswith("vehicle.") and "_factor" not in path[-1]:
+            continue  # a value in units of one vehicle
+        if d["distribution"] == "uniform":
+            out[path] = (d["high"] - d["low"]) / math.sqrt(12.0)
+        elif d["distribution"] in ("normal", "log-normal") and "covariance" not in d:
+            out[path] = d.get("sigma", d.get("three_sigma", 0.0) / 3.0)
+    return out
 
 
 def _leaves(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
@@ -240,9 +278,11 @@ def _kind(path: KeyPath, before: Any, after: Any) -> str:
             return LOOSENED if after is None else STRICTER if before is None else CHANGED
         return LOOSENED if less == (MEASURED[key].sense == ">=") else STRICTER
     if less is None:
-        return LOOSENED if after is None and (key in _LEAST or key == "limit") else CHANGED
+        return LOOSENED if after is None and key in (*_LEAST, *_MOST, "limit") else CHANGED
     if key in _LEAST:
         return LOOSENED if less else STRICTER
+    if key in _MOST:
+        return STRICTER if less else LOOSENED
     if path[0] == "dispersed_limit" or ("requirement" in path and key == "limit"):
         return STRICTER if less else LOOSENED
     if "deviation" in path or "wind_model" in path or "three_sigma" in path:

@@ -15,7 +15,11 @@ _MEASURED = "measured only"
 
 
 def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> list[JudgedRequirement]:
-    """Judge flight code without a linear model: stability when held, and margins by the limits of a linear loop."""
+    """Judge flight code without a linear model.
+
+    It must give the same commands for the same inputs, be stable when held, and have the margins of a linear loop's
+    limits.
+    """
     if not nodes:
         return []
 
@@ -26,9 +30,13 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> 
         judgement, at = (REJECTED, where(bad[0])) if bad else (ACCEPTED, "")
         return JudgedRequirement(_MEASURED, name, wanted, found, judgement, math.nan, at)
 
+    unlike = [n for n in nodes if n.differs]
+    said = unlike[0].differs if unlike else f"{len(nodes)} of {len(nodes)} operating points"
+    out = [judged("replay of inputs", "same commands", said, unlike)]
     shaky = [n for n in nodes if not n.stable]
-    said = f"{len(nodes) - len(shaky)} of {len(nodes)} nodes"
-    out = [judged("stable in held flight", "at every node", said, shaky)]
+    said = f"{len(nodes) - len(shaky)} of {len(nodes)} operating points"
+    said += next((f": {n.ended}" for n in shaky if n.ended), "")
+    out.append(judged("stable at every frozen point", "stable", said, shaky))
     quantities: dict[str, tuple[float, Callable[[MeasuredNode], float]]] = {
         "gain_up_db": (1.0, lambda n: n.margin("gain_up")),
         "gain_down_db": (1.0, lambda n: n.margin("gain_down")),
@@ -49,7 +57,7 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> 
             JudgedRequirement(_MEASURED, name, f"{about.sense} {limit:g} {about.unit}", text, met, room, where(worst))
         )
     ends = [(c, n) for n in nodes for c in n.cycles if c.kind not in ("decays", "limit cycle")]
-    said = ends[0][0].text if ends else "decays or ends in a limit cycle at every node"
+    said = ends[0][0].text if ends else "decays or ends in a limit cycle at every operating point"
     return [*out, judged("burst at slosh", "does not grow", said, [n for _, n in ends])]
 
 
@@ -73,7 +81,8 @@ def certificate_requirements(
     for plane in dict.fromkeys(c.plane for c in certificates):
         mine = [c for c in certificates if c.plane == plane]
         bad = [c for c in mine if not c.agrees]
-        found = f"{len(mine) - len(bad)} of {len(mine)} nodes" + (f": {bad[0].unexplained[0]}" if bad else "")
+        why = f": {bad[0].unexplained[0]}" if bad else ""
+        found = f"{len(mine) - len(bad)} of {len(mine)} operating points{why}"
         add(f"flight and linear loop agree, {plane}", found, bad)
     for end, what in enumerate(("gain_down", "gain_up")):
         adapted = [(c.total_gain_room_db(end), c) for c in certificates if c.total_gain_db[end] != 0.0]

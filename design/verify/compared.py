@@ -53,9 +53,9 @@ def _differences(margins: LinearMargins, basis: Basis) -> list[str]:
         elif wanted != designed:
             less.append(f"{about.label}, which does not change over time alike")
     words = (
-        "asks for less than the design was made to",
-        "asks for more than the design was made to",
-        "does not ask for",
+        "requires less than the basis of the design",
+        "requires more than the basis of the design",
+        "does not limit",
     )
     out = [
         f"the suite {word}: {', '.join(each)}" for word, each in zip(words, (less, more, absent), strict=True) if each

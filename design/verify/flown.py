@@ -28,6 +28,7 @@ from maxq.sim.files import plain_name
 from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import Verdict
+from maxq.sim.run.quantities import sign_of
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import LogSection
@@ -62,16 +63,12 @@ class FlownResult:
         return min(self.verdicts, key=lambda v: (v.met, _room(v)), default=None)
 
 
-def _sense(kind: str) -> str:
-    return "<=" if kind == "limit" else ">="
-
-
 def _room(v: Verdict) -> float:
     """Return the remaining share of the bound. For a bound of zero, return 1 if it is met and -1 if not."""
     kind, bound = v.bound
     if bound == 0.0:
         return 1.0 if v.met else -1.0
-    left = suite.room_left(v.value, bound, _sense(kind))
+    left = suite.room_left(v.value, bound, sign_of(kind))
     return left if math.isfinite(left) else -math.inf
 
 
@@ -157,7 +154,7 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequiremen
             found, left = "; ".join(r.failures), -1.0
         elif len(missed) > 1:
             wanted, left = "all limits", _room(worst) if worst is not None else -1.0
-            found = "; ".join(f"{_said(v)}, wanted {v.wanted}" for v in missed)
+            found = "; ".join(f"{_said(v)}, required {v.wanted}" for v in missed)
         elif worst is not None:
             wanted, found, left = worst.wanted, _said(worst), _room(worst)
             where = f"at {worst.time_s:.2f} s" if math.isfinite(worst.time_s) else ""
@@ -171,7 +168,7 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequiremen
 class CampaignResult:
     """The result of a flown campaign, and its verdict on each requirement.
 
-    The first requirement is that control is kept.
+    The first requirement is that control is kept, the last that a flight meets all requirements.
     """
 
     name: str
@@ -294,19 +291,21 @@ def availability_requirements(result: CampaignResult, wanted: float) -> list[Jud
 
 
 def campaign_requirements(result: CampaignResult) -> list[JudgedRequirement]:
-    """Return a requirement for each requirement of the campaign, or for each month if its availability is required."""
+    """Return a requirement for each requirement of the campaign and for all together, or for each month if its
+    availability is required.
+    """
     if result.availability is not None:
         return availability_requirements(result, result.availability)
     level = f"{100.0 * result.success:g} % with {100.0 * result.confidence:g} %"
     out = []
     for v in result.verdicts:
-        sense = _sense(v.kind)
+        sense = sign_of(v.kind)
         bound = f"{sense} {v.bound:g}, " if v.metric else ""
         worst = v.worst[0] if v.worst else None
         found = f"{v.shown.failures} of {v.shown.runs} failed" + (f", worst {worst.value:.4g}" if worst else "")
         left = suite.room_left(worst.value, v.bound, sense) if worst is not None else math.nan
-        run, gone = worst.run if worst else None, result.first_lost
-        if not v.metric and gone is not None:
+        run, gone = worst.run if worst else v.first_missed, result.first_lost
+        if not (v.metric or v.joint) and gone is not None:
             run, found = gone.run, f"{found}, first: {gone.cause or gone.outcome}"
         out.append(_of_campaign(result, v.name, bound + level, found, v.shown, left, run))
     return out

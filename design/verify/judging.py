@@ -26,7 +26,8 @@ from maxq.design.margins.distances import Zone
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.margins.measured_loop import LoopAtPoint, measure_loop
 from maxq.design.margins.multiloop import MultiloopMargins, multiloop_margins
-from maxq.design.model.node import Node
+from maxq.design.model.node import flown_point
+from maxq.design.model.operating_point import OperatingPoint
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.plants import wind_of
 from maxq.design.optimise.robust import dispersed_nodes, ranges_of
@@ -142,7 +143,10 @@ class Check:
 
 
 def judge(
-    nodes: Sequence[Node], design: Design, kind: LoopKind = "sampled", tell: Callable[[int], None] | None = None
+    nodes: Sequence[OperatingPoint],
+    design: Design,
+    kind: LoopKind = "sampled",
+    tell: Callable[[int], None] | None = None,
 ) -> list[JudgedLoop]:
     """Return the margins of the design at every operating point, by the axis of each.
 
@@ -271,6 +275,11 @@ class DesignOutcome:
     coupled_found: Sequence[Check] = ()  # of each axis with the others closed, along the design's own flight
 
     @property
+    def flies_otherwise(self) -> bool:
+        """Return True if the computer samples, and the case's loop does not."""
+        return self.loaded.case.loop != "sampled" and self.judged[0].node.instruments.sample_s > 0.0
+
+    @property
     def feasible(self) -> bool:
         """Return True if all limits of the case are met. Those of the sampled loop are for information only."""
         return all(check.passed for check in (*self.found, *self.coupled_found, *self.dispersed_found))
@@ -294,10 +303,11 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
     Roll control, and stages that were not designed, are those of the scenario's own design. `missed` contains the
     stages, from 0, that miss limits along the design's own flight.
     """
-    case, own, stages = loaded.case, loaded.scenario.design, loaded.scenario.vehicle.stage
+    case, points, base = loaded.case, loaded.points, loaded.base
+    own, stages = (None, 1) if base is None else (base.design, len(base.vehicle.stage))
     made = []
     for n, solution in sorted((s.nodes[0].stage, s) for s in solutions):
-        mine, where = solution.case, f"stage {n + 1}: " if len(stages) > 1 else ""
+        mine, where = solution.case, f"stage {n + 1}: " if stages > 1 else ""
         met = solution.feasible and n not in missed
         reached = f"{objective_text(solution)}; {solution.met if met else 'limits are missed'}"
         made.append(f"{where}{mine.filter.structure}, {mine.gains.schedule} gains, {mine.loop} loop; {reached}")
@@ -309,19 +319,19 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
         designed = design_of(
             name=loaded.name,
             description=text,
-            vehicle=loaded.scenario.vehicle.name,
+            vehicle=points.name if points is not None else loaded.scenario.vehicle.name,
             law=solution.law,
             roll=rolls.roll if rolls else None,
-            basis=solution.case.basis(loaded.scenario.name, at_s).as_table(),
+            basis=solution.case.basis("" if base is None else base.name, at_s).as_table(),
         )
         return designed.model_copy(update={"roll_gimbal": rolls.roll_gimbal if rolls else None})
 
     designs = {solution.nodes[0].stage: alone(solution) for solution in solutions}
     first = designs[min(designs)]
-    if len(stages) == 1:
+    if stages == 1:
         return first
     names = StageLaw.model_fields
-    flown = [designs.get(n) or (with_law(own.of_stage(n), first) if own else first) for n in range(len(stages))]
+    flown = [designs.get(n) or (with_law(own.of_stage(n), first) if own else first) for n in range(stages)]
     # a stage without filters of its loops states this if another has some
     none = LoopFiltersSection() if any(d.loop_filters is not None for d in flown) else None
     laws = []
@@ -394,7 +404,7 @@ def worst_times_s(found: Iterable[Check]) -> set[float]:
 
 
 def judge_solution(
-    loaded: LoadedCase, solution: Solution, design: Design | None = None, between: Sequence[Node] = ()
+    loaded: LoadedCase, solution: Solution, design: Design | None = None, between: Sequence[OperatingPoint] = ()
 ) -> DesignOutcome:
     """Judge the design as it is written, at the search's operating points and at the dispersed plants of a robust
     search.
@@ -407,20 +417,22 @@ def judge_solution(
     wanted = wanted_of(case)
 
     judged = judge(nodes, design, case.loop)
-    flown = checks(judged if case.loop == "sampled" else judge(nodes, design, "sampled"), design, wanted)
-    winds = in_wind(case, nodes, design, loaded.scenario.design)
-    found = [*(flown if case.loop == "sampled" else checks(judged, design, wanted))]
+    as_flown = case.loop == "sampled" or not nodes[0].instruments.sample_s > 0.0
+    flown = checks(judged if as_flown else judge(nodes, design, "sampled"), design, wanted)
+    winds = in_wind(case, nodes, design, None if loaded.base is None else loaded.base.design)
+    found = [*(flown if as_flown else checks(judged, design, wanted))]
     found += wind_checks(winds, case.limits, nodes)
     if case.robust is None:
         return DesignOutcome(loaded, design, judged, found, flown, [], wanted, winds)
-    dispersed = dispersed_nodes(ranges_of(loaded, nodes), nodes, solution.constraints)
+    vehicles = [flown_point(node) for node in nodes]
+    dispersed = dispersed_nodes(ranges_of(loaded, vehicles), vehicles, solution.constraints)
     off = checks(judge(dispersed, design, case.loop), design, Wanted.of(case.robust.limits)) if dispersed else []
     if dispersed:
         off += wind_checks(in_wind(case, dispersed, design, None), case.robust.limits, dispersed)
     return DesignOutcome(loaded, design, judged, found, flown, off, wanted, winds)
 
 
-def in_wind(case: Basis, nodes: Sequence[Node], design: Design, before: Design | None) -> list[InWind]:
+def in_wind(case: Basis, nodes: Sequence[OperatingPoint], design: Design, before: Design | None) -> list[InWind]:
     """Return the quantities that a case or a basis can limit, at its stations, or none without a wind."""
     if case.wind is None:
         return []
@@ -429,7 +441,7 @@ def in_wind(case: Basis, nodes: Sequence[Node], design: Design, before: Design |
     return [InWind(key, rms[k], None if own is None else own[k]) for k, key in enumerate(keys)]
 
 
-def _rms(case: Basis, nodes: Sequence[Node], design: Design) -> tuple[list[Key], Array]:
+def _rms(case: Basis, nodes: Sequence[OperatingPoint], design: Design) -> tuple[list[Key], Array]:
     """Return the quantities, and their values (quantities, nodes)."""
     found, keys = [], list[Key](WIND_LIMITS)
     for loop in loops(nodes, design, kind=case.loop):
@@ -443,7 +455,7 @@ def _rms(case: Basis, nodes: Sequence[Node], design: Design) -> tuple[list[Key],
     return keys, np.array(found).T
 
 
-def wind_checks(found: Sequence[InWind], limits: LoadLimits, nodes: Sequence[Node]) -> list[Check]:
+def wind_checks(found: Sequence[InWind], limits: LoadLimits, nodes: Sequence[OperatingPoint]) -> list[Check]:
     """Return the checks of the limits in wind."""
     time_s, out = np.array([node.time_s for node in nodes]), []
     for one in found:

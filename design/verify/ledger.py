@@ -29,7 +29,7 @@ if sys.platform != "win32":
 
 BEGUN, ENDED, REGISTERED = "begun", "ended", "registered"
 INTERRUPTED = "not ended"
-_UNDER_TEST = frozenset({"law", "library", "python", "settings", "timeout_s", "guard"})
+_UNDER_TEST = frozenset({"law", "library", "python", "sources", "settings", "timeout_s", "guard"})
 """Keys of a computer that are of the flight code, which is judged."""
 _LISTED = 5  # verdicts in the line on the first page; more are counted
 
@@ -178,6 +178,11 @@ class Attempt:
         texts += [f"{len(self.versions)} for other versions of {self.vehicle}"] if self.versions else []
         texts += [f"LEDGER DAMAGED: {text}" for text in self.damage]
         return "; ".join(texts)
+
+    @property
+    def date(self) -> str:
+        """Return the day on which the attempt began, UTC, YYYY-MM-DD."""
+        return str(self.line["date"])[:10]
 
     def end(self, verdict: str, met: str = "") -> None:
         """Write the end of the attempt. Raises FileError."""

@@ -54,6 +54,8 @@ NEAR = 0.01
 """The distance from its limit within which a margin is measured once more, dB, deg or ms."""
 WORSE = {"dB": 0.02, "deg": 0.1, "ms": 0.05, "Hz": 0.002, "": 0.005}
 """The amount by which an instant must be worse to become an operating point, by unit."""
+AUTHORITY_NAME = "gimbal trims a steady cross-wind"
+RANDOM_NAME = "random vehicles meet the dispersed limits"
 _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett-Burman design of twelve runs
 _FACTORS = (
     "bending_frequency",
@@ -203,7 +205,10 @@ def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, w
             if len(found) >= count:
                 return found[:count]
     if not found:
-        problem, allowed = "none of its flights is under thrust at all nodes", "0, or a campaign that flies longer"
+        problem, allowed = (
+            "none of its flights is under thrust at all operating points",
+            "0, or a longer campaign flight",
+        )
         raise ScenarioError(campaign.name, problem, "margins.trajectories", value=count, allowed=allowed)
     return found
 
@@ -338,12 +343,13 @@ def margin_requirements(
     """
     out = []
     if wanted.only in ("", AS_DESIGNED):
-        out += _limits("margins", "at every node", AS_DESIGNED, [found.nominal], wanted.nominal, found, again)
+        everywhere = "at every operating point"
+        out += _limits("margins", everywhere, AS_DESIGNED, [found.nominal], wanted.nominal, found, again)
     if found.corners:
         out += _limits("dispersed", "at every corner", "corners", found.corners, wanted.dispersed, found, again)
     if len(found.random) and wanted.only:
         alone = [found.case(k) for k in range(len(found.random))]
-        out += _limits("dispersed", "at every node", wanted.only, alone, wanted.dispersed, found, again)
+        out += _limits("dispersed", "at every operating point", wanted.only, alone, wanted.dispersed, found, again)
     elif len(found.random):
         whose = f", {found.stage}" if found.stage else ""
         failures = [found.case(k) for k in np.flatnonzero(~meet_limits(found.random, wanted.dispersed)).tolist()]
@@ -353,11 +359,11 @@ def margin_requirements(
         worst = min((r for r in missed if r.judgement == suite.REJECTED), key=lambda r: r.room, default=None)
         said = f"{len(found.random) - len(failures)} of {len(found.random)}"
         if worst is not None:
-            said += f"; {worst.name}: {worst.found}, wanted {worst.wanted}"
+            said += f"; {worst.name}: {worst.found}, required {worst.wanted}"
         out.append(
             JudgedRequirement(
                 "dispersed",
-                f"random vehicles meet the dispersed limits{whose}",
+                f"{RANDOM_NAME}{whose}",
                 f"{100.0 * wanted.success:g} % with {100.0 * wanted.confidence:g} % confidence",
                 said,
                 suite.judgement_of(shown.judgement),
@@ -473,7 +479,7 @@ def authority_requirement(found: Sequence[Authority], wind_mps: float, again: st
     judgement = suite.ACCEPTED if worst.wind_mps >= wind_mps else suite.REJECTED
     return JudgedRequirement(
         "authority",
-        "gimbal trims a steady cross-wind",
+        AUTHORITY_NAME,
         f">= {wind_mps:g} m/s",
         f"{worst.wind_mps:.1f} m/s",
         judgement,

@@ -91,7 +91,7 @@ def to_plain(thing: Any, records: bool = False) -> Any:
 
 
 def from_plain(plain: Any) -> Any:
-    """Return the object from which `to_plain` made this.
+    """Return the object that `to_plain` converted to `plain`.
 
     Raises ValueError or TypeError for input that `to_plain` cannot have written.
     """

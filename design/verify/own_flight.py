@@ -6,9 +6,9 @@ own flight (`quantities.violation`: within 5e-4 dB or deg). Stages that disagree
 the last design, from its values. If limits must hold between the operating points, they are judged there at the
 instants of `simdesign analyse`. An instant that misses a limit becomes an operating point of the next round.
 
-The search applies the limits to the loop of one plane. `simdesign analyse` judges each axis with the loops of the
-others closed by the same limits, which reduces the margins slightly. If a stage misses limits for this reason, the
-limits of the next round's search are raised by the missing amount. The design states the limits of the case. If no
+The search applies the limits to the loop of one plane. The command `simdesign analyse` judges each axis with the loops
+of the others closed by the same limits, which reduces the margins slightly. If a stage misses limits for this reason,
+the limits of the next round's search are raised by the missing amount. The design states the limits of the case. If no
 design meets the raised limits, the last one remains. The roll loop is judged too, but the search does not affect it.
 Nor does the search affect slow roots of a vehicle whose roll rate no linear loop controls. Stability with all axes is
 therefore left to `simdesign analyse`.
@@ -24,7 +24,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from maxq.design.case.schema import LoadedCase
-from maxq.design.model.node import Node
+from maxq.design.model.node import Node, flown_point
 from maxq.design.model.powered import loss_text, powered_flight
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.over_time import gains_at_nodes, instants_beside, with_nodes
@@ -83,7 +83,7 @@ class Round:
         if self.own_loss is not None:
             own = f"its own flight is lost: {loss_text(self.own_loss)}"
         elif self.loss is not None:
-            own = "its own flight is held"
+            own = "its own flight keeps control"
         elif self.missed:
             own = f"along its own flight {self.missed[0]}"
         return f"round {self.number}: {made}{lost}; {own}"
@@ -278,7 +278,7 @@ def _texts(more: Mapping[int, Mapping[str, float]], in_vain: Collection[int]) ->
     """Return in words the largest increases of the limits of the searches over those of the case."""
     most = {key: max((by.get(key, 0.0) for by in more.values()), default=0.0) for key in COUPLED}
     named = ((QUANTITIES[key], by) for key, by in most.items() if by > 0.0)
-    texts = [f"{about.label} held to {by:.4f} {about.unit} more" for about, by in named]
+    texts = [f"limit on {about.label} raised by {by:.4f} {about.unit}" for about, by in named]
     return (*texts, *["without a design that meets this, so that the last one stays"] * bool(in_vain))
 
 
@@ -325,7 +325,7 @@ def _worst_between(loaded: LoadedCase, solution: Solution, design: Design) -> li
     nodes = [*solution.nodes, *nodes_of(loaded, instants_beside(points_s))]
     found = stage_checks(judge(nodes, design, case.loop), design, case.basis("", points_s), case.loop)
     worst_s = worst_times_s(found).difference(points_s)
-    return [node for node in nodes if node.time_s in worst_s]
+    return [flown_point(node) for node in nodes if node.time_s in worst_s]
 
 
 def _uncovered(judged: _Judged, loaded: LoadedCase) -> tuple[Uncovered, ...]:

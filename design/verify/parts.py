@@ -16,7 +16,7 @@ import numpy as np
 from maxq.design import operating_points
 from maxq.design.certificate.certificate import NodeCertificate, certify, certify_node
 from maxq.design.certificate.held_flight import hold
-from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response
+from maxq.design.certificate.in_flight import InFlightResponse, fits, in_flight_response, in_flight_response_of_code
 from maxq.design.certificate.measured_only import MeasuredNode, measure_node
 from maxq.design.loop.loop import law_at
 from maxq.design.model.instruments import Plane
@@ -102,7 +102,7 @@ class Parts:
         wanted, design = self.suite.margins, self.design
         if wanted is None or design is None:
             return []
-        self.watch("nodes of the linear model", 0, 0)
+        self.watch("operating points of the linear model", 0, 0)
         out, parts = [], list(self._by_stage("margins", wanted))
         flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts] if wanted.cases else [])
         for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):
@@ -258,7 +258,8 @@ class Parts:
         def one(loaded: LoadedScenario, node: Node) -> NodeCertificate:
             held = hold(loaded, node)
             law, computer = law_at(design, node), repr(loaded.vehicle.computer)
-            depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law, computer)
+            flown = "" if held.tape is None else loaded.as_flown
+            depends = (held.packed.parameters, held.packed.pool, held.packed.state, node, law, computer, flown)
             return memory.recall("node", depends, lambda: certify_node(loaded, node), node_name(node))
 
         one_told = counted(one, partial(self.watch, "certificate"), len(times_s) * len(planes))
@@ -287,3 +288,18 @@ class Parts:
 
         with ThreadPoolExecutor(max_workers=self.workers) as pool:
             return list(pool.map(counted(one, partial(self.watch, "measuring in flight"), len(nodes)), nodes))
+
+    def in_flight_of_code(self, measured: Sequence[MeasuredNode]) -> list[InFlightResponse]:
+        """Measure flight code in its ascent, where it is stable and thrust lasts long enough."""
+        wanted, scenario = self.suite.certificate, self.scenario
+        through: list[InFlightResponse] = []
+        if wanted is None or not wanted.in_flight:
+            return through
+        for plane in wanted.planes:
+            mine = [n for n in measured if n.plane == plane and n.stable and len(n.in_flight)]
+            spans = powered_spans(scenario) if mine else ()
+            held = {n.time_s: n.in_flight for n in mine if fits(n.time_s, spans)}
+            if held:
+                fly = partial(in_flight_response_of_code, scenario, held, plane)
+                through += self.memory.recall("through", (scenario.as_flown, held, plane), fly, plane)
+        return through

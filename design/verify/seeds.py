@@ -102,8 +102,8 @@ def drawn(seeds: Iterable[Seed]) -> dict[str, int]:
 def chosen(seeds: Sequence[Seed], lines: Sequence[Line], vehicle: str, design: str) -> tuple[Seed, ...]:
     """Return the seeds, with those marked as registered or assigned that the ledger contains.
 
-    The rule: the first seed that was registered for a part of a vehicle counts, if no attempt had flown that part by
-    it before; later ones are chosen by hand. A seed that `simdesign` assigned to a design counts for it again.
+    The first seed registered for a part of a vehicle counts, if no attempt had flown the part with it. Later seeds are
+    chosen by hand. A seed that `simdesign` assigned to a design counts for it again.
     `vehicle` and `design`: hashes. `lines`: those before this attempt.
     """
     return tuple(_chosen(seed, lines, vehicle, design) if seed.how == BY_HAND else seed for seed in seeds)

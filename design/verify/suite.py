@@ -23,6 +23,7 @@ from pydantic import Field
 from maxq.design.model.powered import EDGES, NODES_PER_STAGE
 from maxq.design.model.spread import RelativeDeviation, Spread
 from maxq.design.quantities import MEASURED, SWEPT, LoopLimits, violation
+from maxq.design.verify.board import BoardSection
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.input.documents import Text
@@ -32,8 +33,9 @@ from maxq.sim.input.values import NotNegative, Positive, Section, optional
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_scenario import Scenario
 
-SuiteVerdict = Literal["accepted", "passed screening", "rejected", "undecided"]
+SuiteVerdict = Literal["accepted", "accepted with waivers", "passed screening", "rejected", "undecided"]
 ACCEPTED: SuiteVerdict = "accepted"
+WAIVED: SuiteVerdict = "accepted with waivers"  # every requirement that is missed is waived
 SCREENED: SuiteVerdict = "passed screening"  # every requirement is met, with less than the floor of an acceptance
 REJECTED: SuiteVerdict = "rejected"
 UNDECIDED: SuiteVerdict = "undecided"
@@ -45,7 +47,8 @@ class JudgedRequirement:
 
     `part` is the method, "scenarios", "margins", "dispersed", "authority", "certificate", "campaign". `wanted` and
     `found` are texts. `room` is the share of the limit that remains, negative beyond it, NaN if that has no meaning.
-    `where` is an operating point or a run. `again` is the command that reproduces it.
+    `where` is an operating point or a run. `again` is the command that reproduces it. `waived` is the waiver of a
+    rejected requirement that is in force (`waivers`).
     """
 
     part: str
@@ -57,11 +60,13 @@ class JudgedRequirement:
     where: str = ""
     more_runs: int = 0
     again: str = ""
+    waived: str = ""
 
     @property
     def reason(self) -> str:
         """Return the reason as one line."""
-        said = f"{self.name}: {self.found}, wanted {self.wanted}" + (f" ({self.where})" if self.where else "")
+        said = f"{self.name}: {self.found}, required {self.wanted}" + (f" ({self.where})" if self.where else "")
+        said += f"; waived by {self.waived}" if self.waived else ""
         if self.judgement != UNDECIDED:
             return said
         return f"{said}; not settled" + (f": {self.more_runs} more runs" if self.more_runs else "")
@@ -70,10 +75,13 @@ class JudgedRequirement:
 def overall(requirements: Iterable[JudgedRequirement], missing_evidence: Iterable[str] = ()) -> SuiteVerdict:
     """Return the verdict: rejected if any requirement is, else undecided if any is or if there is no requirement.
 
-    Otherwise it is accepted. If evidence is missing (`floor.missing_evidence`), the screening is passed instead.
+    Otherwise it is accepted, with waivers if a rejected requirement is waived. If evidence is missing
+    (`floor.missing_evidence`), the screening is passed instead, and no waiver counts.
     """
-    found = {r.judgement for r in requirements} or {UNDECIDED}
-    passed = SCREENED if any(missing_evidence) else ACCEPTED
+    screening = any(missing_evidence)
+    found = {WAIVED if r.waived and r.judgement == REJECTED and not screening else r.judgement for r in requirements}
+    found = found or {UNDECIDED}
+    passed = SCREENED if screening else WAIVED if WAIVED in found else ACCEPTED
     return REJECTED if REJECTED in found else UNDECIDED if UNDECIDED in found else passed
 
 
@@ -139,6 +147,7 @@ class SuiteFlight(Section):
         "the scenario's own limits, or those of [[dispersed_limit]] where there is one", "own"
     )
     design_must_keep: bool = optional("false: flown and reported, but not required", True)
+    probability: SuiteProbability | None = optional("probability of the fault, of a flight with one (docs/verdicts.md)")
 
     def _check(self) -> None:
         for key in self.each:
@@ -282,6 +291,7 @@ class Suite(Section):
     wind_limit_mps: Positive | None = optional(
         "steady cross-wind that the gimbal must be able to trim at every time, m/s"
     )
+    board: BoardSection | None = optional("statements for a review board (docs/verdicts.md)")
 
     def _check(self) -> None:
         names = [f.name for f in self.flight]
@@ -289,7 +299,7 @@ class Suite(Section):
             if name in names[:n]:
                 raise refuse("is the name of another flight already", "each name once", ("flight", n, "name"))
         if not self.flight and self.margins is None and self.certificate is None and not self.campaign:
-            raise refuse("asks for nothing", "[[flight]], [margins], [certificate] or [[campaign]]", "flight")
+            raise refuse("requires nothing", "[[flight]], [margins], [certificate] or [[campaign]]", "flight")
 
 
 def set_words(changes: Iterable[str]) -> list[str]:
@@ -355,7 +365,8 @@ class LoadedSuite:
         left_out += ["wind that can be trimmed"] if suite.wind_limit_mps is not None and wind is None else []
         left_out += ["certificate"] if suite.certificate is not None and certificate is None else []
         left_out += [f"campaign {wanted.name or wanted.file}" for wanted in suite.campaign]
-        suite = suite.model_copy(update={**update, "wind_limit_mps": wind})
+        left_out += ["[board]"] if suite.board is not None else []
+        suite = suite.model_copy(update={**update, "wind_limit_mps": wind, "board": None})
         return replace(self, suite=suite, along=along, part=label, left_out=(*self.left_out, *left_out))
 
 

@@ -20,7 +20,7 @@ from maxq.design.certificate.in_flight import InFlightResponse
 from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.model.powered import loss_text, powered_flight, powered_spans
 from maxq.design.quantities import LoopLimits
-from maxq.design.verify import flown, ledger, linear, seeds
+from maxq.design.verify import board_findings, flown, ledger, linear, seeds
 from maxq.design.verify.baseline import Compared, against_baseline
 from maxq.design.verify.certified import certificate_requirements, measured_requirements
 from maxq.design.verify.fitted import fit, named
@@ -43,6 +43,7 @@ from maxq.design.verify.suite import (
     overall,
 )
 from maxq.design.verify.uncovered import Uncovered
+from maxq.design.verify.waivers import apply_waivers
 from maxq.design.verify.worst import WorstVehicle, worst_requirements
 from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.campaign.runner import CampaignProgress
@@ -97,6 +98,7 @@ class Verification:
     attempt: ledger.Attempt = field(repr=False)  # and the other attempts for the vehicle
     seeds: tuple[seeds.Seed, ...]
     asked: dict[str, Any]  # design, vehicle, suite, overrides and part, by name
+    board: board_findings.BoardFindings = field(repr=False)
     deviations: str = ""  # the description of the dispersed vehicles, as text
     part: str = ""  # that was judged alone
 
@@ -119,6 +121,11 @@ class Verification:
     def more_runs(self) -> int:
         """Return the number of campaign runs that would decide the undecided requirements, if none of them fails."""
         return max((r.more_runs for r in self.requirements), default=0)
+
+    @property
+    def waived(self) -> list[JudgedRequirement]:
+        """Return the requirements that are missed and waived."""
+        return [r for r in self.requirements if r.waived]
 
     def of(self, judgement: SuiteVerdict) -> list[JudgedRequirement]:
         return [r for r in self.requirements if r.judgement == judgement]
@@ -199,6 +206,7 @@ def prepare(design: str, loaded: LoadedSuite, vehicle: str | None, kept: PartsOn
         flown.load_wanted(loaded, wanted, design, vehicle) for wanted in suite.campaign or filter(None, [loaded.along])
     )
     flights = tuple(flown.load_flight(loaded, flight, design, vehicle) for flight in suite.flight)
+    board_findings.check_board(loaded, scenario, [one for one, _ in flights], campaigns)
     by_name = {flight.name: one for flight, (one, _) in zip(suite.flight, flights, strict=True)}
     hashes = _hashes(scenario, {name: one.as_flown for name, one in by_name.items()}, campaigns) | compared.hashes
     hashes |= {
@@ -293,6 +301,7 @@ def _verify(
         worst = job.worst()
     with timed("certificate"):
         (certificates, through), measured, gaps = job.certificates(), job.measured(), job.uncovered()
+        through += job.in_flight_of_code(measured)
     campaigns = []
     with timed("campaigns"):
         for k, asked in enumerate(suite.campaign):
@@ -329,6 +338,11 @@ def _verify(
     requirements += measured_requirements(measured, suite.margins.nominal if suite.margins else LoopLimits())
     for campaign in campaigns:
         requirements += flown.campaign_requirements(campaign)
+    flown_scenarios = [one for one, _ in scenarios]
+    faults = board_findings.fault_cases(suite.flight, flown_scenarios, flights)
+    second_tool = board_findings.second_tool_values(job, flights)
+    requirements += board_findings.fault_requirements(faults, suite.board.fault_probability if suite.board else None)
+    requirements += board_findings.second_tool_requirements(second_tool)
     counted = [
         one.scenario for flight, (one, _) in zip(suite.flight, scenarios, strict=True) if flight.design_must_keep
     ]
@@ -349,6 +363,15 @@ def _verify(
         guards(scenario) or not any(c.law == "external" for c in computers),
     )
     records = [*seeds.missing(prepared.seeds), *(f"the ledger of attempts is damaged: {d}" for d in attempt.damage)]
+    missing = (f"'{loaded.part}' was judged alone",) if loaded.part else (*missing_evidence(evidence), *records)
+    requirements, waivers = apply_waivers(requirements, suite.board, attempt.date, bool(missing))
+    findings = board_findings.BoardFindings(
+        board_findings.inputs_of([scenario, *flown_scenarios], prepared.campaigns),
+        faults,
+        second_tool,
+        tuple(map(board_findings.deviations_by_kind, prepared.campaigns if suite.campaign else (), campaigns)),
+        waivers,
+    )
     return Verification(
         design,
         suite,
@@ -365,7 +388,7 @@ def _verify(
         tuple(measured),
         gaps,
         loaded.left_out,
-        (f"'{loaded.part}' was judged alone",) if loaded.part else (*missing_evidence(evidence), *records),
+        missing,
         prepared.compared,
         hashes=prepared.hashes,
         versions=versions(),
@@ -377,6 +400,7 @@ def _verify(
         attempt=attempt,
         seeds=prepared.seeds,
         asked=prepared.asked,
+        board=findings,
         deviations=job.deviations,
         part=loaded.part,
     )
@@ -397,8 +421,8 @@ def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequen
         parts[f"campaign {n}, {loaded.name}"] = [description_of(loaded), told(loaded.file)]
     out = {name: content_hash(content) for name, content in parts.items()} | {"code": code_hash()}
     computers = filter(None, (vehicle.computer_of(n) for n in range(len(vehicle.stage))))
-    files = [file for computer in computers for file in (computer.library, computer.python) if file is not None]
-    return out | {f"{UNDER_TEST}: {file.title}": file.sha256 for file in files}
+    files = [file for computer in computers for file in (computer.library, computer.python, computer.sources) if file]
+    return out | {f"{UNDER_TEST}: {file.hashed}": file.sha256 for file in files}
 
 
 def part_alone(loaded: LoadedSuite, part: str, design: str, vehicle: str | None, kept: PartsOnDisk) -> LoadedSuite:
@@ -427,5 +451,5 @@ def flight_requirement(along: LoadedScenario) -> list[JudgedRequirement]:
     if loss is None:
         return []
     found = f"{loss_text(loss)}; no operating point after that"
-    wanted, at = "held up to the last burnout", f"{loss.time_s:.3f} s"
-    return [JudgedRequirement("scenarios", "flight of the nodes", wanted, found, REJECTED, math.nan, at)]
+    wanted, at = "control kept to the last burnout", f"{loss.time_s:.3f} s"
+    return [JudgedRequirement("scenarios", "flight of the operating points", wanted, found, REJECTED, math.nan, at)]

@@ -26,7 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.laws.law import MEASUREMENTS
+from maxq.design.laws.law import DRIFTS, MEASUREMENTS
+from maxq.design.laws.navigated import navigated
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop, law_at
 from maxq.design.margins.crossings import growing_count
@@ -151,6 +152,9 @@ def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Arr
     and the search measures the loop at its end points.
     """
     deviations, law, node = deviations_of(campaign, node), law_at(design, node), with_drives_apart(node)
+    if any(name in DRIFTS for name in law.inputs):
+        node = node.held_still()
+        law = navigated(law, node.axial_load_mps2, node.instruments.sample_s)
     plant, ideal = node.plant, bool(node.actuator.ideal)
     inputs = tuple(x for x in plant.inputs if not ideal or x.startswith("delta_rad"))
     columns = [plant.inputs.index(x) for x in inputs]
@@ -363,6 +367,11 @@ def _refined_beside(
     return found, 3 * len(nodes) + sum(count for _, (_, _, count) in found)
 
 
+def modulus_name(wanted: WorstWanted) -> str:
+    """Return the name of the requirement on the worst vehicle, without plane and stage."""
+    return f"least |1 + L| within {wanted.sigmas:g} sigma"
+
+
 def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> list[JudgedRequirement]:
     """Judge the distance of the worst vehicle, if a limit is given, and its control in flight."""
     whose = ", ".join(filter(None, (found.plane, found.stage)))
@@ -373,10 +382,13 @@ def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> 
         said += f"({found.within_tried} frequencies, {found.within_hz:.3g} Hz)"
     if not math.isnan(found.together_sigmas):
         said += f"; pitch, yaw and roll together within {found.together_sigmas:.2g} sigma each"
+    bounds = [found.within_sigmas] * bool(found.within_tried) + [found.together_sigmas]
+    if any(bound < wanted.sigmas for bound in bounds):
+        said += f"; a bound below {wanted.sigmas:g} sigma proves nothing at {wanted.sigmas:g} sigma"
     rows = [(f"that vehicle flown, {whose}", "control kept", found.flown, found.kept_control, math.nan)]
     if wanted.modulus is not None:
         met, room = found.modulus >= wanted.modulus, room_left(found.modulus, wanted.modulus, ">=")
-        name = f"least |1 + L| within {wanted.sigmas:g} sigma, {whose}"
+        name = f"{modulus_name(wanted)}, {whose}"
         rows.insert(0, (name, f">= {wanted.modulus:g}", said, met, room))
     return [
         JudgedRequirement("worst", name, asked, text, ACCEPTED if met else REJECTED, room, found.label, again=again)

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 SUMMARY_SCHEMA = 1
 CONTROL_KEPT = "control kept"
 """The requirement of every campaign: no run diverges, loses control or is impossible."""
+ALL_REQUIREMENTS = "all requirements"
+"""The joint requirement: a flight meets all others. The share of these flights is that of the vehicle."""
 _KEPT_RUNS = 100_000  # 80 MB or so with a hundred columns
 _WORST = 10  # flights that are named for each requirement
 _MOST_RUNS = 20_000  # runs of a sensitivity: more do not change the digits shown
@@ -62,7 +64,7 @@ class Judged:
     """A requirement and its verdict."""
 
     name: str
-    metric: str  # empty: that control is kept
+    metric: str  # empty: that control is kept, or the joint requirement
     unit: str
     kind: str  # limit or minimum; empty as well
     bound: float
@@ -71,6 +73,12 @@ class Judged:
     quantile: float  # quantile of the share `success`, from the samples alone
     tolerance: float  # bound of that quantile with the verdict's confidence; nan: too few runs
     worst: tuple[Worst, ...]
+    first_missed: int | None = None  # the first run that misses it, of those judged
+
+    @property
+    def joint(self) -> bool:
+        """Return True for the joint requirement, that a flight meets all others."""
+        return self.name == ALL_REQUIREMENTS and not self.metric
 
     @property
     def utilisation(self) -> float:
@@ -89,10 +97,16 @@ class Judged:
 
 
 def tightest_first(verdicts: Iterable[Judged]) -> list[Judged]:
-    """Return verdicts in order: missed in a run, then those whose worst run has the least margin to the limit."""
-    return sorted(
-        verdicts, key=lambda v: (v.shown.judgement != NOT_MET, *by_utilisation(v.shown.failures == 0, v.utilisation))
-    )
+    """Return verdicts in order: missed in a run, then those whose worst run has the least margin to the limit.
+
+    The joint requirement follows the requirements that cause its verdict.
+    """
+
+    def order(v: Judged) -> tuple[bool | float, ...]:
+        met, share = by_utilisation(v.shown.failures == 0, v.utilisation)
+        return v.shown.judgement != NOT_MET, met, v.joint, share
+
+    return sorted(verdicts, key=order)
 
 
 @dataclass(frozen=True)
@@ -195,6 +209,11 @@ class DataSet:
         causes = np.array([bool(cause) for cause in self.column("cause").to_pylist()], dtype=bool)
         return np.asarray(~causes & ~self.void)
 
+    @cached_property
+    def passed(self) -> np.ndarray:
+        """Return True for runs that kept control and met all requirements."""
+        return np.array(self.column("passed").to_pylist(), dtype=bool)
+
     def row(self, run: int) -> dict[str, Any] | None:
         """Return the complete record of one run."""
         for part in parts_in(self.folder):
@@ -215,22 +234,35 @@ def requirements_of(campaign: LoadedCampaign) -> list[tuple[str, RequirementSect
 
 
 def judged(data: DataSet) -> list[Judged]:
-    """Return the verdicts on all requirements of the campaign, the first being that control is kept."""
+    """Return the verdicts on all requirements of the campaign.
+
+    The first is that control is kept. If there are others, the last is that a flight meets all of them. Since it fails
+    at least as often as each of them, it is met only if all are.
+    """
     requirements = requirements_of(data.campaign)
     metrics = [requirement.metric for _, requirement in requirements if requirement]
     data.read(name for metric in metrics for name in (metric, TIME_OF.format(metric)))
-    return [_judged(data, name, requirement) for name, requirement in requirements]
+    each = [_judged(data, name, requirement) for name, requirement in requirements]
+    return [*each, _without_metric(data, ALL_REQUIREMENTS, ~data.passed)] if metrics else each
+
+
+def _verdict(data: DataSet, missed: np.ndarray) -> tuple[Shown, int | None]:
+    """Return the evidence of the runs in order, and the first of them that missed."""
+    campaign, n = data.campaign.campaign, data.in_order
+    at = np.flatnonzero(missed[:n])
+    shown = judge_failures(len(at), n, campaign.success, campaign.confidence, data.planned)
+    return shown, int(data.runs[at[0]]) if len(at) else None
+
+
+def _without_metric(data: DataSet, name: str, missed: np.ndarray) -> Judged:
+    shown, first = _verdict(data, missed)
+    return Judged(name, "", "", "", math.nan, shown, math.nan, math.nan, math.nan, (), first)
 
 
 def _judged(data: DataSet, name: str, requirement: RequirementSection | None) -> Judged:
-    campaign, n = data.campaign.campaign, data.in_order
-    level = campaign.success, campaign.confidence
-
-    def verdict(missed: np.ndarray) -> Shown:
-        return judge_failures(int(missed[:n].sum()), n, *level, data.planned)
-
     if requirement is None:
-        return Judged(name, "", "", "", math.nan, verdict(~data.kept), math.nan, math.nan, math.nan, ())
+        return _without_metric(data, name, ~data.kept)
+    success, n = data.campaign.campaign.success, data.in_order
     kind, bound = requirement.bound
     upper = kind == "limit"
     values = data.numbers(requirement.metric).copy()
@@ -240,7 +272,7 @@ def _judged(data: DataSet, name: str, requirement: RequirementSection | None) ->
     ranked = np.argsort(-values if upper else values, kind="stable")  # nan comes last
     order = [int(i) for i in ranked[:_WORST] if not np.isnan(values[i])]
     times = data.numbers(TIME_OF.format(requirement.metric)) if order else np.zeros(0)
-    shown = verdict(missed)
+    shown, first = _verdict(data, missed)
     return Judged(
         name,
         requirement.metric,
@@ -249,9 +281,10 @@ def _judged(data: DataSet, name: str, requirement: RequirementSection | None) ->
         bound,
         shown,
         median=float(np.median(good)) if len(good) else math.nan,
-        quantile=float(np.quantile(good, level[0] if upper else 1.0 - level[0])) if len(good) else math.nan,
+        quantile=float(np.quantile(good, success if upper else 1.0 - success)) if len(good) else math.nan,
         tolerance=tolerance_bound(values[:n], shown.allowed, upper),
         worst=tuple(Worst(int(data.runs[i]), float(values[i]), float(times[i])) for i in order),
+        first_missed=first,
     )
 
 
@@ -266,8 +299,7 @@ def lost(data: DataSet, most: int = 1000) -> list[Lost]:
 
 def failed_runs(data: DataSet) -> list[int]:
     """Return the runs that missed a requirement, lost control or have no usable metrics."""
-    passed = np.array(data.column("passed").to_pylist(), dtype=bool)
-    return [int(run) for run in data.runs[~passed]]
+    return [int(run) for run in data.runs[~data.passed]]
 
 
 def redraws(data: DataSet) -> tuple[int, int]:

@@ -52,11 +52,10 @@ def availability(data: DataSet) -> list[Month]:
         return []
     n, confidence = data.in_order, data.campaign.campaign.confidence
     months = data.numbers(MONTH_KEY)[:n]
-    passed = np.array(data.column("passed").to_pylist()[:n], dtype=bool)
     out = []
     for month in np.unique(months[np.isfinite(months)]).astype(int).tolist():
         mine = np.flatnonzero(months == month)
-        bad = mine[~passed[mine]]
+        bad = mine[~data.passed[mine]]
         least, most = clopper_pearson(len(mine) - len(bad), len(mine), confidence)
         first = int(data.runs[bad[0]]) if len(bad) else None
         out.append(Month(month, len(mine), len(bad), least, most, confidence, first))

@@ -32,6 +32,7 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runs import VOID, fly_rows
 from maxq.sim.campaign.schema import Envelope
+from maxq.sim.campaign.statistics import MET, NOT_MET, OPEN, Judgement
 
 POPULATIONS = 5
 LEVEL = 0.1  # conditional probability
@@ -77,6 +78,10 @@ class Rare:
     crude: float
     each: tuple[Population, ...]
     undecided: str = ""
+
+    def judgement(self, allowed: float) -> Judgement:
+        """Return the verdict on the requirement that the probability of failure is at most `allowed`."""
+        return MET if self.high <= allowed else NOT_MET if self.low > allowed else OPEN
 
     @property
     def flights(self) -> int:

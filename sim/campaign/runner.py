@@ -86,8 +86,8 @@ class Interim:
         self.tallies = [Tally(name, requirement) for name, requirement in requirements_of(campaign)]
         self.failed = 0
         self._level = campaign.campaign.success, campaign.campaign.confidence
-        self._in_order = 0
-        self._ahead: dict[int, list[bool]] = {}
+        self._in_order = self._failed_in_order = 0
+        self._ahead: dict[int, tuple[bool, list[bool]]] = {}
 
     def read(self, folder: Path, runs: int) -> None:
         """Count the first `runs` runs in a folder."""
@@ -101,18 +101,18 @@ class Interim:
 
     def add(self, run: int, outcome: str, passed: bool, cause: str, metrics: Mapping[str, Any]) -> None:
         self.failed += not passed
-        self._ahead[run] = [tally.add(outcome, cause, metrics) for tally in self.tallies]
+        self._ahead[run] = not passed, [tally.add(outcome, cause, metrics) for tally in self.tallies]
         while self._in_order in self._ahead:
-            for tally, missed in zip(self.tallies, self._ahead.pop(self._in_order), strict=True):
+            failed, each = self._ahead.pop(self._in_order)
+            for tally, missed in zip(self.tallies, each, strict=True):
                 tally.failures_in_order += missed
+            self._failed_in_order += failed
             self._in_order += 1
 
     def settled(self) -> bool:
-        """Return True if the verdict on every requirement is final under any stopping rule."""
-        n = self._in_order
-        return n > 0 and all(
-            judge_failures(t.failures_in_order, n, *self._level).judgement != OPEN for t in self.tallies
-        )
+        """Return True if the verdict on every requirement, and on all together, is final under any stopping rule."""
+        n, counts = self._in_order, [*(t.failures_in_order for t in self.tallies), self._failed_in_order]
+        return n > 0 and all(judge_failures(count, n, *self._level).judgement != OPEN for count in counts)
 
 
 @dataclass

@@ -28,6 +28,7 @@ MONTH_COLUMNS = Columns("month", sets=(("mean_factor", "sigma_factor"),), not_ne
 KEEP_ALLOWED = "worst:5, worst:5:max_alpha_deg, failed, failed:20, 0,17"
 Outside = Literal["resample", "refuse"]
 Order = Literal["random", "in-turn"]
+Uncertainty = Literal["aleatory", "epistemic"]
 Probability = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
@@ -149,6 +150,9 @@ class Disperse(Section):
     tag: str = optional("distinguishes two draws that act on the same column of a table", "")
     name: str = optional("name in reports (default: the key)", "")
     source: str = optional("source of the numbers", "")
+    kind: Uncertainty | None = optional(
+        "aleatory: differs from flight to flight; epistemic: one value, which is not known (docs/verdicts.md)"
+    )
     apply: Literal["set", "scale", "add"] = optional(
         "the draw replaces the value, multiplies it, or is added to it", "set"
     )
@@ -255,6 +259,9 @@ class WindModel(Section):
         description="vector: normal deviations from wind.profile, correlated over altitude; ensemble: given profiles"
     )
     source: str = optional("source of the numbers", "")
+    kind: Uncertainty | None = optional(
+        "aleatory: differs from flight to flight; epistemic: one value, which is not known (docs/verdicts.md)"
+    )
     table: Annotated[CsvTable, WIND_MODEL_COLUMNS] | None = optional(
         "vector: standard deviation of both components over altitude, and their correlation"
     )

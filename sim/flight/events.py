@@ -22,6 +22,7 @@ from maxq.sim.flight.parameters import (
     APOGEE,
     BURNOUT,
     CONTROL_LOST,
+    DROPS,
     LIFTOFF,
     NEVER,
     SEPARATION,
@@ -162,7 +163,7 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         for component in range(4):
             orbit.start_q_BI[component] = memory.truth.start_q_BI[component]
     clock.samples += 1
-    memory.computer.external.inputs.stage = clock.stage + p.computer.first_stage
+    memory.computer.external.inputs.stage = clock.stage
     computer_tick(
         p.computer,
         pool,
@@ -303,17 +304,18 @@ def transfer_state(
     """Separate a stage: the upper stage continues with the motion of the whole vehicle at its own core CG.
 
     Its modes take their part of the motion of the bent axis, and the rigid motion takes the rest (docs/model.md, 4.10).
-    Engine and bobs start at rest, unless the stage continues. An impulse and springs push the stage forward: springs of
-    energy E give both parts the momentum sqrt(2 E m_1 m_2 / (m_1 + m_2)). Tip-off rates are added. `old` and `new` are
-    the properties before and after; `whole` is overwritten. Stations are measured from the nose, which is unchanged.
+    Engine and bobs start at rest, unless the stage continues. Boosters that leave keep their momentum. An impulse and
+    springs push the stage forward: springs of energy E give both parts the momentum sqrt(2 E m_1 m_2 / (m_1 + m_2)).
+    Tip-off rates are added. `old` and `new` are the properties before and after; `whole` is overwritten. Stations are
+    measured from the nose, which is unchanged.
     """
     size, handed_on = counts(before.vehicle.sizes), after.timeline.handed_on
-    rate = vec.vector_at(y, W_BI_B)
+    rate, turned = vec.vector_at(y, W_BI_B), (0.0, 0.0, 0.0)
+    for i in range(states.state_size(size)):
+        whole[i] = y[i]
     shift = (old[CORE_CG] - new[CORE_CG], new[CORE_CG + 1] - old[CORE_CG + 1], new[CORE_CG + 2] - old[CORE_CG + 2])
     gained = vec.cross(rate, shift)
     if handed_on >= 0:
-        for i in range(states.state_size(size)):
-            whole[i] = y[i]
         nose = (-new[CORE_CG], new[CORE_CG + 1], new[CORE_CG + 2])  # from the nose to the new core CG
         moved, turned = bent_motion(size, pool, handed_on, 0, nose, whole)
         faster, turning = bent_motion(size, pool, handed_on, 1, nose, whole)
@@ -343,6 +345,8 @@ def transfer_state(
         memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
         move_sensors(before, after, y)
         states.start_states(after.vehicle.sizes, rate, 1, y)
+    if after.timeline.continues == DROPS:
+        keep_parts(size, counts(after.vehicle.sizes), turned, whole, y)
     if handed_on >= 0:
         own, row = counts(after.vehicle.sizes), 6
         for k in range(3):
@@ -353,6 +357,34 @@ def transfer_state(
             row += modes
     record_event(before, memory, SEPARATION, memory.clock.now_ns)
     memory.clock.stage_separation_ns[memory.clock.stage] = memory.clock.now_ns
+
+
+@routine
+def keep_parts(old: Counts, new: Counts, turned: vec.Vector, whole: Array, y: Array) -> None:
+    """Write the states of the parts that remain when boosters leave: they are the first of each kind.
+
+    The modes of the remaining configuration are at rest until their motion is handed on. The axes B turn by `turned`,
+    rad. The bobs keep their inertial direction and rate.
+    """
+    for i in range(states.N_FIXED, states.state_size(new)):
+        y[i] = 0.0
+    q = vec.quaternion_of(turned)
+    rotation = vec.rotation_from_quaternion(q[0], q[1], q[2], q[3])
+    for tank in range(new.pendulums):
+        i, j = states.pendulum_index(new, tank), states.pendulum_index(old, tank)
+        vec.set_vector(y, i, vec.rotate_back(rotation, vec.vector_at(whole, j)))
+        vec.set_vector(y, i + 3, vec.rotate_back(rotation, vec.vector_at(whole, j + 3)))
+    for kind in range(3):
+        i, j, n = states.actuator_index(new, 1), states.actuator_index(old, 1), 2 * states.N_ACTUATOR
+        n *= new.further_groups
+        if kind == 1:
+            i, j = states.tvc_load_index(new), states.tvc_load_index(old)
+            n = states.sensor_index(new, 0) - i
+        if kind == 2:
+            i, j = states.sensor_index(new, 0), states.sensor_index(old, 0)
+            n = states.N_SENSOR * new.sensors
+        for k in range(n):
+            y[i + k] = whole[j + k]
 
 
 @kernel

@@ -7,7 +7,6 @@ instant (sim/run/metrics.py).
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, NamedTuple
 
 from maxq.sim.flight.channels import declared_channels
@@ -148,18 +147,6 @@ def title_of(metric: str) -> str:
         return _SHORT.get(metric, metric)
     name = metric if unit_of(metric) == "1" else metric.rpartition("_")[0]
     return name.replace("max_", "largest ", 1).replace("_", " ").replace(" mach", " Mach number")
-
-
-def figures(value: float, digits: int = 4) -> str:
-    """Return a value with this number of significant digits, without exponent from 1e-4 to 1e7; below 1e-6 it is 0."""
-    if not math.isfinite(value):
-        return "-" if math.isnan(value) else f"{value}"
-    if abs(value) < 1e-6:
-        return "0"
-    text = f"{value:.{digits}g}"
-    if "e" not in text or not 1e-4 <= abs(value) < 1e7:
-        return text
-    return f"{float(text):.0f}"
 
 
 def unit_of(metric: str) -> str:

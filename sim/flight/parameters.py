@@ -19,6 +19,7 @@ from maxq.sim.world.turbulence import TurbulenceState
 
 NEVER = 2**62  # ns: an instant that never occurs
 NONE = -1  # no place in the pool
+DROPS = 2  # a stage that continues without some boosters of the previous one
 
 # events, in the order of the events' table; BURNOUT is that of the last stage that burned
 EVENT_NAMES = ("liftoff", "burnout", "separation", "apogee", "impact", "control_lost", "tumble", "diverged")
@@ -42,7 +43,7 @@ class StageTimeline:
     separation_impulse_Ns: float  # forward on the next stage
     separation_spring_J: float
     tip_off_radps: Annotated[Array, (3,)]  # added to the rates of the next stage
-    continues: int  # 1: engines, liquid and modes keep their state from the previous stage
+    continues: int  # 1: engines, liquid and modes keep their state from the previous stage; DROPS: those that remain
     handed_on: int  # place of the transfer matrix from the previous modes (packing/separation.py), or NONE
     release_ns: int  # NEVER: when thrust exceeds weight
     stop_ns: int

@@ -17,6 +17,7 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG, NorthEastDown, QuaternionRow, RollPitchYaw, Xyz, degrees, put, xyz
 from maxq.control.kernel.vectors import rotate, rotation_from_quaternion, vector_at
 from maxq.control.laws.adaptive import AdaptiveRow, adaptive_row
+from maxq.control.laws.drift import DriftRow, drift_row
 from maxq.control.laws.load_relief import LoadReliefRow, load_relief_row
 from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
@@ -70,6 +71,7 @@ class Logged:
     engines: int  # 0 for vehicles of one engine
     external: int  # 1: with the monitors of external flight code
     adaptive: int  # 1: with the total gain of adaptive augmenting control
+    drift: int  # 1: with the drift that the computer integrates
 
 
 # --- fast group
@@ -123,6 +125,8 @@ def fill_fast(p: Parameters, out: Logged, memory: Memory, at: Evaluation, row: A
         column = put(row, column, monitor_row(memory.computer.external))
     if out.adaptive == 1:
         column = put(row, column, adaptive_row(memory.computer.adaptive))
+    if out.drift == 1:
+        column = put(row, column, drift_row(memory.computer.drift))
     for k in range(logged.sensors):
         first, counted = sensor_index(sizes, k), vector_at(memory.computer.sensors.value[k], 0)
         if p.vehicle.sensors[k].kind == ACCELEROMETER:
@@ -314,6 +318,7 @@ def channel_table(
     external: bool = False,
     accelerometer: bool = False,
     adaptive: bool = False,
+    drift: bool = False,
 ) -> ChannelTable:
     """Return the channels of a vehicle with these numbers of parts, in the order of the kernels' columns.
 
@@ -322,6 +327,7 @@ def channel_table(
     - `external`: include the monitored values of external flight code.
     - `accelerometer`: the last sensor is an accelerometer.
     - `adaptive`: include the total gain.
+    - `drift`: include the drift that the computer integrates.
     """
     topics = declared_topics(FAST, FastRow)
     kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))
@@ -347,6 +353,8 @@ def channel_table(
         topics.append(Topic("/flight_code", FAST, declared_channels(MonitorRow), "external flight code"))
     if adaptive:
         topics.append(Topic("/adaptive", FAST, declared_channels(AdaptiveRow), "adaptive augmenting control"))
+    if drift:
+        topics.append(Topic("/drift", FAST, declared_channels(DriftRow), "drift in the computer"))
     further = range(2, 2 + sizes.sensors - int(accelerometer))
     sensors = [declared_channels(RateGyroRow, "number", str(n), f"rate gyro {n}") for n in further]
     if accelerometer:

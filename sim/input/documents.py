@@ -191,7 +191,7 @@ def leaves(table: TomlTable) -> Iterator[tuple[KeyPath, Any, Source]]:
 
 
 def walk(value: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
-    """Yield every value below that is neither table nor list, with its path."""
+    """Yield the path and value of every entry below `value` that is neither a table nor a list."""
     if isinstance(value, TomlTable | TomlArray):
         for key, item in value.items() if isinstance(value, TomlTable) else enumerate(value):
             yield from walk(item, (*path, key))

@@ -29,12 +29,12 @@ from typing import Any
 from maxq.sim.input.documents import COMMAND_LINE, Source, Text, TomlArray, TomlTable, drop, merge, parse
 from maxq.sim.input.errors import ScenarioError, refuse, suggestion
 
-DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns", "suites", "layouts")
+DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns", "suites", "layouts", "points")
 """The folders of data that scenarios name; their files are not scenarios."""
 
 FOLDERS = {
     "scenario": "", "campaign": "campaigns", "design": "designs", "case": "designs/cases", "suite": "suites",
-    "layout": "layouts",
+    "layout": "layouts", "points": "points",
 }  # fmt: skip  # a table
 """The folders below scenarios/, by the kind of file."""
 
@@ -49,16 +49,23 @@ WANTED = {
     "case": "a case file (.toml)",
     "suite": "a suite (.toml)",
     "layout": "a layout file (.toml)",
+    "points": "a file of published derivatives (.toml)",
 }
 """The allowed forms of a name, by the kind of file."""
 
 PARTS = ("vehicle", "design")
 """The parts of a scenario that may be named by file instead of given as tables."""
 
-_LISTED_ALONE = ("case", "suite", "layout")
+_LISTED_ALONE = ("case", "suite", "layout", "points")
 """Kinds of which a file names another by its built-in name alone."""
 
-_LISTED_BY = {"scenario": "simrun", "case": "simdesign", "suite": "simverify", "layout": "simvehicle"}
+_LISTED_BY = {
+    "scenario": "simrun",
+    "case": "simdesign",
+    "suite": "simverify",
+    "layout": "simvehicle",
+    "points": "simdesign",
+}
 
 
 class NameNote(UserWarning):
@@ -220,9 +227,10 @@ def locate(name: str, role: str) -> tuple[Path, str]:
         return known[stem], shown(known[stem])
     hint = _below(Path(f"{stem}.toml")) or suggestion(stem, known)
     as_a_file = not name.isidentifier() or hint  # a bare word may denote a built-in file
-    missing = "no such file" if as_a_file else f"neither a file nor a built-in {role}"
+    called = "file of derivatives" if role == "points" else role
+    missing = "no such file" if as_a_file else f"neither a file nor a built-in {called}"
     problem = {"folder": "is a folder", "other": "is not an ordinary file"}.get(there, missing)
-    listed = "" if hint else f", or a built-in {role} ({_LISTED_BY[role]} --list names them)"
+    listed = "" if hint else f", or a built-in {called} ({_LISTED_BY[role]} --list names them)"
     raise ScenarioError(name or '""', f"{problem}; {hint}" if hint else problem, allowed=WANTED[role] + listed)
 
 
@@ -298,7 +306,7 @@ class Reading:
         `ignore_unset`: keep the keys that the file removes, as one of an earlier version may name them by other names.
         """
         within = (role,) if role in PARTS else ()
-        beside = scenarios_folder() / FOLDERS[role] if role in ("case", "suite", "layout") else scenarios_folder()
+        beside = scenarios_folder() / FOLDERS[role] if role in _LISTED_ALONE else scenarios_folder()
         source = Source(label, (path.parent, beside), within)
         table = parse(self.text(path, label, "a TOML file"), source)
         if ignore_unset and "extends" in table:

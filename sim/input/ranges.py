@@ -91,6 +91,7 @@ RANGES = (
     Range(("accel_per_incidence_mps2",), -1e5, 1e5, "lateral forces of the air over mass, m/s2 per rad"),
     Range(("count_rad",), 1e-9, 7.0, "one pulse of a converter: smaller ones overflow its counters, rad"),
     Range(("ned_mps", "inertial_mps", "earth_mps"), 0.0, 1e5, "nine times escape velocity, m/s"),
+    Range(("V_mps",), 0.0, 1e5, "nine times escape velocity, m/s"),
     Range(("_mps",), 0.0, 1e3, "winds up to those of the thermosphere, m/s"),
     Range(("_mps2",), 0.0, 1e3, "gravity of planets, m/s2"),
     Range(("_m3ps2",), 1.0, 1e21, "the Sun has 1.3e20 m3/s2"),

@@ -360,18 +360,24 @@ def read_csv(text: str, name: str, shown: str, columns: Columns) -> CsvTable:
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        cells = [cell.strip() for cell in line.split(",")]
+        cells = line.split(",")
         if not header:
-            header = cells
+            header = [cell.strip() for cell in cells]
             _check_header(header, shown, number, columns)
             continue
         if len(cells) != len(header):
             problem = f"has {len(cells)} columns, the first line has {len(header)}"
             refusals.append(refuse(problem, f"{len(header)} numbers", file=shown, place=f"line {number}"))
             continue
-        rows.append(
-            [_cell(cell, f"line {number}, {h}", shown, refusals) for cell, h in zip(cells, header, strict=True)]
-        )
+        try:
+            rows.append(list(map(float, cells)))
+        except ValueError:
+            refusals += (
+                refuse("is not a number", "numbers", value=cell.strip(), file=shown, place=f"line {number}, {name}")
+                for cell, name in zip(cells, header, strict=True)
+                if not _is_number(cell)
+            )
+            continue
         lines.append(number)
     raise_together(refusals)
     if not header:
@@ -406,11 +412,3 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _cell(cell: str, place: str, shown: str, refusals: list[PydanticCustomError]) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        refusals.append(refuse("is not a number", "numbers", value=cell, file=shown, place=place))
-        return np.nan

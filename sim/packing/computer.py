@@ -19,7 +19,7 @@ from maxq.control.loop_filters import LoopFilters, make_loop_filters
 from maxq.control.orbit_guidance import OrbitGuidance
 from maxq.control.roll import Roll, make_roll
 from maxq.control.sensors import Sensors, make_sensors
-from maxq.control.structures import Law
+from maxq.control.structures import INTEGRAL, Law
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.input.remembered import cached_by_identity
@@ -118,7 +118,7 @@ def _adaptive(given: AdaptiveSection | None, sample_s: float, law: Law) -> Adapt
     values = dict(given)
     for name in ("error_gain", "damper_gain"):
         values[name] = values.pop(f"{name}_pdeg2s") * math.degrees(1.0) ** 2
-    return make_adaptive(sample_s, **values, with_integral=law == "pid")
+    return make_adaptive(sample_s, **values, with_integral=law in INTEGRAL)
 
 
 def _sensors(scenario: Scenario, stage: int, design: Design | None) -> Sensors | None:

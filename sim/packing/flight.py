@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +15,20 @@ from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank, pack, with_constants
 from maxq.control.kernel.tables import Pool
 from maxq.control.orbit_guidance import OrbitGuidance
-from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, NONE, Memory, Parameters, StageTimeline
+from maxq.sim.flight.parameters import DROPS, EVENT_NAMES, NEVER, NONE, Memory, Parameters, StageTimeline
 from maxq.sim.input.values import NS_PER_S, period_ns, to_ns
 from maxq.sim.packing.computer import pack_computers, pack_injections, pack_orbit_guidance
 from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.faults import pack_faults
 from maxq.sim.packing.initial import initial_motion, thrust_exceeds_weight_s
 from maxq.sim.packing.integration import step_ns
-from maxq.sim.packing.schedule import mass_table, stage_sizes, vehicle_schedule
+from maxq.sim.packing.schedule import mass_at, stage_sizes, vehicle_schedule
 from maxq.sim.packing.separation import modal_transfer, part_at
 from maxq.sim.packing.vehicle import pack_vehicle
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Separation, Stage
 from maxq.sim.vehicle.engine.allocation import pack_allocation
-from maxq.sim.vehicle.engine.burn import Burn, burn_rate, stage_burns
+from maxq.sim.vehicle.engine.burn import Burn, burn_rate, leaving, stage_burns
 from maxq.sim.vehicle.loads.packing import pack_loads
 from maxq.sim.vehicle.state import MAX_STATE, W_BI_B, Sizes, start_states
 
@@ -36,6 +36,15 @@ CONTROL_LOST_RAD = math.radians(45.0)
 TUMBLE_RAD = math.radians(90.0)
 TUMBLE_PRESSURE_PA = 5000.0
 _start_states = from_python(start_states)
+
+
+class BoosterBurn(NamedTuple):
+    """The burn of a booster in a stage, in ns of flight time; NEVER is an instant that does not occur."""
+
+    name: str
+    stage: int
+    ignition_ns: int
+    burnout_ns: int
 
 
 @dataclass(frozen=True)
@@ -50,6 +59,7 @@ class Packed:
     memory: NDArray[Any]
     state: Array
     sizes: Sizes  # the largest of all stages
+    boosters: tuple[BoosterBurn, ...] = ()
 
 
 _counts = attrgetter(*(f.name for f in fields(Sizes) if f.init))
@@ -61,7 +71,8 @@ def pack_flight(scenario: Scenario) -> Packed:
     environment, computers = pack_environment(scenario, pool), pack_computers(scenario, pool)
     injections, faults = pack_injections(scenario, pool), pack_faults(scenario)
     burns = stage_burns(scenario.vehicle.stage, scenario.fault, _liftoff_s(scenario))
-    rows, stage_start_ns, ignition_ns = [], 0, 0
+    rows: list[Parameters] = []
+    ignition_ns = 0
     all_sizes = [
         stage_sizes(stage, scenario.switches, burn) for stage, burn in zip(scenario.vehicle.stage, burns, strict=True)
     ]
@@ -69,10 +80,12 @@ def pack_flight(scenario: Scenario) -> Packed:
     stages = scenario.vehicle.stage
     for n, (stage, burn, sizes) in enumerate(zip(stages, burns, all_sizes, strict=True)):
         schedule = vehicle_schedule(stage, burn, sizes, scenario.switches, frozen)
+        stage_start_ns = _stage_start_ns(rows, stage)
         vehicle = pack_vehicle(scenario, stage, burn, sizes, schedule, pool)
         burns_later = any(later.engines for later in stages[n + 1 :])
         handed_on = NONE if n == 0 or frozen else _handed_on(stages, burns, all_sizes, n, pool)
-        timeline = _timeline(scenario, stage, burn, stage_start_ns, burns_later, handed_on)
+        goes_on = int(stage.continues) * (DROPS if n > 0 and leaving(stages, n - 1) else 1)
+        timeline = _timeline(scenario, stage, burn, stage_start_ns, burns_later, handed_on, goes_on)
         loads = pack_loads(scenario, stage, burn, sizes, pool)
         if not stage.continues:
             ignition_ns = timeline.burn_start_ns
@@ -80,7 +93,6 @@ def pack_flight(scenario: Scenario) -> Packed:
         orbit = pack_orbit_guidance(scenario, ignition_ns) if guided else OrbitGuidance()
         flies = replace(computers[n], allocation=pack_allocation(scenario, stage, burn, pool), orbit=orbit)
         rows.append(Parameters(vehicle, loads, environment, flies, injections, faults, timeline))
-        stage_start_ns = timeline.separation_ns
     parameters = pack(rows)
     y = np.zeros(MAX_STATE)
     initial_motion(scenario, y)
@@ -90,7 +102,20 @@ def pack_flight(scenario: Scenario) -> Packed:
     memory["clock"]["now_ns"] = to_ns(scenario.run.start_s)
     memory["held"]["on_pad"] = int(scenario.held)
     widest = Sizes(*map(max, zip(*map(_counts, all_sizes), strict=True)))
-    return Packed(parameters, pool.array(), memory, y, widest)
+    starts_ns = [row.timeline.stage_start_ns for row in rows]
+    return Packed(parameters, pool.array(), memory, y, widest, tuple(_booster_burns(stages, burns, starts_ns)))
+
+
+def _booster_burns(stages: Sequence[Stage], burns: Sequence[Burn], starts_ns: Sequence[int]) -> Iterator[BoosterBurn]:
+    """Yield the burn of each booster in each of its stages; its ignition is that of the first."""
+    known: set[str] = set()
+    for n, (stage, burn, start_ns) in enumerate(zip(stages, burns, starts_ns, strict=True)):
+        for booster, own in zip(stage.booster, burn.bodies[1:], strict=True):
+            ignition_ns = start_ns + round(NS_PER_S * booster.ignition_s)
+            burns_out = own.burnout_s > 0.0
+            burnout_ns = start_ns + round(NS_PER_S * own.burnout_s) if burns_out else NEVER
+            yield BoosterBurn(booster.name, n, NEVER if booster.name in known else ignition_ns, burnout_ns)
+            known.add(booster.name)
 
 
 def pack_for_one_vehicle(scenario: Scenario) -> Packed:
@@ -117,19 +142,28 @@ def _liftoff_s(scenario: Scenario) -> float:
 
 def _handed_on(stages: Sequence[Stage], burns: Sequence[Burn], sizes: Sequence[Sizes], n: int, pool: Pool) -> int:
     """Return the place in the pool of the transfer matrix from the modes of the previous stage to those of stage n."""
-    if stages[n].continues:
+    if stages[n].continues and not leaving(stages, n - 1):
         return NONE
     before = part_at(stages[n - 1], burns[n - 1], sizes[n - 1], burns[n - 1].end_s)
     if not any(before.sets):
         return NONE
-    after, (mass_kg, *_, roll_kgm2) = part_at(stages[n], burns[n], sizes[n], 0.0), mass_table(stages[n])[1][0, :5]
+    at_s = burns[n - 1].end_s if stages[n].clock == "preceding" else 0.0
+    after, (mass_kg, *_, roll_kgm2) = part_at(stages[n], burns[n], sizes[n], at_s), mass_at(stages[n], burns[n], at_s)
     known, twist = any(after.sets), before.spatial or after.spatial  # computed only if needed by a campaign
     transfer = modal_transfer(before, after, 0.0 if known else mass_kg, roll_kgm2 / mass_kg if twist else 0.0)
     return pool.put(transfer)
 
 
+def _stage_start_ns(before: Sequence[Parameters], stage: Stage) -> int:
+    """Return the zero of a stage's clock, from the stages before it."""
+    if not before:
+        return 0
+    last = before[-1].timeline
+    return last.stage_start_ns if stage.clock == "preceding" else last.separation_ns
+
+
 def _timeline(
-    scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int, burns_later: bool, handed_on: int
+    scenario: Scenario, stage: Stage, burn: Burn, stage_start_ns: int, burns_later: bool, handed_on: int, goes_on: int
 ) -> StageTimeline:
     run, rate = scenario.run, burn_rate(stage) if burn.clock is None else 1.0
     start_ns = to_ns(run.start_s)
@@ -160,7 +194,7 @@ def _timeline(
         separation_impulse_Ns=apart.impulse_Ns,
         separation_spring_J=apart.spring_J,
         tip_off_radps=np.radians(apart.tip_off_degps),
-        continues=int(stage.continues),
+        continues=goes_on,
         handed_on=handed_on,
         control_lost_rad=CONTROL_LOST_RAD if judged else math.inf,
         tumble_rad=TUMBLE_RAD,
@@ -176,9 +210,9 @@ def _burn(stage: Stage, burn: Burn, stage_start_ns: int) -> tuple[int, int]:
 
     A single row of thrust burns for ever, and a stage without an engine never.
     """
-    ignition_ns = stage_start_ns + round(NS_PER_S * stage.ignition_s)
     if not stage.engines:
         return NEVER, NEVER
+    ignition_ns = stage_start_ns + round(NS_PER_S * min(body.ignition_s for body in stage.bodies if body.own_engines))
     if any(len(engine.table) == 1 for engine in stage.engines) and burn.burnout_s == 0.0:
         return ignition_ns, NEVER
     return ignition_ns, stage_start_ns + round(NS_PER_S * burn.burnout_s)

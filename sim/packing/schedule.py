@@ -7,7 +7,9 @@ exactly the mass that the vehicle loses (docs/model.md, section 8).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,13 +18,16 @@ from maxq.control.kernel.tables import Cubics, Method, fit, merge, union
 from maxq.sim.scenario.schema_scenario import Switches
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle import schedule as columns_of
-from maxq.sim.vehicle.air.packing import surface_stations
-from maxq.sim.vehicle.engine.burn import NOMINAL, Burn, burn_rate
+from maxq.sim.vehicle.air.packing import surface_bodies, surface_stations
+from maxq.sim.vehicle.body.section import joined, squares
+from maxq.sim.vehicle.engine.burn import NOMINAL, Burn, burn_rate, table_time_s
 from maxq.sim.vehicle.engine.packing import Mount, cluster_of, engine_mounts, on_clock, swinging, thrust_curves
-from maxq.sim.vehicle.modes.packing import Places, mode_values, spatial_values
+from maxq.sim.vehicle.modes.packing import Carried, Places, mode_values, spatial_values
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
-from maxq.sim.vehicle.slosh.packing import pendulums
+from maxq.sim.vehicle.slosh.packing import Pendulum, pendulums
 from maxq.sim.vehicle.state import Sizes
+
+_INTERVAL_S = 2.0  # longest interval of the CG and inertia of several bodies
 
 
 def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes:
@@ -45,7 +50,7 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
         spatial,
         len(cluster.groups) - 1,
         max(len(cluster.alike), 1),
-        max(len(cluster.gimbals_m), 1) + len(stage.sensors),
+        max(len(cluster.mounts), 1) + len(stage.sensors),
         max(len(cluster.curves), 1),
         len(swinging(stage, cluster, switches)),
         len(stage.sensors),
@@ -60,60 +65,49 @@ def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches,
     """
     method: Method = stage.interpolation
     hanging = pendulums(stage)[: sizes.pendulums]
-    tanks = [pendulum.joined for pendulum in hanging]
     thrust, *further_thrusts = thrust_curves(stage, burn, method)
-    parts = [_core(stage, burn, tanks, method, switches.moving_cg and not frozen), thrust]
+    parts = [_core(stage, burn, hanging, method, switches.moving_cg and not frozen), thrust]
     for pendulum in hanging:
-        tank = on_clock(pendulum.joined, burn)
-        rates = _tank_rates(tank, _pace(stage, burn), switches.jet_damping, switches.jet_damping and not frozen)
-        parts += [tank, rates, on_clock(pendulum.waves, burn)]
+        own = burn.of(pendulum.body)
+        tank = on_clock(pendulum.joined, own)
+        rates = _tank_rates(tank, _pace(stage, own), switches.jet_damping, switches.jet_damping and not frozen)
+        parts += [tank, rates, on_clock(pendulum.waves, own)]
     if stage.bending is not None:
         bending = stage.bending
-        pitch = _modes(stage, burn, bending.pitch_modes if sizes.pitch_modes > 0 else None, sizes, tanks, method)
+        pitch = _modes(stage, burn, bending.pitch_modes if sizes.pitch_modes > 0 else None, sizes, hanging, method)
         alike = sizes.yaw_modes == sizes.pitch_modes and bending.yaw == bending.pitch
         yaw_table = bending.yaw_modes if sizes.yaw_modes > 0 and not alike else None
-        parts += [pitch, pitch if alike else _modes(stage, burn, yaw_table, sizes, tanks, method)]
+        parts += [pitch, pitch if alike else _modes(stage, burn, yaw_table, sizes, hanging, method)]
     if sizes.spatial_modes > 0:
-        parts.append(_spatial_modes(stage, burn, sizes, tanks, method))
+        parts.append(_spatial_modes(stage, burn, sizes, hanging, method))
     parts += further_thrusts
     assert sum(part.n_columns for part in parts) == columns_of.schedule_width(sizes)
     return parts
 
 
-def mass_table(stage: Stage) -> tuple[Array, Array]:
-    """Return times, and rows of total mass, CG (3) and inertia integrals (6)."""
-    mass = stage.mass
-    if mass.table is not None:
-        table = mass.table
-        names = ("y_cg_m", "z_cg_m"), ("Ixy_kgm2", "Ixz_kgm2", "Iyz_kgm2")
-        rows = [table["mass_kg"], table["x_cg_m"], *[table.get(n) for n in names[0]]]
-        rows += [table["Ixx_kgm2"], table["Iyy_kgm2"], table["Izz_kgm2"], *[table.get(n) for n in names[1]]]
-        return table["time_s"], np.stack(rows, axis=1)
-    assert mass.mass_kg is not None
-    assert mass.x_cg_m is not None
-    j = np.array(mass.inertia_kgm2)
-    row = np.array(
-        [
-            *(mass.mass_kg, mass.x_cg_m, mass.y_cg_m or 0.0, mass.z_cg_m or 0.0),
-            *(j[0, 0], j[1, 1], j[2, 2], -j[0, 1], -j[0, 2], -j[1, 2]),
-        ]
-    )
-    if not mass.mass_flow_kgps or not mass.burn_s:
-        return np.array([0.0]), row[None]
-    end = row.copy()
-    end[0] -= mass.mass_flow_kgps * mass.burn_s
-    begin_s = stage.ignition_s
-    return np.array([begin_s, begin_s + mass.burn_s]), np.stack([row, end])
+def mass_at(stage: Stage, burn: Burn, time_s: float) -> tuple[float, ...]:
+    """Return mass, CG (3) and roll inertia of the whole vehicle at an instant of the clock of a stage."""
+    times, rows = stage.mass_over_time()
+    at_s = time_s if stage.booster else table_time_s(stage, burn, time_s)
+    return tuple(float(np.interp(at_s, times, column)) for column in rows[:, :5].T)
 
 
-def _core(stage: Stage, burn: Burn, tanks: Sequence[Cubics], method: Method, moving_cg: bool) -> Cubics:
+def _core(stage: Stage, burn: Burn, hanging: Sequence[Pendulum], method: Method, moving_cg: bool) -> Cubics:
     """Return the columns CORE_MASS to MASS_FLOW."""
-    total = fit(*mass_table(stage), method)
-    core = merge([total])
-    if tanks:
-        breaks = union(total, *tanks)
-        core = fit(breaks, without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks]), method)
-    core, total = on_clock(core, burn), on_clock(total, burn)
+    cores, totals = [], []
+    for b, body in enumerate(stage.bodies):
+        tanks = [pendulum.joined for pendulum in hanging if pendulum.body == b]
+        total = fit(*body.mass.rows(body.ignition_s if b == 0 else 0.0), method)
+        core = merge([total])
+        if tanks:
+            breaks = union(total, *tanks)
+            core = fit(breaks, without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks]), method)
+        cores.append(on_clock(core, burn.of(b)))
+        totals.append(on_clock(total, burn.of(b)))
+    core, total = cores[0], totals[0]
+    if stage.booster:
+        places = [(0.0, 0.0), *(booster.position_m for booster in stage.booster)]
+        core, total = _together(cores, places), _together(totals, places)
     rates = _derivative(core, _pace(stage, burn))
     if not moving_cg:
         rates.coefficients[:, :, 1:4] = 0.0
@@ -122,6 +116,52 @@ def _core(stage: Stage, burn: Burn, tanks: Sequence[Cubics], method: Method, mov
     outflow.coefficients[:] *= -1.0
     # order: core mass, CG, inertia | rates of CG and inertia | total mass, mass flow
     return merge([core, _columns(rates, list(range(1, 10))), mass, outflow])
+
+
+def _together(bodies: Sequence[Cubics], places: Sequence[tuple[float, float]]) -> Cubics:
+    """Return mass, CG and inertia of several bodies (columns of `without_bobs`) together.
+
+    Mass is exact. CG and inertia are cubics with the exact values and slopes at both ends of intervals that are at most
+    `_INTERVAL_S` long.
+    """
+    breaks = union(*bodies)
+    fine = [np.linspace(a, b, max(1, math.ceil((b - a) / _INTERVAL_S)), endpoint=False) for a, b in pairwise(breaks)]
+    at = np.append(np.concatenate(fine), breaks[-1])
+    merged = merge([*bodies, fit(at, np.zeros((len(at), 1)))])
+    c, h = merged.coefficients, np.diff(merged.breaks)[:, None]
+    ends = []
+    for s in (0.0 * h, h):
+        values = c[:, 0] + s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3]))
+        slopes = c[:, 1] + s * (2.0 * c[:, 2] + s * 3.0 * c[:, 3])
+        parts = [(values[:, k : k + 10], slopes[:, k : k + 10]) for k in range(0, 10 * len(bodies), 10)]
+        now = joined([(value, place) for (value, _), place in zip(parts, places, strict=True)])
+        ends.append((now, _joined_rates(now, parts, places)))
+    (v_0, d_0), (v_1, d_1) = ends
+    secant = (v_1 - v_0) / h
+    bend = (d_0 + d_1 - 2.0 * secant) / h
+    return Cubics(merged.breaks, np.stack([v_0, d_0, (secant - d_0) / h - bend, bend / h], axis=1))
+
+
+def _joined_rates(total: Array, parts: Sequence[tuple[Array, Array]], places: Sequence[tuple[float, float]]) -> Array:
+    """Return the rate of the rows `total` (n, 10) of `joined`, from the values and rates of its parts."""
+    first, second = np.zeros((len(total), 3)), np.zeros((len(total), 6))
+    flow = np.zeros(len(total))
+    for (value, rate), place in zip(parts, places, strict=True):
+        mass, r = value[:, :1], value[:, 1:4] + np.array([0.0, *place])
+        first += rate[:, :1] * r + mass * rate[:, 1:4]
+        second += rate[:, 4:] + rate[:, :1] * squares(*r.T) + mass * _squares_rate(r, rate[:, 1:4])
+        flow += rate[:, 0]
+    mass, r = total[:, :1], total[:, 1:4]
+    moving = (first - flow[:, None] * r) / mass
+    second -= flow[:, None] * squares(*r.T) + mass * _squares_rate(r, moving)
+    return np.column_stack([flow, moving, second])
+
+
+def _squares_rate(r: Array, rate: Array) -> Array:
+    """Return the rate of `squares` at places r (station, y, z) that move at `rate`."""
+    (x, y, z), (u, v, w) = r.T * np.array([[-1.0], [1.0], [1.0]]), rate.T * np.array([[-1.0], [1.0], [1.0]])
+    xx, yy, zz = 2.0 * x * u, 2.0 * y * v, 2.0 * z * w
+    return np.stack([yy + zz, xx + zz, xx + yy, u * y + x * v, u * z + x * w, v * z + y * w], axis=1)
 
 
 def without_bobs(total: Array, bobs: list[Array]) -> Array:
@@ -180,7 +220,7 @@ def _columns(table: Cubics, columns: list[int]) -> Cubics:
 
 
 def _modes(
-    stage: Stage, burn: Burn, table: ModeTable | None, sizes: Sizes, tanks: Sequence[Cubics], method: Method
+    stage: Stage, burn: Burn, table: ModeTable | None, sizes: Sizes, tanks: Sequence[Pendulum], method: Method
 ) -> Cubics:
     """Return the columns of all modes of one plane, or zeros without a table."""
     rows, padded_modes = columns_of.mode_rows(sizes), columns_of.padded_modes(sizes)
@@ -200,20 +240,25 @@ def _modes(
     return on_clock(Cubics(joined.breaks, joined.coefficients * factors.ravel()), burn)
 
 
-def _places(stage: Stage, burn: Burn, table: ModeTable | SpatialModeTable, tanks: Sequence[Cubics]) -> Places:
+def _places(stage: Stage, burn: Burn, table: ModeTable | SpatialModeTable, tanks: Sequence[Pendulum]) -> Places:
     mounts = engine_mounts(stage, burn) or (Mount(float(table.station_m[-1]), 1.0, 0.0),)
     gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
-    hinges_m = tuple(tank.at(table.time_s)[:, 2].tobytes() for tank in tanks)
+    hinges_m = tuple(tank.joined.at(burn.of(tank.body).over(table.time_s))[:, 2].tobytes() for tank in tanks)
     sensors_m = tuple(sensor.station_m for sensor in stage.sensors)
-    return Places(mounts, gyro_m, hinges_m, surface_stations(stage), sensors_m)
+    carried = Carried(
+        tuple((b.attachments_m, b.position_m) for b in stage.booster),
+        tuple(tank.body for tank in tanks),
+        surface_bodies(stage),
+    )
+    return Places(mounts, gyro_m, hinges_m, surface_stations(stage), sensors_m, carried)
 
 
-def _spatial_modes(stage: Stage, burn: Burn, sizes: Sizes, tanks: Sequence[Cubics], method: Method) -> Cubics:
+def _spatial_modes(stage: Stage, burn: Burn, sizes: Sizes, tanks: Sequence[Pendulum], method: Method) -> Cubics:
     """Return the columns of all spatial modes."""
     given = stage.spatial_modes
     assert given is not None
     table, n = given.modes, sizes.spatial_modes
-    mass, _, inertia = np.split(mass_table(stage)[1][0], [1, 4])
+    mass, _, inertia = np.split(stage.mass_over_time()[1][0], [1, 4])
     values = spatial_values(table, _places(stage, burn, table, tanks), float(inertia[0] / mass[0]))
     joined = fit(table.time_s, values, method)
     factors = np.ones((values.shape[1] // n, n))

@@ -115,9 +115,9 @@ class Flight(Tabular):
     def telling_metrics(self) -> tuple[str, ...]:
         """Return the names of the metrics that describe this flight.
 
-        Left out are those without a value, those of an orbit whose perigee is below the ground, and the apogee of such
-        an orbit where the flight has passed it or would not reach space: it counts from the equatorial radius, which
-        is up to 21 km above the ground.
+        Metrics without a value are omitted, as are those of an orbit with its perigee below the ground. The apogee of
+        such an orbit is omitted if the flight has passed it or would not reach space. It counts from the equatorial
+        radius, which is up to 21 km above the ground.
         """
         orbits = self.metrics["perigee_altitude_m"] >= 0.0
         apogee_ahead = math.isnan(self.event_s("apogee")) and self.outcome != "impact"

@@ -9,7 +9,6 @@ guarded.
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import logging
 import os
 import signal
@@ -21,8 +20,10 @@ from typing import Any
 
 from maxq.control.external import ABI, BAD_THRUSTER, CRASHED, NOT_FINITE, STUCK
 from maxq.sim.input.errors import ScenarioError
-from maxq.sim.run.guard import MEMORY, STARTING, Arrays, Worker, advance_to, time_limit_s, worker_for
-from maxq.sim.run.instances import Inputs, Instance, Outputs, Setup, Unusable, started
+from maxq.sim.run.guard import MEMORY, STARTING, Arrays, Worker, advance_to, instance_for, time_limit_s, worker_for
+from maxq.sim.run.held_code import CodeWindows, load_kernels
+from maxq.sim.run.instances import Inputs, Instance, Outputs, Setup, Unusable
+from maxq.sim.scenario.flight_code import code_hash
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
@@ -60,12 +61,12 @@ def checked(loaded: LoadedScenario) -> ComputerSection:
     if code is not None:
         where = f"{KEY}.{computer.code_keys[0]}"
         try:
-            content = Path(code.file).read_bytes()
+            sha256, _ = code_hash(Path(code.file))
         except OSError as error:
             problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
             raise ScenarioError(loaded.label, problem, where, value=code.title) from None
-        if hashlib.sha256(content).hexdigest() != code.sha256:
-            allowed = f"that with sha256 {code.sha256[:16]}, or --set {where}=FILE for what is there now"
+        if sha256 != code.sha256:
+            allowed = f"that with sha256 {code.sha256[:16]}, or --set {where}=FILE for the present file"
             raise ScenarioError(
                 loaded.label, "is not the flight code that was flown", where, value=code.title, allowed=allowed
             )
@@ -90,9 +91,12 @@ def setup_of(computer: ComputerSection, packed_computer: Any, start_ns: int) -> 
 
 
 class FlightSoftware:
-    """The flight code of one flight."""
+    """The flight code of one flight. `held` gives the windows of a held flight (held_code.py)."""
 
-    def __init__(self, loaded: LoadedScenario) -> None:
+    def __init__(self, loaded: LoadedScenario, held: CodeWindows | None = None) -> None:
+        self._held = held
+        if held is not None:
+            load_kernels()
         self._label, self._computer = loaded.label, checked(loaded)
         self._guarded = guards(loaded)
         self._worker: Worker | None = None
@@ -114,13 +118,13 @@ class FlightSoftware:
             if self._guarded:
                 self._worker = worker_for(self._computer, arrays)
                 self._end = weakref.finalize(self, self._worker.release)
-                self._arrays, begun, said = self._worker.start(arrays, setup)
+                self._arrays, begun, said = self._worker.start(arrays, setup, self._held)
                 if not begun:
                     problem = said or self.complaint(self._arrays[MEMORY][0].computer.external)
                     self.close()
                     raise Unusable(problem)
             else:
-                self._instance = started(self._computer, setup)
+                self._instance = instance_for(self._computer, setup, self._held, state)
                 self._end = weakref.finalize(self, self._instance.close)
                 state.step, state.instance, state.inside = self._instance.step, self._instance.address, 0
         except Unusable as error:

@@ -16,6 +16,7 @@ import numpy as np
 from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.records import Array, IntArray, Records, blank, pack
 from maxq.control.orbit_guidance import CUT_OFF, STEERING
+from maxq.control.structures import DRIFT
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import advance, begin
 from maxq.sim.flight.metric_table import METRIC_NAMES, MetricIndex, StepMetrics, WaveMetrics
@@ -38,11 +39,13 @@ from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, 
 from maxq.sim.run.metrics import end_metrics, judge, orbit_metrics, section_extremes, section_metrics, step_failure
 from maxq.sim.run.quantities import propellant_text
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
 
 if TYPE_CHECKING:
     from maxq.sim.run.flight_software import FlightSoftware
+    from maxq.sim.run.held_code import CodeWindows
 
 _SEGMENT_NS = 1_000_000_000  # one log chunk
 _UNSEEN_NS = 60_000_000_000  # a tenth of a second's work
@@ -50,6 +53,7 @@ _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # limits of a segment: tens of millise
 _FEW = 1_000  # steps and rows: a segment with fewer may be longer
 
 IGNITION_NAME, FAULT_NAME, FAULT_END_NAME = "ignition", "fault", "fault_end"
+BOOSTER_NAMES = ("booster_ignition", "booster_burnout")
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
 SOFTWARE_NAME = "flight_software"  # external flight code has ended the flight
@@ -76,11 +80,17 @@ class FlightRun:
 
     The constructor loads the compiled kernels, or compiles them (about half a minute, once). `segment_ns`: length of a
     segment, a multiple of the step. The default is 1 s, less if that is many steps or log rows, and more if it is few.
-    It is 4 s for a flight in another process, which must be woken for each segment.
+    It is 4 s for a flight in another process, which must be woken for each segment. `held` is required of a held flight
+    with external flight code (held_code.py).
     """
 
     def __init__(
-        self, loaded: LoadedScenario, packed: Packed | None = None, log: bool = True, segment_ns: int | None = None
+        self,
+        loaded: LoadedScenario,
+        packed: Packed | None = None,
+        log: bool = True,
+        segment_ns: int | None = None,
+        held: CodeWindows | None = None,
     ) -> None:
         self.loaded = loaded
         self.packed = packed or pack_flight(loaded.scenario)
@@ -89,7 +99,15 @@ class FlightRun:
         waves = int(_logs_waves(loaded.scenario, self.packed.sizes))
         engines = len(engine_names(loaded.scenario))
         external = int(self.packed.parameters[0].computer.external)
-        widths = self.packed.sizes, stations, waves, engines, external, int(_adapts(loaded.scenario))
+        widths = (
+            self.packed.sizes,
+            stations,
+            waves,
+            engines,
+            external,
+            int(_adapts(loaded.scenario)),
+            int(_drifts(loaded.scenario)),
+        )
         self._on, self._off = (_logged(on, *widths) for on in (1, 0))
         self._arena = blank(Arena)
         timeline = self.packed.parameters[0].timeline
@@ -112,7 +130,7 @@ class FlightRun:
         if external:
             from maxq.sim.run.flight_software import FlightSoftware  # noqa: PLC0415  # lazy: few flights have any
 
-            self._software = FlightSoftware(loaded)
+            self._software = FlightSoftware(loaded, held)
             self._own = self._arrays(self._logged, self._rows)
             self._hold(self._software.start(self._own))
 
@@ -171,7 +189,9 @@ class FlightRun:
         found = []
         for index in range(clock.stage + 1):
             number = index + 1 if len(timelines) > 1 else 0
-            ignition_ns, goes_on = int(timelines["burn_start_ns"][index]), timelines["continues"][index] == 1
+            ignition_ns, goes_on = int(timelines["burn_start_ns"][index]), timelines["continues"][index] > 0
+            if goes_on and ignition_ns > timelines["separation_ns"][index - 1]:
+                goes_on = False  # the core ignites after its boosters have left
             if start_ns <= ignition_ns <= clock.now_ns and ignition_ns < NEVER and not goes_on:
                 found.append(Event(IGNITION_NAME, ignition_ns, number))
             for name, times_ns in zip(_OF_STAGES, (clock.stage_burnout_ns, clock.stage_separation_ns), strict=True):
@@ -181,11 +201,23 @@ class FlightRun:
             if time_ns >= 0 and name not in _OF_STAGES:
                 causes = {DIVERGED_NAME: CAUSES[clock.cause], CONTROL_LOST_NAME: CONTROL_LOST_CAUSE}
                 found.append(Event(name, int(time_ns), detail=causes.get(name, "")))
+        found += self._boosters(clock, start_ns)
         found += self._faults(clock, start_ns)
         found += self._broken_waves(clock)
         if self._software is not None and (said := self._software.complaint(self.memory.computer.external)):
             found.append(Event(SOFTWARE_NAME, clock.now_ns, detail=said))
         return tuple(sorted(found, key=lambda event: event.time_ns))
+
+    def _boosters(self, clock: Clock, start_ns: int) -> Iterator[Event]:
+        """Yield ignition and burnout of the boosters so far, as long as they are attached."""
+        several = len(self.packed.parameters) > 1
+        for name, stage, *instants in self.packed.boosters:
+            begins_ns = int(clock.stage_separation_ns[stage - 1]) if stage > 0 else start_ns
+            ends_ns = int(clock.stage_separation_ns[stage])
+            until_ns = clock.now_ns if ends_ns < 0 else min(ends_ns, clock.now_ns)
+            for kind, time_ns in zip(BOOSTER_NAMES, instants, strict=True):
+                if stage <= clock.stage and begins_ns <= time_ns <= until_ns:
+                    yield Event(kind, time_ns, (stage + 1) * several, name)
 
     def _broken_waves(self, clock: Clock) -> list[Event]:
         """Return the first time at which a wave breaks in each tank, for the stages so far."""
@@ -414,15 +446,28 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
         external,
         senses,
         _adapts(scenario),
+        _drifts(scenario),
     )
+
+
+def _flown_design(scenario: Scenario) -> Design | None:
+    """Return the design that the computer flies, or None without one."""
+    computer = scenario.vehicle.computer
+    return None if computer is None or computer.law == "external" else scenario.design
 
 
 def _adapts(scenario: Scenario) -> bool:
     """Return True if any stage flies adaptive augmenting control."""
-    design, computer = scenario.design, scenario.vehicle.computer
-    if design is None or computer is None or computer.law == "external":
+    design = _flown_design(scenario)
+    if design is None:
         return False
     return design.adaptive is not None or any(own.adaptive is not None for own in design.stage)
+
+
+def _drifts(scenario: Scenario) -> bool:
+    """Return True if the law feeds back the drift."""
+    design = _flown_design(scenario)
+    return design is not None and design.law in DRIFT
 
 
 def engine_names(scenario: Scenario) -> tuple[str, ...]:

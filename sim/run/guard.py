@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from maxq.control.external import CRASHED, STUCK
 from maxq.sim.flight.loop import advance
+from maxq.sim.run.held_code import CodeWindows, HeldCode
 from maxq.sim.run.instances import Instance, Setup, Unusable, started
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
@@ -66,7 +67,7 @@ class Worker:
         self._answers = select.poll()
         self._answers.register(self._line.fileno(), select.POLLIN)
 
-    def start(self, arrays: Arrays, setup: Setup) -> tuple[Arrays, bool, str]:
+    def start(self, arrays: Arrays, setup: Setup, held: CodeWindows | None = None) -> tuple[Arrays, bool, str]:
         """Start a flight: return the arrays in shared memory, True if the code was started, and its message."""
         shapes = [array.shape for array in arrays]
         placed = _placed(self._room, self.kinds, shapes)
@@ -75,7 +76,7 @@ class Worker:
         state = placed[MEMORY]["computer"]["external"]
         self._seen = {name: state[name] for name in ("calls", "inside", "fault", "code")}
         self._seen["inside"][0] = STARTING
-        return placed, *self._done(b"S" + pickle.dumps((shapes, bytes(setup))))
+        return placed, *self._done(b"S" + pickle.dumps((shapes, bytes(setup), held)))
 
     def advance(self, until_ns: int) -> tuple[bool, str]:
         """Advance the flight; return False, and note the fault in its memory, if it failed."""
@@ -230,13 +231,13 @@ class _Flying:
             os._exit(code)
 
     def _start(self, order: bytes) -> tuple[bool, str]:
-        shapes, setup = pickle.loads(order)
+        shapes, setup, held = pickle.loads(order)
         self._arrays = _placed(self._room, self._kinds, shapes)
+        state = self._arrays[MEMORY][0].computer.external
         try:
-            self._instance = started(self._computer, Setup.from_buffer_copy(setup))
+            self._instance = instance_for(self._computer, Setup.from_buffer_copy(setup), held, state)
         except Unusable as error:
             return False, str(error) or type(error).__name__
-        state = self._arrays[MEMORY][0].computer.external
         state.step, state.instance, state.inside = self._instance.step, self._instance.address, 0
         return True, ""
 
@@ -250,6 +251,17 @@ class _Flying:
             return False, ""
         instance.close()
         return instance.unload(), ""
+
+
+def instance_for(computer: ComputerSection, setup: Setup, held: CodeWindows | None, state: Any) -> Instance:
+    """Return a started instance for a flight, or for a held flight. Raises Unusable."""
+    if held is None:
+        return started(computer, setup)
+
+    def alive() -> None:
+        state.calls += 1
+
+    return HeldCode(computer, held, alive)
 
 
 def advance_to(until_ns: int, arrays: Arrays) -> None:

@@ -35,7 +35,7 @@ from maxq.sim.scenario.schema_vehicle import ComputerSection
 _FUNCTIONS = ("maxq_fsw_abi", "maxq_fsw_bytes", "maxq_fsw_init", "maxq_fsw_step", "maxq_fsw_close")
 _ALIGNMENT = 64
 _MOST_BYTES = 1 << 30  # of an instance
-_StepFunction = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+StepFunction = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
 
 def _structure(name: str, schema: type) -> Any:
@@ -144,7 +144,7 @@ class _InPython(Instance):
     """The base class of Python flight code behind a C function: a subclass answers inputs with outputs."""
 
     def __init__(self) -> None:
-        self._function = _StepFunction(self._called)
+        self._function = StepFunction(self._called)
         self.step = ctypes.cast(self._function, ctypes.c_void_p).value or 0
 
     @abstractmethod

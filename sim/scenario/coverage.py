@@ -8,8 +8,9 @@ from pydantic_core import PydanticCustomError
 
 from maxq.sim.input.errors import Path, refuse
 from maxq.sim.input.tables_csv import CsvTable
+from maxq.sim.scenario.schema_booster import Booster
 from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.vehicle.engine.burn import burn_rate, stage_end_s, thrust_end_s
+from maxq.sim.vehicle.engine.burn import burn_rate, nominal_burnout_s, stage_spans, thrust_end_s
 
 
 def check_stages(stages: Sequence[Stage], flight_end_s: float, thrust_must_end: bool) -> float:
@@ -18,39 +19,54 @@ def check_stages(stages: Sequence[Stage], flight_end_s: float, thrust_must_end: 
     Both times are on the vehicle clock; the end is 0 without thrust. `thrust_must_end`: reject thrust tables that do
     not end at zero if the flight continues.
     """
-    stage_start_s, powered_end_s = 0.0, 0.0
-    for n, stage in enumerate(stages):
+    powered_end_s = 0.0
+    for n, (stage, (start_s, end_s)) in enumerate(zip(stages, stage_spans(stages), strict=True)):
         key: Path = ("vehicle", "stage", n)
-        _check_stage_tables(stage, key)
-        if thrust_must_end:
-            _check_thrust_ends(stage, min(flight_end_s - stage_start_s, stage_end_s(stage)), key)
-        burn_end_s = min(thrust_end_s(stage) / burn_rate(stage), stage_end_s(stage))
+        _check_stage_tables(stage, end_s, key)
+        for k, booster in enumerate(stage.booster):
+            _check_body_tables(booster, end_s - booster.ignition_s, (*key, "booster", k))
+        if thrust_must_end and not stage.gated:
+            _check_thrust_ends(stage, min(flight_end_s - start_s, end_s), key)
+        burn_end_s = min(nominal_burnout_s(stage), end_s)
         if burn_end_s > 0.0:
-            powered_end_s = stage_start_s + burn_end_s
-        stage_start_s += stage_end_s(stage)
+            powered_end_s = start_s + burn_end_s
     return powered_end_s
 
 
-def _check_stage_tables(stage: Stage, key: Path) -> None:
+def _check_body_tables(body: Stage | Booster, ends_s: float, key: Path) -> float:
+    """Reject tables of a body that end before its thrust does, and return this end.
+
+    The body leaves or is dropped at `ends_s` on its own clock.
+    """
+    end = min(thrust_end_s(body), ends_s * burn_rate(body))
+    tables: list[tuple[Path, CsvTable | None]] = [(("mass", "table"), body.mass.table)]
+    tables += [(("tank", n, "table"), tank.table) for n, tank in enumerate(body.tank)]
+    _check_ends(tables, end, key)
+    mass = body.mass
+    if mass.burn_s is not None and mass.mass_flow_kgps and mass.burn_s < end:
+        raise refuse("mass flow ends before the thrust does", f"at least {end:g}", (*key, "mass", "burn_s"))
+    return end
+
+
+def _check_stage_tables(stage: Stage, ends_s: float, key: Path) -> None:
     """Reject tables of a stage that end before its thrust does, and an ignition after the end of thrust."""
-    end = min(thrust_end_s(stage), stage_end_s(stage) * burn_rate(stage))
-    tables: list[tuple[Path, CsvTable | None]] = [(("mass", "table"), stage.mass.table)]
-    tables += [(("tank", n, "table"), tank.table) for n, tank in enumerate(stage.tank)]
-    tables.append((("mass", "rate_damping"), stage.mass.rate_damping))
+    end = _check_body_tables(stage, ends_s, key)
+    tables: list[tuple[Path, CsvTable | None]] = [(("mass", "rate_damping"), stage.mass.rate_damping)]
     if stage.aero is not None:
         tables.append((("aero", "moment_reference_over_time"), stage.aero.moment_reference_over_time))
     if stage.spatial_modes is not None:
         tables.append((("spatial_modes", "table"), stage.spatial_modes.table))
     if stage.bending is not None:
         tables += [(("bending", "pitch"), stage.bending.pitch), (("bending", "yaw"), stage.bending.yaw)]
+    _check_ends(tables, end, key)
+    if stage.own_engines and end > 0.0 and stage.ignition_s * burn_rate(stage) >= end:
+        raise refuse("ignition comes after the end of thrust", f"less than {end:g}", (*key, "ignition_s"))
+
+
+def _check_ends(tables: Sequence[tuple[Path, CsvTable | None]], end: float, key: Path) -> None:
     for place, table in tables:
         if table is not None and table["time_s"][0] < table["time_s"][-1] < end:
             raise _ends_too_early(table, "the table ends before the thrust does", end, key + place)
-    if stage.engines and end > 0.0 and stage.ignition_s * burn_rate(stage) >= end:
-        raise refuse("ignition comes after the end of thrust", f"less than {end:g}", (*key, "ignition_s"))
-    mass = stage.mass
-    if mass.burn_s is not None and mass.mass_flow_kgps and mass.burn_s < end:
-        raise refuse("mass flow ends before the thrust does", f"at least {end:g}", (*key, "mass", "burn_s"))
 
 
 def _ends_too_early(table: CsvTable, problem: str, end_s: float, key: Path) -> PydanticCustomError:
@@ -60,7 +76,7 @@ def _ends_too_early(table: CsvTable, problem: str, end_s: float, key: Path) -> P
 def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
     """Reject a thrust table that does not end at zero if the stage flies on to `ends_s` on its clock."""
     column = "thrust_vacuum_N"
-    for n, table in enumerate(engine.table for engine in stage.engines):
+    for n, table in enumerate(engine.table for engine in stage.own_engines):
         last = float(table["time_s"][-1]) / burn_rate(stage)
         if len(table) > 1 and table[column][-1] > 0.0 and ends_s > last:
             problem = f"thrust does not end at zero, and the flight goes on after {last:g} s"

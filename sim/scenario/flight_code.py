@@ -1,14 +1,21 @@
 """Flight code that a vehicle file names: a shared library, a Python class, or a computer behind a socket.
 
-Reading a scenario does not run the code: its file is only found and hashed. The log contains the SHA-256 of the code
-flown. When the log is flown again, other content under the same name is rejected (sim/run/flight_software.py).
+Reading a scenario does not run the code: its files are only found and hashed. The log contains the SHA-256 of the code
+flown. When the log is flown again, other content under the same names is rejected (sim/run/flight_software.py).
+
+The hash covers every file of the code (`code_files`). Of a Python file these are all modules that it can import from
+its folder, and all files if the folder is a package. Of a library it is its file; the sources have a hash of their own
+if the vehicle file names them. Not covered are libraries that a library loads, modules installed in the environment,
+and files that the code opens elsewhere.
 """
 
 from __future__ import annotations
 
 import hashlib
 import ipaddress
+import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +27,8 @@ from maxq.sim.input.files import TABLE_VARIANTS, Reading, find, not_found, shown
 from maxq.sim.input.values import Section, optional
 
 SETTINGS_BYTES = 255
+MOST_FILES = 1000
+_MODULES = frozenset({".py", ".so", ".pyd", ".dll", ".dylib"})
 _ADDRESS = re.compile(r"(tcp|udp)://(\[[0-9a-f:]+\]|[0-9a-z.]+):([0-9]{1,5})")
 
 
@@ -32,12 +41,45 @@ def flight_code_key(name: str) -> str:
     return "library" if name.endswith((".so", ".dylib", ".dll")) else ""
 
 
+def code_files(path: Path) -> list[Path]:
+    """Return all files of flight code: the folder's if `path` is one, and those that a Python file can import.
+
+    Raises ValueError if there are more than `MOST_FILES`.
+    """
+    if path.suffix != ".py" and not path.is_dir():
+        return [path]
+    folder = path if path.is_dir() else path.parent
+    whole = path.is_dir() or (folder / "__init__.py").is_file()
+    found = []
+    for place, below, names in os.walk(folder):
+        below[:] = sorted(name for name in below if name != "__pycache__" and not name.startswith("."))
+        mine = (Path(place) / name for name in sorted(names) if not name.startswith("."))
+        found += [file for file in mine if file.is_file() and (whole or file.suffix in _MODULES)]
+        if len(found) > MOST_FILES:
+            raise refuse(f"is in a folder with more than {MOST_FILES} files", "a folder of its own")
+    return found
+
+
+def code_hash(path: Path, read: Callable[[Path], bytes] = Path.read_bytes) -> tuple[str, tuple[str, ...]]:
+    """Return the SHA-256 of flight code, and the names of its files if there are several.
+
+    The hash of a single file is that of its content. That of several covers the name and the hash of each.
+    """
+    files, folder = code_files(path), path if path.is_dir() else path.parent
+    hashes = {file.relative_to(folder).as_posix(): hashlib.sha256(read(file)).hexdigest() for file in files}
+    if files == [path]:
+        return next(iter(hashes.values())), ()
+    lines = "".join(f"{one}  {name}\n" for name, one in hashes.items())
+    return hashlib.sha256(lines.encode()).hexdigest(), tuple(hashes)
+
+
 class CodeFile(Section):
     """A file of flight code; in a vehicle file only its name, for Python followed by `:Class`."""
 
     file: str = Field(description="absolute path")
-    sha256: str = Field(description="SHA-256 of its content")
+    sha256: str = Field(description="SHA-256 of its content, or of all files (code_hash)")
     member: str = optional("class in a Python file", "")
+    files: tuple[str, ...] = optional("names of all files of the code, if there are several", ())
 
     @model_validator(mode="before")
     @classmethod
@@ -51,16 +93,26 @@ class CodeFile(Section):
         if is_python and not (name.endswith(".py") and member.isidentifier()):
             raise refuse("names no class", 'a file and a class in it, e.g. "my_fsw.py:Autopilot"')
         text = value.like(name)
-        path = find(text)
+        is_source = info.field_name == "sources"
+        folders = (folder / name for folder in value.source.folders) if is_source else ()
+        path = next(filter(Path.is_dir, folders), None) or find(text)
         if path is None:
-            raise refuse(*not_found(text, "a Python file" if is_python else "a shared library", TABLE_VARIANTS))
-        content = info.context.content(path.resolve(), shown(path))
-        return {"file": str(path.resolve()), "sha256": hashlib.sha256(content).hexdigest(), "member": member}
+            what = "a folder or file of sources" if is_source else "a Python file" if is_python else "a shared library"
+            raise refuse(*not_found(text, what, TABLE_VARIANTS))
+        reading = info.context
+        sha256, files = code_hash(path.resolve(), lambda file: reading.content(file, shown(file)))
+        return {"file": str(path.resolve()), "sha256": sha256, "member": member, "files": files}
 
     @property
     def title(self) -> str:
         """Return a title for messages."""
         return shown(Path(self.file)) + (f":{self.member}" if self.member else "")
+
+    @property
+    def hashed(self) -> str:
+        """Return the title with what the hash covers."""
+        count = f"{len(self.files)} file{'s' * (len(self.files) != 1)}"
+        return f"{self.title} ({count}: {', '.join(self.files)})" if self.files else self.title
 
 
 def _loopback(text: str) -> str:
@@ -85,12 +137,14 @@ def _fits(text: str) -> str:
 
 
 def _file_schema(what: str) -> WithJsonSchema:
-    given = {"file": {"type": "string"}, "sha256": {"type": "string"}, "member": {"type": "string"}}
+    given: dict[str, Any] = {name: {"type": "string"} for name in ("file", "sha256", "member")}
+    given["files"] = {"type": "array", "items": {"type": "string"}}
     table = {"type": "object", "properties": given, "required": ["file", "sha256"], "additionalProperties": False}
     return WithJsonSchema({"anyOf": [{"type": "string", "description": what}, table]})
 
 
 LibraryFile = Annotated[CodeFile, _file_schema("name of a shared library")]
 PythonClass = Annotated[CodeFile, _file_schema("name of a Python file and a class in it, with a colon between")]
+SourceFiles = Annotated[CodeFile, _file_schema("name of a folder or file")]
 Address = Annotated[str, AfterValidator(_loopback)]
 Settings = Annotated[str, AfterValidator(_fits)]

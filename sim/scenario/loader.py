@@ -104,11 +104,11 @@ class LoadedScenario:
 
         The description would be incorrect without them.
         """
-        about, told = self.scenario.description.rstrip(), [*overrides]
+        about, told = self.scenario.description.rstrip(), [text for text in overrides if not text.startswith("name=")]
         if not about or not told or any(text.startswith("description=") for text in told):
             return self
         short = (text if len(text) <= _TOLD else f"{text[:_TOLD]}..." for text in told)
-        changed = self.scenario.model_copy(update={"description": f"{about}; with {', '.join(short)}"})
+        changed = self.scenario.model_copy(update={"description": f"{about}; changed: {', '.join(short)}"})
         return replace(self, scenario=changed)
 
 
@@ -184,6 +184,11 @@ def load_file(
     tree.setdefault("name", file.stem)
     files = tuple(reading.files)
     return _validated(model, tree, reading), tree, file, label, files
+
+
+def read_design(name: str | Path) -> Design:
+    """Read the design in a file, or the built-in one, without a vehicle to fly it. Raises ScenarioError."""
+    return load_file(Design, "design", name, ())[0]
 
 
 def _validated(model: type[Model], tree: TomlTable, reading: Reading) -> Model:

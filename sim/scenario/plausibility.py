@@ -128,7 +128,8 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Imp
     mass, engines = stage.mass.table, [e for e in stage.engines if e.gimbal != "fixed"]
     if mass is None or stage.aero is None:
         return
-    cg_m, times = mass["x_cg_m"], mass["time_s"]
+    times, rows = stage.mass_over_time()
+    cg_m = rows[:, 1]
     for n, engine in enumerate(stage.engines):
         if engine in engines and engine.gimbal_station_m <= float(cg_m.max()):
             key = ".".join(map(str, (*stage.engine_key(n), "gimbal_station_m")))

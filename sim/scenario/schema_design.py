@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_SENSORS, MAX_STAGES
-from maxq.control.structures import GAIN_NAMES, GAINS, MAX_SECTIONS, OVER, RELIEF, STRUCTURES, Law, Over, Structure
+from maxq.control.structures import (
+    GAIN_NAMES,
+    GAINS,
+    INTEGRAL,
+    MAX_SECTIONS,
+    OVER,
+    RELIEF,
+    STRUCTURES,
+    Law,
+    Over,
+    Structure,
+)
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.tables_csv import Columns, CsvTable
 from maxq.sim.input.values import NotNegative, Positive, Section, optional
@@ -26,14 +37,15 @@ class GainsSection(Section):
 
     table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
         description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s), for load-relief k_a_s2pm (rad per m/s2), for "
-        "incidence-relief k_alpha (rad/rad) and, of the vehicle, percussion_m and accel_per_incidence_mps2, over "
+        "incidence-relief k_alpha (rad/rad) and, of the vehicle, percussion_m and accel_per_incidence_mps2, for drift "
+        "and pid-drift k_zd_radspm (rad per m/s) and k_z_radpm (rad per m), positive against the drift, over "
         "time_s (vehicle clock), or over one of speed_mps (relative to the rotating Earth), mass_kg, "
         "dynamic_pressure_Pa (of that speed in still air), which the computer knows without error"
     )
     yaw: Literal["pitch"] | None = optional('"pitch": as in pitch (the default without yaw_table)')
     yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = optional("gains of the yaw axis")
     integral_limit_deg: Positive | None = optional(
-        "pid: limit of the integral's share of the command (default: none), deg"
+        "pid, pid-drift: limit of the integral's share of the command (default: none), deg"
     )
 
     def _check(self) -> None:
@@ -245,7 +257,8 @@ class Design(Section):
     vehicle: str = optional("name of its vehicle; a flight of another vehicle needs an explicit request", "")
     law: Law = optional(
         "control law; pd: proportional-derivative with a bending filter; pid: pd with an integral; load-relief: pd "
-        "with feedback of the lateral acceleration; incidence-relief: pd with feedback of an estimated angle of attack",
+        "with feedback of the lateral acceleration; incidence-relief: pd with that of an estimated angle of attack; "
+        "drift: pd with feedback of velocity and displacement across the path; pid-drift: drift with an integral",
         "pd",
     )
     gains: GainsSection
@@ -280,9 +293,9 @@ class Design(Section):
                     "accel_per_incidence_mps2 of one sign (below 0)",
                 )
                 raise table.refusal(problem, allowed, at=("gains", key))
-        if self.law != "pid" and self.gains.integral_limit_deg is not None:
+        if self.law not in INTEGRAL and self.gains.integral_limit_deg is not None:
             problem = f"the law {self.law} has no integral"
-            raise refuse(problem, "with law = 'pid' only", ("gains", "integral_limit_deg"))
+            raise refuse(problem, "with law = 'pid' or 'pid-drift' only", ("gains", "integral_limit_deg"))
         self.only_with(("load_relief",), self.law in RELIEF, f"law = {' or '.join(map(repr, RELIEF))}")
         if self.law in RELIEF:
             self.needs("load_relief", f"law is {self.law}", "a table [load_relief]")

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_FAULTS, MAX_INJECTIONS, MAX_TONES
-from maxq.control.structures import RELIEF
+from maxq.control.structures import DRIFT, RELIEF
 from maxq.sim.flight.metric_table import METRIC_NAMES
 from maxq.sim.input.errors import refuse, suggestion
 from maxq.sim.input.tables_csv import Columns, CsvTable
@@ -405,7 +405,7 @@ class Scenario(Section):
     def _check_sensors(self, stage: int) -> None:
         assert self.design is not None
         flown, sensors, own = self.design.of_stage(stage), self.vehicle.stage[stage], stage < len(self.design.stage)
-        if flown.law in RELIEF and sensors.accelerometer is None:
+        if flown.law in (*RELIEF, *DRIFT) and sensors.accelerometer is None:
             raise refuse(
                 "the vehicle has no accelerometer",
                 "a vehicle with [stage.accelerometer]",

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Field, Tag, model_validator
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES, MAX_SURFACES
 from maxq.control.structures import Attitude
 from maxq.sim.input.errors import refuse
-from maxq.sim.input.values import (
-    LIST_FORM,
-    TABLE_FORM,
-    NotNegative,
-    Period,
-    Positive,
-    Seconds,
-    Section,
-    Triple,
-    optional,
-)
-from maxq.sim.scenario.flight_code import Address, LibraryFile, PythonClass, Settings
+from maxq.sim.input.values import TABLE_FORM, NotNegative, Period, Positive, Seconds, Section, Triple, optional
+from maxq.sim.scenario.flight_code import Address, LibraryFile, PythonClass, Settings, SourceFiles
+from maxq.sim.scenario.schema_booster import FORM, LISTED, Booster, Engines
 from maxq.sim.vehicle.actuator.section import ActuatorSection
 from maxq.sim.vehicle.air.section import AeroSection
-from maxq.sim.vehicle.body.section import Mass, Reference
+from maxq.sim.vehicle.body.section import Mass, Reference, joined
+from maxq.sim.vehicle.engine.burn import leaving
 from maxq.sim.vehicle.engine.section import EngineSection, RollThrusters
 from maxq.sim.vehicle.loads.section import LoadsSection, check_loads
 from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
@@ -41,6 +35,7 @@ from maxq.sim.vehicle.slosh.section import SECOND_MODE, Tank
 from maxq.sim.vehicle.tvc_load.section import TvcLoadSection
 
 _CODE = ("library", "python", "address")
+_OF_BOOSTER = re.compile(r"booster\.(\d+)\.(engine|tank)(?:\.(\d+))?\.(.*)")
 
 
 class ComputerSection(Section):
@@ -63,6 +58,7 @@ class ComputerSection(Section):
     library: LibraryFile | None = optional("flight code: shared library (C ABI of maxq_fsw.h)")
     python: PythonClass | None = optional("flight code: Python class, file.py:Class")
     address: Address | None = optional("flight code: computer behind a socket, tcp://127.0.0.1:PORT or udp://...")
+    sources: SourceFiles | None = optional("sources of the library, a folder or file: hashed, not run")
     settings: Settings = optional("text passed to the flight code at its start", "")
     timeout_s: Positive = optional("time limit of the flight code for one sample, s", 2.0)
     guard: bool = optional("run the flight code in its own process; off: a crash ends maxq, for debuggers", True)
@@ -75,6 +71,7 @@ class ComputerSection(Section):
     def _check(self) -> None:
         self.only_with(_CODE, self.law == "external", "law = 'external'")
         self.at_most_one(*_CODE)
+        self.only_with(("sources",), self.library is not None, "library")
         if self.law == "external" and not self.code_keys:
             raise refuse("names no flight code", f"external with one of {', '.join(_CODE)}", ("law",))
         if self.delay_s > self.sample_s:
@@ -99,37 +96,34 @@ class Separation(Section):
     tip_off_degps: Triple = optional("initial rates of the next stage about x, y, z, deg/s", (0.0, 0.0, 0.0))
 
 
-def _form(value: Any) -> str:
-    return LIST_FORM if isinstance(value, list | tuple) else TABLE_FORM
-
-
-_LISTED, _FORM = (Field(min_length=1, max_length=MAX_ENGINES), Tag(LIST_FORM)), Discriminator(_form)
-
-
-Engines = Annotated[Annotated[EngineSection, Tag(TABLE_FORM)] | Annotated[tuple[EngineSection, ...], *_LISTED], _FORM]
-
-
 Actuators = Annotated[
-    Annotated[ActuatorSection, Tag(TABLE_FORM)] | Annotated[tuple[ActuatorSection, ...], *_LISTED], _FORM
+    Annotated[ActuatorSection, Tag(TABLE_FORM)] | Annotated[tuple[ActuatorSection, ...], *LISTED], FORM
 ]
 
 
-TvcLoads = Annotated[
-    Annotated[TvcLoadSection, Tag(TABLE_FORM)] | Annotated[tuple[TvcLoadSection, ...], *_LISTED], _FORM
-]
+TvcLoads = Annotated[Annotated[TvcLoadSection, Tag(TABLE_FORM)] | Annotated[tuple[TvcLoadSection, ...], *LISTED], FORM]
 
 
 class Stage(Section):
-    """A stage; its clock, for its tables, starts at the preceding separation."""
+    """A stage; its clock, for its tables, starts at the preceding separation.
+
+    The stage without its boosters is the core.
+    """
 
     name: str = optional("name of the stage in logs (default: its number)", "")
     separation_s: Period | None = optional("end of this stage on its clock, s")
-    separation_after_burnout_s: Seconds | None = optional("end of this stage after burnout, s")
+    separation_after_burnout_s: Seconds | None = optional(
+        "end of this stage after burnout, s; if only boosters leave, after the burnout of the last of them"
+    )
     separation: Separation | None = optional("springs, impulse and tip-off rates where this stage ends")
     continues: bool = optional(
-        "engines, tanks and modes of the preceding stage remain, and only mass is dropped, as with a fairing: gimbal "
-        "angles, liquid and modes keep their state",
+        "engines and tanks of the preceding stage remain, except those of boosters that leave: gimbal angles, liquid "
+        "and modes keep their motion",
         False,
+    )
+    clock: Literal["own", "preceding"] = optional(
+        "preceding, with continues: tables over time and times of this stage are on the clock of the preceding stage",
+        "own",
     )
     computer: StageComputer | None = optional("absent: the vehicle's computer as it is")
     ignition_s: Seconds = optional("the engine is off before this time on the stage clock, s", 0.0)
@@ -151,6 +145,7 @@ class Stage(Section):
         "rate gyros in addition to the first; the same number in all stages", (), max_length=MAX_SENSORS - 1
     )
     accelerometer: Accelerometer | None = optional("absent: none; all stages have one, or none")
+    booster: tuple[Booster, ...] = optional("bodies next to the core; those that stay longest come first", ())
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
     loads: LoadsSection | None = optional("absent: no section loads")
 
@@ -171,10 +166,61 @@ class Stage(Section):
         spatial_modes = len(spatial.damping_ratio) if spatial else 0
         return len(self.engine_groups), len(self.pendulum_names), *modes, spatial_modes, int(self.tvc_load is not None)
 
+    def without(self, boosters: Sequence[Booster]) -> Stage:
+        """Return the stage after these boosters have left."""
+        return self.model_copy(update={"booster": tuple(b for b in self.booster if b not in boosters)})
+
+    @property
+    def gated(self) -> bool:
+        """Return True if thrust is zero outside the burn of each body, because others burn then."""
+        return bool(self.booster) or self.clock == "preceding"
+
+    @property
+    def bodies(self) -> tuple[Stage | Booster, ...]:
+        """Return the bodies with their own propellant: the core, then the boosters."""
+        return (self, *self.booster)
+
+    @property
+    def own_engines(self) -> tuple[EngineSection, ...]:
+        """Return the engines of the core."""
+        return (self.engine,) if isinstance(self.engine, EngineSection) else self.engine or ()
+
     @property
     def engines(self) -> tuple[EngineSection, ...]:
-        """Return all engines, none without thrust."""
-        return (self.engine,) if isinstance(self.engine, EngineSection) else self.engine or ()
+        """Return all engines, none without thrust: those of the core, then those of each booster."""
+        return (*self.own_engines, *(engine for booster in self.booster for engine in booster.engines))
+
+    @property
+    def engine_bodies(self) -> tuple[int, ...]:
+        """Return for each engine the number of its body in `bodies`."""
+        return tuple(b for b, body in enumerate(self.bodies) for _ in body.own_engines)
+
+    @property
+    def tanks(self) -> tuple[tuple[int, str, Tank], ...]:
+        """Return all tanks with the numbers of their bodies and their names: those of the core first."""
+        own = [(0, tank.name or str(n + 1), tank) for n, tank in enumerate(self.tank)]
+        for b, booster in enumerate(self.booster, start=1):
+            own += [(b, f"{booster.name}_{t.name or n + 1}", t) for n, t in enumerate(booster.tank)]
+        return tuple(own)
+
+    def mass_over_time(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return times of the stage clock (n,), and rows (n, 10) of the whole vehicle as `Mass.rows`.
+
+        They are linear between the rows of the nominal tables.
+        """
+        own = self.mass.rows(self.ignition_s)
+        if not self.booster:
+            return own
+        each = [(own, (0.0, 0.0))]
+        for booster in self.booster:
+            times, rows = booster.mass.rows(0.0)
+            each.append(((times + booster.ignition_s, rows), booster.position_m))
+        at = np.unique(np.concatenate([times for (times, _), _ in each]))
+        parts = [
+            (np.stack([np.interp(at, times, column) for column in rows.T], axis=1), place)
+            for (times, rows), place in each
+        ]
+        return at, joined(parts)
 
     @property
     def engine_groups(self) -> tuple[str, ...]:
@@ -201,7 +247,25 @@ class Stage(Section):
 
     def engine_key(self, number: int) -> tuple[str | int, ...]:
         """Return the key of an engine in the stage."""
-        return ("engine", number) if isinstance(self.engine, tuple) else ("engine",)
+        b = self.engine_bodies[number]
+        body, number = self.bodies[b], number - self.engine_bodies.index(b)
+        key: tuple[str | int, ...] = ("booster", b - 1) if b > 0 else ()
+        return (*key, "engine", number) if isinstance(body.engine, tuple) else (*key, "engine")
+
+    def tank_key(self, number: int) -> tuple[str | int, ...]:
+        """Return the key of one of `tanks` in the stage."""
+        bodies = [body for body, *_ in self.tanks]
+        b, number = bodies[number], number - bodies.index(bodies[number])
+        return ("booster", b - 1, "tank", number) if b > 0 else ("tank", number)
+
+    def counted_key(self, key: str) -> str:
+        """Return a key path of the stage with engines and tanks of boosters counted behind those of the core."""
+        found = _OF_BOOSTER.fullmatch(key)
+        if found is None:
+            return key
+        body, part, number, rest = int(found[1]) + 1, found[2], int(found[3] or 0), found[4]
+        bodies = self.engine_bodies if part == "engine" else [b for b, *_ in self.tanks]
+        return f"{part}.{list(bodies).index(body) + number}.{rest}"
 
     @model_validator(mode="after")
     def _modes_over_time(self) -> Stage:
@@ -214,6 +278,10 @@ class Stage(Section):
             given = getattr(self, section)
             tables = {} if given is None else {key: getattr(given, key) for key in keys}
             over_mass = {key: table for key, table in tables.items() if table is not None and OVER_MASS in table}
+            if over_mass and self.booster:
+                raise refuse(
+                    "modes over mass, of a stage with boosters", "a table over time_s", (section, next(iter(over_mass)))
+                )
             if over_mass:
                 times_s, mass_kg = self.mass.finely(self.ignition_s, self.interpolation)
                 found = {k: over_time(table, times_s, mass_kg, (section, k)) for k, table in over_mass.items()}
@@ -231,6 +299,7 @@ class Stage(Section):
             raise refuse("the stage has no engine", "separation_s", "separation_after_burnout_s")
         if self.actuator is not None and all(engine.gimbal == "fixed" for engine in self.engines):
             raise refuse("the stage has no engine to move", "[stage.engine]", "actuator", value={})
+        self._check_boosters()
         names = [tank.name or str(n + 1) for n, tank in enumerate(self.tank)]
         for n, name in enumerate(names):
             if name in names[:n]:
@@ -246,6 +315,27 @@ class Stage(Section):
         if self.loads is not None:
             gimbal_station_m = min((engine.gimbal_station_m for engine in self.engines), default=None)
             check_loads(self.loads, gimbal_station_m, names)
+
+    def _check_boosters(self) -> None:
+        named = [booster.name for booster in self.booster]
+        for n, name in enumerate(named):
+            if name in named[:n]:
+                raise refuse("another booster has this name", "each name once", ("booster", n, "name"), value=name)
+        if len(self.engines) > MAX_ENGINES:
+            problem, allowed = f"{len(self.engines)} engines in all", f"up to {MAX_ENGINES} of core and boosters"
+            raise refuse(problem, allowed, "booster", value=len(self.booster))
+        if self.booster and self.loads is not None:
+            raise refuse(
+                "section loads of a stage with boosters are not modelled", "a stage without", "loads", value={}
+            )
+        lifting = sum(b.aero is not None and "CN_alpha_pr" in b.aero.table for b in self.booster)
+        own = len(self.aero.surface) + len(self.aero.coefficients) if self.aero is not None else 0
+        if lifting and own + lifting > MAX_SURFACES:
+            problem = f"{own + lifting} surfaces and tables with the boosters"
+            raise refuse(problem, f"{MAX_SURFACES} in all", "booster", value=len(self.booster))
+        for n, booster in enumerate(self.booster):
+            if booster.aero is not None and self.aero is None:
+                raise refuse("the stage has no aerodynamics", "[stage.aero]", ("booster", n, "aero"), value={})
 
     def mode_tables(self) -> list[tuple[str, ModeTable | SpatialModeTable]]:
         """Return the tables of modes and their keys; a table for both planes appears once."""
@@ -264,7 +354,8 @@ class Stage(Section):
         for n, engine in enumerate(self.engines):
             if engine.name and names.index(engine.name) != n:
                 raise refuse("another engine has this name", "a name for each engine", (*self.engine_key(n), "name"))
-            if ("mass_flow_kgps" in engine.table) != ("mass_flow_kgps" in self.engines[0].table):
+            first = self.bodies[self.engine_bodies[n]].own_engines[0]
+            if ("mass_flow_kgps" in engine.table) != ("mass_flow_kgps" in first.table):
                 raise engine.table.refusal(
                     "some engines have a column mass_flow_kgps and some have none",
                     "all or none",
@@ -292,7 +383,7 @@ class Stage(Section):
     @property
     def pendulum_names(self) -> tuple[str, ...]:
         """Return the names of the flown slosh modes in the log, tank by tank."""
-        names = [(tank.name or str(n + 1), tank.pendulums) for n, tank in enumerate(self.tank)]
+        names = [(name, tank.pendulums) for _, name, tank in self.tanks]
         return tuple(name + ("" if mode == 0 else f"_{mode + 1}") for name, modes in names for mode in range(modes))
 
     def _check_tvc_load(self) -> None:
@@ -306,17 +397,21 @@ class Stage(Section):
                 raise refuse("an engine without inertia cannot swing on a TVC load", "a number > 0", key, value=0.0)
 
     def _check_slosh_mass(self) -> None:
-        """Check that the sloshing masses and the gimballed engine are parts of the vehicle's mass."""
-        tables = [tank.table for tank in self.tank]
-        of_mass = [] if self.mass.table is None else [self.mass.table]
+        """Check that sloshing masses and gimballed engines are parts of the mass of their bodies."""
+        for b, body in enumerate(self.bodies):
+            self._check_slosh_mass_of(body, ("booster", b - 1) if b > 0 else ())
+
+    def _check_slosh_mass_of(self, body: Stage | Booster, key: tuple[str | int, ...]) -> None:
+        tables = [tank.table for tank in body.tank]
+        of_mass = [] if body.mass.table is None else [body.mass.table]
         times = np.unique(np.concatenate([np.zeros(1), *(table["time_s"] for table in (*tables, *of_mass))]))
-        if self.mass.table is not None:
-            total = np.interp(times, self.mass.table["time_s"], self.mass.table["mass_kg"])
+        if body.mass.table is not None:
+            total = np.interp(times, body.mass.table["time_s"], body.mass.table["mass_kg"])
         else:
-            flow, burn = self.mass.mass_flow_kgps or 0.0, self.mass.burn_s or 0.0
-            total = (self.mass.mass_kg or 0.0) - flow * np.clip(times, 0.0, burn)
+            flow, burn = body.mass.mass_flow_kgps or 0.0, body.mass.burn_s or 0.0
+            total = (body.mass.mass_kg or 0.0) - flow * np.clip(times, 0.0, burn)
         moving = np.zeros(len(times))
-        for factor, table in zip((tank.mass_factor for tank in self.tank), tables, strict=True):
+        for factor, table in zip((tank.mass_factor for tank in body.tank), tables, strict=True):
             of_liquid = "liquid_mass_kg" in table  # with a shape the whole liquid, which is more than the sloshing mass
             mass = table["liquid_mass_kg"] if of_liquid else table["slosh_mass_kg"] + table.get(SECOND_MODE[0])
             moving += factor * np.interp(times, table["time_s"], mass)
@@ -325,20 +420,23 @@ class Stage(Section):
             raise refuse(
                 f"at {times[worst]:g} s {moving[worst]:g} kg slosh in a vehicle of {total[worst]:g} kg",
                 "sloshing masses below the mass of the vehicle",
-                "tank",
+                (*key, "tank"),
             )
-        if self.engines and sum(e.gimballed_mass_kg for e in self.engines) >= float((total - moving).min()):
+        if body.own_engines and sum(e.gimballed_mass_kg for e in body.own_engines) >= float((total - moving).min()):
+            first = ("engine", 0) if isinstance(body.engine, tuple) else ("engine",)
             raise refuse(
                 "the gimballed mass is more than the vehicle's",
                 f"less than {float((total - moving).min()):g}",
-                (*self.engine_key(0), "gimballed_mass_kg"),
+                (*key, *first, "gimballed_mass_kg"),
             )
 
     def _check_stations(self) -> None:
         """Check that the mode shapes reach every station at which loads or sensors act."""
         needed: list[tuple[tuple[str | int, ...], float]] = []
-        for n, engine in enumerate(self.engines):
+        for n, engine in enumerate(self.own_engines):
             needed.append(((*self.engine_key(n), "gimbal_station_m"), engine.gimbal_station_m))
+        for n, booster in enumerate(self.booster):
+            needed += [(("booster", n, "attachments_m"), station) for station in booster.attachments_m]
         if self.gyro is not None:
             needed.append((("gyro", "station_m"), self.gyro.station_m))
         needed += [(("rate_gyro", n, "station_m"), gyro.station_m) for n, gyro in enumerate(self.rate_gyro)]
@@ -405,7 +503,23 @@ class Vehicle(Section):
             self._check_goes_on(n, stage)
 
     def _check_goes_on(self, n: int, stage: Stage) -> None:
-        if stage.continues and (n == 0 or stage.counts != self.stage[n - 1].counts or stage.ignition_s > 0.0):
+        if stage.clock == "preceding" and not stage.continues:
+            raise refuse("the stage does not continue", "with continues = true", ("stage", n, "clock"))
+        if stage.booster and stage.continues:
+            names, before = [b.name for b in stage.booster], [b.name for b in self.stage[n - 1].booster] if n else []
+            if names != before[: len(names)]:
+                allowed = ", ".join(before) or "none"
+                problem = "boosters that stay are the first of the preceding stage, in the same order"
+                raise refuse(problem, allowed, ("stage", n, "booster"), value=", ".join(names))
+        leave = leaving(self.stage, n - 1) if n > 0 and stage.continues else ()
+        mine, kept = list(stage.counts), list(self.stage[n - 1].without(leave).counts) if n > 0 else []
+        if leave:
+            mine[2:5] = kept[2:5]  # modes of another configuration
+            if stage.clock == "own":
+                problem = "boosters leave, and the core burns on"
+                raise refuse(problem, '"preceding"', ("stage", n, "clock"), value=stage.clock)
+        late = stage.ignition_s > 0.0 and stage.clock == "own"
+        if stage.continues and (n == 0 or mine != kept or late):
             raise refuse(
                 "there is no stage before with as many engine groups, slosh modes and bending modes that burns on",
                 "false",

@@ -161,7 +161,7 @@ def _derive_properties(vehicle: StageRecord, sizes: Counts, pool: Array, clock_s
         sch.complete_spatial_modes(
             sizes, vehicle.spatial_modes.zeta, vehicle.spatial_modes.frequency_factor, properties
         )
-    rigid.prepare_outflow(vehicle.engine, sizes, properties)
+    rigid.prepare_outflow(vehicle.engine, vehicle.slosh, sizes, properties)
     moment_reference(vehicle.aero, sizes, pool, clock_s, properties)
     if vehicle.rate_damping.n_columns > 0:
         k = find_interval(pool, vehicle.rate_damping, clock_s)

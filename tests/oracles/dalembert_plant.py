@@ -126,7 +126,7 @@ def _stiffness(vehicle: PlanarVehicle, condition: FlightCondition, load: float, 
     k = np.zeros((at.size, at.size))
     k[at.mode, at.mode] += np.diag(modes.generalized_mass_kg * modes.omega_radps**2)
     k[at.mode, at.mode] -= load * modes.softening_kgpm
-    # a bob beside the axis pulls the nose round: moment of its axial inertia about the CG
+    # a bob off the axis turns the nose: moment of its axial inertia about the CG
     k[1, at.mode] += load * modes.phi_hinge @ bobs.mass_kg
     k[1, at.pendulum] += load * bobs.mass_kg * bobs.length_m
     k[at.pendulum, at.pendulum] += load * np.diag(bobs.mass_kg * bobs.length_m)

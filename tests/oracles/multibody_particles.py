@@ -1,9 +1,9 @@
 """Oracle: bending checked from below, by a core made of particles on the x axis, with Kane's method.
 
-Every velocity of every particle is exact; no modal energy is assumed. The shapes are orthogonal to 1 and x
-and to each other under the particles' masses, as free-free modes are, so this core's kinetic energy is the
-defined one plus exactly M (q eta - r xi)^2 / 2 per pair, the axial velocity which the definition drops. At
-eta = xi = 0 that term has no part in the equations of motion: there both agree to rounding, at any rates.
+Every velocity of every particle is exact; no modal energy is assumed. The shapes are orthogonal to 1 and x and to each
+other under the particles' masses, as free-free modes are. The kinetic energy of this core is therefore the defined one
+plus exactly M (q eta - r xi)^2 / 2 per pair, the axial velocity which the definition drops. At eta = xi = 0 that term
+has no part in the equations of motion: there both agree to rounding, at any rates.
 
 A moving engine is one more particle (its own inertia must be zero). The definition also drops
 m_E (0, q, r) x Delta . (flexible velocity) and the turn of Delta with the bent mount; the first vanishes where the

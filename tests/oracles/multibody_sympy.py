@@ -27,12 +27,17 @@ Delta with the bent mount dropped by definition.
 
 from __future__ import annotations
 
+import inspect
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import sympy as sp
+from made_once import copy_of
 from oracles.multibody_system import Engine, Floats, Load, Pendulum, State, Vehicle, rotation_taking
 
 Numeric = Callable[..., Sequence[float]]
@@ -76,8 +81,8 @@ def _attitude() -> tuple[sp.Matrix, sp.Matrix]:
     c_dot = sp.zeros(3, 3)
     for angle, rate in zip(_E, _ED, strict=True):
         c_dot += c.diff(angle) * rate
-    skew = (c.T * c_dot).applyfunc(sp.trigsimp)
-    return c, sp.Matrix([skew[2, 1], skew[0, 2], skew[1, 0]])
+    skew = c.T * c_dot
+    return c, sp.Matrix([skew[2, 1], skew[0, 2], skew[1, 0]]).applyfunc(sp.trigsimp)
 
 
 @dataclass(frozen=True)
@@ -110,7 +115,28 @@ class _Compiled:
     potential: Numeric
 
 
-def _compile(piece: _Piece) -> _Compiled:
+def _shared(name: str, derive: Callable[[], dict[str, Numeric]]) -> dict[str, Numeric]:
+    """Return the functions that `derive` makes by `sp.lambdify`, by their names.
+
+    The first process of a test run that needs them derives them, and the others load their source.
+    """
+
+    def write(folder: Path) -> None:
+        sources = [inspect.getsource(f).replace("_lambdifygenerated", each) for each, f in derive().items()]
+        (folder / "functions.py").write_text("\n".join(sources))
+
+    names: dict[str, Any] = dict(vars(math))
+    exec((copy_of(f"lagrange-{name}", write) / "functions.py").read_text(), names)
+    return names
+
+
+def _compiled(name: str, own: int, piece: Callable[[], _Piece]) -> _Compiled:
+    """Return the functions of a piece with `own` coordinates of its own."""
+    found = _shared(name, lambda: _derived(piece()))
+    return _Compiled(len(_R) + len(_E) + own, found["motion"], found["momenta"], found["potential"])
+
+
+def _derived(piece: _Piece) -> dict[str, Numeric]:
     c_ib, w = _attitude()
     v = c_ib.T * _RD
     to_coordinates = dict(zip(_V, v, strict=True)) | dict(zip(_W, w, strict=True))
@@ -128,21 +154,24 @@ def _compile(piece: _Piece) -> _Compiled:
     )
     quasi = [piece.kinetic, *(piece.kinetic.diff(s) for s in (*_V, *_W))]
     constants = (*piece.constants, *_G)
-    return _Compiled(
-        size=len(q),
-        motion=sp.lambdify((*q, *qd, *constants), [*mass, *bias], modules="math", cse=True),
-        momenta=sp.lambdify((*_V, *_W, *piece.own, *piece.own_rates, *constants), quasi, modules="math", cse=True),
-        potential=sp.lambdify((*q, *constants), [piece.potential], modules="math", cse=True),
-    )
+    return {
+        "motion": sp.lambdify((*q, *qd, *constants), [*mass, *bias], modules="math", cse=True),
+        "momenta": sp.lambdify((*_V, *_W, *piece.own, *piece.own_rates, *constants), quasi, modules="math", cse=True),
+        "potential": sp.lambdify((*q, *constants), [piece.potential], modules="math", cse=True),
+    }
 
 
 @cache
 def _core() -> _Compiled:
+    return _compiled("core", 0, _core_piece)
+
+
+def _core_piece() -> _Piece:
     mass = sp.symbols("m0", positive=True)
     j = sp.symbols("J:6", real=True)
     inertia = sp.Matrix([[j[0], j[1], j[2]], [j[1], j[3], j[4]], [j[2], j[4], j[5]]])
     kinetic = mass * _V.dot(_V) / 2 + (_W.T * inertia * _W)[0] / 2
-    return _compile(_Piece(kinetic, -mass * _G.dot(_R), (), (), (mass, *j)))
+    return _Piece(kinetic, -mass * _G.dot(_R), (), (), (mass, *j))
 
 
 def _thrust_direction() -> sp.Matrix:
@@ -160,6 +189,10 @@ def _engine_motion(length: sp.Symbol) -> tuple[sp.Matrix, sp.Matrix, sp.Matrix]:
 
 @cache
 def _engine() -> _Compiled:
+    return _compiled("engine", 2, _engine_piece)
+
+
+def _engine_piece() -> _Piece:
     mass, inertia, length = sp.symbols("m_E I_t l_E", positive=True)
     gimbal = _symbols("g_x g_y g_z")
     delta, delta_dot, spin = _engine_motion(length)
@@ -170,11 +203,15 @@ def _engine() -> _Compiled:
         mass * (v_moved.dot(v_moved) - v_locked.dot(v_locked)) / 2 + inertia * (w_engine.dot(w_engine) - _W.dot(_W)) / 2
     )
     potential = -mass * _G.dot(_attitude()[0] * delta)
-    return _compile(_Piece(kinetic, potential, tuple(_D), tuple(_DD), (mass, inertia, length, *gimbal)))
+    return _Piece(kinetic, potential, tuple(_D), tuple(_DD), (mass, inertia, length, *gimbal))
 
 
 @cache
 def _pair() -> _Compiled:
+    return _compiled("pair", 4, _pair_piece)
+
+
+def _pair_piece() -> _Piece:
     """A mode pair and what the engine's motion relative to the core does to it."""
     eta, xi, eta_dot, xi_dot = sp.symbols("eta xi etad xid", real=True)
     mass_z, mass_y, omega_z, omega_y = sp.symbols("M_z M_y w_z w_y", real=True)
@@ -191,7 +228,7 @@ def _pair() -> _Compiled:
     )
     strain = (mass_z * omega_z**2 * eta**2 + mass_y * omega_y**2 * xi**2) / 2
     constants = (mass_z, mass_y, omega_z, omega_y, phi_z, phi_y, sigma_z, sigma_y, mass, inertia, length)
-    return _compile(_Piece(kinetic, strain, (eta, xi, *_D), (eta_dot, xi_dot, *_DD), constants))
+    return _Piece(kinetic, strain, (eta, xi, *_D), (eta_dot, xi_dot, *_DD), constants)
 
 
 _PENDULUM_ANGLES, _PENDULUM_RATES = _symbols("alpha beta"), _symbols("alphad betad")
@@ -205,6 +242,10 @@ def _chart_direction() -> sp.Matrix:
 
 @cache
 def _pendulum() -> _Compiled:
+    return _compiled("pendulum", 4, _pendulum_piece)
+
+
+def _pendulum_piece() -> _Piece:
     """A pendulum on the hinge displacement (y, z), a constant linear map of the modal coordinates."""
     mass, length = sp.symbols("m_p L_p", positive=True)
     hinge = _symbols("h_x h_y h_z")
@@ -218,7 +259,7 @@ def _pendulum() -> _Compiled:
     potential = -mass * _G.dot(_R + _attitude()[0] * arm)
     own = (*displacement, *_PENDULUM_ANGLES)
     own_rates = (*displacement_rate, *_PENDULUM_RATES)
-    return _compile(_Piece(kinetic, potential, own, own_rates, (mass, length, *hinge, *axes)))
+    return _Piece(kinetic, potential, own, own_rates, (mass, length, *hinge, *axes))
 
 
 @cache
@@ -228,6 +269,11 @@ def _kinematics() -> tuple[Numeric, Numeric]:
     Attitude: C_I'B (9), dw/dedot (9), the part of wdot without second rates (3).
     Pendulum: u (3), du/dangles (6), the part of uddot without second rates (3).
     """
+    found = _shared("kinematics", _derived_kinematics)
+    return found["attitude"], found["direction"]
+
+
+def _derived_kinematics() -> dict[str, Numeric]:
     c, w = _attitude()
     attitude = sp.lambdify((*_E, *_ED), [*c, *w.jacobian(_ED), *_rate(w, _E, _ED)], modules="math", cse=True)
     u = _chart_direction()
@@ -236,7 +282,7 @@ def _kinematics() -> tuple[Numeric, Numeric]:
     direction = sp.lambdify(
         (*_PENDULUM_ANGLES, *_PENDULUM_RATES), [*u, *u.jacobian(_PENDULUM_ANGLES), *rest], modules="math", cse=True
     )
-    return attitude, direction
+    return {"attitude": attitude, "direction": direction}
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
 """Oracle: the same flight with another integrator.
 
-SciPy's DOP853 (order eight, adaptive, tight tolerance) flies the flight's own derivative from instant to
-instant; samples, commands, ignition and burnout are met by the flight's own kernels, so that what differs
-from the simulator is the integration alone: step size, method, and the restoring of the quaternion's and
-pendulums' length. Limits: liftoff by thrust, apogee and impact are not located; begin in flight, or release
-by time.
+SciPy's DOP853 (order eight, adaptive, tight tolerance) integrates the flight's own derivative from instant to instant.
+The flight's own kernels process samples, commands, ignition and burnout, so that only the integration differs from the
+simulator: step size, method, and the restoring of the quaternion's and pendulums' length. Limits: liftoff by thrust,
+apogee and impact are not located; begin in flight, or release by time.
 """
 
 from __future__ import annotations

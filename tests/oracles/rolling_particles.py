@@ -30,7 +30,7 @@ TINY = 1e-30
 
 @dataclass(frozen=True)
 class PointEngine:
-    """A point mass behind a gimbal at `section` of the axis, beside it by `offset_m` (y, z)."""
+    """A point mass behind a gimbal at `section` of the axis, displaced from it by `offset_m` (y, z)."""
 
     mass_kg: float
     length_m: float

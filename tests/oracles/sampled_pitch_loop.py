@@ -1,8 +1,8 @@
 """The sampled loop of a design at a node of KSR-III, opened at the gimbal command, and its margins: no Pade, aliasing
 included.
 
-At sample k the computer has the exact integral of the gyro rate (the sum of the V/F counts) and its increment; the
-command it computes reaches the hold a compute delay later. Stability is judged twice, by the closed loop's poles and by
+At sample k the computer has the exact integral of the gyro rate (the sum of the V/F counts) and its increment. The
+computed command reaches the hold a compute delay later. Stability is judged twice, by the closed loop's poles and by
 encirclements, and the two must agree. Bending frequencies as they are and 10 % off.
 """
 

@@ -1,8 +1,9 @@
 """Flight of a rigid body from first principles, by SciPy's DOP853: shares no line with maxq's kernels.
 
-Everything is formulated differently on purpose: Newton in the frame that rotates with the Earth (Coriolis and
-centrifugal terms), the attitude as direction cosines body to Earth, gravitation as the derivative of its
-potential by a complex step, geodetic latitude by iteration, the standard atmosphere by its layers. SI units.
+Everything is formulated differently on purpose. The oracle has Newton's law in the frame that rotates with the Earth
+(Coriolis and centrifugal terms), and the attitude as direction cosines body to Earth. Gravitation is the derivative of
+its potential by a complex step. Geodetic latitude follows by iteration, the standard atmosphere by its layers. SI
+units.
 """
 
 from __future__ import annotations

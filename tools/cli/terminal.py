@@ -24,7 +24,7 @@ _BAR, _CLOCK, _EDGE = 12, 7, 3  # columns of a progress bar, of its clock, and a
 _SHORTEST = 12  # columns: a shorter note is omitted
 _GOOD = "met|MET|BUILT|PASSED|ACCEPTED|accepted|DESIGNED|SAME|pass"
 _BAD = "MISSED|missed|FAILED|FAIL|REJECTED|rejected|TOO WEAK|INFEASIBLE|UNSTABLE|DIFFERENT|NONE ACCEPTED|NO RUNS"
-_OPEN = "UNDECIDED|undecided|INTERRUPTED|warning"
+_OPEN = "ACCEPTED WITH WAIVERS|UNDECIDED|undecided|INTERRUPTED|warning"
 _TONES = {"32": _GOOD, "1;31": _BAD, "33": _OPEN}  # green, bold red, yellow
 _VERDICTS = re.compile(  # as a cell of a table, or at the head of a line
     "|".join(rf"(?:(?<=  )|^)(?P<t{code.replace(';', '_')}>{words})(?=  |$|:| \()" for code, words in _TONES.items())

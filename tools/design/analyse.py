@@ -226,10 +226,10 @@ def dispersed_checks(
     """
     if basis.robust is None or not flies_as_measured(order.kind, order.errata, order.plant):
         return None, []
-    at = [j.node for j in judged if j.time_s in points_s]
-    beside = [j.node for j in judged if j.time_s not in points_s]
+    at = [j.flown for j in judged if j.time_s in points_s]
+    beside = [j.flown for j in judged if j.time_s not in points_s]
     show = partial(progress.show, "searching dispersed vehicles")
-    campaign = acting_at(campaign_of(basis.robust, scenario), basis.robust, judged[0].node)
+    campaign = acting_at(campaign_of(basis.robust, scenario), basis.robust, judged[0].flown)
     worst = worst_of_basis(at, beside, design, basis.robust, campaign, show)
     limits = basis.model_copy(update={"limits": basis.robust.limits})
     found = stage_checks(judge(worst.nodes, design, order.kind), design, limits, order.kind)
@@ -292,7 +292,7 @@ def operating_points_s(
 def instants_between(
     points_s: Iterable[float], scenario: LoadedScenario, order: AnalysisOrder, bases: Mapping[int, Basis]
 ) -> list[float]:
-    """Return instants between the first and the last operating point of each stage whose limits hold between them."""
+    """Return instants between the operating points of each stage whose limits also apply between them."""
     out: list[float] = []
     if order.times_s or "every_s" in order.given:
         return out
@@ -313,7 +313,7 @@ def judged_by_text(
     first = next(iter(bases.values()))
     limits = len({key for basis in bases.values() for key in basis.limits.asked})
     parts = [f"{order.kind} loop", count, f"{limits} limit{'s' * (limits != 1)}"]
-    parts += [f"held between them ({between} instants)"] if between else []
+    parts += [f"checked between them ({between} instants)"] if between else []
     if any(b.robust is not None for b in bases.values()):
         searched = "and those of dispersed vehicles at the worst found"
         flies = flies_as_measured(order.kind, order.errata, order.plant)

@@ -17,6 +17,7 @@ from maxq.design.verify.own_flight import design_case
 from maxq.sim.files import write_whole
 from maxq.sim.log.tabular import html_table
 from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.design.points import designed_at_points
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,7 +45,8 @@ class Designed:
         else:
             one = min(nodes, key=lambda j: abs(j.time_s - time_s))
         loaded = self.outcome.loaded
-        return _drawn(one, f"{loaded.scenario.vehicle.name}: {loaded.name}", self.outcome.wanted)
+        vehicle = loaded.scenario.vehicle.name if loaded.points is None else loaded.points.name
+        return _drawn(one, f"{vehicle}: {loaded.name}", self.outcome.wanted)
 
     def save(self, path: str | Path) -> Path:
         """Save the design as a file for `fly(name, "design=path")` and `verify(path)`."""
@@ -59,12 +61,16 @@ class Designed:
             (c.text, "met" if c.passed else "MISSED", f"{c.values[c.worst]:.4g}", f"{c.sense} {c.limit:g} {c.unit}")
             for c in (*self.outcome.found, *self.outcome.coupled_found)
         ]
-        return html_table(repr(self).strip("<>"), ("limit", "", "worst", "wanted"), rows)
+        return html_table(repr(self).strip("<>"), ("requirement", "", "value", "limit"), rows)
 
 
 def designed(case: str | Path, overrides: Sequence[str]) -> Designed:
     """Return the design of a case: gain schedules and bending filter, optimised along their own flight."""
-    made = design_case(read_case(str(case), overrides))
+    loaded = read_case(str(case), overrides)
+    if loaded.points is not None:
+        found, of_points = designed_at_points(loaded)
+        return Designed(found, of_points, found.feasible and of_points.feasible)
+    made = design_case(loaded)
     outcome, solution = made.results[0]
     return Designed(replace(outcome, design=made.design), solution, made.feasible)
 

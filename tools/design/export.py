@@ -19,7 +19,7 @@ from maxq.control.attitude import QUATERNION
 from maxq.control.external import HEADER
 from maxq.control.kernel.limits import MAX_SENSORS
 from maxq.control.kernel.tables import table_in
-from maxq.control.structures import LAWS, MAX_SECTIONS, RELIEF, Law
+from maxq.control.structures import DRIFT, INTEGRAL, LAWS, MAX_SECTIONS, RELIEF, Law
 from maxq.design import operating_points
 from maxq.design.laws.design_file import design_path
 from maxq.design.loop.fixed_path import fixed_path
@@ -74,7 +74,7 @@ def execute(
     planes: tuple[Plane, ...] = (axis,) if axis is not None else ("pitch", "yaw")
     nodes = [node for plane in planes for node in operating_points.nodes(loaded, times_s or None, plane=plane)]
     write_matrices(path, form, [described(node, gains) for node in nodes])
-    tell(f"{len(nodes)} nodes in {path}")
+    tell(f"{len(nodes)} operating points in {path}")
     return Exit.OK
 
 
@@ -133,6 +133,8 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
         ("RATE_INTEGRAL", int(int(first.attitude) != QUATERNION), "1: the error is the angle less the commanded angle"),
         ("GAINS", table_in(packed.pool, first.law.gains).n_columns // 2, "of an axis"),
         ("LOAD_RELIEF", relief, "1: the third gain is of the acceleration; 2: of the angle of attack"),
+        ("INTEGRAL", int(law in INTEGRAL), "1: the third gain is of the integral"),
+        ("DRIFT", int(law in DRIFT), "1: the last two gains are of drift velocity and displacement"),
         ("LOOP_FILTERS", filters, "1: loops have filters of their own, or filters fade out behind a separation"),
         ("ADAPTIVE", int(any(int(one.adaptive.on) for one in each)), "1: a total gain adapts"),
         ("FURTHER_GYROS", max(map(further_gyros, each)), "rate gyros beyond the first in the rate"),

@@ -16,7 +16,7 @@ from maxq.design.model.node import Node
 from maxq.design.quantities import TOLERANCE
 from maxq.design.verify.judging import Check, JudgedLoop, Wanted, judge
 from maxq.sim.files import write_whole
-from maxq.sim.flight.metric_table import figures
+from maxq.sim.run.quantities import number_text
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.design import figures as drawn
@@ -138,7 +138,12 @@ def _named(stage: str, text: str) -> str:
 
 def _caption(group: Group) -> str:
     worst = f"dispersed: {group.worst.text}" if group.worst is not None else ""
-    return "; ".join(filter(None, (group.stage, worst)))
+    return "; ".join(filter(None, (titled("Limits", group.stage), worst)))
+
+
+def titled(what: str, stage: str) -> str:
+    """Return a title with the name of its stage, if there are several."""
+    return f"{what}, {stage}" if stage else what
 
 
 def _nearest(check: Check) -> float:
@@ -158,15 +163,16 @@ def _cells(check: Check) -> tuple[str, str, str, str]:
     left = value - check.wanted if check.sense == ">=" else check.wanted - value
     left = 0.0 if check.passed and left < TOLERANCE else left
     at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
-    worst = f"{figures(value, 4)}{unit}" if math.isfinite(value) else "none"
+    worst = f"{number_text(value)}{unit}" if math.isfinite(value) else "none"
     return f"{check.sense} {check.wanted:g}{unit}", worst, f"{left:z.3g}{unit}" if math.isfinite(left) else "", at
 
 
 def _row(check: Check) -> tuple[str, ...]:
     limit, value, left, at = _cells(check)
     if drawn.is_stability(check):
-        limit, value, left = "none", f"{float(check.values[check.worst]):g}" if not check.passed else "none", ""
-    return check.text, limit, value, left, "" if value == "none" else at, _outcome(check)
+        limit, value, left = "0", f"{float(check.values[check.worst]):g}" if not check.passed else "0", ""
+        at = "" if check.passed else at
+    return check.text, limit, value, left, at, _outcome(check)
 
 
 def _sentence(check: Check) -> str:
@@ -191,7 +197,7 @@ def _plots(shown: DesignPage) -> list[Plot]:
         *drawn.limits_over_flight(checks),
         drawn.explorer(judged, names, wanted, planes),
         drawn.gains_plot(shown.design, GAIN_HEADS),
-        drawn.filter_plot(shown.vehicle, shown.design, [j.node for _, j in mine]),
+        drawn.filter_plot(shown.vehicle, shown.design, [j.flown for _, j in mine]),
     ]
 
 
@@ -200,15 +206,17 @@ def _tables(groups: Sequence[Group]) -> list[tuple[str, str, Sequence[PageTable]
     margins, budgets, lobes = list[PageTable](), list[PageTable](), list[PageTable]()
     for g in groups:
         _, _, *rows = margins_rows([(j.time_s, j.margins) for j in g.judged])
-        margins.append((g.stage, [_MARGINS, *rows]))
+        margins.append((titled("Margins", g.stage), [_MARGINS, *rows]))
         for crossing, unit, found in (
             ("phase margin", "deg", budget_rows(g.judged, "phase margin", "phase_deg")),
             ("upper gain margin", "dB", budget_rows(g.judged, "upper gain margin", "gain_db")),
         ):
             if found:
-                budgets.append((_named(g.stage, f"Budget of the {crossing}, {unit}"), found))
+                budgets.append((titled(f"Budget of the {crossing}, {unit}", g.stage), found))
         if rows := lobes_rows(g.judged):
-            lobes.append((g.stage, [tuple(head.replace("bending", "mode") for head in rows[0]), *rows[1:]]))
+            lobes.append(
+                (titled("Lobes", g.stage), [tuple(head.replace("bending", "mode") for head in rows[0]), *rows[1:]])
+            )
     parts = (
         ("Margins", "Over all crossings, where not of the rigid body.", margins),
         ("Error budgets", "Contribution of each part to gain or phase at the crossing that sets the margin.", budgets),

@@ -219,9 +219,9 @@ def margins_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str =
         (3, "least |1 + L|", [m.modulus for m in measured], least),
     )
     for n, (at, text, values, limit) in enumerate(curves):
-        name = ("up", "down")[n] if at == 0 else ""
+        name = ("upper", "lower")[n] if at == 0 else ""
         finite = np.where(np.isfinite(values), values, np.nan)
-        places[at].plot(time_s, finite, marker=MARKERS[0], **curve(int(name == "down")), label=name)
+        places[at].plot(time_s, finite, marker=MARKERS[0], **curve(int(name == "lower")), label=name)
         if limit is not None:
             places[at].axhline(limit, color=RED, linewidth=0.9, linestyle=":", label="limit")
         label(places[at], "time, s", text)
@@ -230,7 +230,7 @@ def margins_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str =
         style = {"color": RED, "markersize": 7, "linestyle": "none", "clip_on": False}
         place.plot(lost, np.zeros(len(lost)), "x", transform=place.get_xaxis_transform(), **style)
     for place in places:
-        place.set_ylim(bottom=0.0)
+        place.set_ylim(0.0, 1.06 * place.get_ylim()[1])
         if any(not text.startswith("_") for text in place.get_legend_handles_labels()[1]):
             place.legend(loc="upper right", ncols=3)
             place.set_ylim(top=1.3 * place.get_ylim()[1])
@@ -245,7 +245,8 @@ def lobes_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "
     for k, name in enumerate(labels):
         found = [(j.time_s, lobe) for j in judged for lobe in j.lobes if lobe.label == name]
         style = curve(k)
-        place.plot([t for t, _ in found], [lobe.peak_db for _, lobe in found], **style, label=name)
+        shown = name.replace("bending", "mode")
+        place.plot([t for t, _ in found], [lobe.peak_db for _, lobe in found], **style, label=shown)
         for how in ("phase", "gain"):
             some = [(t, lobe.peak_db) for t, lobe in found if lobe.stabilised == how]
             face = style["color"] if how == "phase" else "white"

@@ -30,8 +30,8 @@ from maxq.design.verify.names import stage_name
 from maxq.design.verify.own_flight import CaseDesign
 from maxq.design.verify.uncovered import Uncovered
 from maxq.sim.files import write_whole
-from maxq.sim.flight.metric_table import figures
 from maxq.sim.run.flight import Event
+from maxq.sim.run.quantities import number_text
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.cli.terminal import aligned, printable
@@ -49,7 +49,10 @@ GAIN_HEADS = {
     "k_alpha": "k_alpha",
     "percussion_m": "percussion, m",
     "accel_per_incidence_mps2": "per angle of attack, m/s2",
+    "k_zd_radspm": "k_zd, rad s/m",
+    "k_z_radpm": "k_z, rad/m",
 }
+DRIFT_GAINS = ("k_zd_radspm", "k_z_radpm")  # orders of magnitude below the others
 MET, MISSED = "met", "MISSED"
 KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
 _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
@@ -73,6 +76,7 @@ class AnalysisOrder:
     out: str | None = None
     page: bool = True
     plots: bool = False  # pictures of every operating point, too
+    points: str | None = None  # file of published derivatives instead of a scenario
 
 
 @dataclass(frozen=True)
@@ -104,7 +108,8 @@ def analysis_report(
 
     `judged_by` is `judged_by_text`. `loss` is that of the design's flight.
     """
-    where = f"along {order.scenario}, {order.axis}; loop opened at the gimbal command; {KINDS[order.kind]}"
+    way = "at" if order.points is not None else "along"
+    where = f"{way} {order.scenario}, {order.axis}; loop opened at the gimbal command; {KINDS[order.kind]}"
     if order.errata != "corrected" or order.plant != "flown":
         where += f"; errata: {order.errata}; plant: {order.plant}"
     parts: list[Sequence[str]] = [
@@ -151,9 +156,10 @@ def case_report(outcome: DesignOutcome, solution: Solution) -> str:
     """Return the report of `simdesign CASE`."""
     loaded, case = outcome.loaded, outcome.loaded.case
     design = outcome.design.of_stage(outcome.judged[0].node.stage)
+    where = f"along {case.scenario}" if case.points is None else f"at the points of {case.points}"
     head = [
         printable(f"{loaded.name}: {case.description}" if case.description else loaded.name),
-        f"{case.filter.structure}, {case.gains.schedule} gains; along {case.scenario}, {case.plane}; "
+        f"{case.filter.structure}, {case.gains.schedule} gains; {where}, {case.plane}; "
         f"{KINDS[case.loop]}; errata: {case.errata}; plant: {case.plant}",
     ]
     off, flown = outcome.dispersed_found, outcome.flown_found
@@ -161,7 +167,7 @@ def case_report(outcome: DesignOutcome, solution: Solution) -> str:
         head,
         limits_table([*outcome.found, *outcome.coupled_found]),
         limits_table(off, f"limits of {len(off[0].values)} dispersed plants") if off else [],
-        limits_table(flown, "the same design as it flies (sampled)") if case.loop != "sampled" else [],
+        limits_table(flown, "the same design as it flies (sampled)") if outcome.flies_otherwise else [],
         way_out_table(solution),
         design_table(design),
         search_table(solution),
@@ -217,13 +223,13 @@ def uncovered_record(found: Sequence[Uncovered]) -> list[dict[str, Any]]:
 
 def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
     """Return every limit, its worst value and the place."""
-    rows = [("limit", "verdict", "wanted", "worst", "at")]
+    rows = [("requirement", "outcome", "limit", "value", "at")]
     for check in checks:
         k, unit = check.worst, f" {check.unit}" if check.unit else ""
         at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
         digits = 4 if check.passed else 7  # after rounding, a miss may look like the limit
         value = float(check.values[k])
-        worst = "-" if math.isinf(value) else figures(value, digits) + unit  # no quantity there that could miss it
+        worst = "-" if math.isinf(value) else number_text(value, digits) + unit  # no quantity there that could miss it
         limit = f"{check.sense} {check.wanted:g}{unit}"
         rows.append((check.text, MET if check.passed else MISSED, limit, worst, at))
     return [title, *aligned(rows, "  ", right=(3, 4))]
@@ -246,7 +252,7 @@ def nodes_table(checks: Sequence[Check], judged: Sequence[JudgedLoop]) -> list[s
         cells = [number(float(c.values[n]), 3) + (" " if m else "!") for c, m in zip(shown, met, strict=True)]
         passed = "pass" if good and all(met) else "FAIL"
         rows.append((f"{j.time_s:g}", passed, "stable" if good else "UNSTABLE", *cells))
-    return ["at the nodes", *aligned(rows, "  ", right=(0, *range(3, 3 + len(shown))))]
+    return ["at the operating points", *aligned(rows, "  ", right=(0, *range(3, 3 + len(shown))))]
 
 
 def _bound(check: Check) -> str:
@@ -374,7 +380,8 @@ def design_table(design: Design) -> list[str]:
     names = (design.gains.over, *design.gain_names)
     rows = [tuple(GAIN_HEADS[name] for name in names)]
     for at, *gains in zip(*(design.gains.table[name] for name in names), strict=True):
-        rows.append((f"{at:g}", *(f"{gain:.4f}" for gain in gains)))
+        named = zip(names[1:], gains, strict=True)
+        rows.append((f"{at:g}", *(f"{g:.3g}" if name in DRIFT_GAINS else f"{g:.4f}" for name, g in named)))
     sections = [("section", "zero Hz", "zeta", "pole Hz", "zeta")]
     for q in design.filter.quadratic:
         cells = (f"{q.zero_hz:.3f}", f"{q.zero_zeta:.4f}", f"{q.pole_hz:.3f}", f"{q.pole_zeta:.4f}")
@@ -394,10 +401,10 @@ def search_rows(solution: Solution) -> list[tuple[str, str]]:
     """Return the names and texts of the search and of the certainty of the optimum."""
     c = solution.certificate
     counts = Counter(x.what for x in solution.constraints if x.active)
-    active = [f"{what} ({n} nodes)" if n > 1 else what for what, n in counts.items()]
+    active = [f"{what} ({n} points)" if n > 1 else what for what, n in counts.items()]
     active += [bound.text for bound in solution.bounds]
     worse = f"{c.worst_instant_db:.2g} dB" if c.worst_instant_db > 0.0 else "no"
-    between = f"{c.instants} instants tried; {worse} worse than the worst node at most"
+    between = f"{c.instants} instants tried; {worse} worse than the worst operating point at most"
     between = between if c.instants else solution.unchecked
     return [
         ("objective", f"{solution.objective_db:.4f} dB"),
@@ -419,7 +426,7 @@ def wind_table(outcome: DesignOutcome) -> list[str]:
         text, unit = one.about.label, one.about.unit
         cells = [_worst(values, times, unit) if values is not None else ("-", "") for values in (one.rms, one.before)]
         rows.append((text.removesuffix(", rms"), *cells[0], *cells[1]))
-    before = outcome.loaded.scenario.design
+    before = None if outcome.loaded.base is None else outcome.loaded.base.design
     named = f" (before: {before.name or 'design'}, the scenario's own design)" if before is not None else ""
     return [printable(f"in the case's wind{named}"), *aligned(rows, "  ", right=(1, 2, 3, 4))]
 
@@ -428,7 +435,7 @@ def _worst(values: Array, times_s: Sequence[float], unit: str) -> tuple[str, str
     """Return the largest value and its operating point. An unstable loop has none."""
     k = int(np.argmax(np.isnan(values) if np.isnan(values).any() else values))
     value = float(values[k])
-    return "unstable" if math.isnan(value) else f"{figures(value, 4)} {unit}", f"{times_s[k]:g} s"
+    return "unstable" if math.isnan(value) else f"{number_text(value)} {unit}", f"{times_s[k]:g} s"
 
 
 def _lobe(lobe: Lobe | None, stable: bool) -> str:

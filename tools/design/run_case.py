@@ -44,7 +44,7 @@ from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit, Interruption
 from maxq.tools.cli.terminal import Progress, aligned, tell
-from maxq.tools.design.page import DesignPage, PageTable, other_plane, write_page
+from maxq.tools.design.page import DesignPage, PageTable, other_plane, titled, write_page
 from maxq.tools.design.report import (
     KINDS,
     Group,
@@ -223,13 +223,11 @@ def _page(made: CaseDesign, verdict: str, command: str) -> DesignPage:
         nodes = partial(_nodes, loaded)
         others += other_plane(outcome.judged, outcome.design, loaded.case.loop, nodes)
         wanted[_number(outcome)] = outcome.wanted
-        more.append((stage, [(), *search_rows(solution)]))
+        more.append((titled("Search", stage), [(), *search_rows(solution)]))
         if loaded.case.loop != "sampled":
-            flown.append(
-                (", ".join(filter(None, (stage, "the same design as it flies, sampled"))), outcome.flown_found)
-            )
+            flown.append((titled("Limits of the same design as it flies, sampled", stage), outcome.flown_found))
         for title, lines in (("Way out", way_out_table(solution)), ("In the wind of the case", wind_table(outcome))):
-            texts += [(", ".join(filter(None, (title, stage))), lines[1:])] if lines else []
+            texts += [(titled(title, stage), lines[1:])] if lines else []
     loaded, cases = made.results[0][0].loaded, [outcome.loaded.case for outcome, _ in made.results]
     case = loaded.case
     return DesignPage(
@@ -300,7 +298,7 @@ def _draw(
 ) -> list[Path]:
     from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: Matplotlib, with --plots only
 
-    loaded, nodes = outcome.loaded, [j.node for j in outcome.judged]
+    loaded, nodes = outcome.loaded, [j.flown for j in outcome.judged]
     stage = _number(outcome)
     tanks = loaded.scenario.vehicle.stage[stage].pendulum_names
     sheets = [

@@ -13,7 +13,6 @@ import itertools
 import json
 import math
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from maxq.design import operating_points
 from maxq.design.case.basis import Robust
@@ -43,6 +43,7 @@ from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.design.analyse import effects
+from maxq.tools.dev.pictures.tour import save_small
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES, PARAMETERS, PICTURES = DOCS / "case-study", DOCS / "case-study.json", DOCS / "pictures" / "case-study"
@@ -244,7 +245,7 @@ def errata() -> list[str]:
         mine = [e for e in found if e.erratum == name]
         lost = sum(e.printed.get("unstable", 0.0) > 0.0 for e in mine)
         cells = [_largest(e.change(key) for e in mine) for key in ("peak 1", "peak 2")]
-        unstable = f"unstable at {lost} nodes"
+        unstable = f"unstable at {lost} operating points"
         cells += [unstable if lost else _largest(e.change(key) for e in mine) for key in ("gain", "phase")]
         about = EXPLAINED[name]
         printed = about.printed if about.printed != "none" else f"left out: {about.corrected}"
@@ -495,18 +496,23 @@ TABLES: dict[str, Callable[[], list[str]]] = {
 def copy_pictures() -> None:
     """Copy the pictures of `simdesign` under the names that the chapter uses."""
     drawn = RUNS / "optima-flown-identical"
-    shutil.copy(drawn / "orders-peaks.png", PICTURES / "peaks-identical.png")
-    shutil.copy(RUNS / "optima-flown-relaxed" / "orders-peaks.png", PICTURES / "peaks-relaxed.png")
+    _copy(drawn / "orders-peaks.png", PICTURES / "peaks-identical.png")
+    _copy(RUNS / "optima-flown-relaxed" / "orders-peaks.png", PICTURES / "peaks-relaxed.png")
     for kind, schedule in itertools.product(("gains", "filters"), SCHEDULES):
-        shutil.copy(drawn / f"orders-{kind}-{schedule}.png", PICTURES / f"{kind}-{schedule}.png")
+        _copy(drawn / f"orders-{kind}-{schedule}.png", PICTURES / f"{kind}-{schedule}.png")
     for name in COMPARED:
         kept(f"analysis-{name}/analysis.json", "simdesign", "analyse", name, "--kind", "sampled", "--plots")
         folder = RUNS / f"analysis-{name}"
-        shutil.copy(folder / "loop-040.0s.png", PICTURES / f"loop-{name}.png")
-        shutil.copy(folder / "lobes.png", PICTURES / f"lobes-{name}.png")
-        shutil.copy(folder / "margins.png", PICTURES / f"margins-{name}.png")
+        _copy(folder / "loop-040.0s.png", PICTURES / f"loop-{name}.png")
+        _copy(folder / "lobes.png", PICTURES / f"lobes-{name}.png")
+        _copy(folder / "margins.png", PICTURES / f"margins-{name}.png")
     for path in drawn.glob("vehicle-*.png"):
-        shutil.copy(path, PICTURES / path.name)
+        _copy(path, PICTURES / path.name)
+
+
+def _copy(drawn: Path, target: Path) -> None:
+    with Image.open(drawn) as picture:
+        save_small(picture.convert("RGB"), target)
 
 
 def page_of(name: str) -> Path:

@@ -6,6 +6,7 @@
 (() => {
   const SVG = "http://www.w3.org/2000/svg", LETTER = 6.1, FONT = 10.5;
   const M_DB = [-20, -12, -6, -3, -1, 0.5, 1, 3, 6, 12], N_DEG = [10, 30, 60, 90, 120, 150, 210, 240, 270, 300, 330, 350];
+  const KEYS = "arrow keys read values along a curve and of the next curve, + and - zoom, Escape shows all";
   const RADII = [9, 15, 23, 34, 48, 66], ANGLES = [...Array(12).keys()].map((k) => k * Math.PI / 6);
 
   const make = (parent, tag, text = "", attributes = {}) => {
@@ -137,7 +138,7 @@
     const scale = (log, [low, high]) => log ? (v) => Math.log(v / low) / Math.log(high / low) : (v) => (v - low) / (high - low);
     const fx = scale(panel.log_x, xs), fy = scale(panel.log_y, ys);
     const X = (v) => box.left + w * fx(v), Y = (v) => box.top + h * (panel.down ? fy(v) : 1 - fy(v));
-    const svg = make(frame, "svg", "", { viewBox: `0 0 ${width} ${height}`, role: "img", tabindex: 0, "aria-label": [panel.title, panel.y, panel.x && `over ${panel.x}`].filter(Boolean).join(", ") });
+    const svg = make(frame, "svg", "", { viewBox: `0 0 ${width} ${height}`, role: "img", tabindex: 0, "aria-label": [panel.title, panel.y, panel.x && `over ${panel.x}`].filter(Boolean).join(", "), "aria-description": KEYS });
     const id = "c" + (draw.count = (draw.count || 0) + 1);
     make(make(make(svg, "defs"), "clipPath", "", { id }), "rect", "", { x: box.left, y: box.top, width: w, height: h });
     const line = (parent, x1, y1, x2, y2, name, more = {}) => make(parent, "line", "", { x1, y1, x2, y2, style: `stroke:${colour(name)}`, ...more });

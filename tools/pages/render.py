@@ -21,7 +21,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from maxq.sim.flight.metric_table import figures
+from maxq.sim.run.quantities import number_text
 from maxq.tools.plots.figures import Plot, as_json
 
 
@@ -29,7 +29,8 @@ def render(template: str, plots: Sequence[Plot] = (), **values: Any) -> str:
     """Return the page. A name that a template uses must be among `values`, or `plots`, or `date` (by default today).
 
     Headings, figures and tables with a caption are numbered. The headings are listed at the mark <!-- contents --> of a
-    template. The first row of a table of heads is its head, which a print repeats on each page.
+    template. The first row of a table of heads is its head, which a print repeats on each page. Heads are those of
+    their columns unless the template states their scope.
     """
     given: dict[str, Any] = {"date": datetime.date.today().isoformat(), "plots": plots, "figures": "", "script": ""}
     if plots:
@@ -39,9 +40,10 @@ def render(template: str, plots: Sequence[Plot] = (), **values: Any) -> str:
     page = _numbered(page, r"<h2>(.*?)</h2>", lambda n, name: f'<h2 id="s{n}">{n} {name}</h2>')
     page = _numbered(page, r"<figcaption>(.*?)", lambda n, _: f"<figcaption><b>Figure {n}.</b> ")
     listed = "".join(f'<li><a href="#s{n}">{name}</a></li>' for n, name in enumerate(names, 1))
-    page = page.replace("<!-- contents -->", f"<nav><ol>{listed}</ol></nav>")
+    page = page.replace("<!-- contents -->", f'<nav aria-label="contents"><ol>{listed}</ol></nav>')
     page = _numbered(page, r"<caption>(.*?)", lambda n, _: f"<caption><b>Table {n}.</b> ")
-    head = r"<table>\s*(<caption>.*?</caption>)?\s*(<tr>\s*<th\b.*?</tr>)"
+    page = re.sub(r"<th(?=[ >])(?! scope)", '<th scope="col"', page)
+    head = r'<table>\s*(<caption>.*?</caption>)?\s*(<tr>\s*<th scope="col".*?</tr>)'
     return re.sub(head, r"<table>\1<thead>\2</thead>", page, flags=re.DOTALL)
 
 
@@ -67,7 +69,7 @@ def _environment() -> Environment:
     )
     made.filters["number"] = number
     made.filters["in_css"] = _in_css
-    made.filters["figures"] = figures
+    made.filters["number_text"] = number_text
     return made
 
 

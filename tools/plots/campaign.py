@@ -49,6 +49,12 @@ def replay(folder: Path, run: int | str) -> str:
     return f"simrun refly {shlex.quote(str(folder))} --run {run}"
 
 
+def unseen_text(tails: Sequence[tuple[Judged, Tail]]) -> str:
+    """Return the limitation of all estimates from runs: mechanisms that may occur in none of them."""
+    most = max((tail.unseen for _, tail in tails if not tail.problem), default=math.nan)
+    return f"A mechanism in up to {100.0 * most:.2g} % of flights may occur in no run and is then not in the estimate"
+
+
 def plots(
     data: DataSet,
     verdicts: Sequence[Judged],
@@ -81,7 +87,8 @@ def plots(
             "tails",
             "Tails",
             [_tail(v, tail) for v, tail in fitted],
-            "Runs beyond the threshold against the fitted distribution; on the line the fit is exact.",
+            "Runs beyond the threshold against the fitted distribution; on the line the fit is exact. "
+            f"{unseen_text(tails)}.",
             columns=3,
             height=170,
         ),

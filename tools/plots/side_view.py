@@ -45,5 +45,5 @@ def figure(title: str, bodies: Sequence[Series], marks: Iterable[tuple[str, floa
     height = int(min(max(110.0 + 960.0 * 2.0 * half_m / tail_m, 150.0), 420.0))
     along, across = (-0.02 * tail_m, 1.02 * tail_m), (-half_m, half_m)
     hulls = [s | {"solid": True} if s.get("fill") == "page" else s for s in bodies]  # names avoid these
-    panel = Panel("", [*hulls, *marked], "station, m aft of the nose", "m", along, across, equal=True)
+    panel = Panel("", [*hulls, *marked], "station, m aft of the nose", "radius, m", along, across, equal=True)
     return Plot("vehicle", title, [panel], caption, 1, height)

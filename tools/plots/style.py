@@ -148,7 +148,7 @@ def settle(figure: Figure) -> None:
     _take_as_written(figure)
     title = figure._suptitle  # type: ignore[attr-defined]  # newer releases give access to its text only
     if title is not None and "\n" not in title.get_text():
-        room = 0.98 * figure.bbox.width / title.get_window_extent(FigureCanvasAgg(figure).get_renderer()).width  # type: ignore[no-untyped-call]
+        room = 0.98 * figure.bbox.width / title.get_window_extent(FigureCanvasAgg(figure).get_renderer()).width  # type: ignore[no-untyped-call]  # Matplotlib does not annotate it
         if room < 1.0:
             title.set_text(textwrap.fill(title.get_text(), max(int(0.92 * room * len(title.get_text())), 10)))
     layout = figure.get_layout_engine()
@@ -157,7 +157,7 @@ def settle(figure: Figure) -> None:
         layout.execute(figure)  # once more: the ticks of the smaller axes may differ
         figure.set_layout_engine("none")
     if any(str(text.get_gid()).startswith(_FLOATING) for place in figure.axes for text in place.texts):
-        renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
+        renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]  # Matplotlib does not annotate it
         for place in figure.axes:
             _place_names(place, renderer)
 

@@ -13,7 +13,6 @@ from typing import Any, Literal
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, TimelineColumn
 
 from maxq.control.kernel.records import Array
 from maxq.sim.log.messages import FramePath
@@ -21,7 +20,7 @@ from maxq.tools.plots.palette import BLUE, FAILED, GREY, ON_DARK, ORANGE, PURPLE
 from maxq.tools.replay import stream
 from maxq.tools.replay.flight import FEW, ReplayFlight, ShownLaunchSite, closest, has_motion, path_of, place_of
 from maxq.tools.replay.plots import PlotAxis, ReplayPlot, Tab, axis_of, own_tabs, range_of, tabs_of
-from maxq.tools.replay.scene import FAR_NS, Scene, send_ground, tail_below_cg
+from maxq.tools.replay.scene import FAR_NS, Scene, compass_ends, send_ground, tail_below_cg
 from maxq.tools.replay.text import about, drawn_text
 from maxq.tools.replay.vehicle_shape import Exaggeration, VehicleShape, exaggeration_of, shape_of
 from maxq.tools.replay.viewer import ReplayError
@@ -39,6 +38,8 @@ _WHOLE = 0.04  # share of an axis for half a number
 _BEHIND = 0.07  # of the powered flight, visible after it, so that the number at its end is whole
 _LEGEND_LINES = 4  # with more curves than this, a legend covers the curves of several flights
 _LEGEND_MOST = COLOURED = 6  # flights with their own colour and name; more names would cover the plots
+_PLOT_PX = 420.0, 730.0  # width of a plot of two columns, and height of all plots of a column, in a picture
+_PHASED = 6  # flights whose phases are shown
 _MOSTLY = 0.9  # share of the time under thrust above which only the whole flight is shown
 
 
@@ -52,6 +53,7 @@ class Options:
     side_by_side: bool = False
     tab: str | None = None
     bare: bool = False  # without the viewer's menu, for a picture
+    at: Sequence[float] | None = None  # times of pictures, s: in front are plots of a part of the flight with them
 
 
 @dataclass(frozen=True)
@@ -112,15 +114,15 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
             family.add(flight.label, colour, own, flight.log)
         else:
             plotted.append(root)
-            prefix = f"{flight.label}{', FAILED' if flight.verdict == 'failed' else ''}: " if many else ""
-            stream.send_styles(recording, root, own, colour, prefix, alpha=1.0 if len(flights) <= FEW else 0.55)
+            stream.send_styles(
+                recording, root, own, colour, prefix_of(flight, many=many), alpha=1.0 if len(flights) <= FEW else 0.55
+            )
             stream.send_curves(recording, root, own, flight.log, interval_ns)
         for plot in (plot for tab in own for plot in tab.plots):
             for name, part_s in parts.items():
                 seen_ns = (round(s * 1e9) for s in seen_of(part_s, span_s))
                 if (found := plot.value_range(flight.log, *seen_ns)) is not None:
                     ranges.setdefault((name, plot.key), []).append(found)
-        stream.send_events(recording, root, flight.moments, f"{flight.label}: " if many else "")
         start = stream.first_phase(flight.log, round(flight.span_s[0] * 1e9))
         stream.send_phases(recording, root, stream.phases(start, flight.moments), styled=True)
         if has_motion(flight.log):
@@ -128,12 +130,20 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
 
     if family is not None:
         family.send(recording)
+    listed = [(flight.label, flight.moments) for i, flight in enumerate(flights) if i in near]
+    note = f"Events of the {len(listed)} flights whose vehicles are drawn." if len(listed) < len(flights) else ""
+    stream.send_events(recording, listed, round(span_s[0] * 1e9), note)
     every = [plot for tab in tabs for plot in tab.plots]
     spans = []
     for name, (start_s, end_s) in parts.items():
         axes = {p.key: axis_of(p, range_of([np.array(r) for r in ranges.get((name, p.key), [])])) for p in every}
         seen_s = seen_of((start_s, end_s), span_s)
-        corners = {p.key: free_corner(p, axes[p.key], seen_s, flights) for p in every} if len(flights) <= FEW else {}
+        corners = {
+            plot.key: free_corner(plot, axes[plot.key], seen_s, flights, rows_and_columns(tab)[0])
+            for tab in tabs
+            for plot in tab.plots
+            if len(flights) <= FEW
+        }
         spans.append(TimeSpan(name, seen_s, axes, corners))
     for plot in every:
         axis = spans[-1].axes[plot.key]
@@ -142,7 +152,14 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
     text = about(flights, drawn_text(exaggeration, None if many else drawn[0].place) if drawn else [])
     recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
     pictures = _pictures(recording, roots, drawn, exaggeration, options.side_by_side) if drawn else []
-    return layout(roots, pictures, tabs, spans, plotted=plotted, tab=options.tab, bare=options.bare)
+    front = part_with([span.span_s for span in spans], options.at or ())
+    return layout(roots, pictures, tabs, spans, plotted=plotted, tab=options.tab, bare=options.bare, front=front)
+
+
+def part_with(parts_s: Sequence[tuple[float, float]], times_s: Sequence[float]) -> int:
+    """Return the number of the first part that contains all times, or that of the last part, the whole flight."""
+    inside = (k for k, (start_s, end_s) in enumerate(parts_s) if all(start_s <= t <= end_s for t in times_s))
+    return next(inside, len(parts_s) - 1)
 
 
 def seen_of(part_s: tuple[float, float], span_s: tuple[float, float]) -> tuple[float, float]:
@@ -202,7 +219,8 @@ def _pictures(
     reach = float(np.abs(positions[:, :2]).max(initial=0.0))
     length = first.shape.length_m if first.shape is not None else 10.0
     grid = send_ground(recording, first.place, max(reach, 100.0), tail_below_cg(first.flight.log, first.shape))
-    eyes = eyes_for(length, first.place.site.azimuth_deg, positions)
+    seen = np.concatenate([positions, compass_ends(first.place, max(reach, 100.0))])
+    eyes = eyes_for(length, first.place.site.azimuth_deg, seen)
     factor = ex.text(first.flight.log.table) if first.shape else ""
     close: list[rrb.View | rrb.Container] = []
     for each in drawn:
@@ -275,7 +293,7 @@ def plot_view(plot: ReplayPlot, span: TimeSpan, roots: Sequence[str], legend: bo
     """
     axis = span.axes.get(plot.key)
     beyond = axis.beyond_text("") if axis is not None else ""
-    shown = None if axis is None else rrb.archetypes.ScalarAxis(range=with_scale(axis.low, axis.high, 30 // rows))
+    shown = None if axis is None else rrb.archetypes.ScalarAxis(range=with_scale(axis.low, axis.high, 33 // rows))
     return rrb.TimeSeriesView(
         name=f"{plot.heading}{f', {beyond}' if beyond else ''}",
         origin="/",
@@ -301,10 +319,25 @@ def with_scale(low: float, high: float, most: int) -> tuple[float, float]:
     return min(low, first * step - room), max(high, last * step + room)
 
 
+def prefix_of(flight: ReplayFlight, *, many: bool) -> str:
+    """Return the words before the name of a curve of one of many flights."""
+    return f"{flight.label}{', FAILED' if flight.verdict == 'failed' else ''}: " if many else ""
+
+
+def rows_and_columns(tab: Tab) -> tuple[int, int]:
+    """Return the arrangement of a tab's plots: side by side, they are high enough for numbers at their axes."""
+    columns = 2 if len(tab.plots) > 2 else 1
+    return -(-len(tab.plots) // columns), columns
+
+
 def free_corner(
-    plot: ReplayPlot, axis: PlotAxis, span_s: tuple[float, float], flights: Sequence[ReplayFlight]
+    plot: ReplayPlot, axis: PlotAxis, span_s: tuple[float, float], flights: Sequence[ReplayFlight], rows: int
 ) -> rrb.Corner2D:
-    """Return the corner with the least of the curves in it, for the legend."""
+    """Return the corner where the legend hides least of the curves. `rows` is the number of plots in a column."""
+    names = [prefix_of(f, many=len(flights) > 1) + c.label for f in flights for c in plot.curves]
+    names += [f"limit: {text}" for text in {limit.text for limit in axis.drawn}]
+    wide = min((40.0 + 7.5 * max(map(len, names))) / _PLOT_PX[0], 0.9)  # shares of the plot
+    tall = min((16.0 + 23.0 * len(names)) * rows / _PLOT_PX[1], 0.9)
     inside = dict.fromkeys(_CORNERS, 0.0)
     for flight in flights:
         for curve in (c for c in plot.curves if c.channel in flight.log):
@@ -314,7 +347,7 @@ def free_corner(
             x = (ns[some] / 1e9 - span_s[0]) / max(span_s[1] - span_s[0], 1e-9)
             y = (values[some] - axis.low) / (axis.high - axis.low)
             for corner, (right, top) in _CORNERS.items():
-                there = (x > 0.62 if right else x < 0.38) & (y > 0.65 if top else y < 0.35)  # as large as a legend
+                there = (x > 1.0 - wide if right else x < wide) & (y > 1.0 - tall if top else y < tall)
                 inside[corner] += float(there.mean()) if len(x) else 0.0
     return min(inside, key=lambda corner: inside[corner])
 
@@ -379,44 +412,40 @@ def layout(
     live: bool = False,
     tab: str | None = None,
     bare: bool = False,
+    front: int = 0,
 ) -> rrb.Blueprint:
     """Return the whole window: `pictures` (close-up, overview) if there are any, plots in tabs, phases, events, a page.
 
-    `plotted` are the roots of the plotted entities, if they are not those of the flights.
+    `plotted` are the roots of the plotted entities, if they are not those of the flights. `front` is the number of the
+    span whose plots are in front.
     """
     plotted = roots if plotted is None else plotted
 
     def tabs_over(span: TimeSpan) -> rrb.Tabs:
         pages = []
-        for page in tabs:  # side by side, they are high enough for the viewer to write numbers at their axes
-            columns = 2 if len(page.plots) > 2 else 1
-            rows = -(-len(page.plots) // columns)
+        for page in tabs:
+            rows, columns = rows_and_columns(page)
             most = max(_LEGEND_LINES, len(roots) * min(len(p.curves) for p in page.plots)) if len(roots) > 1 else 99
             named = [len(roots) <= _LEGEND_MOST and len(roots) * len(p.curves) <= most for p in page.plots]
             views = [plot_view(p, span, plotted, legend, rows) for p, legend in zip(page.plots, named, strict=True)]
             pages.append(rrb.Grid(contents=views, grid_columns=columns, name=page.name))
         return rrb.Tabs(contents=pages, active_tab=_tab_number(tabs, tab), name=span.name or None)
 
-    plots = rrb.Tabs(contents=[tabs_over(span) for span in spans]) if len(spans) > 1 else tabs_over(spans[0])
+    plots = tabs_over(spans[0])
+    if len(spans) > 1:
+        plots = rrb.Tabs(contents=[tabs_over(span) for span in spans], active_tab=front)
+    phased = roots[:_PHASED]
     phases = rrb.StateTimelineView(
         name="Phases",
         origin="/",
-        contents=[f"+ /{root}/phase" for root in roots[:6]],
+        contents=[f"+ /{root}/phase" for root in phased],
         time_view=time_axis(spans[-1].span_s),
     )
-    shown = [TextLogColumn(TextLogColumnKind.Body)]
-    events = rrb.TextLogView(
-        name="Events",
-        origin="/",
-        contents=[f"+ /{root}/events" for root in roots],
-        columns=rrb.archetypes.TextLogColumns(
-            timeline_columns=[TimelineColumn(stream.TIMELINE, visible=False)], text_log_columns=shown
-        ),
-    )
+    events = rrb.TextDocumentView(name="Events", origin="events")
     now = rrb.TextDocumentView(name="Now", origin="now")
     about = rrb.TextDocumentView(name="About", origin="about")
     columns = [
-        rrb.Vertical(contents=[plots, phases], row_shares=[6, 1]),
+        rrb.Vertical(contents=[plots, phases], row_shares=[9, 0.75 + 0.25 * len(phased)]),
         rrb.Vertical(contents=[now, events, about], row_shares=[2, 2, 3]),
     ]
     shares = [5.8, 3.0]

@@ -14,11 +14,12 @@ from maxq.control.kernel.records import Array, IntArray
 KeptRows = NDArray[np.intp]
 
 
-def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> KeptRows:
+def extremes(times_ns: IntArray, values: Array, interval_ns: int, *, even: bool = False) -> KeptRows:
     """Return the rising indices of the samples of `values` (n,) to keep: smallest and largest in each interval.
 
     Gaps (nan) remain gaps: an interval without numbers keeps one nan. Samples inside a constant stretch are omitted
-    without loss.
+    without loss. With `even`, this applies only if all samples are equal: Rerun merges a fixed number of samples to a
+    pixel, so that a stretch with few of them would be drawn at the value before it.
     """
     n = len(values)
     if n < 3:
@@ -34,6 +35,8 @@ def extremes(times_ns: IntArray, values: Array, interval_ns: int) -> KeptRows:
             kept = np.flatnonzero(chosen)
     line = values[kept]
     same = (line[1:] == line[:-1]) | (np.isnan(line[1:]) & np.isnan(line[:-1]))
+    if even and not same.all():
+        return kept
     bends = np.ones(len(line), bool)
     bends[1:-1] = ~(same[1:] & same[:-1])
     return kept[bends]
@@ -90,5 +93,5 @@ def every(times_ns: IntArray, period_ns: int, last_period: int = -1) -> KeptRows
 
 
 def last_before(times_ns: IntArray, at_ns: IntArray) -> KeptRows:
-    """Return the indices of the last rows at or before times of another rate."""
+    """Return, for each time `at_ns`, the index of the last row at or before it, or 0."""
     return np.clip(np.searchsorted(times_ns, at_ns, side="right") - 1, 0, None)

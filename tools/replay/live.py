@@ -239,7 +239,7 @@ class LiveView:
                 continue
             moment = Moment(event.name, event.time_ns, event.text, LEVELS.get(event.name, Level.INFO))
             self._moments[event] = moment
-            stream.send_events(self._recording, _ROOT, [moment])
+            stream.send_events(self._recording, [("", [*self._moments.values()])], moment.time_ns)
             now = stream.phases(self._phases[0], self._moments.values())
             stream.send_phases(self._recording, _ROOT, [p for p in now if p not in self._phases], styled=False)
             self._phases = now

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.tools.plots.palette import ORANGE, SKY, rgba
-from maxq.tools.replay.vehicle_shape import StageShape, TankShape, VehicleShape
+from maxq.tools.replay.vehicle_shape import BoosterShape, StageShape, TankShape, VehicleShape
 
 SIDES = 24
 _SKIN, _WALL, _METAL, _LIQUIDS = [236, 240, 246, 58], [190, 200, 215, 40], [96, 100, 110, 255], (SKY, ORANGE)
 LOAD_SHARES = (0.0, 0.33, 0.67, 1.0, 1.02)
+_BOOSTER = [225, 228, 234, 170]
 _FIN, _RIB = [150, 156, 166, 255], [120, 128, 140, 255]
 
 
@@ -130,6 +131,7 @@ def vehicle_meshes(shape: VehicleShape, number: int, loaded: bool) -> list[tuple
             "rib": (_RIB, [revolved(_ring(x - a, radius), 32) for x, radius in radii]),
             "tanks": (_WALL, [_tank_wall(tank, a, b) for stage in flying for tank in stage.tanks]),
             "fins": (_FIN, [fin for stage in flying for fin in _fins(stage, a, b)]),
+            "boosters": (_BOOSTER, [_booster(one, a, b) for one in flying[0].boosters]),
         }
         for name, (colour, meshes) in parts.items():
             if there := [m for m in meshes if m is not None]:
@@ -216,6 +218,25 @@ def _fins(stage: StageShape, a: float, b: float) -> list[Mesh]:
         plate([(a - x, math.cos(angle) * r, math.sin(angle) * r) for x, r in corners], 0.02 * fins.root_chord_m)
         for angle in angles
     ]
+
+
+def booster_mesh(booster: BoosterShape) -> rr.Mesh3D:
+    """Return a whole booster, in coordinates whose origin is the nose of the vehicle."""
+    skin = _booster(booster, 0.0, math.inf)
+    assert skin is not None
+    return mesh3d(skin, _BOOSTER)
+
+
+def _booster(booster: BoosterShape, a: float, b: float) -> Mesh | None:
+    """Return the skin of a booster between two stations."""
+    stations, radii = booster.profile.T
+    front, end = max(a, float(stations[0])), min(b, float(stations[-1]))
+    if end - front <= 1e-9:
+        return None
+    cuts = np.unique(np.concatenate([[front, end], stations[(stations > front) & (stations < end)]]))
+    values = np.interp(cuts, stations[:-1], radii[:-1])
+    skin = revolved([(a - s, r) for s, r in zip(cuts[::-1], values[::-1], strict=True)])
+    return Mesh(skin.vertices + np.array([0.0, *booster.position_m]), skin.triangles)
 
 
 def _bell(length: float, exit_radius: float) -> list[tuple[float, float]]:

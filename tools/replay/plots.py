@@ -35,7 +35,7 @@ class Limit:
 
     @property
     def text(self) -> str:
-        return f"{self.label}: {abs(self.value):g}"
+        return f"{self.label} {abs(self.value):g}"
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ _TABLE: dict[str, list[_Row]] = {
              {"distance": _distance_km}, glance=(2, "{}")),
         _Row("speed", "speed", "m/s",
              {"over the ground": "speed_mps", "through the air": "airspeed_mps"}, glance=(1, "speed, {}")),
-        _Row("path_angle", "flight path and pitch above the horizon", "deg",
+        _Row("path_angle", "angle above the horizon", "deg",
              {"flight path": "flight_path_deg", "body axis": "pitch_deg"}, compute={"flight path": _in_motion},
              glance=(1, "{}")),
         _Row("mach", "Mach number", "", {"Mach number": "mach"}, glance=(1, "{}")),
@@ -188,7 +188,7 @@ _TABLE: dict[str, list[_Row]] = {
         _Row("density", "density", "kg/m3", {"density": "density_kgpm3"}),
     ],
     "Attitude": [
-        *(_Row(axis, f"{axis}: turned since the start", "deg",
+        *(_Row(axis, f"{axis} angle since the start", "deg",
                {f"{axis} commanded": f"{axis}_commanded_deg", f"{axis} by the gyro": f"{axis}_measured_deg"})
           for axis in AXES),
         _Row("error", "attitude error in the computer", "deg", {axis: f"error_{axis}_deg" for axis in AXES},
@@ -208,23 +208,23 @@ _TABLE: dict[str, list[_Row]] = {
     ],
     "Bending": [
         row for axis in PLANES for row in (
-            _Row(axis, f"{axis} bending: motion of the gimbal by modes", "mm",
+            _Row(axis, f"bending at the gimbal, {axis}", "mm",
                  {f"{axis} mode {{}}": f"eta_{axis}_{{}}_m"}, 1e3,
                  limits=("max_bending_m",), both=True, glance=(1, "bending, {}")),
-            _Row(f"{axis}_gyro", f"{axis} rate of bending at the gyro", "deg/s",
+            _Row(f"{axis}_gyro", f"bending rate at the gyro, {axis}", "deg/s",
                  {"all modes": f"bending_{axis}_rate_degps", "mode {}": f"eta_{axis}_{{}}_mps"},
                  compute={"mode {}": _gyro_rate_of_mode}),
         )
     ],
     "Slosh": [
-        *(_Row(axis, f"slosh pendulums, {axis} plane", "deg", {f"{{}} {axis}": f"slosh_{{}}_{axis}_deg"},
+        *(_Row(axis, f"slosh angle, {axis}", "deg", {f"{{}} {axis}": f"slosh_{{}}_{axis}_deg"},
                limits=("max_slosh_deg",), both=True, glance=(99, "slosh {}"))
           for axis in PLANES),
         _Row("rate", "slosh rates", "deg/s", {f"{{}} {axis}": f"slosh_{{}}_{axis}_rate_degps" for axis in PLANES}),
-        _Row("force", "force of the pendulums' rods", "kN", {"{}": "slosh_{}_tension_N"}, 1e-3),
+        _Row("force", "force of the slosh pendulums", "kN", {"{}": "slosh_{}_tension_N"}, 1e-3),
     ],
     "Computer": [
-        _Row("counts", "V/F pulses in each sample", "counts", {axis: f"counts_{axis}" for axis in AXES}),
+        _Row("counts", "gyro pulses in each sample", "counts", {axis: f"counts_{axis}" for axis in AXES}),
         *(_Row(f"filter_{axis}", f"{axis} bending filter", "deg",
                {f"{axis}: in, from the law": f"law_{axis}_deg", f"{axis}: out": f"filtered_{axis}_deg"})
           for axis in PLANES),
@@ -368,5 +368,5 @@ def axis_of(plot: ReplayPlot, found: tuple[float, float] | None) -> PlotAxis:
     if high - low < 1e-9 * max(abs(high), abs(low), 1e-3):  # a constant
         room = max(0.5 * abs(high), 1.0 if high == 0.0 else 0.0)
         low, high = low - room, high + room
-    margin = 0.06 * (high - low)
+    margin = 0.045 * (high - low)
     return PlotAxis(low - margin, high + margin, drawn, beyond)

@@ -19,10 +19,11 @@ import rerun as rr
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.log.messages import FramePath
 from maxq.sim.run.launch_frames import LaunchFrames
+from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.plots.palette import BLUE, ORANGE, RED, SKY, WHITE, rgba
 from maxq.tools.replay.decimate import KeptRows, changed, every, last_before
 from maxq.tools.replay.flight import Channels, Moment, ShownLaunchSite, path_of
-from maxq.tools.replay.meshes import liquid_vertices, load_colours, mesh3d, plate, vehicle_meshes
+from maxq.tools.replay.meshes import booster_mesh, liquid_vertices, load_colours, mesh3d, plate, vehicle_meshes
 from maxq.tools.replay.stream import matrices, set_time, times
 from maxq.tools.replay.vehicle_shape import (
     PLANES,
@@ -42,6 +43,7 @@ FAR_NS = 100_000_000
 _BEND_STEP_M, _LEVEL_STEP_M, _ANGLE_STEP_DEG = 2e-4, 1e-3, 2e-3  # smaller changes are not sent
 _LOAD_STEP = 0.02  # of the limit
 _STEEPEST = math.tan(math.radians(60.0))
+_FALL_NS, _DRIFT_mps = 6_000_000_000, 2.0  # of a booster that has left, as it is shown
 _MARKS_APART = 0.04  # of the extent of a trajectory, so that names on it are legible
 _NO_SHAPE_M = 10.0  # length of an unknown vehicle
 _GRID, _PAD, _BLOCK, _COMPASS = [74, 88, 106, 150], [96, 112, 132, 255], [110, 100, 88, 255], [150, 160, 175, 255]
@@ -109,12 +111,12 @@ class Scene:
         azimuth = math.radians(self._place.site.azimuth_deg)
         forward = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
         share = np.linspace(0.0, 1.0, 21)
-        points = self._size * (-0.62 * forward + (share[:, None] - 0.5) * np.array([0.0, 0.0, 0.7]))
+        points = self._size * (-0.5 * forward + (share[:, None] - 0.5) * np.array([0.0, 0.0, 0.7]))
         colours = load_colours(0.5 * (share[1:] + share[:-1])) | np.uint32(255)
         strips = rr.LineStrips3D(np.stack([points[:-1], points[1:]], axis=1), colors=colours, radii=0.012 * self._size)
         self._log("vehicle/legend", strips)
-        largest = f"{self._largest_moment_Nm / 1e3:.3g} kN m: largest value so far"
-        labels = ["bending moment: 0", "50 %", largest if sections.limit_Nm is None else "100 % of the limit"]
+        largest = f"maximum {self._largest_moment_Nm / 1e3:.3g} kN m"
+        labels = ["0", "50 %", largest if sections.limit_Nm is None else "limit"]
         marks = rr.Points3D(points[::10], labels=labels, show_labels=True, radii=0.0, colors=rgba(WHITE))
         self._log("vehicle/legend/shares", marks)
 
@@ -216,6 +218,7 @@ class Scene:
             rows = np.flatnonzero(numbers == number)
             begin_ns, end_ns = int(ns[rows[0]]), int(ns[rows[-1]])
             if number != self._stage:
+                self._drop(self._shape, number, begin_ns, channels)
                 self._change_stage(self._shape, number, begin_ns)
             cg = channels["cg_station_m"][rows]
             k = changed(cg[:, None], _LEVEL_STEP_M)
@@ -246,12 +249,34 @@ class Scene:
             columns = rr.Mesh3D.columns(albedo_factor=colours[some, i])
             self._send(f"vehicle/body/hull/stage{self._stage + 1}/piece_{i:02}/skin", ns[k][some], columns)
 
+    def _drop(self, shape: VehicleShape, number: int, begin_ns: int, channels: Channels) -> None:
+        """Send the boosters that leave: without thrust and drag they fall behind the core, and drift outwards."""
+        if self._stage < 0 or not shape.stages[number].keeps_clock:
+            return
+        staying = [booster.name for booster in shape.stages[number].boosters]
+        ns = begin_ns + np.arange(0, _FALL_NS + 1, MOTION_NS)
+        t = (ns - begin_ns)[:, None] / 1e9
+        load_mps2 = STANDARD_GRAVITY_mps2 * float(_at(channels, "axial_load_g", ns[:1])[0])
+        for booster in shape.stages[self._stage].boosters:
+            if booster.name in staying:
+                continue
+            outward = np.array([0.0, *booster.position_m]) / max(math.hypot(*booster.position_m), 1e-9)
+            moved = -0.5 * load_mps2 * t**2 * np.array([1.0, 0.0, 0.0]) + _DRIFT_mps * t * outward
+            entity = f"vehicle/body/hull/left/{booster.name}"
+            set_time(self._rec, begin_ns)
+            self._rec.log(f"{self._root}/{entity}", booster_mesh(booster))
+            self._send(entity, ns, rr.Transform3D.columns(translation=moved))
+            set_time(self._rec, begin_ns + _FALL_NS)
+            self._rec.log(f"{self._root}/{entity}", rr.Clear(recursive=True))
+        self._rec.reset_time()
+
     def _change_stage(self, shape: VehicleShape, number: int, begin_ns: int) -> None:
         hull = f"{self._root}/vehicle/body/hull"
         set_time(self._rec, begin_ns)
         if self._stage >= 0:
             self._rec.log(f"{hull}/stage{self._stage + 1}", rr.Clear(recursive=True))
-            self._stage_start_ns = begin_ns
+            if not shape.stages[number].keeps_clock:
+                self._stage_start_ns = begin_ns
         self._stage = number
         for entity, item in vehicle_meshes(shape, number, self._loaded):
             self._rec.log(f"{hull}/stage{number + 1}/{entity}", item, static=len(shape.stages) == 1)
@@ -402,12 +427,17 @@ def send_ground(recording: rr.RecordingStream, place: ShownLaunchSite, reach_m: 
     corners = [(-4.0, -4.0), (4.0, -4.0), (4.0, 4.0), (-4.0, 4.0)]
     block = plate([(x, y, -drop_m - 0.3) for x, y in corners], 0.6)
     recording.log("ground/pad/block", mesh3d(block, _BLOCK), static=True)
-    ends = place.ground(np.array([0.12 * reach_m, 0.0]), np.array([0.0, 0.12 * reach_m]))
+    ends = compass_ends(place, reach_m)
     arrows = rr.Arrows3D(vectors=ends, origins=np.zeros((2, 3)), colors=_COMPASS, radii=rr.Radius.ui_points(1.0))
     recording.log("ground/compass", arrows, static=True)
     names = rr.Points3D(1.15 * ends, labels=["E", "N"], show_labels=True, colors=_COMPASS, radii=thin)
     recording.log("ground/compass/names", names, static=True)
     return f"{step / 1000.0:g} km" if step >= 1000.0 else f"{step:g} m"
+
+
+def compass_ends(place: ShownLaunchSite, reach_m: float) -> Array:
+    """Return the ends (2, 3) of the compass's arrows to east and north, m."""
+    return place.ground(np.array([0.12 * reach_m, 0.0]), np.array([0.0, 0.12 * reach_m]))
 
 
 def tail_below_cg(channels: Channels, shape: VehicleShape | None) -> float:

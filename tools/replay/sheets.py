@@ -139,8 +139,10 @@ def _sheet(tab: Tab, shown: Flights) -> Figure:
         about = f", {sum(f.verdict == 'failed' for f in shown.all)} failed{how}"
     else:
         about = f" ({shown.reference.outcome} at {shown.reference.span_s[1]:.1f} s)"
-    figure, places = _figure(tab.name, shown, len(tab.plots), about=about, sharex=True)
     span_s = _span(tab, shown)
+    if span_s[1] < max(f.span_s[1] for f in shown.all):
+        about += f", shown to {span_s[1]:.1f} s"
+    figure, places = _figure(tab.name, shown, len(tab.plots), about=about, sharex=True)
     for place, plot in zip(places, tab.plots, strict=True):
         _draw(place, plot, shown, span_s)
     places[0].set_xlim(span_s)
@@ -157,7 +159,7 @@ def _part(figure: Figure, place: Axes) -> None:
     legend = place.get_legend()
     if legend is None:
         return
-    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]
+    renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]  # Matplotlib does not annotate it
     key, name = legend.get_window_extent(renderer), place._left_title.get_window_extent(renderer)  # type: ignore[attr-defined]  # no public way
     if key.width + name.width > 0.88 * figure.bbox.width:
         place.set_title(place.get_title("left"), pad=key.height * 72.0 / figure.dpi)

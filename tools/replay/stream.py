@@ -16,7 +16,6 @@ import pyarrow as pa
 import rerun as rr
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.sim.log.messages import Level
 from maxq.tools.plots.palette import BLUE, GREY, LIMIT, ON_DARK, ORANGE, PALE, PURPLE, RED, SKY, rgba
 from maxq.tools.replay.decimate import extremes, extremes_on_grid, last_before
 from maxq.tools.replay.flight import Channels, Moment
@@ -49,8 +48,7 @@ _BEGUN_BY = {
     "diverged": "diverged",
 }
 _WORSE = ("control lost", "tumbling")
-_LEVELS = {Level.WARNING: "WARN", Level.FATAL: "CRITICAL"}  # if the viewer has another name
-_EVENT_WIDTH = 60  # number of letters in the list of events, at 1920 pixels
+_EVENT_WIDTH = 46  # number of letters in a row of the list of events, at 1920 pixels
 _TEETH = 240  # of the hatching over the whole flight
 _MIN_MAX = rr.components.AggregationPolicy.MinMax  # the viewer must not average extremes away when it zooms out
 
@@ -112,7 +110,7 @@ def send_curves(
     for entity, _, _, curve in _curves(root, tabs):
         ns, values = curve.values(channels)
         if len(ns):
-            kept = extremes(ns, values, interval_ns)
+            kept = extremes(ns, values, interval_ns, even=True)
             send_scalars(recording, entity, ns[kept], values[kept])
 
 
@@ -193,37 +191,37 @@ def send_limits(
 
 
 # -- read-outs -----------------------------------------------------------------------------------------------------
-_READ = (
-    ("altitude, km", "altitude_m", 1e-3),
-    ("speed, m/s", "speed_mps", 1.0),
-    ("Mach number", "mach", 1.0),
-    ("dynamic pressure, kPa", "dynamic_pressure_Pa", 1e-3),
-    ("angle of attack, deg", "alpha_total_deg", 1.0),
-    ("pitch gimbal angle, deg", "gimbal_pitch_angle_deg", 1.0),
-    ("yaw gimbal angle, deg", "gimbal_yaw_angle_deg", 1.0),
-)
+_READ = {  # channel, factor to the unit, decimals
+    "altitude, km": ("altitude_m", 1e-3, 2),
+    "speed, m/s": ("speed_mps", 1.0, 1),
+    "Mach number": ("mach", 1.0, 2),
+    "dynamic pressure, kPa": ("dynamic_pressure_Pa", 1e-3, 2),
+    "angle of attack, deg": ("alpha_total_deg", 1.0, 2),
+    "pitch gimbal angle, deg": ("gimbal_pitch_angle_deg", 1.0, 2),
+    "yaw gimbal angle, deg": ("gimbal_yaw_angle_deg", 1.0, 2),
+}
 
 
 def send_now(recording: rr.RecordingStream, flights: Sequence[tuple[str, Channels]]) -> None:
     """Send a table of the key numbers every fifth of a second, with a column for each flight."""
-    rows = [row for row in _READ if any(row[1] in channels for _, channels in flights)]
-    known = [channels.time_ns(name) for _, channels in flights for _, name, _ in rows if name in channels]
+    rows = [(what, how) for what, how in _READ.items() if any(how[0] in channels for _, channels in flights)]
+    known = [channels.time_ns(name) for _, channels in flights for _, (name, *_) in rows if name in channels]
     known = [ns for ns in known if len(ns)]
     if not known:
         return
     step = 200_000_000
     at = np.arange(min(ns[0] for ns in known) // step, max(ns[-1] for ns in known) // step + 1) * step
 
-    def cells(name: str, factor: float, channels: Channels) -> list[str]:
+    def cells(name: str, factor: float, digits: int, channels: Channels) -> list[str]:
         ns = channels.time_ns(name) if name in channels else np.zeros(0, np.int64)
         if not len(ns):
             return [""] * len(at)
         values = factor * channels[name][last_before(ns, at)]
         shown = np.isfinite(values) & (at <= ns[-1] + step)
-        return [f"{round(v, 2) + 0.0:.2f}" if ok else "" for v, ok in zip(values.tolist(), shown, strict=True)]
+        return [f"{v:z.{digits}f}" if ok else "" for v, ok in zip(values.tolist(), shown, strict=True)]
 
-    head = "| | " + " | ".join(label or "now" for label, _ in flights) + " |\n|---|" + "--:|" * len(flights)
-    table = [(what, [cells(name, factor, channels) for _, channels in flights]) for what, name, factor in rows]
+    head = "| | " + " | ".join(label or "value" for label, _ in flights) + " |\n|---|" + "--:|" * len(flights)
+    table = [(what, [cells(*how, channels) for _, channels in flights]) for what, how in rows]
     texts = []
     for k, t in enumerate(at):
         lines = (f"| {what} | {' | '.join(one[k] for one in each)} |" for what, each in table)
@@ -267,12 +265,23 @@ def phases(first: Phase, moments: Iterable[Moment]) -> list[Phase]:
     return out
 
 
-def send_events(recording: rr.RecordingStream, root: str, moments: Iterable[Moment], prefix: str = "") -> None:
-    for moment in moments:
-        set_time(recording, moment.time_ns)
-        level = _LEVELS.get(moment.level, moment.level.name)
-        for text in textwrap.wrap(prefix + moment.line, _EVENT_WIDTH, subsequent_indent=" " * 20):  # a row has one line
-            recording.log(f"{root}/events", rr.TextLog(text, level=level))
+def send_events(
+    recording: rr.RecordingStream, flights: Sequence[tuple[str, Iterable[Moment]]], start_ns: int, note: str = ""
+) -> None:
+    """Send a table of the events of flights, each with its label. At each time, the last event so far is bold."""
+    every = sorted(((m, label) for label, moments in flights for m in moments), key=lambda each: each[0].time_ns)
+    several = len(flights) > 1
+    head = ["| time, s | flight | event |", "|--:|---|---|"] if several else ["| time, s | event |", "|--:|---|"]
+    times_ns = [start_ns, *(m.time_ns for m, _ in every)]
+    for last, time_ns in enumerate(times_ns, -1):
+        rows = list(head)
+        for n, (moment, label) in enumerate(every):
+            first, strong = [f"{moment.time_s:.3f}", *[label] * several], "**" if n == last else ""
+            for k, text in enumerate(textwrap.wrap(moment.text, _EVENT_WIDTH)):  # a cell has one line
+                cells = [*("" if k else cell for cell in first), text]
+                rows.append(f"| {' | '.join(f'{strong}{cell}{strong}' if cell else '' for cell in cells)} |")
+        set_time(recording, time_ns)
+        recording.log("events", rr.TextDocument("\n".join([*rows, "", note]), media_type="text/markdown"))
     recording.reset_time()
 
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
-from maxq.sim.flight.metric_table import figures
 from maxq.sim.log.messages import Level
-from maxq.sim.run.quantities import share_text, sign_of
+from maxq.sim.run.quantities import number_text, share_text, sign_of
 from maxq.tools.plots.palette import ON_DARK
 from maxq.tools.replay.flight import FEW, ReplayFlight, ShownLaunchSite, ShownRequirement, tightest_first
 from maxq.tools.replay.plots import PlotLine, ReplayPlot, range_of, tabs_of
@@ -55,7 +54,7 @@ def _about_flight(flight: ReplayFlight) -> list[str]:
         lines += ["| requirement | value | limit | used |", "|---|--:|---|--:|"]
         lines += [*(_requirement(r) for r in tightest_first(flight.requirements)), ""]
     lines += _notes(flight.notes)
-    lines += [data.get("description", ""), "", "| | |", "|---|---|"]
+    lines += [data.get("description", ""), "", "| item | value |", "|---|---|"]
     return [*lines, *(f"| {name} | {value} |" for name, value in facts.items() if value), ""]
 
 
@@ -172,7 +171,7 @@ def _row(plot: ReplayPlot, curve: PlotLine, flight: ReplayFlight) -> _TextRow | 
         return None
     low, high = found
     least = 1e-4 * max(abs(low), abs(high))
-    ends = " .. ".join("0" if abs(x) <= least else figures(x, 4 if abs(x) >= 1000.0 else 3) for x in (low, high))
+    ends = " .. ".join("0" if abs(x) <= least else number_text(x, 4 if abs(x) >= 1000.0 else 3) for x in (low, high))
     burning = values[
         np.isfinite(values) & (ns <= round(flight.burn_end_s * 1e9))
     ]  # requirements are judged under thrust

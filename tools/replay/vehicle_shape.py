@@ -18,6 +18,7 @@ from scipy.interpolate import make_interp_spline
 
 from maxq.control.kernel.records import Array
 from maxq.sim.flight.channels import ChannelTable
+from maxq.sim.scenario.schema_booster import Booster
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.sim.vehicle.air.section import AeroSurface
 from maxq.sim.vehicle.engine.burn import burn_rate
@@ -92,6 +93,15 @@ class LoadStations:
 
 
 @dataclass(frozen=True)
+class BoosterShape:
+    """A booster: station and radius from the front to the end (n, 2), and the position of its axis, y and z."""
+
+    name: str
+    profile: Array
+    position_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class StageShape:
     """The part of the body that is dropped at the end of this stage, and its contents.
 
@@ -109,6 +119,8 @@ class StageShape:
     clock_factor: float
     sections: LoadStations | None = None
     further_engines: tuple[EngineShape, ...] = ()
+    boosters: tuple[BoosterShape, ...] = ()
+    keeps_clock: bool = False  # of the preceding stage
 
     @property
     def nozzles(self) -> list[tuple[str, EngineShape]]:
@@ -161,9 +173,25 @@ def shape_of(vehicle: Vehicle) -> VehicleShape:
                 gyro_station_m=gyro.station_m if gyro is not None else None,
                 clock_factor=burn_rate(stage),
                 sections=_sections(stage.loads),
+                boosters=tuple(_booster(booster, radius) for booster in stage.booster),
+                keeps_clock=stage.clock == "preceding",
             )
         )
     return VehicleShape(length, 2.0 * radius, tuple(stages))
+
+
+def _booster(booster: Booster, body_radius: float) -> BoosterShape:
+    """Return the shape of a booster that touches the body. Its length is that of a uniform rod with its inertia."""
+    y, z = booster.position_m
+    radius = max(math.hypot(y, z) - body_radius, 0.2 * body_radius)
+    kg, station_m, _, _, _, lateral, *_ = booster.mass.rows(0.0)[1][0]
+    half = 0.5 * math.sqrt(max(12.0 * lateral / kg - 3.0 * radius**2, radius**2))
+    ends = [e.gimbal_station_m for e in booster.own_engines]
+    front, end = station_m - half, max([station_m + half, *ends])
+    nose = front + min(2.0 * radius, 0.4 * (end - front))
+    return BoosterShape(
+        booster.name, np.array([[front, 0.0], [nose, radius], [end, radius], [end, 0.0]]), booster.position_m
+    )
 
 
 def _sections(loads: LoadsSection | None) -> LoadStations | None:

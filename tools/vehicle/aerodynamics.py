@@ -54,6 +54,7 @@ class Aerodynamics:
     axial: Array
     axial_coast: Array
     damping: Array | None = None  # Cmq that is given
+    boosters: tuple[tuple[Surface, Array], ...] = ()  # normal and axial force of one booster of each set
 
     @property
     def area_m2(self) -> float:
@@ -112,7 +113,24 @@ def aerodynamics(stack: Stack) -> Aerodynamics:
         axial,
         axial + share * _BASE,
     )
-    return found if stack.stage.aero is None else _with_given(found, stack.stage.aero)
+    if stack.stage.aero is not None:
+        return _with_given(found, stack.stage.aero)
+    return _with_boosters(found, stack)
+
+
+def _with_boosters(core: Aerodynamics, stack: Stack) -> Aerodynamics:
+    """Add the noses and the axial force of the attached boosters, without interference."""
+    surfaces, boosters, axial, coast = [*core.surfaces], [], core.axial, core.axial_coast
+    for strapped in stack.boosters:
+        b, count = strapped.booster, len(strapped.booster.positions_m)
+        share = (b.diameter_m / core.diameter_m) ** 2
+        nose_m = NOSE_CENTRE[stack.layout.nose] * (b.nose_length_m or 2.0 * b.diameter_m)
+        one = Surface(b.name, 2.0 * share * _BODY_LIFT, np.full(len(MACH), b.front_station_m + nose_m))
+        along = b.axial_factor * share * _AXIAL
+        boosters.append((one, along))
+        surfaces.append(replace(one, slope_pr=count * one.slope_pr))
+        axial, coast = axial + count * along, coast + count * (along + share * _BASE)
+    return replace(core, surfaces=tuple(surfaces), axial=axial, axial_coast=coast, boosters=tuple(boosters))
 
 
 def _with_given(estimate: Aerodynamics, given: AeroSection) -> Aerodynamics:

@@ -34,6 +34,14 @@ class BeamMode:
 
 
 @dataclass(frozen=True)
+class RigidLoad:
+    """The masses of a rigid booster, which one station of the beam clamps, or two hold."""
+
+    attachments_m: tuple[float, ...]
+    rods: Sequence[Rod]
+
+
+@dataclass(frozen=True)
 class Beam:
     """The structure of a stack: nodes, and the bending stiffness of the elements between them."""
 
@@ -51,8 +59,10 @@ class Beam:
                     stiffness[k] = s.stiffness_Nm2(float(middles[k]), 0.5 * stage.diameter_m)
         return Beam(nodes, stiffness)
 
-    def modes(self, rods: Sequence[Rod], count: int, *, clamped: bool = False) -> list[BeamMode]:
-        """Return the first `count` bending modes with these masses on the beam.
+    def modes(
+        self, rods: Sequence[Rod], count: int, carried: Sequence[RigidLoad] = (), *, clamped: bool = False
+    ) -> list[BeamMode]:
+        """Return the first `count` bending modes with these masses on the beam, and the rigid boosters that it carries.
 
         `clamped` fixes its end, where the vehicle is held down.
 
@@ -61,6 +71,8 @@ class Beam:
         density, behind = line_density_kgpm(rods, self.nodes_m)
         k, m = self._matrices(np.maximum(density, _LEAST_SHARE * density.mean()))
         m[-2:, -2:] += np.array([[behind[0], behind[1]], [behind[1], behind[2]]])
+        for each in carried:
+            m += self._mass_of(each)
         free, first = (slice(0, -2), 0) if clamped else (slice(None), 2)  # 0 and 1 of a free body are its rigid motions
         squares, vectors = eigh(k[free, free], m[free, free], subset_by_index=[first, first + count - 1])
         out = []
@@ -105,7 +117,41 @@ class Beam:
             m[span, span] += density_kgpm[e] * m_unit
         return k, m
 
-    def mass_forward_kg(self, rods: Sequence[Rod]) -> Array:
-        """Return the mass ahead of each node. Times the axial acceleration, it is the compression there."""
+    def mass_forward_kg(self, rods: Sequence[Rod], carried: Sequence[RigidLoad] = ()) -> Array:
+        """Return the mass ahead of each node. Times the axial acceleration, it is the compression there.
+
+        A booster hangs on its first attachment.
+        """
         density, _ = line_density_kgpm(rods, self.nodes_m)
-        return np.concatenate([[0.0], np.cumsum(density * np.diff(self.nodes_m))])
+        forward = np.concatenate([[0.0], np.cumsum(density * np.diff(self.nodes_m))])
+        for each in carried:
+            forward += sum(rod.mass_kg for rod in each.rods) * (self.nodes_m >= each.attachments_m[0])
+        return forward
+
+    def _mass_of(self, carried: RigidLoad) -> Array:
+        """Return the mass matrix of a rigid body whose axis moves as its attachments do."""
+        first, last = carried.attachments_m[0], carried.attachments_m[-1]
+        moved, turned = self._field(first)
+        if first != last:
+            turned = (self._field(last)[0] - moved) / (last - first)
+        mass = sum(rod.mass_kg for rod in carried.rods)
+        moment = sum(rod.mass_kg * (rod.station_m - first) for rod in carried.rods)
+        inertia = sum(rod.inertia_kgm2 + rod.mass_kg * (rod.station_m - first) ** 2 for rod in carried.rods)
+        both = np.outer(moved, turned)
+        return np.asarray(mass * np.outer(moved, moved) + moment * (both + both.T) + inertia * np.outer(turned, turned))
+
+    def _field(self, station_m: float) -> tuple[Array, Array]:
+        """Return the displacement and slope at a station per degree of freedom of the nodes."""
+        h = float(self.nodes_m[1] - self.nodes_m[0])
+        k = min(max(int(station_m / h), 0), len(self.nodes_m) - 2)
+        x = (station_m - float(self.nodes_m[k])) / h
+        value, slope = np.zeros((2, 2 * len(self.nodes_m)))
+        at = slice(2 * k, 2 * k + 4)
+        value[at] = [
+            1.0 - 3.0 * x**2 + 2.0 * x**3,
+            h * (x - 2.0 * x**2 + x**3),
+            3.0 * x**2 - 2.0 * x**3,
+            h * (x**3 - x**2),
+        ]
+        slope[at] = [6.0 * (x**2 - x) / h, 1.0 - 4.0 * x + 3.0 * x**2, 6.0 * (x - x**2) / h, 3.0 * x**2 - 2.0 * x]
+        return value, slope

@@ -16,7 +16,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle.modes.tables import ModeTable
 from maxq.sim.vehicle.slosh.shapes import modes_over
 from maxq.tools.vehicle.aerodynamics import Aerodynamics, aerodynamics
-from maxq.tools.vehicle.beam import Beam, BeamMode
+from maxq.tools.vehicle.beam import Beam, BeamMode, RigidLoad
 from maxq.tools.vehicle.layout import Layout, LayoutTank
 from maxq.tools.vehicle.masses import Rod, Stack, engine_inertia, stacks
 from maxq.tools.vehicle.trajectory import Ascent, TrajectoryPoint, ascent
@@ -81,7 +81,7 @@ def slosh_kg(tank: LayoutTank, liquid_kg: float) -> float:
 
 
 def _modes(stack: Stack) -> TimedModes:
-    stage, times = stack.stage, np.linspace(0.0, stack.burn.end_s, MODE_ROWS)
+    stage, times = stack.stage, np.linspace(stack.begins_s, stack.end_s, MODE_ROWS)
     if (bending := stage.bending) is not None:
         table = bending.pitch_modes or bending.yaw_modes
         return times, [[] if table is None else _mode_of(table, t) for t in times]
@@ -89,7 +89,10 @@ def _modes(stack: Stack) -> TimedModes:
         in_pitch = spatial.modes.lateral()[1]
         return times, [_mode_of(in_pitch, t) for t in times]
     beam = Beam.of(stack)
-    found = [beam.modes(beam_load(stack, float(t)), stage.modes) if stage.modes else [] for t in times]
+    found = [
+        beam.modes(beam_load(stack, float(t)), stage.modes, beam_boosters(stack, float(t))) if stage.modes else []
+        for t in times
+    ]
     for k in range(stage.modes):
         if min(abs(modes[k].phi[-1]) / np.abs(modes[k].phi).max() for modes in found) < _NEAR_NODE:
             _renormalise(found, k)
@@ -143,12 +146,24 @@ def beam_load(stack: Stack, t: float) -> list[Rod]:
     return rods
 
 
+def beam_boosters(stack: Stack, t: float) -> list[RigidLoad]:
+    """Return the boosters that the beam carries, without their sloshing masses."""
+    out = []
+    for s in stack.boosters:
+        rods = s.rods(t)
+        for k, tank in enumerate(s.booster.tank, start=len(s.dry)):
+            rods[k] = replace(rods[k], mass_kg=rods[k].mass_kg - slosh_kg(tank, rods[k].mass_kg))
+        out += [RigidLoad(s.booster.attachments_m, rods)] * len(s.booster.positions_m)
+    return out
+
+
 def on_the_pad(built: Built) -> list[BeamMode]:
     """Return the bending modes of the full vehicle held at its tail, or none if the beam is not used."""
     stack = built.stacks[0]
     if not stack.stage.modes or stack.stage.bending is not None or stack.stage.spatial_modes is not None:
         return []
-    return Beam.of(stack).modes(beam_load(stack, 0.0), min(stack.stage.modes, 3), clamped=True)
+    count = min(stack.stage.modes, 3)
+    return Beam.of(stack).modes(beam_load(stack, 0.0), count, beam_boosters(stack, 0.0), clamped=True)
 
 
 def _mode_of(table: ModeTable, t: float) -> list[BeamMode]:
@@ -171,12 +186,12 @@ def m_delta_1ps2(built: Built, p: TrajectoryPoint) -> float:
     """Return the angular acceleration per gimbal angle."""
     stack = built.stacks[p.number]
     props = stack.mass_properties(p.clock_s)
-    return p.thrust_N * (stack.stage.engine.gimbal_station_m - props.x_cg_m) / props.pitch_kgm2
+    return p.steered_N * (stack.stage.engine.gimbal_station_m - props.x_cg_m) / props.pitch_kgm2
 
 
 def burning(built: Built, number: int | None = None) -> list[TrajectoryPoint]:
     """Return the points at full thrust, of all stacks or of one."""
-    full_s = [stack.burn.full_s for stack in built.stacks]
+    full_s = [stack.full_s for stack in built.stacks]
     points = [p for p in built.flight.points if number in (None, p.number)]
     return [p for p in points if full_s[p.number][0] <= p.clock_s <= full_s[p.number][1]]
 
@@ -233,6 +248,10 @@ def _assumed(built: Built) -> list[str]:
         f"first gains: {first_hz} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
     ]
     lines.append(f"limit wind of the suite: from the west, {layout.site.jet_mps:g} m/s at 11 km; use that of your site")
+    for stack in built.stacks:
+        if stack.leave_s is not None:
+            words = "rigid, fixed nozzles; their normal and axial forces add to those of the core without interference"
+            lines.append(f"{stack.name}: until {stack.leave_s:.1f} s; {words}")
     if layout.fairing is not None:
         dropped = [n for n, stack in enumerate(built.stacks) if stack.drops_fairing]
         at = f"dropped at {built.flight.begins_s[dropped[0] + 1]:.1f} s" if dropped else "never dropped: too low"

@@ -15,7 +15,7 @@ AXIAL, DAMPING = 0.1, {"distribution": "log-normal", "three_sigma": 0.6931}  # h
 
 
 def campaign_of(built: Built) -> dict[str, Any]:
-    """Return the campaign of all stages, each with its own deviations, in winds up to the limit wind."""
+    """Return the campaign of the whole ascent in winds up to the limit wind; every stage has its own deviations."""
     spread = [
         {
             "name": "share of the limit wind",
@@ -49,6 +49,7 @@ def campaign_of(built: Built) -> dict[str, Any]:
                     "source": "assumed, to begin with",
                 }
             )
+    spread += _boosters(built)
     control = built.layout.control
     either_way_s = min(SPREAD.delay_s, control.delay_s, control.sample_s - control.delay_s)
     spread.append(
@@ -70,6 +71,27 @@ def campaign_of(built: Built) -> dict[str, Any]:
         "wind": {"profile": LIMIT_WIND, "turbulence": {"model": "dryden", "exceedance": "light"}},
         "disperse": spread,
     }
+
+
+def _boosters(built: Built) -> Iterator[dict[str, Any]]:
+    """Yield the thrust at equal impulse of each booster, in all parts of the burn that have it."""
+    names = {name: None for stack in built.stacks for s in stack.boosters for name in s.booster.names}
+    for name in names:
+        keys = []
+        for n, stack in enumerate(built.stacks):
+            attached = [(other, s) for s in stack.boosters for other in s.booster.names]
+            for k, (other, s) in enumerate(attached):
+                if other == name:
+                    engines = _each(len(s.booster.engine.positions_m))
+                    keys += [f"vehicle.stage.{n}.booster.{k}.engine{one}.mass_flow_factor" for _, one in engines]
+        yield {
+            "name": f"thrust at equal impulse, {name}",
+            "keys": keys,
+            "apply": "scale",
+            "distribution": "normal",
+            "three_sigma": SPREAD.thrust,
+            "source": "assumed, to begin with",
+        }
 
 
 def _deviations(

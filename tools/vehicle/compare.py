@@ -12,9 +12,9 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
 from maxq.design.model.held import HeldStage, hold_stage, table_clock_s
 from maxq.design.model.vehicle_at import vehicle_at
-from maxq.sim.flight.metric_table import figures
 from maxq.sim.input.files import scenarios_folder
 from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.quantities import number_text
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.vehicle import schedule
 from maxq.sim.vehicle.air import kernel as aero
@@ -137,7 +137,7 @@ def comparison(found: list[Difference], vehicle: str) -> str:
     alike = [d for d in found if d.largest < ALIKE]
     for d in sorted((d for d in found if d.largest >= ALIKE), key=lambda d: -d.largest):
         k = int(np.argmax(np.abs(d.here - d.there)))
-        rows.append((d.name, figures(d.here[k]), figures(d.there[k]), f"{100.0 * d.largest:.3g}"))
+        rows.append((d.name, number_text(d.here[k]), number_text(d.there[k]), f"{100.0 * d.largest:.3g}"))
     head = f"compared with {vehicle}, {TIMES} times of each burn: values where they differ most, % of the largest there"
     rest = f"  {len(alike)} more differ by less than {100.0 * ALIKE:g} %"
     return "\n".join([head, *aligned(rows, "  ", right=range(1, 4)), rest])

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.sim.run.quantities import propellant_text
 from maxq.tools.pages.render import render
 from maxq.tools.plots import side_view
 from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, at, limit, line, look
@@ -70,7 +71,8 @@ def _stage(stage: LayoutStage, nose_m: float, nose: str) -> list[Series]:
         for top, full in ((profile.height, False), (depth, True)):
             z = np.linspace(0.0, top, 81)
             place, radius = t.bottom_station_m - t.radius_m * z, t.radius_m * profile.surface_radius(z)
-            out.append(side_view.tank(place, radius, f"{t.name} at liftoff" if full else "", COLOURS[k % 4], full=full))
+            name = f"{propellant_text(t.name)} at liftoff" if full else ""
+            out.append(side_view.tank(place, radius, name, COLOURS[k % 4], full=full))
     for grain in stage.grain:
         ends = [grain.front_station_m, grain.rear_station_m]
         out.append(side_view.revolved(ends, grain.radius_m or r, "grain", fill="grey", opacity=0.5, bare=True))
@@ -81,7 +83,7 @@ def _of_stacks(built: Built, value: Callable[[int, float], float]) -> list[Serie
     """Return a quantity of each stack over flight time."""
     out = list[Series]()
     for n, stack in enumerate(built.stacks):
-        t = np.linspace(0.0, stack.burn.end_s, 61)
+        t = np.linspace(stack.begins_s, stack.end_s, 61)
         out.append(line(built.flight.begins_s[n] + t, [value(n, float(x)) for x in t], stack.name, **look(n)))
     return out
 
@@ -92,7 +94,7 @@ def _masses(built: Built) -> Plot:
     cg = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).x_cg_m)
     inertia = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).pitch_kgm2 / 1e3)
     for n, stack in enumerate(stacks):
-        times_s = np.array([0.0, stack.burn.end_s])
+        times_s = np.array([stack.begins_s, stack.end_s])
         roll = [stack.mass_properties(t).roll_kgm2 / 1e3 for t in times_s]
         inertia.append(line(built.flight.begins_s[n] + times_s, roll, "roll" * (n == 0), colour="grey", dash="2 2"))
     panels = [
@@ -183,9 +185,9 @@ def _ascent(built: Built) -> Plot:
     attitude = [math.degrees(p.path_rad + p.incidence_rad) for p in points]
     shown = (
         ("altitude", "km", {"": [p.altitude_m / 1e3 for p in points]}),
-        ("speed, relative", "m/s", {"": [p.speed_mps for p in points]}),
+        ("speed relative to the Earth", "m/s", {"": [p.speed_mps for p in points]}),
         ("dynamic pressure", "kPa", {"": [p.dynamic_pressure_Pa / 1e3 for p in points]}),
-        ("above the local horizon", "deg", {"path": path, "attitude": attitude}),
+        ("angle above the local horizon", "deg", {"path": path, "attitude": attitude}),
     )
     times_s, changes = [p.time_s for p in points], [at(s, colour="grey", dash="2 2") for s in built.flight.begins_s[1:]]
     panels = [

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
@@ -23,9 +24,11 @@ from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.input.values import Section
 from maxq.sim.vehicle.actuator.section import SECTIONS
 from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
-from maxq.tools.vehicle.beam import Beam
+from maxq.tools.vehicle.aerodynamics import aerodynamics
+from maxq.tools.vehicle.beam import Beam, RigidLoad
 from maxq.tools.vehicle.build import Built, burning, least_rigid_hz
 from maxq.tools.vehicle.campaign import LIMIT_WIND, campaign_of
+from maxq.tools.vehicle.layout import LayoutTank
 from maxq.tools.vehicle.masses import Stack, engine_inertia
 from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
@@ -84,6 +87,14 @@ def _prefix(built: Built, n: int) -> str:
     return f"stage{n + 1}_" if len(built.stacks) > 1 else ""
 
 
+def _of_burn(built: Built, n: int) -> str:
+    """Return the prefix of tables that the parts of a burn share: that of the first one."""
+    first = n
+    while built.stacks[first].begins_s > 0.0:
+        first -= 1
+    return _prefix(built, first)
+
+
 def _times_s(stack: Stack) -> list[float]:
     """Return the rows of tables of quantities that the burn changes."""
     burn = stack.burn
@@ -127,9 +138,10 @@ def _copied(value: Any, name: str, tables: Tables) -> Any:
 
 
 def _aero(built: Built, n: int, tables: Tables) -> dict[str, Any]:
-    aero, given, name = built.aero[n], built.stacks[n].stage.aero, f"{_prefix(built, n)}aero"
+    whole, given, name = built.aero[n], built.stacks[n].stage.aero, f"{_prefix(built, n)}aero"
     table = {} if given is None else dict(given.table.columns)
-    damping = [aero.pitch_damping(x)[k] for k, x in enumerate(_cg_over_mach(built, n))]
+    damping = [whole.pitch_damping(x)[k] for k, x in enumerate(_cg_over_mach(built, n))]
+    aero = aerodynamics(replace(built.stacks[n], boosters=())) if whole.boosters else whole
     worked_out = {
         "CA": aero.axial,
         "CA_coast": aero.axial_coast,
@@ -184,10 +196,14 @@ def _mode_table(built: Built, n: int) -> CsvFile:
     stack, beam, rows = built.stacks[n], Beam.of(built.stacks[n]), []
     nodes = np.unique(np.linspace(0, len(beam.nodes_m) - 1, SHAPE_STATIONS).astype(int))
     times, every = built.modes[n]
-    if stack.drops_fairing:  # `_continued`
+    if stack.drops_fairing or stack.leave_s is not None:  # `_continued`
         times, every = np.append(times, times[-1] * (1.0 + FASTER)), [*every, every[-1]]
+    if stack.begins_s > 0.0:  # tables begin with the clock
+        times, every = np.append(0.0, times), [every[0], *every]
     for t, modes in zip(times, every, strict=True):
-        forward = beam.mass_forward_kg([*stack.dry, *stack.liquids(float(t)), *stack.grains(float(t))])
+        now = min(max(float(t), stack.begins_s), stack.end_s) if stack.leave_s is not None else float(t)
+        carried = [RigidLoad(s.booster.attachments_m, s.rods(now)) for s in stack.boosters for _ in s.booster.names]
+        forward = beam.mass_forward_kg([*stack.dry, *stack.liquids(now), *stack.grains(now)], carried)
         for number, mode in enumerate(modes, start=1):
             given = (t, number, mode.frequency_hz, mode.generalized_mass_kg)
             rows += [(*given, beam.nodes_m[k], mode.phi[k], mode.slope_pm[k], forward[k]) for k in nodes]
@@ -209,16 +225,16 @@ def _lead_rad(built: Built, p: TrajectoryPoint, k_p: float, k_d: float, rate_rad
     The law (-k_p error - k_d rate) has no integral and needs an error for both.
     """
     stack, aero = built.stacks[p.number], built.aero[p.number]
-    if p.thrust_N <= 0.0 or p.excess_radps == p.incidence_rad == p.dynamic_pressure_Pa == 0.0:
+    if p.steered_N <= 0.0 or p.excess_radps == p.incidence_rad == p.dynamic_pressure_Pa == 0.0:
         return p.incidence_rad, k_d / k_p * rate_radps
     props, (slope, centre) = stack.mass_properties(p.clock_s), aero.normal(p.mach)
     arm, normal = stack.stage.engine.gimbal_station_m - props.x_cg_m, slope * p.dynamic_pressure_Pa * aero.area_m2
-    holds = normal * (centre - props.x_cg_m) / (p.thrust_N * arm)  # gimbal angle per angle of attack
-    across = p.thrust_N * (1.0 - holds) + normal
+    holds = normal * (centre - props.x_cg_m) / (p.steered_N * arm)  # gimbal angle per angle of attack
+    across = p.steered_N * (1.0 - holds) + (p.thrust_N - p.steered_N) + normal
     incidence = p.incidence_rad + props.mass_kg * p.speed_mps * p.excess_radps / across
     damping = float(np.interp(p.mach, aero.mach, aero.pitch_damping(props.x_cg_m)))
     damping *= -0.5 * p.dynamic_pressure_Pa * aero.area_m2 * aero.diameter_m**2 / max(p.speed_mps, 1.0)
-    gimbal = holds * incidence + damping / (p.thrust_N * arm) * rate_radps
+    gimbal = holds * incidence + damping / (p.steered_N * arm) * rate_radps
     return incidence, (gimbal + k_d * rate_radps) / k_p
 
 
@@ -271,16 +287,17 @@ def _vehicle(built: Built, tables: Tables) -> dict[str, Any]:
 def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     stack, prefix, control = built.stacks[n], _prefix(built, n), built.layout.control
     stage, e, last = stack.stage, stack.stage.engine, n == len(built.stacks) - 1
+    shared = _of_burn(built, n)
     thrust = zip(stack.burn.times_s, stack.burn.thrust_N / len(e.positions_m), strict=True)
-    tables[f"{prefix}thrust.csv"] = "time_s,thrust_vacuum_N", _continued(stack, list(thrust))
-    masses = (_MASS(stack.mass_properties(t)) for t in _times_s(stack))
-    tables[f"{prefix}mass.csv"] = _over_time(stack, "mass_kg,x_cg_m,Ixx_kgm2,Iyy_kgm2,Izz_kgm2", masses)
+    tables[f"{shared}thrust.csv"] = "time_s,thrust_vacuum_N", _continued(stack, list(thrust))
+    masses = (_MASS(stack.core_properties(t)) for t in _times_s(stack))
+    tables[f"{shared}mass.csv"] = _over_time(stack, "mass_kg,x_cg_m,Ixx_kgm2,Iyy_kgm2,Izz_kgm2", masses)
     for tank in stage.tank:
         left = ((stack.liquid_kg(tank, t),) for t in _times_s(stack))
-        tables[f"{prefix}tank_{tank.name}.csv"] = _over_time(stack, "liquid_mass_kg", left)
+        tables[f"{shared}tank_{tank.name}.csv"] = _over_time(stack, "liquid_mass_kg", left)
     mass, arm, inertia = engine_inertia(e)
     engine = {
-        "table": f"{prefix}thrust.csv",
+        "table": f"{shared}thrust.csv",
         "exit_area_m2": e.exit_area_m2,
         "gimbal_station_m": e.gimbal_station_m,
         "exit_station_m": e.exit_station_m,
@@ -296,13 +313,18 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     out: dict[str, Any] = {"name": stack.name}
     if stack.drops_fairing:
         out["separation_s"] = stack.burn.end_s
+    elif stack.leave_s is not None:
+        ends = [s.burn.end_s for s in stack.boosters if s.leave_s == stack.leave_s]
+        out["separation_after_burnout_s"] = round(stack.leave_s - max(ends), 9)
     elif not last:
         out["separation_after_burnout_s"] = stage.separation_after_s
     if n > 0 and built.stacks[n - 1].drops_fairing:
         out["continues"] = True
+    if stack.begins_s > 0.0:
+        out |= {"continues": True, "clock": "preceding"}
     if stack.burn.start_s > 0.0 and n > 0:
         out["ignition_s"] = stage.ignition_after_s
-    out["mass"] = {"table": f"{prefix}mass.csv"}
+    out["mass"] = {"table": f"{shared}mass.csv"}
     out["engine"] = engines if many else engines[0]
     actuator = {
         "model": next(model for model, count in SECTIONS.items() if count == len(e.servo_hz)),
@@ -313,20 +335,7 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     }
     groups = dict.fromkeys(e.groups)
     out["actuator"] = [{"group": g} | actuator for g in groups] if len(groups) > 1 else actuator
-    out["tank"] = [
-        {
-            "name": t.name,
-            "table": f"{prefix}tank_{t.name}.csv",
-            "damping_ratio": t.damping_ratio,
-            "shape": "cylinder",
-            "radius_m": t.radius_m,
-            "bottom_station_m": t.bottom_station_m,
-            "height_m": t.height_m,
-            "dome_m": list(t.dome_m),
-            "density_kgpm3": t.density_kgpm3,
-        }
-        for t in stage.tank
-    ]
+    out["tank"] = [_tank(t, f"{shared}tank_{t.name}.csv") for t in stage.tank]
     if stage.bending is not None or stage.spatial_modes is not None:
         key = "bending" if stage.bending is not None else "spatial_modes"
         out[key] = _copied(getattr(stage, key), f"{prefix}{key}", tables)
@@ -335,6 +344,8 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         damping = [stage.bending_damping] * len(built.modes[n][1][0])
         out["bending"] = {"pitch": f"{prefix}modes.csv", "yaw": f"{prefix}modes.csv", "damping_ratio": damping}
     out["aero"] = _aero(built, n, tables)
+    if stack.boosters:
+        out["booster"] = _boosters(built, n, tables)
     if stage.loads is not None:
         out["loads"] = _loads(stack, prefix, tables)
     lag = {"omega_hz": control.gyro_hz, "zeta": control.gyro_zeta}
@@ -343,6 +354,58 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         out["accelerometer"] = {"station_m": control.accelerometer_station_m, **lag}
     roll = stage.roll_torque_Nm or math.radians(5.0) * stack.mass_properties(0.0).roll_kgm2
     out["roll_thrusters"] = {"torque_Nm": roll}
+    return out
+
+
+def _tank(t: LayoutTank, table: str) -> dict[str, Any]:
+    return {
+        "name": t.name,
+        "table": table,
+        "damping_ratio": t.damping_ratio,
+        "shape": "cylinder",
+        "radius_m": t.radius_m,
+        "bottom_station_m": t.bottom_station_m,
+        "height_m": t.height_m,
+        "dome_m": list(t.dome_m),
+        "density_kgpm3": t.density_kgpm3,
+    }
+
+
+def _boosters(built: Built, n: int, tables: Tables) -> list[dict[str, Any]]:
+    """Return the attached boosters; those of a set share their tables."""
+    out, aero = [], built.aero[n]
+    for k, s in enumerate(built.stacks[n].boosters):
+        b, e, prefix = s.booster, s.booster.engine, f"booster_{s.booster.name}_"
+        zero_s = b.ignition_after_s  # tables are over the time since ignition
+        edges = np.concatenate([s.burn.times_s, np.linspace(zero_s, s.burn.end_s, MASS_ROWS)])
+        times = [float(t) for t in np.unique(edges.round(6)) if t >= zero_s - 1e-6]
+        thrust = zip(s.burn.times_s - zero_s, s.burn.thrust_N / len(e.positions_m), strict=True)
+        tables[f"{prefix}thrust.csv"] = "time_s,thrust_vacuum_N", [row for row in thrust if row[0] >= 0.0]
+        rows = [(round(t - zero_s, 6), *_MASS(s.mass_properties(t))) for t in times]
+        tables[f"{prefix}mass.csv"] = "time_s,mass_kg,x_cg_m,Ixx_kgm2,Iyy_kgm2,Izz_kgm2", rows
+        for tank in b.tank:
+            left = [(round(t - zero_s, 6), s.liquid_kg(tank, t)) for t in times]
+            tables[f"{prefix}tank_{tank.name}.csv"] = "time_s,liquid_mass_kg", left
+        engine = {
+            "table": f"{prefix}thrust.csv",
+            "gimbal": "fixed",
+            "exit_area_m2": e.exit_area_m2,
+            "gimbal_station_m": e.gimbal_station_m,
+            "exit_station_m": e.exit_station_m,
+        }
+        engines = [engine | {"offset_m": list(at)} for at in e.positions_m]
+        one: dict[str, Any] = {"attachments_m": list(b.attachments_m), "mass": {"table": f"{prefix}mass.csv"}}
+        one |= {"engine": engines if len(engines) > 1 else engines[0]}
+        if zero_s > 0.0:
+            one["ignition_s"] = zero_s
+        if b.tank:
+            one["tank"] = [_tank(t, f"{prefix}tank_{t.name}.csv") for t in b.tank]
+        if aero.boosters:
+            surface, along = aero.boosters[k]
+            forces = list(zip(aero.mach, along, surface.slope_pr, surface.station_m, strict=True))
+            tables[f"{prefix}aero.csv"] = "mach,CA,CN_alpha_pr,station_m", forces
+            one["aero"] = {"table": f"{prefix}aero.csv"}
+        out += [{"name": name, "position_m": list(at)} | one for name, at in zip(b.names, b.positions_m, strict=True)]
     return out
 
 
@@ -510,7 +573,7 @@ def _suite(built: Built) -> dict[str, Any]:
         "extends": SUITE,
         "scenario": "scenario.toml",
         "limit_wind": LIMIT_WIND,
-        "description": f"{built.layout.name}, to begin with: the suite of any launcher with fewer nodes and vehicles",
+        "description": f"{built.layout.name}: the suite of any launcher, with fewer operating points and vehicles",
         "margins": margins,
         "certificate": {"nodes_per_stage": 2},
         "campaign": [campaign],

@@ -114,8 +114,8 @@ class LoadSections(Section):
 _STACKED = ("upper", "middle", "lower")  # z is down
 
 
-class LayoutEngines(Section):
-    """The engines of a stage, all equal. Several engines form groups left of the axis, right of it and between."""
+class LayoutThrust(Section):
+    """Equal engines: their thrust, places and masses."""
 
     positions_m: tuple[Pair, ...] = optional("of each engine's gimbal, y and z, m", ((0.0, 0.0),), min_length=1)
     thrust: Annotated[CsvTable, THRUST_COLUMNS] | None = optional(
@@ -129,13 +129,6 @@ class LayoutEngines(Section):
     exit_station_m: float = Field(description="of the nozzle exits, m aft of the nose")
     mass_kg: Positive = Field(description="of each, kg; between gimbal and exit")
     rear_station_m: float | None = optional("end of that mass, m aft of the nose (default: exit_station_m)")
-    gimballed_mass_kg: NotNegative | None = optional("mass that moves, kg (default: 0.8 of mass_kg)")
-    cg_from_gimbal_m: NotNegative | None = optional("of that mass aft of the gimbal, m (default: 0.3 of the length)")
-    inertia_about_gimbal_kgm2: Positive | None = optional("of that mass (default: of a rod from gimbal to exit)")
-    angle_limit_deg: Positive = optional("of the gimbal, deg", 6.0)
-    rate_limit_degps: Positive = optional("of the gimbal, deg/s", 30.0)
-    servo_hz: tuple[Positive, ...] = optional("natural frequencies of the actuator, one, two or four, Hz", (7.0,))
-    servo_zeta: tuple[Positive, ...] = optional("its damping ratios", (0.7,))
     thrust_end_share: Annotated[float, Field(gt=0.0, le=1.5)] = optional(
         "thrust at the end of the burn relative to its beginning, with linear decrease (a pressure-fed chamber)", 1.0
     )
@@ -147,6 +140,21 @@ class LayoutEngines(Section):
         if self.thrust is None:
             self.needs("thrust_vacuum_N", "thrust is not given", "a number > 0")
             self.needs("isp_vacuum_s", "thrust is not given", "a number > 0")
+
+
+class LayoutEngines(LayoutThrust):
+    """The engines of a stage, all equal. Several engines form groups left of the axis, right of it and between."""
+
+    gimballed_mass_kg: NotNegative | None = optional("mass that moves, kg (default: 0.8 of mass_kg)")
+    cg_from_gimbal_m: NotNegative | None = optional("of that mass aft of the gimbal, m (default: 0.3 of the length)")
+    inertia_about_gimbal_kgm2: Positive | None = optional("of that mass (default: of a rod from gimbal to exit)")
+    angle_limit_deg: Positive = optional("of the gimbal, deg", 6.0)
+    rate_limit_degps: Positive = optional("of the gimbal, deg/s", 30.0)
+    servo_hz: tuple[Positive, ...] = optional("natural frequencies of the actuator, one, two or four, Hz", (7.0,))
+    servo_zeta: tuple[Positive, ...] = optional("its damping ratios", (0.7,))
+
+    def _check(self) -> None:
+        super()._check()
         if len(self.servo_hz) != len(self.servo_zeta) or len(self.servo_hz) not in SECTIONS.values():
             allowed = "as many of each: one, two or four"
             raise refuse(f"{len(self.servo_hz)} frequencies, {len(self.servo_zeta)} ratios", allowed, ("servo_hz",))
@@ -169,6 +177,49 @@ class LayoutFins(Section):
     sweep_m: NotNegative = optional("tip's leading edge aft of the root's, m", 0.0)
 
 
+class LayoutBooster(Between):
+    """Equal boosters next to the core of a stage, rigid bodies with fixed nozzles."""
+
+    name: values.ChannelPart = Field(description="name of the booster; several have a number behind it")
+    positions_m: tuple[Pair, ...] = Field(min_length=1, description="axis of each, y and z from the body axis, m")
+    attachments_m: tuple[float, ...] = Field(
+        min_length=1,
+        max_length=2,
+        description="stations of the core that carry it: one section that clamps it, or two that hold its ends; the "
+        "first carries its axial load",
+    )
+    diameter_m: Positive = Field(description="m")
+    nose_length_m: Positive | None = optional("of its nose, m (default: twice its diameter)")
+    part: tuple[DryMass, ...] = optional("dry parts without engines", ())
+    tank: tuple[LayoutTank, ...] = optional("tanks with liquid propellant", (), max_length=MAX_PENDULUMS)
+    grain: tuple[Grain, ...] = optional("solid propellant", ())
+    engine: LayoutThrust
+    axial_factor: NotNegative = optional("factor on the assumed axial force coefficient", 1.0)
+    ignition_after_s: values.Seconds = optional("after the beginning of the clock of the stage, s", 0.0)
+    separation_after_s: values.Seconds = optional("from burnout to separation, s", 1.0)
+
+    @property
+    def shell(self) -> tuple[Shell, ...]:
+        """Return no structure, because the body is rigid."""
+        return ()
+
+    @property
+    def usable_kg(self) -> float:
+        """Return the propellant that burns."""
+        return sum(t.liquid_mass_kg - t.residual_kg for t in self.tank) + sum(g.mass_kg for g in self.grain)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the name of each booster."""
+        count = len(self.positions_m)
+        return tuple(f"{self.name}{k + 1}" if count > 1 else self.name for k in range(count))
+
+    def _check(self) -> None:
+        super()._check()
+        if self.usable_kg <= 0.0:
+            raise refuse("no propellant", "tanks with more than their residual, or a grain", ("tank",))
+
+
 class LayoutStage(Between):
     """A stage with its extent in the vehicle."""
 
@@ -179,6 +230,7 @@ class LayoutStage(Between):
     tank: tuple[LayoutTank, ...] = optional("tanks with liquid propellant", (), max_length=MAX_PENDULUMS)
     grain: tuple[Grain, ...] = optional("solid propellant", ())
     engine: LayoutEngines
+    booster: tuple[LayoutBooster, ...] = optional("boosters next to the first stage", ())
     fins: LayoutFins | None = optional("absent: none")
     aero: AeroSection | None = optional("as in a vehicle file, instead of computed values (CSV, DATCOM's for006)")
     bending: BendingSection | None = optional("as in a vehicle file, instead of the beam's modes")
@@ -295,6 +347,13 @@ class Layout(Section):
                     ("stage", n, "front_station_m"),
                     value=lower.front_station_m,
                 )
+        for n, stage in enumerate(self.stage):
+            count = len(stage.booster)
+            if n > 0 and count:
+                raise refuse("only the first stage has boosters", "none", ("stage", n, "booster"), value=count)
+            if stage.booster and stage.loads is not None:
+                problem = "section loads of a stage with boosters are not modelled"
+                raise refuse(problem, "a stage without", ("stage", n, "loads"), value={})
         if self.trajectory.orbit_altitude_m is not None and len(self.stage) == 1:
             raise refuse(
                 "a single stage does not steer to an orbit", "two stages or more", ("trajectory", "orbit_altitude_m")

@@ -13,9 +13,19 @@ from scipy.interpolate import PchipInterpolator
 from maxq.control.kernel.records import Array
 from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
-from maxq.tools.vehicle.layout import DryMass, Grain, Layout, LayoutEngines, LayoutStage, LayoutTank
+from maxq.tools.vehicle.layout import (
+    DryMass,
+    Grain,
+    Layout,
+    LayoutBooster,
+    LayoutEngines,
+    LayoutStage,
+    LayoutTank,
+    LayoutThrust,
+)
 
 _RAMP_ROWS, _STEADY_ROWS = 9, 20
+_BEFORE_S = 0.01  # from the last instant with boosters to their separation
 
 
 @dataclass(frozen=True)
@@ -111,7 +121,7 @@ class ThrustCurve:
         )
 
 
-def burn_of(stage: LayoutStage, ignition_s: float) -> ThrustCurve:
+def burn_of(stage: LayoutStage | LayoutBooster, ignition_s: float) -> ThrustCurve:
     """Return a curve with smooth steps up and down.
 
     The duration of full thrust gives the impulse of the usable propellant.
@@ -151,10 +161,43 @@ def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: 
 
 
 @dataclass(frozen=True)
+class Strapped:
+    """Equal boosters of a stack, and the burn of one of them on the clock of the stage."""
+
+    booster: LayoutBooster
+    burn: ThrustCurve
+
+    @property
+    def leave_s(self) -> float:
+        """Return the time of their separation."""
+        return self.burn.end_s + self.booster.separation_after_s
+
+    @cached_property
+    def dry(self) -> list[Rod]:
+        return _dry(self.booster)
+
+    def liquid_kg(self, tank: LayoutTank, t: float) -> float:
+        """Return the liquid in a tank. All tanks drain in proportion."""
+        return tank.liquid_mass_kg - (tank.liquid_mass_kg - tank.residual_kg) * self.burn.used(t)
+
+    def rods(self, t: float) -> list[Rod]:
+        """Return all masses of one booster."""
+        left, radius = 1.0 - self.burn.used(t), 0.5 * self.booster.diameter_m
+        liquids = [_column(tank, self.liquid_kg(tank, t)) for tank in self.booster.tank]
+        return [*self.dry, *liquids, *(_grain(g, left * g.mass_kg, radius) for g in self.booster.grain)]
+
+    def mass_properties(self, t: float) -> MassProperties:
+        """Return the mass properties of one booster about its own CG."""
+        return properties_of(self.rods(t))
+
+
+@dataclass(frozen=True)
 class Stack:
     """The vehicle while one stage burns: the stage and everything ahead of it.
 
-    A stage that drops the fairing during its burn has two stacks.
+    A stage that drops the fairing during its burn has two stacks. A stage with boosters has one more for each of their
+    separations; they share one burn and its clock. `boosters`: those attached, which stay longest first. The stack
+    flies from `begins_s` to `end_s` of its clock.
     """
 
     layout: Layout
@@ -163,6 +206,31 @@ class Stack:
     fairing: bool
     name: str
     drops_fairing: bool = False  # at the end of this part of the burn
+    boosters: tuple[Strapped, ...] = ()
+    begins_s: float = 0.0
+    leave_s: float | None = None  # boosters leave at the end of this part
+
+    @property
+    def end_s(self) -> float:
+        """Return the end of this part on its clock: burnout, or the separation of boosters."""
+        return self.burn.end_s if self.leave_s is None else self.leave_s
+
+    @property
+    def full_s(self) -> tuple[float, float]:
+        """Return the times between which the core has full thrust in this part, before boosters leave."""
+        begin, end = self.burn.full_s
+        return max(begin, self.begins_s), end if self.leave_s is None else min(end, self.leave_s - _BEFORE_S)
+
+    def thrusts_N(self, t: float, pressure_Pa: float) -> tuple[float, float]:
+        """Return the thrust of all engines at ambient pressure, and that of the core's, which are gimballed."""
+        own = _net_N(self.burn, self.stage.engine, t, pressure_Pa)
+        others = (len(s.booster.positions_m) * _net_N(s.burn, s.booster.engine, t, pressure_Pa) for s in self.boosters)
+        return own + sum(others), own
+
+    def used_kg(self, t: float) -> float:
+        """Return the propellant that the stage and its attached boosters have burned."""
+        others = sum(len(s.booster.positions_m) * s.booster.usable_kg * s.burn.used(t) for s in self.boosters)
+        return self.stage.usable_kg * self.burn.used(t) + others
 
     @property
     def stage(self) -> LayoutStage:
@@ -180,16 +248,7 @@ class Stack:
         if self.fairing and (f := self.layout.fairing) is not None:
             rods.append(ring(f.mass_kg, f.front_station_m, f.rear_station_m, 0.5 * self.layout.stage[-1].diameter_m))
         for stage in self.layout.stage[self.number :]:
-            radius, e = 0.5 * stage.diameter_m, stage.engine
-            rods += [_part(p, p.radius_m or radius) for p in stage.part]
-            for s in stage.shell:
-                r = s.radius_m or radius
-                wall = 2.0 * math.pi * r * (s.wall_m or 0.0) * s.density_kgpm3
-                mass = wall * (s.rear_station_m - s.front_station_m)
-                rods += [ring(mass, s.front_station_m, s.rear_station_m, r)] if mass > 0.0 else []
-            spread = float(np.mean([y * y + z * z for y, z in e.positions_m])) + 0.05
-            mass = e.mass_kg * len(e.positions_m)
-            rods.append(Rod(mass, e.gimbal_station_m, e.rear_station_m or e.exit_station_m, spread, 0.5 * spread))
+            rods += _dry(stage)
         for stage in self.layout.stage[self.number + 1 :]:
             rods += [_column(tank, tank.liquid_mass_kg) for tank in stage.tank]
             rods += [_grain(grain, grain.mass_kg, 0.5 * stage.diameter_m) for grain in stage.grain]
@@ -208,15 +267,54 @@ class Stack:
 
     @cached_property
     def mass_properties(self) -> Callable[[float], MassProperties]:
-        """Return the mass properties at a time of the stage's clock. The result is cached."""
+        """Return the mass properties at a time of the stage's clock, boosters included. The result is cached."""
         return cache(self._mass_properties)
 
+    def core_properties(self, t: float) -> MassProperties:
+        """Return the mass properties without the boosters."""
+        return properties_of([*self.dry, *self.liquids(t), *self.grains(t)])
+
     def _mass_properties(self, t: float) -> MassProperties:
-        rods = [*self.dry, *self.liquids(t), *self.grains(t)]
-        mass = sum(r.mass_kg for r in rods)
-        cg = sum(r.mass_kg * r.station_m for r in rods) / mass
-        pitch = sum(r.inertia_kgm2 + r.mass_kg * (r.station_m - cg) ** 2 for r in rods)
-        return MassProperties(mass, cg, sum(r.mass_kg * r.roll_m2 for r in rods), pitch)
+        core = self.core_properties(t)
+        bodies = [(core, (0.0, 0.0))]
+        bodies += [(s.mass_properties(t), place) for s in self.boosters for place in s.booster.positions_m]
+        if len(bodies) == 1:
+            return core
+        mass = sum(b.mass_kg for b, _ in bodies)
+        cg = sum(b.mass_kg * b.x_cg_m for b, _ in bodies) / mass
+        roll = sum(b.roll_kgm2 + b.mass_kg * (y * y + z * z) for b, (y, z) in bodies)
+        pitch = sum(b.pitch_kgm2 + b.mass_kg * ((b.x_cg_m - cg) ** 2 + z * z) for b, (_, z) in bodies)
+        return MassProperties(mass, cg, roll, pitch)
+
+
+def properties_of(rods: Sequence[Rod]) -> MassProperties:
+    """Return the mass properties of masses on one axis."""
+    mass = sum(r.mass_kg for r in rods)
+    cg = sum(r.mass_kg * r.station_m for r in rods) / mass
+    pitch = sum(r.inertia_kgm2 + r.mass_kg * (r.station_m - cg) ** 2 for r in rods)
+    return MassProperties(mass, cg, sum(r.mass_kg * r.roll_m2 for r in rods), pitch)
+
+
+def _net_N(burn: ThrustCurve, e: LayoutThrust, t: float, pressure_Pa: float) -> float:
+    """Return the thrust of engines at ambient pressure; `burn` has that of all of them in vacuum."""
+    vacuum = burn.thrust_vacuum_N(t)
+    return max(vacuum - pressure_Pa * e.exit_area_m2 * len(e.positions_m), 0.0) if vacuum > 0.0 else 0.0
+
+
+def _dry(stage: LayoutStage | LayoutBooster) -> list[Rod]:
+    """Return the parts, structure and engines of a stage or a booster."""
+    rods = []
+    radius, e = 0.5 * stage.diameter_m, stage.engine
+    rods += [_part(p, p.radius_m or radius) for p in stage.part]
+    for s in stage.shell:
+        r = s.radius_m or radius
+        wall = 2.0 * math.pi * r * (s.wall_m or 0.0) * s.density_kgpm3
+        mass = wall * (s.rear_station_m - s.front_station_m)
+        rods += [ring(mass, s.front_station_m, s.rear_station_m, r)] if mass > 0.0 else []
+    spread = float(np.mean([y * y + z * z for y, z in e.positions_m])) + 0.05
+    mass = e.mass_kg * len(e.positions_m)
+    rods.append(Rod(mass, e.gimbal_station_m, e.rear_station_m or e.exit_station_m, spread, 0.5 * spread))
+    return rods
 
 
 def _part(part: DryMass, radius_m: float) -> Rod:
@@ -245,13 +343,26 @@ def _column(tank: LayoutTank, mass_kg: float) -> Rod:
 
 
 def stacks(layout: Layout) -> list[Stack]:
-    """Return a stack for each stage, in the order of flight, all with the fairing. Raises ValueError for too short a
-    burn.
+    """Return the stacks in the order of flight, all with the fairing: one for each stage, and with boosters for each
+    of their separations.
+
+    Raises ValueError for too short a burn, and for boosters that leave after the stage has burned out.
     """
-    return [
-        Stack(layout, n, burn_of(stage, stage.ignition_after_s if n else 0.0), layout.fairing is not None, stage.name)
-        for n, stage in enumerate(layout.stage)
-    ]
+    out = []
+    for n, stage in enumerate(layout.stage):
+        burn, begins_s = burn_of(stage, stage.ignition_after_s if n else 0.0), 0.0
+        whole = Stack(layout, n, burn, layout.fairing is not None, stage.name)
+        strapped = [Strapped(b, burn_of(b, b.ignition_after_s)) for b in stage.booster]
+        strapped.sort(key=lambda each: -each.leave_s)
+        for leave_s in sorted({each.leave_s for each in strapped}):
+            if leave_s >= burn.full_s[1]:
+                raise ValueError(f"boosters leave at {leave_s:.1f} s, after stage {stage.name} has burned out")
+            attached = tuple(each for each in strapped if each.leave_s >= leave_s)
+            name = f"{stage.name} with {' and '.join(each.booster.name for each in attached)}"
+            out.append(replace(whole, name=name, boosters=attached, begins_s=begins_s, leave_s=leave_s))
+            begins_s = leave_s
+        out.append(replace(whole, begins_s=begins_s))
+    return out
 
 
 def without_fairing(every: Sequence[Stack], number: int, clock_s: float) -> list[Stack]:

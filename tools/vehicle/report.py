@@ -51,7 +51,7 @@ def notes(built: Built) -> list[tuple[str, list[str]]]:
 def _stages(built: Built) -> LayoutTable:
     rows: LayoutRows = [("stage", "from, kg", "to, kg", "burn, s", "T/W", "dv, m/s", "v, m/s", "h, km", "path, deg")]
     for n, stack in enumerate(built.stacks):
-        first, last = (stack.mass_properties(t).mass_kg for t in (0.0, stack.burn.end_s))
+        first, last = (stack.mass_properties(t).mass_kg for t in (stack.begins_s, stack.end_s))
         point = [p for p in built.flight.points if p.number == n][-1]
         thrust = float(stack.burn.thrust_N.max())
         gained = stack.burn.impulse_Ns / (first - last) * math.log(first / last)

@@ -31,6 +31,7 @@ from maxq.tools.vehicle.masses import Stack, without_fairing
 
 STEERING_BLEND_s = 15.0  # from the gravity turn's attitude to that of the tangent law
 _LEAST_SPEED_mps = 1.0
+_LEAST_SHARE = 0.02  # of a burn with the fairing, so that it has operating points
 _STEP_s = 10.0
 _KICK_STEP = 0.0025  # of the scaled pitch-over: 0.25 mrad
 TrajectoryState = tuple[float, float, float, float]  # range m, altitude m, speed m/s, path angle rad
@@ -48,6 +49,7 @@ class TrajectoryPoint:
     speed_mps: float
     path_rad: float
     thrust_N: float
+    steered_N: float  # thrust of the engines that are gimballed
     dynamic_pressure_Pa: float
     mach: float
     incidence_rad: float  # of the steering
@@ -80,7 +82,7 @@ class Orbit(NamedTuple):
 
 @dataclass(frozen=True)
 class Ascent:
-    """The points along the powered flight, the stacks that fly it, and the start of each, s of flight time."""
+    """The points along the powered flight, the stacks that fly it, and the zero of their clocks, s of flight time."""
 
     points: list[TrajectoryPoint]
     stacks: list[Stack]
@@ -138,34 +140,37 @@ class _Model:
         """Return the clock and mass of each stack."""
         out = []
         for stack in self.stacks:
-            clock = np.linspace(0.0, stack.burn.end_s, 201)
-            dry, gone = sum(rod.mass_kg for rod in stack.dry), stack.stage.usable_kg
+            clock = np.linspace(stack.begins_s, stack.end_s, 201)
+            dry = sum(rod.mass_kg for rod in stack.dry)
             liquid, grain = (sum(t.liquid_mass_kg for t in stack.stage.tank), sum(g.mass_kg for g in stack.stage.grain))
             full = dry + liquid + grain
-            out.append((clock, np.array([full - gone * stack.burn.used(float(t)) for t in clock])))
+            full += sum(len(s.booster.positions_m) * s.mass_properties(0.0).mass_kg for s in stack.boosters)
+            out.append((clock, np.array([full - stack.used_kg(float(t)) for t in clock])))
         return out
 
     @cached_property
     def steering_s(self) -> tuple[float, float]:
         """Return the flight times between which the upper stages steer."""
-        first = self.stacks[0]
+        first, *upper = [s for s in self.stacks if s.leave_s is None]  # the last part of each stage
         begin = first.burn.end_s + first.stage.separation_after_s
-        ends = [s.burn.end_s + s.stage.separation_after_s for s in self.stacks[1:]]
-        return begin + self.stacks[1].burn.start_s, begin + sum(ends) - self.stacks[-1].stage.separation_after_s
+        ends = [s.burn.end_s + s.stage.separation_after_s for s in upper]
+        return begin + upper[0].burn.start_s, begin + sum(ends) - self.stacks[-1].stage.separation_after_s
 
-    def acts(self, n: int, t: float, altitude: float, speed: float) -> tuple[float, float, float, float]:
-        """Return the thrust (N), the drag (N), the dynamic pressure (Pa) and the Mach number."""
+    def acts(self, n: int, t: float, altitude: float, speed: float) -> tuple[float, float, float, float, float]:
+        """Return the thrust (N), that of gimballed engines (N), the drag (N), the dynamic pressure (Pa) and the Mach
+        number.
+        """
         density, pressure, sound = air(altitude)
         mach, q = speed / sound, 0.5 * density * speed**2
-        burn, e, aero = self.stacks[n].burn, self.layout.stage[n].engine, self.aero[n]
-        vacuum = burn.thrust_vacuum_N(t)
-        thrust = max(vacuum - pressure * e.exit_area_m2 * len(e.positions_m), 0.0) if vacuum > 0.0 else 0.0
-        coefficient = float(np.interp(mach, aero.mach, aero.axial if vacuum > 0.0 else aero.axial_coast))
-        return thrust, q * aero.area_m2 * coefficient, q, mach
+        stack, aero = self.stacks[n], self.aero[n]
+        burns = stack.burn.thrust_vacuum_N(t) > 0.0
+        thrust, steered = stack.thrusts_N(t, pressure)
+        coefficient = float(np.interp(mach, aero.mach, aero.axial if burns else aero.axial_coast))
+        return thrust, steered, q * aero.area_m2 * coefficient, q, mach
 
     def incidence(self, n: int, time_s: float, path: float) -> float:
         """Return the attitude above the path: 0, except where the tangent law steers."""
-        if self.tangents is None or n == 0:
+        if self.tangents is None or self.stacks[n].number == 0:
             return 0.0
         begin, end = self.steering_s
         wanted = math.atan(float(np.interp(time_s, (begin, end), self.tangents)))
@@ -174,7 +179,7 @@ class _Model:
 
     def rate(self, n: int, begin_s: float, dropped_kg: float, t: float, y: Sequence[float]) -> TrajectoryState:
         reach, altitude, speed, path = y
-        thrust, drag, _, _ = self.acts(n, t, altitude, speed)
+        thrust, _, drag, _, _ = self.acts(n, t, altitude, speed)
         mass = float(np.interp(t, *self.masses[n])) - dropped_kg
         place, incidence = self.place, self.incidence(n, begin_s + t, path)
         radius = place.radius_m + altitude
@@ -183,7 +188,7 @@ class _Model:
         if n == 0 and speed <= 0.0 and accel < 0.0:
             accel = 0.0  # on the pad
         fast = max(speed, _LEAST_SPEED_mps)
-        push, share = self._pitch_over(begin_s + t) if n == 0 else (0.0, 1.0)
+        push, share = self._pitch_over(begin_s + t) if self.stacks[n].number == 0 else (0.0, 1.0)
         turn = push + share * self._free(radius, fast, path, gravity) + thrust * math.sin(incidence) / (mass * fast)
         return speed * math.cos(path) * place.radius_m / radius, speed * math.sin(path), accel, turn
 
@@ -201,21 +206,22 @@ class _Model:
 
     def point(self, n: int, begin_s: float, t: float, y: TrajectoryState) -> TrajectoryPoint:
         reach, altitude, speed, path = y
-        thrust, _, q, mach = self.acts(n, t, altitude, speed)
+        thrust, steered, _, q, mach = self.acts(n, t, altitude, speed)
         time_s, radius = begin_s + t, self.place.radius_m + altitude
-        push, share = self._pitch_over(time_s) if n == 0 else (0.0, 1.0)
+        push, share = self._pitch_over(time_s) if self.stacks[n].number == 0 else (0.0, 1.0)
         gravity = self.place.gravity_mps2(radius, reach / self.place.radius_m) - self.place.spin_radps**2 * radius
         excess = push + (share - 1.0) * self._free(radius, max(speed, _LEAST_SPEED_mps), path, gravity)
         if time_s <= self.layout.trajectory.pitch_over_start_s:
             excess = 0.0  # the pad, and straight up
         horizon = reach / self.place.radius_m + self.place.spin_radps * time_s
         incidence = self.incidence(n, time_s, path)
-        return TrajectoryPoint(n, t, time_s, reach, altitude, speed, path, thrust, q, mach, incidence, excess, horizon)
+        forces = thrust, steered, q, mach
+        return TrajectoryPoint(n, t, time_s, reach, altitude, speed, path, *forces, incidence, excess, horizon)
 
     def fly(self, points: int) -> tuple[list[TrajectoryPoint], list[float], tuple[int, float] | None]:
-        """Fly all stages, with `points` per burn.
+        """Fly all stages with `points` points per burn.
 
-        Return the points, the start of each stage, and stack and clock of the fairing separation.
+        Return the points, the zero of each stack's clock (s), and stack and clock of the fairing separation.
         """
         fairing, wanted = self.layout.fairing, self.layout.trajectory
         jettison_m = math.inf if fairing is None else fairing.jettison_altitude_m
@@ -230,16 +236,22 @@ class _Model:
             burn, stage = stack.burn, stack.stage
             begins.append(time_s)
             end = burn.end_s + (0.0 if n == len(self.stacks) - 1 else stage.separation_after_s)
-            start = wanted.pitch_over_start_s
-            kinks = [start, start + 0.5 * wanted.pitch_over_s, start + wanted.pitch_over_s] if n == 0 else []
-            edges = np.unique([0.0, burn.start_s, *burn.full_s, burn.end_s, end, *(k for k in kinks if k < end)])
-            at = np.linspace(0.0 if n == 0 else burn.start_s, burn.end_s, points)[:-1]  # and the end, below
+            end, begin, last = stack.leave_s or end, stack.begins_s, stack.end_s
+            start, lowest = wanted.pitch_over_start_s, stack.number == 0
+            kinks = [start, start + 0.5 * wanted.pitch_over_s, start + wanted.pitch_over_s] if lowest else []
+            kinks += [x for s in stack.boosters for x in (s.burn.start_s, *s.burn.full_s, s.burn.end_s)]
+            inside = [x for x in (0.0, burn.start_s, *burn.full_s, burn.end_s, *kinks) if begin < x < end]
+            edges = np.unique([begin, *inside, end])
+            at = np.linspace(begin if lowest else burn.start_s, last, points)[:-1]  # and the end, below
             spans = list(pairwise(float(edge) for edge in edges))
             while spans:
                 a, b = spans.pop(0)
-                can_drop = n > 0 and fairing is not None and dropped is None and burn.full_s[0] <= a < burn.full_s[1]
+                can_drop = (
+                    not lowest and fairing is not None and dropped is None and burn.full_s[0] <= a < burn.full_s[1]
+                )
                 if can_drop and y[1] >= jettison_m:
-                    dropped, can_drop = (n, max(a, burn.full_s[0] + 1.0)), False
+                    early_s = max(1.0, _LEAST_SHARE * (burn.full_s[1] - burn.full_s[0]))
+                    dropped, can_drop = (n, max(a, burn.full_s[0] + early_s)), False
                 gone = fairing.mass_kg if fairing is not None and dropped is not None else 0.0
                 found = solve_ivp(
                     partial(self.rate, n, time_s, gone),
@@ -253,7 +265,7 @@ class _Model:
                 )
                 rows = np.reshape(found.y, (4, -1)).T
                 for t, row in zip(found.t, rows, strict=True):
-                    if t < b or b == burn.end_s:
+                    if t < b or b == last:
                         kept.append(self.point(n, time_s, float(t), _state(row)))
                 if (
                     found.y_events and found.t_events and len(found.y_events[0])
@@ -263,7 +275,7 @@ class _Model:
                     spans.insert(0, (float(found.t_events[0][0]), b))
                 else:
                     y = _state(rows[-1])
-            time_s += end
+            time_s += 0.0 if stack.leave_s is not None else end
         return kept, begins, dropped
 
     def orbit(self, last: TrajectoryPoint) -> Orbit:
@@ -298,7 +310,7 @@ def ascent(layout: Layout, stacks: Sequence[Stack], aero: Sequence[Aerodynamics]
     """Return the ascent with the requested last burnout. Raises ValueError if no pitch-over gives it."""
     model, wanted = _Model(layout, stacks, aero), layout.trajectory
     weight = float(model.masses[0][1][0]) * model.place.gravity_mps2(model.place.radius_m, 0.0)
-    begin, end = stacks[0].burn.full_s
+    begin, end = stacks[0].full_s
     thrust = model.acts(0, 0.5 * (begin + end), layout.site.altitude_m, 0.0)[0]
     if thrust <= 1.02 * weight:
         raise ValueError(f"the first stage pushes {thrust:.4g} N at the ground and weighs {weight:.4g} N")

@@ -1,6 +1,6 @@
 """`simverify --check PACK`: a pack verified by someone else: hashes, signature, ledger, and a sample computed again.
 
-The inputs are loaded by the names in the pack, from this machine; a random sample of the flights, operating points and
+The inputs are loaded by the names in the pack, from this machine. A random sample of the flights, operating points and
 campaign runs is computed again and compared with the pack, bit by bit.
 """
 
@@ -10,7 +10,7 @@ import hashlib
 import json
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from maxq.design.verify.memory import PartsOnDisk
 from maxq.design.verify.names import node_name
 from maxq.design.verify.parts import Parts
 from maxq.design.verify.verify import Prepared, part_alone, prepare
+from maxq.design.verify.waivers import apply_waivers
 from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.store import MANIFEST, parts_in
 from maxq.sim.scenario.loader import LoadedScenario
@@ -84,9 +85,9 @@ def execute(
         _signature(folder, Path(allowed) if allowed is not None else None, found)
         _files(folder, record, found)
         _ledger(folder, record, found)
-        _verdict(record, found)
         with Progress() as progress:
             prepared = _prepared(record["asked"] | {k: value for k, value in given.items() if value is not None})
+            _verdict(record, prepared, folder, found)
             if _hashes(record, prepared, found):
                 _sample(record, prepared, folder, sample, random.Random(seed), found, progress)
             else:
@@ -179,10 +180,18 @@ def _hashes(record: dict[str, Any], prepared: Prepared, found: Findings) -> bool
     return not set(wrong) - {"code"}
 
 
-def _verdict(record: dict[str, Any], found: Findings) -> None:
-    """Compare the verdict with the requirements, and these with the flights of the pack."""
+def _verdict(record: dict[str, Any], prepared: Prepared, folder: Path, found: Findings) -> None:
+    """Compare the verdict with the requirements, their waivers, and the flights of the pack.
+
+    Waivers are those of the suite, on the day of the attempt in the ledger.
+    """
     rows = [suites.JudgedRequirement(**{_KEYS.get(k, k): v for k, v in row.items()}) for row in record["requirements"]]
-    same = suites.overall(rows, record["missing_evidence"]) == record["verdict"]
+    begun = [line for line in ledger.read_lines(folder / ATTEMPTS_NAME)[0] if line["hash"] == record["attempt"]["line"]]
+    date, board = (begun[0]["date"][:10] if begun else ""), prepared.loaded.suite.board
+    plain = [replace(row, waived="") for row in rows]
+    waived, _ = apply_waivers(plain, board, date, bool(record["missing_evidence"]))
+    same = suites.overall(waived, record["missing_evidence"]) == record["verdict"]
+    same &= [row.waived for row in waived] == [row.waived for row in rows]
     passed = {flight["name"]: flight["passed"] for flight in record["flights"]}
     scenarios = [row for row in rows if row.part == "scenarios" and row.name in passed]
     same &= all((row.judgement == suites.ACCEPTED) == passed[row.name] for row in scenarios)
@@ -200,7 +209,7 @@ def _sample(
     found: Findings,
     progress: Progress,
 ) -> None:
-    """Compute a sample of each kind again, and judge the campaigns of the pack again."""
+    """Recompute a random sample of each kind of result, and judge the campaigns of the pack again."""
     suite = prepared.loaded.suite
     jobs = {
         "flights": _flights(record, prepared, found),

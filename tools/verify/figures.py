@@ -21,6 +21,7 @@ from maxq.design.verify.verify import Verification
 from maxq.sim.campaign import analysis
 from maxq.sim.campaign.read import channel_units
 from maxq.sim.campaign.store import campaign_in
+from maxq.sim.run.quantities import propellant_text
 from maxq.tools.campaign_report import labels_of, nearest_limits, tails_of
 from maxq.tools.design.figures import bode_panels, diamond, filter_plot, lobe_colours, nichols_panel, open_loop
 from maxq.tools.plots import campaign as campaign_plots
@@ -70,7 +71,8 @@ def _vehicle(found: Verification) -> Plot:
         bodies.append(side_view.revolved(*stage.profile.T, fill="page", opacity=1.0))
         for k, t in enumerate(stage.tanks):
             surface = t.bottom_station_m - float(t.level[1][0])
-            for top, said, full in ((t.top_station_m, "", False), (surface, f"{t.name} at liftoff", True)):
+            name = f"{propellant_text(t.name)} at liftoff"
+            for top, said, full in ((t.top_station_m, "", False), (surface, name, True)):
                 bodies.append(side_view.tank([top, t.bottom_station_m], t.radius_m, said, COLOURS[k % 4], full=full))
     lowest = vehicle.stages[0]
     marks = [("gyro", lowest.gyro_station_m, "green")] if lowest.gyro_station_m is not None else []
@@ -266,8 +268,8 @@ def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:
             series += [limit(side * allowed, "allowed without a reason") for side in (1.0, -1.0)]
             panels.append(Panel(title, series, "frequency, Hz", unit, log_x=True))
     caption = (
-        "Differences at all nodes and lines. What lies beyond the band has a reason (in the data, or point at it), or "
-        "stands as unexplained."
+        "Differences at all operating points and lines. A difference beyond the band has a reason (in the data, or "
+        "point at it), or is unexplained."
     )
     return Plot("certificate", "Measured in flight against the linear loop", panels, caption, 2, 200)
 
@@ -315,7 +317,7 @@ def _authority(found: Verification) -> Plot:
     shares = ((1.0, "all of the gimbal angle", ""), (0.5, "half of it", "6 3"), (0.25, "a quarter", "2 2"))
     winds = [line(times, share * wind, name, colour="limit", dash=dash) for share, name, dash in shares]
     if found.suite.wind_limit_mps is not None:
-        winds.append(limit(found.suite.wind_limit_mps, "wind asked for", colour="ink"))
+        winds.append(limit(found.suite.wind_limit_mps, "wind required", colour="ink"))
     top = min(float(np.nanmax(wind[np.isfinite(wind)], initial=10.0)), 100.0)
     panels = [
         Panel("gimbal per angle of attack, |M_alpha / M_delta|", [line(times, ratio)], "time, s", "deg/deg"),

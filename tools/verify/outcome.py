@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 
-from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, JudgedRequirement
+from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, WAIVED, JudgedRequirement, SuiteVerdict
 from maxq.design.verify.verify import Verification
 from maxq.tools.cli.terminal import printable
 
@@ -17,6 +17,12 @@ _BEYOND = {">=": "<", "<=": ">"}
 _AT_POINT = re.compile(r"(\S+ s), (pitch|yaw)")
 
 
+def verdict_word(judgement: SuiteVerdict, requirements: Sequence[JudgedRequirement]) -> str:
+    """Return the verdict in capitals, with the number of requirements that are waived if it depends on waivers."""
+    waived = sum(bool(r.waived) for r in requirements)
+    return f"{judgement.upper()} ({waived})" if judgement == WAIVED else judgement.upper()
+
+
 def headline(found: Verification, name: str = "") -> str:
     """Return the outcome in one line. `name` is that of the design and precedes the line if there are several."""
     met, count = len(found.of(ACCEPTED)), len(found.requirements)
@@ -25,19 +31,20 @@ def headline(found: Verification, name: str = "") -> str:
     if found.judgement == SCREENED:
         more = f", and {len(reasons) - MOST_REASONS} more" if len(reasons) > MOST_REASONS else ""
         texts.append(f"below the floor of an acceptance: {', '.join(reasons[:MOST_REASONS])}{more}")
-    line = f"{found.judgement.upper()}: {'; '.join(filter(None, texts))}"
+    line = f"{verdict_word(found.judgement, found.requirements)}: {'; '.join(filter(None, texts))}"
     line += f". {ONLY_REJECTS}" if reasons else ""
     return f"{printable(name)}: {line}" if name else line
 
 
 def _decisive(found: Verification) -> str:
     """Return the decisive requirement: missed or undecided by the largest share, or the tightest one."""
-    if found.judgement == REJECTED:
-        return _missed(found.of(REJECTED))
+    if found.judgement in (REJECTED, WAIVED):
+        missed = [r for r in found.of(REJECTED) if not r.waived] or found.of(REJECTED)
+        return _missed(missed) + (f", waived by {missed[0].waived}" if found.judgement == WAIVED else "")
     if found.judgement == UNDECIDED:
         open_ = max(found.of(UNDECIDED), key=lambda r: r.more_runs, default=None)
         more = f", {open_.more_runs} more runs would settle it" if open_ and open_.more_runs else ""
-        return f"{open_.name}: {open_.found}, wanted {open_.wanted}{more}" if open_ else ""
+        return f"{open_.name}: {open_.found}, required {open_.wanted}{more}" if open_ else ""
     finite = [r for r in found.requirements if math.isfinite(r.room)]
     if not finite:
         return ""
@@ -54,7 +61,7 @@ def _missed(rejected: Sequence[JudgedRequirement]) -> str:
     same = [r for r in rejected if (r.part, r.name) == (worst.part, worst.name) and _time(r) == _time(worst)]
     if sense and re.match(r"-?[0-9.]", worst.found):
         return f"{_name(worst)} {worst.found} {_BEYOND[sense[1]]} {sense[2]}{_at(same)}"
-    beyond = f" {_BEYOND[sense[1]]} {sense[2]}" if sense else f", wanted {worst.wanted}"
+    beyond = f" {_BEYOND[sense[1]]} {sense[2]}" if sense else f", required {worst.wanted}"
     return f"{_name(worst)}: {worst.found}{beyond}{_at(same)}"
 
 

@@ -30,7 +30,8 @@ from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.report import GAIN_HEADS, uncovered_lines, uncovered_record, uncovered_table, write_record
 from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot, as_csv
-from maxq.tools.verify.outcome import headline
+from maxq.tools.verify.board import board_record, board_tables, waiver_lines
+from maxq.tools.verify.outcome import headline, verdict_word
 from maxq.tools.verify.records import file_hashes, record_lines, records, write_attempts, write_runs
 from maxq.tools.verify.signing import SUFFIX
 
@@ -38,6 +39,7 @@ VERDICT_NAME, PAGE_NAME, PDF_NAME, FIGURES_NAME = "verdict.json", "review.html",
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _PRINT_S = 60.0
 _RANKED = ("upper gain margin", "phase margin", "phase margin at mode 1")
+_HEADINGS = ("gain dB", "phase deg", "mode 1 deg")  # of the same in the ranking
 WORDS = {ACCEPTED: MET, REJECTED: REJECTED, UNDECIDED: UNDECIDED}  # of a single requirement
 _KEYS = {"judgement": "verdict"}  # of a requirement, as in verdict.json
 FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
@@ -55,7 +57,7 @@ _LINE = (
 
 @dataclass(frozen=True)
 class Signed:
-    """The person responsible for a review, as stated in its title block. `date` is empty for today."""
+    """The person responsible for a review, as stated in its title block. An empty `date` means today."""
 
     author: str = ""
     revision: str = ""
@@ -94,6 +96,8 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
         found=found,
         command=command,
         headline=headline(found),
+        verdict_word=verdict_word(found.judgement, found.requirements),
+        board_tables=board_tables(found),
         record_lines=record_lines(found),
         tank_name=tank_name,
         signed=signed,
@@ -116,13 +120,15 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
     asked = {"scenarios": f"{len(found.flights)} flights, each within its limits"}
     if margins is not None:
         nodes = sum(len(m.times_s) for m in found.margins)
-        asked["margins"] = f"linear margins of the design at {nodes} nodes, {' and '.join(margins.planes)}"
+        asked["margins"] = f"linear margins of the design at {nodes} operating points, {' and '.join(margins.planes)}"
         vehicles = len(found.margins[0].random) + len(found.margins[0].corners) if found.margins else 0
         asked["dispersed"] = f"the same of {vehicles} {found.deviations or 'dispersed vehicles'}"
     if suite.certificate is not None:
         nodes = len(found.certificates)
-        asked["certificate"] = f"linear loop and flight agree at {nodes} node{'s' * (nodes != 1)}"
-    asked["measured only"] = f"margins of flight code, measured at {len(found.measured)} nodes"
+        asked["certificate"] = f"linear loop and flight agree at {nodes} operating point{'s' * (nodes != 1)}"
+        if found.measured:
+            asked["certificate"] = "flight code responds in the ascent as at frozen points"
+    asked["measured only"] = f"margins of flight code, measured at {len(found.measured)} operating points"
     asked["campaign"] = "; ".join(
         f"{c.runs} flights, {100.0 * c.success:g} % with {100.0 * c.confidence:g} % confidence" for c in found.campaigns
     )
@@ -253,17 +259,18 @@ def _headings(part: Sequence[JudgedRequirement]) -> list[str]:
 
 def report(found: Verification, title: str) -> list[str]:
     """Return every requirement, one per row, below the name of its part and plane."""
-    rows: list[tuple[str, ...]] = [("requirement", "verdict", "wanted", "found", "room", "where")]
+    rows: list[tuple[str, ...]] = [("requirement", "outcome", "limit", "value", "margin to limit", "at")]
     headed = [(_headings(list(group)), part) for part, group in groupby(found.requirements, lambda r: r.part)]
     every = zip(found.requirements, (f"{part}{h}" for own, part in headed for h in own), strict=True)
     for heading, group in groupby(every, lambda pair: pair[1]):
         rows += [("",) * 6, (f"{heading}:", *("",) * 5)]
         for r, _ in group:
             room = f"{100.0 * r.room:.0f} %" if math.isfinite(r.room) else ""
-            rows.append((printable(r.name), _mark(WORDS[r.judgement]), r.wanted, printable(r.found), room, r.where))
+            verdict = _mark(WORDS[r.judgement]) + (", waived" if r.waived else "")
+            rows.append((printable(r.name), verdict, r.wanted, printable(r.found), room, r.where))
     return [
         title,
-        *map(printable, record_lines(found)),
+        *map(printable, (*record_lines(found), *waiver_lines(found))),
         *baseline_lines(found),
         *([printable(from_here(found.deviations))] if found.deviations else []),
         "",
@@ -275,8 +282,8 @@ def report(found: Verification, title: str) -> list[str]:
 
 
 def measured_lines(found: Verification) -> list[str]:
-    """Return a table of the margins that were measured in flight, and of the linear loop held likewise."""
-    rows: list[tuple[str, ...]] = [("at", "plane", "margin", "measured", "linear, held", "remark")]
+    """Return a table of the margins measured at the frozen points, and of the linear loop there."""
+    rows: list[tuple[str, ...]] = [("at", "plane", "margin", "measured", "linear", "remark")]
 
     def row(
         at: NodeCertificate | MeasuredNode, what: str, unit: str, values: Sequence[float], remark: str = ""
@@ -333,7 +340,7 @@ def ranked(every: Sequence[Verification]) -> list[Verification]:
 
 def ranking(every: Sequence[Verification]) -> list[str]:
     """Return a table of designs, the best first."""
-    head = ("", "design", "verdict", "rejected", "undecided", "tightest", "room", "gain dB", "phase deg", "mode 1 deg")
+    head = ("", "design", "verdict", "rejected", "undecided", "tightest", "margin", *_HEADINGS)
     rows: list[tuple[str, ...]] = [head]
     for n, v in enumerate(ranked(every), 1):
         finite = [r for r in v.requirements if math.isfinite(r.room)]
@@ -380,6 +387,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
             "shipped": found.compared.shipped,
             "differences": [vars(d) for d in found.compared.differences],
         },
+        "board": board_record(found),
         "against_basis": against_basis(found.suite, found.scenario),
         "flights": [{key: getattr(f, key) for key in FLIGHT} for f in found.flights],
         "margins": [
@@ -412,6 +420,9 @@ def measured_record(n: MeasuredNode) -> dict[str, Any]:
         "time_s": n.time_s,
         "plane": n.plane,
         "stable": n.stable,
+        "clock_s": list(n.clock_s),
+        "ended": n.ended,
+        "differs": n.differs,
         "margins": [vars(m) for m in n.margins],
         "phase_deg": n.phase_deg if n.stable else math.nan,
         "slosh": [vars(c) for c in n.cycles],

@@ -32,6 +32,7 @@ from maxq.tools.verify.outcome import headline
 
 _EXIT: dict[suites.SuiteVerdict, Exit] = {
     suites.ACCEPTED: Exit.OK,
+    suites.WAIVED: Exit.OK,
     suites.SCREENED: Exit.OK,
     suites.REJECTED: Exit.FAILED,
     suites.UNDECIDED: Exit.UNDECIDED,
@@ -89,7 +90,7 @@ def execute(
                     sample=sample,
                 )
             except ValueError as error:
-                if not str(error).startswith("node at"):
+                if not str(error).startswith("operating point at"):
                     raise
                 raise ScenarioError(loaded.label, str(error)) from None  # the suite's times are invalid
             found.append(one)

@@ -5,7 +5,7 @@ lifting surface is -CN_alpha |U| W_k, the cross-flow drag is -C_c |(V, W)| W, an
 small angles of attack these are q S CN_alpha alpha and q S CA. At 90 degrees only the cross-flow remains, and no term
 is undefined at rest (docs/model.md, section 6). W_k is the local cross flow: bending turns the surface (slope) and
 moves it (rate). Tables over Mach number and angle of attack may be used in addition to the slopes or instead of them
-(incidence.py).
+(`incidence.py`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ from maxq.sim.vehicle.modes.planar import Modes, add_to_modes, modal_sum, of_pla
 from maxq.sim.vehicle.modes.spatial import apply_spatial_load, outer_spatial_load, spatial_motion
 
 # Columns of the Mach table; CD is the drag along the relative wind at any attitude. From FIRST_SURFACE on, per
-# surface, CN_alpha and CN_alpha times its station.
+# surface, CN_alpha and CN_alpha times its station. From `Aero.off_axis` on, CA of the boosters times y and z of their
+# axes.
 CA, CA_COAST, CD, CMQ, CNR, CLP, CROSSFLOW, CM0, FIRST_SURFACE = range(9)
 
 FIXED, OVER_TIME, OVER_MASS = range(3)  # motion of the moment reference
@@ -60,6 +61,9 @@ class Aero:
     airspeed_floor_mps: float  # no aerodynamic force below it
     tables: IncidenceTables
     station_m: Annotated[Array, (MAX_SURFACES + 1,)]  # station of each surface and table for modes and wind
+    place_y_m: Annotated[Array, (MAX_SURFACES + 1,)]  # of each surface from the body axis
+    place_z_m: Annotated[Array, (MAX_SURFACES + 1,)]
+    off_axis: int  # column of the Mach table for axial forces off the body axis, or -1
     reference: TableRef  # station about which moments of tables, and of the slopes of `remainder`, are given
     reference_moves: int  # FIXED, OVER_TIME, OVER_MASS
     remainder: int  # the surface whose moment uses a moving reference, or -1
@@ -79,7 +83,7 @@ class SurfaceLoad:
 class AeroWork:
     """The aerodynamics in one evaluation of the derivative."""
 
-    mach_row: Annotated[Array, (FIRST_SURFACE + 2 * (MAX_SURFACES + 1),)]  # columns of the Mach table
+    mach_row: Annotated[Array, (FIRST_SURFACE + 2 * (MAX_SURFACES + 2),)]  # columns of the Mach table
     surface: Annotated[tuple[SurfaceLoad, ...], (MAX_SURFACES + 1,)]
     wind_B_mps: PartWinds
     incidence: IncidenceWork
@@ -141,6 +145,10 @@ def body_loads(
     mx += -cg[1] * fz_cross + cg[2] * fy_cross
     my += -cg[2] * fx
     mz += cg[1] * fx
+    if aero.off_axis >= 0:
+        push = -half * aero.axial_factor * u * abs(u)
+        my += push * row[aero.off_axis + 1]
+        mz -= push * row[aero.off_axis]
     return (fx, fy_cross - drag * v, fz_cross - drag * w), (mx, my, mz)
 
 
@@ -174,7 +182,7 @@ def surface_loads(
         fy += force_y
         fz += force_z
         put_surface(record_at(work.surface, s), force_y, force_z, cn, cn_x)
-        mx += -y_cg * force_z + z_cg * force_y
+        mx += (aero.place_y_m[s] - y_cg) * force_z - (aero.place_z_m[s] - z_cg) * force_y
         my += half * w_local * (cn * x_cg - cn_x)
         mz -= half * v_local * (cn * x_cg - cn_x)
     return (0.0, fy, fz), (mx, my, mz)

@@ -15,7 +15,7 @@ from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.vehicle.air import incidence
 from maxq.sim.vehicle.air import section as schema
 from maxq.sim.vehicle.air.incidence import N_ROLES, ROLES, IncidenceTables
-from maxq.sim.vehicle.air.kernel import FIRST_SURFACE, FIXED, OVER_MASS, OVER_TIME, Aero
+from maxq.sim.vehicle.air.kernel import CA, CA_COAST, FIRST_SURFACE, FIXED, OVER_MASS, OVER_TIME, Aero
 from maxq.sim.vehicle.air.section import AeroSurface
 from maxq.sim.vehicle.air.tables import grid_table
 from maxq.sim.vehicle.body.section import Reference
@@ -23,6 +23,7 @@ from maxq.sim.vehicle.engine.burn import Burn
 from maxq.sim.vehicle.engine.packing import on_clock
 
 if TYPE_CHECKING:
+    from maxq.sim.scenario.schema_booster import Booster
     from maxq.sim.scenario.schema_scenario import Scenario
     from maxq.sim.scenario.schema_vehicle import Stage
 
@@ -47,6 +48,7 @@ def pack_aero(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Aero:
     reference: Reference = scenario.vehicle.reference
     aero = stage.aero or schema.AeroSection.model_construct()  # its defaults, without a table
     on = stage.aero is not None and scenario.switches.aerodynamics
+    lifting, increments = _boosters(stage)
     moves, table = aero.moment_reference
     mach_table, moving, remainder = NO_TABLE, NO_TABLE, -1
     stations = np.zeros(MAX_SURFACES + 1)
@@ -54,12 +56,18 @@ def pack_aero(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Aero:
     stations[: len(given)] = given
     if on:
         fixed_m = 0.0 if moves else aero.moment_reference_m
-        mach_table = pool.add(_mach_table(aero.table, aero.surface, aero.interpolation, fixed_m, reference.chord_m))
+        mach_table = pool.add(
+            _mach_table(aero.table, aero.surface, aero.interpolation, fixed_m, reference.chord_m, increments)
+        )
         joined = fit(table[moves], table["station_m"], stage.interpolation if moves else "linear")
         moving = pool.add(on_clock(joined, burn) if moves == "time_s" else joined)
         if moves and has_remainder(aero.table) and "x_cp_m" not in aero.table:
             remainder = len(aero.surface)
     station = aero.crossflow_station_m
+    places = np.zeros((2, MAX_SURFACES + 1))
+    behind = len(given) - len(aero.coefficients) - len(lifting)
+    for k, booster in enumerate(lifting, start=behind):
+        places[:, k] = booster.position_m
     return Aero(
         on=int(on),
         table=mach_table,
@@ -78,6 +86,9 @@ def pack_aero(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Aero:
         airspeed_floor_mps=aero.airspeed_floor_mps,
         tables=_incidence_tables(aero, pool if on else Pool()),
         station_m=stations,
+        place_y_m=places[0],
+        place_z_m=places[1],
+        off_axis=FIRST_SURFACE + 2 * (behind + len(lifting)) if increments else -1,
         reference=moving,
         reference_moves=_MOVES[moves],
         remainder=remainder,
@@ -105,7 +116,7 @@ def _incidence_tables(aero: schema.AeroSection, pool: Pool) -> IncidenceTables:
 
 @cached_by_identity
 def _fitted(table: CsvTable, aeroballistic: bool, method: str) -> tuple[Grid, tuple[str, ...]]:
-    """Return the columns of vehicle/air/incidence.py over the variables of a table, and the column names.
+    """Return the columns of `sim/vehicle/air/incidence.py` over the variables of a table, and the column names.
 
     Angles are in rad.
     """
@@ -128,9 +139,16 @@ def _fitted(table: CsvTable, aeroballistic: bool, method: str) -> tuple[Grid, tu
 
 @cached_by_identity
 def _mach_table(
-    table: CsvTable, surfaces: tuple[schema.AeroSurface, ...], method: Method, reference_m: float, chord_m: float
+    table: CsvTable,
+    surfaces: tuple[schema.AeroSurface, ...],
+    method: Method,
+    reference_m: float,
+    chord_m: float,
+    boosters: tuple[tuple[CsvTable, tuple[float, float]], ...],
 ) -> Cubics:
     """Return the columns of vehicle/air/kernel.py over Mach number.
+
+    `boosters`: table of increments and position of each booster that has one.
 
     The normal force is stored as slope and slope times station. Hence a moment about a fixed reference is transferred
     exactly to a moving CG, even where the slope is zero.
@@ -146,7 +164,29 @@ def _mach_table(
         parts.append(fit(surface.table["mach"], np.stack([slope, slope * place], axis=1), method))
     if has_remainder(table):
         parts.append(_remainder(table, parts[1:], method, reference_m, chord_m))
-    return merge(parts)
+    if not boosters:
+        return merge(parts)
+    axial = []
+    for increments, (y, z) in boosters:
+        mach = increments["mach"]
+        if "CN_alpha_pr" in increments:
+            slope = increments["CN_alpha_pr"]
+            parts.append(fit(mach, np.stack([slope, slope * increments["station_m"]], axis=1), method))
+        force = increments.get("CA")
+        axial.append(fit(mach, np.stack([force, y * force, z * force], axis=1), method))
+    merged = merge([*parts, *axial])
+    c, first = merged.coefficients, sum(part.n_columns for part in parts)
+    added = c[:, :, first:].reshape(*c.shape[:2], len(axial), 3).sum(axis=2)
+    out = np.concatenate([c[:, :, :first], added[:, :, 1:]], axis=2)
+    out[:, :, CA : CA_COAST + 1] += added[:, :, :1]
+    return Cubics(merged.breaks, out)
+
+
+def _boosters(stage: Stage) -> tuple[tuple[Booster, ...], tuple[tuple[CsvTable, tuple[float, float]], ...]]:
+    """Return the boosters with a normal force, and table and position of all that have increments."""
+    given = [(booster, booster.aero.table) for booster in stage.booster if booster.aero is not None]
+    lifting = tuple(booster for booster, table in given if "CN_alpha_pr" in table)
+    return lifting, tuple((table, booster.position_m) for booster, table in given)
 
 
 def _remainder(table: CsvTable, surfaces: list[Cubics], method: Method, reference_m: float, chord_m: float) -> Cubics:
@@ -169,15 +209,24 @@ def _remainder(table: CsvTable, surfaces: list[Cubics], method: Method, referenc
 def surface_stations(stage: Stage) -> tuple[float, ...]:
     """Return the station, m, at which each lifting surface meets mode shapes and wind: the mean over its Mach table.
 
-    Two groups follow: one station for the normal force in excess of the surfaces' sum, then those of the tables over
-    angle of attack.
+    Three groups follow: one station for the normal force in excess of the surfaces' sum, then those of the boosters,
+    and of the tables over angle of attack.
     """
     aero = stage.aero
     if aero is None:
         return ()
     reference_m = float(aero.moment_reference[1]["station_m"].mean())
     tables = (reference_m if table.station_m is None else table.station_m for table in aero.coefficients)
-    return (*_stations(aero.table, aero.surface, reference_m), *tables)
+    boosters = (float(b.aero.table["station_m"].mean()) for b in _boosters(stage)[0] if b.aero is not None)
+    return (*_stations(aero.table, aero.surface, reference_m), *boosters, *tables)
+
+
+def surface_bodies(stage: Stage) -> tuple[int, ...]:
+    """Return for each of `surface_stations` the number of its body: 0 the core, then the boosters."""
+    lifting = _boosters(stage)[0]
+    tables = len(stage.aero.coefficients) if stage.aero is not None else 0
+    own = len(surface_stations(stage)) - len(lifting) - tables
+    return (*(0,) * own, *(stage.booster.index(b) + 1 for b in lifting), *(0,) * tables)
 
 
 @cached_by_identity

@@ -25,7 +25,7 @@ from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts
 from maxq.sim.vehicle.engine.kernel import Deflected, Engine, KeptEngines, deflected_at, flow_share
 from maxq.sim.vehicle.engine.modes import load_at_gimbal
 from maxq.sim.vehicle.modes.spatial import Load
-from maxq.sim.vehicle.slosh.kernel import pendulum_length
+from maxq.sim.vehicle.slosh.kernel import Slosh, pendulum_length
 from maxq.sim.world.earth import Earth
 
 
@@ -123,7 +123,7 @@ def engine_momentum(e: Engine, k: int, engine: Deflected, roll_rate: float) -> L
 
 
 @kernel
-def prepare_outflow(e: Engine, sizes: Counts, properties: Array) -> None:
+def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -> None:
     """Compute the derived properties of the flowing propellant (momentum, jet damping), and the inverse masses.
 
     The relative momentum of the inner flow is d(m c)/dt + mdot r_exit (mass conservation). The moment about the core CG
@@ -148,8 +148,8 @@ def prepare_outflow(e: Engine, sizes: Counts, properties: Array) -> None:
         c = sch.tank_column(tank)
         at = (
             properties[sch.CORE_CG] - properties[c + sch.TANK_HINGE] - pendulum_length(properties, tank),
-            -properties[sch.CORE_CG + 1],
-            -properties[sch.CORE_CG + 2],
+            slosh.place_y_m[tank] - properties[sch.CORE_CG + 1],
+            slosh.place_z_m[tank] - properties[sch.CORE_CG + 2],
         )
         growth = properties[c + sch.TANK_MASS_RATE]
         inner = add(inner, scaled(growth, at))

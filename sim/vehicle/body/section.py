@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -79,6 +80,29 @@ class Mass(Section):
         fine = np.unique(np.concatenate([times, *(np.linspace(a, b, 65) for a, b in pairwise(times))]))
         return fine, fit(times, mass[:, None], interpolation).at(fine)[:, 0]
 
+    def rows(self, ignition_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return times (n,) and rows (n, 10): mass, CG station, y and z, and integrals Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
+        if self.table is not None:
+            table = self.table
+            names = ("y_cg_m", "z_cg_m"), ("Ixy_kgm2", "Ixz_kgm2", "Iyz_kgm2")
+            rows = [table["mass_kg"], table["x_cg_m"], *[table.get(n) for n in names[0]]]
+            rows += [table["Ixx_kgm2"], table["Iyy_kgm2"], table["Izz_kgm2"], *[table.get(n) for n in names[1]]]
+            return table["time_s"], np.stack(rows, axis=1)
+        assert self.mass_kg is not None
+        assert self.x_cg_m is not None
+        j = np.array(self.inertia_kgm2)
+        row = np.array(
+            [
+                *(self.mass_kg, self.x_cg_m, self.y_cg_m or 0.0, self.z_cg_m or 0.0),
+                *(j[0, 0], j[1, 1], j[2, 2], -j[0, 1], -j[0, 2], -j[1, 2]),
+            ]
+        )
+        if not self.mass_flow_kgps or not self.burn_s:
+            return np.array([0.0]), row[None]
+        end = row.copy()
+        end[0] -= self.mass_flow_kgps * self.burn_s
+        return np.array([ignition_s, ignition_s + self.burn_s]), np.stack([row, end])
+
     def _check_constants(self) -> None:
         mass = self.needs("mass_kg", "mass needs a table or constants", "a number > 0")
         self.needs("x_cg_m", "mass_kg is given", "a number")
@@ -95,6 +119,37 @@ class Mass(Section):
             spent = self.mass_flow_kgps * self.burn_s
             if spent >= mass:
                 raise refuse(f"expels {spent:g} kg of {mass:g} kg", f"burn_s * mass_flow_kgps < {mass:g}", ("burn_s",))
+
+
+def joined(parts: Sequence[tuple[NDArray[np.float64], tuple[float, float]]]) -> NDArray[np.float64]:
+    """Return the rows (n, 10) of `Mass.rows` of several bodies together.
+
+    Each part has its own rows, and the position y, z of its axis.
+    """
+    total = [moments(rows, place) for rows, place in parts]
+    return about_centre(np.sum(total, axis=0))
+
+
+def moments(rows: NDArray[np.float64], place: tuple[float, float]) -> NDArray[np.float64]:
+    """Return mass, its first moments (aft, y, z) and its integrals of second order about the nose, (n, 10).
+
+    These quantities are sums over the bodies of a vehicle.
+    """
+    mass = rows[:, 0]
+    aft, y, z = rows[:, 1], rows[:, 2] + place[0], rows[:, 3] + place[1]
+    return np.column_stack([mass, mass * aft, mass * y, mass * z, rows[:, 4:] + mass[:, None] * squares(aft, y, z)])
+
+
+def about_centre(total: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rows of `Mass.rows` from the sums of `moments`."""
+    mass, (aft, y, z) = total[:, 0], total[:, 1:4].T / total[:, 0]
+    return np.column_stack([mass, aft, y, z, total[:, 4:] - mass[:, None] * squares(aft, y, z)])
+
+
+def squares(aft: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the integrals of second order of a unit mass at a station and y, z in B, (n, 6)."""
+    x = -aft
+    return np.stack([y * y + z * z, x * x + z * z, x * x + y * y, x * y, x * z, y * z], axis=1)
 
 
 _SLACK = 1e-9

@@ -89,10 +89,7 @@ def moments(stage: Stage, lost: tuple[EngineFault, ...]) -> Array:
 
 def cg_at_half_burn(stage: Stage) -> tuple[float, float, float]:
     """Return station, y and z of the whole vehicle's CG when half of its propellant is spent, m."""
-    mass, table = stage.mass, stage.mass.table
-    if table is None:
-        return mass.x_cg_m or 0.0, mass.y_cg_m or 0.0, mass.z_cg_m or 0.0
-    falling = table["mass_kg"][::-1]
-    half = 0.5 * float(falling[0] + falling[-1])
-    x, y, z = (float(np.interp(half, falling, table.get(name)[::-1])) for name in ("x_cg_m", "y_cg_m", "z_cg_m"))
+    rows = stage.mass_over_time()[1][::-1]
+    half = 0.5 * float(rows[0, 0] + rows[-1, 0])
+    x, y, z = (float(np.interp(half, rows[:, 0], rows[:, k])) for k in (1, 2, 3))
     return x, y, z

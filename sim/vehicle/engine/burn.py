@@ -7,9 +7,9 @@ than the stage clock t:
     ds/dt = sum_i w_i(s) m_i(t),   w_i = share of engine i in the nominal mass flow, m_i = its throttle times faults
 
 If the shares are constant (engines of one table) and m_i is constant, s(t) is exact. Ramps of m_i are followed in steps
-of `_RAMP_S`, and changing shares in steps of `_SHARES_S` by the classical Runge-Kutta method. All engines are assumed
-to draw from the same tanks. Hence the remaining propellant and its distribution depend on the amount spent, not on the
-engine that spent it.
+of `_RAMP_S`, and changing shares in steps of `_SHARES_S` by the classical Runge-Kutta method. All engines of a body,
+the core or a booster, are assumed to draw from its tanks. Hence the remaining propellant and its distribution depend on
+the amount spent, not on the engine that spent it. Every body has a clock of its own.
 
 A table with one row is constant and covers all times. `mass_flow_factor` makes the tables' clock run faster.
 """
@@ -18,9 +18,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,22 +29,30 @@ from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.vehicle.engine.section import EngineSection
 
 if TYPE_CHECKING:
+    from maxq.sim.scenario.schema_booster import Booster
     from maxq.sim.scenario.schema_fault import Fault
     from maxq.sim.scenario.schema_vehicle import Stage
+
+    Body: TypeAlias = "Stage | Booster"
 
 BurnNumbers = NDArray[np.float64]
 
 _RAMP_S, _SHARES_S, _BUILD_UP_S = 0.1, 0.5, 2.0
 
 
-def thrust_end_s(stage: Stage) -> float:
-    """Return the time of the stage's tables from which on there is no thrust.
+def thrust_end_s(body: Body) -> float:
+    """Return the time of a body's tables from which on it has no thrust.
 
     It is 0 without an engine or with constant thrust, and the last time of a thrust table that does not end at zero.
     """
-    if any(len(engine.table) == 1 for engine in stage.engines):
+    if burns_for_ever(body):
         return 0.0
-    return max((_table_end_s(engine.table) for engine in stage.engines), default=0.0)
+    return max((_table_end_s(engine.table) for engine in body.own_engines), default=0.0)
+
+
+def burns_for_ever(body: Body) -> bool:
+    """Return True if an engine's table of thrust has one row."""
+    return any(len(engine.table) == 1 for engine in body.own_engines)
 
 
 def _table_end_s(table: CsvTable) -> float:
@@ -54,23 +62,57 @@ def _table_end_s(table: CsvTable) -> float:
     return float(time[min(int(burning[-1]) + 1, len(time) - 1)])
 
 
-def burn_rate(stage: Stage) -> float:
+def burn_rate(body: Body) -> float:
     """Return the seconds of the tables' clock per second of the stage clock."""
-    rates = {engine.mass_flow_factor for engine in stage.engines}
+    engines = body.own_engines
+    rates = {engine.mass_flow_factor for engine in engines}
     if len(rates) < 2:
         return rates.pop() if rates else 1.0
-    peak_N = [float(engine.table["thrust_vacuum_N"].max()) for engine in stage.engines]
-    burnt = sum(peak * engine.mass_flow_factor for peak, engine in zip(peak_N, stage.engines, strict=True))
+    peak_N = [float(engine.table["thrust_vacuum_N"].max()) for engine in engines]
+    burnt = sum(peak * engine.mass_flow_factor for peak, engine in zip(peak_N, engines, strict=True))
     return burnt / sum(peak_N)
 
 
-def stage_end_s(stage: Stage) -> float:
-    """Return the time of the stage's separation on its clock, or infinity for the last stage."""
+def stage_spans(stages: Sequence[Stage], ends_s: Sequence[float] = ()) -> list[tuple[float, float]]:
+    """Return for each stage the zero of its clock on the vehicle clock, and its end on its own clock.
+
+    The ends are those of the nominal tables, or `ends_s`. The end of the last stage is infinity.
+    """
+    out: list[tuple[float, float]] = []
+    start_s = end_s = 0.0
+    for n, stage in enumerate(stages):
+        if stage.clock == "own":
+            start_s += end_s
+        end_s = ends_s[n] if n < len(ends_s) else _nominal_end_s(stages, n)
+        out.append((start_s, end_s))
+    return out
+
+
+def _nominal_end_s(stages: Sequence[Stage], n: int) -> float:
+    stage = stages[n]
     if stage.separation_s is not None:
         return stage.separation_s
-    if stage.separation_after_burnout_s is not None:
-        return thrust_end_s(stage) / burn_rate(stage) + stage.separation_after_burnout_s
-    return math.inf
+    if stage.separation_after_burnout_s is None:
+        return math.inf
+    leave = leaving(stages, n)
+    ends = [b.ignition_s + thrust_end_s(b) / burn_rate(b) for b in leave] if leave else [nominal_burnout_s(stage)]
+    return max(ends) + stage.separation_after_burnout_s
+
+
+def nominal_burnout_s(stage: Stage) -> float:
+    """Return the end of the last thrust of a stage by its tables, on its clock; 0 with constant thrust."""
+    if any(burns_for_ever(body) for body in stage.bodies):
+        return 0.0
+    ends = [b.ignition_s + thrust_end_s(b) / burn_rate(b) for b in stage.booster]
+    return max([thrust_end_s(stage) / burn_rate(stage), *ends])
+
+
+def leaving(stages: Sequence[Stage], n: int) -> tuple[Booster, ...]:
+    """Return the boosters that leave at the end of stage n while the core flies on; none if the core leaves too."""
+    if n + 1 >= len(stages) or not stages[n + 1].continues:
+        return ()
+    staying = {booster.name for booster in stages[n + 1].booster}
+    return tuple(booster for booster in stages[n].booster if booster.name not in staying)
 
 
 @dataclass(frozen=True)
@@ -153,7 +195,8 @@ class TableClock:
 class Burn:
     """A stage's burn: its zero on the vehicle clock, and burnout and end on its own clock.
 
-    `clock` is None if the tables' clock is the stage clock times `burn_rate`.
+    `clock` is None if the tables' clock is the stage clock times `burn_rate`. `bodies` holds the burns of the core and
+    of each booster on the clock of the stage. It is empty without boosters.
     """
 
     start_s: float
@@ -161,6 +204,16 @@ class Burn:
     end_s: float
     clock: TableClock | None
     faults: tuple[EngineFault, ...]
+    bodies: tuple[Burn, ...] = ()
+    ignition_s: float = 0.0
+
+    def of(self, body: int) -> Burn:
+        """Return the burn of a body of the stage."""
+        return self.bodies[body] if self.bodies else self
+
+    def over(self, table_s: BurnNumbers) -> BurnNumbers:
+        """Return the clock of this body's tables at those of the core, if all burn nominally."""
+        return np.maximum(table_s - self.ignition_s, 0.0)
 
 
 NOMINAL = Burn(0.0, 0.0, math.inf, None, ())
@@ -173,24 +226,64 @@ def stage_burns(stages: Sequence[Stage], faults: Sequence[Fault], liftoff_s: flo
     `liftoff_s`: time of liftoff on the vehicle clock; faults timed from liftoff occur only if it is finite.
     """
     out: list[Burn] = []
-    start_s = 0.0
+    first = 0  # stage whose clock this stage has
     for n, stage in enumerate(stages):
+        start_s, end_s = stage_spans(stages[: n + 2], [burn.end_s for burn in out])[n]
+        first = n if stage.clock == "own" else first
+        ends_s = [0.0, *(burn.end_s for burn in out[first:n]), math.inf]
+        flown_s = dict(zip(range(first, n + 1), pairwise(ends_s), strict=True))
         own = [(f, (liftoff_s if f.since == "liftoff" else 0.0) - start_s) for f in faults if f.of_engines]
-        mine = tuple(
-            EngineFault(f, max(zero_s + f.at_s, 0.0), math.inf if f.until_s is None else zero_s + f.until_s)
-            for f, zero_s in own
-            if f.stage in (None, n) and math.isfinite(zero_s) and (f.until_s is None or zero_s + f.until_s > 0.0)
-        )
-        clock, burnout_s, end_s = None, thrust_end_s(stage) / burn_rate(stage), stage_end_s(stage)
-        unlike = len({e.mass_flow_factor for e in stage.engines}) > 1
-        if mine or unlike or any(e.throttle is not None for e in stage.engines):
-            clock = table_clock(stage, mine)
-            burnout_s = _burnout_s(stage, clock)
-            if stage.separation_after_burnout_s is not None:
-                end_s = burnout_s + stage.separation_after_burnout_s
-        out.append(Burn(start_s, burnout_s, end_s, clock, mine))
-        start_s += end_s
+        mine = []
+        for f, zero_s in own:
+            begin_s, last_s = flown_s.get(n if f.stage is None else f.stage, (math.inf, math.inf))
+            begin_s = 0.0 if f.stage is None else begin_s
+            until_s = math.inf if f.until_s is None else zero_s + f.until_s
+            if math.isfinite(begin_s) and math.isfinite(zero_s) and until_s > begin_s:
+                mine.append(EngineFault(f, max(zero_s + f.at_s, begin_s), min(until_s, last_s)))
+        found = tuple(mine)
+        bodies = _body_burns(stage, found) if stage.booster else ()
+        core = bodies[0] if bodies else _body_burn(stage, found, 0, clocked=False)
+        burnout_s = core.burnout_s
+        if bodies:
+            ends = [burn.burnout_s for body, burn in zip(stage.bodies, bodies, strict=True) if body.own_engines]
+            unending = any(burns_for_ever(body) for body in stage.bodies) and min(ends) == 0.0
+            burnout_s = 0.0 if unending else max(ends, default=0.0)
+        if stage.separation_after_burnout_s is not None and (bodies or core.clock is not None):
+            names = {booster.name for booster in leaving(stages, n)}
+            last = [burn.burnout_s for b, burn in zip(stage.booster, bodies[1:], strict=False) if b.name in names]
+            end_s = max(last, default=burnout_s) + stage.separation_after_burnout_s
+        out.append(Burn(start_s, burnout_s, end_s, core.clock, found, bodies))
     return tuple(out)
+
+
+def _body_burns(stage: Stage, faults: tuple[EngineFault, ...]) -> tuple[Burn, ...]:
+    """Return the burn of the core and of each booster, on the clock of the stage."""
+    out: list[Burn] = []
+    first = 0
+    for body in stage.bodies:
+        ignition_s = body.ignition_s if out else 0.0  # the tables of the core are over the stage clock
+        own = tuple(
+            replace(fault, at_s=max(fault.at_s - ignition_s, 0.0), until_s=fault.until_s - ignition_s)
+            for fault in faults
+            if fault.until_s > ignition_s
+        )
+        burn = _body_burn(body, own, first, clocked=True)
+        assert burn.clock is not None
+        clock = replace(burn.clock, time_s=burn.clock.time_s + ignition_s)
+        end_s = burn.burnout_s + ignition_s if burn.burnout_s > 0.0 else 0.0
+        out.append(replace(burn, clock=clock, burnout_s=end_s, ignition_s=body.ignition_s))
+        first += len(body.own_engines)
+    return tuple(out)
+
+
+def _body_burn(body: Body, faults: tuple[EngineFault, ...], first: int, *, clocked: bool) -> Burn:
+    """Return the burn of a body on its own clock; `first` is the number of its first engine in the stage."""
+    engines = body.own_engines
+    unlike = len({e.mass_flow_factor for e in engines}) > 1
+    if clocked or faults or unlike or any(e.throttle is not None for e in engines):
+        clock = table_clock(body, faults, first)
+        return Burn(0.0, _burnout_s(body, clock), math.inf, clock, faults)
+    return Burn(0.0, thrust_end_s(body) / burn_rate(body), math.inf, None, faults)
 
 
 def table_time_s(stage: Stage, burn: Burn, time_s: float) -> float:
@@ -206,9 +299,11 @@ def when_spent_s(stage: Stage, burn: Burn, table_s: float) -> float:
     return table_s / burn_rate(stage) if burn.clock is None else float(burn.clock.when(np.array([table_s]))[0])
 
 
-def _burnout_s(stage: Stage, clock: TableClock) -> float:
-    """Return the end of the last thrust: 0 with constant thrust, as in `thrust_end_s`."""
-    end_s = thrust_end_s(stage)
+def _burnout_s(body: Body, clock: TableClock) -> float:
+    """Return the end of the last thrust: 0 with constant thrust, as in `thrust_end_s`, and without any."""
+    end_s = thrust_end_s(body)
+    if len(clock.share) == 0:
+        return 0.0
     spent_s = float(clock.when(np.array([end_s]))[0]) if end_s > 0.0 else math.inf
     working = np.flatnonzero(clock.share.max(axis=(0, 2)) > 0.0)
     off_s = math.inf if len(working) == 0 or working[-1] == len(clock.time_s) - 1 else clock.time_s[working[-1] + 1]
@@ -216,9 +311,14 @@ def _burnout_s(stage: Stage, clock: TableClock) -> float:
     return last_s if math.isfinite(last_s) else 0.0
 
 
-def table_clock(stage: Stage, faults: Sequence[EngineFault]) -> TableClock:
-    """Return the clock of the tables of a stage whose engines are throttled, or fail."""
-    engines = stage.engines
+def table_clock(body: Body, faults: Sequence[EngineFault], first: int = 0) -> TableClock:
+    """Return the clock of the tables of a body whose engines are throttled, or fail.
+
+    `first`: number of its first engine in the stage.
+    """
+    engines = body.own_engines
+    if not engines:
+        return TableClock(np.zeros(1), np.zeros(1), np.ones((1, 2)), np.zeros((0, 1, 2)))
     instants = {0.0, *(t for fault in faults for t in fault.instants())}
     instants |= {float(t) for e in engines if e.throttle is not None for t in e.throttle["time_s"]}
     alike = all(e.table == engines[0].table for e in engines)
@@ -227,7 +327,10 @@ def table_clock(stage: Stage, faults: Sequence[EngineFault]) -> TableClock:
     coarse = np.array(sorted(t for t in instants if t >= 0.0))
     times: list[float] = []
     for begin, end in zip(coarse, [*coarse[1:], coarse[-1]], strict=True):
-        ends = [(_share(e, n, faults, begin, False), _share(e, n, faults, end, True)) for n, e in enumerate(engines)]
+        ends = [
+            (_share(e, first + n, faults, begin, False), _share(e, first + n, faults, end, True))
+            for n, e in enumerate(engines)
+        ]
         ramps = any(a != b for a, b in ends)
         step = _RAMP_S if ramps else math.inf if alike else _SHARES_S
         pieces = max(1, math.ceil((end - begin) / step)) if math.isfinite(step) else 1
@@ -240,10 +343,10 @@ def table_clock(stage: Stage, faults: Sequence[EngineFault]) -> TableClock:
         [
             [[_share(e, n, faults, a, False), _share(e, n, faults, b, True)] for a, b in pairwise(time)]
             + [[_share(e, n, faults, time[-1], False)] * 2]
-            for n, e in enumerate(engines)
+            for n, e in enumerate(engines, start=first)
         ]
     )
-    return _integrated(stage, time, share)
+    return _integrated(body, time, share)
 
 
 def _share(engine: EngineSection, number: int, faults: Sequence[EngineFault], time_s: float, before: bool) -> float:
@@ -257,16 +360,16 @@ def _share(engine: EngineSection, number: int, faults: Sequence[EngineFault], ti
     return out
 
 
-def _integrated(stage: Stage, time: BurnNumbers, share: BurnNumbers) -> TableClock:
+def _integrated(body: Body, time: BurnNumbers, share: BurnNumbers) -> TableClock:
     """Integrate ds/dt = 1 - sum of w_i (1 - m_i f_i), which is exactly 1 while all engines burn nominally."""
-    factor = np.array([e.mass_flow_factor for e in stage.engines])
+    factor = np.array([e.mass_flow_factor for e in body.own_engines])
     missing = 1.0 - share * factor[:, None, None]
     table, rate = np.zeros(len(time)), np.zeros((len(time), 2))
 
     def slope(k: int, s: float, part: float) -> float:
         """Return the slope within interval k, `part` of the way."""
         lost = missing[:, k, 0] + part * (missing[:, k, 1] - missing[:, k, 0])
-        return 1.0 - float(np.sum(flow_shares(stage, s) * lost))
+        return 1.0 - float(np.sum(flow_shares(body, s) * lost))
 
     for k in range(len(time)):
         s = table[k]
@@ -281,12 +384,15 @@ def _integrated(stage: Stage, time: BurnNumbers, share: BurnNumbers) -> TableClo
     return TableClock(time, table, rate, share)
 
 
-def flow_shares(stage: Stage, table_s: float) -> BurnNumbers:
-    """Return the share of each engine in the nominal mass flow, or the share at the largest thrust if nothing flows."""
-    flows = np.array([_flow(e, table_s) for e in stage.engines])
+def flow_shares(body: Body, table_s: float) -> BurnNumbers:
+    """Return the share of each engine in the nominal mass flow of its body.
+
+    If nothing flows it is the share at the largest thrust.
+    """
+    flows = np.array([_flow(e, table_s) for e in body.own_engines])
     if flows.sum() == 0.0:
-        flows = np.array([float(_column(e).max()) for e in stage.engines])
-    return np.asarray(flows / flows.sum())
+        flows = np.array([float(_column(e).max()) for e in body.own_engines])
+    return np.asarray(flows / flows.sum()) if flows.sum() > 0.0 else flows
 
 
 def _column(engine: EngineSection) -> BurnNumbers:

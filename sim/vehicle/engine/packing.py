@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.tables import Cubics, Method, fit
+from maxq.control.kernel.tables import Cubics, Method, fit, merge
 from maxq.sim.input.remembered import cached_by_identity
 from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.vehicle.engine.burn import Burn, EngineFault
@@ -29,17 +29,24 @@ _thrust_axis_motion = from_python(thrust_axis_motion)
 class Alike:
     """Engines that move together and differ only in their lateral position.
 
-    The fields are their numbers in the stage, one of them, and its faults.
+    `body` is the first of several alike. `attachments_m` are the stations of the core that carry a booster.
     """
 
     numbers: tuple[int, ...]
     one: Given
     faults: tuple[EngineFault, ...]
+    body: int
+    attachments_m: tuple[float, ...]
 
     @property
-    def curve(self) -> tuple[CsvTable, CsvTable | None, tuple[EngineFault, ...]]:
-        """Return the table, the second table and the faults from which the thrust over time follows."""
-        return self.one.table, self.one.throttle, self.faults
+    def curve(self) -> tuple[CsvTable, CsvTable | None, tuple[EngineFault, ...], int]:
+        """Return the table, the second table, the faults and the body from which the thrust over time follows."""
+        return self.one.table, self.one.throttle, self.faults, self.body
+
+    @property
+    def mount(self) -> tuple[float, tuple[float, ...]]:
+        """Return the station of the gimbal, and the stations that carry a booster."""
+        return self.one.gimbal_station_m, self.attachments_m
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,7 @@ class Cluster:
 
     alike: tuple[Alike, ...]
     groups: tuple[str, ...]
-    gimbals_m: tuple[float, ...]  # stations
+    mounts: tuple[tuple[float, tuple[float, ...]], ...]  # see `Alike.mount`
     curves: tuple[Alike, ...]  # engines with different thrust curves
 
 
@@ -56,29 +63,60 @@ class Cluster:
 def cluster_of(stage: Stage, faults: tuple[EngineFault, ...]) -> Cluster:
     """Return the cluster of a stage, with or without an engine."""
     alike: list[Alike] = []
-    for n, engine in enumerate(stage.engines):
+    bodies = _first_of_equal_bodies(stage, faults)
+    for n, (engine, b) in enumerate(zip(stage.engines, stage.engine_bodies, strict=True)):
         same = engine.model_copy(update={"offset_m": (0.0, 0.0), "name": ""})
         own = tuple(fault for fault in faults if fault.affects(n))
-        k = next((k for k, known in enumerate(alike) if (known.one, known.faults) == (same, own)), None)
+        attached = stage.booster[b - 1].attachments_m if b > 0 else ()
+        wanted = same, own, bodies[b], attached
+        found = (k for k, x in enumerate(alike) if (x.one, x.faults, x.body, x.attachments_m) == wanted)
+        k = next(found, None)
         if k is None:
-            alike.append(Alike((n,), same, own))
+            alike.append(Alike((n,), *wanted))
         else:
-            alike[k] = Alike((*alike[k].numbers, n), same, own)
+            alike[k] = replace(alike[k], numbers=(*alike[k].numbers, n))
     curves: list[Alike] = []
     for each in alike:
         if all(each.curve != known.curve for known in curves):
             curves.append(each)
-    stations = tuple(dict.fromkeys(each.one.gimbal_station_m for each in alike))
-    return Cluster(tuple(alike), stage.engine_groups, stations, tuple(curves))
+    mounts = tuple(dict.fromkeys(each.mount for each in alike))
+    return Cluster(tuple(alike), stage.engine_groups, mounts, tuple(curves))
+
+
+def _first_of_equal_bodies(stage: Stage, faults: tuple[EngineFault, ...]) -> list[int]:
+    """Return for each body the first one whose engines burn in the same way, which is itself if it has a fault."""
+    numbers, out = stage.engine_bodies, [0]
+    failed = {numbers[n] for n in range(len(numbers)) if any(fault.affects(n) for fault in faults)}
+    for b, booster in enumerate(stage.booster, start=1):
+        burns = booster.ignition_s, booster.own_engines
+        others = [k for k in range(1, b) if k not in failed] if b not in failed else []
+        kin = (k for k in others if (stage.booster[k - 1].ignition_s, stage.booster[k - 1].own_engines) == burns)
+        out.append(next(kin, b))
+    return out
 
 
 def thrust_curves(stage: Stage, burn: Burn, method: Method) -> list[Cubics]:
     """Return the vacuum thrust over the clock of the schedule, N; zero without an engine."""
     curves = []
+    bodies = stage.engine_bodies
     for each in cluster_of(stage, burn.faults).curves:
-        nominal = fit(each.one.table["time_s"], each.one.table["thrust_vacuum_N"], method)
-        curves.append(on_clock(nominal, burn, each.numbers[0]))
+        nominal, n = fit(each.one.table["time_s"], each.one.table["thrust_vacuum_N"], method), each.numbers[0]
+        own = burn.of(bodies[n])
+        curve = on_clock(nominal, own, n - bodies.index(bodies[n]))
+        if stage.gated:
+            begin_s = stage.bodies[bodies[n]].ignition_s
+            curve = during(curve, begin_s, own.burnout_s if own.burnout_s > begin_s else math.inf)
+        curves.append(curve)
     return curves or [fit([0.0], [[0.0]])]
+
+
+def during(table: Cubics, begin_s: float, end_s: float) -> Cubics:
+    """Return a table that is zero before and after these times."""
+    marks = [begin_s - 1.0, begin_s, *([end_s, end_s + 1.0] if math.isfinite(end_s) else [])]
+    merged = merge([table, fit(marks, np.zeros((len(marks), 1)))])
+    out = merged.coefficients[:, :, :-1].copy()
+    out[(merged.breaks[:-1] < begin_s) | (merged.breaks[:-1] >= end_s)] = 0.0
+    return Cubics(merged.breaks, out)
 
 
 def on_clock(table: Cubics, burn: Burn, engine: int | None = None) -> Cubics:
@@ -121,24 +159,28 @@ def on_clock(table: Cubics, burn: Burn, engine: int | None = None) -> Cubics:
 
 
 class Mount(NamedTuple):
-    """A station of gimbals: its share of the thrust, and the moment of the mass that hangs on it."""
+    """A station of gimbals: its share of the thrust, and the moment of the mass that hangs on it.
+
+    `attachments_m`: stations of the core that carry the booster of these engines.
+    """
 
     station_m: float
     thrust_share: float
     hanging_kgm: float
+    attachments_m: tuple[float, ...] = ()
 
 
 def engine_mounts(stage: Stage, burn: Burn) -> tuple[Mount, ...]:
-    """Return the mounts by station, in the order of `Cluster.gimbals_m`; shares are those of the largest thrusts."""
+    """Return the mounts by station, in the order of `Cluster.mounts`; shares are those of the largest thrusts."""
     alike, out = cluster_of(stage, burn.faults).alike, []
     strengths = [len(a.numbers) * a.one.thrust_factor * float(a.one.table["thrust_vacuum_N"].max()) for a in alike]
-    for station_m in cluster_of(stage, burn.faults).gimbals_m:
-        there = [k for k, a in enumerate(alike) if a.one.gimbal_station_m == station_m]
+    for mount in cluster_of(stage, burn.faults).mounts:
+        there = [k for k, a in enumerate(alike) if a.mount == mount]
         share = 1.0
         if sum(strengths) > 0.0 and len(there) < len(alike):
             share = sum(strengths[k] for k in there) / sum(strengths)
         hanging = sum(len(alike[k].numbers) * _hanging_kgm(alike[k].one) for k in there)
-        out.append(Mount(station_m, share, hanging))
+        out.append(Mount(mount[0], share, hanging, mount[1]))
     return tuple(out)
 
 
@@ -182,7 +224,7 @@ def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -
     on = 1.0 if switches.thrust else 0.0
     mass, arm = e.gimballed_mass_kg, e.cg_from_gimbal_m
     exits = np.zeros((n, 2))
-    if isinstance(stage.engine, tuple):  # the exhaust of a single engine is on the body axis
+    if isinstance(stage.engine, tuple) or alike.body > 0:  # the exhaust of a single engine is on the body axis
         behind = e.exit_station_m - e.gimbal_station_m
         exits = places - behind / rest[0] * np.array(rest[1:])
     centre = exits.mean(axis=0)
@@ -195,7 +237,7 @@ def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -
         "group": cluster.groups.index(e.group) if e.gimbal != "fixed" else 0,
         "follows_pitch": float(e.gimbal in ("both", "pitch")),
         "follows_yaw": float(e.gimbal in ("both", "yaw")),
-        "gimbal": cluster.gimbals_m.index(e.gimbal_station_m),
+        "gimbal": cluster.mounts.index(alike.mount),
         "gimbal_station_m": e.gimbal_station_m,
         "gimbal_offset_y_m": offset_y,
         "gimbal_offset_z_m": offset_z,
@@ -216,7 +258,7 @@ def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -
         "exit_yy_m2": spread[0, 0],
         "exit_zz_m2": spread[1, 1],
         "exit_yz_m2": spread[0, 1],
-        "flow_weight": n * e.mass_flow_factor * _flow_per_newton(e),
+        "flow_weight": n * e.mass_flow_factor * _flow_per_newton(e) * _flow_of_body(stage, alike.body),
     }
 
 
@@ -226,6 +268,22 @@ def thrust_slopes(e: Given) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return _thrust_axis_motion(pitch, 1.0, 0.0, yaw, 0.0, 0.0)[1], _thrust_axis_motion(pitch, 0.0, 0.0, yaw, 1.0, 0.0)[
         1
     ]
+
+
+@cached_by_identity
+def _flow_of_body(stage: Stage, body: int) -> float:
+    """Return the mass that a body expels over the impulse of its engines, weighted with `_flow_per_newton`.
+
+    With it the flow of a stage with boosters is divided between them in proportion to thrust. It is 1 without boosters.
+    """
+    if not stage.booster:
+        return 1.0
+    given, impulse = stage.bodies[body], 0.0
+    for e in given.own_engines:
+        time_s, thrust_N = e.table["time_s"], e.table["thrust_vacuum_N"]
+        impulse += _flow_per_newton(e) * float(np.sum(0.5 * (thrust_N[1:] + thrust_N[:-1]) * np.diff(time_s)))
+    kg = given.mass.rows(0.0)[1][:, 0]
+    return float(kg[0] - kg[-1]) / impulse if impulse > 0.0 else 0.0
 
 
 def _flow_per_newton(e: Given) -> float:

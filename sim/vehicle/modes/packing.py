@@ -19,6 +19,22 @@ from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
+class Carried(NamedTuple):
+    """The places that boosters carry.
+
+    `boosters`: stations of the core that carry each booster (`_Rigid`), and y and z of its axis, m. The others are the
+    body of each tank and of each surface: 0 the core, then the boosters.
+    """
+
+    boosters: tuple[tuple[tuple[float, ...], tuple[float, float]], ...] = ()
+    tanks: tuple[int, ...] = ()
+    surfaces: tuple[int, ...] = ()
+
+    def of(self, bodies: tuple[int, ...], n: int) -> tuple[tuple[float, ...], tuple[float, float]]:
+        """Return the stations that carry part n, none on the core, and its y and z."""
+        return self.boosters[bodies[n] - 1] if self.boosters and bodies[n] > 0 else ((), (0.0, 0.0))
+
+
 class Places(NamedTuple):
     """Stations (m) at which modes act or are sensed."""
 
@@ -27,6 +43,7 @@ class Places(NamedTuple):
     hinges_m: tuple[bytes, ...]  # hinge of each tank at each time (T,), as bytes
     surfaces_m: tuple[float, ...]
     sensors_m: tuple[float, ...] = ()  # sensors beyond the gyro
+    carried: Carried = Carried()
 
 
 class ModeShapes:
@@ -58,18 +75,42 @@ class ModeShapes:
         return (x - breaks[k])[:, None], self._cubics.coefficients[k].transpose(1, 0, 2)
 
 
+class _Rigid:
+    """The shapes of a rigid booster that one station of the core clamps, or two stations hold at its ends."""
+
+    def __init__(self, core: ModeShapes, attachments_m: tuple[float, ...]) -> None:
+        first, last = attachments_m[0], attachments_m[-1]
+        self._at, self._first = first, core.value(first)
+        self._slope = core.slope(first) if first == last else (core.value(last) - self._first) / (last - first)
+
+    def value(self, station_m: ArrayLike) -> Array:
+        x = np.atleast_1d(np.asarray(station_m, float))
+        return np.asarray(self._first + (x - self._at)[:, None, None] * self._slope)
+
+    def slope(self, station_m: ArrayLike) -> Array:
+        return np.repeat(self._slope, np.size(station_m), axis=0)
+
+
+def _on(core: ModeShapes, attachments_m: tuple[float, ...]) -> ModeShapes | _Rigid:
+    """Return the shapes of the core, or of a booster on it."""
+    return _Rigid(core, attachments_m) if attachments_m else core
+
+
 @lru_cache(maxsize=16)  # a campaign packs the same modes thousands of times; a table has two planes, or one for both
 def mode_values(table: ModeTable, shape: tuple[int, int], at: Places) -> Array:
     """Return rows and lanes (`shape`) of a plane over the table's times, (T, rows times lanes)."""
     (rows, padded_modes), n, shapes = shape, table.modes, ModeShapes(table)
-    mounts, gyro_m, hinges_m, surfaces_m, sensors_m = at
-    gimbals = [shape(mount.station_m)[0] for mount in mounts for shape in (shapes.value, shapes.slope)]
+    mounts, gyro_m, hinges_m, surfaces_m, sensors_m, carried = at
+    of_mounts = [(_on(shapes, mount.attachments_m), mount.station_m) for mount in mounts]
+    gimbals = [shape(x)[0] for on, x in of_mounts for shape in (on.value, on.slope)]
     columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
     columns += [*gimbals[:2], shapes.slope(gyro_m)[0]]
-    for hinge in hinges_m:  # at each time the hinge of that time
-        columns.append(np.diagonal(shapes.value(np.frombuffer(hinge))).T)
-    for station in surfaces_m:
-        columns += [shapes.value(station)[0], shapes.slope(station)[0]]
+    for k, hinge in enumerate(hinges_m):  # at each time the hinge of that time
+        on = _on(shapes, carried.of(carried.tanks, k)[0])
+        columns.append(np.diagonal(on.value(np.frombuffer(hinge))).T)
+    for k, station in enumerate(surfaces_m):
+        on = _on(shapes, carried.of(carried.surfaces, k)[0])
+        columns += [on.value(station)[0], on.slope(station)[0]]
     columns += gimbals[2:]
     for station in sensors_m:
         columns += [shapes.value(station)[0], shapes.slope(station)[0]]
@@ -95,7 +136,7 @@ def _softening_up_to(table: ModeTable, shapes: ModeShapes, mount: Mount) -> Arra
     contribution of the engine behind it, which hangs in tension (docs/model.md, section 4). The axial force at a
     station is the mass forward of it times the acceleration.
     """
-    x, gimbal_m = table.station_m, mount.station_m
+    x, gimbal_m = table.station_m, mount.attachments_m[0] if mount.attachments_m else mount.station_m
     points, weights = gauss(np.unique(np.append(x[x < gimbal_m], gimbal_m)))
     slopes = shapes.slope(points).transpose(1, 2, 0)  # (times, modes, points)
     loads = [weights * np.interp(points, x, forward) for forward in table.mass_forward_kg]
@@ -103,7 +144,9 @@ def _softening_up_to(table: ModeTable, shapes: ModeShapes, mount: Mount) -> Arra
     matrices = np.array(
         [[[math.fsum(a * b * load) for b in slope] for a in slope] for slope, load in zip(slopes, loads, strict=True)]
     )
-    hanging = mount.hanging_kgm * np.array([np.outer(slope, slope) for slope in shapes.slope(gimbal_m)[0]])
+    hanging = mount.hanging_kgm * np.array(
+        [np.outer(slope, slope) for slope in _on(shapes, mount.attachments_m).slope(gimbal_m)[0]]
+    )
     return np.asarray(mount.thrust_share * matrices - hanging)
 
 
@@ -132,6 +175,27 @@ def spatial_shapes(table: SpatialModeTable) -> Callable[[ArrayLike], Array]:
     return shapes
 
 
+def _spatial_on(
+    core: Callable[[ArrayLike], Array], attachments_m: tuple[float, ...], place_m: tuple[float, float]
+) -> Callable[[ArrayLike], Array]:
+    """Return the shapes of the core, or of a point at y and z of a booster that moves as `_Rigid`."""
+    if not attachments_m:
+        return core
+    first, last = attachments_m[0], attachments_m[-1]
+    moved, turned = np.split(core(first), 2, axis=1)
+    if first != last:
+        lean = (core(last)[:, :3] - moved) / (last - first)
+        turned = np.stack([turned[:, 0], lean[:, 2], -lean[:, 1]], axis=1)
+
+    def shapes(station_m: ArrayLike) -> Array:
+        x = np.atleast_1d(np.asarray(station_m, float))
+        arm = np.stack([first - x, np.full(len(x), place_m[0]), np.full(len(x), place_m[1])], axis=1)[..., None, None]
+        swept = np.cross(turned, np.broadcast_to(arm, (len(x), *turned.shape[1:])), axis=1)
+        return np.concatenate([moved + swept, np.repeat(turned, len(x), axis=0)], axis=1)
+
+    return shapes
+
+
 @lru_cache(maxsize=16)
 def spatial_values(table: SpatialModeTable, at: Places, gyration_m2: float) -> Array:
     """Return rows and lanes of the spatial modes over the table's times, (T, rows times M).
@@ -141,10 +205,13 @@ def spatial_values(table: SpatialModeTable, at: Places, gyration_m2: float) -> A
     shapes = spatial_shapes(table)
     columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
     columns += [*shapes(at.gyro_m)[0]]
-    for hinge in at.hinges_m:  # at each time the hinge of that time
-        columns += [*np.diagonal(shapes(np.frombuffer(hinge)), axis1=0, axis2=2).transpose(0, 2, 1)]
-    for station in (*at.surfaces_m, *(mount.station_m for mount in at.mounts), *at.sensors_m):
-        columns += [*shapes(station)[0]]
+    for k, hinge in enumerate(at.hinges_m):  # at each time the hinge of that time
+        on = _spatial_on(shapes, *at.carried.of(at.carried.tanks, k))
+        columns += [*np.diagonal(on(np.frombuffer(hinge)), axis1=0, axis2=2).transpose(0, 2, 1)]
+    places = [(_spatial_on(shapes, *at.carried.of(at.carried.surfaces, k)), x) for k, x in enumerate(at.surfaces_m)]
+    places += [(_spatial_on(shapes, mount.attachments_m, (0.0, 0.0)), mount.station_m) for mount in at.mounts]
+    for on, station in (*places, *((shapes, x) for x in at.sensors_m)):
+        columns += [*on(station)[0]]
     softening = sum(_softening(plane, ModeShapes(plane), at.mounts) for plane in table.lateral())
     rows = [np.stack(columns, axis=1), np.transpose(softening, (0, 2, 1)), _turning(table, gyration_m2)]
     return np.concatenate(rows, axis=1).reshape(len(table.time_s), -1)

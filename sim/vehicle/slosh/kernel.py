@@ -78,6 +78,8 @@ class Slosh:
     ring_damping: Annotated[Array, (MAX_PENDULUMS,)]  # see column TANK_RING
     breaking_height_m: Annotated[Array, (MAX_PENDULUMS,)]  # of a wave; 0: where it falls with the axial load
     exchange: int  # 1: mass exchanged between bob and core keeps its momentum
+    place_y_m: Annotated[Array, (MAX_PENDULUMS,)]  # of the tank's axis from the body axis
+    place_z_m: Annotated[Array, (MAX_PENDULUMS,)]
 
 
 def pack_slosh(pendulums: Sequence[Pendulum], bending: BendingSection | None, exchange: bool) -> Slosh:
@@ -88,7 +90,9 @@ def pack_slosh(pendulums: Sequence[Pendulum], bending: BendingSection | None, ex
     factor[:n] = [p.tank.damping_factor for p in pendulums]
     law = any(p.has_law for p in pendulums)
     planes_differ = bending is not None and bending.pitch != bending.yaw
-    return Slosh(int(planes_differ), zeta, int(law), factor, none, height, int(exchange))
+    places = np.zeros((2, MAX_PENDULUMS))
+    places[:, :n] = np.reshape([p.place_m for p in pendulums], (n, 2)).T
+    return Slosh(int(planes_differ), zeta, int(law), factor, none, height, int(exchange), *places)
 
 
 @kernel
@@ -148,8 +152,8 @@ def pendulum_loads(
     length = pendulum_length(properties, tank)
     hinge = (
         properties[sch.CORE_CG] - properties[column + sch.TANK_HINGE],
-        -properties[sch.CORE_CG + 1],
-        -properties[sch.CORE_CG + 2],
+        slosh.place_y_m[tank] - properties[sch.CORE_CG + 1],
+        slosh.place_z_m[tank] - properties[sch.CORE_CG + 2],
     )
     shift_y, shift_z, shift_rate_y, shift_rate_z, nu_y, nu_z = _bending_at_tank(sizes, tank, properties, modes.planar)
     # velocity of the hinge by bending, with the rotation of the bent axis (docs/model.md, eq. 5.1)

@@ -46,6 +46,8 @@ class Pendulum:
     mode: int  # from 1
     joined: Cubics  # columns TANK_MASS to TANK_HINGE of schedule.py
     waves: Cubics  # columns TANK_VISCOUS to TANK_WAVE
+    body: int = 0  # of the stage: 0 is the core, then the boosters
+    place_m: tuple[float, float] = (0.0, 0.0)  # of the tank's axis from the body axis, y and z
 
     @property
     def damping_ratio(self) -> float:
@@ -67,9 +69,10 @@ class Pendulum:
 
 def pendulums(stage: Stage) -> list[Pendulum]:
     """Return all pendulums of a stage, tank by tank."""
+    places = [(0.0, 0.0), *(booster.position_m for booster in stage.booster)]
     modes = [
-        (tank, mode, *curves)
-        for tank in stage.tank
+        (tank, mode, *curves, body, places[body])
+        for body, _, tank in stage.tanks
         for mode, curves in enumerate(pendulum_curves(tank, stage.interpolation), start=1)
     ]
     return [Pendulum(name, *mode) for name, mode in zip(stage.pendulum_names, modes, strict=True)]

@@ -85,7 +85,7 @@ class Coupled:
         bob's pull, rows.
 
         The pull is the bob's mass times the acceleration of its hinge along x: by the body, by modes, by turning where
-        the bent axis lies beside, less what a bob takes that swings under a lateral load.
+        the bent axis is displaced, less the part of a bob that swings under a lateral load.
         """
         one, along = self.one, self.one.vehicle.modes.along
         if along is None:

@@ -83,7 +83,7 @@ class GimballedEngine:
         return self.tvc_load is not None and (self.axis[1] != 0.0 or self.axis[2] != 0.0)
 
     def hanging(self, load_mps2: float) -> GimballedEngine:
-        """The same where it stands under the axial load `load_mps2`, at rest as it is without: canted, it sags.
+        """Return the engine at its position under the axial load `load_mps2`: a canted engine sags.
 
         k (p - p0) = -S a sin p cos y and k (y - y0) = -S a cos p sin y (docs/model.md, 14).
         """

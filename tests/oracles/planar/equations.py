@@ -185,7 +185,7 @@ class Equations:
         return [(engine.slope, angle, accel)]
 
     def _thrust(self, engine: GimballedEngine, turned: Array, aside: Array) -> None:
-        """(5), (8), (16), of one engine; beside the axis, or canted, its axial thrust changes and bends the body."""
+        """Add (5), (8), (16) of one engine; an engine off the axis, or canted, also bends the body by axial thrust."""
         thrust = engine.thrust_N(self.condition.pressure_Pa)
         arm = engine.gimbal_station_m + self.gimbal_moved_m[engine.gimbal] - self.cg
         phi, slope = self.vehicle.modes.at_gimbal(engine.gimbal)

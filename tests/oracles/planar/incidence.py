@@ -21,7 +21,7 @@ from maxq.sim.vehicle import schedule
 from maxq.sim.vehicle.air import incidence
 from maxq.sim.vehicle.air import kernel as aero
 
-_ALONG = 1e-10  # sine of the total angle of attack below which there is no plane of incidence
+_ALONG = 1e-10  # sine of the total angle of attack below which its plane is undefined
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ def table_slopes(
 ) -> list[TableSlopes]:
     """Slopes of each table of a packed, burning stage, in the order of the packed tables.
 
-    `properties` are the schedule's columns at `clock_s`. At zero angle of attack, where the plane of incidence is
-    undefined, the slopes are the mean of those on both sides. A table that acts with the engine off only has zeros.
+    `properties` are the schedule's columns at `clock_s`. At zero angle of attack, where the plane of the total angle of
+    attack is undefined, the slopes are the mean of those on both sides. A table for the engine off has zeros.
     """
     direction = np.array(
         [math.cos(alpha_rad) * math.cos(beta_rad), math.sin(beta_rad), math.sin(alpha_rad) * math.cos(beta_rad)]

@@ -3,7 +3,7 @@
 Body axes at the core's CG, x forward, z down (pitch plane); stations are metres aft of the nose. The vehicle flies
 along x at speed U without turning, under the specific axial force a = (T - D) / m. Equations are those of Lee, Ahn &
 Roh, 1 to 27, in the paper's form: forces and moments on a body of mass m and inertia I (1, 2), a modal force (14),
-pendulums driven by the motion of their hinge (21). Each erratum is a switch (errata.py): with `PAPER`
+pendulums driven by the motion of their hinge (21). Each erratum is a switch (errata.py). With `PAPER`
 they are the equations as printed, with `CORRECTED` the physics that the simulator flies. tests/oracles/
 dalembert_plant.py derives the corrected ones independently, by d'Alembert's principle.
 
@@ -19,11 +19,10 @@ not with the hinge's arm l_p for both as (27) prints (erratum 22): the rod's pul
 friction at the bob, l_p - L forward of the CG. The printed pair of damping forces is not on one line and so does not
 conserve angular momentum.
 
-With a TVC load (docs/model.md, section 14) an engine's angle is a state and its acceleration an unknown: it is driven
-by spring and damper to the actuator, by the axial load on its mass, and by what the vehicle's accelerations do to the
-hinge, which by reciprocity is what its acceleration does to the vehicle. Engines of a cluster drive each other through
-the motions of this plane; what they do to roll and to the other plane cancels where the cluster has the plane for its
-mirror, and is left out otherwise.
+With a TVC load (docs/model.md, section 14) an engine's angle is a state and its acceleration an unknown. Spring and
+damper to the actuator, the axial load on its mass, and the vehicle's accelerations drive it. By reciprocity, its
+acceleration drives the vehicle equally. Engines of a cluster drive each other through the motions of this plane. Their
+effects on roll and on the other plane cancel in a cluster symmetric about the plane, and are omitted otherwise.
 
 A *drive* is an actuator's motion, which the law commands: all groups of engines with alike actuators are one. Inputs of
 further drives have their number behind the name (`delta_rad_2`).
@@ -39,8 +38,8 @@ Moving Containers", 2000),
     L = R / (xi tanh(xi h / R)),    m_p = m 2 R tanh(xi h / R) / (xi h (xi^2 - 1)),
     hinge above the liquid's CG by  h / 2 - (2 R / xi) tanh(xi h / (2 R)) + L.
 
-Spatial modes move in both planes: the plant of one plane then has the states of the other as well ("across"), with the
-same equations, and a spatial mode's force is the sum of both. Along the body axis thrust and liquid hold the modes
+Spatial modes move in both planes. The plant of one plane then also has the states of the other plane ("across"), with
+the same equations. The force of a spatial mode is the sum of both. Along the body axis thrust and liquid hold the modes
 deflected: the plant is that about this deflection, to its first order, with the liquid that rides on its tanks. Torsion
 meets the gimbal only in the second order and is left out, but for the rotation that the roll gyro feels.
 

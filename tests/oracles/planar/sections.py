@@ -2,7 +2,7 @@
 
 As in docs/model.md, section 13, the moment of everything that acts forward of the cut, inertial forces included, about
 +y (pitch; in yaw about -z, the plane's mirror image). A force f_z at a station x <= s adds -(s - x) f_z, a force f_x
-at a point that bending displaces by w beside the cut w f_x. Linear about a straight body in axial flight, of the forces
+at a point that bending displaces by w from the cut w f_x. Linear about a straight body in axial flight, of the forces
 of plant.py:
 
     M = int m (s - x) (a_z - (x_cg - x) q' + phi~ eta'') dx + couple

@@ -129,7 +129,7 @@ class PlanarVehicle:
         return any(engine.sags for engine in self.engines)
 
     def hanging(self, load_mps2: float) -> PlanarVehicle:
-        """The same with its engines where they stand under the axial load."""
+        """Return the same vehicle with its engines at their positions under the axial load."""
         if not self.sags:
             return self
         hung = tuple(engine.hanging(load_mps2) for engine in self.engines)

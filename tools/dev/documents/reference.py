@@ -31,7 +31,7 @@ from maxq.sim.input.ranges import LARGEST_NUMBER, RANGES
 from maxq.sim.input.values import Section
 from maxq.sim.packing.schedule import stage_sizes
 from maxq.sim.run.flight import WAVE_BREAKING_NAME
-from maxq.sim.run.fly import CONTROL_LOST_CAUSE, FAULT_END_NAME, FAULT_NAME, IGNITION_NAME, SOFTWARE_NAME
+from maxq.sim.run.fly import BOOSTER_NAMES, CONTROL_LOST_CAUSE, FAULT_END_NAME, FAULT_NAME, IGNITION_NAME, SOFTWARE_NAME
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.messages import describe, section_of, unwrap
 from maxq.sim.scenario.schema_design import Design
@@ -45,9 +45,11 @@ _MARK = re.compile(
     rf"^(?P<begin><!-- from code: (?P<kind>\w+) ?(?P<words>[^\n]*?) -->)$(?:(?:(?!^<!-- from code:).)*?^{_END}$)?",
     re.MULTILINE | re.DOTALL,
 )
-_EVENTS = (IGNITION_NAME, *EVENT_NAMES, FAULT_NAME, FAULT_END_NAME, WAVE_BREAKING_NAME, SOFTWARE_NAME)
+_EVENTS = (IGNITION_NAME, *BOOSTER_NAMES, *EVENT_NAMES, FAULT_NAME, FAULT_END_NAME, WAVE_BREAKING_NAME, SOFTWARE_NAME)
 _EVENT_MEANINGS = {
     IGNITION_NAME: "the engine of a stage begins to burn",
+    "booster_ignition": "a booster begins to burn; the text names it",
+    "booster_burnout": "a booster burns out while it is attached; the text names it",
     "liftoff": "hold-down is released: thrust exceeds weight, or at holddown.release_s",
     "burnout": "the engine of a stage stops",
     "separation": "a stage is dropped",
@@ -94,7 +96,9 @@ def topics(scenario: str) -> str:
     assert stage.loads is not None
     first = f"station 1 at {stage.loads.stations_m[0]:g} m"
     return topics_markdown(
-        channel_table(sizes, stage.pendulum_names, (first,), external=True, accelerometer=True, adaptive=True)
+        channel_table(
+            sizes, stage.pendulum_names, (first,), external=True, accelerometer=True, adaptive=True, drift=True
+        )
     )
 
 

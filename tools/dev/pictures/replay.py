@@ -17,7 +17,6 @@ from unittest.mock import patch
 
 from PIL import Image
 
-from maxq.sim.input.files import builtin_files
 from maxq.tools import simrun, simvehicle
 from maxq.tools.replay import convert, viewer
 from maxq.tools.replay.convert import Options, save
@@ -77,11 +76,7 @@ def main() -> int:
         folder = Path(name)
         for flight, options in FLIGHTS.items():
             simrun.main(["nominal", *options, "--set", f"name={flight}", "--out", str(folder / flight)])
-        text = builtin_files("layout")["petrel"].read_text(encoding="utf-8")
-        stations = ", ".join(f"{x}" for x in range(1, 19))
-        text = text.replace("modes = 4\n", f"modes = 4\nloads = {{ stations_m = [{stations}] }}\n")
-        (folder / "petrel.toml").write_text(text, encoding="utf-8")
-        simvehicle.main([str(folder / "petrel.toml"), "--out", str(folder / "made")])
+        simvehicle.main(["petrel", "--out", str(folder / "made")])
         windy = ["wind.profile=vehicle/limit_wind.csv", "switches.section_loads=true", "run.duration_s=200"]
         options = [text for each in windy for text in ("--set", each)]
         simrun.main([str(folder / "made" / "scenario.toml"), *options, "--out", str(folder / "petrel")])

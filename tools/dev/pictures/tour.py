@@ -88,7 +88,7 @@ def _take_pictures(folder: Path) -> None:
             run(command, folder)
     for name, file in COPIES.items():
         with Image.open(folder / file) as image:
-            _save(image.convert("RGB"), TARGET / f"{name}.png")
+            save_small(image.convert("RGB"), TARGET / f"{name}.png")
     for name, (page, shown) in SHOTS.items():
         _photograph(folder / page, shown, TARGET / f"{name}.png")
 
@@ -109,10 +109,11 @@ def _photograph(page: Path, shown: str, target: Path) -> None:
     box = ImageChops.difference(whole, Image.new("RGB", whole.size, "white")).getbbox()
     if box is None:
         raise SystemExit(f"{page}: nothing is shown of {shown}")
-    _save(ImageOps.expand(whole.crop((0, box[1], whole.width, box[3])), BORDER_PX, "white"), target)
+    save_small(ImageOps.expand(whole.crop((0, box[1], whole.width, box[3])), BORDER_PX, "white"), target)
 
 
-def _save(image: Image.Image, target: Path) -> None:
+def save_small(image: Image.Image, target: Path) -> None:
+    """Save a picture with few colours, which halves its file."""
     image.quantize(128).save(target, optimize=True)
 
 

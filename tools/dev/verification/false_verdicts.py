@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 
 MOST_STEPS, MOST_VEHICLES, MOST_RUNS = 6, 30_000, 100_000
-LIMIT_DEG, LIMIT_ALPHA_DEG = 15.0, 1.0  # of the phase margin, and as CAMPAIGN says
+LIMIT_DEG, LIMIT_ALPHA_DEG = 15.0, 1.0  # of the phase margin, and of the angle of attack
 SHARES = ((0.0, 0.0), (0.1, 0.1), (0.5, 0.5), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (0.0, 2.0), (2.0, 0.0), (2.0, 2.0))
 """The probability of failure divided by the allowed one, of linear vehicles and of flights."""
 CAMPAIGN = """\
@@ -50,36 +51,41 @@ unset = ["requirement"]
 [campaign]
 runs = 1
 success = 0.9973
-[[requirement]]
-metric = "max_alpha_deg"
-limit = 1.0
 [[disperse]]
 key = "vehicle.stage.0.engine.thrust_factor"
 distribution = "normal"
 three_sigma = 0.03
 """
+REQUIREMENT = """\
+[[requirement]]
+metric = "{}"
+limit = {}
+"""
 
 
 class Formula(DataSet):
-    """A data set without files: `values` of the metric, all flights complete."""
+    """A data set without files: `values` by metric, all flights complete."""
 
-    def __init__(self, campaign: LoadedCampaign, values: np.ndarray) -> None:
+    def __init__(self, campaign: LoadedCampaign, values: Mapping[str, np.ndarray]) -> None:
         super().__init__(Path(), campaign)
-        self.runs, self.void = np.arange(len(values)), np.zeros(len(values), bool)
+        missed = np.array([values[r.metric] > r.limit for r in campaign.base.scenario.requirement])
+        self.passed = np.asarray(~missed.any(axis=0))
+        self.runs, self.void = np.arange(len(self.passed)), np.zeros(len(self.passed), bool)
         self.kept, self.values = ~self.void, values
 
     def read(self, names: Any) -> None:
         pass
 
     def numbers(self, name: str) -> np.ndarray:
-        return self.values
+        return self.values.get(name, self.runs)  # a time
 
 
 @cache
-def campaign() -> LoadedCampaign:
+def campaign(metrics: Sequence[str] = ("max_alpha_deg",), limit: float = LIMIT_ALPHA_DEG) -> LoadedCampaign:
+    """Return a campaign with one limit on each of `metrics`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "synthetic.toml"
-        path.write_text(CAMPAIGN)
+        path.write_text(CAMPAIGN + "".join(REQUIREMENT.format(metric, limit) for metric in metrics))
         return load_campaign(path)
 
 
@@ -110,10 +116,17 @@ def linear_part(wanted: LinearMargins, loaded: LoadedCampaign, p: float) -> list
 
 def flown_part(loaded: LoadedCampaign, p: float) -> list[JudgedRequirement]:
     """Judge flights that miss their limit if the drawn thrust is too large."""
-    runs = loaded.campaign.runs
-    data = Formula(loaded, LIMIT_ALPHA_DEG + thrust_sigmas(loaded, runs) - threshold(p))
-    level = loaded.campaign.success, loaded.campaign.confidence
-    return campaign_requirements(CampaignResult("", "", Path(), runs, False, *level, tuple(judged(data)), "", None))
+    values = LIMIT_ALPHA_DEG + thrust_sigmas(loaded, loaded.campaign.runs) - threshold(p)
+    return judged_runs(Formula(loaded, {"max_alpha_deg": values}))
+
+
+def judged_runs(data: Formula) -> list[JudgedRequirement]:
+    """Judge the flights of a data set as a campaign of a suite."""
+    asked = data.campaign.campaign
+    level = asked.success, asked.confidence
+    return campaign_requirements(
+        CampaignResult("", "", Path(), len(data.runs), False, *level, tuple(judged(data)), "", None)
+    )
 
 
 def settled(changes: list[str], seed: int, shares: tuple[float, float], steps: int) -> str:

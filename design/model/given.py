@@ -1,0 +1,277 @@
+"""Operating points that are given: by published derivatives, or by the matrices A, B, C, D. They need no vehicle.
+
+**Derivatives.** Books and papers state a launcher by coefficients over time (Greensite, Analysis and Design of Space
+Vehicle Flight Control Systems, NASA CR-820 ff., 1967-70). Here z' is the drift velocity across the reference
+trajectory, theta the attitude, delta the gimbal angle, v the wind across the trajectory, and V the speed:
+
+    z''     = a1 (z' - v) + (a1 V + a4) theta + a3 delta + sum of b_z eta
+    theta'' = A6 (theta + (z' - v) / V) + K1 delta + sum of b_theta eta
+    eta''   = -omega^2 eta - 2 zeta omega eta' - (phi_gimbal / M) T_c delta
+
+The plant has the states of `Node.plant`, with w = z' + V theta in place of z'. a4 is minus the axial specific force.
+The instruments are at one station with the slope sigma and the
+shape phi of each mode: the gyro measures theta' + sigma eta', and the accelerometer the lateral acceleration
+
+    a1 (w - v) + a3 delta + sum of (b_z eta - phi eta'' - a4 sigma eta)
+
+in its own axes, which turn with the bent body. With the attitude at the gyro, theta + sigma eta, navigation obtains the
+drift velocity z' - phi eta' of its station from it (design/loop/fixed_path.py).
+
+b_z and b_theta are the force and the moment of a thrust line that follows the bent body. Publications often omit them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maxq.control.kernel.records import Array
+from maxq.design.model.held import OUTPUTS, WIND, FlightCondition, state_names
+from maxq.design.model.instruments import ACCELERATION, Instruments, Plane
+from maxq.design.model.operating_point import OperatingPoint
+from maxq.design.model.state_space import StateSpace
+from maxq.design.model.vehicle_at import StabilityDerivatives
+from maxq.sim.vehicle.actuator.kernel import Actuator, pack_actuators
+from maxq.sim.vehicle.sensor.gyro import Gyro, pack_gyro
+
+DELTA = "delta_rad"
+
+
+@dataclass(frozen=True)
+class GivenMode:
+    """The coefficients of a bending mode at an instant; see the module."""
+
+    omega_radps: float
+    zeta: float
+    phi_gimbal_1pkg: float  # shape at the gimbal over the generalised mass
+    phi_gyro: float
+    slope_gyro_1pm: float
+    rotation_1pms2: float = 0.0  # b_theta
+    translation_1ps2: float = 0.0  # b_z
+
+
+@dataclass(frozen=True)
+class PlaneCoefficients:
+    """The coefficients of a plane at an instant; see the module."""
+
+    V_mps: float
+    A6_1ps2: float
+    K1_1ps2: float
+    a1_1ps: float
+    a3_mps2: float
+    a4_mps2: float
+    control_thrust_N: float = 0.0  # T_c, which excites the modes
+    modes: tuple[GivenMode, ...] = ()
+
+    def scaled(self, **factors: float) -> PlaneCoefficients:
+        """Return the coefficients with some multiplied by factors, by their names. Raises ValueError for others."""
+        known = [f.name for f in dataclasses.fields(self) if f.name != "modes"]
+        for name, factor in factors.items():
+            if name not in known:
+                raise ValueError(f"{name} = {factor:g}: allowed are factors on {', '.join(known)}")
+        return dataclasses.replace(self, **{name: factor * getattr(self, name) for name, factor in factors.items()})
+
+    def plant(self) -> StateSpace:
+        """Return the plant of the module, with the wind as its last input. Raises ValueError at rest."""
+        if not self.V_mps > 0.0:
+            raise ValueError(f"V_mps = {self.V_mps:g}: the coefficients of the air need a speed above 0")
+        n = len(self.modes)
+        size = 3 + 2 * n
+        a, b = np.zeros((size, size)), np.zeros((size, 2))
+        w, q, theta, eta, rate = 0, 1, 2, 3, 3 + n
+        a[w, [w, q, theta]], b[w] = (self.a1_1ps, self.V_mps, self.a4_mps2), (self.a3_mps2, -self.a1_1ps)
+        per_speed = self.A6_1ps2 / self.V_mps
+        a[q, w], b[q] = per_speed, (self.K1_1ps2, -per_speed)
+        a[theta, q] = 1.0
+        local, lateral = np.zeros(size), np.zeros(size)
+        local[q], lateral[w] = 1.0, self.a1_1ps
+        through = np.array([self.a3_mps2, -self.a1_1ps])
+        for k, mode in enumerate(self.modes):
+            a[eta + k, rate + k] = 1.0
+            a[rate + k, eta + k] = -(mode.omega_radps**2)
+            a[rate + k, rate + k] = -2.0 * mode.zeta * mode.omega_radps
+            b[rate + k, 0] = -mode.phi_gimbal_1pkg * self.control_thrust_N
+            a[w, eta + k], a[q, eta + k] = mode.translation_1ps2, mode.rotation_1pms2
+            local[rate + k] = mode.slope_gyro_1pm
+            lateral -= mode.phi_gyro * a[rate + k]
+            lateral[eta + k] += mode.translation_1ps2 - self.a4_mps2 * mode.slope_gyro_1pm
+            through -= mode.phi_gyro * b[rate + k]
+        unit, none = np.eye(size), np.zeros((4, 2))
+        c = np.stack([unit[q], local, unit[w], unit[theta], lateral])
+        return StateSpace(
+            a, b, c, np.vstack([none, through]), state_names(n, 0), (DELTA, WIND), (*OUTPUTS, ACCELERATION)
+        )
+
+    @property
+    def derivatives(self) -> StabilityDerivatives:
+        """Return the derivatives in the notation of Lee, Ahn & Roh (4 to 8), without rate damping."""
+        return StabilityDerivatives(
+            z_alpha_1ps=self.a1_1ps,
+            m_alpha_1ps2=self.A6_1ps2,
+            z_delta_1ps=self.a3_mps2 / self.V_mps,
+            m_delta_1ps2=self.K1_1ps2,
+            m_q_1ps=0.0,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivenPoint(OperatingPoint):
+    """An operating point whose plant is given. Its measured acceleration is that of `axial_mps2`'s frame."""
+
+    given: StateSpace
+    axial_mps2: float = 0.0  # specific force along the body that navigation measures
+    of_rigid: StabilityDerivatives | None = None
+    coefficients: PlaneCoefficients | None = None
+    parts: tuple[tuple[str, StateSpace], ...] = ()  # the vehicle without some of its effects (`steps`)
+
+    def held_still(self) -> GivenPoint:
+        return self
+
+    def plant_in_wind(self, wind: bool = True) -> StateSpace:
+        plant = self.given
+        if not wind and WIND in plant.inputs:
+            kept = [k for k, name in enumerate(plant.inputs) if name != WIND]
+            names = tuple(plant.inputs[k] for k in kept)
+            return dataclasses.replace(plant, b=plant.b[:, kept], d=plant.d[:, kept], inputs=names)
+        if wind and WIND not in plant.inputs:
+            raise ValueError(f"node at {self.time_s:g} s: its matrices have no input {WIND}")
+        return plant
+
+    @property
+    def axial_load_mps2(self) -> float:
+        return self.axial_mps2
+
+    @property
+    def derivatives(self) -> StabilityDerivatives:
+        if self.of_rigid is None:
+            raise ValueError(f"node at {self.time_s:g} s: matrices have no stability derivatives")
+        return self.of_rigid
+
+    @property
+    def omega_radps(self) -> Array:
+        modes = () if self.coefficients is None else self.coefficients.modes
+        return np.array([mode.omega_radps for mode in modes])
+
+    def steps(self) -> list[tuple[str, OperatingPoint]]:
+        before = [(name, dataclasses.replace(self, given=plant, parts=())) for name, plant in self.parts]
+        return [*before, ("bending" if self.parts else "plant", self)]
+
+    def with_(self, **factors: float) -> GivenPoint:
+        """Return the operating point with factors on its coefficients, such as A6_1ps2=1.3.
+
+        Raises ValueError for an operating point that is given by matrices.
+        """
+        if self.coefficients is None:
+            raise ValueError(f"node at {self.time_s:g} s: matrices have no coefficients that could deviate")
+        return of_coefficients(self, self.coefficients.scaled(**factors))
+
+
+def of_coefficients(point: GivenPoint, given: PlaneCoefficients) -> GivenPoint:
+    """Return an operating point with the plant of these coefficients, and its own air and instruments."""
+    rigid = dataclasses.replace(given, modes=())
+    airless = dataclasses.replace(rigid, A6_1ps2=0.0, a1_1ps=0.0)
+    return dataclasses.replace(
+        point,
+        given=given.plant(),
+        axial_mps2=-given.a4_mps2,
+        of_rigid=given.derivatives,
+        coefficients=given,
+        parts=(("rigid body", airless.plant()), ("aerodynamics", rigid.plant())),
+    )
+
+
+def given_instruments(
+    sample_s: float = 0.0,
+    delay_s: float = 0.0,
+    actuator: Actuator | None = None,
+    gyro: Gyro | None = None,
+    accelerometer: Gyro | None = None,
+    latency_samples: int = 0,
+) -> Instruments:
+    """Return instruments of an operating point without a vehicle; those that are absent are ideal.
+
+    `sample_s` 0 is a computer without sampling: loops of the kinds `exact` and `pade` only. The delay may be longer
+    than a sample. Raises ValueError for a negative number, or one that is not finite.
+    """
+    for name, value in (("sample_s", sample_s), ("delay_s", delay_s)):
+        if not 0.0 <= value < math.inf:
+            raise ValueError(f"{name} = {value}: allowed is a finite number from 0")
+    ideal = pack_gyro(None, ideal=True)
+    return Instruments(
+        actuators=(actuator or pack_actuators(None, "ideal")[0],),
+        gyro=gyro or ideal,
+        sample_s=sample_s,
+        delay_s=delay_s,
+        sensors=((ACCELERATION, accelerometer or ideal, latency_samples),),
+    )
+
+
+def point_of_matrices(
+    a: ArrayLike,
+    b: ArrayLike,
+    c: ArrayLike,
+    d: ArrayLike | None = None,
+    *,
+    outputs: Sequence[str] = ("local_rate_radps",),
+    inputs: Sequence[str] = (DELTA,),
+    states: Sequence[str] | None = None,
+    time_s: float = 0.0,
+    sample_s: float = 0.0,
+    delay_s: float = 0.0,
+    axial_mps2: float = 0.0,
+    plane: Plane = "pitch",
+) -> GivenPoint:
+    """Return an operating point of the plant x' = A x + B u, y = C x + D u, from the gimbal angle to measurements.
+
+    `outputs` names the rows of C: `local_rate_radps`, the rate at the gyro, and optionally `accel_mps2`. The latter is
+    the lateral specific force at the accelerometer. The `inputs` are the columns of B: `delta_rad`, and optionally
+    `wind_mps`. The `states` may include `eta_1_m` and `slosh_1_rad`, whose poles are then lobes of these names. An
+    actuator is part of the matrices. `axial_mps2` is the axial specific force, for a law with feedback of the drift.
+    Raises ValueError for matrices that do not fit, and for other names.
+    """
+    matrices = [np.atleast_2d(np.asarray(m, float)) for m in (a, b, c)]
+    n, m, p = len(matrices[0]), len(inputs), len(outputs)
+    through = np.zeros((p, m)) if d is None else np.atleast_2d(np.asarray(d, float))
+    known = ("local_rate_radps", ACCELERATION)
+    if DELTA not in inputs or not set(inputs) <= {DELTA, WIND}:
+        raise ValueError(f"inputs = {list(inputs)}: allowed are {DELTA} and, last, {WIND}")
+    if known[0] not in outputs or not set(outputs) <= {*OUTPUTS, *known}:
+        raise ValueError(
+            f"outputs = {list(outputs)}: allowed are {known[0]} and any of {', '.join((*OUTPUTS, known[1]))}"
+        )
+    if not all(np.isfinite(x).all() for x in (*matrices, through)):
+        raise ValueError("matrices: allowed are finite numbers")
+    names = tuple(states) if states is not None else tuple(f"x_{k + 1}" for k in range(n))
+    system = StateSpace(
+        matrices[0], matrices[1].reshape(n, m), matrices[2], through, names, tuple(inputs), tuple(outputs)
+    )
+    instruments = given_instruments(sample_s, delay_s)
+    if ACCELERATION not in outputs:
+        instruments = dataclasses.replace(instruments, sensors=())
+    return GivenPoint(
+        time_s=time_s,
+        condition=still(time_s, math.nan, math.nan, axial_mps2),
+        instruments=instruments,
+        plane=plane,
+        label=f"{time_s:g} s",
+        given=system,
+        axial_mps2=axial_mps2,
+    )
+
+
+def still(time_s: float, airspeed_mps: float, dynamic_pressure_Pa: float, axial_mps2: float) -> FlightCondition:
+    """Return the condition of an operating point that was not flown, with the axial load as gravity."""
+    return FlightCondition(
+        time_s=time_s,
+        airspeed_mps=airspeed_mps,
+        density_kgpm3=2.0 * dynamic_pressure_Pa / airspeed_mps**2,
+        pressure_Pa=math.nan,
+        mach=math.nan,
+        pitch_rad=0.5 * math.pi,
+        gravity_mps2=axial_mps2,
+    )

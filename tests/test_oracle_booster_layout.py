@@ -1,0 +1,118 @@
+"""A layout with boosters against sums by hand, closed forms and the files that simvehicle writes for it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from maxq.control.kernel.tables import table_in
+from maxq.sim.packing.flight import pack_flight
+from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.vehicle import schedule as columns
+from maxq.tools.vehicle.beam import ELEMENTS, Beam, RigidLoad
+from maxq.tools.vehicle.build import Built, build
+from maxq.tools.vehicle.files import write
+from maxq.tools.vehicle.layout import read_layout
+from maxq.tools.vehicle.masses import Rod
+
+HERON = Path(__file__).parent.parent / "scenarios" / "layouts" / "heron.toml"
+
+
+@pytest.fixture(scope="module")
+def built() -> Built:
+    """The shipped layout on a gravity turn, which needs no search for an orbit."""
+    layout = read_layout(HERON)
+    turn = layout.trajectory.model_copy(update={"orbit_altitude_m": None, "final_path_angle_deg": 15.0})
+    return build(layout.model_copy(update={"trajectory": turn}))
+
+
+@pytest.mark.parametrize("attachments", [(6.0,), (3.0, 9.0)])
+def test_modes_of_a_beam_with_boosters_are_free_and_orthogonal(attachments: tuple[float, ...]) -> None:
+    """Each mode has neither momentum nor angular momentum, boosters included; energies give its frequency."""
+    length, stiffness = 12.0, 3e7
+    beam = Beam(np.linspace(0.0, length, ELEMENTS + 1), np.full(ELEMENTS, stiffness))
+    booster = RigidLoad(attachments, [Rod(90.0, 4.0, 11.0, 0.0, 0.0)])
+    modes = beam.modes([Rod(480.0, 0.0, length, 0.0, 0.0)], 3, [booster, booster])
+    x, y = beam.nodes_m, np.linspace(4.0, 11.0, 2001)
+    fine = np.linspace(0.0, length, 24001)
+
+    def on_beam(k: int) -> np.ndarray:
+        return np.interp(fine, x, modes[k].phi)
+
+    def on_booster(k: int) -> np.ndarray:
+        phi = np.interp(attachments, x, modes[k].phi)
+        slope = np.interp(attachments[0], x, modes[k].slope_pm)
+        if len(attachments) == 2:
+            slope = (phi[1] - phi[0]) / (attachments[1] - attachments[0])
+        return np.asarray(phi[0] + slope * (y - attachments[0]))
+
+    def product(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> float:
+        return float(40.0 * np.trapezoid(a[0] * b[0], fine) + 180.0 / 7.0 * np.trapezoid(a[1] * b[1], y))
+
+    shapes = [(on_beam(k), on_booster(k)) for k in range(3)]
+    for k, mode in enumerate(modes):
+        for rigid in ((np.ones_like(fine), np.ones_like(y)), (fine, y)):
+            assert abs(product(shapes[k], rigid)) < 1e-3 * 480.0
+        assert product(shapes[k], shapes[k]) == pytest.approx(mode.generalized_mass_kg, rel=1e-3)
+        curvature = np.gradient(mode.slope_pm, x)
+        if len(attachments) == 2:
+            energy = stiffness * float(np.trapezoid(curvature**2, x))
+            omega = math.sqrt(energy / mode.generalized_mass_kg)
+            assert omega == pytest.approx(2.0 * math.pi * mode.frequency_hz, rel=2e-2)
+        for j in range(k):
+            assert abs(product(shapes[k], shapes[j])) < 1e-3 * mode.generalized_mass_kg
+
+
+@pytest.mark.slow
+def test_masses_at_liftoff_are_sums_of_the_layout(built: Built) -> None:
+    """Dry parts, propellants and engines by hand; the pair adds m y^2 to the roll inertia and nothing to pitch."""
+    booster = 1500.0 + 250.0 + 250.0 + 500.0 + 22000.0
+    core = 350.0 + 1350.0 + 300.0 + 900.0 + 1100.0 + 1400.0 + 47000.0 + 19500.0
+    upper = 3800.0 + 120.0 + 250.0 + 950.0 + 11500.0 + 4700.0 + 220.0
+    first, second = built.stacks[:2]
+    both, alone = first.mass_properties(0.0), first.core_properties(0.0)
+    assert alone.mass_kg == pytest.approx(core + upper + 450.0, rel=1e-12)
+    assert both.mass_kg == pytest.approx(alone.mass_kg + 2.0 * booster, rel=1e-12)
+    one = first.boosters[0].mass_properties(0.0)
+    assert both.roll_kgm2 - alone.roll_kgm2 == pytest.approx(2.0 * (one.roll_kgm2 + booster * 2.05**2), rel=1e-12)
+    assert first.leave_s == second.begins_s == pytest.approx(first.boosters[0].burn.end_s + 3.0)
+    dropped = first.mass_properties(first.end_s).mass_kg - second.mass_properties(second.begins_s).mass_kg
+    assert dropped == pytest.approx(2.0 * (booster - 22000.0), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_files_fly_the_masses_and_thrusts_of_the_layout(built: Built, tmp_path: Path) -> None:
+    """Mass, CG, inertia and thrust of the packed flight equal those of the layout, on both sides of the separation."""
+    write(built, tmp_path)
+    scenario = load_scenario(tmp_path / "scenario.toml").scenario
+    stages = scenario.vehicle.stage
+    assert [(s.name, s.continues, s.clock, len(s.booster)) for s in stages[:3]] == [
+        ("core with solid", False, "own", 2),
+        ("core", True, "preceding", 0),
+        ("second", False, "own", 0),
+    ]
+    packed = pack_flight(scenario)
+    assert packed.parameters[0].timeline.separation_ns == pytest.approx(1e9 * (built.stacks[0].leave_s or 0.0), abs=1e4)
+    for n, times in ((0, (0.0, 20.0, 60.0)), (1, (100.0, 200.0))):
+        table = table_in(packed.pool, packed.parameters[n].vehicle.schedule)
+        sizes, stack = packed.parameters[n].vehicle.sizes, built.stacks[n]
+        for t in times:
+            row, wanted = table(t), stack.mass_properties(t)
+            bobs = [row[int(columns.tank_column(k)) :][:3] for k in range(int(sizes.pendulums))]
+            mass = row[columns.CORE_MASS] + sum(bob[0] for bob in bobs)
+            cg = (row[columns.CORE_MASS] * row[columns.CORE_CG] + sum(m * (a + b) for m, a, b in bobs)) / mass
+            assert mass == pytest.approx(wanted.mass_kg, rel=1e-6)
+            assert row[columns.TOTAL_MASS] == pytest.approx(wanted.mass_kg, rel=1e-6)
+            assert cg == pytest.approx(wanted.x_cg_m, abs=1e-3)
+            lateral = row[columns.CORE_INERTIA + 1] + row[columns.CORE_MASS] * (row[columns.CORE_CG] - cg) ** 2
+            lateral += sum(m * (a + b - cg) ** 2 for m, a, b in bobs)
+            assert lateral == pytest.approx(wanted.pitch_kgm2, rel=1e-4)
+            engine = packed.parameters[n].vehicle.engine
+            thrust = sum(
+                engine.thrust_factor[k] * row[int(columns.thrust_column(sizes, int(engine.curve[k])))]
+                for k in range(int(sizes.engines))
+            )
+            assert thrust == pytest.approx(stack.thrusts_N(t, 0.0)[0], rel=1e-3, abs=1.0)

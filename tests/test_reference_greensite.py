@@ -1,0 +1,145 @@
+"""Greensite's launcher and two designs for it, by others: what they publish, and an independent model (python-control).
+
+| what | against |
+|---|---|
+| rows of the plant at 72 s | the published coefficients, to six digits |
+| margins of HM3's design and of the four vertices of its uncertainty | its table, to 0.05 dB, 0.2 deg and 1 ms |
+| Zavoli's schedule, 10 to 150 s | independent model: stability, and margins to 1e-6 dB |
+| the term that HM3 leaves out, a thrust line along the bent body | independent model; 0.21 dB |
+
+The numbers are those of NASA CR-820 ff. (Greensite, 1967-70) by two public courses, with their notice in the files.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles import greensite_launcher as oracle
+
+import maxq
+from maxq.control.filters import BendingFilter, QuadraticSection
+from maxq.design.laws.pd import Pd
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import Loop
+from maxq.design.model.given import GivenPoint, of_coefficients
+
+DATA = Path(__file__).parent / "data" / "greensite"
+HM3 = oracle.Law(1.73183903, 0.68673834, -1e-3, -1e-3, (18.9, 0.002, 0.7))
+BENT_THRUST_1PMS2 = -0.6137  # T phi / I
+
+
+def rows(name: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(x for x in (DATA / name).read_text().splitlines() if not x.startswith("#")))
+
+
+SCHEDULE = {
+    float(row["time_s"]): oracle.Law(
+        *(float(row[key]) for key in ("k_theta", "k_thetad_s", "k_z_radpm", "k_zd_radspm")),
+        notch=(float(row["filter_omega_radps"]), -0.2, 0.5),
+    )
+    for row in rows("zavoli_schedule.csv")[1:]
+}
+
+
+@cache
+def point(time_s: float) -> GivenPoint:
+    return maxq.given_points("greensite", [time_s])[0]
+
+
+def maxq_loop(at: GivenPoint, law: oracle.Law, kind: str = "exact") -> Loop:
+    assert law.notch is not None
+    omega, zero, pole = law.notch
+    hz = omega / (2.0 * math.pi)
+    notch = BendingFilter((QuadraticSection(hz, zero, hz, pole),))
+    own = Pd(law.k_theta, law.k_thetad, notch, k_zd_radspm=-law.k_zd, k_z_radpm=-law.k_z)
+    return Loop(fixed_path(at, kind), own)  # type: ignore[arg-type]  # a kind
+
+
+def measured(loop: Loop) -> tuple[maxq.Margins, float]:
+    """The margins, and the phase margin at the last crossover of the rigid body alone."""
+    found = maxq.margins(loop, resonances=loop.fixed.resonances())
+    there = loop.response(np.array([found.crossover_hz]))[0]
+    return found, abs(math.degrees(np.angle(-there)))
+
+
+def test_the_plant_has_the_published_rows() -> None:
+    plant = point(72.0).plant
+    assert plant.states == ("w_mps", "q_radps", "theta_rad", "eta_1_m", "eta_1_rate_mps")
+    np.testing.assert_allclose(plant.a[0], [-0.01542321, 937.70866, -27.2709774, 0.0, 0.0], rtol=1e-6)
+    np.testing.assert_allclose(plant.a[1], [0.00360648, 0.0, 0.0, 0.0, 0.0], rtol=2e-6)
+    np.testing.assert_allclose(plant.a[4], [0.0, 0.0, 0.0, -357.21, -0.189], rtol=1e-6)
+    np.testing.assert_allclose(plant.b[:, 0], [20.60902627, 4.56472446, 0.0, 0.0, -65.5676888], rtol=1e-6)
+
+
+@pytest.mark.parametrize("case", rows("hm3_margins.csv"), ids=lambda row: row["case"])
+def test_hm3_published_these_margins(case: dict[str, str]) -> None:
+    at = point(72.0).with_(A6_1ps2=float(case["A6_factor"]), K1_1ps2=float(case["K1_factor"]))
+    found, phase_deg = measured(maxq_loop(at, HM3))
+    assert found.stable
+    assert found.aero_gain_db.value == pytest.approx(float(case["lower_gain_margin_db"]), abs=0.006)
+    assert found.rigid_gain_db.value == pytest.approx(float(case["upper_gain_margin_db"]), abs=0.006)
+    assert phase_deg == pytest.approx(float(case["phase_margin_deg"]), abs=0.06)
+    assert 1e3 * found.delay_s.value == pytest.approx(float(case["delay_margin_ms"]), abs=0.6)
+
+
+def test_the_third_vertex_has_less_margin_at_a_crossing_that_hm3_does_not_classify() -> None:
+    """A slow crossing of the drift, at 0.42 rad/s, is nearer to -1 than that of the rigid body (18 deg)."""
+    found, phase_deg = measured(maxq_loop(point(72.0).with_(A6_1ps2=1.3, K1_1ps2=0.7), HM3))
+    assert phase_deg == pytest.approx(18.0, abs=0.06)
+    assert found.phase_deg.value == pytest.approx(8.73, abs=0.01)
+    assert 2.0 * math.pi * found.phase_deg.frequency_hz == pytest.approx(0.416, abs=0.002)
+
+
+@pytest.mark.parametrize("time_s", SCHEDULE)
+def test_zavolis_schedule_is_stable_with_its_right_half_plane_zeros(time_s: float) -> None:
+    law, p = SCHEDULE[time_s], oracle.coefficients(time_s)
+    loop = maxq_loop(point(time_s), law)
+    found, phase_deg = measured(loop)
+    assert found.stable
+    assert (oracle.closed_poles(p, law).real < 0.0).all()
+    radps = np.geomspace(0.1, 60.0, 40)
+    np.testing.assert_allclose(loop.response(radps / (2.0 * math.pi)), oracle.loop(p, law, radps), rtol=1e-9)
+    if 20.0 <= time_s <= 120.0:
+        wanted = oracle.margins(p, law)
+        assert found.aero_gain_db.value == pytest.approx(wanted.lower_db, abs=1e-6)
+        assert phase_deg == pytest.approx(wanted.phase_deg, abs=1e-6)
+        assert 6.9 < found.aero_gain_db.value < 16.3
+        assert 20.0 < phase_deg < 36.3
+
+
+@pytest.mark.parametrize("time_s", [10.0, 60.0, 110.0])
+def test_zavolis_filter_is_unstable_with_left_half_plane_zeros(time_s: float) -> None:
+    """The filter turns the phase of mode 1; with the same depth alone, the mode is unstable."""
+    law = SCHEDULE[time_s]
+    assert law.notch is not None
+    mirrored = dataclasses.replace(law, notch=(law.notch[0], 0.2, 0.5))
+    loop = maxq_loop(point(time_s), mirrored)
+    assert maxq.margins(loop, resonances=loop.fixed.resonances()).unstable_poles == 2
+    assert (oracle.closed_poles(oracle.coefficients(time_s), mirrored).real > 0.0).sum() == 2
+
+
+def test_the_thrust_line_along_the_bent_body_is_worth_a_fifth_of_a_decibel() -> None:
+    """The numbers of docs/verification.md: PD alone, with HM3's rounded gains."""
+    at, law = point(72.0), dataclasses.replace(HM3, k_theta=1.73, k_thetad=0.69, k_z=0.0, k_zd=0.0)
+    assert at.coefficients is not None
+    (mode,) = at.coefficients.modes
+    bent = dataclasses.replace(mode, rotation_1pms2=BENT_THRUST_1PMS2)
+    with_it = of_coefficients(at, dataclasses.replace(at.coefficients, modes=(bent,)))
+    for turn, where, lower_db, upper_db, phase in (
+        (0.0, at, 7.22, 7.53, 30.50),
+        (BENT_THRUST_1PMS2, with_it, 7.43, 7.40, 30.69),
+    ):
+        found, phase_deg = measured(maxq_loop(where, law))
+        wanted = oracle.margins(oracle.coefficients(72.0), law, turn=turn)
+        assert found.aero_gain_db.value == pytest.approx(wanted.lower_db, abs=1e-6)
+        assert found.rigid_gain_db.value == pytest.approx(wanted.upper_db, abs=1e-6)
+        assert phase_deg == pytest.approx(wanted.phase_deg, abs=1e-6)
+        assert (wanted.lower_db, wanted.upper_db, wanted.phase_deg) == pytest.approx(
+            (lower_db, upper_db, phase), abs=0.006
+        )
