@@ -387,7 +387,7 @@ def computer_tick(
 
 @routine
 def follow_orbit_guidance(orbit: OrbitGuidance, state: ComputerState, time_s: float, sample_s: float) -> None:
-    """Turn the commanded attitude in pitch and yaw by the closed-loop guidance, and in roll by the programme."""
+    """Turn the commanded attitude: in pitch and yaw by the closed-loop guidance, in roll by the programme."""
     guidance = state.guidance
     turned_rad = steer(orbit, state.orbit, guidance.attitude.q, time_s, sample_s)
     for axis in (1, 2):

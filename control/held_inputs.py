@@ -1,10 +1,9 @@
 """The inputs of external flight code in a held flight: those of its own flight, with the deviations of the held one.
 
-In a held flight the vehicle does not move along its trajectory, so its own clock, mass, speed, attitude and commands
-would show the code that it is being tested. Therefore the code receives the inputs that it had in a flight. The
-gyro pulses and the readings of the further sensors in the held flight are added to them. Without any deviation they
-are the inputs of the flight, bit for bit. With deviations, angles, attitude and attitude error follow from the sum of
-the pulses as in attitude.py.
+In a held flight, the vehicle does not move along its trajectory. From its clock, mass, speed, attitude and commands,
+flight code could recognise the test. The code therefore receives the inputs of a flight, plus the gyro pulses and the
+readings of the further sensors in the held flight. Without any deviation, these equal the inputs of the flight, bit for
+bit. With deviations, angles, attitude and attitude error follow from the sum of the pulses as in attitude.py.
 """
 
 from __future__ import annotations

@@ -143,7 +143,7 @@ class CommonLimits(Section):
 
 
 class LoopLimits(CommonLimits):
-    """The limits of a suite. An absent key sets none."""
+    """The limits of a suite on the margins of a loop. An absent key sets no limit."""
 
     renamed: ClassVar[dict[str, str]] = {
         "aero_gain_db": "gain_down_db", "phase_deg": "rigid_phase_deg", "higher_modes_db": "modes_from_2_db",

@@ -429,7 +429,7 @@ def test_without_the_section_everything_is_absent_and_deviations_are_told_apart(
     assert {row["obtained"] for row in tables["data pedigree"]} == {"absent"}
     kinds = {row["kind"]: (row["number"], row["deviations"]) for row in tables["deviations by kind"]}
     assert kinds["aleatory"] == ("5", "air density; gust altitude; gust thickness; gust direction; wind")
-    assert [kinds[kind][0] for kind in ("epistemic", "not said")] == ["7", "43"]
+    assert [kinds[kind][0] for kind in ("epistemic", "not stated")] == ["7", "43"]
     thirds = tables["worst third of each epistemic deviation"]
     assert len(thirds) == 7
     assert {row["runs that miss a limit"] for row in thirds} == {"0 of 2"}

@@ -32,7 +32,7 @@ _EXITS = {
 
 def _parser() -> Parser:
     about = (
-        "Optimise gain schedules and bending filter; judge designs in the frequency domain. "
+        "Optimise gain schedules and bending filters, and analyse designs in the frequency domain. "
         "Without a command, a case is optimised. simdesign COMMAND --help lists the options of a command."
     )
     parser = Parser("simdesign", about, _EXAMPLES, _EXITS)
@@ -54,61 +54,63 @@ def _add_optimise(parser: Parser) -> None:
     examples = """\
   simdesign optimise ksr3-identical        the built-in case of that name
   simdesign optimise ksr3-identical --set limits.gain_margin_db=7
-  simdesign optimise ksr3-identical ksr3-robust --verify   design both, then simverify the better one, and the
-                                           other if need be
+  simdesign optimise ksr3-identical ksr3-robust --verify   design both, verify the better one, and the
+                                           other if necessary
 """
     exits = {
         Exit.OK: "designed, all limits met; --verify: one design is accepted",
-        Exit.FAILED: "infeasible (the best effort is written, and marked); --verify: none is accepted",
+        Exit.FAILED: "infeasible (the best design found is written and marked); --verify: none is accepted",
         Exit.BAD_INPUT: "bad input, nothing written, or files that cannot be read or written",
         Exit.UNDECIDED: "--verify: none is accepted, and one needs more runs",
-        Exit.INTERRUPTED: "interrupted, the best design so far is kept",
+        Exit.INTERRUPTED: "interrupted; the best design so far is kept",
     }
     optimise = parser.command("optimise", "Optimise a case", examples, _optimise, exits)
     add = optimise.option
     add("CASE...", "case file (.toml), or name of a built-in case; several with --verify", dest="cases")
     add("--out DIR", "where to write (default: runs/<name of the case>)")
-    add("--starts N", "starts of the optimiser instead of the case's", type=count_from_1)
-    add("--seed N", "seed of the starts instead of the case's", type=int)
+    add("--starts N", "number of starts of the optimiser, instead of the case's", type=count_from_1)
+    add("--seed N", "seed of the starts, instead of the case's", type=int)
     optimise.overrides("the case, e.g. limits.gain_margin_db=7")
-    add("--orders", "also F2 to F6 with all three gain schedules: the paper's Fig. 9")
+    add("--orders", "also design F2 to F6 with all three gain schedules (the paper's Fig. 9)")
     _add_page(optimise)
-    add("--verify", "then try what was designed, best first, until simverify accepts one")
-    add("--suite SUITE", "what has to be passed (default: standard)", needs=["--verify"])
-    add("--no-trials", "of an infeasible case: no trials with wider bounds, higher order, faster samples")
+    add("--verify", "then verify the designs, best first, until one is accepted")
+    add("--suite SUITE", "suite for --verify (default: standard)", needs=["--verify"])
+    add("--no-trials", "if the case is infeasible, omit the trials with wider bounds, higher order and faster sampling")
 
 
 def _add_analyse(parser: Parser) -> None:
     examples = """\
   simdesign analyse ksr3-default           margins of a built-in design
-  simdesign analyse runs/mine --at 30 --at 45   of the design that a case has left there, at two times
-  simdesign analyse greensite-hm3          of a launcher that is known by published derivatives only
+  simdesign analyse runs/mine --at 30 --at 45   of the design in this folder, at two times
+  simdesign analyse greensite-hm3          of a launcher known only by published derivatives
 """
     exits = {
-        Exit.OK: "stable at every operating point, and all limits met that the design states",
+        Exit.OK: "stable at every operating point, and all limits of the design met",
         Exit.FAILED: "unstable, or a limit missed",
     }
     analyse = parser.command("analyse", "Measure the margins of a design", examples, _analyse, exits)
     analyse.option("DESIGN", "design file, folder with a design.toml, or a built-in design")
     _add_operating_points(analyse, "the design's, if built in, else nominal")
     add = analyse.option
-    about = "judge at the rows of the gain tables and every S seconds, not at the operating points as designed"
+    about = "judge at the rows of the gain tables and every S seconds, instead of at the operating points as designed"
     add("--every S", about, type=partial(_between, 0.01), dest="every_s")
     add("--kind sampled|pade|exact", "model of the computer (default: as designed, else sampled, as it flies)")
     add("--axis pitch|yaw", "plane (default: as designed, else pitch)")
-    add("--errata corrected|paper", "equations corrected or as the paper prints them (default: as designed)")
+    add("--errata corrected|paper", "equations as corrected, or as printed in the paper (default: as designed)")
     _add_plant(analyse)
-    add("--faults", "operating points of the flight with the scenario's faults")
-    add("--points FILE", "operating points of published derivatives (.toml, or built in) instead of a flight")
+    add("--faults", "use operating points of the flight with the scenario's faults")
+    add("--points FILE", "use operating points of published derivatives (.toml, or built in) instead of a flight")
     add("--out DIR", "where to write (default: runs/analyse-<name of the design>)")
     _add_page(analyse)
 
 
 def _add_page(parser: Parser) -> None:
     parser.option(
-        "--plots", "also SVG and PNG pictures: loops, margins, lobes, gains, filter", without=["--no-pictures"]
+        "--plots",
+        "also write SVG and PNG pictures of loops, margins, lobes, gains and filter",
+        without=["--no-pictures"],
     )
-    parser.option("--no-pictures", "tables and files only, no page")
+    parser.option("--no-pictures", "write tables and files only, no page")
 
 
 def _add_operating_points(parser: Parser, default: str, without: Sequence[str] = ()) -> None:
@@ -132,7 +134,7 @@ def _add_others(parser: Parser) -> None:
     errata.option("[DESIGN]", "design file, or a built-in design (default: ksr3-default)")
     _add_operating_points(errata, "nominal")
     _add_plant(errata)
-    errata.option("--out FILE", "write the table to a file, too")
+    errata.option("--out FILE", "also write the table to a file")
 
     examples = """\
   simdesign export ksr3-robust --c law     C99 sources, with a unit test
@@ -154,8 +156,8 @@ def _add_others(parser: Parser) -> None:
 """
     bias = parser.command("bias", "Bias the pitch programme of a scenario for a wind", examples, _bias)
     bias.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
-    bias.option("--wind PROFILE", "measured wind over altitude (.csv) instead of the scenario's")
-    about = "share of the angle of attack from the wind that the bias removes, 0 to 1 (default: 1)"
+    bias.option("--wind PROFILE", "measured wind over altitude (.csv), instead of the scenario's")
+    about = "share of the wind's angle of attack that the bias removes, 0 to 1 (default: 1)"
     bias.option("--share X", about, type=partial(_between, 1e-9, most=1.0))
     bias.option("--out FILE", "where to write (default: <name of the scenario>-biased.csv)")
 

@@ -9,17 +9,16 @@ from maxq.tools.cli.frame import Command, Exit
 from maxq.tools.cli.parser import Parser, positive, seconds
 
 _EXAMPLES = """\
-  simreplay runs/nominal/flight.mcap               a window with everything in it
-  simreplay runs/nominal/flight.mcap --web         the same in a browser, from this
-                                                   machine only
-  simreplay runs/nominal runs/windy                two flights, one over the other
-  simreplay runs/nominal --screenshot q.png --at 43   a picture without any display
-  simreplay runs/nominal --plots review            the standard set as SVG and PNG
-  simreplay runs/nominal --summary                 a summary in the terminal
+  simreplay runs/nominal/flight.mcap               show the flight in a window
+  simreplay runs/nominal/flight.mcap --web         show it in a browser on this machine
+  simreplay runs/nominal runs/windy                show two flights together
+  simreplay runs/nominal --screenshot q.png --at 43   write a picture; no display is needed
+  simreplay runs/nominal --plots review            write the standard plots as SVG and PNG
+  simreplay runs/nominal --summary                 print a summary in the terminal
 """
 _EXITS = {
     Exit.OK: "shown",
-    Exit.FAILED: "shown, but some of the flights, or a part of one, could not be read",
+    Exit.FAILED: "shown, but a flight or a part of one could not be read",
     Exit.BAD_INPUT: "nothing could be shown",
     Exit.INTERRUPTED: "interrupted",
 }
@@ -35,13 +34,13 @@ def _size(text: str) -> str:
 
 
 def _parser() -> Parser:
-    about = "Look at flights: logs (.mcap), folders that hold one, folders of campaigns."
+    about = "Show flights, from logs (.mcap), folders that contain a log, or folders of campaigns."
     parser = Parser("simreplay", about, _EXAMPLES, _EXITS)
     add = parser.option
-    add("LOG|DIR...", "a log, a folder with flight.mcap, or a campaign's folder", dest="logs")
+    add("LOG|DIR...", "a log, a folder with flight.mcap, or the folder of a campaign", dest="logs")
     way = parser.add_mutually_exclusive_group()
     add("--web", "serve the flight to a browser on this machine (127.0.0.1)", group=way)
-    add("--save FILE.rrd", "write a file that `rerun` opens", group=way)
+    add("--save FILE.rrd", "write a file for the Rerun viewer (`rerun FILE.rrd`)", group=way)
     add("--screenshot FILE.png", "write a picture; no display is needed", needs=["--at"], group=way)
     add("--plots DIR", "write the standard set of plots as SVG and PNG", group=way)
     add("--summary", "print a summary of the flight", group=way)
@@ -49,12 +48,12 @@ def _parser() -> Parser:
     add("--size WxH", "size of the picture (default 1920x1080)", needs=["--screenshot"], type=_size)
     add("--port N", "port of --web (default 9090)", needs=["--web"], type=int)
     scene = partial(add, without=["--plots", "--summary"])
-    scene("--tab NAME", "the tab of plots that is in front, e.g. Bending")
-    about = "plots keep the smallest and the largest sample of each 1/HZ s (default 50; 10 for more than 4 flights)"
+    scene("--tab NAME", "tab of plots to show first, e.g. Bending")
+    about = "plot the smallest and the largest sample of each 1/HZ s (default 50; 10 for more than 4 flights)"
     scene("--rate HZ", about, type=positive, dest="rate_hz")
-    scene("--bend-factor X", "exaggeration of bending", type=positive)
-    scene("--slosh-factor X", "exaggeration of slosh angles", type=positive)
-    scene("--side-by-side", "vehicles of several flights next to each other")
+    scene("--bend-factor X", "exaggerate bending by this factor", type=positive)
+    scene("--slosh-factor X", "exaggerate slosh angles by this factor", type=positive)
+    scene("--side-by-side", "show the vehicles of several flights next to each other")
     parser.about_itself()
     return parser
 

@@ -26,11 +26,15 @@ _EXAMPLES = """\
 _MISSED = "flown, but a requirement was missed, control was lost or the flight diverged"
 _EXITS = {
     Exit.OK: "flown, all requirements met",
-    Exit.FAILED: f"{_MISSED}, or it differs from the log",
+    Exit.FAILED: f"{_MISSED}, or the final state differs from the log",
     Exit.UNDECIDED: "campaign: undecided, more runs are needed",
-    Exit.INTERRUPTED: "interrupted; a log is closed properly, a campaign resumes with the same command",
+    Exit.INTERRUPTED: "interrupted; a log is complete up to this time, a campaign resumes with the same command",
 }
-_FLIGHT = {Exit.OK: _EXITS[Exit.OK], Exit.FAILED: _MISSED, Exit.INTERRUPTED: "interrupted; the log is closed properly"}
+_FLIGHT = {
+    Exit.OK: _EXITS[Exit.OK],
+    Exit.FAILED: _MISSED,
+    Exit.INTERRUPTED: "interrupted; the log is complete up to this time",
+}
 _CAMPAIGN = {
     Exit.OK: "all requirements are met with the required confidence",
     Exit.FAILED: "a requirement is missed",
@@ -43,8 +47,8 @@ _FORMER = ("--copy", "--schema", "--upgrade", "--from")
 
 def _parser() -> Parser:
     about = (
-        "Fly a scenario or a campaign of dispersed flights: write a log or a data set, print a verdict. "
-        "Without a command, a scenario is flown by fly, a campaign by campaign. "
+        "Fly a scenario or a campaign of dispersed flights: write a log or a data set, and print a verdict. "
+        "Without a command, simrun flies a scenario as fly does, and a campaign as campaign does. "
         "simrun COMMAND --help lists the options of a command."
     )
     parser = Parser("simrun", about, _EXAMPLES, _EXITS)
@@ -60,7 +64,7 @@ def _add_flights(parser: Parser) -> None:
     examples = """\
   simrun fly nominal                       the built-in scenario of that name
   simrun fly nominal --set run.seed=7 --out runs/seven
-  simrun fly nominal --view --realtime 4   watch it, four times as fast
+  simrun fly nominal --view --realtime 4   watch it at four times real speed
 """
     fly = parser.command(
         "fly", "Fly a scenario, write its log and summary, and print a verdict", examples, _fly, _FLIGHT
@@ -74,11 +78,13 @@ def _add_flights(parser: Parser) -> None:
   simrun refly runs/first --run 17         run 17 of a campaign, with a log
 """
     about = "Fly a log, or a run of a campaign, again and compare the final states"
-    refly = parser.command("refly", about, examples, _refly, _FLIGHT | {Exit.FAILED: f"{_MISSED}, or it differs"})
+    refly = parser.command(
+        "refly", about, examples, _refly, _FLIGHT | {Exit.FAILED: f"{_MISSED}, or the final state differs"}
+    )
     refly.option("LOG|DIR", "log (.mcap), or folder of a campaign", dest="place")
-    refly.option("--run N", "which run of the campaign", type=count)
+    refly.option("--run N", "number of the run in the campaign", type=count)
     refly.overrides("the scenario in the log; nothing is compared then", without=["--run"])
-    refly.option("--out DIR", "where to write (default: of a log nothing, of a run DIR/flights/run-N)")
+    refly.option("--out DIR", "where to write (default: for a run, DIR/flights/run-N; for a log, nothing is written)")
     _add_views(refly)
 
     examples = """\
@@ -94,18 +100,16 @@ def _add_flights(parser: Parser) -> None:
     limit.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
     limit.option("KEY", "number of the scenario, as for --set")
     limit.option("--start A", "first value (default: the scenario's, 0 if it has none)", type=number)
-    about = (
-        "last value, which may be smaller than the first (default: steps that double, until a requirement is missed)"
-    )
+    about = "last value, which may be smaller than the first (default: steps double until a requirement is missed)"
     limit.option("--end B", about, type=number)
     limit.overrides("the scenario")
 
 
 def _add_views(parser: Parser) -> None:
-    parser.option("--no-log", "no flight.mcap: only the summary")
+    parser.option("--no-log", "write the summary only, no flight.mcap")
     parser.option("--view", "show the flight in the Rerun viewer")
-    parser.option("--view-port N", "show it in a viewer that listens on this port already", type=int)
-    about = "X seconds of flight in a second (default 1)"
+    parser.option("--view-port N", "show the flight in a viewer that already listens on this port", type=int)
+    about = "show X seconds of flight per second (default 1)"
     parser.option("--realtime [X]", about, needs=["--view", "--view-port"], type=positive, const=1.0)
 
 
@@ -114,13 +118,13 @@ def _add_campaigns(parser: Parser) -> None:
   simrun campaign campaigns/first          repeat the command to resume it
   simrun campaign campaigns/first --runs 2000   make it larger
 """
-    about = "Fly a campaign of dispersed flights, resume or enlarge it"
+    about = "Fly, resume or enlarge a campaign of dispersed flights"
     campaign = parser.command(
         "campaign", about, examples, lambda **given: _campaigns().fly_campaign(**given), _CAMPAIGN | _RESUMED
     )
     campaign.option("CAMPAIGN", "campaign file (.toml), or name of a built-in campaign")
-    campaign.option("--runs N", "number of runs instead of the file's", type=count_of_runs)
-    campaign.option("--seed S", "seed of all draws instead of the file's", type=count)
+    campaign.option("--runs N", "number of runs, instead of the file's", type=count_of_runs)
+    campaign.option("--seed S", "seed of all draws, instead of the file's", type=count)
     campaign.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key")
     campaign.option("--out DIR", "where to write (default: runs/<name of the campaign>)")
     _add_workers(campaign)
@@ -129,12 +133,12 @@ def _add_campaigns(parser: Parser) -> None:
     _add_report(campaign)
 
     examples = """\
-  simrun report runs/first                 verdicts and pictures once more
+  simrun report runs/first                 write verdicts and pictures again
   simrun report runs/first --keep worst:5  with logs of the five worst runs
 """
     report = parser.command(
         "report",
-        "Report on a flown campaign again",
+        "Write the report of a flown campaign again",
         examples,
         lambda **given: _campaigns().report_again(**given),
         _CAMPAIGN,
@@ -143,7 +147,10 @@ def _add_campaigns(parser: Parser) -> None:
     _add_report(report)
 
     examples = "  simrun shrink runs/first --run 17        writes runs/first/shrunk/run-000017.toml\n"
-    exits = {Exit.OK: "the run does not fail", Exit.FAILED: "the run fails; what is needed for it is written"}
+    exits = {
+        Exit.OK: "the run does not fail",
+        Exit.FAILED: "the run fails; the dispersions that cause the failure are written",
+    }
     about = "Find the fewest dispersions with which a run of a campaign fails"
     shrink = parser.command("shrink", about, examples, lambda **given: _campaigns().shrink(**given), exits)
     _add_folder(shrink)
@@ -155,14 +162,14 @@ def _add_campaigns(parser: Parser) -> None:
     about = "Find the worst flight of a campaign within 3 sigma"
     search = parser.command("search", about, examples, lambda **given: _campaigns().search(**given), exits)
     _add_folder(search)
-    search.option("METRIC", "metric of which the worst value is sought")
-    search.option("--runs N", "flights at most (default: 2000)", type=count_of_runs)
+    search.option("METRIC", "metric whose worst value is sought")
+    search.option("--runs N", "largest number of flights (default: 2000)", type=count_of_runs)
     _add_workers(search)
 
     examples = "  simrun rare runs/first max_attitude_error_deg   probability and its bounds\n"
     exits = {
-        Exit.OK: "it is missed as rarely as the campaign allows",
-        Exit.FAILED: "it is missed more often",
+        Exit.OK: "the requirement is missed as rarely as the campaign allows",
+        Exit.FAILED: "the requirement is missed more often",
         Exit.UNDECIDED: "undecided between the bounds of the estimate",
     }
     about = "Estimate how rarely a requirement of a campaign is missed"
@@ -170,7 +177,9 @@ def _add_campaigns(parser: Parser) -> None:
     _add_folder(rare)
     rare.option("METRIC", "metric of the requirement")
     rare.option(
-        "--runs N", "flights to plan for, which set the size of the populations (default: 10000)", type=count_of_runs
+        "--runs N",
+        "planned number of flights, which sets the size of the populations (default: 10000)",
+        type=count_of_runs,
     )
     _add_workers(rare)
 
@@ -184,14 +193,14 @@ def _add_workers(parser: Parser) -> None:
 
 
 def _add_report(parser: Parser) -> None:
-    about = "keep full logs of: worst:5 (of each requirement), worst:5:METRIC, failed, failed:20, 0,17; repeatable"
+    about = "keep full logs of runs: worst:5 (of each requirement), worst:5:METRIC, failed, failed:20, 0,17; repeatable"
     parser.option("--keep WHICH...", about, type=_kept)
-    parser.option("--no-report", "no pictures, no page: summary.json only")
+    parser.option("--no-report", "write summary.json only, no pictures or page")
 
 
 def _add_files(parser: Parser) -> None:
     examples = "  simrun copy nominal mine                 then: simrun mine/nominal.toml\n"
-    copy = parser.command("copy", "Copy a built-in scenario with all it refers to", examples, _copy)
+    copy = parser.command("copy", "Copy a built-in scenario with all files that it names", examples, _copy)
     copy.option("NAME", "built-in scenario or campaign")
     copy.option("DIR", "new folder", dest="folder")
     examples = """\
@@ -201,7 +210,7 @@ def _add_files(parser: Parser) -> None:
     schema = parser.command("schema", "Print the JSON Schema of a kind of file", examples, _print_schema)
     kinds = f"{', '.join(_KINDS[:-1])}; or flight-software: the C header maxq_fsw.h"
     schema.option("KIND", kinds, choices=_KINDS)
-    examples = "  simrun upgrade mine/case.toml            converts the file where it is\n"
+    examples = "  simrun upgrade mine/case.toml            convert the file in place\n"
     about = "Convert a file of an earlier version to the present format"
     upgrade = parser.command("upgrade", about, examples, _upgrade)
     upgrade.option("FILE", "design, case, suite, scenario or campaign (.toml)")

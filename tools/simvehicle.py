@@ -14,23 +14,23 @@ from maxq.tools.cli.terminal import Progress, tell
 _EXAMPLES = """\
   simvehicle petrel                               a built-in layout, into runs/petrel
   simvehicle mine.toml --out mine                 then: simrun mine/scenario.toml
-  simvehicle ksr3 --compare vehicles/ksr3         how far it differs from tables that are given
+  simvehicle ksr3 --compare vehicles/ksr3         print differences from existing tables
 """
 _EXITS = {
     Exit.OK: "the vehicle is written",
-    Exit.FAILED: "written, but its gimbals are too weak for its aerodynamics, or no first gains were "
-    "found that are stable along their own flight; it says where",
+    Exit.FAILED: "written, but the gimbals are too weak for the aerodynamics, or no first gains were found that "
+    "are stable along their own flight; the output states where",
     Exit.BAD_INPUT: "bad input, or a layout that cannot fly; nothing written",
     Exit.INTERRUPTED: "interrupted; nothing written",
 }
 
 
 def _parser() -> Parser:
-    about = "Work out a vehicle from a layout: masses, modes, slosh, aerodynamics, pitch programme, first gains."
+    about = "Compute a vehicle from a layout: masses, modes, slosh, aerodynamics, pitch programme and first gains."
     parser = Parser("simvehicle", about, _EXAMPLES, _EXITS, _build)
-    parser.option("LAYOUT", "layout file, or a built-in one (docs/simvehicle.md)", dest="name")
+    parser.option("LAYOUT", "layout file, or a built-in layout (docs/simvehicle.md)", dest="name")
     parser.option("--out DIR", "where to write (default: runs/<name of the layout>)")
-    parser.option("--compare VEHICLE", "folder of a vehicle, or a built-in one: print differences")
+    parser.option("--compare VEHICLE", "print differences from this vehicle (a folder, or a built-in vehicle)")
     parser.about_itself({"layout": "layouts (simvehicle LAYOUT)"})
     return parser
 

@@ -14,19 +14,18 @@ from maxq.tools.cli.parser import Parser, count
 
 _EXAMPLES = """\
   simverify ksr3-robust                           judge a built-in design
-  simverify runs/mine --suite quick               one of simdesign, by a shorter suite
-  simverify ksr3-robust ksr3-free ksr3-two-phase  several, and rank them
-  simverify ksr3-robust --set margins.cases=1000  with more random vehicles
-  simverify --check runs/verify-ksr3-robust       compute a sample of a pack again
+  simverify runs/mine --suite quick               judge a result of simdesign by a shorter suite
+  simverify ksr3-robust ksr3-free ksr3-two-phase  judge several designs and rank them
+  simverify ksr3-robust --set margins.cases=1000  use more random vehicles
+  simverify --check runs/verify-ksr3-robust       check a pack and recompute a sample of it
 """
 _EXITS = {
-    Exit.OK: "accepted: every requirement is met, and shown with the required confidence "
-    "(of several designs: by the best), or those that are missed are waived; with less evidence than an acceptance "
-    "needs: passed the screening",
-    Exit.FAILED: "rejected: at least one requirement is not met; of --check: something differs",
+    Exit.OK: "accepted: every requirement is met with the required confidence (of several designs: by the best), or "
+    "each missed requirement is waived; or passed the screening: met, with less evidence than an acceptance needs",
+    Exit.FAILED: "rejected: at least one requirement is missed; with --check: something differs",
     Exit.BAD_INPUT: "bad input, nothing flown, or files that cannot be read or written",
-    Exit.UNDECIDED: "undecided: more runs are needed; it says how many",
-    Exit.INTERRUPTED: "interrupted; what was worked out is kept, the same command resumes",
+    Exit.UNDECIDED: "undecided: more runs are needed; the last line states how many",
+    Exit.INTERRUPTED: "interrupted; finished results are kept, and the same command resumes",
 }
 
 
@@ -36,16 +35,16 @@ def _parser() -> Parser:
     add = parser.option
     about = "design file, folder with a design.toml, or a built-in design; or flight code: libfsw.so, my_fsw.py:Class"
     add("[DESIGN]...", about, dest="designs")
-    add("--suite SUITE", "suite file or name of a built-in one (default: standard)")
+    add("--suite SUITE", "suite file, or name of a built-in suite (default: standard)")
     add("--vehicle V", "vehicle folder instead of the scenario's")
     parser.overrides("the suite, e.g. margins.cases=1000")
     add("--only PART", "repeat one part: a flight's name, 'vehicle 15', 'corner 3', ...")
     add("--out DIR", "where to write (default: runs/verify-<name of the design>)")
-    add("--author A", "who answers for the review, for its title block")
-    add("--revision R", "of the review, for its title block")
-    add("--date YYYY-MM-DD", "of the review (default: today)", type=_date)
+    add("--author A", "person responsible for the review, for its title block")
+    add("--revision R", "revision of the review, for its title block")
+    add("--date YYYY-MM-DD", "date of the review (default: today)", type=_date)
     add("--no-pack", "verdict.json only, no review pack")
-    add("--afresh", "compute everything again, and keep nothing")
+    add("--afresh", "compute everything again, without the cache")
     add("--register", "write seeds chosen by --set into the ledger of the vehicle before they are flown; fly nothing")
     add("--sign KEY", "sign the pack with this SSH key (ssh-keygen -Y sign)")
     judging = (
@@ -60,9 +59,11 @@ def _parser() -> Parser:
         "--register",
         "--sign",
     )
-    add("--check PACK", "check a pack, a folder or its verdict.json, in place of a verification", without=judging)
+    add("--check PACK", "check a review pack (folder or verdict.json) instead of verifying a design", without=judging)
     add("--allowed FILE", "signers whose signature --check accepts (ssh-keygen(1), ALLOWED SIGNERS)", needs=["--check"])
-    about = "results of each kind to compute again and compare: of a pack (default 5), of recalled ones (default 2)"
+    about = (
+        "number of results of each kind to recompute and compare: of a pack (default 5), or from the cache (default 2)"
+    )
     add("--sample N", about, type=count)
     parser.about_itself({"suite": "suites (simverify --suite SUITE)", "design": "designs (simverify DESIGN)"})
     return parser
@@ -94,7 +95,7 @@ def _verify(designs: tuple[str, ...] = (), check: str | None = None, allowed: st
     return execute(designs, **given)
 
 
-command = Command("simverify", _run, "interrupted; what was worked out is kept, the same command resumes")
+command = Command("simverify", _run, "interrupted; finished results are kept, and the same command resumes")
 main = command.main
 
 if __name__ == "__main__":

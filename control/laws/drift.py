@@ -3,15 +3,15 @@
     delta = -k_p theta_e - k_d q_g [- i] + k_zd v + k_z z,    v = v + T (a - a_x theta_e),    z = z + T v
 
 v and z are the velocity and the displacement of the accelerometer's station across the reference trajectory, along +z
-in pitch and -y in yaw. The computer has no other navigation. It turns the measured specific force (a lateral, a_x along
-the body) by the attitude error into the axes of the commanded attitude, and integrates it. Gravity is that of the
-reference trajectory, and cancels. On a trajectory without lateral force, such as a gravity turn in still air, the
+in pitch and -y in yaw. The computer has no other navigation. It rotates the measured specific force (a lateral, a_x
+along the body) by the attitude error into the axes of the commanded attitude, and integrates it. Gravity equals that of
+the reference trajectory, and cancels. On a trajectory without lateral force, such as a gravity turn in still air, the
 reference is v = z = 0. A trajectory that the programme flies at an angle of attack adds its own drift.
 
 Positive gains oppose the drift: air from below accelerates the body upwards (v < 0), and the nose is lowered. Greensite
 and Zavoli write delta = ... - k_zd v - k_z z, with negative gains. The errors of the accelerometer are integrated: a
-bias b gives the displacement b t^2 / 2. The attitude error is that of the gyro, not clamped; its sine is taken as the
-angle itself, with an error of 1 % at 14 deg. The linear model is design/laws/drift.py.
+bias b gives the displacement b t^2 / 2. The attitude error is that of the gyro, not clamped. Its sine is approximated
+by the angle, with an error of 1 % at 14 deg. The linear model is design/laws/drift.py.
 """
 
 from __future__ import annotations

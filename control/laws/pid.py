@@ -3,8 +3,8 @@
     delta = -k_p theta_e - k_d q_g - i,      i_n = i_(n-1) + T k_i theta_e
 
 The gain is inside the sum, so a change of the scheduled gain does not step the command. The anti-windup is conditional
-integration (Astrom & Hagglund, Advanced PID Control, 3.5). The sum is held while the limit cut the last issued command
-and the error would drive it further out. The sum also has a limit of its own. The linear model is design/laws/pid.py.
+integration (Astrom & Hagglund, Advanced PID Control, 3.5). The integral is held while the last command was limited and
+the error would increase the excess. The integral also has its own limit. The linear model is design/laws/pid.py.
 """
 
 from __future__ import annotations

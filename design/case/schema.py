@@ -1,10 +1,11 @@
 """The schema of case files, and functions that read them.
 
-A case states problem (42) to (50) of Lee, Ahn & Roh and extensions.
+A case states the optimisation problem of Lee, Ahn & Roh, equations (42) to (50), with extensions.
 
     loaded = read_case("ksr3-identical", ["filter.structure='F6'"])
 
-The paper does not state the values of its limits and bounds. Each description gives the assumed value and the reason.
+The paper does not give the values of its limits and bounds. The description of each key states the assumed value and
+the reason.
 """
 
 from __future__ import annotations
@@ -170,7 +171,7 @@ class ReferencePhase(Section):
 
 
 class SearchSettings(Section):
-    """The settings of the optimiser's search, such as its starts."""
+    """The settings of the optimiser's search, for example the number of starts."""
 
     starts: Annotated[int, Field(ge=1, le=1000)] = optional("number of starts of the whole problem", 8)
     leaps: Annotated[int, Field(ge=0, le=1000)] = optional(

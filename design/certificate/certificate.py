@@ -37,7 +37,7 @@ class MarginRow:
     held flight, and measured in the held flight.
 
     `reason` is "" if flight and linear loop agree. "frozen-point gravity" means that they agree, but the margin at the
-    flown instant differs: the axial load acts on the slowest root in the held flight, and gravity in the ascent.
+    flown instant differs. The axial load acts on the slowest root in the held flight, and gravity in the ascent.
     "longer than can be inserted" marks a delay margin of more samples than the computer's filter can hold; it is not
     measured. "converter noise" means that they agree without rounding and differ by less than 0.5 dB or 5 % with
     rounding. Any other reason states the fault.

@@ -60,13 +60,12 @@ UNIT_OF: dict[Over, str] = {"time_s": " s", "speed_mps": " m/s", "mass_kg": " kg
 
 
 class PdVariables:
-    """The variables (`law.LawVariables`) of PD: those of the filter (bending_filter.py), then ln k_p and ln k_d at the
-    gain nodes.
+    """The variables of the law PD (`law.LawVariables`): those of the filter, then ln k_p and ln k_d at the gain nodes.
 
-    If the rate is blended, the weights of further gyros follow, equal for all plants; the first weight makes the sum 1.
-    The variables of the loops' own filters are last. The own parameters of a plant are the filter's variables, ln k_p,
-    ln k_d, the weights and the loops' filters. Load relief by angle of attack adds two that no variable changes: 1 / b
-    and -p / b (control/laws/load_relief.py).
+    The filter is in bending_filter.py. If the rate is blended, the weights of the further gyros follow, equal for
+    all plants; the first weight makes the sum 1. The variables of the loops' own filters are last. The parameters
+    of one plant are the filter's variables, ln k_p, ln k_d, the weights and the loops' filters. Load relief by angle of
+    attack adds two parameters that no variable changes: 1 / b and -p / b (control/laws/load_relief.py).
     """
 
     inputs: tuple[str, ...] = MEASUREMENTS[:2]

@@ -94,7 +94,7 @@ class Multiloop:
 
     @cached_property
     def state_space(self) -> StateSpace:
-        """Return L in z as a state space, from the commands around the loops to their negatives."""
+        """Return L in z as a state-space system, from the commands to the negatives of the returned commands."""
         t, parts, path, n_axes = self.path.sample_s, [], self.path.state_space(), len(self.axes)
         taken: list[int] = []  # outputs of the path, law by law
         for k, (_, late) in enumerate(self.sensed):

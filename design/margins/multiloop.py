@@ -102,7 +102,7 @@ def _half(loop: Multiloop, frequencies_hz: Array) -> ComplexArray:
 def structured_singular_value(matrix: ComplexArray) -> float:
     """Return an upper bound of mu for complex scalars on the diagonal, with a relative accuracy of 1e-9.
 
-    It equals mu for up to three scalars.
+    For at most three scalars, the bound equals mu.
     """
     scales = log_scales(matrix[None])[0]
 

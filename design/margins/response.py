@@ -38,7 +38,7 @@ _MOST_ROUNDS = 60
 
 
 class LoopResponse(NamedTuple):
-    """The numbers on which L depends.
+    """The data from which the kernels compute the open loop L.
 
     `ask` is the address of the callback and `token` its argument; 0 means no callback.
     """

@@ -32,7 +32,7 @@ LIMITS_DB = 1e-7  # least gain of a step in such a search
 
 
 def make_problem(case: Case, plants: Plants, like: LawVariables | None = None) -> Problem:
-    """Return the problem of a case. `like` is the law of another problem of the case, whose fixed part is reused."""
+    """Return the optimisation problem of a case, with the fixed part of the law `like` of another of its problems."""
     return _problem_of(case, plants, law_kind(case.law).variables(plants.task(case), like))
 
 

@@ -408,9 +408,7 @@ def _zone_condition(kind: NDArray[np.int8], at: LogLoop, k: Mask, cross: Cross) 
 
 
 def sensitivity(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> ComplexArray:
-    """Return c, (features,), with which Re(c d ln L) is the change of each feature's excess, dB, as the variables
-    change.
-    """
+    """Return c, (features,), such that a change d ln L of L changes each feature's excess by Re(c d ln L), dB."""
     value, first, db_per_rad = at.value, at.first, cross.db_per_rad
     beside = wrapped(value)
     gain_side, phase_side = np.sign(value.real), np.sign(beside)

@@ -82,7 +82,7 @@ class PlaneModes:
 
 @dataclass(frozen=True)
 class PlaneVehicle:
-    """The coefficients of the equations: a stage at one instant in one plane.
+    """The coefficients of the equations of motion, for a stage at one instant in one plane.
 
     The core is the vehicle without the bobs.
     """

@@ -40,7 +40,7 @@ from maxq.sim.input.files import scenarios_folder, shown
 from maxq.sim.input.tables_csv import FILE_KEY
 from maxq.sim.scenario.loader import LoadedScenario, told
 
-EPISTEMIC, ALEATORY, UNSAID = "epistemic", "aleatory", "not said"
+EPISTEMIC, ALEATORY, UNSAID = "epistemic", "aleatory", "not stated"
 THIRDS = ("lowest", "middle", "highest")
 _CONFIDENCE = 0.90
 

@@ -95,7 +95,7 @@ def _found(content: Any, path: str) -> Iterator[tuple[str, int]]:
 
 
 def drawn(seeds: Iterable[Seed]) -> dict[str, int]:
-    """Return the seeds that a record of an attempt contains: those of draws, and all that are not declared."""
+    """Return the seeds for the record of an attempt: those of draws, and every seed that is not declared."""
     return {seed.of: seed.value for seed in seeds if " " not in seed.of or seed.how != DECLARED}
 
 

@@ -155,7 +155,7 @@ class SuiteFlight(Section):
                 raise refuse(f"does not distinguish the flights of ${key}", f"a name with ${key}", "name")
 
     def flights(self) -> list[SuiteFlight]:
-        """Return one flight for each combination of `each`, or this one."""
+        """Return a flight for each combination of the values in `each`; without any, this flight alone."""
         out = []
         for values in product(*self.each.values()):
             said = dict(zip(self.each, (f"{v:g}" if isinstance(v, float) else v for v in values), strict=True))
@@ -240,7 +240,7 @@ class LinearMargins(Section):
 
 
 class CertificateWanted(Section):
-    """The operating points at which the loop and its margins are measured in flight."""
+    """The operating points at which the certificate measures the loop and its margins in flight."""
 
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional(

@@ -296,7 +296,7 @@ class Ensemble:
         self._profiles, self._order, self.size = model.profiles or (), model.order, 1
 
     def of_scores(self, z: Array) -> np.ndarray:
-        """Return `scores` from standard normal numbers (runs, size)."""
+        """Return the `scores` that correspond to standard normal numbers, (runs, size)."""
         return _rows("random", len(self._profiles), ndtr(z[:, 0]))[:, None]
 
     def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:

@@ -256,7 +256,7 @@ def table_of(rows: Sequence[Row], schema: pa.Schema) -> pa.Table:
 
 
 def history_table(rows: Sequence[Row], channels: Sequence[str]) -> pa.Table:
-    """Return the histories of the rows that have one: a list of numbers for each channel, over `time_s`."""
+    """Return a table of the rows with a history. Columns: `run`, and lists of `time_s` and of each channel's values."""
     lists = [pa.field(name, pa.list_(pa.float32())) for name in ("time_s", *channels)]
     schema = pa.schema([pa.field("run", pa.int64(), False), *lists])
     kept = sorted(((r.run, r.history) for r in rows if r.history is not None), key=lambda item: item[0])

@@ -119,7 +119,7 @@ def _quoted(text: str, reason: str) -> str:
 
 
 def merge(base: TomlTable, over: TomlTable) -> None:
-    """Merge `over` into `base`: tables key by key, everything else (including arrays of tables) as a whole."""
+    """Merge `over` into `base`: tables key by key, and every other value, including an array of tables, as a whole."""
     for key, value in over.items():
         below = base.get(key)
         if isinstance(below, TomlTable) and isinstance(value, TomlTable):

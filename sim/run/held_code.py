@@ -1,9 +1,9 @@
 """External flight code in a held flight, where it receives the inputs of its own flight.
 
-A held flight (design/certificate/held_flight.py) stays at one operating point for minutes. Its clock, mass, speed and
-attitude would show the code that it is being tested. Therefore the code receives the inputs that it had in a flight
-through the operating point, plus the deviations of the held flight (control/held_inputs.py). The held vehicle receives
-the code's commands minus those of that flight. Without deviations, the inputs are those of the flight, bit for bit.
+A held flight (design/certificate/held_flight.py) stays at one operating point for minutes. From its clock, mass, speed
+and attitude, flight code could recognise the test. The code therefore receives the inputs of a flight through the
+operating point, plus the deviations of the held flight (control/held_inputs.py). The held vehicle receives the code's
+commands minus those of that flight. Without deviations, the code receives the inputs of its flight, bit for bit.
 
 Time cannot stay at an operating point for minutes. The held flight is therefore flown in windows of at most
 `WINDOW_S` about the time of the operating point. In each window a fresh instance of the code flies:
@@ -13,9 +13,9 @@ Time cannot stay at an operating point for minutes. The held flight is therefore
    thus has the state that belongs to the motion of the vehicle; another one still commands the vehicle.
 3. It commands the vehicle in the window, while its clock, mass and speed advance as in the flight.
 
-A schedule of gains thus moves with its time, and returns at the end of a window. Its mean is that of the operating
-point, so that a growth rate or response changes in the second order only. The lengths of the windows differ, which
-spreads the lines at multiples of their rate.
+Scheduled gains thus vary within a window, and begin again in the next one. Their mean is that of the operating point,
+so that a growth rate or response changes only to second order. The lengths of the windows differ, which spreads the
+lines at multiples of their rate.
 
 The integral of an instance lacks the deviations before it began to receive them. The command of a linear law then
 differs by a constant from that of the previous instance. The difference of both commands over the same deviations gives

@@ -15,7 +15,7 @@ _DIGITS = 6  # of a value, which a command line repeats
 
 
 @dataclass(frozen=True)
-class KeyLimit:
+class FoundLimit:
     """The result of `find_limit`.
 
     `flown`: flights by value, in their order. `met`: last value before the first miss, None if the first value misses.
@@ -35,13 +35,14 @@ def find_limit(
     last: float | None = None,
     share: float = 0.01,
     stop: Callable[[], bool] = lambda: False,
-) -> KeyLimit:
+) -> FoundLimit:
     """Search from `first` towards `last` for the first value whose flight misses a requirement.
 
     `fly_at` returns the flight at a value and raises ScenarioError for a value that is not allowed. Without `last`, the
-    values grow by steps that double, from a quarter of `first` (1 if that is 0). Eight intervals up to there are then
-    flown in turn. The first one that ends with a miss is halved until it is at most `share` of the distance of its end
-    from `first`. A miss between two flown values that are both met is not seen.
+    values grow by steps that double, from a quarter of `first` (1 if that is 0), until a requirement is missed. The
+    range from `first` to this value, or to `last`, is then divided into eight intervals, whose ends are flown in turn.
+    The first interval with a miss at its end is halved, until its length is at most `share` of the distance of its end
+    from `first`. A miss between two values that both meet the requirements is not detected.
 
     `stop` is called before each flight after the first; if it returns True, the result is that of the flights so far.
     Raises ScenarioError if `first` is not allowed.
@@ -92,7 +93,7 @@ def _rounded(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
 
-def _limit(flown: dict[float, Flight], first: float, refused: str) -> KeyLimit:
+def _limit(flown: dict[float, Flight], first: float, refused: str) -> FoundLimit:
     ordered = dict(sorted(flown.items(), key=lambda item: abs(item[0] - first)))
     met = missed = None
     for value, flight in ordered.items():
@@ -100,4 +101,4 @@ def _limit(flown: dict[float, Flight], first: float, refused: str) -> KeyLimit:
             missed = value
             break
         met = value
-    return KeyLimit(ordered, met, missed, refused)
+    return FoundLimit(ordered, met, missed, refused)

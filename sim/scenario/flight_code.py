@@ -1,12 +1,12 @@
 """Flight code that a vehicle file names: a shared library, a Python class, or a computer behind a socket.
 
-Reading a scenario does not run the code: its files are only found and hashed. The log contains the SHA-256 of the code
+Reading a scenario does not run the code, but finds and hashes its files. The log contains the SHA-256 of the code
 flown. When the log is flown again, other content under the same names is rejected (sim/run/flight_software.py).
 
-The hash covers every file of the code (`code_files`). Of a Python file these are all modules that it can import from
-its folder, and all files if the folder is a package. Of a library it is its file; the sources have a hash of their own
-if the vehicle file names them. Not covered are libraries that a library loads, modules installed in the environment,
-and files that the code opens elsewhere.
+The hash covers every file of the code (`code_files`). For a Python file, these are all modules that it can import from
+its folder, or all files of the folder if it is a package. For a library, they are its file and the sources that the
+vehicle file names. The hash does not cover libraries that a library loads, modules installed in the environment, and
+files that the code opens elsewhere.
 """
 
 from __future__ import annotations

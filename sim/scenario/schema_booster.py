@@ -1,4 +1,4 @@
-"""A booster: a body next to the core with its own propellant, which separates while the core flies on."""
+"""A booster: a body attached to the core with its own propellant, which separates while the core flies on."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class BoosterAero(Section):
 
 
 class Booster(Section):
-    """A body next to the core. Its tables are over the time since its own ignition."""
+    """A body attached to the core. Its tables are over the time since its own ignition."""
 
     name: ChannelPart = Field(
         description="name in logs; a booster that stays in the next stage has the same name there"

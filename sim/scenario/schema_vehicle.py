@@ -145,7 +145,7 @@ class Stage(Section):
         "rate gyros in addition to the first; the same number in all stages", (), max_length=MAX_SENSORS - 1
     )
     accelerometer: Accelerometer | None = optional("absent: none; all stages have one, or none")
-    booster: tuple[Booster, ...] = optional("bodies next to the core; those that stay longest come first", ())
+    booster: tuple[Booster, ...] = optional("bodies attached to the core; those that stay longest come first", ())
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
     loads: LoadsSection | None = optional("absent: no section loads")
 
@@ -167,7 +167,7 @@ class Stage(Section):
         return len(self.engine_groups), len(self.pendulum_names), *modes, spatial_modes, int(self.tvc_load is not None)
 
     def without(self, boosters: Sequence[Booster]) -> Stage:
-        """Return the stage after these boosters have left."""
+        """Return the stage after the separation of these boosters."""
         return self.model_copy(update={"booster": tuple(b for b in self.booster if b not in boosters)})
 
     @property
@@ -204,9 +204,9 @@ class Stage(Section):
         return tuple(own)
 
     def mass_over_time(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return times of the stage clock (n,), and rows (n, 10) of the whole vehicle as `Mass.rows`.
+        """Return times of the stage clock (n,) and rows (n, 10), linear between the rows of the nominal tables.
 
-        They are linear between the rows of the nominal tables.
+        A row contains the vehicle's mass, CG station, y and z, and inertia integrals Ixx, Iyy, Izz, Ixy, Ixz, Iyz.
         """
         own = self.mass.rows(self.ignition_s)
         if not self.booster:

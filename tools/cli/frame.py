@@ -35,7 +35,7 @@ class Exit(IntEnum):
     FAILED = 1  # done, with a negative result
     BAD_INPUT = 2  # wrong arguments or files, or files that cannot be read or written
     UNDECIDED = 3  # more runs are needed
-    INTERNAL_ERROR = 70  # a fault of maxq (EX_SOFTWARE of sysexits.h)
+    INTERNAL_ERROR = 70  # a fault in maxq (EX_SOFTWARE of sysexits.h)
     INTERRUPTED = 130  # Ctrl-C or SIGTERM
     UNREAD = 141  # the reader of the output, such as `head`, has closed it (as the shell reports SIGPIPE)
 
@@ -221,7 +221,7 @@ def _tolerate_letters() -> None:
 
 
 def _explanation(error: Exception, memory: str) -> str:
-    """Return the remedy for an error due to input or system, or "" for a fault of maxq."""
+    """Return the remedy for an error due to input or system, or "" for a fault in maxq."""
     if isinstance(error, ImportError) and not (error.name or "").startswith("maxq"):
         return f"a package is missing or broken: {error}; install maxq again (pip install maxq)"
     from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy, as the next: needed by an error only
@@ -246,6 +246,6 @@ def _internal(error: Exception) -> str:
     what = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(": ").removesuffix(":")
     how = "" if os.environ.get(TRACEBACK) else f"; {TRACEBACK}=1 in the environment shows the traceback"
     return (
-        f"internal error: {what} ({os.path.basename(last.filename)}, line {last.lineno}); this is a fault of maxq, "
+        f"internal error: {what} ({os.path.basename(last.filename)}, line {last.lineno}); this is a fault in maxq, "
         f"not of your input: please report it with the command and its input files{how}"
     )

@@ -21,7 +21,7 @@ _AT_ONCE = {"-h", "--help", "--list", "--version"}
 _EXITS = {
     Exit.OK: "done",
     Exit.BAD_INPUT: "bad input, or files that cannot be read or written",
-    Exit.INTERNAL_ERROR: f"a fault of maxq itself; {TRACEBACK}=1 in the environment shows the traceback",
+    Exit.INTERNAL_ERROR: f"a fault in maxq itself; {TRACEBACK}=1 in the environment shows the traceback",
     Exit.INTERRUPTED: "interrupted",
 }
 
@@ -64,7 +64,7 @@ class Parser(argparse.ArgumentParser):
         about += "."
         parser = self._listed.add_parser(name, help=listed, about=about, examples=examples, exits=exits or {}, do=do)
         parser._command_of = self
-        parser.add_argument("-h", "--help", action="help", help="this text")
+        parser.add_argument("-h", "--help", action="help", help="show this help")
         self._commands[name] = parser
         return parser
 
@@ -118,11 +118,11 @@ class Parser(argparse.ArgumentParser):
         """Declare the options that every command has, and --list for built-in files of the kinds `listed`."""
         self._kinds = listed
         if listed is not None:
-            kinds = " and ".join(title.partition(" (")[0] for title in listed.values())
-            text = f"name the built-in {kinds}"
+            *others, last = (title.partition(" (")[0] for title in listed.values())
+            text = f"list the built-in {' and '.join(filter(None, (', '.join(others), last)))}"
             self.add_argument("--list", action="store_true", default=argparse.SUPPRESS, help=text)
-        self.add_argument("--version", action=_Version, nargs=0, help="version of maxq")
-        self.add_argument("-h", "--help", action="help", help="this text")
+        self.add_argument("--version", action=_Version, nargs=0, help="show the version of maxq")
+        self.add_argument("-h", "--help", action="help", help="show this help")
 
     def run(self, arguments: Sequence[str]) -> int:
         """Do the requested task, and return the exit code. A terminal shows immediately that it has begun."""

@@ -1,6 +1,4 @@
-"""The printed and written results of `simdesign`: limits, margins and lobes; for a case also gains, filter and
-search.
-"""
+"""The results that `simdesign` prints and writes: limits, margins and lobes; for a case, also gains, filter, search."""
 
 from __future__ import annotations
 

@@ -320,7 +320,7 @@ def with_scale(low: float, high: float, most: int) -> tuple[float, float]:
 
 
 def prefix_of(flight: ReplayFlight, *, many: bool) -> str:
-    """Return the words before the name of a curve of one of many flights."""
+    """Return the prefix of a curve's name, which identifies one of many flights; an empty text for a single flight."""
     return f"{flight.label}{', FAILED' if flight.verdict == 'failed' else ''}: " if many else ""
 
 

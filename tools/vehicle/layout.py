@@ -178,7 +178,7 @@ class LayoutFins(Section):
 
 
 class LayoutBooster(Between):
-    """Equal boosters next to the core of a stage, rigid bodies with fixed nozzles."""
+    """Equal boosters attached to the core of a stage, rigid bodies with fixed nozzles."""
 
     name: values.ChannelPart = Field(description="name of the booster; several have a number behind it")
     positions_m: tuple[Pair, ...] = Field(min_length=1, description="axis of each, y and z from the body axis, m")
@@ -230,7 +230,7 @@ class LayoutStage(Between):
     tank: tuple[LayoutTank, ...] = optional("tanks with liquid propellant", (), max_length=MAX_PENDULUMS)
     grain: tuple[Grain, ...] = optional("solid propellant", ())
     engine: LayoutEngines
-    booster: tuple[LayoutBooster, ...] = optional("boosters next to the first stage", ())
+    booster: tuple[LayoutBooster, ...] = optional("boosters attached to the first stage", ())
     fins: LayoutFins | None = optional("absent: none")
     aero: AeroSection | None = optional("as in a vehicle file, instead of computed values (CSV, DATCOM's for006)")
     bending: BendingSection | None = optional("as in a vehicle file, instead of the beam's modes")

@@ -1,10 +1,10 @@
-"""The point-mass ascent of a layout in the plane of the launch, over a round, rotating Earth: vertical rise,
+"""The point-mass ascent of a layout in the plane of the launch, over a spherical, rotating Earth: vertical rise,
 pitch-over, gravity turn.
 
 The upper stages reach an orbit by a linear tangent law. There is no wind, and the air rotates with the Earth.
 
 Speed and path angle are relative to the Earth, the path angle above the local horizon, in rad. Gravity has its J2 term
-along the vertical. The Earth's rotation adds a speed across the plane, which affects only the orbit.
+along the vertical. The Earth's rotation adds a velocity component across the plane, which affects only the orbit.
 """
 
 from __future__ import annotations

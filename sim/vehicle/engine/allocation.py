@@ -52,9 +52,9 @@ def pack_allocation(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) ->
 
 
 def channel_scales_rad(stage: Stage) -> list[float]:
-    """Return the scales of pitch and yaw of each group.
+    """Return the scales of the pitch and yaw channels of each group.
 
-    A scale is the limit over the root of the number of engines, since each engine's effort counts.
+    A scale is the angle limit divided by the square root of the number of engines, because each engine's effort counts.
     """
     limits = limits_rad(stage) or [1.0] * (2 * len(stage.engine_groups))
     sizes = [sum(e.group == group and e.gimbal != "fixed" for e in stage.engines) for group in stage.engine_groups]

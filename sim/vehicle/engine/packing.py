@@ -29,7 +29,8 @@ _thrust_axis_motion = from_python(thrust_axis_motion)
 class Alike:
     """Engines that move together and differ only in their lateral position.
 
-    `body` is the first of several alike. `attachments_m` are the stations of the core that carry a booster.
+    The fields are the numbers of the engines in the stage, one of the engines, and its faults. The body is the first
+    one of several equal bodies. The last field contains the stations of the core that carry a booster.
     """
 
     numbers: tuple[int, ...]

@@ -63,7 +63,7 @@ _EXTREMES = N_KINDS * MAX_LOAD_STATIONS  # number of extremes of a stage
 
 @dataclass(frozen=True)
 class Loads:
-    """The stations of a stage, and the data for distributing its forces."""
+    """The load stations of a stage, and the data for distributing its forces."""
 
     stations: int  # 0: nothing is evaluated
     period_ns: int

@@ -2,11 +2,11 @@
 
     columns = spatial_columns({0.0: read_nastran("full.op2"), 59.0: read_nastran("empty.op2")})
 
-A vehicle file may name such a file in place of a table of spatial modes: it gives one state of mass, constant over
-time. The reader reads real eigenvectors (OUGV1, BOUGV1) and the summary of eigenvalues (LAMA) with their generalised
-masses. Positions and lumped masses (CONM2) come from the bulk data: GEOM1 and GEOM2 in the op2, the echo in the f06, or
-a .bdf, .dat or .nas file of the same name in the same folder. The released pyNastran (1.4) needs NumPy before 2 and
-reads no f06. Hence this reader, which is tested with files written by pyNastran.
+A vehicle file may name such a file in place of a table of spatial modes. The modes are then those of one mass state,
+constant over time. The reader reads real eigenvectors (OUGV1, BOUGV1) and the summary of eigenvalues (LAMA) with their
+generalised masses. Positions and lumped masses (CONM2) come from the bulk data: GEOM1 and GEOM2 in the op2, the echo in
+the f06, or a .bdf, .dat or .nas file of the same name in the same folder. maxq has its own reader because pyNastran 1.4
+requires a NumPy version below 2 and does not read f06 files. The reader is tested with files written by pyNastran.
 
 The model's basic system must have x aft from the nose, y right and z up, in metres and kilograms. Grid points and their
 displacements must be in this system. A grid point of the axis with a displacement system of its own (CD) is rejected,

@@ -1,4 +1,4 @@
-"""Measure the rates at which a vehicle of known quality ends accepted, or not met: `python -m
+"""Measure the rates at which a vehicle of known quality ends accepted or rejected: `python -m
 maxq.tools.dev.verification.error_rates` writes the table of docs/verification.md (some minutes).
 
 No flight is flown. A flight misses a requirement if its uniform number is in an interval of the required length. All
@@ -102,7 +102,7 @@ ROWS: Mapping[str, Callable[[int, float], str]] = {
 
 
 def row(name: str, repetitions: int) -> str:
-    """Return the row of a user and a vehicle: accepted | not met at each share."""
+    """Return the row of a user and a vehicle: accepted | rejected at each share."""
     cells = []
     for share in SHARES:
         print(f"{name}, {share:g}", end="\r", flush=True)
@@ -116,7 +116,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repetitions", type=int, default=200, help="vehicles per row and probability")
     repetitions = parser.parse_args().repetitions
-    heads = " | ".join(f"{share:g} p0: accepted | not met" for share in SHARES)
+    heads = " | ".join(f"{share:g} p0: accepted | rejected" for share in SHARES)
     lines = [f"| vehicle and user | {heads} |", "|---" * (1 + 2 * len(SHARES)) + "|"]
     rewrite(VERIFICATION, "rates", "\n".join([*lines, *(row(name, repetitions) for name in ROWS)]))
 
