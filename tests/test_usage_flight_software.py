@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
+import marshal
 import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +21,8 @@ from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run import guard
 from maxq.sim.run.flight_software import checked
 from maxq.sim.run.fly import fly as fly_once
-from maxq.sim.scenario.flight_code import CodeFile
+from maxq.sim.run.instances import module_of
+from maxq.sim.scenario.flight_code import CodeFile, code_hash
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 
@@ -138,6 +141,8 @@ def test_wrong_python_is_told_in_a_line(capsys: Printed, text: str, code: int, s
 
 MEDDLING = """
 import hashlib
+import importlib.util
+import marshal
 import os
 import sys
 import maxq.design.verify.certified as judge
@@ -231,6 +236,39 @@ def test_the_hash_covers_all_files_of_the_code(tmp_path: Path) -> None:
         "libfsw.so",
         "gains (1 file: __init__.py)",
     ]
+
+
+def test_the_hash_covers_linked_folders_and_compiled_modules(tmp_path: Path) -> None:
+    """A folder behind a symbolic link, and a module without source, are imported like any other."""
+    law, linked = tmp_path / "code" / "law.py", tmp_path / "elsewhere"
+    for folder in (law.parent, linked):
+        folder.mkdir()
+    law.write_text("import gains\n", encoding="utf-8")
+    (law.parent / "gains").symlink_to(linked)
+    (linked / "__init__.py").write_text("GAIN = 1.0\n", encoding="utf-8")
+    (law.parent / "limits.pyc").write_bytes(b"compiled")
+    before, files = code_hash(law)
+    assert files == ("law.py", "limits.pyc", "gains/__init__.py")
+    (linked / "__init__.py").write_text("GAIN = 1.8\n", encoding="utf-8")
+    assert code_hash(law)[0] != before
+
+
+def test_flight_code_runs_from_its_source_and_not_from_a_cache(tmp_path: Path) -> None:
+    """A compiled module that claims to be valid for any source would run in place of the source that is hashed."""
+    law, gains = tmp_path / "law.py", tmp_path / "gains.py"
+    law.write_text("import gains\nGAIN = gains.GAIN\n", encoding="utf-8")
+    gains.write_text("GAIN = 1.0\n", encoding="utf-8")
+    for path, text in ((law, "GAIN = 1.8"), (gains, "GAIN = 1.8")):
+        forged = marshal.dumps(compile(text, str(path), "exec"))
+        cached = Path(importlib.util.cache_from_source(str(path)))
+        cached.parent.mkdir(exist_ok=True)
+        cached.write_bytes(importlib.util.MAGIC_NUMBER + (1).to_bytes(4, "little") + bytes(8) + forged)
+    try:
+        assert module_of(str(law), "0" * 64).GAIN == 1.0
+    finally:
+        module_of.cache_clear()
+        sys.modules.pop("gains", None)
+    assert sys.pycache_prefix is None
 
 
 def test_a_log_with_another_helper_module_is_not_flown_again(tmp_path: Path) -> None:

@@ -57,6 +57,7 @@ def test_a_copy_under_another_name_differs_in_nothing() -> None:
         ("margins.nominal.gain_up_db=7.0", "added or stricter: margins.nominal.gain_up_db, 6 -> 7"),
         ("margins.worst.modulus=0.2", "limit loosened: margins.worst.modulus, 0.25 -> 0.2"),
         ("margins.worst=", "removed: margins worst"),
+        ("margins.only=certificate", "removed: margins.only,  -> certificate"),
         ("margins.cases=100", "level or number lowered: margins.cases, 10000 -> 100"),
         ("margins.confidence=0.5", "level or number lowered: margins.confidence, 0.9 -> 0.5"),
         ("margins.planes=['pitch']", "level or number lowered: margins.planes, [pitch, yaw] -> [pitch]"),
@@ -97,6 +98,15 @@ def test_switches_of_every_flight_are_named_first() -> None:
         "physics switched off: 43 flights: switches.slosh, none -> false",
         "physics switched off: 43 flights: switches.bending, none -> false",
     ]
+
+
+def test_a_design_in_place_of_the_judged_one_is_named() -> None:
+    design = "['design=\"designs/ksr3-robust.toml\"']"
+    what = "design in place of the judged one, none -> designs/ksr3-robust.toml"
+    found = [text for text in _differences("quick", f"every={design}") if "design" in text]
+    assert found == [f"changed: 3 flights: {what}"]
+    found = [text for text in _differences("standard", f"campaign.0.set={design}") if "design" in text]
+    assert found == [f"changed: campaign 1: {what}"]
 
 
 def test_files_are_compared_by_their_content() -> None:
@@ -163,8 +173,20 @@ def test_an_agreed_baseline_is_named_as_not_shipped() -> None:
     Path("agreed.toml").write_text(SHORT)
     Path("mine.toml").write_text(f'baseline = "agreed.toml"\n{SHORT}'.replace("3.0", "2.0"))
     compared = against_baseline(read_suite("mine.toml"))
-    assert compared.title == f"1 difference from the suite {Path('agreed.toml').resolve()}, not shipped"
+    shipped = against_baseline(read_suite("mine.toml", ["baseline=standard"]))
+    assert (
+        compared.title == f"1 difference from the suite {Path('agreed.toml').resolve()}, not shipped; {shipped.title}"
+    )
     assert compared.differences == (SuiteDifference("shortened", "flight three seconds: run.duration_s", "3", "2"),)
+
+
+def test_a_suite_that_is_its_own_baseline_is_compared_with_the_shipped_one() -> None:
+    weak = 'schema = 2\nextends = "standard"\nbaseline = "mine.toml"\n[margins.nominal]\ngain_up_db = 0.1\n'
+    Path("mine.toml").write_text(weak)
+    compared = against_baseline(read_suite("mine.toml"))
+    assert compared.title.endswith("not shipped; 1 difference from the shipped suite standard")
+    loosened = SuiteDifference("limit loosened", "margins.nominal.gain_up_db", "6", "0.1")
+    assert (compared.differences, compared.all_differences) == ((), [loosened])
 
 
 def test_a_vehicle_s_suite_is_compared_with_launcher_but_for_its_own_numbers() -> None:

@@ -19,6 +19,7 @@ from maxq.design.verify.suite import JudgedRequirement, LoadedSuite, read_suite
 from maxq.design.verify.verify import verify
 from maxq.sim.campaign.statistics import allowed_failures
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.tools.verify.outcome import headline
 
 DESIGN = "designs/ksr3-robust.toml"
@@ -105,6 +106,8 @@ def test_the_floor_of_runs_is_the_fewest_that_show_its_level() -> None:
         (["margins.planes=['pitch']"], "linear margins: not in yaw"),
         (["margins.nodes_per_stage=5"], "linear margins: no operating point from "),
         (["margins.nominal.delay_ms="], "linear margins: no limit as designed on delay_ms"),
+        (["margins.only=certificate"], "linear margins: 'certificate' was judged alone"),
+        (["margins.only=vehicle 5"], "linear margins: 'vehicle 5' was judged alone"),
         (["certificate.planes=['yaw']"], "certificate: not in pitch"),
         (["certificate.times_s=[20.0,40.0]"], "certificate: no operating point from 20 to 40 s"),
         (["campaign.0.runs=100"], "campaign ksr3: 100 runs, not 852"),
@@ -142,6 +145,34 @@ def test_a_flight_in_wind_to_burnout_and_the_whole_model_belong_to_the_floor(sta
     assert found == ("switches.slosh = false in 2 flights", "switches.bending = false in 2 flights")
     assert missing_evidence(replace(standard, in_flight=frozenset({"pitch"}))) == (
         "certificate: no in-flight response in yaw",
+    )
+
+
+def test_every_flight_and_campaign_flies_the_design_that_is_judged(standard: Evidence) -> None:
+    """A suite could fly another design than the one whose margins it measures."""
+
+    def flight(design: str, *changes: str) -> Scenario:
+        wind = "wind.profile=winds/anheung-november.csv"
+        return load_scenario("nominal", [f'design="{design}"', wind, *changes]).scenario
+
+    other, text = "designs/ksr3-free.toml", "another design or flight code than the judged one"
+    judged = replace(standard, judged=flight(DESIGN))
+    assert missing_evidence(replace(judged, flights=[flight(DESIGN)])) == ()
+    assert missing_evidence(replace(judged, flights=[flight(DESIGN), flight(other)])) == (f"{text} in 1 flight",)
+    changed = read_suite("standard", [*STANDARD, f"campaign.0.set=['design=\"{other}\"']"])
+    assert missing_evidence(replace(evidence(changed), judged=judged.judged, flights=[flight(DESIGN)])) == (
+        f"campaign ksr3: {text}",
+    )
+    at_socket = ("design=", "vehicle.computer.law=external", "vehicle.computer.address=tcp://127.0.0.1:5000")
+    external = replace(standard, judged=flight(DESIGN, *at_socket), flights=[flight(DESIGN, *at_socket)])
+    assert "flight code at a socket, which no hash covers" in missing_evidence(external)
+
+
+def test_the_flight_of_the_operating_points_has_the_whole_model(standard: Evidence) -> None:
+    """The linear margins are those of this flight, in which no change of the other flights applies."""
+    along = load_scenario("nominal", [f'design="{DESIGN}"', "switches.slosh=false"])
+    assert missing_evidence(replace(standard, along=along)) == (
+        "switches.slosh = false in the flight of the operating points",
     )
 
 

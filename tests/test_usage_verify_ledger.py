@@ -158,6 +158,13 @@ def test_seed_of_a_suite_without_a_campaign_in_its_baseline_is_that_of_its_file(
     assert _seeds(str(suite))["campaign.0"] == "chosen by hand"
 
 
+def test_a_baseline_that_is_not_shipped_declares_no_seed(tmp_path: Path) -> None:
+    """Its author could otherwise choose the best of many seeds, as a suite may name itself."""
+    suite = tmp_path / "own.toml"
+    suite.write_text('schema = 2\nbaseline = "own.toml"\n[[campaign]]\nfile = "campaigns/ksr3"\nseed = 7\n')
+    assert _seeds(str(suite))["campaign.0"] == "chosen by hand"
+
+
 def test_the_first_seed_that_was_registered_before_it_was_flown_counts() -> None:
     def how(value: int, vehicle: str = "v") -> str:
         lines = ledger.known_lines(path)

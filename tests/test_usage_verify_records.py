@@ -124,6 +124,14 @@ def test_what_was_edited_in_a_pack_is_found(here: Path, capsys: pytest.CaptureFi
     assert said.rstrip().endswith("CHECK FAILED: 7 differences")
 
 
+def test_missing_evidence_that_was_deleted_from_a_pack_is_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also where hashes of files and the ledger were computed again, as they have no key."""
+    honest = _verdict(lambda verdict: verdict["missing_evidence"].remove("no dispersed vehicle"))
+    assert "campaign ksr3: 4 runs, not 852" in honest["missing_evidence"]
+    found = _differs(_run(capsys, "--check", "pack", "--sample", "0")[1])
+    assert found == ["missing evidence: the pack does not list 'no dispersed vehicle'"]
+
+
 def test_other_inputs_are_found_and_nothing_is_computed(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("suite.toml").write_text(SUITE.replace("gain_up_db = 3.0", "gain_up_db = 2.0").replace('2.0"', '1.0"'))
     code, said = _run(capsys, "--check", "pack")

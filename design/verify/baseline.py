@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from maxq.design.quantities import MEASURED
@@ -29,7 +29,7 @@ CHANGED, STRICTER = "changed", "added or stricter"
 KINDS = (OFF, WAIVED, EXCUSED, SEED, REMOVED, LOOSENED, SPREAD, LOWERED, SHORTENED, CHANGED, STRICTER)
 """The kinds of differences, in the order in which they are listed."""
 
-_WORDS = frozenset({"why", "description", "name", "schema", "schema_version", "source", "only", "log", "design"})
+_WORDS = frozenset({"why", "description", "name", "schema", "schema_version", "source", "log", "design"})
 """The keys that change no verdict, and the design, which is judged."""
 _COUNTS = frozenset({"success", "confidence", "availability", "runs", "cases", "trajectories", "nodes_per_stage"})
 _COUNTS |= {"corner_sigmas", "sigmas", "starts", "in_flight", "bound", "together", "planes", "between_nodes"}
@@ -61,20 +61,29 @@ class SuiteDifference:
 class Compared:
     """A suite compared with its baseline.
 
-    `hashes` are those of the resolved content of both, and of each part of the suite.
+    `hashes` are those of the resolved content of both, and of each part of the suite. If the baseline is not shipped,
+    `from_shipped` compares the suite with the shipped suite that it extends, else with `standard`.
     """
 
     baseline: str
     shipped: bool
     hashes: dict[str, str]
     differences: tuple[SuiteDifference, ...]
+    from_shipped: Compared | None = None
 
     @property
     def title(self) -> str:
         """Return one line of text: the number of differences, and the suite with which this suite was compared."""
         count, suite = len(self.differences), f"suite {self.baseline}"
         suite = f"the shipped {suite}" if self.shipped else f"the {suite}, not shipped"
-        return f"{count or 'no'} difference{'s' * (count != 1)} from {suite}"
+        text = f"{count or 'no'} difference{'s' * (count != 1)} from {suite}"
+        return f"{text}; {self.from_shipped.title}" if self.from_shipped is not None else text
+
+    @property
+    def all_differences(self) -> list[SuiteDifference]:
+        """Return the differences from the baseline, and those from the shipped suite that it does not have."""
+        further = self.from_shipped.differences if self.from_shipped is not None else ()
+        return [*self.differences, *(d for d in further if d not in self.differences)]
 
 
 def against_baseline(loaded: LoadedSuite, vehicle: str | None = None) -> Compared:
@@ -90,7 +99,8 @@ def against_baseline(loaded: LoadedSuite, vehicle: str | None = None) -> Compare
         hashes["suite: board"] = content_hash(told(loaded.asked.board))
     hashes |= {f"suite: {part.replace('_', ' ')}": _hash(content) for part, content in after.items() if content}
     shipped = loaded.baseline in builtin_files("suite")
-    return Compared(loaded.baseline, shipped, hashes, tuple(differences(before, after)))
+    further = None if shipped else against_baseline(replace(loaded, baseline=loaded.shipped), vehicle)
+    return Compared(loaded.baseline, shipped, hashes, tuple(differences(before, after)), further)
 
 
 def _hash(content: Any) -> str:
@@ -116,6 +126,8 @@ def resolved(suite: Suite, vehicle: str | None = None, own: bool = True) -> dict
     out["campaign"] = {}
     for n, wanted in enumerate(suite.campaign, 1):
         mine = {key: value for key, value in told(wanted).items() if key not in ("file", "set")}
+        designs = {_of_change(path): value for path, value in map(parse_override, wanted.set) if path[0] == "design"}
+        mine |= {key: str(value) for key, value in designs.items()}
         out["campaign"][str(n)] = _campaign(wanted.file, [*changes, *wanted.set]) | mine
     if suite.board is not None:
         out["waiver"] = {one.about: told(one) for one in suite.board.waiver}
@@ -135,12 +147,18 @@ def _flight(suite: Suite, flight: SuiteFlight, changes: Sequence[str]) -> dict[s
     out: dict[str, Any] = {key: getattr(flight, key) for key in keys}
     for text in (*suite.every, *flight.set):
         path, value = parse_override(text)
-        out[".".join(map(str, path))] = value if isinstance(value, bool | int | float) else str(value)
+        out[_of_change(path)] = value if isinstance(value, bool | int | float) else str(value)
     for how in ("scale", "add"):
         out |= {f"{how} {key}": value for key, value in getattr(flight, how).items()}
     if flight.scenario is not None:
         out["scenario"] = content_hash(_scenario(load_scenario(flight.scenario, changes)))[:16]
     return out
+
+
+def _of_change(path: Sequence[str | int]) -> str:
+    """Return the key of a change. A suite that replaces the design under test is marked, as `_WORDS` has that key."""
+    key = ".".join(map(str, path))
+    return "design in place of the judged one" if key == "design" else key
 
 
 def _campaign(file: str, changes: Sequence[str]) -> dict[str, Any]:
@@ -270,6 +288,8 @@ def _kind(path: KeyPath, before: Any, after: Any) -> str:
         return OFF if after in (False, "false", "ideal", "linear", "'ideal'", "'linear'") else STRICTER
     if key == "design_must_keep":
         return STRICTER if after else EXCUSED
+    if path == ("margins", "only"):
+        return REMOVED if after else STRICTER
     if key == "limits":
         return LOOSENED if after == "dispersed" else STRICTER
     less = _less(key, before, after)

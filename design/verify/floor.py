@@ -16,12 +16,14 @@ from maxq.design.model.deviations import deviations_of
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.powered import Span
+from maxq.design.verify.ledger import UNDER_TEST
+from maxq.design.verify.memory import content_hash
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.suite import CampaignWanted, CertificateWanted, LinearMargins, Suite
 from maxq.sim.campaign.read import LoadedCampaign
-from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.loader import LoadedScenario, told
 from maxq.sim.scenario.schema_scenario import Scenario, Switches
-from maxq.sim.scenario.schema_vehicle import Vehicle
+from maxq.sim.scenario.schema_vehicle import ComputerSection, Vehicle
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ class Evidence:
     campaigns: Sequence[LoadedCampaign]
     in_flight: frozenset[str]
     guarded: bool = True  # flight code, if any, runs in a process of its own
+    judged: Scenario | None = None  # whose design and flight code all flights and campaigns must have
 
 
 def missing_evidence(e: Evidence) -> tuple[str, ...]:
@@ -74,7 +77,7 @@ def missing_evidence(e: Evidence) -> tuple[str, ...]:
 
     The result is empty if the floor is reached.
     """
-    out = [*_flights(e), *([] if e.guarded else ["flight code ran in the process that judges it"])]
+    out = [*_flights(e), *_control(e), *([] if e.guarded else ["flight code ran in the process that judges it"])]
     out += [] if e.campaigns else ["no dispersed flight flown"]
     for wanted, campaign in zip(e.suite.campaign, e.campaigns, strict=True):
         name = campaign.name if campaign.name == "campaign" else f"campaign {campaign.name}"
@@ -106,6 +109,35 @@ def _flights(e: Evidence) -> Iterator[str]:
         yield "no flight in wind from liftoff to the last burnout"
     for switch, count in Counter(s for flown in e.flights for s in switched_off(flown)).items():
         yield f"{switch} in {count} flight{'s' * (count != 1)}"
+    yield from (f"{switch} in the flight of the operating points" for switch in switched_off(e.along.scenario))
+
+
+def _control(e: Evidence) -> Iterator[str]:
+    """Yield the flights and campaigns that fly another design or flight code, and code that no hash covers."""
+    if e.judged is None:
+        return
+    judged = control_hash(e.judged)
+    count = sum(control_hash(flown) != judged for flown in e.flights)
+    if count:
+        yield f"another design or flight code than the judged one in {count} flight{'s' * (count != 1)}"
+    for campaign in e.campaigns:
+        if control_hash(campaign.base.scenario) != judged:
+            yield f"campaign {campaign.name}: another design or flight code than the judged one"
+    if any(c.law == "external" and c.address for c in computers_of(e.judged)):
+        yield "flight code at a socket, which no hash covers"
+
+
+def computers_of(scenario: Scenario) -> list[ComputerSection]:
+    """Return the computer of each stage that has one."""
+    vehicle = scenario.vehicle
+    return [c for n in range(len(vehicle.stage)) if (c := vehicle.computer_of(n)) is not None]
+
+
+def control_hash(scenario: Scenario) -> str:
+    """Return the SHA-256 of the design, and of the keys of all computers that belong to the flight code."""
+    computers = [told(computer) for computer in computers_of(scenario)]
+    code = [{key: value for key, value in computer.items() if key in UNDER_TEST} for computer in computers]
+    return content_hash(told(scenario.design) if scenario.design is not None else None, code)
 
 
 def _short(e: Evidence, scenario: Scenario) -> Iterator[str]:
@@ -163,6 +195,8 @@ def _parts(vehicle: Vehicle) -> list[tuple[int, str]]:
 
 
 def _margins(margins: LinearMargins) -> Iterator[str]:
+    if margins.only:
+        yield f"'{margins.only}' was judged alone"
     if margins.cases:
         yield from _level(margins.success, margins.confidence, margins.cases, "vehicles")
     every = {"as designed": margins.nominal} | ({"dispersed": margins.dispersed} if margins.cases else {})

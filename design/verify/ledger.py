@@ -29,7 +29,7 @@ if sys.platform != "win32":
 
 BEGUN, ENDED, REGISTERED = "begun", "ended", "registered"
 INTERRUPTED = "not ended"
-_UNDER_TEST = frozenset({"law", "library", "python", "sources", "settings", "timeout_s", "guard"})
+UNDER_TEST = frozenset({"law", "library", "python", "sources", "settings", "timeout_s", "guard"})
 """Keys of a computer that are of the flight code, which is judged."""
 _LISTED = 5  # verdicts in the line on the first page; more are counted
 
@@ -48,7 +48,7 @@ def vehicle_hash(vehicle: Vehicle) -> str:
 
     def kept(value: Any, in_computer: bool = False) -> Any:
         if isinstance(value, dict):
-            left = {k: v for k, v in value.items() if not (in_computer and k in _UNDER_TEST)}
+            left = {k: v for k, v in value.items() if not (in_computer and k in UNDER_TEST)}
             return {k: kept(v, k == "computer") for k, v in left.items()}
         return [kept(v, in_computer) for v in value] if isinstance(value, list) else value
 

@@ -1,8 +1,8 @@
 """The seeds of a verification: declared before it, registered in the ledger, or chosen by hand.
 
-A seed is declared where it is that of the baseline, of a shipped campaign, or the default. Seeds are declared and not
-derived from a hash of the inputs: a derived seed changes with an irrelevant digit of a design, which would then choose
-the draws.
+A seed is declared where it is that of a shipped baseline, of a shipped campaign, or the default. Seeds are declared
+and not derived from a hash of the inputs: a derived seed changes with an irrelevant digit of a design, which would then
+choose the draws.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ def seeds_of(
         out += [_seed("margins.worst", worst.seed, DEFAULT)] if worst is not None else []
         if named is not None:
             out.append(_seed("margins.three_sigma.campaign", load_campaign(named).campaign.seed, _shipped(named)))
-    before = read_suite(loaded.baseline).asked
+    # the author of a baseline that is not shipped would choose the seeds
+    before = read_suite(loaded.baseline).asked if loaded.baseline in builtin_files("suite") else Suite.model_construct()
     for n, (wanted, flown) in enumerate(zip(suite.campaign, campaigns, strict=False)):
         out.append(_seed(f"campaign.{n}", flown.campaign.seed, _declared(before, n, wanted, flown), candidate))
         out += _of_scenario(f"campaign.{n}", flown.base)

@@ -329,6 +329,7 @@ class LoadedSuite:
     along: CampaignWanted | None = None  # whose draws and flights apply to a vehicle that is measured alone
     asked: Suite = field(default_factory=Suite.model_construct)  # as it was read: not fitted, and whole
     baseline: str = "standard"  # the suite with which it is compared
+    shipped: str = "standard"  # the shipped suite that it extends or equals
 
     def command(self, design: str, vehicle: str | None = None, *more: str) -> str:
         """Return the command that judges a design by this suite. `more` contains further words."""
@@ -392,12 +393,12 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
     each = tuple(one for flown in flights for one in flown.flights())
     suite = suite.model_copy(update={"flight": each, "campaign": tuple(campaigns)})
     shipped = {path: builtin for builtin, path in builtin_files("suite").items()}
-    baseline = next((shipped[path] for path in files if path in shipped), "standard")
+    baseline = extended = next((shipped[path] for path in files if path in shipped), "standard")
     if isinstance(given := tree.get("baseline"), Text):
         beside = find(given, ("{}", "{}.toml"))
         known = given in shipped.values() or beside is None
         baseline = str(given) if known or beside is None else str(beside)
-    return LoadedSuite(suite, str(name), changes, asked=suite, baseline=baseline)
+    return LoadedSuite(suite, str(name), changes, asked=suite, baseline=baseline, shipped=extended)
 
 
 def shared_risk(loaded: LoadedSuite, campaigns: Sequence[Campaign], designs: int, number: int = 0) -> list[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -24,7 +24,7 @@ from maxq.design.verify import board_findings, flown, ledger, linear, seeds
 from maxq.design.verify.baseline import Compared, against_baseline
 from maxq.design.verify.certified import certificate_requirements, measured_requirements
 from maxq.design.verify.fitted import fit, named
-from maxq.design.verify.floor import Evidence, missing_evidence
+from maxq.design.verify.floor import Evidence, computers_of, missing_evidence
 from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash
 from maxq.design.verify.parts import Parts, Watch
 from maxq.design.verify.slosh import SloshAdvice
@@ -343,27 +343,8 @@ def _verify(
     second_tool = board_findings.second_tool_values(job, flights)
     requirements += board_findings.fault_requirements(faults, suite.board.fault_probability if suite.board else None)
     requirements += board_findings.second_tool_requirements(second_tool)
-    counted = [
-        one.scenario for flight, (one, _) in zip(suite.flight, scenarios, strict=True) if flight.design_must_keep
-    ]
-    computers = filter(None, (scenario.vehicle.computer_of(n) for n in range(len(scenario.vehicle.stage))))
-    evidence = Evidence(
-        suite,
-        along,
-        powered_spans(along),
-        {
-            part: job.points_s(wanted)
-            for part, wanted in (("margins", suite.margins), ("certificate", suite.certificate))
-        },
-        job.described_by_stage(),
-        job.design is not None,
-        counted,
-        prepared.campaigns if suite.campaign else (),
-        frozenset(response.plane for response in through),
-        guards(scenario) or not any(c.law == "external" for c in computers),
-    )
-    records = [*seeds.missing(prepared.seeds), *(f"the ledger of attempts is damaged: {d}" for d in attempt.damage)]
-    missing = (f"'{loaded.part}' was judged alone",) if loaded.part else (*missing_evidence(evidence), *records)
+    damage = () if loaded.part else [f"the ledger of attempts is damaged: {text}" for text in attempt.damage]
+    missing = (*missing_of(prepared, job, {response.plane for response in through}), *damage)
     requirements, waivers = apply_waivers(requirements, suite.board, attempt.date, bool(missing))
     findings = board_findings.BoardFindings(
         board_findings.inputs_of([scenario, *flown_scenarios], prepared.campaigns),
@@ -406,6 +387,35 @@ def _verify(
     )
 
 
+def missing_of(prepared: Prepared, job: Parts, in_flight: Iterable[str]) -> tuple[str, ...]:
+    """Return the evidence that is missing for an acceptance, apart from damage of the ledger.
+
+    `in_flight` contains the planes with in-flight responses.
+    """
+    loaded, scenario, flights = prepared.loaded, prepared.scenario, [one for one, _ in prepared.flights]
+    if loaded.part:
+        return (f"'{loaded.part}' was judged alone",)
+    suite = loaded.suite
+    every = [scenario, *flights, *(campaign.base for campaign in prepared.campaigns)]
+    evidence = Evidence(
+        suite,
+        prepared.along,
+        powered_spans(prepared.along),
+        {
+            part: job.points_s(wanted)
+            for part, wanted in (("margins", suite.margins), ("certificate", suite.certificate))
+        },
+        job.described_by_stage(),
+        job.design is not None,
+        [one.scenario for flight, one in zip(suite.flight, flights, strict=True) if flight.design_must_keep],
+        prepared.campaigns if suite.campaign else (),
+        frozenset(in_flight),
+        all(guards(one) or not any(c.law == "external" for c in computers_of(one.scenario)) for one in every),
+        scenario.scenario,
+    )
+    return (*missing_evidence(evidence), *seeds.missing(prepared.seeds))
+
+
 def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequence[LoadedCampaign]) -> dict[str, str]:
     """Return the SHA-256 of design, scenario, code, flights (as flown) and campaigns, by name."""
     section, vehicle = scenario.scenario, scenario.vehicle
@@ -420,8 +430,12 @@ def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequen
     for n, loaded in enumerate(campaigns, 1):
         parts[f"campaign {n}, {loaded.name}"] = [description_of(loaded), told(loaded.file)]
     out = {name: content_hash(content) for name, content in parts.items()} | {"code": code_hash()}
-    computers = filter(None, (vehicle.computer_of(n) for n in range(len(vehicle.stage))))
-    files = [file for computer in computers for file in (computer.library, computer.python, computer.sources) if file]
+    files = [
+        file
+        for computer in computers_of(section)
+        for file in (computer.library, computer.python, computer.sources)
+        if file
+    ]
     return out | {f"{UNDER_TEST}: {file.hashed}": file.sha256 for file in files}
 
 

@@ -19,6 +19,7 @@ import os
 import socket
 import struct
 import sys
+import tempfile
 import time
 from abc import ABC, abstractmethod
 from functools import lru_cache
@@ -192,21 +193,27 @@ class _PythonClass(_InPython):
 
 @lru_cache(maxsize=8)
 def module_of(file: str, sha256: str) -> ModuleType:
-    """Return the module in a Python file, which may import other files of its folder."""
+    """Return the module in a Python file, which may import other files of its folder.
+
+    Compiled modules in folders __pycache__ are not used, since the hash of the code does not cover them.
+    """
     spec = importlib.util.spec_from_file_location(f"maxq_flight_code_{sha256[:12]}", file)
     if spec is None or spec.loader is None:
         raise Unusable("is no Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    beside = str(Path(file).parent)
+    beside, elsewhere = str(Path(file).parent), sys.pycache_prefix
     sys.path.insert(0, beside)
     try:
-        spec.loader.exec_module(module)
+        with tempfile.TemporaryDirectory() as nothing:
+            sys.pycache_prefix = nothing
+            spec.loader.exec_module(module)
     except BaseException as error:
         del sys.modules[spec.name]
         raise Unusable(described(error)) from None
     finally:
         sys.path.remove(beside)
+        sys.pycache_prefix = elsewhere
     return module
 
 

@@ -28,7 +28,7 @@ from maxq.sim.input.values import Section, optional
 
 SETTINGS_BYTES = 255
 MOST_FILES = 1000
-_MODULES = frozenset({".py", ".so", ".pyd", ".dll", ".dylib"})
+_MODULES = frozenset({".py", ".pyc", ".so", ".pyd", ".dll", ".dylib"})
 _ADDRESS = re.compile(r"(tcp|udp)://(\[[0-9a-f:]+\]|[0-9a-z.]+):([0-9]{1,5})")
 
 
@@ -51,7 +51,7 @@ def code_files(path: Path) -> list[Path]:
     folder = path if path.is_dir() else path.parent
     whole = path.is_dir() or (folder / "__init__.py").is_file()
     found = []
-    for place, below, names in os.walk(folder):
+    for place, below, names in os.walk(folder, followlinks=True):
         below[:] = sorted(name for name in below if name != "__pycache__" and not name.startswith("."))
         mine = (Path(place) / name for name in sorted(names) if not name.startswith("."))
         found += [file for file in mine if file.is_file() and (whole or file.suffix in _MODULES)]

@@ -21,13 +21,13 @@ from maxq.design.certificate.measured_only import measure_node
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop, law_at
 from maxq.design.model.node import Node
-from maxq.design.verify import flown, ledger
+from maxq.design.verify import flown, ledger, seeds
 from maxq.design.verify import suite as suites
 from maxq.design.verify.linear import measured
 from maxq.design.verify.memory import PartsOnDisk
 from maxq.design.verify.names import node_name
 from maxq.design.verify.parts import Parts
-from maxq.design.verify.verify import Prepared, part_alone, prepare
+from maxq.design.verify.verify import Prepared, missing_of, part_alone, prepare
 from maxq.design.verify.waivers import apply_waivers
 from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.store import MANIFEST, parts_in
@@ -211,9 +211,12 @@ def _sample(
 ) -> None:
     """Recompute a random sample of each kind of result, and judge the campaigns of the pack again."""
     suite = prepared.loaded.suite
+    changes, first = flown.design_changes(prepared.design, prepared.vehicle), next(iter(prepared.campaigns), None)
+    job = Parts(suite, prepared.scenario, prepared.along, PartsOnDisk(None), progress.show, 1, first, changes)
+    _floor(record, prepared, job, folder, found)
     jobs = {
         "flights": _flights(record, prepared, found),
-        "operating points": _points(record, prepared, found, progress),
+        "operating points": _points(record, prepared, job, found),
         "runs": [],
     }
     judged = list[suites.JudgedRequirement]()
@@ -266,15 +269,33 @@ def _flights(record: dict[str, Any], prepared: Prepared, found: Findings) -> lis
     ]
 
 
-def _points(record: dict[str, Any], prepared: Prepared, found: Findings, progress: Progress) -> list[Job]:
+def _floor(record: dict[str, Any], prepared: Prepared, job: Parts, folder: Path, found: Findings) -> None:
+    """Compare the evidence that is missing for an acceptance with that of the pack.
+
+    Seeds count as registered by the pack's copy of the ledger. In-flight responses are taken as measured where the
+    suite requires them.
+    """
+    lines = ledger.read_lines(folder / ATTEMPTS_NAME)[0]
+    begun = [n for n, line in enumerate(lines) if line["hash"] == record["attempt"]["line"]]
+    hashes, known = prepared.entry()["hashes"], [x for x in lines[: begun[0] + 1 if begun else 0] if "seeds" in x]
+    drawn = seeds.chosen(prepared.seeds, known, hashes["vehicle"], hashes["design"])
+    certificate = prepared.loaded.suite.certificate
+    planes = certificate.planes if certificate is not None and certificate.in_flight else ()
+    lacking = [
+        text
+        for text in missing_of(replace(prepared, seeds=drawn), job, planes)
+        if text not in record["missing_evidence"]
+    ]
+    found.differs += [f"missing evidence: the pack does not list '{text}'" for text in lacking]
+    found.agrees += [] if lacking else ["the evidence that is missing for an acceptance"]
+
+
+def _points(record: dict[str, Any], prepared: Prepared, job: Parts, found: Findings) -> list[Job]:
     """Return the linear margins as designed, the certificates and the measurements of flight code.
 
     The operating points are those of the suite: a pack that lacks one differs.
     """
     scenario, design, suite = prepared.scenario, prepared.scenario.design, prepared.loaded.suite
-    changes = flown.design_changes(prepared.design, prepared.vehicle)
-    first = next(iter(prepared.campaigns), None)
-    job = Parts(suite, scenario, prepared.along, PartsOnDisk(None), progress.show, 1, first, changes)
 
     def linear(node: Node) -> Any:
         assert suite.margins is not None

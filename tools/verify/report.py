@@ -308,9 +308,12 @@ def _listed(title: str, lines: Sequence[str]) -> list[str]:
 
 
 def baseline_lines(found: Verification) -> list[str]:
-    """Return the differences of the suite from its baseline, a table below the line that counts them."""
+    """Return the differences of the suite from its baseline, a table below the line that counts them.
+
+    Those from the shipped suite follow if the baseline is not shipped.
+    """
     head = ("difference from the baseline", "of", "baseline", "here")
-    every = found.compared.differences
+    every = found.compared.all_differences
     rows = [(d.kind, printable(d.what), printable(d.baseline), printable(d.here)) for d in every]
     return [f"baseline: {found.compared.title}", *(aligned([head, *rows], "  ") if rows else [])]
 
@@ -366,6 +369,7 @@ def ranking(every: Sequence[Verification]) -> list[str]:
 
 def verdict_record(found: Verification, command: str) -> dict[str, Any]:
     """Return the whole verification without histories."""
+    further = found.compared.from_shipped
     return {
         "schema": 2,
         "design": found.design,
@@ -386,6 +390,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
             "suite": found.compared.baseline,
             "shipped": found.compared.shipped,
             "differences": [vars(d) for d in found.compared.differences],
+            "from_shipped": [vars(d) for d in further.differences] if further is not None else [],
         },
         "board": board_record(found),
         "against_basis": against_basis(found.suite, found.scenario),
