@@ -119,7 +119,7 @@ def fast_petrel(*overrides: str):
     scenario = petrelkit.scenario("vehicle.stage.2.bending.frequency_factor=[1.4]")
     asked = ("stages=[3]", "between_nodes='ignore'", "limits.first_mode_db=-11.1", *overrides)
     loaded = read_case(petrelkit.folder() / "case.toml", asked)
-    (part,) = each_stage(dataclasses.replace(loaded, scenario=scenario))
+    (part,) = each_stage(dataclasses.replace(loaded, base=scenario))
     return part
 
 

@@ -140,7 +140,7 @@ def test_a_faster_computer_is_that_of_the_vehicle_file(margin: tuple) -> None:
     loaded, s, (*_, faster) = margin
     (setting,) = faster.settings
     assert setting == "vehicle.computer.sample_s=0.005"
-    flown = dataclasses.replace(loaded, scenario=load_scenario("nominal", [setting]))
+    flown = dataclasses.replace(loaded, base=load_scenario("nominal", [setting]))
     change = way_out.changes_of(s.case, nodes_of(loaded, [45.0]))[-1]
     found: list = []
     for plants in (plants_of(s.case, change.nodes, s, None), nominal_plants(flown)):

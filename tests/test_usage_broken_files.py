@@ -183,7 +183,9 @@ def test_numbers_on_the_command_line(
 
 
 def test_limits_that_no_schedule_meets() -> None:
-    with pytest.raises(UnsolvableError, match=r"no schedule of gains up to 1000 is above 1e\+04 at the node"):
+    with pytest.raises(
+        UnsolvableError, match=r"no schedule of gains up to 1000 is above 1e\+04 at the operating point"
+    ):
         lowest_above(np.eye(3), np.array([1.0, 1e4, 2.0]))
     with pytest.raises(UnsolvableError):
         lowest_above(np.eye(2), np.array([1.0, np.inf]))
