@@ -131,5 +131,5 @@ def test_a_verification_takes_no_nodes_from_a_lost_flight(designed: tuple[int, P
     assert powered_flight(along)[1] is None
     assert flight_requirement(along) == []
     (rejected,) = flight_requirement(flight_of(suite, bad, None))
-    assert (rejected.judgement, rejected.name) == ("rejected", "flight of the nodes")
+    assert (rejected.judgement, rejected.name) == ("rejected", "flight of the operating points")
     assert rejected.found.startswith("control lost at ")

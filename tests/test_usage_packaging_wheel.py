@@ -109,7 +109,7 @@ def test_simrun_names_the_built_in_scenarios(installed, tmp_path):
     said = succeed([installed / "simrun", "--list"], tmp_path)
     files = (ROOT / "scenarios").rglob("*.toml")
     names = {p.relative_to(ROOT / "scenarios").with_suffix("").as_posix() for p in files}
-    data = ("vehicles/", "designs/", "winds/", "campaigns/", "suites/", "layouts/")
+    data = ("vehicles/", "designs/", "winds/", "campaigns/", "suites/", "layouts/", "points/")
     wanted = {name for name in names if not name.startswith(data)}
     assert {line.split()[0] for line in said.splitlines() if line.strip()} >= wanted
 

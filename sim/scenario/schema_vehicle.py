@@ -18,7 +18,6 @@ from maxq.sim.scenario.schema_booster import FORM, LISTED, Booster, Engines
 from maxq.sim.vehicle.actuator.section import ActuatorSection
 from maxq.sim.vehicle.air.section import AeroSection
 from maxq.sim.vehicle.body.section import Mass, Reference, joined
-from maxq.sim.vehicle.engine.burn import leaving
 from maxq.sim.vehicle.engine.section import EngineSection, RollThrusters
 from maxq.sim.vehicle.loads.section import LoadsSection, check_loads
 from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
@@ -165,6 +164,11 @@ class Stage(Section):
         modes = [0 if plane is None else plane.modes for plane in planes]
         spatial_modes = len(spatial.damping_ratio) if spatial else 0
         return len(self.engine_groups), len(self.pendulum_names), *modes, spatial_modes, int(self.tvc_load is not None)
+
+    def leaving(self, following: Stage) -> tuple[Booster, ...]:
+        """Return the boosters that leave before the next stage; none if the core leaves too."""
+        staying = {booster.name for booster in following.booster}
+        return tuple(b for b in self.booster if b.name not in staying) if following.continues else ()
 
     def without(self, boosters: Sequence[Booster]) -> Stage:
         """Return the stage after the separation of these boosters."""
@@ -511,7 +515,7 @@ class Vehicle(Section):
                 allowed = ", ".join(before) or "none"
                 problem = "boosters that stay are the first of the preceding stage, in the same order"
                 raise refuse(problem, allowed, ("stage", n, "booster"), value=", ".join(names))
-        leave = leaving(self.stage, n - 1) if n > 0 and stage.continues else ()
+        leave = self.stage[n - 1].leaving(stage) if n > 0 else ()
         mine, kept = list(stage.counts), list(self.stage[n - 1].without(leave).counts) if n > 0 else []
         if leave:
             mine[2:5] = kept[2:5]  # modes of another configuration

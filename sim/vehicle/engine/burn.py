@@ -109,10 +109,7 @@ def nominal_burnout_s(stage: Stage) -> float:
 
 def leaving(stages: Sequence[Stage], n: int) -> tuple[Booster, ...]:
     """Return the boosters that leave at the end of stage n while the core flies on; none if the core leaves too."""
-    if n + 1 >= len(stages) or not stages[n + 1].continues:
-        return ()
-    staying = {booster.name for booster in stages[n + 1].booster}
-    return tuple(booster for booster in stages[n].booster if booster.name not in staying)
+    return stages[n].leaving(stages[n + 1]) if n + 1 < len(stages) else ()
 
 
 @dataclass(frozen=True)
