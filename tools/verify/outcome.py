@@ -48,7 +48,7 @@ def _decisive(found: Verification) -> str:
     finite = [r for r in found.requirements if math.isfinite(r.room)]
     if not finite:
         return ""
-    tightest = min(finite, key=lambda r: r.room)
+    tightest = min(finite, key=lambda r: round(r.room, 9))  # the first of equal ones
     share = f"{100.0 * tightest.room:.0f} % of the limit left"
     return (
         f"tightest requirement: {_name(tightest)} {tightest.found}, limit {_bound(tightest)}{_at([tightest])}, {share}"
@@ -56,7 +56,7 @@ def _decisive(found: Verification) -> str:
 
 
 def _missed(rejected: Sequence[JudgedRequirement]) -> str:
-    worst = min(rejected, key=lambda r: r.room if math.isfinite(r.room) else math.inf)
+    worst = min(rejected, key=lambda r: round(r.room, 9) if math.isfinite(r.room) else math.inf)
     sense = _BOUND.fullmatch(worst.wanted)
     same = [r for r in rejected if (r.part, r.name) == (worst.part, worst.name) and _time(r) == _time(worst)]
     if sense and re.match(r"-?[0-9.]", worst.found):
