@@ -105,7 +105,7 @@ def test_analyse_of_other_points_and_at_other_times(small: Path, capsys: pytest.
 
 def test_the_shipped_design_is_what_its_case_asks_for() -> None:
     """The load is a tenth below that of HM3's design, with two fifths of its drift (docs/howto/derivatives.md)."""
-    from maxq.sim.scenario.loader import read_design  # noqa: PLC0415
+    from maxq.sim.scenario.loader import read_design  # noqa: PLC0415  # with the program below
     from maxq.tools.dev.greensite import measured  # noqa: PLC0415  # the program of the table
 
     for name, load, drift, lower_db in (("greensite", 3126.6, 0.0500, 6.5045), ("greensite-hm3", 3485.2, 0.1292, 6.0)):

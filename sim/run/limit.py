@@ -48,7 +48,6 @@ def find_limit(
     Raises ScenarioError if `first` is not allowed.
     """
     flown: dict[float, Flight] = {}
-    refused = ""
 
     def meets(value: float) -> bool:
         value = _rounded(value)
@@ -56,44 +55,13 @@ def find_limit(
             flown[value] = fly_at(value)
         return flown[value].passed
 
-    if not meets(first):
-        return _limit(flown, first, refused)
-    try:
-        if last is None:
-            step, end = abs(first) / 4.0 or 1.0, first
-            for k in range(1, _DOUBLINGS + 1):
-                if stop():
-                    return _limit(flown, first, refused)
-                end = first + step * (2.0**k - 1.0)
-                if not meets(end):
-                    break
-        else:
-            end = last
-    except ScenarioError as error:
-        refused, end = str(error), max(flown)
-    below = first
-    for i in range(1, _INTERVALS + 1):
-        if stop():
-            return _limit(flown, first, refused)
-        above = first + i * (end - first) / _INTERVALS
-        if not meets(above):
-            break
-        below = above
-    else:
-        return _limit(flown, first, refused)
-    for _ in range(_BISECTIONS):
-        middle = _rounded(0.5 * (below + above))
-        if stop() or abs(above - below) <= share * abs(above - first) or middle in (below, above):
-            break
-        below, above = (middle, above) if meets(middle) else (below, middle)
-    return _limit(flown, first, refused)
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
-
-
-def _limit(flown: dict[float, Flight], first: float, refused: str) -> FoundLimit:
+    refused = ""
+    if meets(first):
+        try:
+            end = _far_end(meets, first, stop) if last is None else last
+        except ScenarioError as error:
+            refused, end = str(error), max(flown)
+        _bracket(meets, first, end, share, stop)
     ordered = dict(sorted(flown.items(), key=lambda item: abs(item[0] - first)))
     met = missed = None
     for value, flight in ordered.items():
@@ -102,3 +70,38 @@ def _limit(flown: dict[float, Flight], first: float, refused: str) -> FoundLimit
             break
         met = value
     return FoundLimit(ordered, met, missed, refused)
+
+
+def _far_end(meets: Callable[[float], bool], first: float, stop: Callable[[], bool]) -> float:
+    """Return the first value that misses, by steps that double, or the last one tried."""
+    step, end = abs(first) / 4.0 or 1.0, first
+    for k in range(1, _DOUBLINGS + 1):
+        if stop():
+            break
+        end = first + step * (2.0**k - 1.0)
+        if not meets(end):
+            break
+    return end
+
+
+def _bracket(meets: Callable[[float], bool], first: float, end: float, share: float, stop: Callable[[], bool]) -> None:
+    """Fly the ends of the intervals from `first` to `end` up to the first miss, and halve the last interval."""
+    below = first
+    for i in range(1, _INTERVALS + 1):
+        if stop():
+            return
+        above = first + i * (end - first) / _INTERVALS
+        if not meets(above):
+            break
+        below = above
+    else:
+        return
+    for _ in range(_BISECTIONS):
+        middle = _rounded(0.5 * (below + above))
+        if stop() or abs(above - below) <= share * abs(above - first) or middle in (below, above):
+            return
+        below, above = (middle, above) if meets(middle) else (below, middle)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
