@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,8 @@ import pytest
 
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.limit import find_limit
-from maxq.tools import simrun
+from maxq.sim.run.record import fly_to_end
+from maxq.tools import simrun, simrun_limit
 
 G_MPS2 = 9.7521  # at 9,144 m over the equator: GM / r^2 (1 + 1.5 J2 (a / r)^2) less the centrifugal acceleration
 
@@ -76,6 +78,39 @@ def test_an_interrupted_search_returns_what_it_flew() -> None:
     plant = _Plant(lambda value: value > 17.3)
     found = find_limit(plant, 0.0, 40.0, stop=lambda: len(plant.asked) >= 4)
     assert (found.met, found.missed, len(found.flown)) == (15.0, None, 4)
+
+
+def test_an_interruption_within_a_flight_keeps_the_flights_before_it() -> None:
+    def fly_at(value: float) -> Any:
+        if value > interrupted:
+            raise KeyboardInterrupt
+        return _Flown(True)
+
+    interrupted = 10.0
+    found = find_limit(fly_at, 0.0, 40.0)
+    assert (found.met, found.missed, list(found.flown)) == (10.0, None, [0.0, 5.0, 10.0])
+    interrupted = -1.0
+    with pytest.raises(KeyboardInterrupt):
+        find_limit(fly_at, 0.0, 40.0)
+
+
+def test_ctrl_c_within_a_flight_prints_the_flights_before_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flights = 0
+
+    def flown(*arguments: Any, **options: Any) -> Any:
+        nonlocal flights
+        flights += 1
+        if flights == 3:
+            signal.raise_signal(signal.SIGINT)
+        return fly_to_end(*arguments, **options)
+
+    monkeypatch.setattr(simrun_limit, "fly_to_end", flown)
+    assert simrun.main(["limit", "checkcases/nesc-01", "run.duration_s", "--start", "1", "--end", "9"]) == 130
+    said = capsys.readouterr().out
+    assert "NO LIMIT FOUND: interrupted: all requirements met from 1 to 2 (2 flights" in said
+    assert said.count(" met\n") == 2
 
 
 def test_fall_time_to_a_speed(capsys: pytest.CaptureFixture[str]) -> None:

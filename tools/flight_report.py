@@ -118,14 +118,19 @@ def _metrics(flight: Flight) -> list[str]:
     return ["metrics", *aligned(rows, "  ", right=(1,))]
 
 
+def requirement_cells(verdict: Verdict) -> tuple[str, str, str, str]:
+    """Return name, value, limit and used share of a requirement, as tables print them."""
+    return printable(verdict.name), verdict.shown[0], verdict.limit_text, share_text(verdict.utilisation)
+
+
 def _requirements(verdicts: tuple[Verdict, ...]) -> list[str]:
     """Return the table of requirements, those with the least margin first."""
     if not verdicts:
         return []
     rows = [("", "", "value", "limit", "used", "at")]
     for v in tightest_first(verdicts):
-        mark, share, at = "met" if v.met else "MISSED", share_text(v.utilisation), _at(v.time_s)
-        rows.append((printable(v.name), mark, v.shown[0], v.limit_text, share, at))
+        name, *cells = requirement_cells(v)
+        rows.append((name, "met" if v.met else "MISSED", *cells, _at(v.time_s)))
     return ["requirements", *aligned(rows, "  ", right=(2, 4, 5), drop=(5,))]
 
 

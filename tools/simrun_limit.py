@@ -11,12 +11,11 @@ from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.limit import find_limit
 from maxq.sim.run.metrics import tightest_first
-from maxq.sim.run.quantities import share_text
 from maxq.sim.run.record import fly_to_end
 from maxq.sim.scenario.loader import load_scenario, told
 from maxq.tools.cli.frame import CommandError, Exit, Interruption
 from maxq.tools.cli.terminal import Progress, aligned, printable, tell
-from maxq.tools.flight_report import verdict_line
+from maxq.tools.flight_report import requirement_cells, verdict_line
 
 
 def execute(
@@ -89,5 +88,4 @@ def _tightest(flight: Flight) -> tuple[str, str, str, str]:
         return printable(flight.failures[0]), "", "", ""
     if not flight.verdicts:
         return "", "", "", ""
-    tight = tightest_first(flight.verdicts)[0]
-    return printable(tight.name), tight.shown[0], tight.limit_text, share_text(tight.utilisation)
+    return requirement_cells(tightest_first(flight.verdicts)[0])

@@ -44,8 +44,8 @@ def find_limit(
     The first interval with a miss at its end is halved, until its length is at most `share` of the distance of its end
     from `first`. A miss between two values that both meet the requirements is not detected.
 
-    `stop` is called before each flight after the first; if it returns True, the result is that of the flights so far.
-    Raises ScenarioError if `first` is not allowed.
+    `stop` is called before each flight after the first. If it returns True, or if `fly_at` raises KeyboardInterrupt
+    after the first flight, the result is that of the complete flights. Raises ScenarioError if `first` is not allowed.
     """
     flown: dict[float, Flight] = {}
 
@@ -56,12 +56,16 @@ def find_limit(
         return flown[value].passed
 
     refused = ""
-    if meets(first):
-        try:
-            end = _far_end(meets, first, stop) if last is None else last
-        except ScenarioError as error:
-            refused, end = str(error), max(flown)
-        _bracket(meets, first, end, share, stop)
+    try:
+        if meets(first):
+            try:
+                end = _far_end(meets, first, stop) if last is None else last
+            except ScenarioError as error:
+                refused, end = str(error), max(flown)
+            _bracket(meets, first, end, share, stop)
+    except KeyboardInterrupt:
+        if not flown:
+            raise
     ordered = dict(sorted(flown.items(), key=lambda item: abs(item[0] - first)))
     met = missed = None
     for value, flight in ordered.items():
