@@ -1,9 +1,11 @@
-"""Verify a design in a child that is killed after a number of stored parts, then in another that completes.
+"""Verify a design in children that are killed one after the other, then in another that completes.
 
-    python killing_verify.py SUITE DIR PARTS SIGNAL
+    python killing_verify.py SUITE DIR PARTS:SIGNAL ...
 
-The parent has loaded everything before it forks. Print, as JSON, the parts and campaign runs that existed at the
-signal, the exit code of the killed child, and the numbers that the second child recalled, computed and found.
+Each child receives its signal when this number of parts is stored. The parent has loaded everything before it forks.
+Print, as JSON, the exit code of each killed child with the numbers of parts and campaign runs that were then stored. Of
+the last child, print the exit code, the requirements, the numbers of parts that it recalled and computed, and the
+number of stored parts that were written again.
 """
 
 from __future__ import annotations
@@ -36,27 +38,46 @@ def runs_kept() -> int:
     return sum(ds.dataset(f).count_rows() for f in memory.glob("campaign-*/runs") if any(f.iterdir()))
 
 
-def main(suite: str, folder: Path, parts: int, number: int) -> None:
-    FlightRun(load_scenario("nominal"), log=False).result()
+def stored() -> dict[str, int]:
+    """Return the time of writing of each stored part."""
+    return {file.name: file.stat().st_mtime_ns for file in memory.glob("*.json")}
+
+
+def kill(suite: str, folder: Path, parts: int, number: int) -> dict[str, int]:
     child = os.fork()
     if child == 0:
-        os._exit(verify(suite, folder / "first"))
+        os._exit(verify(suite, folder / "killed"))
     until = time.monotonic() + 240.0
-    while len(list(memory.glob("*.json"))) < parts:
+    while len(stored()) < parts:
         if time.monotonic() > until or os.waitpid(child, os.WNOHANG)[0]:
             sys.exit(f"there are never {parts} parts")
         time.sleep(0.005)
     os.kill(child, number)
     _, status = os.waitpid(child, 0)
-    told = {"code": os.waitstatus_to_exitcode(status), "parts": len(list(memory.glob("*.json"))), "runs": runs_kept()}
-    again = os.fork()
-    if again == 0:
-        os._exit(verify(suite, folder / "second"))
-    _, status = os.waitpid(again, 0)
-    verdict = json.loads((folder / "second" / "verdict.json").read_text())
-    told |= verdict["parts"] | {"second": os.waitstatus_to_exitcode(status), "requirements": verdict["requirements"]}
+    return {"code": os.waitstatus_to_exitcode(status), "parts": len(stored()), "runs": runs_kept()}
+
+
+def main(suite: str, folder: Path, kills: list[str]) -> None:
+    FlightRun(load_scenario("nominal"), log=False).result()
+    killed, before = [], {}
+    for word in kills:
+        parts, _, name = word.partition(":")
+        killed.append(kill(suite, folder, int(parts), signal.Signals[name].value))
+        before = stored() | before
+    last = os.fork()
+    if last == 0:
+        os._exit(verify(suite, folder / "last"))
+    _, status = os.waitpid(last, 0)
+    verdict = json.loads((folder / "last" / "verdict.json").read_text())
+    now = stored()
+    told = verdict["parts"] | {
+        "killed": killed,
+        "code": os.waitstatus_to_exitcode(status),
+        "requirements": verdict["requirements"],
+        "written_again": sum(now[name] != time_ns for name, time_ns in before.items()),
+    }
     print(json.dumps(told))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), signal.Signals[sys.argv[4]].value)
+    main(sys.argv[1], Path(sys.argv[2]), sys.argv[3:])

@@ -122,6 +122,7 @@ def test_tones_of_the_dither_begin_without_a_kick(held) -> None:
     assert abs(sum(turned)) < 1e-3 * turned[0]
 
 
+@pytest.mark.long
 def test_slow_root_is_found_under_a_coarse_output() -> None:
     """At 3.056 s a burst of 0.0033 deg is three steps of the output: 0.84 dB off without dither."""
     robust = load_scenario("nominal", ['design="designs/ksr3-robust.toml"'])

@@ -223,7 +223,7 @@ def test_a_dispersed_vehicle_is_made_again_from_its_label() -> None:
     np.testing.assert_allclose(half - 1.0, 0.5 * (whole - 1.0), rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_corner_is_nearer_to_minus_one_than_the_plant_that_the_search_finds() -> None:
     """Compare with all corners of six deviations and with 200 plants inside, each measured as a single loop."""
     none = dict.fromkeys(

@@ -52,16 +52,16 @@ PARTS = 2 + 1 + 3 + 1 + 2 + 1  # flights; instants; margins; slosh; certificate;
 
 @pytest.fixture(scope="module")
 def in_one_go(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    folder = tmp_path_factory.mktemp("whole")
-    return _killed(folder, PARTS, "SIGCONT")  # a signal that does nothing
+    """Return what is found in one go and, as a signal without effect came when all was stored, found again."""
+    return _killed(tmp_path_factory.mktemp("whole"), f"{PARTS}:SIGCONT")
 
 
-def _killed(folder: Path, parts: int, number: str) -> dict[str, Any]:
+def _killed(folder: Path, *kills: str) -> dict[str, Any]:
     suite = folder / "suite.toml"
     suite.write_text(SUITE + CAMPAIGN)
     script = Path(__file__).with_name("killing_verify.py")
     run = subprocess.run(
-        [sys.executable, str(script), str(suite), str(folder), str(parts), number],
+        [sys.executable, str(script), str(suite), str(folder), *kills],
         capture_output=True,
         text=True,
         timeout=600,
@@ -74,21 +74,21 @@ def _killed(folder: Path, parts: int, number: str) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_second_time_everything_is_recalled(in_one_go: dict[str, Any]) -> None:
-    assert in_one_go["code"] == in_one_go["second"] == 3  # too few flights to be sure
-    assert (in_one_go["recalled"], in_one_go["worked_out"]) == (PARTS, 0)
-    assert in_one_go["runs"] == 8
+    assert in_one_go["killed"] == [{"code": 3, "parts": PARTS, "runs": 8}]  # 3: too few flights to be sure
+    assert in_one_go["code"] == 3
+    assert (in_one_go["recalled"], in_one_go["worked_out"], in_one_go["written_again"]) == (PARTS, 0, 0)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "code", "parts"), [("SIGKILL", -9, 2), ("SIGKILL", -9, 8), ("SIGINT", 130, 3)])
-def test_an_interrupted_verification_goes_on(
-    tmp_path: Path, number: str, code: int, parts: int, in_one_go: dict[str, Any]
-) -> None:
-    told = _killed(tmp_path, parts, number)
-    assert told["code"] == code
-    assert parts <= told["parts"] < PARTS or told["runs"] < 8
-    assert told["worked_out"] == PARTS - told["parts"]  # nothing that was whole is done again
-    assert told["recalled"] == PARTS - told["worked_out"]
+def test_an_interrupted_verification_goes_on(tmp_path: Path, in_one_go: dict[str, Any]) -> None:
+    """Killed early, interrupted, and killed late, one after the other in the same folder."""
+    told = _killed(tmp_path, "2:SIGKILL", "4:SIGINT", "8:SIGKILL")
+    assert [killed["code"] for killed in told["killed"]] == [-9, 130, -9]
+    for parts, killed in zip((2, 4, 8), told["killed"], strict=True):
+        assert parts <= killed["parts"] < PARTS or killed["runs"] < 8
+    at_last = told["killed"][-1]["parts"]
+    assert (told["recalled"], told["worked_out"]) == (at_last, PARTS - at_last)
+    assert told["written_again"] == 0  # nothing that was whole is done again
     wanted = [{**r, "again": ""} for r in in_one_go["requirements"]]  # the folder of the runs differs
     assert [{**r, "again": ""} for r in told["requirements"]] == wanted
 

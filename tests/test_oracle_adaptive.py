@@ -193,7 +193,7 @@ def largest(flight: Flight, name: str) -> float:
     return float(np.abs(flight[name]).max())
 
 
-@pytest.mark.slow  # flights of both vehicles, and a certificate
+@pytest.mark.long
 def test_flights_of_both_vehicles(tmp_path: Path) -> None:
     """KSR-III: nominal the gain stays; a loop unstable in bending swings on without it. petrel, unstable: a loop too
     weak for its aerodynamics is lost without it, in limit wind."""

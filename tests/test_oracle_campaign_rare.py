@@ -108,6 +108,7 @@ def test_a_value_that_stops_short_of_its_limit_is_undecided(p: float) -> None:
     assert all(one.stuck and one.nearest is None for one in found.each)
 
 
+@pytest.mark.long
 def test_flights_miss_as_rarely_as_their_thrust_is_drawn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -257,7 +257,9 @@ def test_pareto_fits_are_scipys(shape: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [stats.norm, stats.expon, stats.gumbel_r])
+@pytest.mark.parametrize(
+    "law", [stats.expon, *(pytest.param(law, marks=pytest.mark.long) for law in (stats.norm, stats.gumbel_r))]
+)
 def test_tails_cover_what_lies_beyond_the_runs(law: stats.rv_continuous) -> None:
     """The quantile of 99.73 % and a probability of 1e-4, from 1,000 runs; a bound at 90 % covers in most cases."""
     limit, quantile = float(law.isf(1e-4)), float(law.ppf(0.9973))

@@ -281,7 +281,7 @@ table = [{time_s = 40.0, k_p = 0.8, k_d_s = 0.4, k_zd_radspm = 0.003, k_z_radpm 
 """
 
 
-@pytest.mark.slow  # minutes of held flight
+@pytest.mark.long
 def test_the_lower_gain_margin_of_the_drift_is_measured_in_flight(tmp_path: Path) -> None:
     """At 0.007 Hz, where the drift alone is fed back: gain is removed until the vehicle no longer holds its path."""
     (tmp_path / "drift.toml").write_text(CERTIFIED)

@@ -195,7 +195,7 @@ SLOW = (
 )
 
 
-@pytest.mark.slow  # three optimisations
+@pytest.mark.long
 def test_least_load_against_margins_and_drift() -> None:
     """No design near the optimum, of 3,000 tried, meets the limits with less load; a softer one has less."""
     least = (*SLOW, "objective.kind=load", "limits.drift_mps=9.0")

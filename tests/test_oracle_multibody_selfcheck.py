@@ -530,7 +530,7 @@ def test_energy_and_momenta_are_kept_without_damping() -> None:
     assert np.min(np.sum(states[-1].u_B * states[0].u_B, axis=1)) < 0.9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_energy_is_kept_under_uniform_gravitation() -> None:
     vehicle, start = full_system(51)
     vehicle = undamped(vehicle)
@@ -542,7 +542,7 @@ def test_energy_is_kept_under_uniform_gravitation() -> None:
     assert np.ptp(kinetic) > 1e-3 * max(kinetic)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_damping_keeps_momenta_and_takes_energy() -> None:
     vehicle, start = full_system(52)
     states, _ = fly(multibody_sympy.accelerations, vehicle, start, 0.5)

@@ -197,7 +197,7 @@ def test_a_design_of_one_stage_leaves_the_others_as_they_were(case) -> None:
         assert design.of_stage(n).filter == again.of_stage(n).filter
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_orders_of_several_stages(
     case, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -229,7 +229,9 @@ def test_a_suite_finds_its_scenario_beside_itself() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("time_s", "slowest_hz"), [(40.0, 0.04), (126.0, 0.004), (240.0, 0.0)])
+@pytest.mark.parametrize(
+    ("time_s", "slowest_hz"), [pytest.param(40.0, 0.04, marks=pytest.mark.long), (126.0, 0.004), (240.0, 0.0)]
+)
 def test_gain_that_slow_roots_need_is_found_in_flight(time_s: float, slowest_hz: float) -> None:
     """A fast unstable body in dense air, a slow oscillation in thin air, a drift in none.
 

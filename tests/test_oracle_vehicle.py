@@ -370,6 +370,7 @@ def _built_with(path: Path, override: str):
 
 
 @pytest.mark.slow
+@known_path()
 def test_the_vehicle_flies_the_point_mass_s_path_to_orbit(tmp_path: Path, built) -> None:
     """All stages, nine engines, under the first gains, six degrees of freedom over the oblate Earth."""
     assert simvehicle.main(["petrel", "--out", str(tmp_path)]) == 0

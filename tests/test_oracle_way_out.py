@@ -119,7 +119,7 @@ def test_wider_bounds_gain_more_than_a_higher_order(margin: tuple) -> None:
     assert sum(t.evaluations for t in margin[2]) < 1.3 * s.certificate.evaluations
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_trial_is_confirmed_by_the_case_with_its_settings(margin: tuple) -> None:
     """With the wider bounds F4 has a least |1 + L| of 0.898 where it has 0.734 without; F5 has 0.749."""
     _, s, (wider, higher, _) = margin
@@ -134,7 +134,7 @@ def test_a_trial_is_confirmed_by_the_case_with_its_settings(margin: tuple) -> No
     assert again.violation_db <= higher.missing_db + 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_faster_computer_is_that_of_the_vehicle_file(margin: tuple) -> None:
     """The trial changes the instruments of the operating points; here the vehicle flies with the sample period."""
     loaded, s, (*_, faster) = margin
@@ -177,7 +177,7 @@ def test_multipliers_say_nothing_of_an_unstable_best_effort(margin: tuple) -> No
     assert conflict(dataclasses.replace(s, certificate=dataclasses.replace(s.certificate, stable=False))) == ()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_trials_of_a_robust_case_hold_its_dispersed_vehicles() -> None:
     """The vehicles are made again from the labels of the search; the violation of the best effort is the same."""
     limits = ("limits.gain_margin_db=14", "limits.phase_margin_deg=50", "robust.limits.gain_margin_db=8")

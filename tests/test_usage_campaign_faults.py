@@ -39,7 +39,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
-@pytest.mark.parametrize(("kills", "runs"), [(12, 96), pytest.param(50, 400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("kills", "runs"), [(12, 96), pytest.param(50, 400, marks=pytest.mark.long)])
 def test_kills_and_then_the_same_data_set(tmp_path: Path, kills: int, runs: int) -> None:
     """SIGKILL at random instants: between runs, while a part is written, renamed, or the folder is opened."""
     file = campaignkit.write_campaign(tmp_path, runs=runs)

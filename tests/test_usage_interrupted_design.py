@@ -55,7 +55,7 @@ SAID = (
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_stages_that_were_not_designed_are_named(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -84,7 +84,7 @@ def designed(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, Path, str]:
     return code, out, shown.getvalue()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_case_is_designed_along_the_flight_of_its_own_design(designed: tuple[int, Path, str]) -> None:
     """Points reach to burnout though the first flight does not, and every limit holds along the design's own flight."""
     code, out, text = designed
@@ -122,14 +122,19 @@ def test_an_analysis_of_a_lost_flight_says_so(capsys: pytest.CaptureFixture[str]
     assert "operating point at 24 s: the flight is lost before" in said
 
 
-@pytest.mark.slow
-def test_a_verification_takes_no_nodes_from_a_lost_flight(designed: tuple[int, Path, str]) -> None:
-    """The suite's own scenario is lost: nodes are on the flight of the design that is judged, or it is rejected."""
+@pytest.mark.long
+def test_a_verification_takes_its_nodes_from_the_flight_of_the_design(designed: tuple[int, Path, str]) -> None:
+    """The suite's own scenario is lost: nodes are on the flight of the design that is judged."""
     suite = read_suite(layoutkit.lost() / "suite.toml").suite
-    good, bad = ((folder / "design.toml").as_posix() for folder in (designed[1], layoutkit.lost()))
-    along = flight_of(suite, good, None)
+    along = flight_of(suite, (designed[1] / "design.toml").as_posix(), None)
     assert powered_flight(along)[1] is None
     assert flight_requirement(along) == []
+
+
+@pytest.mark.slow
+def test_a_verification_takes_no_nodes_from_a_lost_flight() -> None:
+    suite = read_suite(layoutkit.lost() / "suite.toml").suite
+    bad = (layoutkit.lost() / "design.toml").as_posix()
     (rejected,) = flight_requirement(flight_of(suite, bad, None))
     assert (rejected.judgement, rejected.name) == ("rejected", "flight of the operating points")
     assert rejected.found.startswith("control lost at ")

@@ -61,7 +61,7 @@ def test_a_suite_extends_the_shipped_one_whatever_is_in_its_folder() -> None:
     )
 
 
-@pytest.mark.parametrize("suite", ["quick", "standard"])
+@pytest.mark.parametrize("suite", ["quick", pytest.param("standard", marks=pytest.mark.long)])
 def test_a_folder_of_winds_replaces_no_wind_of_a_shipped_suite(suite: str) -> None:
     def winds() -> list[str]:
         loaded = read_suite(suite)

@@ -57,7 +57,7 @@ def test_a_design_keeps_its_limits_with_the_other_axes_closed() -> None:
     assert (solution.case.limits.phase_margin_deg, solution.case.limits.gain_margin_db) == (30.0, 6.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_limits_that_hold_between_the_points_hold_at_the_instants_of_the_own_flight() -> None:
     """Every 0.25 s, of each axis alone and with the others closed."""
     given = (*(c for c in CASE if not c.startswith("nodes_s")), "nodes_s=[45.0, 55.0]", "between_nodes='hold'")

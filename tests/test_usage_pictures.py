@@ -81,7 +81,7 @@ def test_names_of_points_find_places_of_their_own() -> None:
     assert not faults(figure)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pictures_of_the_second_vehicle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sheets of its flight to the second stage, its design's pictures at two nodes; conftest.py looks at each."""
     drawn = []

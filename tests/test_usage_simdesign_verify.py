@@ -99,7 +99,7 @@ def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
     assert said.splitlines()[-1] == "NONE PASSED the suite suite.toml"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_designs_are_tried_until_one_is_accepted() -> None:
     """Check three designs of which the second is accepted (rigid phase margins 38 and 61 deg): the third is not
     examined.
