@@ -52,7 +52,6 @@ def test_found(loaded: LoadedScenario, node: Node, fault) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize("fault", [f for f in FAULTS if f.name not in QUICK], ids=lambda f: f.name)
 def test_found_too(loaded: LoadedScenario, node: Node, fault) -> None:
     assert certify_node(loaded, node, fault=fault.plant).unexplained

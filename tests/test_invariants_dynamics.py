@@ -112,7 +112,7 @@ def constants(made: Rig) -> Array:
 
 @pytest.fixture(scope="module")
 def drifts() -> dict[bool, list[Array]]:
-    """Relative change of energy, linear and angular momentum in 4 s, per step size; engine at rest or
+    """Relative change of energy, linear and angular momentum in 2 s, per step size; engine at rest or
     moving.
     """
     out: dict[bool, list[Array]] = {False: [], True: []}
@@ -120,7 +120,7 @@ def drifts() -> dict[bool, list[Array]]:
         for step in STEPS:
             made = free_flight(step, moving=moving)
             before = constants(made)
-            flown(made, 4.0)
+            flown(made, 2.0)
             change = constants(made) - before
             size = [abs(before[0]), *[np.linalg.norm(before[1:4])] * 3, *[np.linalg.norm(before[4:])] * 3]
             rows.append(np.abs(change) / size)

@@ -101,7 +101,6 @@ def missed_between(s, loaded) -> float:
 
 
 @pytest.mark.long
-@pytest.mark.slow
 def test_limits_hold_between_the_nodes_where_they_are_asked_to() -> None:
     """The peak of LOX slosh passes 0 dB between 50 and 55 s: 30 deg at both, 24 between. Likewise with gains over mass,
     free at the nodes of the case."""
@@ -153,7 +152,7 @@ def test_a_search_begins_from_the_design_that_its_case_names(tmp_path: Path, mon
 
 @pytest.mark.slow
 def test_limit_that_no_stable_loop_meets_is_named() -> None:
-    s = solve(kit.case(NODES, "filter.structure=F2", "search.starts=3", "search.leaps=0", "limits.rigid_hz=5.0"))
+    s = solve(kit.case(NODES, "filter.structure=F2", "search.starts=1", "search.leaps=0", "limits.rigid_hz=5.0"))
     assert not s.feasible
     assert s.stable_without == ("rigid_hz",)
     assert s.explanation().startswith("no stable design was found; without limits.rigid_hz one is")
@@ -360,7 +359,6 @@ class Ended:
 
 
 @pytest.mark.long
-@pytest.mark.slow
 def test_dispersed_plants_hold_between_the_nodes_where_they_are_asked_to() -> None:
     """Least |1 + L| by design/margins, every 0.4 s, of the vehicle as it is and of corners tank by tank."""
     few = ("bending_slope", "slosh_damping", "actuator_frequency", "delay_s", "thrust", "normal_force")
@@ -397,7 +395,6 @@ def test_exact_and_sampled_optima_are_alike_but_not_the_same() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.slow
 def test_the_paper_s_own_equations_make_a_design_where_they_can_be_stabilised() -> None:
     """As printed the gyro hardly feels the modes: -57 dB at three nodes. Over all eleven no loop is even stable."""
     few = (NODES, "filter.structure=F4", "search.starts=4", "search.leaps=1", "errata=paper")

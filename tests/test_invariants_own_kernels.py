@@ -30,7 +30,7 @@ def campaign():
     return maxq.load("campaigns/ksr3", *SHORT)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_campaign_worth_it_flies_the_same_bits(campaign, monkeypatch):
     assert runs.packer(campaign.with_campaign(runs=runs.OWN_KERNELS_FROM)) is pack_for_one_vehicle
     few = campaign.with_campaign(runs=runs.OWN_KERNELS_FROM - 1)

@@ -97,7 +97,7 @@ def _verified(design: Path, suite, memory: Path) -> Verification:
     return verify(str(design), suite, memory=memory)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_changed_gain_redoes_what_depends_on_it(tmp_path: Path) -> None:
     (tmp_path / "suite.toml").write_text(SUITE)
     suite, memory = read_suite(tmp_path / "suite.toml"), tmp_path / "memory"

@@ -186,6 +186,7 @@ def test_a_search_begins_all_over_the_box() -> None:
     assert [sorted(column) for column in cells.T.tolist()] == [list(range(16))] * 2
 
 
+@pytest.mark.long
 def test_the_search_goes_into_the_worst_corner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Thrust over mass grows with the thrust factor and with nothing else here: the corner is 3 sigma up."""
     campaign = campaignkit.small(tmp_path, runs=8)

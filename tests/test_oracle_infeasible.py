@@ -75,7 +75,6 @@ def violation(loaded, plants) -> Callable[[np.ndarray], float]:
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize(("gain_db", "phase_deg"), [(14.0, 30.0), (10.0, 60.0)])
 def test_no_design_of_a_global_search_misses_less(gain_db: float, phase_deg: float) -> None:
     changes = (f"limits.gain_margin_db={gain_db}", f"limits.phase_margin_deg={phase_deg}", "filter.structure=F2")

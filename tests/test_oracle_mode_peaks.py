@@ -158,7 +158,7 @@ def shipped() -> list[tuple]:
     return [*found, *((part, design) for part in parts)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_optimiser_and_judge_find_the_same_peaks_and_phases() -> None:
     """To 1e-9 dB with curves of 1e-10; those of the search, of 2e-7, give 1e-6 dB."""
     peaks, phases, weak = 0, 0, 0

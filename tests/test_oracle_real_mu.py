@@ -96,7 +96,6 @@ def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.slow
 def test_no_vehicle_of_the_box_is_unstable_and_one_farther_out_is() -> None:
     """400 vehicles at corners and inside the box of mu are stable; a box a quarter larger contains an unstable one."""
     node, campaign = design_nodes.node_at(45.0), campaign_of(Spread(), design_nodes.nominal())
@@ -164,7 +163,6 @@ FEW = Spread(
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize(("vehicle", "beyond"), [("ksr3", 3.6), ("petrel", 1.2)])
 def test_no_vehicle_within_the_bound_of_all_axes_is_unstable_and_one_beyond_is(vehicle: str, beyond: float) -> None:
     """All corners of the box, by the closed poles of the simulator's own linearised loops of all axes.

@@ -256,7 +256,7 @@ def test_gain_that_slow_roots_need_is_found_in_flight(time_s: float, slowest_hz:
         assert not gain_down(farther).agrees
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mode_that_aliases_is_held_with_a_finer_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """Late in the burn mode 4 (79 Hz) shows at 21 Hz; the integrator's detuning, (w h)^4 / 120, is to be seen there."""
     (node,) = petrel.nodes(118.0)

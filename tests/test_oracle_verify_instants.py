@@ -74,7 +74,7 @@ def test_an_instant_becomes_a_node_from_what_is_documented_on(
         assert found == pytest.approx(wanted, abs=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_all_margins_that_are_asked_for_are_searched() -> None:
     """Each instant is worse in one of them than every node is, and no tenth of a second is worse still."""
     limits = LoopLimits(gain_up_db=6.0, rigid_phase_deg=30.0, delay_ms=10.0, slosh_phase_deg=30.0, modes_from_2_db=-6.0)

@@ -33,7 +33,6 @@ def shipped() -> Design:
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize("stage", [0, 1, 2])
 def test_no_worse_corner_is_found_of_the_ranges_it_was_made_for(
     stage: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -51,7 +50,6 @@ def test_no_worse_corner_is_found_of_the_ranges_it_was_made_for(
 
 
 @pytest.mark.long
-@pytest.mark.slow
 def test_the_first_gains_come_nearer() -> None:
     plain = petrel.scenario().design
     assert plain is not None
@@ -62,6 +60,7 @@ def test_the_first_gains_come_nearer() -> None:
     assert nearest[1] > 0.55
 
 
+@pytest.mark.long
 def test_it_meets_its_limits_in_both_planes() -> None:
     design = shipped()
     for stage, times_s in enumerate(NODES_S):

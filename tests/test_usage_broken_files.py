@@ -255,7 +255,6 @@ def test_broken_files_are_answered(here: Path, kind: str) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_thousand_broken_files_are_answered(here: Path, kind: str) -> None:
     _try(here, kind, 250 if kind == "layout" else 1000)  # each of them is built into a vehicle

@@ -126,7 +126,7 @@ ROBUST = (
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_robust_design_names_what_was_not_searched() -> None:
     """Before the first search of the worst vehicles; after one, when vehicles were added and the design is another."""
     loaded = kit.case(*ROBUST, name="ksr3-robust")

@@ -192,6 +192,7 @@ def test_without_a_bending_mode_there_is_a_least_margin_but_no_peak() -> None:
     assert s.objective_db < 6.0
 
 
+@pytest.mark.long
 def test_two_modes_at_one_frequency() -> None:
     node = kit.all_nodes().each[6].node
     omega = node.vehicle.omega_radps

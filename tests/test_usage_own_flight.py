@@ -73,7 +73,7 @@ def test_limits_that_hold_between_the_points_hold_at_the_instants_of_the_own_fli
     assert min(map(_phase_deg, every)) >= 30.0 - 5e-4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_limit_that_no_design_meets_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     _with_less(monkeypatch, "coupled_yaw_gain_margin_db", 6.0)
     made = design_case(kit.case(*CASE))

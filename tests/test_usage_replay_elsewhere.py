@@ -29,7 +29,7 @@ def test_rerun_alone_shows_the_events_of_a_log() -> None:
         assert viewer.complaints_of(client) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rerun_shows_frames_and_every_number_once_told(tmp_path: Path) -> None:
     table = maxq.read(OLD_LOG).table
     log = shutil.copy(OLD_LOG, tmp_path / "another.mcap")  # the viewer names recordings after the file

@@ -97,7 +97,7 @@ def test_equal_orders_give_equal_designs(capsys: Printed) -> None:
     assert texts[0] == texts[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pictures_are_those_of_the_paper(capsys: Printed) -> None:
     assert run(*SMALL[:-1], "--plots", "--out", "out") == 0
     stems = ("filter", "gains", "lobes", "loop-010.0s", "loop-040.0s", "margins")

@@ -545,7 +545,7 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
     assert drawn[0] == vehicles_of(LinearMargins(cases=813), node, campaign)[1][812]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_vehicle_measured_alone_is_that_of_the_study(tmp_path: Path) -> None:
     """Along the dispersed flight that it meets the node in, not along the nominal one."""
     changes = ["flight=[]", "certificate=", "margins.worst=", "margins.times_s=[35.0]", "margins.planes=['pitch']"]
