@@ -79,7 +79,7 @@ def test_second_time_everything_is_recalled(in_one_go: dict[str, Any]) -> None:
     assert (in_one_go["recalled"], in_one_go["worked_out"], in_one_go["written_again"]) == (PARTS, 0, 0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_interrupted_verification_goes_on(tmp_path: Path, in_one_go: dict[str, Any]) -> None:
     """Killed early, interrupted, and killed late, one after the other in the same folder."""
     told = _killed(tmp_path, "2:SIGKILL", "4:SIGINT", "8:SIGKILL")

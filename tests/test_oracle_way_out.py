@@ -97,7 +97,7 @@ def margin() -> tuple:
     return loaded, s, trials
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_wider_bounds_gain_more_than_a_higher_order(margin: tuple) -> None:
     """KSR-III at 45 s: the limit and those of the rigid body are missed by 0.71 dB, by 0.6 to 0.7 dB with F5.
 
@@ -151,7 +151,7 @@ def test_a_faster_computer_is_that_of_the_vehicle_file(margin: tuple) -> None:
     assert solve(flown).violation_db <= faster.missing_db + 2e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_interrupted_trial_claims_what_it_reached(margin: tuple) -> None:
     loaded, s, (wider, *_) = margin
     calls: list[str] = []
@@ -170,7 +170,7 @@ def test_an_interrupted_trial_claims_what_it_reached(margin: tuple) -> None:
     assert trials[1].evaluations < trials[0].evaluations + 50
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_multipliers_say_nothing_of_an_unstable_best_effort(margin: tuple) -> None:
     _, s, _ = margin
     assert conflict(s)

@@ -174,7 +174,7 @@ def series() -> dict[str, Vector]:
     }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sim_6_is_the_published_models_with_its_own_area_and_inertia_term() -> None:
     nasa, (times, states) = series(), by_the_book(75.0, sim_6=True)
     rows = np.round(times).astype(int)

@@ -195,7 +195,9 @@ def test_a_robust_design_of_three_stages_passes_its_analysis_where_its_limits_ar
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.long if name in ("ksr3-ringed", "petrel-robust") else [])
+        pytest.param(
+            name, marks=pytest.mark.long if name in ("ksr3-load-relief", "ksr3-ringed", "petrel-robust") else []
+        )
         for name in sorted(builtin_files("design"))
     ],
 )

@@ -107,7 +107,7 @@ def test_pictures_are_those_of_the_paper(capsys: Printed) -> None:
     assert capsys.readouterr().out.splitlines()[-1].endswith("; page: out/design.html")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_orders_are_designed_besides(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_case, "STRUCTURES", ("F2", "F3"))
     assert run(*SMALL[:-1], "--starts", "1", "--orders", "--plots", "--out", "out") == 0

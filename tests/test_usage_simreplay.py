@@ -85,7 +85,7 @@ def test_save_leaves_a_recording(capsys: Printed) -> None:
     assert checked.returncode == 0, checked.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_standard_set_has_every_subject_as_svg_and_png(capsys: Printed) -> None:
     assert run(OLD_LOG, "--plots", "sheets") == 0
     printed = capsys.readouterr().out.split()
