@@ -50,6 +50,7 @@ LIMITS = {
     "filter_gain_at_infinity": 2.0,
 }
 QUICK = ("ksr3-linear",)  # designs that take seconds
+LONG = ("ksr3-load-relief", "ksr3-ringed", "petrel-robust")  # analyses of more than seven
 Printed = pytest.CaptureFixture[str]
 
 
@@ -194,12 +195,7 @@ def test_a_robust_design_of_three_stages_passes_its_analysis_where_its_limits_ar
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(
-            name, marks=pytest.mark.long if name in ("ksr3-load-relief", "ksr3-ringed", "petrel-robust") else []
-        )
-        for name in sorted(builtin_files("design"))
-    ],
+    [pytest.param(name, marks=pytest.mark.long if name in LONG else []) for name in sorted(builtin_files("design"))],
 )
 def test_a_shipped_design_passes_its_own_analysis(name: str, capsys: Printed) -> None:
     """By the command, so by every limit of its basis, and of each axis with the loops of the others closed."""
