@@ -30,6 +30,7 @@ def ksr3() -> LoadedCampaign:
     return maxq.load("campaigns/ksr3")
 
 
+@pytest.mark.slow
 def test_of_the_whole_set_read_back_from_text(ksr3: LoadedCampaign) -> None:
     seen = set()
     for run in range(5):

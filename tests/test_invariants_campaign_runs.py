@@ -72,6 +72,7 @@ def test_stopped_and_resumed(campaign: LoadedCampaign, serial: Path, tmp_path: P
     assert campaignkit.same(campaignkit.data_set(tmp_path / "out"), campaignkit.data_set(serial))
 
 
+@pytest.mark.slow
 def test_extended(campaign: LoadedCampaign, serial: Path, tmp_path: Path) -> None:
     run_campaign(campaign.with_campaign(runs=3), tmp_path / "out", workers=2)
     run_campaign(campaign.with_campaign(runs=11), tmp_path / "out", workers=2)

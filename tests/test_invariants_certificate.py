@@ -134,6 +134,7 @@ def test_slow_root_is_found_under_a_coarse_output() -> None:
     assert abs(found.difference) < 0.06
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lines", BANDS, ids=["low", "middle", "high"])
 def test_excitation_does_what_the_linear_loop_predicts(held, lines: LineBand) -> None:
     assert held.loaded.design is not None
@@ -148,6 +149,7 @@ def test_excitation_does_what_the_linear_loop_predicts(held, lines: LineBand) ->
     assert np.abs(command).max() > 0.5 * level.command_rad
 
 
+@pytest.mark.slow
 def test_flight_and_linear_loop_agree_at_50_s(certificate) -> None:
     assert certificate.unexplained == ()
     assert [e.what for e in certificate.margins] == ["gain_up", "gain_down", "delay"]
@@ -181,6 +183,7 @@ def test_margin_is_found_again_from_an_altered_flight(held) -> None:
     assert found.tried[0][1] > 0.0
 
 
+@pytest.mark.slow
 def test_margin_at_half_the_sample_rate(tmp_path: Path) -> None:
     """Check two blended gyros, bounded at 50 Hz, where all samples of a sine that begins at one of them are 0: such a
     burst gave 17.1 dB in place of 9.6.
@@ -237,6 +240,7 @@ def drifting() -> LoadedScenario:
     return load_scenario("nominal", ['design="designs/ksr3-free.toml"'])
 
 
+@pytest.mark.slow
 def test_drift_of_a_held_loop_is_measured_and_named(drifting: LoadedScenario) -> None:
     found = certify_node(drifting, maxq.nodes(drifting, [55.0])[0], bands=BANDS[:1])
     assert found.agrees

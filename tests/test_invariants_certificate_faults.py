@@ -42,10 +42,12 @@ def test_there_are_many_and_none_is_named_twice() -> None:
     assert set(QUICK) <= set(names)
 
 
+@pytest.mark.slow
 def test_without_a_fault_nothing_is_found(loaded: LoadedScenario, node: Node) -> None:
     assert certify_node(loaded, node, fault=lambda packed: None).unexplained == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [f for f in FAULTS if f.name in QUICK], ids=lambda f: f.name)
 def test_found(loaded: LoadedScenario, node: Node, fault) -> None:
     assert certify_node(loaded, node, fault=fault.plant, bands=BANDS[:1] + BANDS[2:], names=()).unexplained

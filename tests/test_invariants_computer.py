@@ -83,6 +83,7 @@ def noise(seed: int = 1, samples: int = 400) -> Array:
     return np.random.default_rng(seed).normal(scale=3e-3, size=(samples, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [1, 50, 399])
 def test_a_command_depends_on_no_later_increment(k: int) -> None:
     first, second = noise(1), noise(2)
@@ -242,6 +243,7 @@ def flight_bytes() -> str:
     return (np.array(out).tobytes() + flown.state.tobytes()).hex()
 
 
+@pytest.mark.slow
 def test_plain_python_gives_the_same_bits() -> None:
     done = subprocess.run(
         [sys.executable, __file__],

@@ -101,6 +101,7 @@ def test_nodes_come_back_from_another_process() -> None:
     np.testing.assert_array_equal(fixed_path(again).response(F), fixed_path(node).response(F))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("time_s", "words"),
     [

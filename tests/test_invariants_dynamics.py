@@ -127,6 +127,7 @@ def drifts() -> dict[bool, list[Array]]:
     return out
 
 
+@pytest.mark.slow
 def test_energy_is_conserved_to_the_order_of_the_method(drifts: dict[bool, list[Array]]) -> None:
     energy = [row[0] for row in drifts[False]]
     assert energy[-1] < 1e-10

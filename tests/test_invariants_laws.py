@@ -115,6 +115,7 @@ def test_unstable_poles_are_counted_as_they_are(kind: str) -> None:
     assert len(seen) > 1
 
 
+@pytest.mark.slow
 @KINDS
 def test_it_is_optimised_like_any_other(kind: str) -> None:
     loaded, plants = case_of(kind), plants_of(kind)

@@ -126,6 +126,7 @@ def test_a_case_that_can_be_designed_needs_no_way_out(unmended: None, monkeypatc
     assert way_out.tried(loaded, s) == ((), False)
 
 
+@pytest.mark.slow
 def test_a_trial_that_is_unstable_by_its_poles_meets_no_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     loaded = kit.case(*CASE, "limits.gain_margin_db=25")
     s = solve(loaded)

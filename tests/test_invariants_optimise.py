@@ -75,6 +75,7 @@ def check_limits(s, plants, rigid_hz: bool = True) -> None:
     assert max(peaks) == pytest.approx(s.objective_db, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "overrides",
     [("loop=exact",), ("loop=sampled", "gains.schedule=free"), ("loop=pade", "plant=table2", "filter.structure=F5")],
@@ -123,6 +124,7 @@ def test_limits_hold_between_the_nodes_where_they_are_asked_to() -> None:
     assert judge_solution(loaded, held).feasible
 
 
+@pytest.mark.slow
 def test_an_unstable_body_is_stabilised_without_limits_that_ask_for_gain() -> None:
     """The centre of pressure 3 m further forward: M_alpha > 0, so that the vehicle is unstable without feedback."""
     loaded = kit.case(NODES, "filter.structure=F3", "search.starts=3", "search.leaps=0", "limits.without=['rigid_hz']")
@@ -134,6 +136,7 @@ def test_an_unstable_body_is_stabilised_without_limits_that_ask_for_gain() -> No
     check_limits(s, plants, rigid_hz=False)
 
 
+@pytest.mark.slow
 def test_a_search_begins_from_the_design_that_its_case_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where the law's own starts lead nowhere; a design that does not fit is refused."""
     given = (NODES, "filter.structure=F2", "search.leaps=0")
@@ -472,6 +475,7 @@ def test_one_solve_finds_the_best_that_is_known(structure: str, known_db: float)
     )
 
 
+@pytest.mark.slow
 def test_threads_are_put_back() -> None:
     with threadpool_limits(2, "blas"):  # the tests' own have one
         before = [library["num_threads"] for library in threadpool_info()]

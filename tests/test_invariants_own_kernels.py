@@ -167,6 +167,7 @@ def modules_used(path: Path) -> set[str]:
     return {origin[name] for name in names if name in origin}
 
 
+@pytest.mark.slow
 def test_all_that_compiled_code_is_made_of_counts_for_its_cache():
     """By the syntax trees of all layers: files with compiled functions, and modules whose names these use."""
     layers = Path(kept_code.__file__).resolve().parents[2]

@@ -56,6 +56,7 @@ def coning(sample_s: float, end_s: float) -> tuple[float, float]:
     return tuple(float((exact.inv() * r).magnitude()) for r in (scipy_of(state.q), plain))
 
 
+@pytest.mark.slow
 def test_strapdown_with_its_coning_term_is_of_higher_order() -> None:
     coarse, fine = coning(0.02, 1.0), coning(0.01, 1.0)
     assert fine[0] < 0.02 * fine[1]  # the term takes off all of second order

@@ -54,6 +54,7 @@ time,height_m,wind direction_degree,wind speed_m/s
 PLAIN = "# a windy day\n# date: 2002-01-15\naltitude_m,speed_mps,from_deg\n0,4,250\n9000,30,275\n"
 
 
+@pytest.mark.slow
 def test_soundings_keep_their_dates(tmp_path: Path) -> None:
     wanted = {
         "igra.txt#1": "2002-11-28T12",

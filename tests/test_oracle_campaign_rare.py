@@ -30,6 +30,7 @@ from maxq.tools.dev.verification.rare_bounds import STATES, decoy
 CLOSED_FORMS = ("hyperplane in 20", "hyperplane in 5, 1e-6", "outside of a sphere", "two opposite hyperplanes")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CLOSED_FORMS)
 def test_probabilities_are_those_of_the_closed_forms(name: str) -> None:
     """Twenty times: the mean within four of its own standard errors and 0.15 (levels put where the points are estimate
@@ -45,6 +46,7 @@ def test_probabilities_are_those_of_the_closed_forms(name: str) -> None:
         assert np.median([one.crude / one.flights for one in found]) > 3.0
 
 
+@pytest.mark.slow
 def test_the_interval_covers_as_often_as_is_said() -> None:
     """At 90 % with half of the population that the command uses; 165 of 200 is 3.5 standard errors below 90 %."""
     scores, p, value = STATES["hyperplane in 20"]

@@ -137,6 +137,7 @@ high = 1.0
 """
 
 
+@pytest.mark.slow
 def test_shrinking_finds_the_torque_that_was_put_in(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -217,6 +218,7 @@ def test_envelopes_are_percentiles_of_the_channels(tmp_path: Path) -> None:
         assert band.lines == pytest.approx(np.percentile(every, band.percentiles, axis=0), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_flights_that_are_kept(tmp_path: Path) -> None:
     campaign = campaignkit.small(tmp_path, runs=10, rest=FAILING.replace("1e-3", "-1.0").replace("[[", "[["))
     (tmp_path / "keep.toml").write_text((tmp_path / "small.toml").read_text().replace('unset = ["requirement"]\n', ""))
@@ -277,6 +279,7 @@ def test_a_campaign_stops_when_its_verdicts_are_settled(tmp_path: Path) -> None:
     assert run_campaign(campaign, tmp_path / "out", until_settled=True).flown == 0
 
 
+@pytest.mark.slow
 def test_a_fixed_number_of_runs_is_recorded_and_an_extension_said(tmp_path: Path) -> None:
     """Judged at the recorded number only, whatever the file says later; another test is another campaign."""
     file = campaignkit.write_campaign(tmp_path, runs=30, campaign='success = 0.9\ntest = "fixed"')
@@ -300,6 +303,7 @@ def test_a_fixed_number_of_runs_is_recorded_and_an_extension_said(tmp_path: Path
     assert "runs from 8 on are not judged" in how_judged(data, judged(data))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reader", ["pandas", "polars", "duckdb"])
 def test_others_read_the_data_set_as_it_is(tmp_path: Path, reader: str) -> None:
     library = importlib.import_module(reader)

@@ -229,6 +229,7 @@ def test_the_confidence_sequence_ends_where_the_evidence_suffices() -> None:
     assert s.confidence_sequence(0, 0, 0.9) == (0.0, 1.0)
 
 
+@pytest.mark.slow
 def test_beyond_the_fixed_test_each_side_has_the_risk_that_is_left_of_its_own() -> None:
     p, risk, planned = 0.05, 0.1, 60
     allowed = s.allowed_failures(planned, 1.0 - p, 1.0 - risk)

@@ -59,6 +59,7 @@ def test_held_flight_keeps_speed_mass_and_gains(held) -> None:
     assert abs(after["alpha_total_deg"]) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lines", BANDS, ids=["low", "middle"])
 def test_response_in_flight_is_that_of_the_sampled_loop(held, loop: Loop, lines: LineBand) -> None:
     seen = measure(held, lines, excitation_level(held, loop, lines), loop.closed_poles())
@@ -72,6 +73,7 @@ def test_response_in_flight_is_that_of_the_sampled_loop(held, loop: Loop, lines:
     assert (np.abs(np.degrees(np.angle(ratio))) < np.maximum(1.5, 3.0 * np.degrees(seen.error)))[sure].all()
 
 
+@pytest.mark.slow
 def test_gravity_along_the_body_follows_it_and_leaves_its_loop() -> None:
     """Attitude by SciPy; the loop is that of a vehicle without gravity, which the lowest lines tell from the other."""
     loaded = load_scenario("nominal")

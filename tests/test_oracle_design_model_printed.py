@@ -179,6 +179,7 @@ def test_switches_change_what_they_are_about_and_nothing_else(time_s: float) -> 
         assert np.array_equal(wrong.plant.c, right.c) == (name != "gyro_senses_rate"), name
 
 
+@pytest.mark.slow
 def test_figures_of_the_list_of_errata() -> None:
     """Each figure as the list has it, over the nodes; the study behind it had a plant of its own, hence the slack."""
     nodes = published()

@@ -76,6 +76,7 @@ def differing(a: Any, b: Any, path: str = "") -> list[str]:
     return [field for name in names for field in differing(a[name], b[name], f"{path}.{name}")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CAMPAIGNS)
 def test_a_drawn_record_is_that_of_the_packed_scenario(name: str) -> None:
     """Runs 0 to 20: parameters and instruments to rounding, properties too at the rows of the tables.

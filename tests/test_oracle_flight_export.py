@@ -156,6 +156,7 @@ def assert_same_commands(own: Flight, built_in: Flight) -> None:
     assert own.state_hash == built_in.state_hash
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize("name", ["robust", "odd", "bare", "pid", "over"])
 def test_the_c_sources_give_the_commands_of_the_flown_law(tmp_path: Path, name: str) -> None:
@@ -194,6 +195,7 @@ def _unquantised(folder: Path) -> str:
     return str(folder / "vehicle.toml")
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_single_precision_stays_within_what_a_gyro_pulse_does(tmp_path: Path) -> None:
     """A command that rounds the other way shifts the pulses that follow: one more in a sample is 0.057 deg/s."""
@@ -266,6 +268,7 @@ def matrices(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_exported_matrices_are_the_loop_for_python_control(matrices: Path) -> None:
     """The loop has the response that simdesign judges; path and law in series are the loop."""
     nodes = json.loads((matrices / "loop.json").read_text())["nodes"]

@@ -93,6 +93,7 @@ def test_the_law_by_hand_in_python_flies_as_the_built_in(built_in: Flight) -> No
     assert farthest_deg(flight, built_in) <= 1.001 * DAC_STEP_DEG
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_an_observer_beside_the_law_sees_a_disturbance(tmp_path: Path, built_in: Flight) -> None:
     """A steady moment of known angular acceleration appears in the estimate, within its model's accuracy."""
@@ -108,6 +109,7 @@ def test_an_observer_beside_the_law_sees_a_disturbance(tmp_path: Path, built_in:
     assert change == pytest.approx(pushed_Nm / inertia, rel=0.25)
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize("kind", ["tcp", "udp"])
 def test_a_computer_behind_a_socket_flies_as_the_built_in(tmp_path: Path, built_in: Flight, kind: str) -> None:

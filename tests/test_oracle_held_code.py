@@ -93,11 +93,13 @@ WATCHES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("watched", WATCHES)
 def test_code_that_watches_its_inputs_shows_the_gain_that_it_flies(watched: str, tmp_path: Path) -> None:
     assert gain_of(library(tmp_path, *WATCHES[watched])) == pytest.approx(GAIN, rel=0.03)
 
 
+@pytest.mark.slow
 def test_honest_code_shows_its_gain_also_with_static_variables(tmp_path: Path) -> None:
     for static in (0, 1):
         assert gain_of(library(tmp_path, tested="1", static=static)) == pytest.approx(1.0, rel=0.02)
@@ -169,6 +171,7 @@ def test_without_deviations_the_inputs_are_those_of_the_flight(tmp_path: Path) -
         assert out.tobytes() == rows[row : row + 1].tobytes()
 
 
+@pytest.mark.slow
 def test_windows_are_about_the_operating_point(tmp_path: Path) -> None:
     code = library(tmp_path, tested="1")
     for time_s, longest_s, middle_s in ((16.0, 5.0, 16.0), (3.5, 4.0, 3.5), (0.3, 2.0, 2.35)):
@@ -190,6 +193,7 @@ def test_the_constant_of_an_integral_is_found_and_a_schedule_has_none() -> None:
     assert command_offset(swing[:4], swing[:4]) == 0.0
 
 
+@pytest.mark.slow
 def test_the_response_in_flight_is_that_of_the_held_flight(tmp_path: Path) -> None:
     """With the loop of the design as that of the held flight; half its gain there is a difference on most lines."""
     of, design = loaded(library(tmp_path, tested="1")), load_scenario("nominal").design

@@ -193,6 +193,7 @@ print(json.dumps([found, int(run.memory.clock.steps)]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("actuator", "drives"), [("full", 2), ("ideal", 0)])
 def test_each_length_of_step_has_its_matrices_once_and_for_all_that_swings(actuator: str, drives: int) -> None:
     """Also when those of the modes have been renewed: a mode in each plane, actuators of order six, three gyros."""

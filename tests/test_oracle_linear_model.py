@@ -378,6 +378,7 @@ def test_where_no_linear_model_exists_it_says_so(flight: Flight) -> None:
 
 
 # --- what the simulator leaves out
+@pytest.mark.slow
 @EVERY_NODE
 def test_complete_mass_flow_is_that_of_the_frozen_liquid(flight: Flight, time_s: int) -> None:
     """With its bobs locked the vehicle must damp a pitch rate as the one whose liquid is frozen does."""

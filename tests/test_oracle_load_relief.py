@@ -112,6 +112,7 @@ def log_abs_and_phase(own: Any, s: complex, paths: list[complex], lag_: complex)
     return (whole * filter_f3(own, s)).log()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loop", ["pade", "sampled"])
 def test_gradients_by_the_complex_step(loop: str) -> None:
     made, plants = problem(loop)

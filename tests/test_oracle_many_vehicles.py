@@ -84,6 +84,7 @@ def compared(node: Node, law: Controller, every: list[Dispersion]) -> tuple[Arra
 ON_LOAD = "vehicle.stage.0.tvc_load={frequency_hz=15.6,damping_ratio=0.042}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [(), (ON_LOAD,), (ON_LOAD, "vehicle.stage.0.engine.cant_deg=[3,2]")])
 def test_plants_of_many_are_those_of_each(change: tuple[str, ...]) -> None:
     """To the bit but for sums; with engines on compliance the hinges are solved for, and canted ones sag by thrust."""

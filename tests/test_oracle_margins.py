@@ -181,6 +181,7 @@ def missing(ours: Array, theirs: Array, rel: float) -> list[float]:
     return [float(x) for x in theirs if not (np.abs(ours - x) < rel * x).any()]
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(loops())
 @example(ModalLoop.of([(0.0, 2.0**-8)], [(1.0, 1e-5, 0.0, 0.0)], 10.0**-1.5))  # crosses at 1.97e-5 Hz
@@ -219,6 +220,7 @@ def test_encirclements_equal_the_unstable_poles_of_random_loops(loop):
     assert m.encircled_poles == m.unstable_poles
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(loops())
 def test_gain_margins_of_random_loops_are_where_a_pole_meets_the_axis(loop):

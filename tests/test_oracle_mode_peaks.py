@@ -185,6 +185,7 @@ def test_optimiser_and_judge_find_the_same_peaks_and_phases() -> None:
     assert (peaks, phases, weak) == (120, 22, 2)
 
 
+@pytest.mark.slow
 def test_peak_is_continuous_in_the_strength_of_the_mode() -> None:
     """L = m / (1 + i y) + r: from the largest |L| to |m| as m falls from 10 r to r / 10, without a jump."""
     y = np.linspace(-12.0, 12.0, 4801)
@@ -204,6 +205,7 @@ def test_peak_is_continuous_in_the_strength_of_the_mode() -> None:
             assert np.abs(np.diff(found)).max() < 0.2  # m falls by 0.033 dB a step
 
 
+@pytest.mark.slow
 def test_dispersed_vehicles_at_the_sample_rate_have_the_same_peaks() -> None:
     (node,) = folding(43.0)
     law = law_at(maxq.load_design("designs/ksr3-robust"), node)

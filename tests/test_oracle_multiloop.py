@@ -122,6 +122,7 @@ def test_gain_margins_of_each_axis_are_where_the_closed_loop_loses_stability() -
             assert (radius[radius < 1.5].max() < 1.0 + 1e-9) == inside, axis
 
 
+@pytest.mark.slow
 def test_disk_of_all_loops_by_brute_force_over_complex_factors() -> None:
     """No factors inside the disks destabilise, and at the rim some do: found by minimising |det| over their phases."""
     loop, rng = spinning(), np.random.default_rng(3)

@@ -120,6 +120,7 @@ print(" ".join(standard_normal(s, 3, i).hex() for s in seeds for i in range(200)
 """
 
 
+@pytest.mark.slow
 def test_identical_with_and_without_compilation():
     """Bit for bit, and without a warning about overflow."""
     answers = []

@@ -329,6 +329,7 @@ def _interpolated(zero: Array, value: Array, where: Array) -> Array:
     return np.asarray(value[k] + share * (value[k + 1] - value[k]))
 
 
+@pytest.mark.slow
 def test_no_global_search_beats_the_optimum_of_f2() -> None:
     """Longer, and for higher orders: tools/dev/bench/optimise.py."""
     p = kit.problem("filter.structure=F2", "gains.schedule=two-phase")

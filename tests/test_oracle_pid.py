@@ -93,6 +93,7 @@ def closed(gains: GainSchedule, torque: Any, **more: Any) -> Array:
     return np.array(angles)
 
 
+@pytest.mark.slow
 def test_a_constant_torque_leaves_no_error_standing() -> None:
     one = GainSchedule([0.0], [1.2], [0.5], [0.4])
     assert abs(closed(one, lambda _: 0.2)[-1]) < 1e-6

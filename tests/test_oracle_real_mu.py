@@ -73,6 +73,7 @@ def test_slopes_of_the_descent_are_differences() -> None:
     np.testing.assert_allclose(slope, differences, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
     """det(1 - M d) is the ratio of det(s - A(d)) (1 + L(d)), by differences of the loop that is judged; the actuator by
     1 %, since with 15 % its poles bend between their ends."""
@@ -126,6 +127,7 @@ def by_hand(*changes: Array, gain: float = 2.0) -> tuple[Uncertain, np.ndarray]:
     return Uncertain(whole, padded, np.zeros(len(changes)), np.ones(len(changes)), axes=2), gain * np.eye(2)
 
 
+@pytest.mark.slow
 def test_two_coupled_loops_have_the_bound_of_their_closed_form() -> None:
     """s = -k +- sqrt(v w): two couplings are unstable from |v| = |w| = k on, one of both alike from k on; one alone,
     and a rotation (s = -k +- j v), at no size.

@@ -127,6 +127,7 @@ def node(plane: str = "pitch") -> Node:
     return frozen(NODE_S, *SENSORS, plane=plane)[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_outputs_of_the_linear_model_are_the_linearised_simulators(plane: str) -> None:
     packed = pack_flight(frozen(NODE_S, *SENSORS)[0].scenario)
@@ -217,6 +218,7 @@ def test_state_matrices_give_the_response(kind: type[Any]) -> None:
 
 
 # --- the computer
+@pytest.mark.slow
 def test_counts_latency_lost_samples_and_blend() -> None:
     rng, n, unit = np.random.default_rng(2), 200, (3e-4, 0.0, 5e-3)
     sensors = make_sensors(unit, (0, 2, 1), True, ((0.5, 0.2, 0.3), (0.7, 0.4, -0.1)))

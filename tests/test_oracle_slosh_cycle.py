@@ -78,6 +78,7 @@ def test_pendulum_has_the_moment_of_the_wave() -> None:
     assert moment / (mass * length) == pytest.approx(SWING_PER_WAVE, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [1.0, 0.03], ids=["from above", "from below"])
 def test_slosh_ends_at_the_predicted_swing(held, advice, level: float) -> None:
     hz, _ = _edge_hz(held, advice.needed / advice.damping)
@@ -87,6 +88,7 @@ def test_slosh_ends_at_the_predicted_swing(held, advice, level: float) -> None:
     assert found.swing_deg == pytest.approx(advice.midway_deg, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_ring_twice_as_good_halves_the_root_of_the_swing(held, advice) -> None:
     """The law enters where it should: damping goes with the root of the wave, so that the swing is a quarter."""
     hz, _ = _edge_hz(held, advice.needed / advice.damping)
@@ -94,6 +96,7 @@ def test_a_ring_twice_as_good_halves_the_root_of_the_swing(held, advice) -> None
     assert fly_cycle(held, TANK, twice, hz).swing_deg == pytest.approx(0.25 * advice.midway_deg, rel=0.1)
 
 
+@pytest.mark.slow
 def test_advice_is_confirmed(loaded: LoadedScenario, advice) -> None:
     flown = confirm(loaded, maxq.nodes(loaded, [TIME_S])[0], advice)
     assert flown.flown_deg == pytest.approx(advice.midway_deg, rel=0.05)

@@ -38,6 +38,7 @@ def spans() -> tuple[Span, ...]:
     return powered_spans(petrel.scenario())
 
 
+@pytest.mark.slow
 def test_spans_and_nodes_lie_under_full_thrust_of_every_stage(spans: tuple[Span, ...]) -> None:
     """By the thrust tables themselves, on each stage's clock."""
     stages = petrel.scenario().vehicle.stage
@@ -98,6 +99,7 @@ def test_held_flight_of_a_later_stage_is_that_stage_frozen(spans: tuple[Span, ..
     assert stood == pytest.approx(flown, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_loops_in_thin_air_are_stable_by_encirclements_as_by_poles(spans: tuple[Span, ...]) -> None:
     """There path and attitude have open-loop roots of hours, and curves that began amid them counted wrongly."""
     last = spans[-1]
@@ -159,6 +161,7 @@ def case():
     return read_case(path)
 
 
+@pytest.mark.slow
 def test_a_case_is_a_case_of_each_stage(case, spans: tuple[Span, ...]) -> None:
     found = [loaded.case for loaded in each_stage(case)]
     assert len(found) == len(spans)

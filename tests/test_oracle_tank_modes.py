@@ -113,6 +113,7 @@ def test_sloshing_mass_never_exceeds_the_liquid_and_falls_to_zero() -> None:
         assert (first.length < 4.1).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "profile", [SPHERE, Profile(0.7, 3.0, 0.7), Profile(0.0, 4.0, 0.0)], ids=["sphere", "domes", "flat"]
 )

@@ -306,6 +306,7 @@ def stiff_air(vehicle: PlanarVehicle) -> PlanarVehicle:
     )
 
 
+@pytest.mark.slow
 def test_axial_load_and_bent_gimbal_agree_with_lagrange() -> None:
     """Check the effect of the axial load on the hinge, through the engine's own displacement and through the gimbal's
     slope.

@@ -41,6 +41,7 @@ def test_intervals_and_operating_points_are_the_whole_powered_flight() -> None:
     assert tail.text.endswith(": tail-off, with less than half of the largest thrust")
 
 
+@pytest.mark.slow
 def test_a_point_in_the_tail_off_covers_it_up_to_there() -> None:
     scenario = load_scenario("nominal")
     (span,) = powered_flight(scenario)[0]

@@ -75,6 +75,7 @@ def changed(layout: Layout, stage: int, **change: Any) -> Layout:
     return layout.model_copy(update={"stage": tuple(stages)})
 
 
+@pytest.mark.slow
 @known_path()
 def test_guidance_to_an_orbit_and_an_accelerometer_are_written(layout: Layout, tmp_path: Path) -> None:
     """The specific impulse is the engine's, by impulse over propellant of the last burn."""
@@ -136,6 +137,7 @@ def test_a_beam_held_at_its_tail_is_a_cantilever() -> None:
         assert (mode.phi[0], mode.phi[-1], mode.slope_pm[-1]) == pytest.approx((1.0, 0.0, 0.0), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_page_holds_all_pictures(built) -> None:
     text = page(built)
     for name in ("vehicle", "masses", "modes", "aerodynamics", "control", "ascent"):
@@ -335,6 +337,7 @@ def test_a_case_from_a_layout_asks_for_what_its_suite_asks() -> None:
     assert needed > 0.322
 
 
+@pytest.mark.slow
 @known_path()
 def test_rigid_limits_follow_actuator_and_mode_1(layout: Layout) -> None:
     """The value is at most an eighth of both, for each stage; a layout may state one value for all stages."""

@@ -37,6 +37,7 @@ def least_phase_deg(node: Node) -> float:
     return float(np.abs(np.degrees(np.angle(-values[k]))).min())
 
 
+@pytest.mark.slow
 def test_the_worst_instant_is_found_and_becomes_a_node() -> None:
     """30.1 deg at 50 and at 55 s, 22 between, where the peak of LOX slosh passes 0 dB."""
     limits = LoopLimits(rigid_phase_deg=30.0)

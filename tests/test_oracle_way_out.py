@@ -73,6 +73,7 @@ def test_a_bound_costs_what_moving_it_gains(two_nodes: tuple) -> None:
     assert gained_db == pytest.approx(0.01 * lower.multiplier, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_frequency_at_its_bound_is_priced_by_the_octave() -> None:
     """Roots from 5 Hz instead of 3: the lowest root lies there, of a design that is found as well."""
     loaded = kit.case("nodes_s=[45.0]", "objective.kind=least-margin", "filter.bounds.zero_hz=[5.0, 100.0]", *SHORT)
@@ -199,6 +200,7 @@ def test_trials_of_a_robust_case_hold_its_dispersed_vehicles() -> None:
     assert solve(kit.case(*limits, *few, *wider.settings, name="ksr3-robust"), also_from=[s.law]).feasible
 
 
+@pytest.mark.slow
 def test_a_design_that_meets_its_limits_has_no_way_out_to_look_for() -> None:
     s = kit.solution("filter.structure=F2")
     assert conflict(s) == ()

@@ -62,6 +62,7 @@ def rms_deg(angles_rad: Array) -> float:
     return float(np.degrees(np.sqrt((angles_rad**2).sum(axis=0).mean())))
 
 
+@pytest.mark.slow
 def test_biased_flight_meets_the_air_as_in_still_air() -> None:
     guided = load_scenario("nominal", [*FLOWN, *WINDY])
     calm_flight, before_flight = fly(load_scenario("nominal", FLOWN)), fly(guided)
@@ -89,6 +90,7 @@ def test_reported_bias_is_the_integral_of_what_the_programmes_differ_by() -> Non
     assert np.degrees(np.abs(made.bias_rad[:, 0])).max() < 1e-9  # none at liftoff
 
 
+@pytest.mark.slow
 def test_half_the_share_leaves_half() -> None:
     loads = [biased(share).after for share in (1.0, 0.5)]
     where = np.isin(loads[1].time_s, AT_S)
@@ -97,6 +99,7 @@ def test_half_the_share_leaves_half() -> None:
     assert half == pytest.approx(0.5 * whole, rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_simrun_flies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "w.csv").write_text("altitude_m,speed_mps,from_deg\n0,5,300\n5000,20,300\n30000,30,280\n")
     out = tmp_path / "p.csv"

@@ -81,6 +81,7 @@ def test_no_corner_of_a_small_box_is_worse() -> None:
     assert min(corners) < exact(node, Dispersion()) - 0.05  # the box matters
 
 
+@pytest.mark.slow
 def test_slopes_are_those_of_the_sampled_loop() -> None:
     """By differences of the loop that is judged, near slosh, the rigid body's crossover and the first mode."""
     node, deviations = design_nodes.node_at(45.0), deviations_of(usual(), design_nodes.node_at(45.0))

@@ -150,6 +150,7 @@ def test_limits_cost_order_but_little_accuracy(limited: Flights) -> None:
     assert error["slosh"] < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("actuator", ["linear", "full"])
 def test_reference_integrator_agrees(actuator: str) -> None:
     """DOP853 at 1e-11 over the first second, against steps of 1/8 ms."""

@@ -146,6 +146,7 @@ def from_layout(tmp_path_factory: pytest.TempPathFactory) -> tuple:
     return built, compared(built, folder, "vehicles/ksr3")
 
 
+@pytest.mark.slow
 def test_the_layout_makes_the_vehicle_that_is_flown(from_layout: tuple) -> None:
     """The tables are of an earlier programme with its own beam, liquids and ascent: within these shares."""
     allowed = {

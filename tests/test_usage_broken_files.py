@@ -39,6 +39,7 @@ def said_of(here: Path, kind: str, old: str, new: str) -> str:
     return answer(kind, here, FILES[kind], BASES[kind].replace(old, new, 1).encode())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_files_are_right_before_they_are_broken(here: Path, kind: str) -> None:
     name = FILES.get(kind, "winds/west.csv")
@@ -249,6 +250,7 @@ def _try(here: Path, kind: str, examples: int) -> None:
     one()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_broken_files_are_answered(here: Path, kind: str) -> None:
     _try(here, kind, 25)

@@ -39,6 +39,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kills", "runs"), [(12, 96), pytest.param(50, 400, marks=pytest.mark.long)])
 def test_kills_and_then_the_same_data_set(tmp_path: Path, kills: int, runs: int) -> None:
     """SIGKILL at random instants: between runs, while a part is written, renamed, or the folder is opened."""
@@ -86,6 +87,7 @@ def test_no_run_and_one_run(tmp_path: Path, runs: int, capsys: pytest.CaptureFix
     assert (tmp_path / "out" / "report.html").stat().st_size > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "text", "another's"])
 def test_a_corrupt_part_is_set_aside_and_flown_again(
     campaign: LoadedCampaign, undisturbed: Path, tmp_path: Path, damage: str
@@ -124,6 +126,7 @@ def test_a_part_that_stands_twice_is_counted_once(campaign: LoadedCampaign, undi
     assert campaignkit.data_set_of(out)["run"].to_pylist() == list(range(20))
 
 
+@pytest.mark.slow
 def test_two_processes_on_one_folder(campaign: LoadedCampaign, tmp_path: Path) -> None:
     store, _ = open_store(tmp_path / "out", campaign)
     script = (
@@ -140,6 +143,7 @@ def test_two_processes_on_one_folder(campaign: LoadedCampaign, tmp_path: Path) -
     assert run_campaign(campaign, tmp_path / "out").flown == 20
 
 
+@pytest.mark.slow
 def test_another_campaign_in_the_folder(campaign: LoadedCampaign, undisturbed: Path, tmp_path: Path) -> None:
     for changes, said in (
         ({"seed": 9}, "campaign.seed was 5, is 9"),
@@ -191,6 +195,7 @@ def test_a_disk_that_fills(campaign: LoadedCampaign, undisturbed: Path, tmp_path
         assert campaignkit.same(campaignkit.data_set(out), campaignkit.data_set(undisturbed))
 
 
+@pytest.mark.slow
 def test_files_that_may_not_grow(campaign: LoadedCampaign, undisturbed: Path, tmp_path: Path) -> None:
     """As a full disk, where one may not mount one: the system's limit on the size of files."""
     run_campaign(campaign.with_campaign(runs=0), tmp_path / "out")

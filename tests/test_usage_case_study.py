@@ -59,6 +59,7 @@ def test_sixty_optima_of_which_more_freedom_is_never_worse() -> None:
             assert all(b < a + 0.05 for a, b in itertools.pairwise(peaks_by_order))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ksr3-free", "ksr3-linear", "ksr3-robust", "ksr3-sampled", "ksr3-two-phase"])
 def test_shipped_designs_meet_what_they_state(name: str) -> None:
     """Judged by what the optimiser does not use, on the loop of their case; conditions are those of the flight now."""

@@ -80,6 +80,7 @@ def with_basis(name: str, *changes: tuple[str, str]) -> None:
     Path("mine.toml").write_text(text)
 
 
+@pytest.mark.slow
 def test_a_design_carries_all_that_it_was_designed_to(capsys: Printed) -> None:
     given = [f"limits.{key}={value}" for key, value in LIMITS.items()]
     given += [
@@ -138,6 +139,7 @@ def test_the_corner_of_the_integral_is_judged() -> None:
     assert [found[key].passed for key in ("integral_hz", "most_integral_hz")] == [True, True]
 
 
+@pytest.mark.slow
 def test_limits_that_hold_between_operating_points_are_judged_there(capsys: Printed) -> None:
     with_basis("ksr3-sampled", ('between_nodes = "ignore"', 'between_nodes = "hold"'))
     code, lines, record = analysed(capsys, "mine.toml")
@@ -281,6 +283,7 @@ def test_limits_in_wind_are_judged() -> None:
     assert load.values[0] == pytest.approx(8779.0, abs=2.0), "its case: met at 12 s"
 
 
+@pytest.mark.slow
 def test_analyse_flies_the_scenario_of_the_design(capsys: Printed) -> None:
     assert analysed(capsys, "ksr3-load-relief", "--at", "12")[1][1].startswith("along load-relief, pitch;")
     lines = analysed(capsys, "ksr3-ringed", "--at", "20", "--scenario", "nominal")[1]
@@ -288,6 +291,7 @@ def test_analyse_flies_the_scenario_of_the_design(capsys: Printed) -> None:
     assert "along nominal, designed along ksr3-ringed" in lines[2]
 
 
+@pytest.mark.slow
 def test_a_design_without_a_basis_says_so(capsys: Printed) -> None:
     text = builtin_files("design")["ksr3-default"].read_text()
     Path("mine.toml").write_text(text.partition("[basis]")[0])

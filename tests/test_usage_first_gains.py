@@ -51,6 +51,7 @@ def test_first_gains_that_do_not_hold_their_flight_are_replaced(
     assert fly(load_scenario(tmp_path / "scenario.toml"), log=False).failures == ()
 
 
+@pytest.mark.slow
 def test_gains_that_hold_are_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert simvehicle.main(["ksr3", "--out", str(tmp_path)]) == 0
     text = capsys.readouterr().out

@@ -65,6 +65,7 @@ def wrong(folder: Path, **macros: str) -> Path:
     return compiled(folder, source, "wrong", *flags)
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize(
     ("macros", "said"),
@@ -119,6 +120,7 @@ def test_code_that_does_not_close_is_left_behind(tmp_path: Path) -> None:
     assert fly(*flies(library=wrong(tmp_path, CLOSE="for(;;){}"), timeout_s=0.3)) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "code", "said"),
     [
@@ -348,6 +350,7 @@ def test_one_process_flies_flight_after_flight_and_each_begins_anew(tmp_path: Pa
     assert anew[1] != first[1]
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_flights_on_threads_have_a_process_each(tmp_path: Path) -> None:
     """Sixteen flights, four at a time, every third crashes: the others are as alone."""

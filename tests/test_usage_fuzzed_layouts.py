@@ -166,6 +166,7 @@ def test_fuzzed_layouts_are_refused_in_words_or_fly(
     one()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [

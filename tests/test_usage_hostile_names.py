@@ -211,6 +211,7 @@ def test_page_and_text_of_a_review(here: Path) -> None:
     assert f"{NAME} flight" in "\n".join(review_text(found, "title"))
 
 
+@pytest.mark.slow
 def test_page_of_a_layout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maxq.tools.vehicle.build.MODE_ROWS", 2)  # quicker
     texts = LAYOUT.replace("schema = 1", f'schema = 1\nname = "{QUOTED} layout"\ndescription = "{QUOTED} said"')

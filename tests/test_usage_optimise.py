@@ -38,6 +38,7 @@ def test_more_freedom_is_never_worse() -> None:
     assert peaks[-1] < peaks[0] - 10.0
 
 
+@pytest.mark.slow
 def test_a_filter_of_higher_order_can_be_the_same() -> None:
     s = kit.solution("filter.structure=F2", "gains.schedule=linear")
     second = kit.designed(s).filter
@@ -118,6 +119,7 @@ def test_a_design_that_was_not_interrupted_claims_its_instants() -> None:
     assert (whole.certificate.instants > 40, whole.certificate.worst_instant_db < 0.02) == (True, True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop_at", [1, 3])
 def test_a_design_that_was_interrupted_claims_no_instants(stop_at: int) -> None:
     """Interrupted in the first search, or in the second, after instants were added: its own instants were not tried."""
@@ -149,6 +151,7 @@ def test_nodes_outside_the_powered_flight_are_refused() -> None:
             nominal_plants(read_case("ksr3-identical", [f"nodes_s={nodes}"]))
 
 
+@pytest.mark.slow
 def test_one_node_and_gain_nodes_anywhere() -> None:
     one = kit.case("nodes_s=[40.0]", "filter.structure=F2", "gains.schedule=free", "search.starts=2")
     s = solve(one)
@@ -166,6 +169,7 @@ def test_one_node_and_gain_nodes_anywhere() -> None:
     assert kit.designed(s).pitch.at == [0.0, 22.5, 60.0]
 
 
+@pytest.mark.slow
 def test_filter_of_sections() -> None:
     loaded = kit.case(
         "filter.structure=sections",
@@ -211,6 +215,7 @@ def test_variables_that_are_no_numbers_are_refused() -> None:
         p.evaluate(np.full(p.size, np.nan))
 
 
+@pytest.mark.slow
 def test_a_design_document_is_what_simrun_reads() -> None:
     order = ("filter.structure=F4", "gains.schedule=linear", "loop=sampled")
     s = kit.solution(*order)

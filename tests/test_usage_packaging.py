@@ -180,6 +180,7 @@ def _said(file: Path) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 def test_nothing_of_one_vehicle_is_said_by_the_code():
     """Only its own data, the paper's mode and examples name the first vehicle, its place or its source."""
     suffixes = {".py", ".j2", ".html", ".css", ".js", ".c", ".h"}

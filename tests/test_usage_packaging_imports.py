@@ -61,6 +61,7 @@ def test_imports_point_one_way():
     assert "7 kept, 0 broken" in done.stdout
 
 
+@pytest.mark.slow
 def test_no_file_imports_another_that_imports_it():
     """Import-linter orders packages; a cycle within one is found here."""
     graph = imports_of(ROOT)
@@ -68,11 +69,13 @@ def test_no_file_imports_another_that_imports_it():
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the cycle
 
 
+@pytest.mark.slow
 def test_no_layer_imports_the_public_api():
     """For import-linter it is maxq.api, so that an import of maxq itself would pass."""
     assert [module for module, found in imports_of(ROOT).items() if "maxq" in found] == []
 
 
+@pytest.mark.slow
 def test_a_cycle_of_files_is_found(copy):
     with (copy / "sim/vehicle/engine/burn.py").open("a") as file:
         file.write("\n\ndef late() -> None:\n    from maxq.sim.scenario.schema_scenario import Scenario\n")
@@ -93,6 +96,7 @@ def test_no_layer_names_a_higher_one_in_a_string():
     assert found == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "line", "broken"),
     [

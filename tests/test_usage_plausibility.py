@@ -97,6 +97,7 @@ SPATIAL_END = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "change"),
     [
@@ -151,6 +152,7 @@ def test_a_vehicle_from_a_layout_is_warned_of_only_for_its_sample_rate(from_layo
     ] == [FAST]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vehicle", ["ksr3", "petrel"])
 @pytest.mark.parametrize(
     ("break_it", "says"),

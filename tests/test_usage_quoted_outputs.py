@@ -50,6 +50,7 @@ def _page(path: Path) -> object:
     return pytest.param(name, marks=marks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [_page(path) for path in pages()])
 def test_quoted_outputs_are_up_to_date(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """All but one page takes many seconds: campaigns and verifications are flown.

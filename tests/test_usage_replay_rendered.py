@@ -122,6 +122,7 @@ def _shows_curves(client, view_id: str) -> bool:
         return False  # a view behind another tab has no picture
 
 
+@pytest.mark.slow
 def test_several_flights_in_one_window(flight, tmp_path: Path) -> None:
     import dataclasses  # noqa: PLC0415  # only here
 
@@ -136,6 +137,7 @@ def test_several_flights_in_one_window(flight, tmp_path: Path) -> None:
         assert {"nominal", "run-000001", "run-000002"} <= names
 
 
+@pytest.mark.slow
 def test_the_command_writes_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "shot.png"
     code = simreplay.main([str(OLD_LOG), "--screenshot", str(target), "--at", "2", "--at", "9.4", "--size", "900x600"])
@@ -149,6 +151,7 @@ def test_the_command_writes_pictures(tmp_path: Path, capsys: pytest.CaptureFixtu
             assert picture.size == (900, 600)
 
 
+@pytest.mark.slow
 def test_a_live_flight_is_shown_and_its_log_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     short = ["nominal", "--set", "run.duration_s=3.1", "--set", "requirement="]

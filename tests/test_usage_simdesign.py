@@ -41,6 +41,7 @@ def record(folder: str = "out") -> dict[str, Any]:
     return content
 
 
+@pytest.mark.slow
 def test_a_case_leaves_a_design_that_flies(capsys: Printed) -> None:
     assert run(*SMALL, "--out", "out") == 0
     printed = capsys.readouterr()
@@ -81,6 +82,7 @@ def test_a_case_leaves_a_design_that_flies(capsys: Printed) -> None:
     assert flight.passed
 
 
+@pytest.mark.slow
 def test_the_design_judged_again_says_the_same(capsys: Printed) -> None:
     assert run(*SMALL, "--out", "out") == 0
     capsys.readouterr()
@@ -89,6 +91,7 @@ def test_the_design_judged_again_says_the_same(capsys: Printed) -> None:
     assert again["nodes"] == record()["nodes"]
 
 
+@pytest.mark.slow
 def test_equal_orders_give_equal_designs(capsys: Printed) -> None:
     texts = []
     for folder in ("one", "two"):
@@ -122,6 +125,7 @@ def test_orders_are_designed_besides(capsys: Printed, monkeypatch: pytest.Monkey
     assert found["F3", "free"] < found["F2", "linear"]
 
 
+@pytest.mark.slow
 def test_limits_that_cannot_be_met_are_named_and_the_best_effort_is_kept(capsys: Printed) -> None:
     assert run(*SMALL, "--set", "limits.gain_margin_db=25", "--out", "out") == 1
     lines = capsys.readouterr().out.splitlines()
@@ -145,6 +149,7 @@ def test_limits_that_cannot_be_met_are_named_and_the_best_effort_is_kept(capsys:
     assert f"#   trial: {shown[1]}; filter.structure=F3" in text.splitlines()
 
 
+@pytest.mark.slow
 def test_trials_can_be_left_out(capsys: Printed) -> None:
     assert run(*SMALL, "--set", "limits.gain_margin_db=25", "--no-trials", "--out", "out") == 1
     assert "trial" not in capsys.readouterr().out
@@ -152,6 +157,7 @@ def test_trials_can_be_left_out(capsys: Printed) -> None:
     assert record()["way_out"]["conflict"][0]["gains_db_per_db"] > 0.1
 
 
+@pytest.mark.slow
 def test_ctrl_c_during_the_trials_keeps_the_design(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
     honest, begun = at_nodes.descend, []
 
@@ -170,6 +176,7 @@ def test_ctrl_c_during_the_trials_keeps_the_design(capsys: Printed, monkeypatch:
     assert told["way_out"]["trials"][0]["interrupted"]
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_best_so_far(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
     honest, count = search.descend, 0
 
@@ -188,6 +195,7 @@ def test_ctrl_c_keeps_the_best_so_far(capsys: Printed, monkeypatch: pytest.Monke
     assert sorted(path.name for path in Path("out").iterdir()) == ["design.json", "design.toml"]
 
 
+@pytest.mark.slow
 def test_ctrl_c_that_a_library_swallows_is_not_lost(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
     honest = search.descend
 
@@ -265,6 +273,7 @@ def test_wrong_input_is_one_line(wrong: str, capsys: Printed) -> None:
     assert list(Path().iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_case_file_of_ones_own(capsys: Printed) -> None:
     Path("mine.toml").write_text('extends = "ksr3-relaxed"\ndescription = "mine"\n[filter]\nstructure = "F3"\n')
     assert run("mine.toml", *SMALL[1:5], "--no-pictures") == 0

@@ -48,6 +48,7 @@ def default_design() -> Design:
 # analyse
 
 
+@pytest.mark.slow
 def test_a_design_is_judged_at_every_node(capsys: Printed) -> None:
     assert run("analyse", "ksr3-default", "--no-pictures") == 0
     printed = capsys.readouterr()
@@ -124,6 +125,7 @@ def test_yaw_of_a_round_vehicle_is_as_pitch(capsys: Printed) -> None:
     assert said[0][3:] == said[1][3:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [["--errata", "paper"], ["--plant", "table2"], ["--kind", "exact"]])
 def test_other_loops_of_the_same_design(more: list[str], capsys: Printed) -> None:
     said = []
@@ -143,6 +145,7 @@ def test_a_folder_that_holds_a_design_will_do(capsys: Printed) -> None:
 # errata
 
 
+@pytest.mark.slow
 def test_errata_are_listed_with_their_effect_at_every_node(capsys: Printed) -> None:
     assert run("errata", "--at", "10", "--at", "50", "--out", "errata.txt") == 0
     printed = capsys.readouterr()
@@ -263,6 +266,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "simdesign.md"
 EXAMPLES = [part.split("```")[0] for part in PAGE.read_text(encoding="utf-8").split("```python\n")[1:]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(EXAMPLES)))
 def test_examples_of_the_documentation_run(number: int) -> None:
     exec(compile(EXAMPLES[number], f"example {number + 1} of docs/simdesign.md", "exec"), {})  # ours

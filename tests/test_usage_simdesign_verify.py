@@ -126,6 +126,7 @@ def test_designs_are_tried_until_one_is_accepted() -> None:
     assert [v.judgement for v in all_] == ["rejected"] * 3
 
 
+@pytest.mark.slow
 def test_stop_ends_it() -> None:
     with pytest.raises(KeyboardInterrupt):
         try_in_order(("ksr3-robust",), _suite(6.0), tell=lambda line: None, stop=lambda: True)

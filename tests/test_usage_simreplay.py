@@ -252,6 +252,7 @@ def test_the_last_event_so_far_is_bold(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_of_many_flights_a_few_are_in_memory_and_plots_are_families(monkeypatch: pytest.MonkeyPatch) -> None:
     for i in range(24):
         Path(f"c/flights/run-{i:06}").mkdir(parents=True)
@@ -287,6 +288,7 @@ def test_a_failed_flight_is_red_among_few_and_many_and_its_verdict_comes_first()
     assert PHASES["ended"] != "#009e73"
 
 
+@pytest.mark.slow
 def test_each_of_a_few_flights_has_its_name_and_its_colour() -> None:
     for name in ("calm", "windy"):
         Path(name).mkdir()
@@ -386,6 +388,7 @@ def test_a_log_without_samples_shows_nothing(tmp_path: Path, capsys: Printed) ->
     assert "holds no samples" in one_line(capsys)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [

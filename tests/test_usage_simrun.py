@@ -209,6 +209,7 @@ def test_a_log_that_was_cut_off_flies_again_but_is_no_proof(capsys: Printed) -> 
     assert "cut off" in capsys.readouterr().out.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_equal_flights_give_equal_bytes_in_another_process_too() -> None:
     run(*SHORT, "--out", "out")
     command = [sys.executable, "-m", "maxq.tools.simrun", *SHORT, "--out", "other"]
@@ -369,6 +370,7 @@ def test_nothing_heavy_is_imported_without_need(option: str) -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+@pytest.mark.slow
 def test_a_flight_needs_nothing_of_scipy() -> None:
     """Importing its interpolators took longer than the flight."""
     code = (
@@ -416,6 +418,7 @@ def test_a_flight_from_python_equals_the_one_in_the_log(tmp_path: Path) -> None:
         assert flight.final[name] == flight[name][-1] or np.isnan(flight.final[name])
 
 
+@pytest.mark.slow
 def test_the_example_in_the_documentation_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
     page = (Path(__file__).resolve().parents[1] / "docs" / "python.md").read_text(encoding="utf-8")

@@ -45,6 +45,7 @@ def wait_for(path: Path, size: int, process: subprocess.Popen[str]) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_the_flight_soon_and_properly() -> None:
     process = subprocess.Popen(
         [*SIMRUN, *LONG, "--out", "out"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -66,6 +67,7 @@ def test_ctrl_c_ends_the_flight_soon_and_properly() -> None:
     assert took_s < 3.0  # a segment, the summary and the end of the process, on a busy machine
 
 
+@pytest.mark.slow
 def test_a_killed_flight_leaves_a_log_that_can_be_read() -> None:
     process = subprocess.Popen(
         [*SIMRUN, *LONG, "--out", "out"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -79,6 +81,7 @@ def test_a_killed_flight_leaves_a_log_that_can_be_read() -> None:
     assert not Path("out/summary.json").exists()
 
 
+@pytest.mark.slow
 def test_into_a_pipe_there_is_plain_text_only() -> None:
     done = subprocess.run([*SIMRUN, *SHORT, "--out", "out"], check=True, capture_output=True)
     assert done.stderr == b""
@@ -86,6 +89,7 @@ def test_into_a_pipe_there_is_plain_text_only() -> None:
     assert done.stdout.splitlines()[-1] == b"PASSED: no requirements"
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_early_sees_no_traceback() -> None:
     reading, writing = os.pipe()
     os.close(reading)
@@ -97,6 +101,7 @@ def test_a_reader_that_leaves_early_sees_no_traceback() -> None:
     assert Path("out/summary.json").exists()
 
 
+@pytest.mark.slow
 def test_letters_that_the_terminal_lacks_are_no_error() -> None:
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(
@@ -168,12 +173,14 @@ def test_a_long_flight_shows_its_progress_on_a_terminal() -> None:
     assert shown.rstrip().splitlines()[-1] == "\x1b[32mPASSED\x1b[0m: no requirements"
 
 
+@pytest.mark.slow
 def test_a_short_flight_shows_none() -> None:
     shown, code = on_a_terminal([*SHORT, "--no-log"])
     assert code == 0
     assert "at most" not in shown
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_one_line_and_the_log_is_readable() -> None:
     def little_room() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

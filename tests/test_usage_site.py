@@ -126,6 +126,7 @@ def _examples() -> Iterator[tuple[str, str]]:
             yield f"{page.relative_to(DOCS)} {number + 1}", text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "text"), list(_examples()))
 def test_examples_of_files_have_keys_that_exist(name: str, text: str) -> None:
     """Against the schema of every kind: one must take it. A section of a list may stand as a single one."""

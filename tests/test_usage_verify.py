@@ -161,6 +161,7 @@ def test_rejected_and_undecided_have_their_codes(
     assert "289 more runs would settle it" in said  # 297 without failure show 99 % with 90 %; 8 are there
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -216,6 +217,7 @@ def test_the_pack_of_another_vehicle_has_no_word_of_the_first(
     assert not re.search(r"ksr|reconstruct", (tmp_path / "verdict.json").read_text(), re.IGNORECASE)
 
 
+@pytest.mark.slow
 def test_a_wrong_part_is_refused_before_anything_is_flown(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

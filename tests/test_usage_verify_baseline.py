@@ -31,6 +31,7 @@ def _differences(suite: str, *overrides: str) -> list[str]:
     return [one.text for one in against_baseline(read_suite(suite, overrides)).differences]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", builtin_files("suite"))
 def test_a_shipped_suite_is_its_own_baseline(name: str) -> None:
     compared = against_baseline(read_suite(name))
@@ -38,6 +39,7 @@ def test_a_shipped_suite_is_its_own_baseline(name: str) -> None:
     assert compared.hashes["suite"] == compared.hashes["baseline"]
 
 
+@pytest.mark.slow
 def test_a_copy_under_another_name_differs_in_nothing() -> None:
     text = (scenarios_folder() / "suites/standard.toml").read_text()
     Path("board.toml").write_text(f'name = "of the board"\n{text}'.replace('extends = "launcher"', ""))
@@ -48,6 +50,7 @@ def test_a_copy_under_another_name_differs_in_nothing() -> None:
     assert against_baseline(read_suite("board.toml")).baseline == "standard"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -100,6 +103,7 @@ def test_switches_of_every_flight_are_named_first() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_design_in_place_of_the_judged_one_is_named() -> None:
     design = "['design=\"designs/ksr3-robust.toml\"']"
     what = "design in place of the judged one, none -> designs/ksr3-robust.toml"
@@ -109,6 +113,7 @@ def test_a_design_in_place_of_the_judged_one_is_named() -> None:
     assert found == [f"changed: campaign 1: {what}"]
 
 
+@pytest.mark.slow
 def test_files_are_compared_by_their_content() -> None:
     folder = scenarios_folder()
     Path("winds").mkdir()
@@ -169,6 +174,7 @@ def test_smaller_spreads_of_another_vehicle_are_listed() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_an_agreed_baseline_is_named_as_not_shipped() -> None:
     Path("agreed.toml").write_text(SHORT)
     Path("mine.toml").write_text(f'baseline = "agreed.toml"\n{SHORT}'.replace("3.0", "2.0"))
@@ -180,6 +186,7 @@ def test_an_agreed_baseline_is_named_as_not_shipped() -> None:
     assert compared.differences == (SuiteDifference("shortened", "flight three seconds: run.duration_s", "3", "2"),)
 
 
+@pytest.mark.slow
 def test_a_suite_that_is_its_own_baseline_is_compared_with_the_shipped_one() -> None:
     weak = 'schema = 2\nextends = "standard"\nbaseline = "mine.toml"\n[margins.nominal]\ngain_up_db = 0.1\n'
     Path("mine.toml").write_text(weak)

@@ -264,6 +264,7 @@ def test_the_names_of_waivable_requirements_are_those_that_are_judged() -> None:
     assert "ksr3: control kept" not in names["campaign"]
 
 
+@pytest.mark.slow
 def test_the_hash_and_the_differences_change_with_the_section() -> None:
     def compared(*overrides: str) -> tuple[str, list[str]]:
         found = against_baseline(_read(SUITE + BOARD, "baseline=agreed.toml", *overrides))

@@ -97,6 +97,7 @@ def test_the_floor_of_runs_is_the_fewest_that_show_its_level() -> None:
     assert fewest == [-1, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

@@ -99,6 +99,7 @@ def test_vehicle_is_the_same_with_other_flight_code() -> None:
     assert hash_of() != hash_of("vehicle.computer.delay_s=0.004")
 
 
+@pytest.mark.slow
 def test_an_attempt_is_written_before_it_is_flown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "short.toml").write_text(SHORT)
     loaded = read_suite(tmp_path / "short.toml")

@@ -99,6 +99,7 @@ def test_an_honest_pack_agrees_in_all_that_is_computed_again(here: Path, capsys:
     assert _run(capsys, "--check", "pack/verdict.json", "--sample", "1")[0] == 0
 
 
+@pytest.mark.slow
 def test_what_was_edited_in_a_pack_is_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def better(verdict: dict[str, Any]) -> None:
         verdict["flights"][0]["metrics"]["max_attitude_error_deg"] = 0.01
@@ -124,6 +125,7 @@ def test_what_was_edited_in_a_pack_is_found(here: Path, capsys: pytest.CaptureFi
     assert said.rstrip().endswith("CHECK FAILED: 7 differences")
 
 
+@pytest.mark.slow
 def test_missing_evidence_that_was_deleted_from_a_pack_is_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also where hashes of files and the ledger were computed again, as they have no key."""
     honest = _verdict(lambda verdict: verdict["missing_evidence"].remove("no dispersed vehicle"))
@@ -132,6 +134,7 @@ def test_missing_evidence_that_was_deleted_from_a_pack_is_found(here: Path, caps
     assert found == ["missing evidence: the pack does not list 'no dispersed vehicle'"]
 
 
+@pytest.mark.slow
 def test_other_inputs_are_found_and_nothing_is_computed(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("suite.toml").write_text(SUITE.replace("gain_up_db = 3.0", "gain_up_db = 2.0").replace('2.0"', '1.0"'))
     code, said = _run(capsys, "--check", "pack")
@@ -161,6 +164,7 @@ def test_runs_that_were_edited_are_found(here: Path, capsys: pytest.CaptureFixtu
     ]
 
 
+@pytest.mark.slow
 def test_a_ledger_that_lost_attempts_of_a_pack_is_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (own,) = Path("ledger").glob("*.jsonl")
     lines = own.read_text().splitlines()

@@ -74,6 +74,7 @@ def without_viewer(code: str, folder: Path, *words: str) -> subprocess.Completed
     )
 
 
+@pytest.mark.slow
 def test_only_the_replay_imports_the_viewer(tmp_path: Path) -> None:
     done = without_viewer(EVERY_MODULE, tmp_path)
     assert done.returncode == 0, done.stderr
@@ -107,6 +108,7 @@ for command, *arguments in json.loads(sys.argv[1]):
 """
 
 
+@pytest.mark.slow
 def test_a_command_that_needs_the_viewer_says_how_to_install_it(tmp_path: Path) -> None:
     words = [[command, *arguments.replace("OLD", str(OLD_LOG)).split()] for command, arguments, _ in NEED_THE_VIEWER]
     done = without_viewer(EVERY_NEED, tmp_path, json.dumps(words))
