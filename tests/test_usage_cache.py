@@ -101,9 +101,10 @@ def test_workers_that_begin_together_compile_once(tmp_path: Path) -> None:
 BESIDE = """
 import math, os, sys
 import numpy as np
-from maxq.control.kernel import compilers, jit, kept_code
+from maxq.control.kernel import compilers, jit, kept_code, progress
 
-DONE, AS = [], compilers.BesideCompiler
+DONE, SHARES, AS = [], [], compilers.BesideCompiler
+progress.watchers.append(lambda name, share: SHARES.append(share))
 HOW = sys.argv[1]
 if HOW == "killed":
     AS.compile_and_leave = lambda self, name, write: os.kill(os.getpid(), 9)
@@ -154,19 +155,23 @@ def both(x, out):
 
 out = np.zeros(3)
 jit.from_python(both)(8.0, out)
-print(*out, len(DONE))
+print(*out, len(DONE), len(SHARES) > 5 and SHARES[0] < 0.5, SHARES == sorted(SHARES), *SHARES[-1:])
 """
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("how", "here"), [("beside", 0), ("killed", 1), ("not allowed", 1), ("not to be had", 1)])
 def test_a_routine_compiled_by_another_process(tmp_path: Path, how: str, here: int) -> None:
-    """The same answer where that process is killed, or is not begun: then this one compiles; and from the cache."""
+    """The same answer where that process is killed, or is not begun: then this one compiles; and from the cache.
+
+    The finished share of the compilation never falls, and ends at 1, whichever process compiles.
+    """
     script = tmp_path / "beside.py"  # Numba keeps code of functions in files only
     script.write_text(BESIDE)
-    for compiled in (here, 0):
+    for compiled, made in ((here, "new"), (0, "kept")):
         done = call(tmp_path / "cache", str(script), how)
-        assert (done.stdout, done.stderr) == (f"7.0 7.0 7.0 {compiled}\n", "")
+        progress = "True True 1.0" if compiled or made == "new" else "False True"  # of loaded code there is none
+        assert (done.stdout, done.stderr) == (f"7.0 7.0 7.0 {compiled} {progress}\n", "")
 
 
 @pytest.mark.slow
@@ -183,7 +188,7 @@ def test_a_killed_compilation_keeps_what_was_finished(tmp_path: Path) -> None:
     assert "NoneType" in call(cache, str(script), "resumed").stderr
     kept.write_bytes(whole)
     done = call(cache, str(script), "resumed")
-    assert (done.stdout, done.stderr) == ("7.0 7.0 7.0 0\n", "")
+    assert (done.stdout, done.stderr) == ("7.0 7.0 7.0 0 True True 1.0\n", "")
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners of files on this system")

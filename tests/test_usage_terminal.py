@@ -183,22 +183,26 @@ def test_many_threads_move_one_bar_that_goes_away() -> None:
     assert max(cell_len(part) for part in re.split(r"[\r\n]", plain)) <= 77  # there is room for the "^C" of a terminal
 
 
-def test_compiling_says_what_and_gives_the_bar_back() -> None:
+def test_compiling_names_the_vehicle_and_its_share_and_gives_the_bar_back() -> None:
     shown = on_a_terminal(
-        "import numba\n"
+        "from maxq.control.kernel.progress import compilation\n"
+        "from maxq.control.kernel.jit import entry, kernel\n"
         "from maxq.tools.cli import terminal\n"
         "terminal._PATIENCE_S = 0.0\n"
-        "@numba.njit\ndef circumference(x): return x * 3.0\n"
+        "@kernel\ndef circumference(x): return x * 3.0\n"
         "def twice(x): return circumference(x) * 2.0\n"
         "with terminal.Progress() as progress:\n"
         "    progress.show('flying', 1, 2)\n"
-        "    numba.njit(twice)(1.0)\n"
+        "    with compilation('ksr3', twice):\n"
+        "        entry(twice)(1.0)\n"
         "    progress._bar.refresh()\n",
         width=120,
     )
-    assert "compiling maxq, once" in shown
-    assert "1 functions" in shown  # the second ends the compilation
-    assert shown.rindex("flying") > shown.rindex("1 functions")
+    assert "compiling for ksr3, once" in shown
+    assert "circumference" not in shown
+    shares = [int(share) for share in re.findall(r" (\d+)%", shown)]
+    assert 0 < shares[0] < 100  # 100 % ends the display
+    assert shown.rindex("flying") > shown.rindex("compiling for ksr3")
 
 
 def test_a_bar_is_never_without_a_name() -> None:
@@ -206,10 +210,10 @@ def test_a_bar_is_never_without_a_name() -> None:
     shown = on_a_terminal(
         "from maxq.tools.cli import terminal\n"
         "with terminal.Progress(at_once=True) as progress:\n"
-        "    progress.compiling(1)\n"
+        "    progress.compiling('ksr3', 0.5)\n"
         "    progress._compiling_s = 0.0\n"
-        "    progress.compiling(1)\n"
-        "    progress.compiling(0)\n"
+        "    progress.compiling('ksr3', 0.5)\n"
+        "    progress.compiling('ksr3', 1.0)\n"
         "    progress._bar.refresh()\n"
         "    progress.show('drawing', 0, 0)\n"
         "    progress._bar.refresh()\n"

@@ -6,14 +6,17 @@ large routines.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import gc
 import hashlib
 import os
 import secrets
+import select
 import sys
 import threading
 import warnings
+from collections.abc import Iterator
 from typing import Any
 
 import llvmlite.binding
@@ -34,8 +37,11 @@ from numba.core.types.functions import BaseFunction
 from numba.core.typing import signature
 from numba.core.untyped_passes import FixupArgs, GenericRewrites, IRProcessing, ReconstructSSA, TranslateByteCode
 
+from maxq.control.kernel import progress
 from maxq.control.kernel.kept_code import is_own, keep_routine, kept_routine, load_objects
 from maxq.control.kernel.machine import cores
+
+_REPORT_S = 0.2  # interval of the reports while this process waits for another
 
 
 class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
@@ -81,6 +87,7 @@ class _EntryCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
     def finalize(self) -> None:
         self._late = _link_into(self._final_module, self._linking_libraries, apart=True)
         self._linking_libraries.clear()
+        progress.current().translated()
         super().finalize()
 
     def _finalize_final_module(self) -> None:
@@ -222,16 +229,29 @@ class EntryCompiler(CompilerBase):  # type: ignore[misc]  # Numba has no types
         self.state.library.enable_object_caching()
         collecting = gc.isenabled()
         gc.disable()
+        function = self.state.func_id.func
         try:
-            with adapted_numba:
-                return super()._compile_core()
+            with adapted_numba, self._counted(function):
+                result = super()._compile_core()
+            progress.current().translated(function)
+            return result
         finally:
             if collecting:
                 gc.enable()
 
+    @contextlib.contextmanager
+    def _counted(self, function: Any) -> Iterator[None]:
+        """Count the function as a part of the compilation in progress, or as one of its own."""
+        with progress.compilation("", function), progress.current().part(function):
+            yield
+
 
 class KernelCompiler(EntryCompiler):
     code = _KernelCode
+
+    @contextlib.contextmanager
+    def _counted(self, function: Any) -> Iterator[None]:
+        yield
 
 
 class DisjointCompiler(KernelCompiler):
@@ -262,6 +282,7 @@ class _LateCode(_KernelCode):
         self._finalized = True
         self._compiler, self._code = compiler, kept_routine(name) if compiler.is_kept else b""
         if self._code:
+            progress.current().loaded(compiler.function)
             return
         pipe, write = os.pipe()
         with warnings.catch_warnings():  # from Python 3.12, about locks of other threads: none is needed here
@@ -279,6 +300,8 @@ class _LateCode(_KernelCode):
     def machine_code(self) -> bytes:
         if not self._code:
             with self._pipe as pipe:
+                while not select.select([pipe], [], [], _REPORT_S)[0]:
+                    progress.current().report()
                 self._code = pipe.read()
             if os.waitpid(self._child, 0)[1] != 0:
                 self._code = self._compiler.machine_code_here(self.name)
@@ -295,7 +318,7 @@ class BesideCompiler(DisjointCompiler):
 
     def _compile_core(self) -> Any:
         if not self.allowed or threading.current_thread() is not threading.main_thread():
-            return self.here()
+            return self._part_here()
         state, function = self.state, self.state.func_id
         state.flags.noalias = True  # a part of the name; so is a number, without which nothing is kept by the name
         known = (*map(str, state.args), *state.targetctx.codegen().magic_tuple(), numba.__version__)
@@ -319,7 +342,7 @@ class BesideCompiler(DisjointCompiler):
         try:
             library = _LateCode(self, state.targetctx.codegen(), described.llvm_func_name)
         except OSError:  # no further process, or no pipe, to be had
-            return self.here()
+            return self._part_here()
         compiled = object()
         state.targetctx.insert_user_function(compiled, described, [library])
         return compile_result(
@@ -336,8 +359,16 @@ class BesideCompiler(DisjointCompiler):
     def is_kept(self) -> bool:
         return is_own(self.state.func_id.filename)
 
+    @property
+    def function(self) -> Any:
+        return self.state.func_id.func
+
     def here(self) -> Any:
         return super()._compile_core()
+
+    def _part_here(self) -> Any:
+        with progress.current().part(self.function):
+            return self.here()
 
     def module_here(self, name: str) -> Any:
         """Return the LLVM module of the routine, called `name`, with all its callees.
@@ -346,6 +377,7 @@ class BesideCompiler(DisjointCompiler):
         objects, even local ones, for one function, and the function of another object may have other arguments.
         """
         result = self.here()
+        progress.current().translated()
         module = result.library._get_module_for_linking()
         module.get_function(result.fndesc.llvm_func_name).name = name
         for each in (*module.functions, *module.global_variables):
@@ -356,9 +388,10 @@ class BesideCompiler(DisjointCompiler):
     def machine_code_here(self, name: str) -> bytes:
         codegen = self.state.targetctx.codegen()
         library = JITCodeLibrary(codegen, name)
-        library._final_module = self.module_here(name)
-        library._optimize_final_module()
-        code = bytes(codegen._tm.emit_object(library._final_module))
+        with progress.current().part(self.function):
+            library._final_module = self.module_here(name)
+            library._optimize_final_module()
+            code = bytes(codegen._tm.emit_object(library._final_module))
         if self.is_kept:
             keep_routine(name, code)
         return code
@@ -368,6 +401,7 @@ class BesideCompiler(DisjointCompiler):
         status = 1
         try:
             BesideCompiler.allowed = False
+            progress.watchers.clear()
             with os.fdopen(write, "wb") as pipe:
                 pipe.write(self.machine_code_here(name))
             status = 0

@@ -91,6 +91,7 @@ class _Kernel:
         functools.update_wrapper(self, function)
         self.py_func, self._compiler = function, compiler
         self._options = {"nogil": True, "error_model": "numpy", **options}
+        self.is_inlined, self.is_apart = bool(options.get("forceinline")), compiler is BesideCompiler
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         return self._complete(*arguments, **named)
@@ -113,7 +114,7 @@ class _Kernel:
             dispatcher.overloads[tuple(result.signature.args)] = result
 
         dispatcher.add_overload = keep
-        if self._options["forceinline"] or self._compiler is BesideCompiler:
+        if self.is_inlined or self.is_apart:
             _compile_for_all_integers(dispatcher)
         return dispatcher
 

@@ -21,6 +21,7 @@ import llvmlite.binding
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.runtime import rtsys
 
+from maxq.control.kernel import progress
 from maxq.control.kernel.machine import own_cache
 
 if sys.platform != "win32":
@@ -181,6 +182,7 @@ class EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
                     break
             self._await_turn(repr(self._index_key(signature, target.codegen())))
         if found is not None:
+            progress.current().loaded(self._py_func)
             self._end_turn()
         return found
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maxq.control.kernel.limits import MAX_PENDULUMS
+from maxq.control.kernel.progress import compilation
 from maxq.control.kernel.records import Array, IntArray, Records, blank, pack
 from maxq.control.orbit_guidance import CUT_OFF, STEERING
 from maxq.control.structures import DRIFT
@@ -124,8 +125,9 @@ class FlightRun:
         self.wall_s = 0.0
         self._counts = np.zeros(2, np.int64)
         self._hold(self._arrays(self._logged, self._rows))
-        begin(self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state)
-        self._advance(self._now_ns, self._logged, self._rows)
+        with compilation(loaded.name, advance, begin):
+            begin(self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state)
+            self._advance(self._now_ns, self._logged, self._rows)
         self._software: FlightSoftware | None = None
         if external:
             from maxq.sim.run.flight_software import FlightSoftware  # noqa: PLC0415  # lazy: few flights have any

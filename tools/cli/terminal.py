@@ -208,7 +208,7 @@ class Progress:
 
     def __enter__(self) -> Self:
         self._open = True
-        if self._terminal and "numba" in sys.modules:
+        if self._terminal and "maxq.control.kernel.progress" in sys.modules:
             self._listening.enter_context(_listening(self))
         return self
 
@@ -247,13 +247,13 @@ class Progress:
             parts.pop()
         return "; ".join(parts) if space >= _SHORTEST or len(parts[0]) <= space else ""
 
-    def compiling(self, functions: int) -> None:
-        """Show the number of functions compiled so far. 0 ends the display.
+    def compiling(self, name: str, share: float) -> None:
+        """Show the finished share, 0 to 1, of the compilation for a vehicle or scenario `name`. 1 ends the display.
 
         A compilation of less than a second is not shown.
         """
         with self._lock:
-            if not functions:
+            if share >= 1.0:
                 if self._compiling and self._bar is not None and self._open:
                     self._bar.reset(self._task)
                     self._bar.update(self._task, completed=0, **self._shown, note="")
@@ -269,8 +269,8 @@ class Progress:
             if not self._compiling:
                 self._bar.reset(self._task)
             self._compiling = True
-            look = {"what": "compiling maxq, once", "count": f"{functions} functions", "completed": 0, "total": None}
-            self._bar.update(self._task, **look, note="")
+            what = f"compiling for {printable(name)}, once" if name else "compiling maxq, once"
+            self._bar.update(self._task, what=what, count=f"{share:.0%}", completed=share, total=1.0, note="")
 
     def _due(self) -> bool:
         wait_s = _PATIENCE_S if self._terminal else self._log_every_s
@@ -306,19 +306,11 @@ class Progress:
 
 @contextmanager
 def _listening(progress: Progress) -> Iterator[None]:
-    """Report to `progress` the number of functions that Numba has compiled. Loaded functions do not count."""
-    from numba.core import event  # noqa: PLC0415  # lazy: loaded already when it is called
+    """Report compilations to `progress`. Loaded machine code does not count."""
+    from maxq.control.kernel import progress as compilations  # noqa: PLC0415  # lazy: loaded already when it is called
 
-    class Listener(event.Listener):  # type: ignore[misc]  # Numba has no types
-        depth, functions = 0, 0
-
-        def on_start(self, found: Any) -> None:
-            self.depth += 1
-
-        def on_end(self, found: Any) -> None:
-            self.depth -= 1
-            self.functions += 1
-            progress.compiling(self.functions if self.depth > 0 else 0)
-
-    with event.install_listener("numba:compile", Listener()):
+    compilations.watchers.append(progress.compiling)
+    try:
         yield
+    finally:
+        compilations.watchers.remove(progress.compiling)
