@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-from typing import Any
-
 import pytest
 
 from maxq.control.kernel import progress
 from maxq.control.kernel.jit import kernel, routine, routine_beside
-from maxq.control.kernel.progress import Compilation, called_kernels
+from maxq.control.kernel.progress import Compilation
 from maxq.sim.flight.loop import advance
 
 compiled = pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="nothing is compiled")
@@ -43,22 +41,6 @@ def test_an_estimate_knows_the_kernels_of_a_flight() -> None:
     own = {function.__name__ for function in parts[advance.py_func].left}
     assert {"fly_step", "runge_kutta", "transfer_state", "take_over", "track_sections"} < own
     assert "_derivative" not in own
-
-
-def first_apart(function: Any) -> str:
-    """Return the routine of another process that a compilation of `function` meets first."""
-    for each in called_kernels(function):
-        if each.is_apart:
-            return str(each.__name__)
-        if found := first_apart(each.py_func):
-            return found
-    return ""
-
-
-@compiled
-def test_the_derivative_begins_first() -> None:
-    """Its process takes longest, and the others compile meanwhile."""
-    assert first_apart(advance.py_func) == "derivative"
 
 
 @compiled

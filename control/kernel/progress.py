@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-_OPTIMISED = 0.2
+_OPTIMISED = 0.15
 """The cost of optimising and emitting a byte of bytecode, relative to that of translating it to LLVM's language.
 
-Bytes of an inlined kernel count at each place. Measured for the four parts of a flight's kernels: 0.15 to 0.25.
+Bytes of an inlined kernel count at each place. Measured for the four parts of a flight's kernels: 0.11 to 0.15.
 """
 
 watchers: list[Callable[[str, float], None]] = []
