@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+from pathlib import Path
 
 import pytest
 
-from maxq.tools.dev.prose import CHECKS, Finding, Sources, complaints, lower
+from maxq.tools.dev import prose
+from maxq.tools.dev.prose import CHECKS, Finding, Sources, complaints, documentation_words, lower
 
 PAGE = """# Title
 
@@ -91,3 +93,21 @@ def test_a_number_must_equal_its_record_and_only_falls() -> None:
         "down: 1 of 2 recorded are left: record it (--record)",
     ]
     assert lower("up = 2\ndown = 2\nequal = 0\n", findings, recorded) == "up = 2\ndown = 1\nequal = 0\n"
+
+
+def test_words_of_the_documentation_are_bounded(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Tables and code count, their bars and signs do not; what is written from the code does not."""
+    page = "# Title\n\n| a | b2 |\n|---|---|\n\n    x <= 3\n<!-- from code: keys -->\nno word\n<!-- end of code -->\n"
+    pages = {"README.md": page, "docs/howto/a.md": page, "docs/reference/b.md": page, "CONTRIBUTING.md": page}
+    assert documentation_words(pages) == 2 * 5
+    monkeypatch.setattr(prose, "MOST_WORDS", 9)
+    (record := tmp_path / "prose.toml").write_text("[counts]\nlong_sentences = 0\n")
+    monkeypatch.setattr(prose, "RECORD", record)
+    monkeypatch.setattr(prose, "CHECKS", {"long_sentences": CHECKS["long_sentences"]})
+    monkeypatch.setattr(Sources, "of_repository", lambda: Sources(pages, {}))
+    assert prose.main([]) == 1
+    assert "documentation: 10 words, 9 are allowed" in capsys.readouterr().err
+    monkeypatch.setattr(prose, "MOST_WORDS", 10)
+    assert prose.main([]) == 0
