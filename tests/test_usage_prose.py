@@ -58,6 +58,20 @@ def test_banned_phrases_are_found_in_prose_comments_and_messages_but_not_in_code
     ]
 
 
+def test_banned_phrases_are_found_in_toml_files_and_templates() -> None:
+    files = {
+        "a.toml": 'name = "beside"\ndescription = "an engine beside a tank"\nx = 1  # is KNOWN\n'.replace(
+            "KNOWN", "told"
+        ),
+        "b.j2": "{# it stands\nin it #}\n<p class='beside'>{{ beside }} lies in</p>\n",
+    }
+    assert list(CHECKS["banned_phrases"](Sources({}, {}, files))) == [
+        Finding("a.toml:2", "beside"),
+        Finding("a.toml:3", "is " + "told"),
+        Finding("b.j2:3", "lies in"),
+    ]
+
+
 @pytest.mark.parametrize(("words", "number"), [(22, 0), (23, 1)])
 def test_a_sentence_has_at_most_thirty_words(words: int, number: int) -> None:
     text = MODULE.format(words=" ".join(["word"] * words))

@@ -16,7 +16,7 @@ import sys
 import tomllib
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,8 @@ _HISTORY = "CHANGELOG.md"  # lists former names and behaviour
 _NOT_PROSE = re.compile(r"(?ms)\A---\n.*?^---$|^ *(```|~~~|:::).*?^ *\1 *$|^ {4}[^\n]*$|\$\$.*?\$\$|<!--.*?-->")
 _FROM_CODE = re.compile(r"(?s)<!-- from code:.*?<!-- end of code -->")  # help texts and tables of keys
 _COMMENT = re.compile(r"(?:^\s*|  )# (.*)")
+_STATED = re.compile(r"#|^(?:description|why|source) *=")  # lines of TOML files with prose
+_MARKUP = re.compile(r"(?s)\{#.*?#\}|\{%.*?%\}|\{\{.*?\}\}|<[^>\n]*>")
 _INLINE = re.compile(r"(?s)`+[^`]*`+|\$[^$\n]+\$|(?<=\])\([^)]*\)|<[^>\n]*>|https?://\S+")
 _SENTENCE_END = re.compile(r"(?<=[.!?:])\s+(?=[\"'(*]*[A-Z0-9`])|\n\s*\n|\n\s*(?=[-*|#>]|\d+\. )")
 
@@ -56,16 +58,23 @@ class Passage:
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """The files of the repository: its Markdown pages, and its Python files with their syntax trees."""
+    """The files of the repository: its Markdown pages, its Python files with their syntax trees, and its TOML files and
+    templates of pages.
+    """
 
     pages: dict[str, str]
     modules: dict[str, tuple[str, ast.Module]]
+    files: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of_repository(cls) -> Sources:
         """Read every file that git tracks. Raises OSError and SyntaxError."""
         listed = subprocess.run(
-            ["git", "ls-files", "--", "*.md", "*.py"], cwd=REPOSITORY, capture_output=True, text=True, check=True
+            ["git", "ls-files", "--", "*.md", "*.py", "*.toml", "*.j2"],
+            cwd=REPOSITORY,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         texts = {
             name: path.read_text(encoding="utf-8")
@@ -75,6 +84,7 @@ class Sources:
         return cls(
             {name: text for name, text in texts.items() if name.endswith(".md") and name != _HISTORY},
             {name: (text, ast.parse(text)) for name, text in texts.items() if name.endswith(".py")},
+            {name: text for name, text in texts.items() if name.endswith((".toml", ".j2"))},
         )
 
 
@@ -103,7 +113,9 @@ def comments(source: str) -> Iterator[tuple[int, str]]:
 
 @cache
 def texts(sources: Sources) -> tuple[Passage, ...]:
-    """Return the prose of pages, docstrings, comments and messages (strings of at least three words outside tests)."""
+    """Return the prose of pages, docstrings, comments, messages (strings of at least three words outside tests), TOML
+    files and templates.
+    """
     return tuple(_texts(sources))
 
 
@@ -123,6 +135,10 @@ def _texts(sources: Sources) -> Iterator[Passage]:
     for name, (source, _) in sources.modules.items():
         for line, comment in comments(source):
             yield Passage(f"{name}:{line}", comment, False)
+    for name, text in sources.files.items():
+        for number, line in enumerate(_MARKUP.sub(lambda part: "\n" * part[0].count("\n"), text).splitlines(), 1):
+            if name.endswith(".j2") or _STATED.search(line):
+                yield Passage(f"{name}:{number}", line, False)
 
 
 def first_words(sources: Sources) -> Iterator[Finding]:
