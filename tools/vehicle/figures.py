@@ -119,7 +119,7 @@ def _modes(built: Built) -> Plot:
             name = f"mode {k + 1}" if n == shown[0] else ""
             frequencies.append(line(built.flight.begins_s[n] + times_s, hz, name, **look(k)))
         for k, mode in enumerate(on_the_pad(built)[:2] if n == 0 else []):
-            name = f"held on the pad: {mode.frequency_hz:.2f} Hz"
+            name = f"clamped on the pad: {mode.frequency_hz:.2f} Hz"
             shapes.append(line(mode.station_m, mode.phi, name, colour="grey", dash=("8 3 2 3", "2 2")[k]))
         shapes.append(at(built.layout.control.gyro_station_m, "gyro", colour="green", dash="6 3"))
         panels.append(Panel(f"{built.stacks[n].name}, at ignition", shapes, _STATION, "phi"))
