@@ -136,9 +136,10 @@ def _texts(sources: Sources) -> Iterator[Passage]:
         for line, comment in comments(source):
             yield Passage(f"{name}:{line}", comment, False)
     for name, text in sources.files.items():
-        for number, line in enumerate(_MARKUP.sub(lambda part: "\n" * part[0].count("\n"), text).splitlines(), 1):
-            if name.endswith(".j2") or _STATED.search(line):
-                yield Passage(f"{name}:{number}", line, False)
+        plain = _MARKUP.sub(lambda part: "\n" * part[0].count("\n"), text)
+        for number, words in enumerate(plain.splitlines(), 1):
+            if name.endswith(".j2") or _STATED.search(words):
+                yield Passage(f"{name}:{number}", words, False)
 
 
 def first_words(sources: Sources) -> Iterator[Finding]:
