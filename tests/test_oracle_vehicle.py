@@ -143,8 +143,8 @@ def test_page_holds_all_pictures(built) -> None:
     for name in ("vehicle", "masses", "modes", "aerodynamics", "control", "ascent"):
         assert text.count(f'id="figure-{name}"') == 1
     assert "second, fairing off" in text
-    assert "held at the tail on the pad" in text
-    headings = ["Vehicle", "Stages", "Bending modes", "Control", "Assumed beyond the layout"]
+    assert "clamped at the tail on the pad" in text
+    headings = ["Vehicle", "Stages", "Bending modes", "Control", "Assumptions beyond the layout"]
     assert re.findall(r'<h2 id="s\d">\d (.*?)</h2>', text) == headings
     (vehicle,) = [f for f in json.loads(text.split('id="figures">')[1].split("</script>")[0]) if f["name"] == "vehicle"]
     assert vehicle["panels"][0]["equal"], "to scale"

@@ -113,8 +113,8 @@ def test_a_design_carries_all_that_it_was_designed_to(capsys: Printed) -> None:
 
     _, lines, record = analysed(capsys, "made.toml", "--kind", "pade", "--at", "30")
     assert lines[2] == (
-        "judged by other conditions than the design's own: pade loop, designed for exact; 1 operating point, designed "
-        "for 2; here pade loop, 1 operating point, 9 limits"
+        "conditions differ from the design's own: pade loop, designed for exact; 1 operating point, designed for 2; "
+        "judged here: pade loop, 1 operating point, 9 limits"
     )
     assert record["kind"] == "pade"
 
@@ -341,7 +341,7 @@ def test_a_suite_is_compared_with_the_basis() -> None:
         return against_basis(read_suite(suite, changes).suite, scenario)
 
     rigid = "the suite does not limit: rigid-body frequency 0.5 Hz, rigid-body damping ratio 0.7"
-    hold = "the suite judges otherwise than designed: also between operating points"
+    hold = "the suite's conditions differ from the design's: also between operating points"
     assert lines("ksr3-robust") == [rigid, hold]
     same = ("margins.nominal.rigid_hz=0.5", "margins.nominal.rigid_zeta=0.7", "margins.between_nodes=ignore")
     assert lines("ksr3-robust", *same) == []
@@ -353,7 +353,8 @@ def test_a_suite_is_compared_with_the_basis() -> None:
         "the suite does not limit: peak of mode 1 6 dB, rigid-body frequency 0.43 Hz, rigid-body damping ratio 0.62",
     ]
     other = (
-        "the suite judges otherwise than designed: the sampled loop, not the pade one; also between operating points"
+        "the suite's conditions differ from the design's: the sampled loop, not the pade one; "
+        "also between operating points"
     )
     assert lines("ksr3-two-phase")[-1] == other
     assert lines("ksr3-robust", "margins=") == []

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+from pathlib import Path
 
 import pytest
 
-from maxq.tools.dev.prose import CHECKS, Finding, Sources, complaints, lower
+from maxq.tools.dev import prose
+from maxq.tools.dev.prose import CHECKS, Finding, Sources, complaints, documentation_words, lower
 
 PAGE = """# Title
 
@@ -56,6 +58,20 @@ def test_banned_phrases_are_found_in_prose_comments_and_messages_but_not_in_code
     ]
 
 
+def test_banned_phrases_are_found_in_toml_files_and_templates() -> None:
+    files = {
+        "a.toml": 'name = "beside"\ndescription = "an engine beside a tank"\nx = 1  # is KNOWN\n'.replace(
+            "KNOWN", "told"
+        ),
+        "b.j2": "{# it stands\nin it #}\n<p class='beside'>{{ beside }} lies in</p>\n",
+    }
+    assert list(CHECKS["banned_phrases"](Sources({}, {}, files))) == [
+        Finding("a.toml:2", "beside"),
+        Finding("a.toml:3", "is " + "told"),
+        Finding("b.j2:3", "lies in"),
+    ]
+
+
 @pytest.mark.parametrize(("words", "number"), [(22, 0), (23, 1)])
 def test_a_sentence_has_at_most_thirty_words(words: int, number: int) -> None:
     text = MODULE.format(words=" ".join(["word"] * words))
@@ -91,3 +107,21 @@ def test_a_number_must_equal_its_record_and_only_falls() -> None:
         "down: 1 of 2 recorded are left: record it (--record)",
     ]
     assert lower("up = 2\ndown = 2\nequal = 0\n", findings, recorded) == "up = 2\ndown = 1\nequal = 0\n"
+
+
+def test_words_of_the_documentation_are_bounded(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Tables and code count, their bars and signs do not; what is written from the code does not."""
+    page = "# Title\n\n| a | b2 |\n|---|---|\n\n    x <= 3\n<!-- from code: keys -->\nno word\n<!-- end of code -->\n"
+    pages = {"README.md": page, "docs/howto/a.md": page, "docs/reference/b.md": page, "CONTRIBUTING.md": page}
+    assert documentation_words(pages) == 2 * 5
+    monkeypatch.setattr(prose, "MOST_WORDS", 9)
+    (record := tmp_path / "prose.toml").write_text("[counts]\nlong_sentences = 0\n")
+    monkeypatch.setattr(prose, "RECORD", record)
+    monkeypatch.setattr(prose, "CHECKS", {"long_sentences": CHECKS["long_sentences"]})
+    monkeypatch.setattr(Sources, "of_repository", lambda: Sources(pages, {}))
+    assert prose.main([]) == 1
+    assert "documentation: 10 words, 9 are allowed" in capsys.readouterr().err
+    monkeypatch.setattr(prose, "MOST_WORDS", 10)
+    assert prose.main([]) == 0

@@ -200,7 +200,7 @@ def how_judged(data: DataSet, verdicts: Sequence[Judged]) -> str:
     """Return the test that gave the verdicts, in a sentence."""
     said = f"judged by the {verdicts[0].shown.test}" if verdicts else ""
     if verdicts and verdicts[0].shown.test == ANY_TIME:
-        said += ", which holds at any number of runs"
+        said += ", which is valid at any number of runs"
     missing = len(data.runs) - data.in_order
     return said + (f"; runs from {data.in_order} on are not judged: one before them is missing" if missing else "")
 

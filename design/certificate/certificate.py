@@ -36,11 +36,12 @@ class MarginRow:
     """A margin in `unit`: of the linear loop at the flown instant (continuous and sampled), of the linear loop of the
     held flight, and measured in the held flight.
 
-    `reason` is "" if flight and linear loop agree. "frozen-point gravity" means that they agree, but the margin at the
-    flown instant differs. The axial load acts on the slowest root in the held flight, and gravity in the ascent.
-    "longer than can be inserted" marks a delay margin of more samples than the computer's filter can hold; it is not
-    measured. "converter noise" means that they agree without rounding and differ by less than 0.5 dB or 5 % with
-    rounding. Any other reason states the fault.
+    `reason` is "" if flight and linear loop agree. Any other text states the fault, except for these:
+
+    - "frozen-point gravity": they agree, but the margin at the flown instant differs. The axial load acts on the
+      slowest root in the held flight, and gravity in the ascent.
+    - "longer than can be inserted": a delay margin of more samples than the computer's filter can hold, not measured.
+    - "converter noise": they agree without rounding and differ by less than 0.5 dB or 5 % with rounding.
 
     `what` is "gain_up", "gain_down", "delay" or "drift". A drift (1/s) is the growth rate of the slowest root of a loop
     that is stable at the flown instant and unstable in the held flight.

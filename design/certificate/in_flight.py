@@ -50,10 +50,13 @@ class InFlightResponse:
     """The response L at lines (Hz), measured in the ascent around `time_s`, and the sampled loop at that instant,
     `frozen`.
 
-    `reason` is "" if the two agree to 0.5 dB and 4 deg. "time variation" means that the loop's own change in the window
-    is as large as the difference. "converter noise" means that this change and the standard errors together explain the
-    difference, or that flights with ideal converters leave no difference. "settling" means that an oscillation near a
-    line has not decayed since liftoff. Otherwise it is "unexplained".
+    `reason` is "" if the two agree to 0.5 dB and 4 deg. Otherwise it is one of:
+
+    - "time variation": the loop's own change in the window is as large as the difference.
+    - "converter noise": this change and the standard errors together explain the difference, or flights with ideal
+      converters leave no difference.
+    - "settling": an oscillation near a line has not decayed since liftoff.
+    - "unexplained".
     """
 
     time_s: float

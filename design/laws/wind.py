@@ -87,8 +87,9 @@ class WindResponse:
         return list(WIND_LIMITS).index(key) if isinstance(key, str) else MOMENTS + self.stations_m.index(key)
 
     def rms(self, outputs: Sequence[int], law: ComplexArray, slopes: ComplexArray) -> tuple[Array, Array]:
-        """Return LOAD (Pa deg), DRIFT (m/s) and MOMENTS (N m) with C (F, inputs), (outputs,), and their gradients
-        (outputs, n) for the derivatives `slopes` (F, inputs, n) of C, with n = 0 for none.
+        """Return LOAD (Pa deg), DRIFT (m/s) and MOMENTS (N m) with C (F, inputs), (outputs,), and their gradients.
+
+        The gradients (outputs, n) are those for the derivatives `slopes` (F, inputs, n) of C; n = 0 for none.
         """
         loop, sensed = 1.0 + (law * self.paths).sum(axis=1), (law * self.measured).sum(axis=1)
         by_command = self.by_command[list(outputs)]

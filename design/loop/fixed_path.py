@@ -19,9 +19,9 @@ integrates the lateral acceleration in the axes of the reference trajectory, wit
 
 A loop can be opened at three points (`Cut`). `gimbal_command` is the loop's own point and gives the margins of the
 loop. The other two follow eq. 42 to the letter: from the commanded rate q_c to the pitch rate q of the rigid body, or
-to q_m at the gyro. q_c acts on the angle alone (33) and passes no gyro and no converter. `takes_rate` is then False and
-the measured rate has no part. These two are not loops: 1 + L = 0 gives no information about stability there (erratum
-16).
+to q_m at the gyro. This command acts on the angle alone (33) and passes no gyro and no converter. `takes_rate` is then
+False and the measured rate has no part. These two are not loops: 1 + L = 0 gives no information about stability there
+(erratum 16).
 """
 
 from __future__ import annotations

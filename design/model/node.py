@@ -62,12 +62,12 @@ class Node(OperatingPoint):
         modes and pendulums (`plant` without the wind).
 
         The model is the Jacobian of the simulator's derivative (held.py). The states are w (m/s, of the body point at
-        the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s; the spatial modes first), slosh angles (rad) and
-        their rates, and angle and rate of each engine on a TVC load. The other plane, roll and the speed along the axis
-        are held. The inputs are, for each drive, the angle of an actuator and those derivatives that engines feel. The
-        outputs are `held.OUTPUTS`, the measurements of the vehicle's other sensors, and the bending moment at each
-        station of section loads that are switched on, N m. The yaw plane has the states and signs of the pitch plane
-        turned about x.
+        the core's CG), q (rad/s), theta (rad), eta (m) and eta' (m/s; the spatial modes first). Slosh angles (rad) and
+        their rates follow, then angle and rate of each engine on a TVC load. The other plane, roll and the speed along
+        the axis are held. The inputs are, for each drive, the angle of an actuator and those derivatives that engines
+        feel. The outputs are `held.OUTPUTS`, the measurements of the vehicle's other sensors, and the bending moment at
+        each station of section loads that are switched on, N m. The yaw plane has the states and signs of the pitch
+        plane turned about x.
 
         The last input is the lateral velocity of the air in the plane, m/s.
 

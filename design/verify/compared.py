@@ -64,7 +64,7 @@ def _differences(margins: LinearMargins, basis: Basis) -> list[str]:
     others += [] if basis.plane in margins.planes else [f"{' and '.join(margins.planes)}, not {basis.plane}"]
     if margins.between_nodes != basis.between_nodes:
         others.append(f"{'also between' if margins.between_nodes == 'hold' else 'only at'} operating points")
-    return out + ([f"the suite judges otherwise than designed: {'; '.join(others)}"] if others else [])
+    return out + ([f"the suite's conditions differ from the design's: {'; '.join(others)}"] if others else [])
 
 
 def _wanted(limits: Any, key: str) -> Any:

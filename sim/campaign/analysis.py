@@ -6,9 +6,9 @@ metric to the dispersed inputs is estimated from the runs flown, without further
 - rank correlation (Spearman): sign and strength of a monotone influence;
 - first-order Sobol' index: the share of the metric's variance that the input explains, as the variance between classes
   of the input (Pearson's correlation ratio), corrected for the number of classes;
-- Borgonovo's delta: the mean shift of the metric's distribution when the input is known, as half the difference
-  between the histograms of a class and of all (Plischke, Borgonovo & Smith, EJOR 226, 2013). The value for an
-  independent input in the same number of runs is subtracted. Delta also detects an influence on the spread alone.
+- Borgonovo's delta: the mean shift of the metric's distribution when the input is known (Plischke, Borgonovo & Smith,
+  EJOR 226, 2013). It is half the difference between the histograms of a class and of all. The value for an independent
+  input in the same number of runs is subtracted. Delta also detects an influence on the spread alone.
 
 Each index refers to a single input. Inputs that are correlated with each other (neighbouring winds) share their
 influence.

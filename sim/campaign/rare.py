@@ -13,7 +13,7 @@ risk, because the estimates are skewed. docs/verdicts.md states how often they c
 nor bounds contain a failure mode that no chain reaches.
 
 No bound is given where the chains cannot show one: if a population is stuck at a value that no flight exceeds, or if
-the noise decides. A seed has no neighbours: if a flight near the limit hardly ever stays there with another seed, the
+the noise decides. A seed has no neighbours. If a flight near the limit hardly ever stays there with another seed, the
 chains keep the few seeds with which they began, and the estimate is too low.
 """
 

@@ -1,8 +1,8 @@
 """Verdicts from a number of flights: tests that allow looking at any time, binomial bounds, order statistics.
 
-A requirement asks that a share `success` of all flights meets a limit, shown with `confidence`: of all campaigns of a
-vehicle that fails with probability p0 = 1 - success or more, a share of at most 1 - confidence may ever be called met
-(consumer's risk: Hanson & Beard, NASA/TP-2010-216447), and the same share of a vehicle that fails less often called
+A share `success` of all flights must meet a limit, shown with `confidence`. Consider all campaigns of a vehicle that
+fails with probability p0 = 1 - success or more. A share of at most 1 - confidence of them may ever be called met
+(consumer's risk: Hanson & Beard, NASA/TP-2010-216447). The same share of a vehicle that fails less often may be called
 missed. All bounds are one-sided.
 
 The *any-time test* is the default. An e-value is the likelihood of the data under a mixture of failure probabilities on

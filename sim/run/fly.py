@@ -64,7 +64,7 @@ ATTITUDE_METRICS = (  # metrics of controlled vehicles
     "max_computer_attitude_error_deg",
     "max_computer_roll_error_deg",
 )
-BROKEN_WAVE = "the wave is as high as it can be; from here on the pendulum does not represent the liquid"
+BROKEN_WAVE = "the wave breaks; from here on, the pendulum model is not valid"
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
 
 _channel_table, _state_names = lru_cache(maxsize=8)(channel_table), lru_cache(maxsize=8)(state_names)

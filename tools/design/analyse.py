@@ -315,9 +315,9 @@ def judged_by_text(
     parts = [f"{order.kind} loop", count, f"{limits} limit{'s' * (limits != 1)}"]
     parts += [f"checked between them ({between} instants)"] if between else []
     if any(b.robust is not None for b in bases.values()):
-        searched = "and those of dispersed vehicles at the worst found"
+        searched = "also for the worst dispersed vehicles found"
         flies = flies_as_measured(order.kind, order.errata, order.plant)
-        parts.append(searched if flies else "of the nominal vehicle, not of its dispersed ones")
+        parts.append(searched if flies else "for the nominal vehicle only")
     stated = len({t for basis in bases.values() for t in basis.nodes_s or ()})
     others = [
         f"{getattr(order, key)} {option}, designed for {getattr(first, key_of)}"
@@ -332,7 +332,7 @@ def judged_by_text(
     unstated = [stage_name(scenario.vehicle, n) for n in range(len(scenario.vehicle.stage)) if n not in bases]
     others += [f"{', '.join(unstated)} without limits"] if unstated else []
     if others:
-        return f"judged by other conditions than the design's own: {'; '.join(others)}; here {', '.join(parts)}"
+        return f"conditions differ from the design's own: {'; '.join(others)}; judged here: {', '.join(parts)}"
     return f"judged by the design's own basis: {', '.join(parts)}"
 
 

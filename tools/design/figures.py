@@ -322,7 +322,7 @@ def filter_plot(vehicle: Vehicle, design: Design, nodes: Sequence[Node] = ()) ->
         reach = (max(low, -60.0) - 3.0, high + 3.0) if unit == "dB" else (low - 10.0, high + 10.0)
         bands = _mode_bands(nodes, *reach)
         panels.append(Panel(title, [*bands, *series], "frequency, Hz", unit, y_range=reach, log_x=True))
-    caption = "As it flies, sampled, up to half the sample rate."
+    caption = "The discrete filter as flown, up to half the sample rate."
     if panels[0].series[0]["kind"] == "shape":
         caption += " Grey: the frequencies of each bending mode over the flight."
     return Plot("filter", "Bending filter", panels, caption)

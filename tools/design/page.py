@@ -218,12 +218,8 @@ def _tables(groups: Sequence[Group]) -> list[tuple[str, str, Sequence[PageTable]
                 (titled("Lobes", g.stage), [tuple(head.replace("bending", "mode") for head in rows[0]), *rows[1:]])
             )
     parts = (
-        ("Margins", "Over all crossings, where not of the rigid body.", margins),
+        ("Margins", "Over all crossings, unless a column states the rigid body.", margins),
         ("Error budgets", "Contribution of each part to gain or phase at the crossing that sets the margin.", budgets),
-        (
-            "Lobes",
-            "Peak, dB, and how it is stabilised: G by gain; P by phase, with its phase margin in degrees.",
-            lobes,
-        ),
+        ("Lobes", "Peak in dB. G: gain-stabilised; P: phase-stabilised, with its phase margin in degrees.", lobes),
     )
     return [part for part in parts if part[2]]

@@ -147,7 +147,9 @@ def _judged_by(design: Design, basis: Basis, times_s: list[float], given: tuple[
     if design.basis is None:
         return f"the design states no basis: judged at {count}, without limits"
     whose = (
-        "by other conditions than the design's own" if {"kind", "times_s"} & {*given} else "by the design's own basis"
+        "by conditions that differ from the design's own"
+        if {"kind", "times_s"} & {*given}
+        else "by the design's own basis"
     )
     limits = len(basis.limits.asked)
     return f"judged {whose}: {count}, {limits} limit{'s' * (limits != 1)}"

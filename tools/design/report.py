@@ -318,8 +318,8 @@ def multiloop_table(together: Sequence[MultiloopMargins]) -> list[str]:
         each = [x for one in m.each for x in (number(one.gain_db, 2), number(one.phase_deg.value, 1))]
         disk = number(m.disk.gain_up_db, 2), number(m.disk.phase_deg, 1), number(m.disk.frequency_hz, 3)
         rows.append((f"{m.time_s:g}", "stable" if m.stable else "UNSTABLE", *each, *disk))
-    head = ["all axes together: margins of each loop with the others closed; all: of every loop at once (disk)"]
-    head += [] if "roll" in axes else ["  no linear loop holds the roll: its rate is free"]
+    head = ["all axes together: margins of each loop with the others closed; all: disk margin of all loops"]
+    head += [] if "roll" in axes else ["  roll has no linear loop: its rate is free"]
     return [*head, *aligned(rows, "  ", right=(0, *range(2, len(rows[0]))))]
 
 
@@ -330,7 +330,7 @@ def lobes_table(judged: Sequence[JudgedLoop]) -> list[str]:
     rows = lobes_rows(judged)
     if not rows:
         return []
-    head = "lobes: peak dB, and how it is stabilised (G gain; P phase, with the turn in degrees that would harm)"
+    head = "lobes: peak in dB; G gain-stabilised, P phase-stabilised with its phase margin"
     return [head, *aligned(rows, "  ", right=tuple(range(len(rows[0]))))]
 
 

@@ -1,8 +1,8 @@
 """Check what a program can check of the project's English: `python -m maxq.tools.dev.prose`, part of `make lint`.
 
 prose.toml, next to this file, records the number of findings of each kind, the banned phrases and allowed texts. The
-check fails if a number differs from its record. `--record` writes lower numbers, and never a higher one; `--list KIND`
-prints places.
+check fails if a number differs from its record, or if the documentation has more than MOST_WORDS words. `--record`
+writes lower numbers, and never a higher one; `--list KIND` prints places.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import sys
 import tomllib
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,12 +25,16 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 RECORD = Path(__file__).with_suffix(".toml")
 LONGEST_SUBJECT = 72  # characters of a commit's subject
 LONGEST_SENTENCE = 30  # words
+MOST_WORDS = 55_000  # of the documentation
 _FIRST_WORDS = {"What", "Whether", "Where", "How", "Of", "One", "Behind"}
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 _HISTORY = "CHANGELOG.md"  # lists former names and behaviour
 # Parts of Markdown that are no prose: front matter, fenced and indented blocks, formulas, comments, code, link targets.
 _NOT_PROSE = re.compile(r"(?ms)\A---\n.*?^---$|^ *(```|~~~|:::).*?^ *\1 *$|^ {4}[^\n]*$|\$\$.*?\$\$|<!--.*?-->")
+_FROM_CODE = re.compile(r"(?s)<!-- from code:.*?<!-- end of code -->")  # help texts and tables of keys
 _COMMENT = re.compile(r"(?:^\s*|  )# (.*)")
+_STATED = re.compile(r"#|^(?:description|why|source) *=")  # lines of TOML files with prose
+_MARKUP = re.compile(r"(?s)\{#.*?#\}|\{%.*?%\}|\{\{.*?\}\}|<[^>\n]*>")
 _INLINE = re.compile(r"(?s)`+[^`]*`+|\$[^$\n]+\$|(?<=\])\([^)]*\)|<[^>\n]*>|https?://\S+")
 _SENTENCE_END = re.compile(r"(?<=[.!?:])\s+(?=[\"'(*]*[A-Z0-9`])|\n\s*\n|\n\s*(?=[-*|#>]|\d+\. )")
 
@@ -54,16 +58,23 @@ class Passage:
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """The files of the repository: its Markdown pages, and its Python files with their syntax trees."""
+    """The files of the repository: its Markdown pages, its Python files with their syntax trees, and its TOML files and
+    templates of pages.
+    """
 
     pages: dict[str, str]
     modules: dict[str, tuple[str, ast.Module]]
+    files: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of_repository(cls) -> Sources:
         """Read every file that git tracks. Raises OSError and SyntaxError."""
         listed = subprocess.run(
-            ["git", "ls-files", "--", "*.md", "*.py"], cwd=REPOSITORY, capture_output=True, text=True, check=True
+            ["git", "ls-files", "--", "*.md", "*.py", "*.toml", "*.j2"],
+            cwd=REPOSITORY,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         texts = {
             name: path.read_text(encoding="utf-8")
@@ -73,6 +84,7 @@ class Sources:
         return cls(
             {name: text for name, text in texts.items() if name.endswith(".md") and name != _HISTORY},
             {name: (text, ast.parse(text)) for name, text in texts.items() if name.endswith(".py")},
+            {name: text for name, text in texts.items() if name.endswith((".toml", ".j2"))},
         )
 
 
@@ -101,7 +113,9 @@ def comments(source: str) -> Iterator[tuple[int, str]]:
 
 @cache
 def texts(sources: Sources) -> tuple[Passage, ...]:
-    """Return the prose of pages, docstrings, comments and messages (strings of at least three words outside tests)."""
+    """Return the prose of pages, docstrings, comments, messages (strings of at least three words outside tests), TOML
+    files and templates.
+    """
     return tuple(_texts(sources))
 
 
@@ -121,6 +135,11 @@ def _texts(sources: Sources) -> Iterator[Passage]:
     for name, (source, _) in sources.modules.items():
         for line, comment in comments(source):
             yield Passage(f"{name}:{line}", comment, False)
+    for name, text in sources.files.items():
+        plain = _MARKUP.sub(lambda part: "\n" * part[0].count("\n"), text)
+        for number, words in enumerate(plain.splitlines(), 1):
+            if name.endswith(".j2") or _STATED.search(words):
+                yield Passage(f"{name}:{number}", words, False)
 
 
 def first_words(sources: Sources) -> Iterator[Finding]:
@@ -202,6 +221,16 @@ CHECKS: dict[str, Callable[[Sources], Iterator[Finding]]] = {
 }
 
 
+def documentation_words(pages: dict[str, str]) -> int:
+    """Return the number of words of README.md and docs/, with tables and code, without the reference from the code."""
+    shown = (
+        _FROM_CODE.sub("", page)
+        for name, page in pages.items()
+        if name == "README.md" or (name.startswith("docs/") and not name.startswith("docs/reference/"))
+    )
+    return sum(1 for page in shown for word in page.split() if re.search(r"\w", word))
+
+
 def complaints(found: dict[str, list[Finding]], recorded: dict[str, int]) -> list[str]:
     """Return a line for each kind whose number of findings is not that of the record."""
     lines = []
@@ -243,7 +272,11 @@ def main(arguments: list[str] | None = None) -> int:
     number = sum(1 for _ in sentences(sources))
     short = 1.0 - len(found["long_sentences"]) / number
     print(f"{short:.1%} of {number} sentences have at most {LONGEST_SENTENCE} words")
+    words = documentation_words(sources.pages)
+    print(f"{words:,} words in README.md and docs/, at most {MOST_WORDS:,}")
     wrong = complaints(found, record["counts"])
+    if words > MOST_WORDS:
+        wrong.append(f"documentation: {words:,} words, {MOST_WORDS:,} are allowed: link in place of repeating")
     for line in wrong:
         print(line, file=sys.stderr)
     return 1 if wrong else 0

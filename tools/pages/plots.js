@@ -52,7 +52,7 @@
       out.push({ kind: "points", colour: "limit", name: "", x: [px[0][0]], y: [px[0][1]], labels: [name], read: () => name });
     };
     if (plane === "gain") out.push({ kind: "limit", colour: "grey", name: "0 dB", value: 0, seen: true });
-    if (plane === "phase") for (let k = -12; k < 4; k++) out.push({ kind: "limit", colour: "grey", dash: "2 2", name: "-180 deg and whole turns from it", value: 360 * k - 180, seen: false });
+    if (plane === "phase") for (let k = -12; k < 4; k++) out.push({ kind: "limit", colour: "grey", dash: "2 2", name: "-180 deg ± 360 deg", value: 360 * k - 180, seen: false });
     if (plane === "nichols" || plane === "nyquist") out.push({ kind: "points", colour: "ink", mark: "+", name: "-1", x: [plane === "nichols" ? -180 : -1], y: [0] });
     out.push(...(s.limits && s.limits[plane] || []), curve);
     for (const m of s.marks) {

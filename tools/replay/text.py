@@ -90,18 +90,17 @@ def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[s
     """Return the section on scales and colours of the picture."""
     moved = ["- Axes: east, north, up at the start of the flight, which is far from the site."]
     return [
-        "## How it is drawn",
+        "## Scales and colours",
         "",
-        f"- Bending is drawn **{ex.bending:g} times** as large as it is, at most {ex.most_m:.2g} m of it.",
-        f"- Slosh angles are drawn **{ex.slosh:g} times** as large; "
-        "the surface of a liquid is perpendicular to its pendulum.",
-        "- The gimbal's angle, attitude and trajectory are true to scale.",
-        "- The arrow of thrust ends at the nozzle; its length is proportional to the root of the force.",
-        "- Green: direction of flight over the ground. Blue: the wind, a vehicle's length for 60 m/s and for more.",
+        f"- Bending: exaggerated **{ex.bending:g} times**, drawn up to {ex.most_m:.2g} m.",
+        f"- Slosh angles: exaggerated **{ex.slosh:g} times**; a liquid's surface is perpendicular to its pendulum.",
+        "- Gimbal angle, attitude and trajectory: to scale.",
+        "- Thrust: the arrow ends at the nozzle; its length is proportional to the square root of the force.",
+        "- Green: direction of flight over the ground. Blue: wind, one vehicle length at 60 m/s and above.",
         *(moved if place is not None and place.moved else []),
         "- The ground is drawn under the vehicle; the simulation begins with the CG at the site's altitude.",
         "- Red, green and blue axes: x, y and z of the body, from its CG.",
-        "- Skin, nose and fins follow the vehicle file; missing dimensions have customary proportions.",
+        "- Skin, nose and fins follow the vehicle file; missing dimensions are assumed.",
         "",
     ]
 

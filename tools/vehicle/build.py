@@ -132,8 +132,8 @@ def _that_count(
         for n in parts:
             out[n] = modes[n][0], [at[:kept] for at in modes[n][1]]
         if kept < stage.modes:
-            above = f"from {lowest[kept]:.0f} Hz, above the computer's {highest_hz:g} samples a second"
-            words.append(f"{stage.name}: bending modes from number {kept + 1} on are omitted ({above})")
+            above = f"from {lowest[kept]:.0f} Hz, above the sample rate of {highest_hz:g} Hz"
+            words.append(f"{stage.name}: bending modes {kept + 1} and above are omitted ({above})")
     return out, words
 
 
@@ -245,9 +245,10 @@ def _assumed(built: Built) -> list[str]:
         lines.append("normal force: slender-body theory and Barrowman's fins, with an assumed Mach correction")
     lines += [
         "propellants drain in proportion to their load; liquids contribute to the roll inertia only via roll_share",
-        f"first gains: {first_hz} Hz and {layout.control.rigid_zeta:g} of the rigid body with M_alpha in it",
+        f"first gains: rigid body with {first_hz} Hz and damping ratio {layout.control.rigid_zeta:g}, M_alpha included",
     ]
-    lines.append(f"limit wind of the suite: from the west, {layout.site.jet_mps:g} m/s at 11 km; use that of your site")
+    jet = f"{layout.site.jet_mps:g} m/s at 11 km"
+    lines.append(f"limit wind of the suite: from the west, {jet}; replace it by that of your site")
     for stack in built.stacks:
         if stack.leave_s is not None:
             words = "rigid, fixed nozzles; their normal and axial forces add to those of the core without interference"
@@ -255,12 +256,12 @@ def _assumed(built: Built) -> list[str]:
     if layout.fairing is not None:
         dropped = [n for n, stack in enumerate(built.stacks) if stack.drops_fairing]
         at = f"dropped at {built.flight.begins_s[dropped[0] + 1]:.1f} s" if dropped else "never dropped: too low"
-        lines.append(f"fairing: {at}; the aerodynamics and the beam stay as with it")
+        lines.append(f"fairing: {at}; aerodynamics and beam remain those with the fairing")
     for stage in layout.stage:
         e = stage.engine
         if e.gimballed_mass_kg is None or e.cg_from_gimbal_m is None:
             mass, arm, _ = engine_inertia(e)
-            lines.append(f"{stage.name}: {mass:.4g} kg of each engine move, their CG {arm:.3g} m aft of the gimbal")
+            lines.append(f"{stage.name}: {mass:.4g} kg of each engine move with the gimbal, CG {arm:.3g} m aft of it")
     return lines
 
 

@@ -44,7 +44,7 @@ def _vehicle(built: Built) -> Plot:
     marks = [("gyro", layout.control.gyro_station_m, "green")]
     marks += [(f"CG at {name}" + f" of {first.name}" * (name == "burnout"), station, "ink") for name, station in cg_m]
     marks.append((f"CP at Mach {hardest.mach:.1f}", built.aero[0].normal(hardest.mach)[1], "red"))
-    caption = "To scale. Full: propellant at liftoff; pale: the tanks. Nozzles as wide as their exits."
+    caption = "To scale. Dark: propellant at liftoff; pale: tanks. Nozzles have the width of their exits."
     return side_view.figure(layout.name, bodies, marks, caption)
 
 
@@ -102,7 +102,7 @@ def _masses(built: Built) -> Plot:
         Panel("centre of gravity", cg, _TIME, "m aft of the nose"),
         Panel("moments of inertia", inertia, _TIME, "t m2", log_y=True),
     ]
-    return Plot("masses", "Masses", panels, "Of all that flies; grey: the moment of inertia about the axis.", 3)
+    return Plot("masses", "Masses", panels, "The whole vehicle; grey: moment of inertia about the axis.", 3)
 
 
 def _modes(built: Built) -> Plot:
@@ -119,14 +119,15 @@ def _modes(built: Built) -> Plot:
             name = f"mode {k + 1}" if n == shown[0] else ""
             frequencies.append(line(built.flight.begins_s[n] + times_s, hz, name, **look(k)))
         for k, mode in enumerate(on_the_pad(built)[:2] if n == 0 else []):
-            name = f"held on the pad: {mode.frequency_hz:.2f} Hz"
+            name = f"clamped on the pad: {mode.frequency_hz:.2f} Hz"
             shapes.append(line(mode.station_m, mode.phi, name, colour="grey", dash=("8 3 2 3", "2 2")[k]))
         shapes.append(at(built.layout.control.gyro_station_m, "gyro", colour="green", dash="6 3"))
         panels.append(Panel(f"{built.stacks[n].name}, at ignition", shapes, _STATION, "phi"))
     frequencies.append(limit(0.5 / built.layout.control.sample_s, "half the sample rate"))
     panels.append(Panel("frequencies", frequencies, _TIME, "Hz", log_y=True))
     caption = (
-        "Free-free, 1 at the gimbal, engine locked, sloshing masses removed; grey: held at the tail, 1 at the nose."
+        "Free-free modes with a displacement of 1 at the gimbal, engine locked, without sloshing masses. Grey: clamped "
+        "at the tail, with a displacement of 1 at the nose."
     )
     return Plot("modes", "Bending modes", panels, caption, 1)
 
@@ -196,7 +197,5 @@ def _ascent(built: Built) -> Plot:
         )
         for title, unit, of in shown
     ]
-    caption = (
-        "Dotted: the next stage, or the fairing dropped. The attitude leaves the path where the upper stages steer."
-    )
+    caption = "Dotted: staging or fairing separation. The attitude differs from the path while the upper stages steer."
     return Plot("ascent", "Ascent", panels, caption)

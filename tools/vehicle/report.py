@@ -44,7 +44,7 @@ def tables(built: Built) -> list[LayoutTable]:
 
 def notes(built: Built) -> list[tuple[str, list[str]]]:
     """Return the titles and lines of the assumptions and of unusual values."""
-    both = (("assumed beyond the layout", built.assumed), ("unusual", warnings(built)))
+    both = (("assumptions beyond the layout", built.assumed), ("unusual", warnings(built)))
     return [(title, lines) for title, lines in both if lines]
 
 
@@ -84,8 +84,8 @@ def _modes(built: Built) -> LayoutTable:
             ends = (f"{mode.frequency_hz:.2f}", f"{modes[-1][k].frequency_hz:.2f}", f"{mode.generalized_mass_kg:.4g}")
             rows.append((stack.name, str(k + 1), *ends, f"{slope:.3f}"))
     held = ", ".join(f"{mode.frequency_hz:.2f}" for mode in on_the_pad(built))
-    on_pad = f"; held at the tail on the pad: {held} Hz" if held else ""
-    return LayoutTable("Bending modes", f"free-free, 1 at the gimbal{on_pad}", rows)
+    on_pad = f"; clamped at the tail on the pad: {held} Hz" if held else ""
+    return LayoutTable("Bending modes", f"free-free, displacement of 1 at the gimbal{on_pad}", rows)
 
 
 def _control(built: Built) -> LayoutTable:

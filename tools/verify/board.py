@@ -20,8 +20,8 @@ AVERAGED = (
     "third alone."
 )
 SHARED = (
-    "From the imports of the program. Agreement of linear model, certificate and flights shows nothing about the code "
-    "that both execute."
+    "The table lists the imports of the program. Agreement of linear model, certificate and flights is no evidence for "
+    "code that both execute."
 )
 
 

@@ -79,7 +79,7 @@ def _vehicle(found: Verification) -> Plot:
     marks += [("gimbal", lowest.engine.gimbal_station_m, "purple")] if lowest.engine is not None else []
     first = [a for a in found.slosh if a.stage == 0]
     marks += [(f"CG at {a.time_s:.3g} s", a.cg_station_m, "red") for a in (*first[:1], *first[-1:])]
-    caption = "To scale, by the vehicle file; parts that the file does not give (nose, fins) have usual shapes."
+    caption = "To scale. The shapes of nose and fins are assumed if the vehicle file does not state them."
     return side_view.figure(found.scenario.vehicle.name, bodies, marks, caption)
 
 
@@ -113,7 +113,7 @@ def _flights(found: Verification) -> Plot:
         bounds = {v.bound[1] for f in found.flights for v in f.verdicts if v.requirement.metric == metric}
         series += [limit(bound) for bound in sorted(bounds)]
         panels.append(Panel(f"{title}, larger of pitch and yaw", series, "time, s", "deg"))
-    caption = "All scenarios under thrust; named are the three with the largest value in each panel. Red: their limits."
+    caption = "All scenarios under thrust. The three with the largest value in each panel are named. Red: limits."
     return Plot("flights", "Scenarios", panels, caption, 2, 260)
 
 
@@ -139,7 +139,7 @@ def _worst_flights(found: Verification) -> Plot:
                 if v.requirement.metric == metric and abs(v.value) > 0.5 * v.bound[1]:
                     series += [limit(side * v.bound[1], note=f"{side * v.bound[1]:g}") for side in (1, -1)]
             panels.append(Panel(f"{f.name}: {title}", series, "time, s", "deg"))
-    caption = "The scenarios with the least margin to any of their limits. Limits are drawn if half of one is used."
+    caption = "Scenarios with the least margin to any of their limits. A limit is drawn if at least half of it is used."
     return Plot("worst-flights", "Worst scenarios", panels, caption, 2, 130)
 
 
@@ -237,8 +237,8 @@ def _nichols(judged: Sequence[JudgedLoop], wanted: LinearMargins, plane: str) ->
         panels.append(nichols_panel([shown], [*zone, shown], title))
     caption = (
         "Open loop at each operating point over M contours (|T| in dB) and N contours (phase of T). "
-        "Poles are named at their lobes, each in one colour throughout. Shaded: diamond whose corners are the margins "
-        "required; its sides judge nothing."
+        "Poles are named at their lobes, each in one colour throughout. Shaded: diamond whose corners are the required "
+        "margins; its sides are no requirement."
     )
     return Plot(f"nichols-{plane}", f"Nichols plots, {_titled(plane)}", panels, caption, 2, 270)
 
@@ -268,8 +268,8 @@ def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:
             series += [limit(side * allowed, "allowed without a reason") for side in (1.0, -1.0)]
             panels.append(Panel(title, series, "frequency, Hz", unit, log_x=True))
     caption = (
-        "Differences at all operating points and lines. A difference beyond the band has a reason (in the data, or "
-        "point at it), or is unexplained."
+        "Differences at all operating points and lines. A difference beyond the band has a reason (in the data and "
+        "under the pointer) or is unexplained."
     )
     return Plot("certificate", "Measured in flight against the linear loop", panels, caption, 2, 200)
 
@@ -324,8 +324,8 @@ def _authority(found: Verification) -> Plot:
         Panel("steady cross-wind that the gimbal trims", winds, "time, s", "m/s", y_range=(0.0, top)),
     ]
     caption = (
-        "Where a degree of angle of attack takes several of gimbal, wind uses up the gimbal angle before any stability "
-        "margin is lost."
+        "If one degree of angle of attack requires several degrees of gimbal angle, wind uses up the gimbal angle "
+        "before a stability margin is lost."
     )
     return Plot("authority", "Gimbal authority", panels, caption)
 
@@ -357,5 +357,5 @@ def _slosh(found: Verification) -> Plot:
         Panel("where the liquid swings", stations, "time, s", "m aft of the nose", down=True),
         Panel("damping ratio that the loop needs", damping, "time, s", ""),
     ]
-    caption = "Left: the pendulums' bobs. Right: damping ratio below which the closed loop would grow."
+    caption = "Left: bobs of the pendulums. Right: damping ratio below which slosh grows in the closed loop."
     return Plot("slosh", "Slosh", panels, caption)
