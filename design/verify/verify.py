@@ -430,12 +430,7 @@ def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequen
     for n, loaded in enumerate(campaigns, 1):
         parts[f"campaign {n}, {loaded.name}"] = [description_of(loaded), told(loaded.file)]
     out = {name: content_hash(content) for name, content in parts.items()} | {"code": code_hash()}
-    files = [
-        file
-        for computer in computers_of(section)
-        for file in (computer.library, computer.python, computer.sources)
-        if file
-    ]
+    files = [file for computer in computers_of(section) for file in computer.hashed_files.values()]
     return out | {f"{UNDER_TEST}: {file.hashed}": file.sha256 for file in files}
 
 
