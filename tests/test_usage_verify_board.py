@@ -139,10 +139,11 @@ def test_a_waived_requirement_stays_rejected_and_the_verdict_is_not_accepted() -
         of=lambda wanted: [r for r in requirements if r.judgement == wanted],
         judgement=judgement,
         missing_evidence=(),
+        compared=SimpleNamespace(agreed="agreed baseline b.toml"),
     )
     assert headline(found) == (
         "ACCEPTED WITH WAIVERS (1): upper gain margin 6.33 dB < 7 dB at 40 s (pitch), waived by A. Chair until "
-        "2099-12-31; 1 of 2 requirements met"
+        "2099-12-31; 1 of 2 requirements met; agreed baseline b.toml"
     )
 
 

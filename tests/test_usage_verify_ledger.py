@@ -125,7 +125,7 @@ def _seeds(suite: str, *overrides: str, candidate: int = 0) -> dict[str, str]:
     given = [wanted.seed for wanted in loaded.suite.campaign]
     flown = [c if s is None else c.with_campaign(seed=s) for c, s in zip(campaigns, given, strict=True)]
     flights = {f.name: load_scenario(f.scenario or loaded.suite.scenario, f.set) for f in loaded.suite.flight[:1]}
-    return {seed.of: seed.how for seed in seeds_of(loaded, flights, flown, candidate)}
+    return {seed.of: seed.how for seed in seeds_of(loaded, read_suite(loaded.baseline), flights, flown, candidate)}
 
 
 @pytest.mark.parametrize("name", ["standard", "quick", "ksr3-ringed"])

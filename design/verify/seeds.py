@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from maxq.design.verify.ledger import BEGUN, REGISTERED, Line
-from maxq.design.verify.suite import CampaignWanted, LoadedSuite, Suite, read_suite
+from maxq.design.verify.suite import CampaignWanted, LoadedSuite, Suite
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.loader import LoadedScenario, told
@@ -34,10 +34,15 @@ class Seed:
 
 
 def seeds_of(
-    loaded: LoadedSuite, flights: Mapping[str, LoadedScenario], campaigns: Sequence[LoadedCampaign], candidate: int = 0
+    loaded: LoadedSuite,
+    baseline: LoadedSuite,
+    flights: Mapping[str, LoadedScenario],
+    campaigns: Sequence[LoadedCampaign],
+    candidate: int = 0,
 ) -> list[Seed]:
     """Return the seeds of a suite, of its flights by name and of its campaigns as they are flown.
 
+    `baseline`: the suite with which it is compared.
     `candidate`: number of a candidate of `simdesign --verify`, which is added to the declared seeds of its draws.
     """
     suite, out = loaded.suite, list[Seed]()
@@ -48,7 +53,7 @@ def seeds_of(
         if named is not None:
             out.append(_seed("margins.three_sigma.campaign", load_campaign(named).campaign.seed, _shipped(named)))
     # the author of a baseline that is not shipped would choose the seeds
-    before = read_suite(loaded.baseline).asked if loaded.baseline in builtin_files("suite") else Suite.model_construct()
+    before = baseline.asked if loaded.baseline in builtin_files("suite") else Suite.model_construct()
     for n, (wanted, flown) in enumerate(zip(suite.campaign, campaigns, strict=False)):
         out.append(_seed(f"campaign.{n}", flown.campaign.seed, _declared(before, n, wanted, flown), candidate))
         out += _of_scenario(f"campaign.{n}", flown.base)

@@ -21,7 +21,7 @@ from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.model.powered import loss_text, powered_flight, powered_spans
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify import board_findings, flown, ledger, linear, seeds
-from maxq.design.verify.baseline import Compared, against_baseline
+from maxq.design.verify.baseline import ACCEPTING, SCREENINGS, Compared, against_baseline
 from maxq.design.verify.certified import certificate_requirements, measured_requirements
 from maxq.design.verify.fitted import fit, named
 from maxq.design.verify.floor import Evidence, computers_of, missing_evidence
@@ -41,6 +41,7 @@ from maxq.design.verify.suite import (
     SuiteVerdict,
     WorstWanted,
     overall,
+    read_suite,
 )
 from maxq.design.verify.uncovered import Uncovered
 from maxq.design.verify.waivers import apply_waivers
@@ -197,7 +198,8 @@ class Prepared:
 
 def prepare(design: str, loaded: LoadedSuite, vehicle: str | None, kept: PartsOnDisk, candidate: int = 0) -> Prepared:
     """Load the inputs of a verification. Raises ScenarioError if an input is wrong."""
-    compared = against_baseline(loaded, vehicle)
+    baseline = read_suite(loaded.baseline)
+    compared = against_baseline(loaded, vehicle, baseline)
     scenario = load_scenario(loaded.suite.scenario, flown.design_changes(design, vehicle))
     along = flight_of(loaded.suite, design, vehicle)
     loaded = fit(loaded, along, kept)
@@ -213,7 +215,7 @@ def prepare(design: str, loaded: LoadedSuite, vehicle: str | None, kept: PartsOn
         "overrides": content_hash(loaded.overrides),
         "limits off the nominal flight": content_hash(suite.dispersed_limit),
     }
-    drawn = tuple(seeds.seeds_of(loaded, by_name, campaigns, candidate))
+    drawn = tuple(seeds.seeds_of(loaded, baseline, by_name, campaigns, candidate))
     return Prepared(design, vehicle, loaded, compared, scenario, along, campaigns, flights, drawn, hashes, candidate)
 
 
@@ -412,8 +414,12 @@ def missing_of(prepared: Prepared, job: Parts, in_flight: Iterable[str]) -> tupl
         frozenset(in_flight),
         all(guards(one) or not any(c.law == "external" for c in computers_of(one.scenario)) for one in every),
         scenario.scenario,
+        prepared.compared.loosened,
     )
-    return (*missing_evidence(evidence), *seeds.missing(prepared.seeds))
+    missing = (*missing_evidence(evidence), *seeds.missing(prepared.seeds))
+    if missing or loaded.baseline not in SCREENINGS:
+        return missing
+    return tuple(filter(None, [against_baseline(replace(loaded, baseline=ACCEPTING), prepared.vehicle).loosened]))
 
 
 def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequence[LoadedCampaign]) -> dict[str, str]:
