@@ -244,8 +244,8 @@ def verify(
     kept = PartsOnDisk(memory)
     prepared = prepare(design, loaded, vehicle, kept, candidate)
     entry, name = prepared.entry(), prepared.scenario.vehicle.name
-    hashes, lines = entry["hashes"], ledger.known_lines(ledger.ledger_path(name))
-    drawn = seeds.chosen(prepared.seeds, lines, hashes["vehicle"], hashes["design"])
+    lines = ledger.known_lines(ledger.ledger_path(name))
+    drawn = seeds.chosen(prepared.seeds, lines, entry["hashes"]["design"])
     attempt = ledger.begin(name, entry)
     found = _verify(replace(prepared, seeds=drawn), attempt, kept, memory, watch, stop, workers, sample)
     wrong = [*found.reused.differing, *(f"{c.name} {run}" for c in found.campaigns for run in c.differing)]

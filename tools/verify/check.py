@@ -278,7 +278,7 @@ def _floor(record: dict[str, Any], prepared: Prepared, job: Parts, folder: Path,
     lines = ledger.read_lines(folder / ATTEMPTS_NAME)[0]
     begun = [n for n, line in enumerate(lines) if line["hash"] == record["attempt"]["line"]]
     hashes, known = prepared.entry()["hashes"], [x for x in lines[: begun[0] + 1 if begun else 0] if "seeds" in x]
-    drawn = seeds.chosen(prepared.seeds, known, hashes["vehicle"], hashes["design"])
+    drawn = seeds.chosen(prepared.seeds, known, hashes["design"])
     certificate = prepared.loaded.suite.certificate
     planes = certificate.planes if certificate is not None and certificate.in_flight else ()
     lacking = [

@@ -20,7 +20,9 @@ def record_lines(found: Verification) -> list[str]:
     """Return the lines of the first page: the attempt, the seeds that are not declared, and the recalled results."""
     out = [found.attempt.title]
     for seed in found.seeds:
-        if seed.how != DECLARED:
+        if seed.value == seed.declared and seed.lack:
+            out.append(seed.lack)
+        elif seed.how != DECLARED:
             how = f"{seed.how}, not registered before" if seed.how == BY_HAND else seed.how
             out.append(f"seed {seed.value} of {seed.of}, not the declared {seed.declared}: {how}")
     return [*out, reused_line(found)]
