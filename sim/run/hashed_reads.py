@@ -30,8 +30,8 @@ def installed_folders() -> tuple[str, ...]:
     """
     here, packages = os.getcwd(), [path for path in sys.path if path.rstrip(os.sep).endswith("-packages")]
     prefixes = {sys.prefix, sys.base_prefix, sys.exec_prefix, os.path.dirname(os.__file__), *packages}
-    every = (*prefixes, *SYSTEM, own_cache(""))
-    return tuple(os.path.realpath(path) for path in every if str(path) not in ("", "/", here))
+    every = (*prefixes, *SYSTEM, str(own_cache("")))
+    return tuple(os.path.realpath(path) for path in every if path not in ("", "/", here))
 
 
 def only_hashed_reads(code: Iterable[CodeFile]) -> None:
