@@ -211,7 +211,7 @@ def test_one_unguarded_flight_is_found_and_the_baseline_is_read_once(
         changed = f'[[flight]]\nname = "b"\nset = ["run.duration_s=1.0", "vehicle.computer.guard={guard}"]\n'
         path.write_text(f'schema = 2\n[[flight]]\nname = "a"\nset = ["run.duration_s=1.0"]\n{changed}')
         prepared = prepare(f"{CODE}:Autopilot", read_suite(path), None, PartsOnDisk(None))
-        job = Parts(prepared.loaded.suite, prepared.scenario, prepared.along, PartsOnDisk(None), lambda *_: None, 1)
+        job = prepared.parts(PartsOnDisk(None), lambda *_: None, 1)
         assert missing_of(prepared, job, ()).count(lack) == count
     assert read == ["standard", "standard"]
 

@@ -12,7 +12,7 @@ from maxq.design.verify.verify import Verification
 from maxq.sim.campaign.store import MANIFEST, parts_in
 from maxq.sim.files import write_whole
 
-ATTEMPTS_NAME, RUNS_NAME = "attempts.jsonl", "verdict-runs"
+ATTEMPTS_NAME, RUNS_NAME, RESULTS_NAME = "attempts.jsonl", "verdict-runs", "results.json.gz"
 MOST_NAMES = 6  # of recalled results in a line; verdict.json lists all
 
 
