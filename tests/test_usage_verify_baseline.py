@@ -10,7 +10,7 @@ from pathlib import Path
 import petrelkit as petrel
 import pytest
 
-from maxq.design.verify.baseline import ACCEPTING, SCREENINGS, SuiteDifference, against_baseline
+from maxq.design.verify.baseline import SuiteDifference, accepting_baseline, against_baseline
 from maxq.design.verify.suite import read_suite
 from maxq.sim.input.files import builtin_files, scenarios_folder
 from maxq.tools.simverify import main
@@ -260,9 +260,17 @@ def test_a_suite_that_extends_quick_is_accepted_by_the_rules_of_standard() -> No
     Path("mine.toml").write_text('schema = 2\nextends = "quick"\n[[campaign]]\nfile = "campaigns/ksr3"\n')
     loaded = read_suite("mine.toml")
     assert (loaded.baseline, against_baseline(loaded).loosened) == ("quick", "")
-    assert loaded.baseline in SCREENINGS
-    loosened = against_baseline(replace(loaded, baseline=ACCEPTING)).loosened
+    assert accepting_baseline(loaded, "any") == "standard"
+    loosened = against_baseline(replace(loaded, baseline="standard")).loosened
     assert loosened.startswith("looser than the suite standard: removed: 4")
+
+
+def test_launcher_accepts_the_vehicle_of_standard_by_the_winds_and_deviations_of_standard() -> None:
+    Path("mine.toml").write_text('schema = 2\nextends = "launcher"\nscenario = "nominal"\n')
+    loaded = read_suite("mine.toml")
+    assert accepting_baseline(loaded, "KSR-III (reconstruction)") == "standard"
+    assert accepting_baseline(loaded, "petrel") == "launcher"
+    assert accepting_baseline(read_suite("standard"), "petrel") == "standard"
 
 
 @pytest.mark.slow

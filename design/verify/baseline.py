@@ -38,7 +38,7 @@ _FLOORED = frozenset({"runs", "cases", "nodes_per_stage", "starts"})
 """The numbers that may be lower than in the baseline. All but `starts` have a least value in the floor."""
 SCREENINGS = frozenset({"quick"})
 """The shipped suites that accept nothing. A suite that extends one is accepted by the rules of `standard`."""
-ACCEPTING = "standard"
+ACCEPTING, BASE = "standard", "launcher"
 _OF_CAMPAIGN = re.compile(r"^campaign \S+: ")
 _MOST_NAMED, _LONGEST = 3, 120  # loosened keys in a line of text, and characters of each
 
@@ -148,6 +148,16 @@ def against_baseline(loaded: LoadedSuite, vehicle: str | None = None, baseline: 
     shipped = loaded.baseline in builtin_files("suite")
     further = None if shipped else against_baseline(replace(loaded, baseline=loaded.shipped), vehicle)
     return Compared(loaded.baseline, shipped, hashes, tuple(differences(before, after)), further)
+
+
+def accepting_baseline(loaded: LoadedSuite, vehicle: str) -> str:
+    """Return the name of the suite by whose rules a suite accepts a vehicle of that name.
+
+    `launcher` has no winds and deviations, so that those of `standard` apply to its vehicle.
+    """
+    if loaded.baseline == BASE and vehicle == load_scenario(read_suite(ACCEPTING).suite.scenario).vehicle.name:
+        return ACCEPTING
+    return ACCEPTING if loaded.baseline in SCREENINGS else loaded.baseline
 
 
 def _hash(content: Any) -> str:

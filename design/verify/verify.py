@@ -21,7 +21,7 @@ from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.model.powered import loss_text, powered_flight, powered_spans
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify import board_findings, flown, ledger, linear, seeds
-from maxq.design.verify.baseline import ACCEPTING, SCREENINGS, Compared, against_baseline
+from maxq.design.verify.baseline import Compared, accepting_baseline, against_baseline
 from maxq.design.verify.certified import certificate_requirements, measured_requirements
 from maxq.design.verify.fitted import fit, named
 from maxq.design.verify.floor import Evidence, computers_of, missing_evidence
@@ -432,9 +432,10 @@ def missing_of(prepared: Prepared, job: Parts, in_flight: Iterable[str]) -> tupl
         prepared.compared.loosened,
     )
     missing = (*missing_evidence(evidence), *seeds.missing(prepared.seeds))
-    if missing or loaded.baseline not in SCREENINGS:
+    accepting = loaded.baseline if missing else accepting_baseline(loaded, scenario.vehicle.name)
+    if accepting == loaded.baseline:
         return missing
-    return tuple(filter(None, [against_baseline(replace(loaded, baseline=ACCEPTING), prepared.vehicle).loosened]))
+    return tuple(filter(None, [against_baseline(replace(loaded, baseline=accepting), prepared.vehicle).loosened]))
 
 
 def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequence[LoadedCampaign]) -> dict[str, str]:
