@@ -214,7 +214,11 @@ def test_a_vehicle_s_suite_is_compared_with_launcher_but_for_its_own_numbers() -
             "changed: flight delay: vehicle.stage.0.actuator.backlash_deg, none -> 0",
         ),
         ("campaign.0.set=['vehicle.computer.delay_s=0.0']", "changed: campaign 1: scenario.vehicle.computer.delay_s"),
-        ("margins.cases=1000", ""),
+        (
+            "every=['run.stop_at=[\"liftoff\"]']",
+            "changed: 43 flights: run.stop_at, ['burnout', 'impact'] -> ['liftoff']",
+        ),
+        ("campaign.0.runs=1104", ""),
     ],
 )
 def test_what_is_looser_than_the_baseline_bars_an_acceptance(change: str, said: str) -> None:
@@ -263,6 +267,17 @@ def test_a_suite_that_extends_quick_is_accepted_by_the_rules_of_standard() -> No
     assert accepting_baseline(loaded, "any") == "standard"
     loosened = against_baseline(replace(loaded, baseline="standard")).loosened
     assert loosened.startswith("looser than the suite standard: removed: 4")
+
+
+def test_a_suite_of_another_vehicle_on_launcher_is_not_looser() -> None:
+    """As `simvehicle` writes it, with the end of its flights; levels and numbers are those of the floor."""
+    Path("other.toml").write_text('extends = "nominal.toml"\nunset = ["design"]\n[vehicle_overrides]\nname = "other"\n')
+    Path("mine.toml").write_text(
+        'schema = 2\nextends = "launcher"\nscenario = "other.toml"\nlimit_wind = "winds/anheung-november.csv"\n'
+        """every = ["run.stop_at=['burnout','impact']"]\n[certificate]\nnodes_per_stage = 2\n"""
+        '[margins]\nnodes_per_stage = 7\ncases = 60\nsuccess = 0.95\n[[campaign]]\nfile = "campaigns/ksr3"\n'
+    )
+    assert against_baseline(read_suite("mine.toml")).loosened == ""
 
 
 def test_launcher_accepts_the_vehicle_of_standard_by_the_winds_and_deviations_of_standard() -> None:

@@ -36,6 +36,8 @@ _HARMLESS = frozenset({WAIVED, SEED, STRICTER})
 """The kinds that do not loosen a suite. Waivers and seeds have rules of their own."""
 _FLOORED = frozenset({"runs", "cases", "nodes_per_stage", "starts"})
 """The numbers that may be lower than in the baseline. All but `starts` have a least value in the floor."""
+_LEVELS = frozenset({"success", "confidence"})  # those of the floor are those of the shipped suites
+_ENDS = frozenset({"burnout", "impact"})  # of a whole flight: the burnout is that of the last stage
 SCREENINGS = frozenset({"quick"})
 """The shipped suites that accept nothing. A suite that extends one is accepted by the rules of `standard`."""
 ACCEPTING, BASE = "standard", "launcher"
@@ -107,7 +109,10 @@ class Compared:
             return same or d.what.endswith(_NOT_COMPARED)
 
         def floored(d: SuiteDifference) -> bool:
-            return d.kind == LOWERED and d.what.rpartition(".")[2] in _FLOORED
+            key = d.what.replace(": ", ".").rpartition(".")[2]
+            if key == "stop_at":
+                return set(re.findall(r"\w+", d.here)) <= _ENDS
+            return d.kind == LOWERED and (key in _FLOORED or (self.shipped and key in _LEVELS))
 
         return [d for d in self.differences if d.kind not in _HARMLESS and not floored(d) and not judged(d)]
 
