@@ -345,7 +345,8 @@ def test_packs_are_signed_and_their_signers_checked(here: Path, capsys: pytest.C
     assert (code, _differs(said)[0][:46]) == (1, "signature: the signer is not in other.allowed:")
     _verdict(lambda verdict: verdict.update(more_runs=0))
     code, said = _run(capsys, "--check", "pack", "--sample", "0", "--allowed", "key.allowed")
-    assert (code, len(_differs(said))) == (1, 1)
+    assert (code, len(_differs(said))) == (1, 2)
+    assert _differs(said)[1] == "more_runs: 0 in the pack, 1100 by the results"
     assert _run(capsys, *words, "--no-pack")[0] == 3
     code, said = _run(capsys, "--check", "pack", "--sample", "0")
     lacking = "results: the pack has no results.json.gz: nothing was derived or computed again"
