@@ -23,7 +23,7 @@ from maxq.sim.run.flight_software import checked
 from maxq.sim.run.fly import fly as fly_once
 from maxq.sim.run.instances import module_of
 from maxq.sim.scenario.flight_code import CodeFile, code_hash
-from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.tools import simrun
 
 Printed = pytest.CaptureFixture[str]
@@ -280,6 +280,55 @@ def test_a_log_with_another_helper_module_is_not_flown_again(tmp_path: Path) -> 
     (tmp_path / "gains.py").write_text("other = 1\n", encoding="utf-8")
     with pytest.raises(ScenarioError, match="is not the flight code that was flown"):
         checked(flown)
+
+
+READING = """
+import json
+import os
+import sqlite3
+import sys
+
+
+class Autopilot:
+    def __init__(self, setup):
+        how = setup.settings.decode()
+        if how == "descriptor":
+            os.close(os.open("gains/table.json", os.O_RDONLY))
+        elif how == "database":
+            sqlite3.connect("gains/table.json").close()
+        elif how:
+            self.gain = json.load(open("gains/table.json", how))
+        with open("log.txt", "w") as file:
+            file.write("started")
+
+    def step(self, inputs):
+        return {"gimbal_rad": (0.0, 0.0)}
+"""
+
+
+def test_python_code_reads_only_files_that_are_hashed() -> None:
+    Path("reading.py").write_text(READING)
+    Path("gains").mkdir()
+    table = Path("gains/table.json")
+    table.write_text("[1.0]")
+    code = flies(python="reading.py:Autopilot")
+
+    def loaded(*more: str) -> LoadedScenario:
+        return load_scenario("nominal", ["design=", "run.duration_s=0.1", *code, *more])
+
+    assert fly_once(loaded()).outcome == "duration"
+    assert Path("log.txt").read_text() == "started"
+    for how in ("r", "descriptor", "database"):
+        with pytest.raises(
+            ScenarioError, match=r"table\.json, which no hash covers; name it in vehicle\.computer\.data"
+        ):
+            fly_once(loaded(f"vehicle.computer.settings={how}"))
+    declared = loaded("vehicle.computer.settings=r", "vehicle.computer.data=gains")
+    assert fly_once(declared).outcome == "duration"
+    assert [name for name in _hashes(declared, {}, ()) if name.endswith("gains (1 file: table.json)")]
+    table.write_text("[1.8]")
+    with pytest.raises(ScenarioError, match=r"data = \"gains\": is not the data that was flown"):
+        checked(declared)
 
 
 def test_a_log_is_flown_again_with_the_same_code_only(capsys: Printed, caplog: pytest.LogCaptureFixture) -> None:

@@ -120,3 +120,7 @@ def test_a_command_that_fails_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"exit code 2\nwhy"):
         renew(page, tmp_path)
     assert renew(page.replace("2\n", "3\n"), tmp_path)[0] == page.replace("2\n", "3\nwhy\n")
+
+
+def test_quoted_commands_write_into_a_ledger_of_their_own(tmp_path: Path) -> None:
+    assert outputs.run("echo $MAXQ_LEDGER", tmp_path) == [str(tmp_path / "attempts")]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import petrelkit as petrel
 import pytest
 
-from maxq.design.verify.baseline import SuiteDifference, against_baseline
+from maxq.design.verify.baseline import SuiteDifference, accepting_baseline, against_baseline
 from maxq.design.verify.suite import read_suite
 from maxq.sim.input.files import builtin_files, scenarios_folder
 from maxq.tools.simverify import main
@@ -125,7 +126,7 @@ def test_files_are_compared_by_their_content() -> None:
     calm = [",".join([(cells := row.split(","))[0], "1.0", *cells[2:]]) for row in rows[head + 1 :]]
     Path("winds/mine.csv").write_text("\n".join([rows[head], *calm]))
     (found,) = _differences("same.toml")
-    assert re.fullmatch(r"changed: limit_wind\.speed_mps, 27 values, \w{8} -> 27 values, \w{8}", found)
+    assert re.fullmatch(r"wind weaker: limit_wind\.speed_mps, 27 values, \w{8} -> 27 values, \w{8}", found)
     Path("weak.toml").write_text(
         f'extends = "{folder}/campaigns/ksr3.toml"\n[[disperse]]\nkey = "atmosphere.density_factor"\n'
         'distribution = "normal"\nthree_sigma = 0.01\n'
@@ -206,6 +207,92 @@ def test_a_vehicle_s_suite_is_compared_with_launcher_but_for_its_own_numbers() -
         "certificate.nodes_per_stage",
     }
     assert not any("ksr" in one.text.lower() for one in found.differences)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("margins.nominal.gain_up_db=0.001", "limit loosened: margins.nominal.gain_up_db, 6 -> 0.001"),
+        ("margins.trajectories=0", "level or number lowered: margins.trajectories, 20 -> 0"),
+        ("campaign.0.set=['wind_model=']", "removed: campaign 1 wind_model"),
+        ("campaign.0.set=['requirement.0.limit=1e9']", "limit loosened: campaign 1: scenario.requirement."),
+        (
+            "flight.11.set=['vehicle.stage.0.actuator.backlash_deg=0']",
+            "changed: flight delay: vehicle.stage.0.actuator.backlash_deg, none -> 0",
+        ),
+        ("campaign.0.set=['vehicle.computer.delay_s=0.0']", "changed: campaign 1: scenario.vehicle.computer.delay_s"),
+        (
+            "every=['run.stop_at=[\"liftoff\"]']",
+            "changed: 43 flights: run.stop_at, ['burnout', 'impact'] -> ['liftoff']",
+        ),
+        ("campaign.0.runs=1104", ""),
+    ],
+)
+def test_what_is_looser_than_the_baseline_bars_an_acceptance(change: str, said: str) -> None:
+    loosened = against_baseline(read_suite("standard", [change])).loosened
+    assert loosened.startswith(f"looser than the suite standard: {said}") if said else loosened == ""
+
+
+def test_a_changed_vehicle_is_judged_and_bars_nothing() -> None:
+    """Also in the campaigns, where they fly the same change as the scenario of the suite."""
+    vehicle = "vehicle.computer.delay_s=0.004"
+    Path("changed.toml").write_text('extends = "nominal.toml"\n[vehicle_overrides.computer]\ndelay_s = 0.004\n')
+    found = against_baseline(read_suite("standard", ["scenario=changed.toml", f"campaign.0.set=['{vehicle}']"]))
+    of_vehicle = [one.what for one in found.differences]
+    assert of_vehicle == ["scenario.vehicle.computer.delay_s", "campaign 1: scenario.vehicle.computer.delay_s"]
+    assert found.loosened == ""
+
+
+def test_a_weaker_wind_of_the_same_vehicle_bars_an_acceptance() -> None:
+    rows = (scenarios_folder() / "winds/anheung-november.csv").read_text().splitlines()
+    head = next(n for n, row in enumerate(rows) if not row.startswith("#"))
+    every = [row.split(",") for row in rows[head + 1 :]]
+    calm = [",".join([altitude, repr(0.1 * float(speed)), *more]) for altitude, speed, *more in every]
+    Path("calm.csv").write_text("\n".join([rows[head], *calm]))
+    found = against_baseline(read_suite("standard", ["limit_wind=calm.csv"]))
+    assert found.loosened.startswith("looser than the suite standard: wind weaker: limit_wind.speed_mps, ")
+
+
+def test_an_agreed_baseline_permits_what_it_loosens_and_is_named_with_its_hash() -> None:
+    text = 'schema = 2\nextends = "standard"\n[margins.nominal]\ngain_up_db = 0.1\n'
+    Path("agreed.toml").write_text(text)
+    Path("mine.toml").write_text(f'baseline = "agreed.toml"\n{text}')
+    found = against_baseline(read_suite("mine.toml"))
+    assert found.loosened == ""
+    assert found.agreed == (
+        f"agreed baseline {Path('agreed.toml').resolve()}, SHA-256 {found.hashes['baseline'][:16]}, not shipped; "
+        "looser than the suite standard: limit loosened: margins.nominal.gain_up_db, 6 -> 0.1"
+    )
+    assert against_baseline(read_suite("standard")).agreed == ""
+
+
+def test_a_suite_that_extends_quick_is_accepted_by_the_rules_of_standard() -> None:
+    """Compared with `quick` alone, it has no difference that loosens it."""
+    Path("mine.toml").write_text('schema = 2\nextends = "quick"\n[[campaign]]\nfile = "campaigns/ksr3"\n')
+    loaded = read_suite("mine.toml")
+    assert (loaded.baseline, against_baseline(loaded).loosened) == ("quick", "")
+    assert accepting_baseline(loaded, "any") == "standard"
+    loosened = against_baseline(replace(loaded, baseline="standard")).loosened
+    assert loosened.startswith("looser than the suite standard: removed: 4")
+
+
+def test_a_suite_of_another_vehicle_on_launcher_is_not_looser() -> None:
+    """As `simvehicle` writes it, with the end of its flights; levels and numbers are those of the floor."""
+    Path("other.toml").write_text('extends = "nominal.toml"\nunset = ["design"]\n[vehicle_overrides]\nname = "other"\n')
+    Path("mine.toml").write_text(
+        'schema = 2\nextends = "launcher"\nscenario = "other.toml"\nlimit_wind = "winds/anheung-november.csv"\n'
+        """every = ["run.stop_at=['burnout','impact']"]\n[certificate]\nnodes_per_stage = 2\n"""
+        '[margins]\nnodes_per_stage = 7\ncases = 60\nsuccess = 0.95\n[[campaign]]\nfile = "campaigns/ksr3"\n'
+    )
+    assert against_baseline(read_suite("mine.toml")).loosened == ""
+
+
+def test_launcher_accepts_the_vehicle_of_standard_by_the_winds_and_deviations_of_standard() -> None:
+    Path("mine.toml").write_text('schema = 2\nextends = "launcher"\nscenario = "nominal"\n')
+    loaded = read_suite("mine.toml")
+    assert accepting_baseline(loaded, "KSR-III (reconstruction)") == "standard"
+    assert accepting_baseline(loaded, "petrel") == "launcher"
+    assert accepting_baseline(read_suite("standard"), "petrel") == "standard"
 
 
 @pytest.mark.slow

@@ -139,10 +139,11 @@ def test_a_waived_requirement_stays_rejected_and_the_verdict_is_not_accepted() -
         of=lambda wanted: [r for r in requirements if r.judgement == wanted],
         judgement=judgement,
         missing_evidence=(),
+        compared=SimpleNamespace(agreed="agreed baseline b.toml"),
     )
     assert headline(found) == (
         "ACCEPTED WITH WAIVERS (1): upper gain margin 6.33 dB < 7 dB at 40 s (pitch), waived by A. Chair until "
-        "2099-12-31; 1 of 2 requirements met"
+        "2099-12-31; 1 of 2 requirements met; agreed baseline b.toml"
     )
 
 
@@ -413,7 +414,11 @@ def test_the_tables_are_in_the_pack_and_a_check_applies_the_waivers_again(
     record["requirements"] = [row | {"waived": ""} for row in record["requirements"]]
     Path("pack/verdict.json").write_text(json.dumps(record | {"verdict": "accepted"}))
     code, said = _run(capsys, "--check", "pack", "--sample", "0")
-    assert (code, "DIFFERS: the verdict: it does not follow from the requirements" in said) == (1, True)
+    assert (code, 'DIFFERS: verdict: "accepted" in the pack, "accepted with waivers" by the results' in said) == (
+        1,
+        True,
+    )
+    assert 'waived: "" in the pack, "A. Chair until 2099-12-31" by the results' in said
     Path("suite.toml").write_text((SUITE + BOARD).replace("flown before", "because"))
     assert "DIFFERS: input: suite: board" in _run(capsys, "--check", "pack", "--sample", "0")[1]
 

@@ -11,18 +11,20 @@ from typing import Any
 import pytest
 
 from maxq.design.model.powered import powered_spans
+from maxq.design.verify.baseline import against_baseline
 from maxq.design.verify.floor import FLOOR, Evidence, missing_evidence, switched_off
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.memory import PartsOnDisk
 from maxq.design.verify.parts import Parts
 from maxq.design.verify.suite import JudgedRequirement, LoadedSuite, read_suite
-from maxq.design.verify.verify import verify
+from maxq.design.verify.verify import missing_of, prepare, verify
 from maxq.sim.campaign.statistics import allowed_failures
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.tools.verify.outcome import headline
 
 DESIGN = "designs/ksr3-robust.toml"
+CODE = Path(__file__).parents[1] / "examples/flight_software/pd_law.py"
 EMPTY = """
 schema = 2
 name = "standard"
@@ -120,6 +122,10 @@ def test_the_floor_of_runs_is_the_fewest_that_show_its_level() -> None:
             "campaign ksr3: flown to 40 s, not to the last burnout at 59.29 s",
         ),
         (["campaign.0.set=['run.start_s=40.0']"], "campaign ksr3: flown from 40 s, not from liftoff at 0.1069 s"),
+        (
+            ["campaign.0.set=['requirement=[]']"],
+            "campaign ksr3: no requirement, and so no verdict on all requirements together",
+        ),
         (["campaign.0.set=['switches.slosh=false']"], "campaign ksr3: switches.slosh = false"),
         (["campaign.0.set=['switches.actuator=linear']"], "campaign ksr3: switches.actuator = linear"),
     ],
@@ -164,6 +170,11 @@ def test_every_flight_and_campaign_flies_the_design_that_is_judged(standard: Evi
     assert missing_evidence(replace(evidence(changed), judged=judged.judged, flights=[flight(DESIGN)])) == (
         f"campaign ksr3: {text}",
     )
+    mine = flight(DESIGN)
+    renamed = mine.model_copy(update={"vehicle": mine.vehicle.model_copy(update={"name": "other"})})
+    assert missing_evidence(replace(judged, judged=renamed, flights=[renamed])) == (
+        "campaign ksr3: another vehicle than the judged one",
+    )
     at_socket = ("design=", "vehicle.computer.law=external", "vehicle.computer.address=tcp://127.0.0.1:5000")
     external = replace(standard, judged=flight(DESIGN, *at_socket), flights=[flight(DESIGN, *at_socket)])
     assert "flight code at a socket, which no hash covers" in missing_evidence(external)
@@ -175,6 +186,35 @@ def test_the_flight_of_the_operating_points_has_the_whole_model(standard: Eviden
     assert missing_evidence(replace(standard, along=along)) == (
         "switches.slosh = false in the flight of the operating points",
     )
+
+
+def test_a_suite_that_is_looser_than_its_baseline_is_a_screening(standard: Evidence) -> None:
+    loosened = against_baseline(read_suite("standard", ["margins.nominal.delay_ms=0.1"])).loosened
+    assert missing_evidence(replace(standard, loosened=loosened)) == (
+        "looser than the suite standard: limit loosened: margins.nominal.delay_ms, 10 -> 0.1",
+    )
+
+
+def test_one_unguarded_flight_is_found_and_the_baseline_is_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Flight code in a process of its own in all flights but one could change the judge in that one."""
+    read, lack = list[str](), "flight code ran in the process that judges it"
+
+    def counted(name: str, *more: Any) -> LoadedSuite:
+        read.append(name)
+        return read_suite(name, *more)
+
+    for module in ("verify", "baseline"):
+        monkeypatch.setattr(f"maxq.design.verify.{module}.read_suite", counted)
+    for guard, count in (("true", 0), ("false", 1)):
+        path = tmp_path / f"{guard}.toml"
+        changed = f'[[flight]]\nname = "b"\nset = ["run.duration_s=1.0", "vehicle.computer.guard={guard}"]\n'
+        path.write_text(f'schema = 2\n[[flight]]\nname = "a"\nset = ["run.duration_s=1.0"]\n{changed}')
+        prepared = prepare(f"{CODE}:Autopilot", read_suite(path), None, PartsOnDisk(None))
+        job = prepared.parts(PartsOnDisk(None), lambda *_: None, 1)
+        assert missing_of(prepared, job, ()).count(lack) == count
+    assert read == ["standard", "standard"]
 
 
 def test_flight_code_without_a_linear_model_is_screened(standard: Evidence) -> None:
@@ -227,6 +267,7 @@ def _line(*requirements: JudgedRequirement, missing: tuple[str, ...] = ()) -> st
     verdicts = [v for v in ("rejected", "undecided") if of(v)]
     judgement = verdicts[0] if verdicts else "passed screening" if missing else "accepted"
     found: Any = SimpleNamespace(requirements=requirements, of=of, judgement=judgement, missing_evidence=missing)
+    found.compared = SimpleNamespace(agreed="")
     return headline(found)
 
 

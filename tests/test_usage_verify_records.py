@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 
 from maxq.design.verify import ledger
 from maxq.design.verify.memory import PartsOnDisk
+from maxq.design.verify.results import Results
 from maxq.tools.simverify import main
 
 SUITE = """
@@ -22,10 +24,18 @@ schema = 2
 [margins]
 times_s = [20.0, 40.0]
 between_nodes = "ignore"
-cases = 0
+cases = 3
 corner_sigmas = 0.0
+success = 0.5
 [margins.nominal]
 gain_up_db = 3.0
+[margins.dispersed]
+gain_up_db = 3.0
+[margins.three_sigma]
+thrust = 0.03
+[margins.worst]
+starts = 1
+modulus = 0.2
 [certificate]
 times_s = [30.0]
 planes = ["pitch"]
@@ -92,8 +102,11 @@ def test_an_honest_pack_agrees_in_all_that_is_computed_again(here: Path, capsys:
     code, said = _run(capsys, "--check", "pack", "--sample", "99")
     assert (code, _differs(said)) == (0, [])
     assert "1 of 1 flights, computed again: 'two seconds'" in said
-    assert "3 of 3 operating points, computed again" in said
+    for count, kind in ((3, "operating points"), (3, "dispersed vehicles"), (1, "worst vehicles"), (2, "searches")):
+        assert f"{count} of {count} {kind}, computed again" in said
     assert "4 of 4 runs, computed again" in said
+    rows = len(json.loads(Path("pack/verdict.json").read_text())["requirements"])
+    assert f"verdict and {rows} requirements, derived again from the results in the pack" in said
     assert "ledger of attempts: attempt 1 for this vehicle" in said
     assert said.rstrip().endswith("CHECK PASSED")
     assert _run(capsys, "--check", "pack/verdict.json", "--sample", "1")[0] == 0
@@ -111,27 +124,146 @@ def test_what_was_edited_in_a_pack_is_found(here: Path, capsys: pytest.CaptureFi
     with Path("pack/review.html").open("a") as page:
         page.write("<p>And well done.</p>")
     Path("pack/figures/flights.csv").unlink()
-    code, said = _run(capsys, "--check", "pack", "--sample", "99")
+    code, said = _run(capsys, "--check", "pack", "--sample", "0")
     assert code == 1
-    assert _differs(said) == [
+    found = _differs(said)
+    assert [text for text in found if " by the results" not in text] == [
         "file figures/flights.csv: is missing",
         "file review.html: its SHA-256 is another",
         "ledger of attempts: its copy in the pack does not contain this attempt, its number or its verdict",
-        "the verdict: it does not follow from the requirements",
-        "certificate: the operating points of the pack are not those of the suite",
-        "flight 'two seconds': computed again, it is another",
-        "operating point margins 20 s, pitch: computed again, it is another",
     ]
+    derived = [text for text in found if " by the results" in text]
+    assert derived[0] == 'verdict: "accepted" in the pack, "undecided" by the results'
+    assert derived[1].startswith("flights 1: metrics: max_attitude_error_deg: 0.01 in the pack, ")
+    assert derived[2].startswith("margins 1: as_designed 1: gain_up_db: 9.0 in the pack, 6.65")
+    assert derived[3:] == ["certificate: 0 in the pack, 1 by the results"]
     assert said.rstrip().endswith("CHECK FAILED: 7 differences")
+
+
+ROWS = (
+    "two seconds (scenarios)",
+    "upper gain margin, as designed (margins)",
+    "random vehicles meet the dispersed limits (dispersed)",
+    "least |1 + L| within 3 sigma, pitch (worst)",
+    "flight and linear loop agree, pitch (certificate)",
+    "ksr3: control kept (campaign)",
+    "ksr3: all requirements (campaign)",
+)
+"""A row of each part."""
+
+
+def test_every_kind_of_row_that_was_edited_is_named(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Limit, value, outcome and margin of a row, and a row that was deleted or added, of a pack without a signature."""
+
+    def edit(verdict: dict[str, Any]) -> None:
+        rows = {f"{row['name']} ({row['part']})": row for row in verdict["requirements"]}
+        for n, name in enumerate(ROWS[:-1]):
+            rows[name] |= ({"wanted": ">= 0.1 dB"}, {"found": "9 of 9"}, {"room": 7.0}, {"verdict": "open"})[n % 4]
+        verdict["requirements"].remove(rows[ROWS[-1]])  # as in a pack from before this row
+        verdict["requirements"].append(rows[ROWS[0]] | {"name": "well done"})
+        verdict["missing_evidence"].remove("no flight in wind from liftoff to the last burnout")
+        verdict["baseline"]["differences"].pop()
+        verdict["seeds"][0]["how"] = "registered"
+        verdict["worst"][0]["modulus"] = 0.9
+        verdict["command"] = verdict["command"].replace("suite.toml", "standard")
+        verdict["attempt"]["number"] = 0
+
+    _verdict(edit)
+    code, said = _run(capsys, "--check", "pack", "--sample", "0")
+    found = [text for text in _differs(said) if not text.startswith("ledger")]
+    assert code == 1
+    for n, name in enumerate(ROWS[:-1]):
+        key = ("wanted", "found", "room", "verdict")[n % 4]
+        assert sum(text.startswith(f"requirements: {name}: {key}: ") for text in found) == 1, name
+    assert f"requirements: {ROWS[-1]}: the pack lacks it" in found
+    assert "requirements: well done (scenarios): does not follow from the results" in found
+    begins = (
+        "missing_evidence: ",
+        "baseline: differences: ",
+        "seeds 1: how: ",
+        "worst 1: modulus: 0.9 in",
+        "command: ",
+    )
+    for begin in (*begins, "attempt: number: 0 in the pack, 1 by"):
+        assert sum(text.startswith(begin) for text in found) == 1, begin
+    assert len(found) == len(ROWS) + 1 + len(begins) + 1
+
+
+def _forge(change: Callable[[Results], Results]) -> None:
+    """Change the results of the pack, and compute its hash again."""
+    path = Path("pack/results.json.gz")
+    path.write_bytes(change(Results.from_bytes(path.read_bytes())).to_bytes())
+    _verdict(lambda verdict: verdict["files"].update({path.name: hashlib.sha256(path.read_bytes()).hexdigest()}))
+
+
+@pytest.mark.slow
+def test_edited_results_are_found_in_the_sample(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def better(results: Results) -> Results:
+        (study,), (worst,) = results.margins, results.worst
+        study.random[1] += 1.0
+        study.nominal.nodes[0]["gain_up_db"] += 1.0
+        sigmas = {**worst.sigmas, next(iter(worst.sigmas)): 0.0}
+        return replace(results, worst=(replace(worst, sigmas=sigmas, modulus=0.9),))
+
+    _forge(better)
+    code, said = _run(capsys, "--check", "pack", "--sample", "99")
+    found = [text for text in _differs(said) if text.endswith("computed again, it differs")]
+    assert code == 1
+    assert {text.partition(":")[0] for text in found} == {
+        "operating point margins 20 s, pitch",
+        "dispersed vehicle vehicle 1, pitch",
+        "worst vehicle pitch",
+        "search worst vehicle at 20 s, pitch",
+        "search worst vehicle at 40 s, pitch",
+    }
+
+
+def test_results_that_are_not_those_of_the_suite_are_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Fewer vehicles, and a flight with a looser limit, from which all rows would follow."""
+
+    def fewer(results: Results) -> Results:
+        (study,), (flight,) = results.margins, results.flights
+        first = flight.verdicts[0]
+        loose = replace(first, requirement=first.requirement.model_copy(update={"limit": 1e9}))
+        flight = replace(flight, verdicts=(loose, *flight.verdicts[1:]))
+        return replace(results, margins=(replace(study, random=study.random[:2]),), flights=(flight,))
+
+    _forge(fewer)
+    found = _differs(_run(capsys, "--check", "pack")[1])
+    places = "their places or limits are not those of the suite"
+    assert found == [
+        f"results: flights: {places}",
+        f"results: margins: {places}",
+        "nothing was computed again: the results are not those of the suite",
+    ]
+
+
+def test_a_pack_of_an_earlier_version_fails_the_check(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It has no results and no row of all requirements; its own version can check it."""
+
+    def earlier(verdict: dict[str, Any]) -> None:
+        del verdict["files"]["results.json.gz"]
+        verdict["hashes"]["code"] = "0"
+
+    _verdict(earlier)
+    code, said = _run(capsys, "--check", "pack")
+    assert (code, _differs(said)) == (
+        1,
+        [
+            "code: another version of maxq",
+            "results: the pack has no results.json.gz: nothing was derived or computed again",
+        ],
+    )
 
 
 @pytest.mark.slow
 def test_missing_evidence_that_was_deleted_from_a_pack_is_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also where hashes of files and the ledger were computed again, as they have no key."""
-    honest = _verdict(lambda verdict: verdict["missing_evidence"].remove("no dispersed vehicle"))
+    honest = _verdict(lambda verdict: verdict["missing_evidence"].remove("certificate: not in yaw"))
     assert "campaign ksr3: 4 runs, not 852" in honest["missing_evidence"]
-    found = _differs(_run(capsys, "--check", "pack", "--sample", "0")[1])
-    assert found == ["missing evidence: the pack does not list 'no dispersed vehicle'"]
+    (found,) = _differs(_run(capsys, "--check", "pack", "--sample", "0")[1])
+    count = len(honest["missing_evidence"])
+    assert found == f"missing_evidence: {count} in the pack, {count + 1} by the results"
 
 
 @pytest.mark.slow
@@ -140,7 +272,7 @@ def test_other_inputs_are_found_and_nothing_is_computed(here: Path, capsys: pyte
     code, said = _run(capsys, "--check", "pack")
     assert code == 1
     assert {"input: suite: margins", "input: flight two seconds", "input: campaign 1, ksr3"} <= set(_differs(said))
-    assert "nothing was computed again: the inputs are others" in said
+    assert "nothing was derived or computed again: the inputs are others" in said
     assert "flights, computed again" not in said
     _verdict(lambda verdict: verdict["hashes"].update(code="0"))
     assert "code: another version of maxq" in _run(capsys, "--check", "pack")[1]
@@ -158,10 +290,10 @@ def test_runs_that_were_edited_are_found(here: Path, capsys: pytest.CaptureFixtu
     _verdict(lambda verdict: verdict["files"].update({name: hashlib.sha256(part.read_bytes()).hexdigest()}))
     code, said = _run(capsys, "--check", "pack", "--sample", "99")
     assert code == 1
-    assert _differs(said) == [
-        "verdicts of the campaigns: the runs in the pack give others",
-        "run 0 of ksr3: computed again, it is another",
-    ]
+    found = _differs(said)
+    assert found[0] == 'verdict: "undecided" in the pack, "rejected" by the results'
+    assert found[1].startswith("requirements: ksr3: attitude error (campaign): found: ")
+    assert found[-1] == "run 0 of ksr3: computed again, it differs"
 
 
 @pytest.mark.slow
@@ -217,10 +349,12 @@ def test_packs_are_signed_and_their_signers_checked(here: Path, capsys: pytest.C
     assert (code, _differs(said)[0][:46]) == (1, "signature: the signer is not in other.allowed:")
     _verdict(lambda verdict: verdict.update(more_runs=0))
     code, said = _run(capsys, "--check", "pack", "--sample", "0", "--allowed", "key.allowed")
-    assert (code, len(_differs(said))) == (1, 1)
+    assert (code, len(_differs(said))) == (1, 2)
+    assert _differs(said)[1] == "more_runs: 0 in the pack, 1100 by the results"
     assert _run(capsys, *words, "--no-pack")[0] == 3
     code, said = _run(capsys, "--check", "pack", "--sample", "0")
-    assert _differs(said) == ["campaigns: their runs are not in the pack"]  # those in the folder are of another
+    lacking = "results: the pack has no results.json.gz: nothing was derived or computed again"
+    assert _differs(said) == [lacking]  # those in the folder are of another
     assert not Path("pack/verdict.json.sig").exists()  # of what is no longer there
 
 
@@ -245,7 +379,7 @@ def test_recalled_results_are_named_and_a_sample_is_computed_again(
 ) -> None:
     code, said = _verify(capsys, "--sample", "1")
     assert code == 3
-    assert "NOT COMPUTED AFRESH: 6 of 6 parts and 4 of 4 runs of campaign ksr3 recalled from the cache; 2 comp" in said
+    assert "NOT COMPUTED AFRESH: 7 of 7 parts and 4 of 4 runs of campaign ksr3 recalled from the cache; 2 comp" in said
     recalled = json.loads(Path("again/verdict.json").read_text())["recalled"]
     assert recalled["parts"] == [
         "flight two seconds",
@@ -254,6 +388,7 @@ def test_recalled_results_are_named_and_a_sample_is_computed_again(
         "node 30 s, pitch",
         "slosh",
         "uncovered",
+        "worst pitch",
     ]
     assert len(recalled["computed_again"]) == len(recalled["runs"]["ksr3"]["flown_again"]) == 1
     assert "computed afresh" in _verify(capsys, "--afresh")[1]
@@ -302,15 +437,17 @@ def test_a_sample_of_recalled_parts_is_compared(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_registered_seed_is_on_the_first_page(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.rmtree("ledger")  # in which the declared seed was flown
     seed = ("--set", "campaign.0.seed=7")
     by_hand = "seed 7 of campaign.0, not the declared 20021128: "
     assert _run(capsys, "ksr3-robust", "--suite", "suite.toml", "--register")[0] == 2
     code, said = _run(capsys, "ksr3-robust", "--suite", "suite.toml", *seed, "--register")
     assert (code, said) == (0, "registered for KSR-III (reconstruction): seed 7 of campaign.0\n")
     assert f"{by_hand}registered on 20" in _verify(capsys, *seed)[1]
-    said = _verify(capsys, "--set", "campaign.0.seed=8")[1]
-    assert f"{by_hand.replace('7', '8', 1)}chosen by hand, not registered before" in said
-    assert "attempt 3 for this vehicle; 2 earlier ones: UNDECIDED, UNDECIDED" in said
+    said = _verify(capsys)[1]
+    replaced = "seed 20021128 of campaign.0 replaced by the registered seed 7"
+    assert f"\n{replaced}\n" in said
+    assert "attempt 2 for this vehicle; 1 earlier one: UNDECIDED" in said
     verdict = json.loads(Path("again/verdict.json").read_text())
-    assert "seed 8 of campaign.0 chosen by hand, not registered before" in verdict["missing_evidence"]
-    assert [one["seeds"]["campaign.0"] for one in verdict["attempt"]["others"]] == [20021128, 7]
+    assert replaced in verdict["missing_evidence"]
+    assert [one["seeds"]["campaign.0"] for one in verdict["attempt"]["others"]] == [7]

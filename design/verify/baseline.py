@@ -8,8 +8,10 @@ files included, so that a copy under another name has no differences.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from textwrap import shorten
 from typing import Any
 
 from maxq.design.quantities import MEASURED
@@ -25,9 +27,22 @@ from maxq.sim.scenario.schema_scenario import Switches
 OFF, EXCUSED, REMOVED = "physics switched off", "design_must_keep = false", "removed"
 SEED, WAIVED = "seed chosen by hand", "requirement waived"
 LOOSENED, SPREAD, LOWERED, SHORTENED = "limit loosened", "spread reduced", "level or number lowered", "shortened"
+WEAKER = "wind weaker"
 CHANGED, STRICTER = "changed", "added or stricter"
-KINDS = (OFF, WAIVED, EXCUSED, SEED, REMOVED, LOOSENED, SPREAD, LOWERED, SHORTENED, CHANGED, STRICTER)
+KINDS = (OFF, WAIVED, EXCUSED, SEED, REMOVED, LOOSENED, SPREAD, WEAKER, LOWERED, SHORTENED, CHANGED, STRICTER)
 """The kinds of differences, in the order in which they are listed."""
+
+_HARMLESS = frozenset({WAIVED, SEED, STRICTER})
+"""The kinds that do not loosen a suite. Waivers and seeds have rules of their own."""
+_FLOORED = frozenset({"runs", "cases", "nodes_per_stage", "starts"})
+"""The numbers that may be lower than in the baseline. All but `starts` have a least value in the floor."""
+_LEVELS = frozenset({"success", "confidence"})  # those of the floor are those of the shipped suites
+_ENDS = frozenset({"burnout", "impact"})  # of a whole flight: the burnout is that of the last stage
+SCREENINGS = frozenset({"quick"})
+"""The shipped suites that accept nothing. A suite that extends one is accepted by the rules of `standard`."""
+ACCEPTING, BASE = "standard", "launcher"
+_OF_CAMPAIGN = re.compile(r"^campaign \S+: ")
+_MOST_NAMED, _LONGEST = 3, 120  # loosened keys in a line of text, and characters of each
 
 _WORDS = frozenset({"why", "description", "name", "schema", "schema_version", "source", "log", "design"})
 """The keys that change no verdict, and the design, which is judged."""
@@ -80,18 +95,55 @@ class Compared:
         return f"{text}; {self.from_shipped.title}" if self.from_shipped is not None else text
 
     @property
+    def loosening(self) -> list[SuiteDifference]:
+        """Return the differences that loosen the suite.
+
+        These are all but stricter ones, numbers with a floor, and those of the vehicle, which is judged: of the suite's
+        scenario, and the same of its campaigns.
+        """
+        of_scenario = {(d.what, d.baseline, d.here) for d in self.differences}
+
+        def judged(d: SuiteDifference) -> bool:
+            what = _OF_CAMPAIGN.sub("", d.what)
+            same = what.startswith("scenario.vehicle.") and (what, d.baseline, d.here) in of_scenario
+            return same or d.what.endswith(_NOT_COMPARED)
+
+        def floored(d: SuiteDifference) -> bool:
+            key = d.what.replace(": ", ".").rpartition(".")[2]
+            if key == "stop_at":
+                return set(re.findall(r"\w+", d.here)) <= _ENDS
+            return d.kind == LOWERED and (key in _FLOORED or (self.shipped and key in _LEVELS))
+
+        return [d for d in self.differences if d.kind not in _HARMLESS and not floored(d) and not judged(d)]
+
+    @property
+    def loosened(self) -> str:
+        """Return one line of text with the differences that loosen the suite, or "" without any."""
+        every = [shorten(d.text, _LONGEST, placeholder=" ...") for d in self.loosening]
+        more = f", and {len(every) - _MOST_NAMED} more" if len(every) > _MOST_NAMED else ""
+        return f"looser than the suite {self.baseline}: {'; '.join(every[:_MOST_NAMED])}{more}" if every else ""
+
+    @property
+    def agreed(self) -> str:
+        """Return one line of text with an agreed baseline and what it loosens, or "" for a shipped baseline."""
+        if self.from_shipped is None:
+            return ""
+        text = f"agreed baseline {self.baseline}, SHA-256 {self.hashes['baseline'][:16]}, not shipped"
+        return f"{text}; {self.from_shipped.loosened}" if self.from_shipped.loosened else text
+
+    @property
     def all_differences(self) -> list[SuiteDifference]:
         """Return the differences from the baseline, and those from the shipped suite that it does not have."""
         further = self.from_shipped.differences if self.from_shipped is not None else ()
         return [*self.differences, *(d for d in further if d not in self.differences)]
 
 
-def against_baseline(loaded: LoadedSuite, vehicle: str | None = None) -> Compared:
+def against_baseline(loaded: LoadedSuite, vehicle: str | None = None, baseline: LoadedSuite | None = None) -> Compared:
     """Compare a suite as read with its baseline. Raises ScenarioError.
 
-    `vehicle` is flown in place of the suite's own.
+    `vehicle` is flown in place of the suite's own. `baseline` is that suite, if it has been read.
     """
-    baseline = read_suite(loaded.baseline)
+    baseline = baseline or read_suite(loaded.baseline)
     own, named = ("scenario" in suite.asked.model_fields_set for suite in (baseline, loaded))
     before, after = resolved(baseline.asked, own=own), resolved(loaded.asked, vehicle, own or named)
     hashes = {"baseline": _hash(before), "suite": _hash(after)}
@@ -101,6 +153,16 @@ def against_baseline(loaded: LoadedSuite, vehicle: str | None = None) -> Compare
     shipped = loaded.baseline in builtin_files("suite")
     further = None if shipped else against_baseline(replace(loaded, baseline=loaded.shipped), vehicle)
     return Compared(loaded.baseline, shipped, hashes, tuple(differences(before, after)), further)
+
+
+def accepting_baseline(loaded: LoadedSuite, vehicle: str) -> str:
+    """Return the name of the suite by whose rules a suite accepts a vehicle of that name.
+
+    `launcher` has no winds and deviations, so that those of `standard` apply to its vehicle.
+    """
+    if loaded.baseline == BASE and vehicle == load_scenario(read_suite(ACCEPTING).suite.scenario).vehicle.name:
+        return ACCEPTING
+    return ACCEPTING if loaded.baseline in SCREENINGS else loaded.baseline
 
 
 def _hash(content: Any) -> str:
@@ -284,6 +346,9 @@ def _kind(path: KeyPath, before: Any, after: Any) -> str:
     key = path[-1]
     if key.rpartition(".")[2] == "seed":
         return SEED
+    if (path[0] == "limit_wind" or "wind" in path or ".wind." in f".{key}") and _is_speed(key):
+        weaker = _weaker(before, after)
+        return CHANGED if weaker is None else WEAKER if weaker else STRICTER
     if "switches" in path or key.startswith("switches."):
         return OFF if after in (False, "false", "ideal", "linear", "'ideal'", "'linear'") else STRICTER
     if key == "design_must_keep":
@@ -312,6 +377,21 @@ def _kind(path: KeyPath, before: Any, after: Any) -> str:
     if key in _COUNTS:
         return LOWERED if less else STRICTER
     return SHORTENED if key.endswith("duration_s") and less else CHANGED
+
+
+def _is_speed(key: str) -> bool:
+    """Return True for a key of a wind by whose size winds are ordered."""
+    name = key.rpartition(".")[2]
+    return name.endswith("_mps") or name == "factor"
+
+
+def _weaker(before: Any, after: Any) -> bool | None:
+    """Return True if a wind speed is smaller than before anywhere, or None if the two cannot be compared."""
+    try:
+        a, b = ([abs(float(x)) for x in (v if isinstance(v, list) else [v])] for v in (before, after))
+    except (TypeError, ValueError):
+        return None
+    return any(y < x for x, y in zip(a, b, strict=True)) if len(a) == len(b) else None
 
 
 def _less(key: str, before: Any, after: Any) -> bool | None:

@@ -266,6 +266,11 @@ def deviations_by_kind(loaded: LoadedCampaign, result: CampaignResult) -> Campai
     return CampaignDeviations(result.name, by_kind, tuple(worst))
 
 
+def kinds_of(campaigns: Sequence[LoadedCampaign], results: Sequence[CampaignResult]) -> tuple[CampaignDeviations, ...]:
+    """Return the deviations by kind of each campaign that was flown."""
+    return tuple(map(deviations_by_kind, campaigns if results else (), results))
+
+
 def worst_third(name: str, values: np.ndarray, missed: np.ndarray) -> WorstThird:
     """Return the third of the runs, ranked by `values` (runs,), with the largest share of True in `missed` (runs,)."""
     thirds = np.array_split(np.argsort(values, kind="stable"), len(THIRDS))

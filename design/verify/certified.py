@@ -62,8 +62,8 @@ def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> 
 
 
 def certificate_requirements(
-    certificates: list[NodeCertificate],
-    through: list[InFlightResponse],
+    certificates: Sequence[NodeCertificate],
+    through: Sequence[InFlightResponse],
     again: Callable[[NodeCertificate | InFlightResponse], str] = lambda node: "",
 ) -> list[JudgedRequirement]:
     """Require that flight and linear loop agree at every operating point, and that each difference in flight is

@@ -1,8 +1,8 @@
 """The floor of an acceptance: the evidence without which a verification is a screening, for any suite.
 
 A suite sets its own levels, numbers and limits, and one flight of a second can meet them all. Therefore, the word
-ACCEPTED requires the evidence of `FLOOR`, which no suite lowers. A screening can reject a design. Its best outcome is
-PASSED SCREENING.
+ACCEPTED requires the evidence of `FLOOR`, which no suite lowers, and a suite that is not looser than its baseline. A
+screening can reject a design. Its best outcome is PASSED SCREENING.
 """
 
 from __future__ import annotations
@@ -70,6 +70,7 @@ class Evidence:
     in_flight: frozenset[str]
     guarded: bool = True  # flight code, if any, runs in a process of its own
     judged: Scenario | None = None  # whose design and flight code all flights and campaigns must have
+    loosened: str = ""  # than the baseline, as text
 
 
 def missing_evidence(e: Evidence) -> tuple[str, ...]:
@@ -77,7 +78,8 @@ def missing_evidence(e: Evidence) -> tuple[str, ...]:
 
     The result is empty if the floor is reached.
     """
-    out = [*_flights(e), *_control(e), *([] if e.guarded else ["flight code ran in the process that judges it"])]
+    out = [e.loosened] if e.loosened else []
+    out += [*_flights(e), *_control(e), *([] if e.guarded else ["flight code ran in the process that judges it"])]
     out += [] if e.campaigns else ["no dispersed flight flown"]
     for wanted, campaign in zip(e.suite.campaign, e.campaigns, strict=True):
         name = campaign.name if campaign.name == "campaign" else f"campaign {campaign.name}"
@@ -121,6 +123,8 @@ def _control(e: Evidence) -> Iterator[str]:
     if count:
         yield f"another design or flight code than the judged one in {count} flight{'s' * (count != 1)}"
     for campaign in e.campaigns:
+        if campaign.base.vehicle.name != e.judged.vehicle.name:
+            yield f"campaign {campaign.name}: another vehicle than the judged one"
         if control_hash(campaign.base.scenario) != judged:
             yield f"campaign {campaign.name}: another design or flight code than the judged one"
     if any(c.law == "external" and c.address for c in computers_of(e.judged)):
@@ -154,6 +158,8 @@ def _campaign(e: Evidence, wanted: CampaignWanted, campaign: LoadedCampaign) -> 
     scenario, asked = campaign.base.scenario, campaign.campaign
     if wanted.availability is not None:
         yield "judged by availability, not by each requirement"
+    if not scenario.requirement:
+        yield "no requirement, and so no verdict on all requirements together"
     yield from _level(asked.success, asked.confidence, asked.runs, "runs")
     yield from _short(e, scenario)
     if campaign.plan.wind is None and not in_wind(scenario):

@@ -29,7 +29,7 @@ if sys.platform != "win32":
 
 BEGUN, ENDED, REGISTERED = "begun", "ended", "registered"
 INTERRUPTED = "not ended"
-UNDER_TEST = frozenset({"law", "library", "python", "sources", "settings", "timeout_s", "guard"})
+UNDER_TEST = frozenset({"law", "library", "python", "sources", "data", "settings", "timeout_s", "guard"})
 """Keys of a computer that are of the flight code, which is judged."""
 _LISTED = 5  # verdicts in the line on the first page; more are counted
 

@@ -149,7 +149,8 @@ def counted(work: Callable[..., T], watch: Callable[[int, int], None], of: int, 
     return one
 
 
-def _text_of(result: Any) -> bytes:
+def text_of(result: Any) -> bytes:
+    """Return a result, bit by bit, as the text of `to_plain`."""
     return json.dumps(to_plain(result)).encode()
 
 
@@ -182,7 +183,7 @@ class PartsOnDisk:
     def recheck(self, most: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Compute a random sample of the recalled parts again. Return the names of these, and of those that differ."""
         sample = random.SystemRandom().sample(self._recalled, min(most, len(self._recalled)))
-        wrong = [name for name, work_out, known in sample if _digest(_text_of(work_out())) != known]
+        wrong = [name for name, work_out, known in sample if _digest(text_of(work_out())) != known]
         return tuple(sorted(name for name, _, _ in sample)), tuple(sorted(wrong))
 
     def recall(self, kind: str, depends_on: Any, work_out: Callable[[], T], label: str = "") -> T:
@@ -203,7 +204,7 @@ class PartsOnDisk:
             pass  # not a part that `to_plain` wrote
         found = work_out()
         self.worked_out += 1
-        rest = f"{key}\n".encode() + _text_of(found)
+        rest = f"{key}\n".encode() + text_of(found)
         with contextlib.suppress(FileError):  # an unwritable memory costs only time
             write_whole(path, _digest(rest).encode() + b"\n" + rest)
         return found

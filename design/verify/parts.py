@@ -22,20 +22,38 @@ from maxq.design.loop.loop import law_at
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.powered import EDGES, node_times, powered_spans
+from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify import linear
 from maxq.design.verify.described import DescribedVehicles
 from maxq.design.verify.memory import PartsOnDisk, counted
 from maxq.design.verify.names import node_name, stage_name
 from maxq.design.verify.slosh import SloshAdvice, advise, confirm
-from maxq.design.verify.suite import CERTIFICATE, WORST, CertificateWanted, LinearMargins, Suite
+from maxq.design.verify.suite import CERTIFICATE, WORST, CertificateWanted, LinearMargins, Suite, WorstWanted
 from maxq.design.verify.uncovered import Uncovered, uncovered
-from maxq.design.verify.worst import WorstVehicle, search_plane
+from maxq.design.verify.worst import WorstVehicle, measure_worst, search_plane
 from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.scenario.loader import LoadedScenario, told
 from maxq.sim.scenario.schema_design import Design
 
 Watch = Callable[[str, int, int], None]
 """A function that is called with the present activity, the steps done, and the total."""
+
+
+@dataclass(frozen=True)
+class WorstPart:
+    """The inputs of the search for the worst vehicle in a plane and stage. `flights` are operating points (flights,
+    nodes) along dispersed trajectories.
+    """
+
+    nodes: list[Node]
+    stage: str
+    watch: Callable[[int, int], None]
+    wanted: LinearMargins
+    worst: WorstWanted
+    design: Design
+    base: LoadedScenario
+    described: LoadedCampaign
+    flights: list[list[Node]]
 
 
 @dataclass(frozen=True)
@@ -103,8 +121,8 @@ class Parts:
         if wanted is None or design is None:
             return []
         self.watch("operating points of the linear model", 0, 0)
-        out, parts = [], list(self._by_stage("margins", wanted))
-        flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts] if wanted.cases else [])
+        out, parts = [], list(self.by_stage("margins", wanted))
+        flights = self.trajectories if wanted.cases else []
         for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):
             campaign = self.described.at(nodes[0])
             out.append(linear.study(nodes, design, wanted, campaign, self.memory, watch, self.workers, stage, mine))
@@ -133,10 +151,14 @@ class Parts:
         nodes = {node.stage: node for node in self.nodes(wanted.planes[0])}
         return [(self.described.at(node), node) for node in nodes.values()]
 
-    def _trajectories(self, wanted: LinearMargins, parts: Sequence[Sequence[Node]]) -> list[list[list[Node]]]:
-        """Return the operating points of each part in dispersed flights, (parts, flights, nodes), or an empty result
-        without any.
+    @cached_property
+    def trajectories(self) -> list[list[list[Node]]]:
+        """Return the operating points of each plane and stage in dispersed flights, (parts, flights, nodes), or an
+        empty result without any.
         """
+        wanted = self.suite.margins
+        assert wanted is not None
+        parts = [nodes for nodes, _, _ in self.by_stage("", wanted)]
         every = [node for nodes in parts for node in nodes]
         if not (wanted.trajectories and every and self.campaign is not None):
             return []
@@ -150,7 +172,7 @@ class Parts:
         ends = list(itertools.accumulate((len(nodes) for nodes in parts), initial=0))
         return [[flight[a:b] for flight in flights] for a, b in itertools.pairwise(ends)]
 
-    def _by_stage(
+    def by_stage(
         self, what: str, wanted: LinearMargins
     ) -> Iterator[tuple[list[Node], str, Callable[[int, int], None]]]:
         """Yield the operating points of each plane and stage, the stage's name, and the callback of its progress."""
@@ -162,43 +184,60 @@ class Parts:
 
     def worst(self) -> list[WorstVehicle]:
         """Return the worst vehicle in every plane and stage that has operating points, if the suite requires it."""
-        wanted, design, out = self.suite.margins, self.design, []
-        if wanted is None or design is None or wanted.worst is None or wanted.only not in ("", WORST):
-            return []
-        base, spans = self.scenario.scenario, powered_spans(self.along)
-        parts = list(self._by_stage("worst vehicle", wanted))
-        flights = self._trajectories(wanted, [nodes for nodes, _, _ in parts])
-        for (at, name, watch), flown_along in zip(parts, flights or itertools.repeat([]), strict=False):
-            end_s = next(span.end_s for span in spans if span.holds(at[0].time_s))  # flown until that stage's burnout
-            run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
-            loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
-            held = wanted.between_nodes == "hold"
-            between = partial(operating_points.nodes, self.along, plane=at[0].plane) if held else None
-            described = self.described.at(at[0])
+        out = []
+        for part in self.worst_parts():
+            held = part.wanted.between_nodes == "hold"
+            between = partial(operating_points.nodes, self.along, plane=part.nodes[0].plane) if held else None
             depends = (
-                loaded.as_flown,
-                repr(design),
-                at,
-                description_of(described),
-                told(wanted.worst),
-                wanted.between_nodes,
-                flown_along,
+                part.base.as_flown,
+                repr(part.design),
+                part.nodes,
+                description_of(part.described),
+                told(part.worst),
+                part.wanted.between_nodes,
+                part.flights,
             )
             search = partial(
                 search_plane,
-                at,
-                design,
-                described,
-                wanted.worst,
-                loaded,
-                name,
-                watch,
+                part.nodes,
+                part.design,
+                part.described,
+                part.worst,
+                part.base,
+                part.stage,
+                part.watch,
                 self.workers,
                 between,
-                flown_along,
+                part.flights,
             )
-            out.append(self.memory.recall("worst", depends, search, f"{at[0].plane} {name}"))
+            out.append(self.memory.recall("worst", depends, search, f"{part.nodes[0].plane} {part.stage}"))
         return out
+
+    def worst_parts(self) -> list[WorstPart]:
+        """Return the inputs of each search for the worst vehicle."""
+        wanted, design, out = self.suite.margins, self.design, list[WorstPart]()
+        if wanted is None or design is None or wanted.worst is None or wanted.only not in ("", WORST):
+            return out
+        base, spans = self.scenario.scenario, powered_spans(self.along)
+        parts = self.by_stage("worst vehicle", wanted)
+        for (nodes, name, watch), flights in zip(parts, self.trajectories or itertools.repeat([]), strict=False):
+            end_s = next(
+                span.end_s for span in spans if span.holds(nodes[0].time_s)
+            )  # flown until that stage's burnout
+            run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
+            loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
+            described = self.described.at(nodes[0])
+            out.append(WorstPart(nodes, name, watch, wanted, wanted.worst, design, loaded, described, flights))
+        return out
+
+    def vehicle_of(self, part: WorstPart, known: WorstVehicle) -> WorstVehicle:
+        """Measure and fly the vehicle of a result again, at its operating point."""
+        nodes = part.flights[known.trajectory - 1] if known.trajectory else ()
+        node = next((node for node in nodes if node.time_s == known.time_s), None)
+        if node is None:
+            node = operating_points.nodes(self.along, [known.time_s], plane=part.nodes[0].plane)[0]
+        given, counts = (part.design, part.described, part.worst, part.base, part.stage), (known.searches, known.loops)
+        return measure_worst(node, *given, known.sigmas, counts, known.trajectory)
 
     def points_s(self, *parts: LinearMargins | CertificateWanted | None) -> dict[int, list[float]]:
         """Return the times of the operating points of parts of the suite, by stage; empty without parts."""
@@ -221,16 +260,20 @@ class Parts:
             "uncovered", (self.along.as_flown, points_s, alone), lambda: uncovered(self.along, points_s, "pitch", alone)
         )
 
-    def authority(self) -> list[linear.Authority]:
-        """Return the authority every second between the first and the last time that the suite names in each stage."""
+    def authority_times_s(self) -> list[float]:
+        """Return every second between the first and the last time that the suite names in each stage."""
         named = self.points_s(self.suite.margins, self.suite.certificate) or self._by_span(node_times(self.along))
         times: list[float] = []
         for mine in filter(None, named.values()):
             times += [t for t in np.arange(mine[0], mine[-1] + 0.5, 1.0).tolist() if t <= mine[-1]]
+        return times
+
+    def authority(self) -> list[linear.Authority]:
+        """Return the authority at its times."""
         computers = [self.scenario.vehicle.computer_of(n) for n in range(len(self.scenario.vehicle.stage))]
         self.watch("control authority", 0, 0)
         limits_rad = [math.inf if c is None else math.radians(c.command_limit_deg) for c in computers]
-        return linear.authority(operating_points.nodes(self.along, times), limits_rad)
+        return linear.authority(operating_points.nodes(self.along, self.authority_times_s()), limits_rad)
 
     def slosh(self) -> list[SloshAdvice]:
         """Return the damping that every operating point needs. The worst case is flown."""
@@ -264,15 +307,23 @@ class Parts:
 
         one_told = counted(one, partial(self.watch, "certificate"), len(times_s) * len(planes))
         found = certify(scenario, times_s, planes, workers=self.workers, one=one_told, along=self.along)
-        stable = [c.time_s for c in found if c.stable and c.plane == planes[0]]
-        if wanted.times_s is None and wanted.in_flight:  # times that the flight determines may be at the ends of thrust
-            spans = powered_spans(scenario)
-            stable = [t for t in stable if fits(t, spans)]
         through: list[InFlightResponse] = []
-        for plane in planes if wanted.in_flight and stable else ():
-            fly = partial(in_flight_response, scenario, stable, plane)
-            through += memory.recall("through", (scenario.as_flown, stable, plane), fly, plane)
+        stable_s = self.in_flight_times_s(found)
+        for plane in planes if stable_s else ():
+            fly = partial(in_flight_response, scenario, stable_s, plane)
+            through += memory.recall("through", (scenario.as_flown, stable_s, plane), fly, plane)
         return found, through
+
+    def in_flight_times_s(self, found: Sequence[NodeCertificate]) -> list[float]:
+        """Return the times at which the ascent of a design is measured: certified as stable, with lasting thrust."""
+        wanted = self.suite.certificate
+        if wanted is None or not wanted.in_flight:
+            return []
+        stable = [c.time_s for c in found if c.stable and c.plane == wanted.planes[0]]
+        if wanted.times_s is None:  # times that the flight determines may be at the ends of thrust
+            spans = powered_spans(self.scenario)
+            stable = [t for t in stable if fits(t, spans)]
+        return stable
 
     def measured(self) -> list[MeasuredNode]:
         """Measure flight code without a linear model, at the operating points and in the planes of the certificate."""
@@ -291,15 +342,18 @@ class Parts:
 
     def in_flight_of_code(self, measured: Sequence[MeasuredNode]) -> list[InFlightResponse]:
         """Measure flight code in its ascent, where it is stable and thrust lasts long enough."""
-        wanted, scenario = self.suite.certificate, self.scenario
-        through: list[InFlightResponse] = []
-        if wanted is None or not wanted.in_flight:
-            return through
-        for plane in wanted.planes:
-            mine = [n for n in measured if n.plane == plane and n.stable and len(n.in_flight)]
-            spans = powered_spans(scenario) if mine else ()
-            held = {n.time_s: n.in_flight for n in mine if fits(n.time_s, spans)}
-            if held:
-                fly = partial(in_flight_response_of_code, scenario, held, plane)
-                through += self.memory.recall("through", (scenario.as_flown, held, plane), fly, plane)
+        scenario, through = self.scenario, list[InFlightResponse]()
+        for plane, held in self.held_responses(measured).items():
+            fly = partial(in_flight_response_of_code, scenario, held, plane)
+            through += self.memory.recall("through", (scenario.as_flown, held, plane), fly, plane)
         return through
+
+    def held_responses(self, measured: Sequence[MeasuredNode]) -> dict[Plane, dict[float, ComplexArray]]:
+        """Return the responses in held flights, by plane and time, with which the ascent of flight code is compared."""
+        wanted, out = self.suite.certificate, dict[Plane, dict[float, ComplexArray]]()
+        for plane in wanted.planes if wanted is not None and wanted.in_flight else ():
+            mine = [n for n in measured if n.plane == plane and n.stable and len(n.in_flight)]
+            spans = powered_spans(self.scenario) if mine else ()
+            if held := {n.time_s: n.in_flight for n in mine if fits(n.time_s, spans)}:
+                out[plane] = held
+        return out

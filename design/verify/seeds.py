@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from maxq.design.verify.ledger import BEGUN, REGISTERED, Line
-from maxq.design.verify.suite import CampaignWanted, LoadedSuite, Suite, read_suite
+from maxq.design.verify.suite import CampaignWanted, LoadedSuite, Suite
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.loader import LoadedScenario, told
@@ -20,7 +20,7 @@ from maxq.sim.scenario.loader import LoadedScenario, told
 DEFAULT = 1
 """The seed of every file that gives none."""
 
-DECLARED, BY_HAND = "declared", "chosen by hand"
+DECLARED, BY_HAND, REPLACED = "declared", "chosen by hand", "replaced by the registered seed"
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,24 @@ class Seed:
     declared: int
     how: str = DECLARED
 
+    @property
+    def lack(self) -> str:
+        """Return the reason for which it counts for no acceptance, or ""."""
+        if self.how == BY_HAND:
+            return f"seed {self.value} of {self.of} chosen by hand, not registered before"
+        return f"seed {self.value} of {self.of} {self.how}" if self.how.startswith(REPLACED) else ""
+
 
 def seeds_of(
-    loaded: LoadedSuite, flights: Mapping[str, LoadedScenario], campaigns: Sequence[LoadedCampaign], candidate: int = 0
+    loaded: LoadedSuite,
+    baseline: LoadedSuite,
+    flights: Mapping[str, LoadedScenario],
+    campaigns: Sequence[LoadedCampaign],
+    candidate: int = 0,
 ) -> list[Seed]:
     """Return the seeds of a suite, of its flights by name and of its campaigns as they are flown.
 
+    `baseline`: the suite with which it is compared.
     `candidate`: number of a candidate of `simdesign --verify`, which is added to the declared seeds of its draws.
     """
     suite, out = loaded.suite, list[Seed]()
@@ -48,7 +60,7 @@ def seeds_of(
         if named is not None:
             out.append(_seed("margins.three_sigma.campaign", load_campaign(named).campaign.seed, _shipped(named)))
     # the author of a baseline that is not shipped would choose the seeds
-    before = read_suite(loaded.baseline).asked if loaded.baseline in builtin_files("suite") else Suite.model_construct()
+    before = baseline.asked if loaded.baseline in builtin_files("suite") else Suite.model_construct()
     for n, (wanted, flown) in enumerate(zip(suite.campaign, campaigns, strict=False)):
         out.append(_seed(f"campaign.{n}", flown.campaign.seed, _declared(before, n, wanted, flown), candidate))
         out += _of_scenario(f"campaign.{n}", flown.base)
@@ -100,42 +112,58 @@ def drawn(seeds: Iterable[Seed]) -> dict[str, int]:
     return {seed.of: seed.value for seed in seeds if " " not in seed.of or seed.how != DECLARED}
 
 
-def chosen(seeds: Sequence[Seed], lines: Sequence[Line], vehicle: str, design: str) -> tuple[Seed, ...]:
-    """Return the seeds, with those marked as registered or assigned that the ledger contains.
+def chosen(seeds: Sequence[Seed], lines: Sequence[Line], design: str) -> tuple[Seed, ...]:
+    """Return the seeds, with those marked that the ledger of a vehicle's name has as registered or assigned.
 
-    The first seed registered for a part of a vehicle counts, if no attempt had flown the part with it. Later seeds are
-    chosen by hand. A seed that `simdesign` assigned to a design counts for it again.
-    `vehicle` and `design`: hashes. `lines`: those before this attempt.
+    Each part of a vehicle has one seed: the first one that is registered, if no attempt has flown the part before, else
+    the declared one. A second seed would be a second chance. A changed number of the vehicle gives no other seed. A
+    seed that `simdesign` assigned to a design counts for it again.
+    `design`: hash. `lines`: those before this attempt.
     """
-    return tuple(_chosen(seed, lines, vehicle, design) if seed.how == BY_HAND else seed for seed in seeds)
+    return tuple(_chosen(seed, lines, design) for seed in seeds)
 
 
-def _chosen(seed: Seed, lines: Sequence[Line], vehicle: str, design: str) -> Seed:
-    used = False
+def _chosen(seed: Seed, lines: Sequence[Line], design: str) -> Seed:
+    if seed.how not in (DECLARED, BY_HAND):
+        return seed
     for line in lines:
-        mine = line["hashes"].get("vehicle") == vehicle
-        if line["state"] == BEGUN and line["seeds"].get(seed.of) == seed.value:
-            used = True
-            if line["candidate"] and line["hashes"]["design"] == design:
-                return replace(seed, how=f"assigned to candidate {line['candidate']}")
-        elif line["state"] == REGISTERED and mine and seed.of in line["seeds"]:
-            if line["seeds"][seed.of] == seed.value and not used:
+        if line["state"] == REGISTERED and seed.of in line["seeds"]:
+            if line["seeds"][seed.of] == seed.value:
                 return replace(seed, how=f"registered on {line['date']}")
-            used = True
+            return replace(seed, how=f"{REPLACED} {line['seeds'][seed.of]}")
+        if line["state"] == BEGUN and (_flown_seed(seed, line) is not None):
+            break
+    for line in lines:
+        mine = line["state"] == BEGUN and _flown_seed(seed, line) == seed.value
+        if mine and line["candidate"] and line["hashes"]["design"] == design:
+            return replace(seed, how=f"assigned to candidate {line['candidate']}")
     return seed
 
 
+def _flown_seed(seed: Seed, line: Line) -> int | None:
+    """Return the seed of a part in an attempt, or None if the attempt did not fly the part.
+
+    A seed of noise is recorded unless it is the declared one (`drawn`).
+    """
+    declared = seed.declared if " " in seed.of and not line["part"] else None
+    value = line["seeds"].get(seed.of, declared)
+    return None if value is None else int(value)
+
+
 def registered(seeds: Sequence[Seed], lines: Sequence[Line], vehicle: str) -> dict[str, Any]:
-    """Return the line that registers the seeds chosen by hand. Raises ValueError where one of them would not count."""
+    """Return the line that registers the seeds chosen by hand. Raises ValueError where one of them would not count.
+
+    `vehicle`: hash.
+    """
     by_hand = {seed.of: seed.value for seed in seeds if seed.how == BY_HAND}
     line = {"state": REGISTERED, "date": "", "hashes": {"vehicle": vehicle}, "seeds": by_hand}
-    for seed in chosen(seeds, [*lines, line], vehicle, ""):
-        if seed.how == BY_HAND:
-            problem = "an attempt has flown it, or another seed was registered before"
+    for seed in chosen([seed for seed in seeds if seed.how == BY_HAND], [*lines, line], ""):
+        if not seed.how.startswith("registered"):
+            problem = "an attempt has flown this part, or another seed was registered before"
             raise ValueError(f"seed {seed.value} of {seed.of} cannot be registered for this vehicle: {problem}")
     return {key: value for key, value in line.items() if key != "date"}
 
 
 def missing(seeds: Iterable[Seed]) -> list[str]:
     """Return what the seeds lack for an acceptance, a phrase each."""
-    return [f"seed {s.value} of {s.of} chosen by hand, not registered before" for s in seeds if s.how == BY_HAND]
+    return [text for seed in seeds if (text := seed.lack)]

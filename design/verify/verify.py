@@ -21,12 +21,13 @@ from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.model.powered import loss_text, powered_flight, powered_spans
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify import board_findings, flown, ledger, linear, seeds
-from maxq.design.verify.baseline import Compared, against_baseline
+from maxq.design.verify.baseline import Compared, accepting_baseline, against_baseline
 from maxq.design.verify.certified import certificate_requirements, measured_requirements
 from maxq.design.verify.fitted import fit, named
 from maxq.design.verify.floor import Evidence, computers_of, missing_evidence
 from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash
 from maxq.design.verify.parts import Parts, Watch
+from maxq.design.verify.results import Results
 from maxq.design.verify.slosh import SloshAdvice
 from maxq.design.verify.suite import (
     ACCEPTED,
@@ -41,6 +42,7 @@ from maxq.design.verify.suite import (
     SuiteVerdict,
     WorstWanted,
     overall,
+    read_suite,
 )
 from maxq.design.verify.uncovered import Uncovered
 from maxq.design.verify.waivers import apply_waivers
@@ -90,17 +92,17 @@ class Verification:
     compared: Compared  # the suite with its baseline
     hashes: dict[str, str]  # SHA-256 of all inputs of the verdict, by name
     versions: dict[str, str]
-    reused: Reused
-    worked_out: int
-    wall_s: float
-    walls_s: dict[str, float]
-    cpus_s: dict[str, float]  # of all threads
     attempt: ledger.Attempt = field(repr=False)  # and the other attempts for the vehicle
     seeds: tuple[seeds.Seed, ...]
     asked: dict[str, Any]  # design, vehicle, suite, overrides and part, by name
     board: board_findings.BoardFindings = field(repr=False)
     deviations: str = ""  # the description of the dispersed vehicles, as text
     part: str = ""  # that was judged alone
+    reused: Reused = Reused((), (), ())
+    worked_out: int = 0
+    wall_s: float = 0.0
+    walls_s: dict[str, float] = field(default_factory=dict)
+    cpus_s: dict[str, float] = field(default_factory=dict)  # of all threads
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{len(found)} {j}" for j in (ACCEPTED, REJECTED, UNDECIDED) if (found := self.of(j)))
@@ -169,12 +171,17 @@ class Prepared:
         """Return the input by name: design, vehicle, suite, its overrides, and the part that is judged alone."""
         suite = self.loaded
         return {
-            "design": self.shown,
+            "design": f"./{self.shown}" if self.shown != self.design else self.design,  # a file, no built-in name
             "vehicle": self.vehicle,
             "suite": suite.label,
             "overrides": suite.overrides,
             "part": suite.part,
         }
+
+    def parts(self, memory: PartsOnDisk, watch: Watch, workers: int) -> Parts:
+        """Return the linear parts and the certificate of this verification."""
+        campaign, changes = next(iter(self.campaigns), None), flown.design_changes(self.design, self.vehicle)
+        return Parts(self.loaded.suite, self.scenario, self.along, memory, watch, workers, campaign, changes)
 
     def entry(self) -> dict[str, Any]:
         """Return the content of this verification's line in the ledger of attempts."""
@@ -197,7 +204,8 @@ class Prepared:
 
 def prepare(design: str, loaded: LoadedSuite, vehicle: str | None, kept: PartsOnDisk, candidate: int = 0) -> Prepared:
     """Load the inputs of a verification. Raises ScenarioError if an input is wrong."""
-    compared = against_baseline(loaded, vehicle)
+    baseline = read_suite(loaded.baseline)
+    compared = against_baseline(loaded, vehicle, baseline)
     scenario = load_scenario(loaded.suite.scenario, flown.design_changes(design, vehicle))
     along = flight_of(loaded.suite, design, vehicle)
     loaded = fit(loaded, along, kept)
@@ -213,7 +221,7 @@ def prepare(design: str, loaded: LoadedSuite, vehicle: str | None, kept: PartsOn
         "overrides": content_hash(loaded.overrides),
         "limits off the nominal flight": content_hash(suite.dispersed_limit),
     }
-    drawn = tuple(seeds.seeds_of(loaded, by_name, campaigns, candidate))
+    drawn = tuple(seeds.seeds_of(loaded, baseline, by_name, campaigns, candidate))
     return Prepared(design, vehicle, loaded, compared, scenario, along, campaigns, flights, drawn, hashes, candidate)
 
 
@@ -242,8 +250,8 @@ def verify(
     kept = PartsOnDisk(memory)
     prepared = prepare(design, loaded, vehicle, kept, candidate)
     entry, name = prepared.entry(), prepared.scenario.vehicle.name
-    hashes, lines = entry["hashes"], ledger.known_lines(ledger.ledger_path(name))
-    drawn = seeds.chosen(prepared.seeds, lines, hashes["vehicle"], hashes["design"])
+    lines = ledger.known_lines(ledger.ledger_path(name))
+    drawn = seeds.chosen(prepared.seeds, lines, entry["hashes"]["design"])
     attempt = ledger.begin(name, entry)
     found = _verify(replace(prepared, seeds=drawn), attempt, kept, memory, watch, stop, workers, sample)
     wrong = [*found.reused.differing, *(f"{c.name} {run}" for c in found.campaigns for run in c.differing)]
@@ -281,17 +289,7 @@ def _verify(
             raise KeyboardInterrupt
 
     design, vehicle, loaded = prepared.design, prepared.vehicle, prepared.loaded
-    suite, scenario, along, scenarios = loaded.suite, prepared.scenario, prepared.along, prepared.flights
-    job = Parts(
-        suite,
-        scenario,
-        along,
-        kept,
-        interruptible,
-        workers,
-        next(iter(prepared.campaigns), None),
-        flown.design_changes(design, vehicle),
-    )
+    suite, scenarios, job = loaded.suite, prepared.flights, prepared.parts(kept, interruptible, workers)
     with timed("scenarios"):
         flights = flown.fly_suite(loaded, scenarios, kept, partial(interruptible, "scenarios"), workers)
     with timed("linear margins"):  # only the requested part is repeated
@@ -302,6 +300,17 @@ def _verify(
     with timed("certificate"):
         (certificates, through), measured, gaps = job.certificates(), job.measured(), job.uncovered()
         through += job.in_flight_of_code(measured)
+    results = Results(
+        flights=tuple(flights),
+        margins=tuple(margin),
+        authority=tuple(limits),
+        slosh=tuple(slosh),
+        worst=tuple(worst),
+        certificates=tuple(certificates),
+        measured=tuple(measured),
+        in_flight=tuple(through),
+        uncovered=gaps,
+    )
     campaigns = []
     with timed("campaigns"):
         for k, asked in enumerate(suite.campaign):
@@ -313,18 +322,38 @@ def _verify(
             campaigns.append(flown.fly_campaign(loaded, asked, design, vehicle, parts, show, stop, afresh, sample))
     with timed("recalled results computed again"):
         reused = Reused(kept.recalled_names, *kept.recheck(sample))
-    requirements = [*flight_requirement(along), *flown.flight_requirements(flights)]
+    found = conclude(prepared, job, results, campaigns, board_findings.kinds_of(prepared.campaigns, campaigns), attempt)
+    wall_s, made = time.perf_counter() - begun, kept.worked_out
+    return replace(found, reused=reused, worked_out=made, wall_s=wall_s, walls_s=walls, cpus_s=cpus)
+
+
+def conclude(
+    prepared: Prepared,
+    job: Parts,
+    results: Results,
+    campaigns: Sequence[flown.CampaignResult],
+    deviations: Sequence[board_findings.CampaignDeviations],
+    attempt: ledger.Attempt,
+) -> Verification:
+    """Return the verification that follows from the results: its requirements, waivers and missing evidence.
+
+    It depends on nothing else, so that a pack can be judged again by its results. `deviations` are those of the
+    campaigns by kind.
+    """
+    design, vehicle, loaded = prepared.design, prepared.vehicle, prepared.loaded
+    suite, scenario, scenarios = loaded.suite, prepared.scenario, prepared.flights
+    requirements = [*flight_requirement(prepared.along), *flown.flight_requirements(results.flights)]
 
     def again(label: str) -> str:
         return loaded.command(design, vehicle, "--only", label)
 
     if suite.margins is not None:
-        for found in margin:
+        for found in results.margins:
             requirements += linear.margin_requirements(found, suite.margins, again)
-        for vehicle_found in worst:
+        for vehicle_found in results.worst:
             requirements += worst_requirements(vehicle_found, suite.margins.worst or WorstWanted(), again(WORST))
     if suite.wind_limit_mps is not None:
-        requirements.append(linear.authority_requirement(limits, suite.wind_limit_mps, again(AS_DESIGNED)))
+        requirements.append(linear.authority_requirement(results.authority, suite.wind_limit_mps, again(AS_DESIGNED)))
 
     def at_node(c: NodeCertificate | InFlightResponse) -> str:
         changes = [f"certificate.times_s=[{c.time_s!r}]", f"certificate.planes=['{c.plane}']"]
@@ -334,23 +363,24 @@ def _verify(
             design, vehicle, *(x for change in changes for x in ("--set", change)), "--only", CERTIFICATE
         )
 
-    requirements += certificate_requirements(certificates, through, at_node)
-    requirements += measured_requirements(measured, suite.margins.nominal if suite.margins else LoopLimits())
+    requirements += certificate_requirements(results.certificates, results.in_flight, at_node)
+    nominal = suite.margins.nominal if suite.margins else LoopLimits()
+    requirements += measured_requirements(results.measured, nominal)
     for campaign in campaigns:
         requirements += flown.campaign_requirements(campaign)
     flown_scenarios = [one for one, _ in scenarios]
-    faults = board_findings.fault_cases(suite.flight, flown_scenarios, flights)
-    second_tool = board_findings.second_tool_values(job, flights)
+    faults = board_findings.fault_cases(suite.flight, flown_scenarios, results.flights)
+    second_tool = board_findings.second_tool_values(job, results.flights)
     requirements += board_findings.fault_requirements(faults, suite.board.fault_probability if suite.board else None)
     requirements += board_findings.second_tool_requirements(second_tool)
     damage = () if loaded.part else [f"the ledger of attempts is damaged: {text}" for text in attempt.damage]
-    missing = (*missing_of(prepared, job, {response.plane for response in through}), *damage)
+    missing = (*missing_of(prepared, job, {response.plane for response in results.in_flight}), *damage)
     requirements, waivers = apply_waivers(requirements, suite.board, attempt.date, bool(missing))
     findings = board_findings.BoardFindings(
         board_findings.inputs_of([scenario, *flown_scenarios], prepared.campaigns),
         faults,
         second_tool,
-        tuple(map(board_findings.deviations_by_kind, prepared.campaigns if suite.campaign else (), campaigns)),
+        tuple(deviations),
         waivers,
     )
     return Verification(
@@ -358,26 +388,13 @@ def _verify(
         suite,
         scenario,
         tuple(requirements),
-        tuple(flights),
-        tuple(margin),
-        tuple(certificates),
-        tuple(through),
-        tuple(campaigns),
-        tuple(limits),
-        tuple(slosh),
-        tuple(worst),
-        tuple(measured),
-        gaps,
-        loaded.left_out,
-        missing,
-        prepared.compared,
+        **vars(results),
+        campaigns=tuple(campaigns),
+        left_out=loaded.left_out,
+        missing_evidence=missing,
+        compared=prepared.compared,
         hashes=prepared.hashes,
         versions=versions(),
-        reused=reused,
-        worked_out=kept.worked_out,
-        wall_s=time.perf_counter() - begun,
-        walls_s=walls,
-        cpus_s=cpus,
         attempt=attempt,
         seeds=prepared.seeds,
         asked=prepared.asked,
@@ -412,8 +429,13 @@ def missing_of(prepared: Prepared, job: Parts, in_flight: Iterable[str]) -> tupl
         frozenset(in_flight),
         all(guards(one) or not any(c.law == "external" for c in computers_of(one.scenario)) for one in every),
         scenario.scenario,
+        prepared.compared.loosened,
     )
-    return (*missing_evidence(evidence), *seeds.missing(prepared.seeds))
+    missing = (*missing_evidence(evidence), *seeds.missing(prepared.seeds))
+    accepting = loaded.baseline if missing else accepting_baseline(loaded, scenario.vehicle.name)
+    if accepting == loaded.baseline:
+        return missing
+    return tuple(filter(None, [against_baseline(replace(loaded, baseline=accepting), prepared.vehicle).loosened]))
 
 
 def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequence[LoadedCampaign]) -> dict[str, str]:
@@ -430,12 +452,7 @@ def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequen
     for n, loaded in enumerate(campaigns, 1):
         parts[f"campaign {n}, {loaded.name}"] = [description_of(loaded), told(loaded.file)]
     out = {name: content_hash(content) for name, content in parts.items()} | {"code": code_hash()}
-    files = [
-        file
-        for computer in computers_of(section)
-        for file in (computer.library, computer.python, computer.sources)
-        if file
-    ]
+    files = [file for computer in computers_of(section) for file in computer.hashed_files.values()]
     return out | {f"{UNDER_TEST}: {file.hashed}": file.sha256 for file in files}
 
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -307,28 +307,47 @@ def search_plane(
         searched, loops, searches = [*searched, *found], loops + count, searches + len(found)
         flight_of |= {id(node): number for node, _ in found}
     node, (_, u, _) = min(searched, key=lambda each: each[1][0])
-    deviations = deviations_of(campaign, node)
+    number = flight_of.get(id(node), 0)
+    sigmas = dict(zip(deviations_of(campaign, node).places, (3.0 * u).tolist(), strict=True))
+    return measure_worst(node, design, campaign, wanted, base, stage, sigmas, (searches, loops), number)
+
+
+def measure_worst(
+    node: Node,
+    design: Design,
+    campaign: LoadedCampaign,
+    wanted: WorstWanted,
+    base: LoadedScenario,
+    stage: str,
+    sigmas: Mapping[str, float],
+    counts: tuple[int, int],
+    trajectory: int,
+) -> WorstVehicle:
+    """Measure a vehicle exactly at an operating point, and fly it.
+
+    `sigmas` are the scores of its deviations by name. `counts` are the searches and loops by which it was found.
+    """
+    deviations, u = deviations_of(campaign, node), np.array(list(sigmas.values())) / 3.0
     loop = Loop(fixed_path(disperse(node, deviations.at(u, "worst"))), law_at(design, node))
     exact = margins(loop, resonances=loop.fixed.resonances())
     scenario = deviations.scenario(base, u)
-    flight = fly(scenario, log=False)
-    lost = flight.failures
+    lost = fly(scenario, log=False).failures
     within = stable_within(node, design, campaign) if wanted.bound else None
     together = stable_together(base, design, node, campaign) if wanted.together else None
     return WorstVehicle(
         stage,
         node.plane,
         node.time_s,
-        dict(zip(deviations.places, (3.0 * u).tolist(), strict=True)),
+        dict(sigmas),
         exact.modulus if exact.stable else 0.0,
-        searches,
-        loops,
+        counts[0],
+        counts[1],
         "; ".join(lost) or "control kept",
         not lost,
         scenario.as_flown,
         *((within.sigmas, within.at_hz, within.tried) if within is not None else (math.nan, math.nan, 0)),
         together.sigmas if together is not None else math.nan,
-        flight_of.get(id(node), 0),
+        trajectory,
     )
 
 

@@ -57,19 +57,20 @@ def checked(loaded: LoadedScenario) -> ComputerSection:
     """
     computer = loaded.vehicle.computer
     assert computer is not None
-    code = computer.library or computer.python
-    if code is not None:
-        where = f"{KEY}.{computer.code_keys[0]}"
+    for key, file in computer.hashed_files.items():
+        if key == "sources":  # not run
+            continue
+        where = f"{KEY}.{key}"
         try:
-            sha256, _ = code_hash(Path(code.file))
+            sha256, _ = code_hash(Path(file.file))
         except OSError as error:
             problem = f"cannot be read: {(error.strerror or str(error)).lower()}"
-            raise ScenarioError(loaded.label, problem, where, value=code.title) from None
-        if sha256 != code.sha256:
-            allowed = f"that with sha256 {code.sha256[:16]}, or --set {where}=FILE for the present file"
-            raise ScenarioError(
-                loaded.label, "is not the flight code that was flown", where, value=code.title, allowed=allowed
-            )
+            raise ScenarioError(loaded.label, problem, where, value=file.title) from None
+        if sha256 != file.sha256:
+            allowed = f"that with sha256 {file.sha256[:16]}, or --set {where}=FILE for the present file"
+            problem = f"is not the {'data' if key == 'data' else 'flight code'} that was flown"
+            raise ScenarioError(loaded.label, problem, where, value=file.title, allowed=allowed)
+    code = computer.library or computer.python
     _announce(title(computer), code.sha256 if code is not None else "")
     return computer
 

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from maxq.control.external import CRASHED, STUCK
 from maxq.sim.flight.loop import advance
+from maxq.sim.run.hashed_reads import only_hashed_reads
 from maxq.sim.run.held_code import CodeWindows, HeldCode
 from maxq.sim.run.instances import Instance, Setup, Unusable, started
 from maxq.sim.scenario.schema_vehicle import ComputerSection
@@ -151,7 +152,7 @@ def worker_for(computer: ComputerSection, arrays: Arrays) -> Worker:
 
 def _code(computer: ComputerSection) -> tuple[Any, ...]:
     """Return the part of the computer that determines a worker; the rest comes with each flight's set-up."""
-    return computer.library, computer.python, computer.address, computer.timeout_s
+    return computer.library, computer.python, computer.data, computer.address, computer.timeout_s
 
 
 def _reap() -> None:
@@ -206,6 +207,7 @@ class _Flying:
         self._line, self._room, self._computer, self._kinds = line, room, computer, kinds
         self._arrays: Arrays = ()
         self._instance: Instance | None = None
+        self._restricted = False
 
     def serve(self) -> NoReturn:
         """Carry out orders until the connection ends."""
@@ -234,6 +236,9 @@ class _Flying:
         shapes, setup, held = pickle.loads(order)
         self._arrays = _placed(self._room, self._kinds, shapes)
         state = self._arrays[MEMORY][0].computer.external
+        if self._computer.python is not None and not self._restricted:  # before it is imported
+            self._restricted = True
+            only_hashed_reads(self._computer.hashed_files.values())
         try:
             self._instance = instance_for(self._computer, Setup.from_buffer_copy(setup), held, state)
         except Unusable as error:

@@ -5,8 +5,9 @@ flown. When the log is flown again, other content under the same names is reject
 
 The hash covers every file of the code (`code_files`). For a Python file, these are all modules that it can import from
 its folder, or all files of the folder if it is a package. For a library, they are its file and the sources that the
-vehicle file names. The hash does not cover libraries that a library loads, modules installed in the environment, and
-files that the code opens elsewhere.
+vehicle file names. `data` names a file or folder that the code reads, which has a hash of its own. Guarded Python code
+cannot open other files for reading (sim/run/hashed_reads.py). The hashes do not cover libraries that a library loads,
+modules installed in the environment, and files that a library or another process opens.
 """
 
 from __future__ import annotations
@@ -88,20 +89,27 @@ class CodeFile(Section):
             return value
         if not isinstance(value, Text) or not isinstance(info.context, Reading):
             raise refuse("names a file, but no files can be read here", "a table with file and sha256")
-        is_python = ".py" in value
+        is_source = info.field_name in ("sources", "data")
+        is_python = ".py" in value and not is_source
         name, _, member = value.rpartition(":") if is_python else (str(value), "", "")
         if is_python and not (name.endswith(".py") and member.isidentifier()):
             raise refuse("names no class", 'a file and a class in it, e.g. "my_fsw.py:Autopilot"')
         text = value.like(name)
-        is_source = info.field_name == "sources"
         folders = (folder / name for folder in value.source.folders) if is_source else ()
         path = next(filter(Path.is_dir, folders), None) or find(text)
         if path is None:
-            what = "a folder or file of sources" if is_source else "a Python file" if is_python else "a shared library"
+            what = "a Python file" if is_python else "a shared library"
+            what = f"a folder or file of {info.field_name}" if is_source else what
             raise refuse(*not_found(text, what, TABLE_VARIANTS))
         reading = info.context
         sha256, files = code_hash(path.resolve(), lambda file: reading.content(file, shown(file)))
         return {"file": str(path.resolve()), "sha256": sha256, "member": member, "files": files}
+
+    @property
+    def paths(self) -> list[Path]:
+        """Return all files that the hash covers."""
+        path = Path(self.file)
+        return [(path if path.is_dir() else path.parent) / name for name in self.files] or [path]
 
     @property
     def title(self) -> str:

@@ -13,7 +13,7 @@ from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, 
 from maxq.control.structures import Attitude
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.values import TABLE_FORM, NotNegative, Period, Positive, Seconds, Section, Triple, optional
-from maxq.sim.scenario.flight_code import Address, LibraryFile, PythonClass, Settings, SourceFiles
+from maxq.sim.scenario.flight_code import Address, CodeFile, LibraryFile, PythonClass, Settings, SourceFiles
 from maxq.sim.scenario.schema_booster import FORM, LISTED, Booster, Engines
 from maxq.sim.vehicle.actuator.section import ActuatorSection
 from maxq.sim.vehicle.air.section import AeroSection
@@ -58,9 +58,18 @@ class ComputerSection(Section):
     python: PythonClass | None = optional("flight code: Python class, file.py:Class")
     address: Address | None = optional("flight code: computer behind a socket, tcp://127.0.0.1:PORT or udp://...")
     sources: SourceFiles | None = optional("sources of the library, a folder or file: hashed, not run")
+    data: SourceFiles | None = optional(
+        "folder or file that the flight code reads: hashed. Guarded Python code can read no other data"
+    )
     settings: Settings = optional("text passed to the flight code at its start", "")
     timeout_s: Positive = optional("time limit of the flight code for one sample, s", 2.0)
     guard: bool = optional("run the flight code in its own process; off: a crash ends maxq, for debuggers", True)
+
+    @property
+    def hashed_files(self) -> dict[str, CodeFile]:
+        """Return the flight code, its sources and its data, by key."""
+        every = {key: getattr(self, key) for key in ("library", "python", "sources", "data")}
+        return {key: file for key, file in every.items() if file is not None}
 
     @property
     def code_keys(self) -> tuple[str, ...]:
@@ -71,6 +80,7 @@ class ComputerSection(Section):
         self.only_with(_CODE, self.law == "external", "law = 'external'")
         self.at_most_one(*_CODE)
         self.only_with(("sources",), self.library is not None, "library")
+        self.only_with(("data",), self.library is not None or self.python is not None, "library or python")
         if self.law == "external" and not self.code_keys:
             raise refuse("names no flight code", f"external with one of {', '.join(_CODE)}", ("law",))
         if self.delay_s > self.sample_s:

@@ -12,6 +12,7 @@ import functools
 import itertools
 import json
 import math
+import os
 import re
 import subprocess
 import sys
@@ -77,7 +78,9 @@ def kept(file: str, command: str, *arguments: str, folder: str = "") -> Any:
     if not path.exists():
         line = [command, *arguments, "--out", str(RUNS / folder if folder else path.parent)]
         print(" ".join(line), file=sys.stderr)
-        done = subprocess.run([Path(sys.executable).with_name(command), *line[1:]], check=False, stdout=subprocess.PIPE)
+        records = os.environ | {"MAXQ_LEDGER": str(RUNS / "attempts")}  # not the user's
+        program = Path(sys.executable).with_name(command)
+        done = subprocess.run([program, *line[1:]], check=False, stdout=subprocess.PIPE, env=records)
         if not path.exists():
             raise SystemExit(f"{' '.join(line)}: exit code {done.returncode}")
     return json.loads(path.read_text(encoding="utf-8"))

@@ -9,42 +9,41 @@ from __future__ import annotations
 import hashlib
 import json
 import random
-from collections.abc import Callable, Sequence
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from maxq.design import operating_points
-from maxq.design.certificate.certificate import certify_node
-from maxq.design.certificate.measured_only import measure_node
-from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import Loop, law_at
-from maxq.design.model.node import Node
-from maxq.design.verify import flown, ledger, seeds
+from maxq.design.quantities import SWEPT
+from maxq.design.verify import board_findings, flown, ledger, linear, seeds
 from maxq.design.verify import suite as suites
-from maxq.design.verify.linear import measured
-from maxq.design.verify.memory import PartsOnDisk
-from maxq.design.verify.names import node_name
+from maxq.design.verify.memory import PartsOnDisk, text_of
 from maxq.design.verify.parts import Parts
-from maxq.design.verify.verify import Prepared, missing_of, part_alone, prepare
-from maxq.design.verify.waivers import apply_waivers
+from maxq.design.verify.results import Results
+from maxq.design.verify.suite import CERTIFICATE, WORST
+from maxq.design.verify.verify import Prepared, conclude, part_alone, prepare
 from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.store import MANIFEST, parts_in
-from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.input.errors import ScenarioError
+from maxq.sim.run.metrics import Verdict, judge
+from maxq.sim.scenario.loader import told
 from maxq.tools.cli.frame import CommandError, Exit
 from maxq.tools.cli.terminal import Progress, printable, tell
 from maxq.tools.design.report import plain_record
-from maxq.tools.verify.records import ATTEMPTS_NAME, campaign_folder
-from maxq.tools.verify.report import FLIGHT, VERDICT_NAME, certificate_record, measured_record
+from maxq.tools.verify.recomputed import Job, jobs_of
+from maxq.tools.verify.records import ATTEMPTS_NAME, RESULTS_NAME, campaign_folder
+from maxq.tools.verify.report import VERDICT_NAME, verdict_record, worst_name
 from maxq.tools.verify.run import design_name
 from maxq.tools.verify.signing import SUFFIX, signer
 
-Job = tuple[str, Any, Callable[[], Any]]
-"""A name, the record in the pack, and a function that computes it again."""
-
-
-_KEYS = {"verdict": "judgement"}  # of a requirement
+HERE = "./"
+"""The begin of the name of a design file below the working folder, which is not the name of a built-in design."""
+_NOT_DERIVED = ("files", "hashes", "versions", "parts", "recalled", "wall_s", "walls_s", "cpus_s", "command")
+_NAMED = ("asked", "design", "flights")  # contain names or commands
 SAMPLE = 5
 """Flights, operating points and runs that are computed again, of each."""
 
@@ -74,9 +73,9 @@ def execute(
     The arguments are the options of `simverify`; design, suite and vehicle are in place of those that the pack names.
     Raises CommandError or ScenarioError for what cannot be read.
     """
-    pack = Path(check)
-    folder = pack if pack.is_dir() else pack.parent
-    record, found = _read(folder / VERDICT_NAME if pack.is_dir() else pack), Findings()
+    place = Path(check)
+    folder = place if place.is_dir() else place.parent
+    record, found = _read(folder / VERDICT_NAME if place.is_dir() else place), Findings()
     if len(designs) > 1:
         raise CommandError("a pack is of one design")
     given = {"design": design_name(designs[0]) if designs else None, "suite": suite, "vehicle": vehicle}
@@ -86,16 +85,15 @@ def execute(
         _files(folder, record, found)
         _ledger(folder, record, found)
         with Progress() as progress:
-            prepared = _prepared(record["asked"] | {k: value for k, value in given.items() if value is not None})
-            _verdict(record, prepared, folder, found)
-            if _hashes(record, prepared, found):
-                _sample(record, prepared, folder, sample, random.Random(seed), found, progress)
+            pack = _opened(folder, record, {key: value for key, value in given.items() if value is not None})
+            if _hashes(record, pack.prepared, found):
+                _results(pack, sample, random.Random(seed), found, progress)
             else:
-                found.differs.append("nothing was computed again: the inputs are others")
+                found.differs.append("nothing was derived or computed again: the inputs are others")
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise CommandError(f"{pack}: no verdict.json of this version of simverify ({error})") from error
+        raise CommandError(f"{place}: no verdict.json of this version of simverify ({error})") from error
     tell(
-        f"{pack}: {record['verdict'].upper()} by the suite {record['suite']}; sample of {sample}, drawn by seed {seed}"
+        f"{place}: {record['verdict'].upper()} by the suite {record['suite']}; sample of {sample}, drawn by seed {seed}"
     )
     tell(*(f"  agrees: {printable(text)}" for text in found.agrees))
     tell(*(f"  DIFFERS: {printable(text)}" for text in found.differs))
@@ -163,12 +161,40 @@ def _ledger(folder: Path, record: dict[str, Any], found: Findings) -> None:
             )
 
 
-def _prepared(asked: dict[str, Any]) -> Prepared:
-    """Load all that the pack names. Raises ScenarioError."""
-    loaded, kept = suites.read_suite(asked["suite"], asked["overrides"]), PartsOnDisk(None)
+@dataclass(frozen=True)
+class Pack:
+    """A pack with its inputs, loaded by their names, and its attempt by the pack's copy of the ledger.
+
+    `entry` is the content of the attempt's line by these inputs. `replaced` is True if the user named inputs.
+    """
+
+    folder: Path
+    record: dict[str, Any]
+    prepared: Prepared
+    entry: dict[str, Any]
+    attempt: ledger.Attempt
+    replaced: bool
+
+
+def _opened(folder: Path, record: dict[str, Any], given: dict[str, Any]) -> Pack:
+    """Load all that the pack names. `given` replaces names. Raises ScenarioError."""
+    asked = record["asked"] | given
+    design, loaded, kept = asked["design"], suites.read_suite(asked["suite"], asked["overrides"]), PartsOnDisk(None)
+    if design.startswith(HERE):
+        design = str(Path(design).resolve())
     if asked["part"]:
-        loaded = part_alone(loaded, asked["part"], asked["design"], asked["vehicle"], kept)
-    return prepare(asked["design"], loaded, asked["vehicle"], kept)
+        loaded = part_alone(loaded, asked["part"], design, asked["vehicle"], kept)
+    lines, damage = ledger.read_lines(folder / ATTEMPTS_NAME)
+    begun = next((line for line in lines if line["hash"] == record["attempt"]["line"]), None)
+    prepared = prepare(design, loaded, asked["vehicle"], kept, begun["candidate"] if begun is not None else 0)
+    entry = prepared.entry()
+    if begun is None:  # which is a difference
+        return Pack(folder, record, prepared, entry, ledger.Attempt(line={"date": "", "hash": ""}), bool(given))
+    before = lines[: lines.index(begun)]
+    known = [line for line in before if line.get("state") in (ledger.BEGUN, ledger.REGISTERED)]
+    drawn = seeds.chosen(prepared.seeds, known, entry["hashes"]["design"])
+    attempt = ledger.attempt_of(begun, lines, damage)
+    return Pack(folder, record, replace(prepared, seeds=drawn), entry, attempt, bool(given))
 
 
 def _hashes(record: dict[str, Any], prepared: Prepared, found: Findings) -> bool:
@@ -180,155 +206,192 @@ def _hashes(record: dict[str, Any], prepared: Prepared, found: Findings) -> bool
     return not set(wrong) - {"code"}
 
 
-def _verdict(record: dict[str, Any], prepared: Prepared, folder: Path, found: Findings) -> None:
-    """Compare the verdict with the requirements, their waivers, and the flights of the pack.
+def _results(pack: Pack, most: int, draw: random.Random, found: Findings, progress: Progress) -> None:
+    """Derive the record again, and compute a sample of the results."""
+    job, files = pack.prepared.parts(PartsOnDisk(None), progress.show, 1), pack.record["files"]
+    places = [campaign_folder(pack.folder, n) for n in range(len(pack.prepared.loaded.suite.campaign))]
+    parts = [path for place in places for path in (place / MANIFEST, *(part.path for part in parts_in(place)))]
+    if RESULTS_NAME not in files:
+        found.differs.append(f"results: the pack has no {RESULTS_NAME}: nothing was derived or computed again")
+        return
+    if not all(path.relative_to(pack.folder).as_posix() in files for path in parts):
+        found.differs.append("campaigns: their runs are not in the pack: nothing was derived or computed again")
+        return
+    try:
+        results = Results.from_bytes((pack.folder / RESULTS_NAME).read_bytes())
+    except (OSError, ValueError) as error:
+        found.differs.append(f"results: {RESULTS_NAME} cannot be read: {error}")
+        return
+    if pack.attempt.line["date"] and pack.record["hashes"] == pack.prepared.hashes:  # not of another version of maxq
+        names = [key for key in ("suite", "part", "seeds", "hashes") if pack.entry[key] != pack.attempt.line[key]]
+        found.differs += [f"ledger of attempts: {name} of the attempt: not of these inputs" for name in names]
+    before = len(found.differs)
+    data = _derived(pack, results, job, found)
+    if any(text.startswith("results: ") for text in found.differs[before:]):
+        found.differs.append("nothing was computed again: the results are not those of the suite")
+        return
+    _sample(jobs_of(pack.prepared, results, job, data), most, draw, found, progress)
 
-    Waivers are those of the suite, on the day of the attempt in the ledger.
-    """
-    rows = [suites.JudgedRequirement(**{_KEYS.get(k, k): v for k, v in row.items()}) for row in record["requirements"]]
-    begun = [line for line in ledger.read_lines(folder / ATTEMPTS_NAME)[0] if line["hash"] == record["attempt"]["line"]]
-    date, board = (begun[0]["date"][:10] if begun else ""), prepared.loaded.suite.board
-    plain = [replace(row, waived="") for row in rows]
-    waived, _ = apply_waivers(plain, board, date, bool(record["missing_evidence"]))
-    same = suites.overall(waived, record["missing_evidence"]) == record["verdict"]
-    same &= [row.waived for row in waived] == [row.waived for row in rows]
-    passed = {flight["name"]: flight["passed"] for flight in record["flights"]}
-    scenarios = [row for row in rows if row.part == "scenarios" and row.name in passed]
-    same &= all((row.judgement == suites.ACCEPTED) == passed[row.name] for row in scenarios)
-    found.add(
-        same, "the verdict, by the requirements in the pack", "the verdict: it does not follow from the requirements"
-    )
+
+def _names(results: Results) -> dict[str, Any]:
+    """Return the places of all results: flights with their requirements, operating points, vehicles."""
+    return {
+        "flights": [(f.name, f.counts, [told(v.requirement) for v in f.verdicts]) for f in results.flights],
+        "margins": [
+            (m.plane, m.stage, m.times_s, [c.label for c in m.corners], m.first, np.shape(m.random))
+            for m in results.margins
+        ],
+        "worst vehicles": [(w.plane, w.stage) for w in results.worst],
+        "certificate": sorted((c.time_s, c.plane) for c in results.certificates),
+        "measured only": sorted((n.time_s, n.plane) for n in results.measured),
+        "in-flight responses": sorted((r.time_s, r.plane) for r in results.in_flight),
+        "control authority": [a.time_s for a in results.authority],
+    }
+
+
+def _wanted_names(prepared: Prepared, job: Parts, results: Results) -> dict[str, Any]:
+    """Return the places of the results that the suite requires. Those in flight are where the results are stable."""
+    suite, margins, design = prepared.loaded.suite, job.suite.margins, job.design
+    alone = margins is not None and margins.only in (WORST, CERTIFICATE)
+    parts = list(job.by_stage("", margins)) if margins is not None and design is not None and not alone else []
+    studies = []
+    for nodes, stage, _ in parts:
+        assert margins is not None
+        corners, drawn = linear.vehicles(margins, nodes[0], job.described.at(nodes[0]))
+        first = int(drawn[0].label.removeprefix("vehicle ")) if drawn else 0
+        shape, at_s = (len(drawn), len(nodes), len(SWEPT)), tuple(node.time_s for node in nodes)
+        studies.append((nodes[0].plane, stage, at_s, [c.label for c in corners], first, shape))
+    certificate, points = suite.certificate, list[tuple[float, str]]()
+    if certificate is not None:
+        times_s = job.times_s(certificate)
+        nodes_of = [operating_points.nodes(job.along, times_s, plane=plane) for plane in certificate.planes]
+        points = [(node.time_s, node.plane) for nodes in nodes_of for node in nodes]
+    responses: list[tuple[float, str]]
+    if design is None:
+        responses = [(t, plane) for plane, held in job.held_responses(results.measured).items() for t in held]
+    else:
+        times = job.in_flight_times_s(results.certificates)
+        responses = [(t, plane) for plane in (certificate.planes if certificate is not None else ()) for t in times]
+    flights = zip(suite.flight, prepared.flights, strict=True)
+    return {
+        "flights": [
+            (f.name, f.design_must_keep, [told(r) for r in one.scenario.requirement]) for f, (one, _) in flights
+        ],
+        "margins": studies,
+        "worst vehicles": [(part.nodes[0].plane, part.stage) for part in job.worst_parts()],
+        "certificate": sorted(points) if design is not None else [],
+        "measured only": sorted(points) if design is None else [],
+        "in-flight responses": sorted(responses),
+        "control authority": [] if alone else job.authority_times_s(),
+    }
+
+
+def _judged_again(v: Verdict, metrics: Mapping[str, float]) -> Verdict:
+    return judge(v.requirement, metrics, {v.requirement.metric: v.time_s})
+
+
+def _derived(pack: Pack, results: Results, job: Parts, found: Findings) -> list[DataSet]:
+    """Derive the whole record from the results and the runs in the pack, and compare it. Return the data sets."""
+    prepared, record = pack.prepared, pack.record
+    wanted = plain_record(_wanted_names(prepared, job, results))
+    wrong = [name for name, places in plain_record(_names(results)).items() if places != wanted[name]]
+    found.differs += [f"results: {name}: their places or limits are not those of the suite" for name in wrong]
+    for f in results.flights:
+        odd = [v.name for v in f.verdicts if text_of(_judged_again(v, f.metrics)) != text_of(v)]
+        found.differs += [f"results: flight '{f.name}': {name} does not follow from its metric" for name in odd]
+    if wrong:
+        return []
+    suite, data, campaigns = prepared.loaded.suite, list[DataSet](), list[flown.CampaignResult]()
+    for n, (asked, campaign) in enumerate(zip(suite.campaign, prepared.campaigns, strict=False)):
+        place = campaign_folder(pack.folder, n)
+        data.append(DataSet(place, campaign, campaign.campaign.runs))
+        campaigns.append(flown.result_of(asked, campaign, place))
+    kinds = board_findings.kinds_of(prepared.campaigns, campaigns)
+    stated = record["campaigns"] if len(record["campaigns"]) == len(campaigns) else []
+    campaigns = [replace(c, folder=Path(old["folder"])) for c, old in zip(campaigns, stated, strict=False)]
+    again = conclude(prepared, job, results, campaigns, kinds, pack.attempt)
+    given = str(record["command"])
+    derived = json.loads(json.dumps(plain_record(verdict_record(again, given))))
+    mine = {key: value for key, value in record.items() if key not in _NOT_DERIVED}
+    derived = {key: value for key, value in derived.items() if key not in _NOT_DERIVED}
+    if pack.replaced:
+        mine, derived = ({k: v for k, v in each.items() if k not in _NAMED} for each in (mine, derived))
+    for each in (mine, derived):
+        each["requirements"] = _by_name(each["requirements"], pack.replaced)
+    differences = list(compared(mine, derived))
+    found.differs += differences
+    if not differences:
+        rows = len(record["requirements"])
+        found.agrees.append(f"verdict and {rows} requirements, derived again from the results in the pack")
+    if not pack.replaced:
+        found.add(
+            _is_command(shlex.split(given), prepared),
+            "the command, by its inputs",
+            f"command: is not that of the inputs: {given}",
+        )
+    for w in results.worst:
+        path = pack.folder / worst_name(w)
+        if not path.is_file() or path.read_text(encoding="utf-8") != w.text:
+            found.differs.append(f"file {path.name}: is not the worst vehicle of the results")
+    return data
+
+
+def _is_command(words: Sequence[str], prepared: Prepared) -> bool:
+    """Return True if words are the command of the inputs: design by any of its names, suite, overrides and part."""
+    given, part = prepared.loaded, prepared.loaded.part
+    try:
+        if design_name(words[1]) != prepared.design:
+            return False
+    except (IndexError, ScenarioError):
+        return False
+    wanted = shlex.split(given.command(words[1], prepared.vehicle, *(("--only", part) if part else ())))
+    more = list(words[len(wanted) :])
+    return list(words[: len(wanted)]) == wanted and (not more or (len(more) == 2 and more[0] == "--out"))
+
+
+def _by_name(rows: Sequence[dict[str, Any]], replaced: bool) -> dict[str, Any]:
+    """Return requirements by part and name, those of the same name with their number, and commands as words."""
+    out = dict[str, Any]()
+    for row in rows:
+        name = f"{row['name']} ({row['part']})"
+        count = sum(known.partition(" #")[0] == name for known in out)
+        again = None if replaced else shlex.split(str(row["again"]))
+        out[f"{name} #{count + 1}" if count else name] = row | {"again": again}
+    return out
+
+
+def compared(pack: Any, derived: Any, path: str = "") -> Iterator[str]:
+    """Yield a sentence for each difference of a record from the derived one, both as JSON has them."""
+    if isinstance(pack, dict) and isinstance(derived, dict):
+        for key in dict.fromkeys([*derived, *pack]):
+            where = f"{path}: {key}" if path else key
+            if key not in pack:
+                yield f"{where}: the pack lacks it"
+            elif key not in derived:
+                yield f"{where}: does not follow from the results"
+            else:
+                yield from compared(pack[key], derived[key], where)
+    elif isinstance(pack, list) and isinstance(derived, list) and len(pack) == len(derived):
+        for n, (a, b) in enumerate(zip(pack, derived, strict=True)):
+            yield from compared(a, b, f"{path} {n + 1}")
+    elif isinstance(pack, list) and isinstance(derived, list):
+        yield f"{path}: {len(pack)} in the pack, {len(derived)} by the results"
+    elif pack != derived or isinstance(pack, bool) != isinstance(derived, bool):
+        yield f"{path}: {json.dumps(pack)} in the pack, {json.dumps(derived)} by the results"
 
 
 def _sample(
-    record: dict[str, Any],
-    prepared: Prepared,
-    folder: Path,
-    most: int,
-    draw: random.Random,
-    found: Findings,
-    progress: Progress,
+    every: Mapping[str, Sequence[Job]], most: int, draw: random.Random, found: Findings, progress: Progress
 ) -> None:
-    """Recompute a random sample of each kind of result, and judge the campaigns of the pack again."""
-    suite = prepared.loaded.suite
-    changes, first = flown.design_changes(prepared.design, prepared.vehicle), next(iter(prepared.campaigns), None)
-    job = Parts(suite, prepared.scenario, prepared.along, PartsOnDisk(None), progress.show, 1, first, changes)
-    _floor(record, prepared, job, folder, found)
-    jobs = {
-        "flights": _flights(record, prepared, found),
-        "operating points": _points(record, prepared, job, found),
-        "runs": [],
-    }
-    judged = list[suites.JudgedRequirement]()
-    places = [campaign_folder(folder, n) for n in range(len(suite.campaign))]
-    parts = [path for place in places for path in (place / MANIFEST, *(part.path for part in parts_in(place)))]
-    if all(path.relative_to(folder).as_posix() in record["files"] for path in parts):
-        for place, wanted, campaign in zip(places, suite.campaign, prepared.campaigns, strict=False):
-            data = DataSet(place, campaign, campaign.campaign.runs)
-            name = f"of {campaign.name}"
-            jobs["runs"] += [(f"{run} {name}", True, partial(flown.same_run, data, run)) for run in data.runs.tolist()]
-            judged += flown.campaign_requirements(flown.result_of(wanted, campaign, place))
-        found.add(
-            _said(plain_record([vars(r) for r in judged])) == _said(record["requirements"]),
-            f"verdicts of {len(places)} campaigns, by the {len(jobs['runs'])} runs in the pack",
-            "verdicts of the campaigns: the runs in the pack give others",
-        )
-    else:
-        found.differs.append("campaigns: their runs are not in the pack")
-    for kind, every in jobs.items():
-        chosen, good = draw.sample(every, min(most, len(every))), list[str]()
+    """Compute a random sample of each kind of result again."""
+    for kind, jobs in every.items():
+        chosen, good = draw.sample(jobs, min(most, len(jobs))), list[str]()
         for done, (name, known, compute) in enumerate(chosen):
             progress.show(f"{kind} computed again", done, len(chosen))
-            if plain_record(compute()) == known:
+            if text_of(compute()) == text_of(known):
                 good.append(name)
             else:
-                found.differs.append(f"{kind.removesuffix('s')} {name}: computed again, it is another")
+                one = "search" if kind == "searches" else kind.removesuffix("s")
+                found.differs.append(f"{one} {name}: computed again, it differs")
         if chosen:
-            found.agrees.append(f"{len(good)} of {len(every)} {kind}, computed again: {', '.join(good)}")
-
-
-def _said(rows: Sequence[dict[str, Any]]) -> list[tuple[Any, ...]]:
-    """Return the name, wanted, found and verdict of the requirements of campaigns."""
-    mine = (row for row in rows if row["part"] == "campaign")
-    return [(row["name"], row["wanted"], row["found"], row.get("verdict", row.get("judgement"))) for row in mine]
-
-
-def _flights(record: dict[str, Any], prepared: Prepared, found: Findings) -> list[Job]:
-    wanted, known = prepared.loaded.suite.flight, {flight["name"]: flight for flight in record["flights"]}
-    if list(known) != [flight.name for flight in wanted]:
-        found.differs.append("flights: those of the pack are not those of the suite")
-
-    def compute(flight: suites.SuiteFlight, loaded: LoadedScenario, again: str) -> Any:
-        result = flown.fly_alone(flight, loaded, again)
-        return {key: getattr(result, key) for key in FLIGHT}
-
-    return [
-        (f"'{f.name}'", known[f.name], partial(compute, f, loaded, known[f.name]["again"]))
-        for f, (loaded, _) in zip(wanted, prepared.flights, strict=True)
-        if f.name in known
-    ]
-
-
-def _floor(record: dict[str, Any], prepared: Prepared, job: Parts, folder: Path, found: Findings) -> None:
-    """Compare the evidence that is missing for an acceptance with that of the pack.
-
-    Seeds count as registered by the pack's copy of the ledger. In-flight responses are taken as measured where the
-    suite requires them.
-    """
-    lines = ledger.read_lines(folder / ATTEMPTS_NAME)[0]
-    begun = [n for n, line in enumerate(lines) if line["hash"] == record["attempt"]["line"]]
-    hashes, known = prepared.entry()["hashes"], [x for x in lines[: begun[0] + 1 if begun else 0] if "seeds" in x]
-    drawn = seeds.chosen(prepared.seeds, known, hashes["vehicle"], hashes["design"])
-    certificate = prepared.loaded.suite.certificate
-    planes = certificate.planes if certificate is not None and certificate.in_flight else ()
-    lacking = [
-        text
-        for text in missing_of(replace(prepared, seeds=drawn), job, planes)
-        if text not in record["missing_evidence"]
-    ]
-    found.differs += [f"missing evidence: the pack does not list '{text}'" for text in lacking]
-    found.agrees += [] if lacking else ["the evidence that is missing for an acceptance"]
-
-
-def _points(record: dict[str, Any], prepared: Prepared, job: Parts, found: Findings) -> list[Job]:
-    """Return the linear margins as designed, the certificates and the measurements of flight code.
-
-    The operating points are those of the suite: a pack that lacks one differs.
-    """
-    scenario, design, suite = prepared.scenario, prepared.scenario.design, prepared.loaded.suite
-
-    def linear(node: Node) -> Any:
-        assert suite.margins is not None
-        assert design is not None
-        return measured(Loop(fixed_path(node), law_at(design, node)), suite.margins.dispersed.slosh_peak_db)
-
-    def certificate(node: Node) -> Any:
-        return certificate_record(certify_node(scenario, node))
-
-    def code(node: Node) -> Any:
-        return measured_record(measure_node(scenario, node))
-
-    out, expected = list[Job](), dict[str, list[Node]]()
-    if suite.margins is not None and design is not None and not prepared.loaded.part:
-        expected["margins"] = [node for plane in suite.margins.planes for node in job.nodes(plane)]
-    if suite.certificate is not None:
-        times_s, planes = job.times_s(suite.certificate), suite.certificate.planes
-        nodes = [node for plane in planes for node in operating_points.nodes(prepared.along, times_s, plane=plane)]
-        expected["certificate" if design is not None else "measured_only"] = nodes
-    margins = [
-        {"time_s": time_s, "plane": study["plane"], "found": known}
-        for study in record["margins"]
-        for time_s, known in zip(study["times_s"], study["as_designed"], strict=True)
-    ]
-    for kind, nodes in expected.items():
-        rows = margins if kind == "margins" else record[kind]
-        known = {(row["time_s"], row["plane"]): row.get("found", row) for row in rows}
-        compute = {"margins": linear, "certificate": certificate, "measured_only": code}[kind]
-        if {(node.time_s, node.plane) for node in nodes} != set(known):
-            found.differs.append(f"{kind}: the operating points of the pack are not those of the suite")
-        out += [
-            (f"{kind.replace('_', ' ')} {node_name(node)}", known[at], partial(compute, node))
-            for node in nodes
-            if (at := (node.time_s, node.plane)) in known
-        ]
-    return out
+            found.agrees.append(f"{len(good)} of {len(jobs)} {kind}, computed again: {', '.join(good)}")

@@ -31,6 +31,7 @@ def headline(found: Verification, name: str = "") -> str:
     if found.judgement == SCREENED:
         more = f", and {len(reasons) - MOST_REASONS} more" if len(reasons) > MOST_REASONS else ""
         texts.append(f"below the floor of an acceptance: {', '.join(reasons[:MOST_REASONS])}{more}")
+    texts += [found.compared.agreed] if found.judgement in (ACCEPTED, WAIVED) and found.compared.agreed else []
     line = f"{verdict_word(found.judgement, found.requirements)}: {'; '.join(filter(None, texts))}"
     line += f". {ONLY_REJECTS}" if reasons else ""
     return f"{printable(name)}: {line}" if name else line

@@ -12,7 +12,7 @@ from maxq.design.verify.verify import Verification
 from maxq.sim.campaign.store import MANIFEST, parts_in
 from maxq.sim.files import write_whole
 
-ATTEMPTS_NAME, RUNS_NAME = "attempts.jsonl", "verdict-runs"
+ATTEMPTS_NAME, RUNS_NAME, RESULTS_NAME = "attempts.jsonl", "verdict-runs", "results.json.gz"
 MOST_NAMES = 6  # of recalled results in a line; verdict.json lists all
 
 
@@ -20,7 +20,9 @@ def record_lines(found: Verification) -> list[str]:
     """Return the lines of the first page: the attempt, the seeds that are not declared, and the recalled results."""
     out = [found.attempt.title]
     for seed in found.seeds:
-        if seed.how != DECLARED:
+        if seed.value == seed.declared and seed.lack:
+            out.append(seed.lack)
+        elif seed.how != DECLARED:
             how = f"{seed.how}, not registered before" if seed.how == BY_HAND else seed.how
             out.append(f"seed {seed.value} of {seed.of}, not the declared {seed.declared}: {how}")
     return [*out, reused_line(found)]

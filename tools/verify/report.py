@@ -19,6 +19,7 @@ from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.verify.compared import against_basis
 from maxq.design.verify.flown import FlownResult
 from maxq.design.verify.names import tank_name
+from maxq.design.verify.results import Results
 from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, JudgedRequirement
 from maxq.design.verify.verify import Verification
 from maxq.design.verify.worst import WorstVehicle
@@ -32,7 +33,7 @@ from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot, as_csv
 from maxq.tools.verify.board import board_record, board_tables, waiver_lines
 from maxq.tools.verify.outcome import headline, verdict_word
-from maxq.tools.verify.records import file_hashes, record_lines, records, write_attempts, write_runs
+from maxq.tools.verify.records import RESULTS_NAME, file_hashes, record_lines, records, write_attempts, write_runs
 from maxq.tools.verify.signing import SUFFIX
 
 VERDICT_NAME, PAGE_NAME, PDF_NAME, FIGURES_NAME = "verdict.json", "review.html", "review.pdf", "figures"
@@ -72,9 +73,9 @@ def write_pack(found: Verification, folder: Path, command: str, pack: bool, sign
     """
     (folder / f"{VERDICT_NAME}{SUFFIX}").unlink(missing_ok=True)  # of an earlier pack
     files = [write_attempts(found, folder), *(write_runs(found, folder) if pack else [])]
+    files += [write_whole(folder / RESULTS_NAME, Results.of(found).to_bytes())] if pack else []
     for w in found.worst:
-        name = plain_name("-".join(filter(None, ("worst", w.plane, w.stage))), "worst")
-        files.append(write_whole(folder / f"{name}.toml", w.text))
+        files.append(write_whole(folder / worst_name(w), w.text))
     if pack:
         from maxq.tools.verify.figures import plots  # noqa: PLC0415  # lazy: SciPy comes with it
 
@@ -85,6 +86,11 @@ def write_pack(found: Verification, folder: Path, command: str, pack: bool, sign
         files += [page] if printed is None else [page, printed]
     record = verdict_record(found, command) | {"files": file_hashes(folder, files)}
     return [write_record(folder / VERDICT_NAME, record), *files]
+
+
+def worst_name(w: WorstVehicle) -> str:
+    """Return the name of the file of a worst vehicle."""
+    return plain_name("-".join(filter(None, ("worst", w.plane, w.stage))), "worst") + ".toml"
 
 
 def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Signed = Signed()) -> str:
@@ -370,7 +376,7 @@ def ranking(every: Sequence[Verification]) -> list[str]:
 def verdict_record(found: Verification, command: str) -> dict[str, Any]:
     """Return the whole verification without histories."""
     further = found.compared.from_shipped
-    return {
+    record: dict[str, Any] = {
         "schema": 2,
         "design": found.design,
         "design_name": found.scenario.design.name if found.scenario.design else "",
@@ -413,6 +419,18 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "walls_s": found.walls_s,
         "cpus_s": found.cpus_s,
     }
+    return dict(_from_here(record))
+
+
+def _from_here(value: Any) -> Any:
+    """Return a record with all paths relative to the working folder, so that it is the same in a copy of that
+    folder.
+    """
+    if isinstance(value, dict):
+        return {key: _from_here(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_from_here(item) for item in value]
+    return from_here(value) if isinstance(value, str) else value
 
 
 def _worst(w: WorstVehicle) -> dict[str, Any]:

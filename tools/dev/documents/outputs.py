@@ -76,10 +76,11 @@ def files_of(text: str) -> dict[str, str]:
 def run(command: str, folder: Path) -> list[str]:
     """Run a command in a folder, and return the lines that it prints."""
     paths = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    own = {"PATH": paths, "COLUMNS": str(WIDTH), "MPLBACKEND": "Agg", "MAXQ_LEDGER": str(folder / "attempts")}
     done = subprocess.run(
         ["bash", "-c", command],
         cwd=folder,
-        env=os.environ | {"PATH": paths, "COLUMNS": str(WIDTH), "MPLBACKEND": "Agg"},
+        env=os.environ | own,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

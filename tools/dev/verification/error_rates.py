@@ -64,8 +64,8 @@ def lacking(attempts: int) -> list[list[str]]:
         seed = Seed(OF, value, 0, BY_HAND if value else DECLARED)
         with contextlib.suppress(ValueError):  # where the ledger permits no other seed
             lines.append(registered([seed], lines, "v") | {"date": "today"})
-        out.append(missing(chosen([seed], lines, "v", "d")))
-        lines.append({"state": BEGUN, "hashes": hashes, "seeds": {OF: value}, "candidate": 0})
+        out.append(missing(chosen([seed], lines, "d")))
+        lines.append({"state": BEGUN, "hashes": hashes, "seeds": {OF: value}, "candidate": 0, "part": ""})
     return out
 
 
