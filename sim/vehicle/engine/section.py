@@ -83,8 +83,8 @@ class EngineSection(Section):
             )
         warm = self.temperature_sensitivity_1pK * (self.propellant_temperature_K - self.reference_temperature_K)
         if abs(warm) > _LARGEST_EXPONENT:
-            problem, least = f"multiplies the burn rate by exp({warm:.3g})", f"at most exp({_LARGEST_EXPONENT:g})"
-            raise refuse(problem, f"{least}, or its inverse", "propellant_temperature_K")
+            allowed = f"at most exp({_LARGEST_EXPONENT:g}), or its inverse"
+            raise refuse(f"multiplies the burn rate by exp({warm:.3g})", allowed, "propellant_temperature_K")
         if self.gimbal == "fixed" and self.group:
             raise refuse("a fixed engine moves with no group", "this key with a gimballed engine only", "group")
 
