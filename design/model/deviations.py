@@ -43,11 +43,14 @@ _LEAST = 0.05  # of the nominal value, to which a search is limited if the distr
 class Rule(NamedTuple):
     """The field of `Dispersion` that a key of a stage changes, by the result to the `power`, and the `planes` in which
     it acts.
+
+    With `sensitivity`, a key of the same engine, the change is the exponential of this value times the deviation.
     """
 
     field: str
     power: float = 1.0
     planes: tuple[str, ...] = ("pitch", "yaw")
+    sensitivity: str = ""
 
 
 RULES = {
@@ -71,6 +74,7 @@ RULES = {
     "computer.delay_s": Rule("delay_s"),
     "engine.#.thrust_factor": Rule("thrust"),
     "engine.#.mass_flow_factor": Rule("mass_flow"),
+    "engine.#.propellant_temperature_K": Rule("mass_flow", sensitivity="temperature_sensitivity_1pK"),
     "aero.force_factor": Rule("normal_force"),
     "aero.axial_factor": Rule("axial_force"),
     "aero.damping_factor": Rule("rate_damping"),
@@ -90,7 +94,7 @@ RULES = {
 }
 """The rules by key of a stage, without the number of a single engine or actuator. # is a number."""
 UNREAD = re.compile(
-    r"engine(\.#)?\.misalignment_deg\.#|actuator(\.#)?(\.yaw)?\.(rate_limit_degps|angle_limit_deg|stop_deg|backlash_deg|bias_deg\.#)"
+    r"engine(\.#)?\.(misalignment_deg\.#|roll_arm_m)|actuator(\.#)?(\.yaw)?\.(rate_limit_degps|angle_limit_deg|stop_deg|backlash_deg|bias_deg\.#)"
     r"|gyro\.(bias_degph|scale_factor|misalignment_deg)\.#|gyro\.noise_deg_rt_h|computer\.command_limit_deg"
     r"|mass\.table\.I(xy|xz|yz)_kgm2"
 )
@@ -107,10 +111,13 @@ class Act(NamedTuple):
     part: int  # of the field
     power: float
     of_whole: bool  # the result is a factor or an amount, not a new value
+    sensitivity: float | None = None  # of the logarithm of the field
 
     def change(self, result: Array) -> Array:
         """Return the factors or the amounts for results of the draw, (vehicles,)."""
         target, added = self.draw.targets[self.target], self.field in ADDED
+        if self.sensitivity is not None:
+            return np.asarray(np.exp(self.sensitivity * (result - target.nominal)))
         if not self.of_whole:
             result = result - np.nan_to_num(target.nominal) if added else result / target.nominal
         return result if added else np.power(result, self.power)
@@ -323,7 +330,8 @@ def _acts(draw: Draw, n: int, target: Target, key: str, stage: Stage, node: Node
         return
     for index in _indices(key, numbers, stage, node):
         if index < _parts_of(field, node):
-            yield Act(draw, n, field, index, rule.power, whole)
+            of = getattr(stage.engines[index], rule.sensitivity) if rule.sensitivity else None
+            yield Act(draw, n, field, index, rule.power, whole, of)
 
 
 def _indices(key: str, numbers: list[int], stage: Stage, node: Node) -> Sequence[int]:

@@ -1,7 +1,8 @@
 """The intervals of a flight without operating points, which the report of a design lists.
 
 Under thrust, these are the times before the first operating point of a stage and after its last. They include the
-tail-off, in which the thrust decays, and stages without any points. Without thrust, they are the coasts in which the
+tail-off, in which the thrust decays, and stages without any points. The authority of the gimbals is reported for a
+tail-off of `LONG_TAIL_S` and more. Without thrust, they are the coasts in which the
 airframe is unstable. No gimbal can control it there, and a disturbance grows by exp(integral of sqrt(M_alpha) dt), with
 M_alpha the restoring derivative of the rigid body along the flight. Aerodynamic damping is neglected.
 """
@@ -10,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -28,6 +29,10 @@ COAST_STEP_S = 0.1  # between the instants at which a coast to the next burn is 
 LAST_STEP_S = 1.0  # likewise of the coast after the last burnout
 MOST_INSTANTS = 300  # of a coast
 GROWS = 2.0  # least growth factor of a disturbance in a coast that is listed
+LONG_TAIL_S = 1.0  # from this duration on, the authority in a tail-off is examined
+TAIL_INSTANTS = 41  # of it
+TRIMMED_DEG = 5.0  # angle of attack to be trimmed there
+TAIL_OFF = "tail-off, with less than half of the largest thrust"
 ENDS = ("apogee", "impact")  # events after which a coast is not examined
 
 
@@ -67,6 +72,7 @@ def uncovered(
         if span.stage in at_points_only and len(mine) > 1:
             found.append(Uncovered(span.stage, mine[0], mine[-1], BETWEEN))
     if loss is None:
+        found = _with_authority(flight, found, plane)
         found += _unstable_coasts(flight, spans, plane)
     return tuple(sorted(found, key=lambda each: each.begin_s))
 
@@ -78,9 +84,40 @@ def _of_span(span: Span, points_s: Sequence[float], full_end_s: float) -> list[U
     parts = (
         (span.begin_s, points_s[0], "under thrust, before the first operating point"),
         (last_s, tail_s, "under thrust, after the last operating point"),
-        (tail_s, span.end_s, "tail-off, with less than half of the largest thrust"),
+        (tail_s, span.end_s, TAIL_OFF),
     )
     return [Uncovered(span.stage, *part) for part in parts if part[1] - part[0] > BRIEF_S]
+
+
+def _with_authority(flight: LoadedScenario, found: Sequence[Uncovered], plane: Plane) -> list[Uncovered]:
+    """Return the intervals, those of a long tail-off with the authority of the gimbals.
+
+    In trim, the moment of the deflected engines balances that of the angle of attack, M_delta delta = -M_alpha alpha.
+    """
+    out, run = list(found), None
+    for n, part in sorted(enumerate(found), key=lambda each: each[1].begin_s):
+        gimballed = any(engine.gimbal != "fixed" for engine in flight.vehicle.stage[part.stage].engines)
+        if part.why != TAIL_OFF or not gimballed or part.end_s - part.begin_s < LONG_TAIL_S:
+            continue
+        run = flown_run(flight, faults=False) if run is None else run
+        held_s, m_delta = part.begin_s, list[float]()
+        for time_s in np.linspace(part.begin_s, part.end_s, TAIL_INSTANTS)[:-1].tolist():
+            if not _flies_to(run, time_s):
+                break
+            node = node_of(run.packed, run.now_s, part.stage, plane)
+            d = node.derivatives
+            m_delta.append(abs(d.m_delta_1ps2))
+            if m_delta[-1] * node.angle_limit_rad < d.m_alpha_1ps2 * math.radians(TRIMMED_DEG):
+                break
+            held_s = run.now_s
+        else:
+            held_s = part.end_s
+        if m_delta:
+            until = "to its end" if held_s == part.end_s else f"to {held_s:.4g} s"
+            trims = f"the gimbals trim {TRIMMED_DEG:g} deg of angle of attack {until}"
+            falls = f"M_delta falls from {m_delta[0]:.3g} to {m_delta[-1]:.3g} 1/s2"
+            out[n] = replace(part, why=f"{TAIL_OFF}; {trims} ({falls})")
+    return out
 
 
 def _unstable_coasts(flight: LoadedScenario, spans: Sequence[Span], plane: Plane) -> list[Uncovered]:

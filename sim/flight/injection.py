@@ -1,4 +1,5 @@
-"""Signals that a scenario injects: into the gimbal or rate command (at the computer's samples), or as body loads.
+"""Signals that a scenario injects: into the gimbal or rate command (at the computer's samples), as body loads, or
+as a share of the thrust.
 
 A signal switches on and off only at step boundaries, because the flight loop splits its steps there. In between it is
 evaluated at every stage of a step, so that a smooth signal preserves the integrator's order.
@@ -15,13 +16,13 @@ from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate
 
-GIMBAL_COMMAND, RATE_COMMAND, BODY_FORCE, BODY_TORQUE = range(4)  # place of a signal
+GIMBAL_COMMAND, RATE_COMMAND, BODY_FORCE, BODY_TORQUE, THRUST = range(5)  # place of a signal
 STEP, DOUBLET, SINE, CHIRP, MULTISINE, TABLE = range(6)  # form of a signal
 
 
 @dataclass(frozen=True)
 class Injections:
-    """The injected signals. Axis: 0 roll or x, 1 pitch or y, 2 yaw or z. Amplitudes in SI (rad, rad/s, N, N m)."""
+    """The injected signals. Axis: 0 roll or x, 1 pitch or y, 2 yaw or z. Amplitudes in SI (rad, rad/s, N, N m, 1)."""
 
     count: int
     where: Annotated[IntArray, (MAX_INJECTIONS,)]

@@ -10,7 +10,7 @@ from maxq.control.kernel.jit import disjoint_routine, kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import interpolate_into
 from maxq.control.kernel.vectors import Vector, add, scaled, set_vector
-from maxq.sim.flight.injection import BODY_FORCE, BODY_TORQUE, total_signal
+from maxq.sim.flight.injection import BODY_FORCE, BODY_TORQUE, THRUST, total_signal
 from maxq.sim.flight.metrics import gather
 from maxq.sim.flight.oscillators import (
     BLOCK_WIDTH,
@@ -130,6 +130,7 @@ def evaluate(
         inputs.torque_x_Nm = total_signal(p.injections, pool, BODY_TORQUE, 0, now_ns, elapsed_s)
         inputs.torque_y_Nm = total_signal(p.injections, pool, BODY_TORQUE, 1, now_ns, elapsed_s)
         inputs.torque_z_Nm = total_signal(p.injections, pool, BODY_TORQUE, 2, now_ns, elapsed_s)
+        inputs.thrust_share = total_signal(p.injections, pool, THRUST, 0, now_ns, elapsed_s)
     if p.environment.turbulence.on == 1:
         tick = p.environment.turbulence.tick_ns
         since_s = 1e-9 * (now_ns - memory.clock.next_gust_ns + tick) + elapsed_s

@@ -37,6 +37,7 @@ _WHERE = {
     "rate_command": signals.RATE_COMMAND,
     "body_force": signals.BODY_FORCE,
     "body_torque": signals.BODY_TORQUE,
+    "thrust": signals.THRUST,
 }
 _FORM = {
     "step": signals.STEP,

@@ -134,6 +134,9 @@ def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, fl
         if engine.gimbal != "fixed" and (load := loads.get(engine.group)) is not None:
             stiffness, inertia = load.stiffness_Nmprad, engine.inertia_about_gimbal_kgm2
             own_hz = load.frequency_hz if stiffness is None else math.sqrt(stiffness / inertia) / (2.0 * math.pi)
+            if load.bearing_stiffness_Nmprad > 0.0:
+                bearing_hz = math.sqrt(load.bearing_stiffness_Nmprad / inertia) / (2.0 * math.pi)
+                own_hz = math.hypot(own_hz or 0.0, bearing_hz)
             name = f" of engine {number}" if len(stage.engines) > 1 else ""
             yield f"{TVC_LOAD}{name}", own_hz or 0.0, load.damping_ratio
     if switches.gyro != "ideal":

@@ -85,12 +85,14 @@ AMPLITUDES = {
     "rate_command": "amplitude_degps",
     "body_force": "amplitude_N",
     "body_torque": "amplitude_Nm",
+    "thrust": "amplitude_share",
 }
 AXES = {
     "gimbal_command": ("pitch", "yaw"),
     "rate_command": ("pitch", "yaw", "roll"),
     "body_force": ("x", "y", "z"),
     "body_torque": ("x", "y", "z"),
+    "thrust": ("x",),
 }
 FREQUENCIES = {
     "step": (),
@@ -105,11 +107,11 @@ FREQUENCIES = {
 class Injection(Section):
     """A signal on one axis."""
 
-    at: Literal["gimbal_command", "rate_command", "body_force", "body_torque"] = Field(
-        description="place of the signal"
+    at: Literal["gimbal_command", "rate_command", "body_force", "body_torque", "thrust"] = Field(
+        description="place of the signal; thrust: of all engines that burn"
     )
     axis: Literal["pitch", "yaw", "roll", "x", "y", "z"] = Field(
-        description="gimbal_command: pitch, yaw; rate_command: pitch, yaw, roll; body_*: x, y, z"
+        description="gimbal_command: pitch, yaw; rate_command: pitch, yaw, roll; body_*: x, y, z; thrust: x"
     )
     kind: Literal["step", "doublet", "sine", "chirp", "multisine", "table"] = Field(
         description="shape; doublet: + in the first half, - in the second; chirp: linear change of frequency"
@@ -119,6 +121,9 @@ class Injection(Section):
     amplitude_degps: float | None = optional("deg/s, at rate_command")
     amplitude_N: float | None = optional("N, at body_force")
     amplitude_Nm: float | None = optional("N m, at body_torque")
+    amplitude_share: Annotated[float, Field(ge=-1.0, le=1.0)] | None = optional(
+        "of the thrust at that instant, at thrust"
+    )
     start_s: Seconds = optional("start on the vehicle clock, s, whole ns", 0.0)
     stop_s: Seconds | None = optional("end, s, whole ns (default: end of the flight)")
     frequency_hz: Positive | None = optional("Hz, of sine; first of chirp")
@@ -133,7 +138,7 @@ class Injection(Section):
     def _check(self) -> None:
         if self.axis not in AXES[self.at]:
             raise refuse(f"{self.at} has no such axis", ", ".join(AXES[self.at]), "axis")
-        if self.replaces and self.at in ("body_force", "body_torque"):
+        if self.replaces and self.at in ("body_force", "body_torque", "thrust"):
             raise refuse("there is no command to replace", f"false at {self.at}", "replaces")
         used = () if self.kind == "table" else (AMPLITUDES[self.at],)
         for key in AMPLITUDES.values():
@@ -368,7 +373,7 @@ class Scenario(Section):
             self._check_orbit(self.guidance.orbit)
         for n, injection in enumerate(self.injection):
             key = ("injection", n, "at")
-            if injection.at == "gimbal_command" and not any(stage.engine for stage in self.vehicle.stage):
+            if injection.at in ("gimbal_command", "thrust") and not any(stage.engine for stage in self.vehicle.stage):
                 raise refuse("the vehicle has no engine", "body_force, body_torque", key)
             if injection.at == "rate_command" and computer is None:
                 raise refuse("the vehicle has no [computer]", "body_force, body_torque", key)

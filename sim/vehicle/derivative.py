@@ -133,6 +133,7 @@ class StageInputs:
     gust_x_mps: float  # gust in the turbulence's frame: B, or north, east, down
     gust_y_mps: float
     gust_z_mps: float
+    thrust_share: float  # injected thrust of all engines, relative to their own
 
 
 @kernel
@@ -251,7 +252,9 @@ def _derivative(
     aero_force, aero_moment = aerodynamics(
         vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux.air
     )
-    thrust_force, thrust_moment, gimbal_load = thrust_loads(vehicle, sizes, engine, properties, work, aux)
+    thrust_force, thrust_moment, gimbal_load = thrust_loads(
+        vehicle, sizes, engine, inputs.thrust_share, properties, work, aux
+    )
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_TOTAL_MASS]
     pad, axial_load = (0.0, 0.0, 0.0), (aero_force[0] + thrust_force[0]) * inverse_mass
     if held.on_pad == 1:
@@ -489,15 +492,15 @@ def aerodynamics(
 
 @kernel
 def thrust_loads(
-    vehicle: StageRecord, sizes: Counts, engine: Deflected, properties: Array, work: Work, aux: Aux
+    vehicle: StageRecord, sizes: Counts, engine: Deflected, share: float, properties: Array, work: Work, aux: Aux
 ) -> tuple[Vector, Vector, Load]:
     """Return the loads of the thrust along the deflected engines on the bent body.
 
-    They are the force, the moment about the core CG, and the load on the modes. The load is that at the first station
-    of gimbals; loads at other stations are added to the modes directly. `outer_spatial_load` adds the moment due to the
-    displacement by spatial modes.
+    `share` is an injected thrust relative to that of the engines. They are the force, the moment about the core CG, and
+    the load on the modes. The load is that at the first station of gimbals; loads at other stations are added to the
+    modes directly. `outer_spatial_load` adds the moment due to the displacement by spatial modes.
     """
-    strength = thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux.air.pressure_Pa)
+    strength = (1.0 + share) * thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux.air.pressure_Pa)
     aux.engines.thrust_N[0], aux.engines.axial_thrust_N = strength, vehicle.engine.rest_x[0] * strength
     bend = gimbal_bend(sizes, properties, 0, work.modes)
     gimbal = aux.gimbal_bending
@@ -506,7 +509,7 @@ def thrust_loads(
     force, moment, load = thrust_load(vehicle.engine, 0, engine, strength, vehicle.follower_thrust, bend)
     if sizes.engines > 1:
         further_force, further_moment, load = further_thrusts(
-            vehicle.engine, vehicle.sizes, vehicle.follower_thrust, load, bend, properties, work, aux
+            vehicle.engine, vehicle.sizes, vehicle.follower_thrust, load, bend, share, properties, work, aux
         )
         force, moment = add(force, further_force), add(moment, further_moment)
     return force, moment, load
@@ -550,12 +553,23 @@ def thrust_load(
     moment = (moment[0], moment[1] + bend.shift_z * force[0], moment[2] - bend.shift_y * force[0])
     off_y, off_z = e.gimbal_offset_y_m[k], e.gimbal_offset_z_m[k]
     couple = (off_y * force[2] - off_z * force[1], off_z * force[0], -off_y * force[0])
+    if e.roll_arm_m[k] != 0.0:
+        swirl = scaled(e.roll_arm_m[k], force)
+        moment, couple = add(moment, swirl), add(couple, swirl)
     return force, moment, (force[0], force[1], force[2], couple[0], couple[1], couple[2])
 
 
 @routine
 def further_thrusts(
-    e: Engine, of: Sizes, follower: int, load: Load, first_bend: Bend, properties: Array, work: Work, aux: Aux
+    e: Engine,
+    of: Sizes,
+    follower: int,
+    load: Load,
+    first_bend: Bend,
+    share: float,
+    properties: Array,
+    work: Work,
+    aux: Aux,
 ) -> tuple[Vector, Vector, Load]:
     """Return force and moment of the engines beyond the first, and `load` plus their load.
 
@@ -564,7 +578,7 @@ def further_thrusts(
     sizes, modes = counts(of), work.modes
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(1, sizes.engines):
-        strength = thrust(e, k, properties[sch.thrust_column(sizes, e.curve[k])], aux.air.pressure_Pa)
+        strength = (1.0 + share) * thrust(e, k, properties[sch.thrust_column(sizes, e.curve[k])], aux.air.pressure_Pa)
         aux.engines.thrust_N[k] = strength
         aux.engines.axial_thrust_N += e.rest_x[k] * strength
         gimbal, bend = e.gimbal[k], first_bend

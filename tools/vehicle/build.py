@@ -15,16 +15,18 @@ from maxq.control.kernel.records import Array
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle.modes.tables import ModeTable
 from maxq.sim.vehicle.slosh.shapes import modes_over
+from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.aerodynamics import Aerodynamics, aerodynamics
 from maxq.tools.vehicle.beam import Beam, BeamMode, RigidLoad
-from maxq.tools.vehicle.layout import Layout, LayoutTank
-from maxq.tools.vehicle.masses import Rod, Stack, engine_inertia, stacks
+from maxq.tools.vehicle.layout import Layout, LayoutStage, LayoutTank
+from maxq.tools.vehicle.masses import Rod, Stack, burn_of, engine_inertia, stacks
 from maxq.tools.vehicle.trajectory import Ascent, TrajectoryPoint, ascent
 
 MODE_ROWS = 13
 MOST_RIGID_HZ = 0.4
 SHARE = 0.8  # of the first gains' frequency that a design must keep
 BELOW = 8.0  # the rigid body's frequency is at most this share of those of mode 1 and of the actuator
+_PROPELLANT_kgpm3 = 1400.0, 2000.0  # solid propellants
 _NEAR_NODE = 0.1  # of the largest displacement
 TimedModes = tuple[Array, list[list[BeamMode]]]  # times of the stage's clock, with modes at each
 
@@ -289,12 +291,29 @@ def warnings(built: Built) -> list[str]:
                 what = f"mode {k + 1} at {mode.frequency_hz:.1f} Hz is above half the sample rate, {half_hz:g} Hz"
                 out.append(f"{stack.name}: {what}")
     for stage in built.layout.stage:
-        table, e = stage.engine.thrust, stage.engine
-        if table is not None and "mass_flow_kgps" in table:
-            burned = len(e.positions_m) * float(np.trapezoid(table["mass_flow_kgps"], table["time_s"]))
-            if abs(burned - stage.usable_kg) > 0.02 * stage.usable_kg:
+        e = stage.engine
+        if e.thrust is not None:
+            burn = burn_of(stage, 0.0)
+            burned = burn.burned_kg
+            if burned is None and e.isp_vacuum_s is not None:
+                burned = burn.impulse_Ns / (STANDARD_GRAVITY_mps2 * e.isp_vacuum_s)
+            if burned is not None and abs(burned - stage.usable_kg) > 0.02 * stage.usable_kg:
                 holds = f"the stage holds {stage.usable_kg:.4g} kg"
                 out.append(f"{stage.name}: its thrust file burns {burned:.4g} kg, {holds}")
+        out += [f"{stage.name}: {line}" for line in _unusual_grains(stage)]
     if built.mode_1_hz < 6.0 * MOST_RIGID_HZ:
         out.append(f"mode 1 at {built.mode_1_hz:.2f} Hz is less than six times the rigid body's {MOST_RIGID_HZ:g} Hz")
+    return out
+
+
+def _unusual_grains(stage: LayoutStage) -> list[str]:
+    """Return a line for each grain whose density by its mass and shape is that of no propellant."""
+    out = []
+    for grain in stage.grain:
+        if grain.burns != "uniform":
+            across = (grain.radius_m or 0.5 * stage.diameter_m) ** 2 - (grain.port_radius_m or 0.0) ** 2
+            density = grain.mass_kg / (math.pi * across * (grain.rear_station_m - grain.front_station_m))
+            if not _PROPELLANT_kgpm3[0] <= density <= _PROPELLANT_kgpm3[1]:
+                usual = f"{_PROPELLANT_kgpm3[0]:g} to {_PROPELLANT_kgpm3[1]:g}"
+                out.append(f"the grain has {density:.0f} kg/m3 by its mass and shape, usual are {usual}")
     return out

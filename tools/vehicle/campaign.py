@@ -9,6 +9,7 @@ from maxq.design.model.spread import Spread
 from maxq.tools.vehicle.build import Built
 from maxq.tools.vehicle.layout import LayoutStage
 
+ISP, MISALIGNMENT_DEG, TEMPERATURE_K = 0.01, 0.15, 15.0  # three sigma of a solid motor
 LIMIT_WIND = "vehicle/limit_wind.csv"
 SPREAD = Spread()  # its numbers, and further ones
 AXIAL, DAMPING = 0.1, {"distribution": "log-normal", "three_sigma": 0.6931}  # half or twice at three sigma
@@ -109,6 +110,14 @@ def _deviations(
 
     for n, one in _each(len(e.positions_m)):
         yield f"thrust at equal impulse{n}", [f"engine{one}.mass_flow_factor"], sized(SPREAD.thrust)
+        if stage.grain:
+            yield f"specific impulse{n}", [f"engine{one}.thrust_factor"], sized(ISP)
+            for k, axis in enumerate(("pitch", "yaw")):
+                given = {"apply": "add", "three_sigma": MISALIGNMENT_DEG}
+                yield f"thrust misalignment{n}, {axis}", [f"engine{one}.misalignment_deg.{k}"], given
+    if e.temperature_sensitivity_1pK > 0.0:
+        keys = [f"engine{one}.propellant_temperature_K" for _, one in _each(len(e.positions_m))]
+        yield "propellant temperature", keys, {"apply": "add", "three_sigma": TEMPERATURE_K}
     for n, one in _each(len(set(e.groups))):
         for p in poles:
             yield f"actuator poles{n} {p + 1}", [f"actuator{one}.omega_hz.{p}"], sized(SPREAD.actuator_frequency)

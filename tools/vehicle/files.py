@@ -28,7 +28,7 @@ from maxq.tools.vehicle.aerodynamics import aerodynamics
 from maxq.tools.vehicle.beam import Beam, RigidLoad
 from maxq.tools.vehicle.build import Built, burning, least_rigid_hz
 from maxq.tools.vehicle.campaign import LIMIT_WIND, campaign_of
-from maxq.tools.vehicle.layout import LayoutTank
+from maxq.tools.vehicle.layout import LayoutTank, LayoutThrust
 from maxq.tools.vehicle.masses import Stack, engine_inertia
 from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
@@ -304,6 +304,7 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         "gimballed_mass_kg": mass,
         "cg_from_gimbal_m": arm,
         "inertia_about_gimbal_kgm2": inertia,
+        **_of_motor(e),
     }
     many = len(e.positions_m) > 1
     engines = [
@@ -335,6 +336,8 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     }
     groups = dict.fromkeys(e.groups)
     out["actuator"] = [{"group": g} | actuator for g in groups] if len(groups) > 1 else actuator
+    if e.tvc_load is not None:
+        out["tvc_load"] = _copied(e.tvc_load, f"{prefix}tvc_load", tables)
     out["tank"] = [_tank(t, f"{shared}tank_{t.name}.csv") for t in stage.tank]
     if stage.bending is not None or stage.spatial_modes is not None:
         key = "bending" if stage.bending is not None else "spatial_modes"
@@ -355,6 +358,11 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     roll = stage.roll_torque_Nm or math.radians(5.0) * stack.mass_properties(0.0).roll_kgm2
     out["roll_thrusters"] = {"torque_Nm": roll}
     return out
+
+
+def _of_motor(e: LayoutThrust) -> dict[str, float]:
+    """Return the keys of an engine that its layout and its vehicle file share, if given."""
+    return {key: value for key in ("temperature_sensitivity_1pK", "roll_arm_m") if (value := getattr(e, key)) != 0.0}
 
 
 def _tank(t: LayoutTank, table: str) -> dict[str, Any]:
@@ -392,6 +400,7 @@ def _boosters(built: Built, n: int, tables: Tables) -> list[dict[str, Any]]:
             "exit_area_m2": e.exit_area_m2,
             "gimbal_station_m": e.gimbal_station_m,
             "exit_station_m": e.exit_station_m,
+            **_of_motor(e),
         }
         engines = [engine | {"offset_m": list(at)} for at in e.positions_m]
         one: dict[str, Any] = {"attachments_m": list(b.attachments_m), "mass": {"table": f"{prefix}mass.csv"}}

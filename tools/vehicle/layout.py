@@ -16,15 +16,25 @@ from pydantic import Field
 from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_STAGES
 from maxq.sim.input import values
 from maxq.sim.input.errors import refuse
-from maxq.sim.input.tables_csv import CsvTable
+from maxq.sim.input.foreign import RASP
+from maxq.sim.input.tables_csv import Columns, CsvTable
 from maxq.sim.input.values import Fraction, NotNegative, Pair, Positive, Section, optional
 from maxq.sim.scenario.loader import load_file
 from maxq.sim.vehicle.actuator.section import SECTIONS
 from maxq.sim.vehicle.air.section import AeroSection
-from maxq.sim.vehicle.engine.section import THRUST_COLUMNS
 from maxq.sim.vehicle.loads.section import SHARE_COLUMNS
 from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
 from maxq.sim.vehicle.slosh.section import Profile, check_domes
+from maxq.sim.vehicle.tvc_load.section import TvcLoadSection
+
+LAYOUT_THRUST_COLUMNS = Columns(
+    "time_s",
+    sets=(("thrust_vacuum_N",),),
+    optional=("mass_flow_kgps", "isp_vacuum_s"),
+    not_negative=("thrust_vacuum_N", "mass_flow_kgps", "isp_vacuum_s"),
+    begins_by=0.0,
+    foreign=RASP,
+)
 
 
 class Between(Section):
@@ -98,10 +108,27 @@ class LayoutTank(Section):
 
 
 class Grain(Between):
-    """A solid propellant grain, which burns uniformly and does not slosh."""
+    """A solid propellant grain, which does not slosh. All grains of a stage burn in proportion to their mass."""
 
     mass_kg: Positive = Field(description="kg")
     radius_m: Positive | None = optional("outside, m (default: the radius of its stage)")
+    burns: Literal["uniform", "port", "end"] = optional(
+        "uniform: the density decreases; port: from a cylindrical port outwards; end: from the aft face forward",
+        "uniform",
+    )
+    port_radius_m: Positive | None = optional("of the port at ignition, m (default: none)")
+
+    def _check(self) -> None:
+        super()._check()
+        self.only_with(("port_radius_m",), self.burns == "port", "burns = 'port'")
+
+
+def check_grains(grains: tuple[Grain, ...], radius_m: float) -> None:
+    """Check that each port is inside its grain; `radius_m` is that of the stage."""
+    for n, grain in enumerate(grains):
+        outside = grain.radius_m or radius_m
+        if (port := grain.port_radius_m) is not None and port >= outside:
+            raise refuse("is not inside the grain", f"below {outside:g}", ("grain", n, "port_radius_m"), value=port)
 
 
 class LoadSections(Section):
@@ -118,12 +145,17 @@ class LayoutThrust(Section):
     """Equal engines: their thrust, places and masses."""
 
     positions_m: tuple[Pair, ...] = optional("of each engine's gimbal, y and z, m", ((0.0, 0.0),), min_length=1)
-    thrust: Annotated[CsvTable, THRUST_COLUMNS] | None = optional(
-        "thrust of each over time from ignition, CSV or a RASP file (.eng): instead of thrust_vacuum_N, isp_vacuum_s "
-        "and ramps"
+    thrust: Annotated[CsvTable, LAYOUT_THRUST_COLUMNS] | None = optional(
+        "thrust of each over time from ignition, CSV or a RASP file (.eng): instead of thrust_vacuum_N and ramps. The "
+        "flow is in proportion to mass_flow_kgps, to thrust over isp_vacuum_s, or without these columns to thrust; in "
+        "all it is the propellant"
     )
     thrust_vacuum_N: Positive | None = optional("of each, N")
-    isp_vacuum_s: Positive | None = optional("specific impulse in vacuum, s")
+    isp_vacuum_s: Positive | None = optional("specific impulse in vacuum, s; with thrust, only compared with it")
+    temperature_sensitivity_1pK: NotNegative = optional(
+        "of a solid motor's burn rate and thrust at constant total impulse, 1/K; 0.001 to 0.004", 0.0
+    )
+    roll_arm_m: float = optional("roll torque of the exhaust of each per newton of thrust, m", 0.0)
     exit_area_m2: NotNegative = optional("nozzle exit of each, m2", 0.0)
     gimbal_station_m: float = Field(description="of the gimbals, m aft of the nose: the end of the beam")
     exit_station_m: float = Field(description="of the nozzle exits, m aft of the nose")
@@ -137,6 +169,12 @@ class LayoutThrust(Section):
 
     def _check(self) -> None:
         self.at_most_one("thrust", "thrust_vacuum_N")
+        if (table := self.thrust) is not None and "isp_vacuum_s" in table:
+            if "mass_flow_kgps" in table:
+                problem = "both mass_flow_kgps and isp_vacuum_s give the flow"
+                raise table.refusal(problem, "one of these columns", at=("thrust",))
+            none = table["isp_vacuum_s"] <= 0.0
+            table.refuse_where(none, "isp_vacuum_s", "is not a number > 0", "> 0", at=("thrust",))
         if self.thrust is None:
             self.needs("thrust_vacuum_N", "thrust is not given", "a number > 0")
             self.needs("isp_vacuum_s", "thrust is not given", "a number > 0")
@@ -152,9 +190,15 @@ class LayoutEngines(LayoutThrust):
     rate_limit_degps: Positive = optional("of the gimbal, deg/s", 30.0)
     servo_hz: tuple[Positive, ...] = optional("natural frequencies of the actuator, one, two or four, Hz", (7.0,))
     servo_zeta: tuple[Positive, ...] = optional("its damping ratios", (0.7,))
+    tvc_load: TvcLoadSection | None = optional(
+        "compliance, flexible bearing and friction of each, as in a vehicle file (absent: the engine follows its "
+        "actuators)"
+    )
 
     def _check(self) -> None:
         super()._check()
+        if self.tvc_load is not None and self.tvc_load.group is not None:
+            raise refuse("one table is that of all engines", "none", ("tvc_load", "group"))
         if len(self.servo_hz) != len(self.servo_zeta) or len(self.servo_hz) not in SECTIONS.values():
             allowed = "as many of each: one, two or four"
             raise refuse(f"{len(self.servo_hz)} frequencies, {len(self.servo_zeta)} ratios", allowed, ("servo_hz",))
@@ -216,6 +260,7 @@ class LayoutBooster(Between):
 
     def _check(self) -> None:
         super()._check()
+        check_grains(self.grain, 0.5 * self.diameter_m)
         if self.usable_kg <= 0.0:
             raise refuse("no propellant", "tanks with more than their residual, or a grain", ("tank",))
 
@@ -248,6 +293,7 @@ class LayoutStage(Between):
         return sum(t.liquid_mass_kg - t.residual_kg for t in self.tank) + sum(g.mass_kg for g in self.grain)
 
     def _check(self) -> None:
+        check_grains(self.grain, 0.5 * self.diameter_m)
         if self.usable_kg <= 0.0:
             raise refuse("no propellant", "tanks with more than their residual, or a grain", ("tank",))
         self.at_most_one("bending", "spatial_modes")

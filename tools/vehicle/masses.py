@@ -25,6 +25,7 @@ from maxq.tools.vehicle.layout import (
 )
 
 _RAMP_ROWS, _STEADY_ROWS = 9, 20
+_LEAST_LENGTH_m = 1e-4  # of a burned grain
 _BEFORE_S = 0.01  # from the last instant with boosters to their separation
 
 
@@ -71,10 +72,10 @@ class MassProperties:
 class ThrustCurve:
     """The thrust in vacuum and the flow of all engines of a stage over its clock.
 
-    PCHIP between the rows defines the thrust.
+    PCHIP between the rows defines the thrust and the flow.
 
-    The flow is proportional to the thrust. `used_shares` are those of the usable propellant, burned before and at the
-    end.
+    `flow` is in any unit, because all of it is the usable propellant; without it, the flow is proportional to the
+    thrust. `used_shares` are those of the usable propellant, burned before and at the end.
     """
 
     times_s: Array
@@ -83,6 +84,7 @@ class ThrustCurve:
     start_s: float
     full_s: tuple[float, float]  # from, to: full thrust
     used_shares: tuple[float, float] = (0.0, 1.0)
+    flow: Array | None = None
 
     @cached_property
     def _thrust(self) -> PchipInterpolator:
@@ -92,9 +94,18 @@ class ThrustCurve:
     def _impulse(self) -> PchipInterpolator:
         return self._thrust.antiderivative()
 
+    @cached_property
+    def _spent(self) -> PchipInterpolator:
+        return self._impulse if self.flow is None else PchipInterpolator(self.times_s, self.flow).antiderivative()
+
     @property
     def end_s(self) -> float:
         return float(self.times_s[-1])
+
+    @property
+    def burned_kg(self) -> float | None:
+        """Return the propellant that burns by the given flow, in kg if its unit is kg/s."""
+        return None if self.flow is None else float(self._spent(self.end_s))
 
     @property
     def impulse_Ns(self) -> float:
@@ -105,7 +116,7 @@ class ThrustCurve:
 
     def used(self, t: float) -> float:
         """Return the share of the usable propellant burned by t, 0 to exactly 1."""
-        share = float(np.clip(self._impulse(np.clip(t, 0.0, self.end_s)) / self._impulse(self.end_s), 0.0, 1.0))
+        share = float(np.clip(self._spent(np.clip(t, 0.0, self.end_s)) / self._spent(self.end_s), 0.0, 1.0))
         before, after = self.used_shares
         return before * (1.0 - share) + after * share
 
@@ -115,9 +126,13 @@ class ThrustCurve:
         first = np.append(self.times_s[early], t), np.append(self.thrust_N[early], at)
         rest = np.insert(self.times_s[late] - t, 0, 0.0).round(6), np.insert(self.thrust_N[late], 0, at)
         (begin, end), (before, after), used = self.full_s, self.used_shares, self.used(t)
+        flows: tuple[Array | None, Array | None] = (None, None)
+        if self.flow is not None:
+            now = float(PchipInterpolator(self.times_s, self.flow)(t))
+            flows = np.append(self.flow[early], now), np.insert(self.flow[late], 0, now)
         return (
-            ThrustCurve(*first, self.usable_kg, self.start_s, (begin, t), (before, used)),
-            ThrustCurve(*rest, self.usable_kg, 0.0, (0.0, end - t), (used, after)),
+            ThrustCurve(*first, self.usable_kg, self.start_s, (begin, t), (before, used), flows[0]),
+            ThrustCurve(*rest, self.usable_kg, 0.0, (0.0, end - t), (used, after), flows[1]),
         )
 
 
@@ -153,11 +168,17 @@ def burn_of(stage: LayoutStage | LayoutBooster, ignition_s: float) -> ThrustCurv
 def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: float) -> ThrustCurve:
     """Return a given curve of thrust, from ignition. Full thrust is the part above half its mean."""
     times, thrust = ignition_s + table["time_s"] - table["time_s"][0], engines * table["thrust_vacuum_N"]
+    flow = None
+    if "isp_vacuum_s" in table:
+        flow = thrust / (STANDARD_GRAVITY_mps2 * table["isp_vacuum_s"])
+    elif "mass_flow_kgps" in table:
+        flow = engines * table["mass_flow_kgps"]
     high = np.flatnonzero(thrust > 0.5 * np.trapezoid(thrust, times) / (times[-1] - times[0]))
     full = (float(times[high[0]]), float(times[high[-1]]))
     if times[0] > 0.0:
         times, thrust = np.insert(times, 0, 0.0), np.insert(thrust, 0, 0.0)
-    return ThrustCurve(times, thrust, usable_kg, ignition_s, full)
+        flow = None if flow is None else np.insert(flow, 0, 0.0)
+    return ThrustCurve(times, thrust, usable_kg, ignition_s, full, flow=flow)
 
 
 @dataclass(frozen=True)
@@ -184,7 +205,7 @@ class Strapped:
         """Return all masses of one booster."""
         left, radius = 1.0 - self.burn.used(t), 0.5 * self.booster.diameter_m
         liquids = [_column(tank, self.liquid_kg(tank, t)) for tank in self.booster.tank]
-        return [*self.dry, *liquids, *(_grain(g, left * g.mass_kg, radius) for g in self.booster.grain)]
+        return [*self.dry, *liquids, *(_grain(g, left, radius) for g in self.booster.grain)]
 
     def mass_properties(self, t: float) -> MassProperties:
         """Return the mass properties of one booster about its own CG."""
@@ -251,7 +272,7 @@ class Stack:
             rods += _dry(stage)
         for stage in self.layout.stage[self.number + 1 :]:
             rods += [_column(tank, tank.liquid_mass_kg) for tank in stage.tank]
-            rods += [_grain(grain, grain.mass_kg, 0.5 * stage.diameter_m) for grain in stage.grain]
+            rods += [_grain(grain, 1.0, 0.5 * stage.diameter_m) for grain in stage.grain]
         return rods
 
     def liquid_kg(self, tank: LayoutTank, t: float) -> float:
@@ -263,7 +284,7 @@ class Stack:
 
     def grains(self, t: float) -> list[Rod]:
         left = 1.0 - self.burn.used(t)
-        return [_grain(grain, left * grain.mass_kg, 0.5 * self.stage.diameter_m) for grain in self.stage.grain]
+        return [_grain(grain, left, 0.5 * self.stage.diameter_m) for grain in self.stage.grain]
 
     @cached_property
     def mass_properties(self) -> Callable[[float], MassProperties]:
@@ -324,9 +345,18 @@ def _part(part: DryMass, radius_m: float) -> Rod:
     return Rod(part.mass_kg, part.front_station_m, part.rear_station_m, roll**2, across**2)
 
 
-def _grain(grain: Grain, mass_kg: float, radius_m: float) -> Rod:
-    square = 0.5 * (grain.radius_m or radius_m) ** 2  # of a solid cylinder; the burning of a bore is neglected
-    return Rod(mass_kg, grain.front_station_m, grain.rear_station_m, square, 0.5 * square)
+def _grain(grain: Grain, left: float, radius_m: float) -> Rod:
+    """Return the share `left` of a grain, a hollow cylinder. `radius_m` is that of the stage.
+
+    A port of radius r in a grain of radius R grows to r^2 = R^2 - left (R^2 - r_0^2). An end-burning grain becomes
+    shorter from its aft face.
+    """
+    outside = (grain.radius_m or radius_m) ** 2
+    inside = outside - left * (outside - (grain.port_radius_m or 0.0) ** 2) if grain.burns == "port" else 0.0
+    length = (left if grain.burns == "end" else 1.0) * (grain.rear_station_m - grain.front_station_m)
+    rear_m = grain.front_station_m + max(length, _LEAST_LENGTH_m)
+    square = 0.5 * (outside + inside)
+    return Rod(left * grain.mass_kg, grain.front_station_m, rear_m, square, 0.5 * square)
 
 
 def _column(tank: LayoutTank, mass_kg: float) -> Rod:

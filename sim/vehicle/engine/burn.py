@@ -11,7 +11,7 @@ of `_RAMP_S`, and changing shares in steps of `_SHARES_S` by the classical Runge
 the core or a booster, are assumed to draw from its tanks. Hence the remaining propellant and its distribution depend on
 the amount spent, not on the engine that spent it. Every body has a clock of its own.
 
-A table with one row is constant and covers all times. `mass_flow_factor` makes the tables' clock run faster.
+A table with one row is constant and covers all times. `burn_factor` makes the tables' clock run faster.
 """
 
 from __future__ import annotations
@@ -65,11 +65,11 @@ def _table_end_s(table: CsvTable) -> float:
 def burn_rate(body: Body) -> float:
     """Return the seconds of the tables' clock per second of the stage clock."""
     engines = body.own_engines
-    rates = {engine.mass_flow_factor for engine in engines}
+    rates = {engine.burn_factor for engine in engines}
     if len(rates) < 2:
         return rates.pop() if rates else 1.0
     peak_N = [float(engine.table["thrust_vacuum_N"].max()) for engine in engines]
-    burnt = sum(peak * engine.mass_flow_factor for peak, engine in zip(peak_N, engines, strict=True))
+    burnt = sum(peak * engine.burn_factor for peak, engine in zip(peak_N, engines, strict=True))
     return burnt / sum(peak_N)
 
 
@@ -276,7 +276,7 @@ def _body_burns(stage: Stage, faults: tuple[EngineFault, ...]) -> tuple[Burn, ..
 def _body_burn(body: Body, faults: tuple[EngineFault, ...], first: int, *, clocked: bool) -> Burn:
     """Return the burn of a body on its own clock; `first` is the number of its first engine in the stage."""
     engines = body.own_engines
-    unlike = len({e.mass_flow_factor for e in engines}) > 1
+    unlike = len({e.burn_factor for e in engines}) > 1
     if clocked or faults or unlike or any(e.throttle is not None for e in engines):
         clock = table_clock(body, faults, first)
         return Burn(0.0, _burnout_s(body, clock), math.inf, clock, faults)
@@ -359,7 +359,7 @@ def _share(engine: EngineSection, number: int, faults: Sequence[EngineFault], ti
 
 def _integrated(body: Body, time: BurnNumbers, share: BurnNumbers) -> TableClock:
     """Integrate ds/dt = 1 - sum of w_i (1 - m_i f_i), which is exactly 1 while all engines burn nominally."""
-    factor = np.array([e.mass_flow_factor for e in body.own_engines])
+    factor = np.array([e.burn_factor for e in body.own_engines])
     missing = 1.0 - share * factor[:, None, None]
     table, rate = np.zeros(len(time)), np.zeros((len(time), 2))
 

@@ -67,6 +67,7 @@ class Engine:
     exit_yy_m2: Numbers
     exit_zz_m2: Numbers
     exit_yz_m2: Numbers
+    roll_arm_m: Numbers  # torque about the thrust axis per newton of thrust
     flow_weight: Numbers  # mass flow per newton of the curve, relative to the other engines'
     taken_as: Indices  # for each engine of the vehicle, the index of the engine here that includes it
     parts: Numbers  # number of engines combined

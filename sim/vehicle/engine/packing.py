@@ -233,7 +233,7 @@ def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -
     canted = any(e.cant_deg)
     return {
         "exit_area_m2": n * e.exit_area_m2,
-        "thrust_factor": n * (on * e.thrust_factor * e.mass_flow_factor),
+        "thrust_factor": n * (on * e.thrust_factor * e.burn_factor),
         "curve": [known.curve for known in cluster.curves].index(alike.curve),
         "group": cluster.groups.index(e.group) if e.gimbal != "fixed" else 0,
         "follows_pitch": float(e.gimbal in ("both", "pitch")),
@@ -259,7 +259,8 @@ def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -
         "exit_yy_m2": spread[0, 0],
         "exit_zz_m2": spread[1, 1],
         "exit_yz_m2": spread[0, 1],
-        "flow_weight": n * e.mass_flow_factor * _flow_per_newton(e) * _flow_of_body(stage, alike.body),
+        "roll_arm_m": e.roll_arm_m,
+        "flow_weight": n * e.burn_factor * _flow_per_newton(e) * _flow_of_body(stage, alike.body),
     }
 
 

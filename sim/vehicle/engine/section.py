@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -23,6 +24,8 @@ THRUST_COLUMNS = Columns(
 
 THROTTLE_COLUMNS = Columns("time_s", sets=(("throttle",),), not_negative=("throttle",), begins_by=0.0)
 
+
+_LARGEST_EXPONENT = 2.0  # of the effect of temperature on the burn rate
 
 GimbalPlanes = Literal["both", "pitch", "yaw", "fixed"]
 
@@ -55,6 +58,20 @@ class EngineSection(Section):
     offset_m: Pair = optional("of the gimbal from the body axis, y and z, m", (0.0, 0.0))
     thrust_factor: NotNegative = optional("multiplies thrust", 1.0)
     mass_flow_factor: Positive = optional("burn rate: speeds up the stage's tables over time", 1.0)
+    temperature_sensitivity_1pK: NotNegative = optional(
+        "pi_K of a solid motor, 1/K: multiplies mass_flow_factor by exp(pi_K (propellant_temperature_K - "
+        "reference_temperature_K))",
+        0.0,
+    )
+    propellant_temperature_K: Positive = optional("mean temperature of the propellant, K", 294.15)
+    reference_temperature_K: Positive = optional("temperature of the table of thrust, K", 294.15)
+    roll_arm_m: float = optional("torque of the exhaust about the axis of the engine per newton of thrust, m", 0.0)
+
+    @property
+    def burn_factor(self) -> float:
+        """Return the burn rate relative to the table, by deviation and temperature."""
+        warmer_K = self.propellant_temperature_K - self.reference_temperature_K
+        return self.mass_flow_factor * math.exp(self.temperature_sensitivity_1pK * warmer_K)
 
     def _check(self) -> None:
         least = self.gimballed_mass_kg * self.cg_from_gimbal_m**2
@@ -64,6 +81,10 @@ class EngineSection(Section):
                 f"at least gimballed_mass_kg * cg_from_gimbal_m^2 = {least:.6g}",
                 "inertia_about_gimbal_kgm2",
             )
+        warm = self.temperature_sensitivity_1pK * (self.propellant_temperature_K - self.reference_temperature_K)
+        if abs(warm) > _LARGEST_EXPONENT:
+            allowed = f"at most exp({_LARGEST_EXPONENT:g}), or its inverse"
+            raise refuse(f"multiplies the burn rate by exp({warm:.3g})", allowed, "propellant_temperature_K")
         if self.gimbal == "fixed" and self.group:
             raise refuse("a fixed engine moves with no group", "this key with a gimballed engine only", "group")
 

@@ -4,11 +4,11 @@ The engine turns about its gimbal relative to the bent body by its own angles (d
 connect it to the actuators' position. Acceleration of the gimbal, bending, slosh and the axial load therefore drive the
 engine in return (docs/model.md, section 14). The moment about its hinge is
 
-    -k (delta - delta_a) - c (delta' - delta_a') - T z,    theta z' = delta' - |delta'| z,
+    -k (delta - delta_a) - c (delta' - delta_a') - k_b delta - T z,    theta z' = delta' - |delta'| z,
 
-where the last term is Dahl's friction (P. R. Dahl, A Solid Friction Model, Aerospace TOR-158, 1968). T is the Coulomb
-torque, and theta the angle over which it builds up, so that the angle at 1 - 1/e of the torque does not depend on the
-rate. A stop of the engine's own angle is a stiff one-sided spring.
+where k_b is the stiffness of a flexible bearing, and the last term is Dahl's friction (P. R. Dahl, A Solid Friction
+Model, Aerospace TOR-158, 1968). T is the Coulomb torque, and theta the angle over which it builds up, so that the angle
+at 1 - 1/e of the torque does not depend on the rate. A stop of the engine's own angle is a stiff one-sided spring.
 
 Per unit of an engine's angular acceleration a force, a moment and generalised modal forces act on the vehicle. By
 reciprocity these give the effect of the vehicle's accelerations on the hinge. A load adds two unknowns to the small
@@ -87,6 +87,7 @@ class TvcLoad:
 
     engine: Annotated[IntArray, _PER_LOAD]  # number of the engine, counted as in engine/kernel.py
     stiffness_Nmprad: LoadNumbers
+    bearing_Nmprad: LoadNumbers  # of a flexible bearing, towards the engine's position at rest
     damping_Nmsprad: LoadNumbers
     friction_Nm: LoadNumbers
     friction_angle_rad: LoadNumbers
@@ -158,11 +159,15 @@ def swing_engines(
 def hinge_moment(
     load: TvcLoad, k: int, y: Array, i: int, position: float, rate: float, stop: float, play: float, floating: int
 ) -> float:
-    """Return the moment of spring, damper, friction and stop on an engine about its hinge, N m; states at y[i:i+3].
+    """Return the moment of spring, damper, bearing, friction and stop on an engine about its hinge, N m.
+
+    Its states are at y[i:i+3].
 
     Within the play neither spring nor damper acts, and at its ends they only push.
     """
     moment: float = -load.friction_Nm[k] * y[i + 2]
+    if load.bearing_Nmprad[k] > 0.0:
+        moment -= load.bearing_Nmprad[k] * y[i]
     if floating == 0 and play == 0.0:
         moment -= load.stiffness_Nmprad[k] * (y[i] - position) + load.damping_Nmsprad[k] * (y[i + 1] - rate)
     elif floating == 0 and abs(y[i] - position) > 0.5 * play:

@@ -39,6 +39,7 @@ def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, actuators: Sequence[Actuat
         values = {
             "engine": k,
             "stiffness_Nmprad": stiffness,
+            "bearing_Nmprad": count * given.bearing_stiffness_Nmprad,
             "damping_Nmsprad": 2.0 * given.damping_ratio * math.sqrt(stiffness * inertia),
             "friction_Nm": count * given.friction_Nm,
             "friction_angle_rad": math.radians(given.friction_angle_deg),

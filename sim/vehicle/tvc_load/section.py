@@ -11,8 +11,15 @@ class TvcLoadSection(Section):
     """The compliance of actuators and mount on which each engine swings: for all groups, or a list by group."""
 
     group: ChannelPart | None = optional("in a list: name of the group of engines")
-    frequency_hz: Positive | None = optional("of the engine on its compliance, actuators locked, vehicle fixed, Hz")
+    frequency_hz: Positive | None = optional(
+        "of the engine on its compliance, actuators locked, vehicle fixed, without bearing, Hz"
+    )
     stiffness_Nmprad: Positive | None = optional("of the compliance of one engine, N m/rad")
+    bearing_stiffness_Nmprad: NotNegative = optional(
+        "of the flexible bearing of one engine between engine and vehicle, N m/rad: an actuator at rest holds the "
+        "engine at k / (k + bearing) of its angle",
+        0.0,
+    )
     damping_ratio: Fraction = Field(
         description="damping ratio of that vibration, with the damper parallel to the spring"
     )
