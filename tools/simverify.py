@@ -13,7 +13,7 @@ from maxq.tools.cli.frame import Command, CommandError, Exit
 from maxq.tools.cli.parser import Parser, count
 
 _EXAMPLES = """\
-  simverify ksr3-ringed --suite ksr3-ringed       judge a built-in design that is accepted
+  simverify ksr3-ringed --suite ksr3-ringed       judge a built-in design on its own vehicle
   simverify runs/mine --suite quick               judge a result of simdesign by a shorter suite
   simverify ksr3-robust ksr3-free ksr3-two-phase  judge several designs and rank them
   simverify ksr3-robust --set margins.cases=1000  use more random vehicles
