@@ -124,6 +124,21 @@ def test_a_draw_of_a_scenario_with_wind_flies_in_still_air() -> None:
         dispersed({"wind": 0.5})
 
 
+def test_a_draw_of_a_scenario_with_a_gust_flies_without_one() -> None:
+    """The campaigns of KSR-III draw the altitude of a gust that the scenario of its designs does not contain."""
+    gust = (
+        "wind.gust=[{kind='one-minus-cosine',altitude_m=9e3,thickness_m=180.0,edge_m=30.0,speed_mps=7.0,from_deg=0.0}]"
+    )
+    gusty, still = load_scenario("nominal", [gust]), load_scenario("nominal")
+    place = TargetChange(find_target(gusty.scenario, "wind.gust.0.altitude_m"), "set", "gust")
+    thrust = TargetChange(find_target(gusty.scenario, "vehicle.stage.0.engine.thrust_factor"), "set", "thrust")
+    dispersed = Dispersed(still.scenario, [place, thrust])
+    expected = load_scenario("nominal", ["vehicle.stage.0.engine.thrust_factor=1.02"])
+    assert packed_bytes(LoadedScenario(dispersed({"thrust": 1.02}), "", ())) == packed_bytes(expected)
+    with pytest.raises(Refused, match=r"wind\.gust\.0\.altitude_m: the scenario has no such section"):
+        dispersed({"gust": 8e3})
+
+
 def test_integrator_and_noise_settings_reach_every_run(tmp_path: Path) -> None:
     """A peer drops its integrator settings on the way to a worker."""
 

@@ -51,6 +51,7 @@ LIMITS = {
 }
 QUICK = ("ksr3-linear",)  # designs that take seconds
 LONG = ("ksr3-load-relief", "ksr3-ringed", "petrel-robust")  # analyses of more than seven
+GIVEN = {"greensite-hm3", "ksr3-default", "ksr3-robust"}  # by others, by another search, and with earlier plants
 Printed = pytest.CaptureFixture[str]
 
 
@@ -231,6 +232,10 @@ def again(name: str) -> list[str]:
         if line.startswith("# Again: simdesign ")
     ]
     return said[0].split() if said else []
+
+
+def test_every_other_shipped_design_has_the_line_that_makes_it() -> None:
+    assert {name for name in builtin_files("design") if not again(name)} == GIVEN
 
 
 @pytest.mark.slow

@@ -35,6 +35,8 @@ def _differences(suite: str, *overrides: str) -> list[str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", builtin_files("suite"))
 def test_a_shipped_suite_is_its_own_baseline(name: str) -> None:
+    if name == "petrel":
+        Path("petrel").symlink_to(petrel.folder())
     compared = against_baseline(read_suite(name))
     assert compared.title == f"no differences from the shipped suite {name}"
     assert compared.hashes["suite"] == compared.hashes["baseline"]

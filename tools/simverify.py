@@ -13,11 +13,11 @@ from maxq.tools.cli.frame import Command, CommandError, Exit
 from maxq.tools.cli.parser import Parser, count
 
 _EXAMPLES = """\
-  simverify ksr3-robust                           judge a built-in design
+  simverify ksr3-ringed --suite ksr3-ringed       judge a built-in design on its own vehicle
   simverify runs/mine --suite quick               judge a result of simdesign by a shorter suite
   simverify ksr3-robust ksr3-free ksr3-two-phase  judge several designs and rank them
   simverify ksr3-robust --set margins.cases=1000  use more random vehicles
-  simverify --check runs/verify-ksr3-robust       check a pack and recompute a sample of it
+  simverify --check runs/verify-ksr3-ringed       check a pack and recompute a sample of it
 """
 _EXITS = {
     Exit.OK: "accepted: every requirement is met with the required confidence (of several designs: by the best), or "

@@ -209,12 +209,15 @@ def _rebuilt(at: Any, node: Any, values: Mapping[Any, Any]) -> Any:
         return _changed_table(at, node, values)
     out: Any = {alias: at.__dict__[n] for alias, n in _names(type(at)).items()} if isinstance(at, Section) else list(at)
     for part, below in node.items():
-        out[part] = _rebuilt(out[part], below, values)
+        if isinstance(out, list) and part >= len(out):
+            _absent(below, values)
+        else:
+            out[part] = _rebuilt(out[part], below, values)
     return out if isinstance(at, Section) else tuple(out)
 
 
 def _absent(node: Any, values: Mapping[Any, Any]) -> None:
-    """Check that an optional section missing in a scenario, such as the wind, is not changed by a draw.
+    """Check that a section missing in a scenario, such as the wind or one of its gusts, is not changed by a draw.
 
     The scenario is not always the campaign's own: the vehicle of a draw also flies in the calm air of its design.
     Raises Refused for a result without a place.
