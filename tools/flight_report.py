@@ -129,8 +129,8 @@ def _requirements(verdicts: tuple[Verdict, ...]) -> list[str]:
         return []
     rows = [("", "", "value", "limit", "used", "at")]
     for v in tightest_first(verdicts):
-        name, *cells = requirement_cells(v)
-        rows.append((name, "met" if v.met else "MISSED", *cells, _at(v.time_s)))
+        name, value, limit, share = requirement_cells(v)
+        rows.append((name, "met" if v.met else "MISSED", value, limit, share, _at(v.time_s)))
     return ["requirements", *aligned(rows, "  ", right=(2, 4, 5), drop=(5,))]
 
 
