@@ -14,6 +14,7 @@ from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule as columns
 from maxq.tools.vehicle.beam import ELEMENTS, Beam, RigidLoad
 from maxq.tools.vehicle.build import Built, build
+from maxq.tools.vehicle.figures import stage_bodies
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout
 from maxq.tools.vehicle.masses import Rod
@@ -64,6 +65,28 @@ def test_modes_of_a_beam_with_boosters_are_free_and_orthogonal(attachments: tupl
             assert omega == pytest.approx(2.0 * math.pi * mode.frequency_hz, rel=2e-2)
         for j in range(k):
             assert abs(product(shapes[k], shapes[j])) < 1e-3 * mode.generalized_mass_kg
+
+
+def test_boosters_are_drawn_to_scale() -> None:
+    """The hull, grain and nozzle of each booster lie where the layout places them, on both sides of the core."""
+    core = read_layout(HERON).stage[0]
+    with_them, alone = (
+        stage_bodies(core, 0.0, "ogive"),
+        stage_bodies(core.model_copy(update={"booster": ()}), 0.0, "ogive"),
+    )
+    count = len(with_them) - len(alone)
+    assert count == 6
+    for k, axis_m in ((0, -2.05), (3, 2.05)):
+        nozzle, hull, grain = ((np.asarray(s["x"]), np.asarray(s["y"])) for s in with_them[k : k + 3])
+        assert (hull[0].min(), hull[0].max()) == (19.0, 36.0)
+        assert (hull[1].min(), hull[1].max()) == pytest.approx((axis_m - 0.7, axis_m + 0.7))
+        assert hull[1][hull[0] == 19.0] == pytest.approx([axis_m, axis_m])
+        assert float(hull[0][np.abs(hull[1] - axis_m) > 0.699].min()) == pytest.approx(19.0 + 2.0 * 1.4, abs=0.2)
+        assert (grain[0].min(), grain[0].max(), grain[1].max()) == pytest.approx((22.0, 35.0, axis_m + 0.68))
+        exit_m = math.sqrt(0.85 / math.pi)
+        assert (nozzle[0].max(), nozzle[1].min(), nozzle[1].max()) == pytest.approx(
+            (37.5, axis_m - exit_m, axis_m + exit_m)
+        )
 
 
 @pytest.mark.slow
