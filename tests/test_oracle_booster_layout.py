@@ -13,7 +13,7 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule as columns
 from maxq.tools.vehicle.beam import ELEMENTS, Beam, RigidLoad
-from maxq.tools.vehicle.build import Built, build
+from maxq.tools.vehicle.build import Built, build, burning
 from maxq.tools.vehicle.figures import stage_bodies
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout
@@ -139,3 +139,27 @@ def test_files_fly_the_masses_and_thrusts_of_the_layout(built: Built, tmp_path: 
                 for k in range(int(sizes.engines))
             )
             assert thrust == pytest.approx(stack.thrusts_N(t, 0.0)[0], rel=1e-3, abs=1.0)
+
+
+@pytest.mark.slow
+def test_first_gains_are_below_bending_and_slosh(built: Built, tmp_path: Path) -> None:
+    """The rigid body has an eighth of the core's mode 1 at liftoff, and half the slosh frequency above the core.
+
+    Deep liquid sloshes at sqrt(1.8412 a / R); the domes lower this by a few percent. The poles of the second stage's
+    filter are at 0.15 of mode 1.
+    """
+    first = burning(built, 0)[0]
+    assert built.rigid_hz(first) == pytest.approx(built.modes[0][1][0][0].frequency_hz / 8.0, rel=1e-2)
+    upper = [n for n, stack in enumerate(built.stacks) if stack.number == 1]
+    for n in upper:
+        p = burning(built, n)[0]
+        load_mps2 = p.thrust_N / built.stacks[n].mass_properties(p.clock_s).mass_kg
+        deep_hz = math.sqrt(1.8412 * load_mps2 / 1.25) / (2.0 * math.pi)
+        assert 0.96 < 2.0 * built.rigid_hz(p) / deep_hz < 1.0
+    write(built, tmp_path)
+    design = load_scenario(tmp_path / "scenario.toml").design
+    assert design is not None
+    (section,) = design.of_stage(upper[0]).filter.quadratic
+    assert section.zero_hz == pytest.approx(np.mean([m[0].frequency_hz for m in built.modes[upper[0]][1]]))
+    assert section.pole_hz == pytest.approx(0.15 * section.zero_hz)
+    assert [s.pole_hz / s.zero_hz for s in design.of_stage(0).filter.quadratic] == pytest.approx([0.8, 0.8])
