@@ -13,7 +13,8 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule as columns
 from maxq.tools.vehicle.beam import ELEMENTS, Beam, RigidLoad
-from maxq.tools.vehicle.build import Built, build
+from maxq.tools.vehicle.build import Built, build, burning
+from maxq.tools.vehicle.figures import stage_bodies
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import read_layout
 from maxq.tools.vehicle.masses import Rod
@@ -66,6 +67,28 @@ def test_modes_of_a_beam_with_boosters_are_free_and_orthogonal(attachments: tupl
             assert abs(product(shapes[k], shapes[j])) < 1e-3 * mode.generalized_mass_kg
 
 
+def test_boosters_are_drawn_to_scale() -> None:
+    """The hull, grain and nozzle of each booster lie where the layout places them, on both sides of the core."""
+    core = read_layout(HERON).stage[0]
+    with_them, alone = (
+        stage_bodies(core, 0.0, "ogive"),
+        stage_bodies(core.model_copy(update={"booster": ()}), 0.0, "ogive"),
+    )
+    count = len(with_them) - len(alone)
+    assert count == 6
+    for k, axis_m in ((0, -2.05), (3, 2.05)):
+        nozzle, hull, grain = ((np.asarray(s["x"]), np.asarray(s["y"])) for s in with_them[k : k + 3])
+        assert (hull[0].min(), hull[0].max()) == (19.0, 36.0)
+        assert (hull[1].min(), hull[1].max()) == pytest.approx((axis_m - 0.7, axis_m + 0.7))
+        assert hull[1][hull[0] == 19.0] == pytest.approx([axis_m, axis_m])
+        assert float(hull[0][np.abs(hull[1] - axis_m) > 0.699].min()) == pytest.approx(19.0 + 2.0 * 1.4, abs=0.2)
+        assert (grain[0].min(), grain[0].max(), grain[1].max()) == pytest.approx((22.0, 35.0, axis_m + 0.68))
+        exit_m = math.sqrt(0.85 / math.pi)
+        assert (nozzle[0].max(), nozzle[1].min(), nozzle[1].max()) == pytest.approx(
+            (37.5, axis_m - exit_m, axis_m + exit_m)
+        )
+
+
 @pytest.mark.slow
 def test_masses_at_liftoff_are_sums_of_the_layout(built: Built) -> None:
     """Dry parts, propellants and engines by hand; the pair adds m y^2 to the roll inertia and nothing to pitch."""
@@ -116,3 +139,27 @@ def test_files_fly_the_masses_and_thrusts_of_the_layout(built: Built, tmp_path: 
                 for k in range(int(sizes.engines))
             )
             assert thrust == pytest.approx(stack.thrusts_N(t, 0.0)[0], rel=1e-3, abs=1.0)
+
+
+@pytest.mark.slow
+def test_first_gains_are_below_bending_and_slosh(built: Built, tmp_path: Path) -> None:
+    """The rigid body has an eighth of the core's mode 1 at liftoff, and half the slosh frequency above the core.
+
+    Deep liquid sloshes at sqrt(1.8412 a / R); the domes lower this by a few percent. The poles of the second stage's
+    filter are at 0.15 of mode 1.
+    """
+    first = burning(built, 0)[0]
+    assert built.rigid_hz(first) == pytest.approx(built.modes[0][1][0][0].frequency_hz / 8.0, rel=1e-2)
+    upper = [n for n, stack in enumerate(built.stacks) if stack.number == 1]
+    for n in upper:
+        p = burning(built, n)[0]
+        load_mps2 = p.thrust_N / built.stacks[n].mass_properties(p.clock_s).mass_kg
+        deep_hz = math.sqrt(1.8412 * load_mps2 / 1.25) / (2.0 * math.pi)
+        assert 0.96 < 2.0 * built.rigid_hz(p) / deep_hz < 1.0
+    write(built, tmp_path)
+    design = load_scenario(tmp_path / "scenario.toml").design
+    assert design is not None
+    (section,) = design.of_stage(upper[0]).filter.quadratic
+    assert section.zero_hz == pytest.approx(np.mean([m[0].frequency_hz for m in built.modes[upper[0]][1]]))
+    assert section.pole_hz == pytest.approx(0.15 * section.zero_hz)
+    assert [s.pole_hz / s.zero_hz for s in design.of_stage(0).filter.quadratic] == pytest.approx([0.8, 0.8])

@@ -68,7 +68,7 @@ def test_gains_that_are_not_found_are_named(
     bad = FirstGains(15, (14.0, 16.2), lost, 0.68, 11.9)
     monkeypatch.setattr(first_gains, "checked", lambda folder: bad)
 
-    def nothing(*_: object) -> None:
+    def nothing(*_: object, **__: object) -> None:
         raise ValueError("no operating point")
 
     monkeypatch.setattr(first_gains, "design_case", nothing)

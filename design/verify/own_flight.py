@@ -146,10 +146,13 @@ def design_case(
     loaded: LoadedCase,
     progress: Callable[[int, int], SearchProgress] = lambda stage, number: lambda *_: None,
     check: Callable[[], None] = lambda: None,
+    *,
+    rounds_most: int = ROUNDS,
 ) -> CaseDesign:
     """Design all stages of a case along the flight of the design itself.
 
     `progress` is called with a stage, from 0, and a round. `check` may raise KeyboardInterrupt before the first search.
+    `rounds_most` is the largest number of rounds after the first flight that is not lost.
     Raises ValueError if there is no operating point, or if the problem has no solution, and KeyboardInterrupt if
     nothing is found yet.
     """
@@ -192,7 +195,9 @@ def design_case(
             Round(number, len(points), min(points), max(points), loss, judged.loss, said, interrupted, held_to)
         )
         longer = loss is not None and (judged.loss is None or judged.loss.time_s > loss.time_s + LEAST_GAIN_S)
-        if interrupted or number == ROUNDS or not (longer or (missed and judged.loss is None)):
+        agreeing = sum(made.loss is None for made in rounds)
+        ended = number == ROUNDS or agreeing >= rounds_most
+        if interrupted or ended or not (longer or (missed and judged.loss is None)):
             break
         again = None if loss is not None else set(missed)
         for n in missed if judged.loss is None else ():

@@ -11,15 +11,15 @@ from maxq.control.kernel.records import Array
 from maxq.tools.plots.figures import Panel, Plot, Series, points, shape
 
 
-def revolved(station_m: Any, radius_m: Any, said: str = "", **more: Any) -> Series:
-    """Return a body of revolution: stations (n,) and radii, (n,) or one for all."""
+def revolved(station_m: Any, radius_m: Any, said: str = "", *, y_m: float = 0.0, **more: Any) -> Series:
+    """Return a body of revolution about an axis at `y_m`: stations (n,) and radii, (n,) or one for all."""
     x, r = np.asarray(station_m, float), np.broadcast_to(np.asarray(radius_m, float), np.shape(station_m))
-    return shape(np.concatenate([np.stack([x, r], 1), np.stack([x, -r], 1)[::-1]]), said, **more)
+    return shape(np.concatenate([np.stack([x, y_m + r], 1), np.stack([x, y_m - r], 1)[::-1]]), said, **more)
 
 
-def tank(station_m: Any, radius_m: Any, said: str, colour: str, *, full: bool) -> Series:
+def tank(station_m: Any, radius_m: Any, said: str, colour: str, *, full: bool, y_m: float = 0.0) -> Series:
     """Return the liquid of a tank (`full`), or its empty volume."""
-    return revolved(station_m, radius_m, said, fill=colour, opacity=0.5 if full else 0.12, bare=True)
+    return revolved(station_m, radius_m, said, y_m=y_m, fill=colour, opacity=0.5 if full else 0.12, bare=True)
 
 
 def nozzle(gimbal_station_m: float, exit_station_m: float, exit_radius_m: float, y_m: float) -> Series:

@@ -26,6 +26,7 @@ MODE_ROWS = 13
 MOST_RIGID_HZ = 0.4
 SHARE = 0.8  # of the first gains' frequency that a design must keep
 BELOW = 8.0  # the rigid body's frequency is at most this share of those of mode 1 and of the actuator
+BELOW_SLOSH = 2.0  # and at most this share of that of the slowest slosh mode
 _PROPELLANT_kgpm3 = 1400.0, 2000.0  # solid propellants
 _NEAR_NODE = 0.1  # of the largest displacement
 TimedModes = tuple[Array, list[list[BeamMode]]]  # times of the stage's clock, with modes at each
@@ -53,13 +54,15 @@ class Built:
     def rigid_hz(self, p: TrajectoryPoint) -> float:
         """Return the rigid-body frequency of the first gains: that of the layout.
 
-        Its default is an eighth of mode 1 and of the actuator at that time, at most 0.4 Hz.
+        Its default is an eighth of mode 1 and of the actuator and half of the slowest slosh mode at that time, at most
+        0.4 Hz.
         """
         times, modes = self.modes[p.number]
         own = [of[0].frequency_hz for of in modes if of]
         first_hz = float(np.interp(p.clock_s, times, own)) if len(own) == len(times) else math.inf
         slowest_hz = min(first_hz, *self.stacks[p.number].stage.engine.servo_hz)
-        return self.layout.control.rigid_hz or min(MOST_RIGID_HZ, slowest_hz / BELOW)
+        most_hz = min(MOST_RIGID_HZ, slowest_hz / BELOW, slosh_hz(self.stacks[p.number], p) / BELOW_SLOSH)
+        return self.layout.control.rigid_hz or most_hz
 
 
 def build(layout: Layout) -> Built:
@@ -75,11 +78,29 @@ def build(layout: Layout) -> Built:
     return found
 
 
-def slosh_kg(tank: LayoutTank, liquid_kg: float) -> float:
-    """Return the mass of the first slosh mode of a tank's liquid."""
+def _slosh(tank: LayoutTank, liquid_kg: float) -> tuple[float, float]:
+    """Return the mass (kg) and the pendulum length (m) of the first slosh mode of a tank's liquid."""
     scale = tank.density_kgpm3 * tank.radius_m**3
     depth = tank.profile.depth(np.array([liquid_kg / scale]))
-    return float(scale * modes_over(tank.profile, depth, 1)[0].mass[0])
+    mode = modes_over(tank.profile, depth, 1)[0]
+    return float(scale * mode.mass[0]), float(tank.radius_m * mode.length[0])
+
+
+def slosh_kg(tank: LayoutTank, liquid_kg: float) -> float:
+    """Return the mass of the first slosh mode of a tank's liquid."""
+    return _slosh(tank, liquid_kg)[0]
+
+
+def slosh_hz(stack: Stack, p: TrajectoryPoint) -> float:
+    """Return the frequency of the slowest first slosh mode of the burning stage and its boosters, or infinity.
+
+    It is that of a pendulum under the thrust per mass of the vehicle, without drag.
+    """
+    load_mps2, t = p.thrust_N / stack.mass_properties(p.clock_s).mass_kg, p.clock_s
+    liquids = [(tank, stack.liquid_kg(tank, t)) for tank in stack.stage.tank]
+    liquids += [(tank, s.liquid_kg(tank, t)) for s in stack.boosters for tank in s.booster.tank]
+    lengths_m = [_slosh(tank, liquid_kg)[1] for tank, liquid_kg in liquids if liquid_kg > 0.0]
+    return math.sqrt(load_mps2 / max(lengths_m)) / (2.0 * math.pi) if lengths_m else math.inf
 
 
 def _modes(stack: Stack) -> TimedModes:
@@ -203,7 +224,7 @@ def spread(points: Sequence[TrajectoryPoint], count: int) -> list[TrajectoryPoin
     return [points[k] for k in np.unique(np.linspace(0, len(points) - 1, count).astype(int))]
 
 
-def _dozen(built: Built) -> list[TrajectoryPoint]:
+def dozen(built: Built) -> list[TrajectoryPoint]:
     """Return points at full thrust, a dozen per stage."""
     return [p for n in range(len(built.stacks)) for p in spread(burning(built, n), 12)]
 
@@ -211,7 +232,7 @@ def _dozen(built: Built) -> list[TrajectoryPoint]:
 def _gains(built: Built) -> list[tuple[float, float, float]]:
     """Return gains that give the rigid body its frequency and damping with M_alpha included."""
     zeta, rows = built.layout.control.rigid_zeta, []
-    for p in _dozen(built):
+    for p in dozen(built):
         omega, delta = 2.0 * math.pi * built.rigid_hz(p), m_delta_1ps2(built, p)
         alpha = max(m_alpha_1ps2(built, p), 0.0)
         rows.append((round(p.time_s, 3), (omega**2 + alpha) / delta, 2.0 * zeta * omega / delta))
@@ -227,7 +248,7 @@ def least_rigid_hz(built: Built, aero_gain_db: float) -> tuple[list[float], list
     Of instants on a straight line, only the ends are kept.
     """
     factor, rows = 10.0 ** (aero_gain_db / 20.0) - 1.0, []
-    for p in _dozen(built):
+    for p in dozen(built):
         needed = math.sqrt(factor * max(m_alpha_1ps2(built, p), 0.0)) / (2.0 * math.pi)
         rows.append((round(p.time_s, 3), round(max(SHARE * built.rigid_hz(p), needed), 3)))
     kept = [
@@ -239,7 +260,7 @@ def least_rigid_hz(built: Built, aero_gain_db: float) -> tuple[list[float], list
 def _assumed(built: Built) -> list[str]:
     layout = built.layout
     lines = []
-    each_hz = [built.rigid_hz(p) for p in _dozen(built)]
+    each_hz = [built.rigid_hz(p) for p in dozen(built)]
     first_hz = " to ".join(dict.fromkeys(f"{end(each_hz):.3g}" for end in (min, max)))
     if any(stage.aero is None for stage in layout.stage):
         factor = f", times {layout.axial_factor:g}" if layout.axial_factor != 1.0 else ""

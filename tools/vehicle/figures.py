@@ -13,7 +13,7 @@ from maxq.tools.pages.render import render
 from maxq.tools.plots import side_view
 from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, at, limit, line, look
 from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad
-from maxq.tools.vehicle.layout import LayoutStage
+from maxq.tools.vehicle.layout import LayoutBooster, LayoutStage, LayoutThrust
 from maxq.tools.vehicle.report import notes, numbers, tables
 from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
@@ -35,7 +35,7 @@ def _vehicle(built: Built) -> Plot:
     layout, first, burn = built.layout, built.stacks[0], built.stacks[0].burn
     bodies = list[Series]()
     for stage in layout.stage:
-        bodies += _stage(stage, layout.nose_length_m if stage is layout.stage[-1] else 0.0, layout.nose)
+        bodies += stage_bodies(stage, layout.nose_length_m if stage is layout.stage[-1] else 0.0, layout.nose)
     if layout.fairing is not None:
         rear, r = layout.fairing.rear_station_m, 0.5 * layout.stage[-1].diameter_m
         bodies.append(line([rear, rear], [-r, r], "rear end of the fairing", colour="purple", dash="6 3"))
@@ -48,34 +48,55 @@ def _vehicle(built: Built) -> Plot:
     return side_view.figure(layout.name, bodies, marks, caption)
 
 
-def _stage(stage: LayoutStage, nose_m: float, nose: str) -> list[Series]:
-    r, e, out = 0.5 * stage.diameter_m, stage.engine, list[Series]()
+def stage_bodies(stage: LayoutStage, nose_m: float, nose: str) -> list[Series]:
+    """Return the bodies of a stage to scale, its boosters first, so that the core covers those ahead of and behind it.
+
+    `nose_m` is the length of the nose, 0 for a stage without one; `nose` is its shape.
+    """
+    r, out = 0.5 * stage.diameter_m, list[Series]()
+    for booster in stage.booster:
+        for y in sorted({y for y, _ in booster.positions_m}):
+            own_nose_m = booster.nose_length_m or 2.0 * booster.diameter_m
+            out += _nozzles(booster.engine, y)
+            out.append(
+                _hull(booster.front_station_m, booster.rear_station_m, 0.5 * booster.diameter_m, own_nose_m, nose, y)
+            )
+            out += _propellants(booster, y)
     if (f := stage.fins) is not None:
         chord = np.array([0.0, f.sweep_m, f.sweep_m + f.tip_chord_m, f.root_chord_m]) + f.leading_edge_station_m
         out += side_view.fins(chord, r, r + f.semispan_m)
-    length = e.exit_station_m - e.gimbal_station_m
-    exit_r = max(math.sqrt(e.exit_area_m2 / math.pi), 0.12 * length)
-    out += [
-        side_view.nozzle(e.gimbal_station_m, e.exit_station_m, exit_r, y) for y in sorted({y for y, _ in e.positions_m})
-    ]
-    if nose_m:
-        x = np.linspace(0.0, 1.0, 41)
-        station = np.append(nose_m * x, stage.rear_station_m)
-        radius = r * np.append(np.sin(0.5 * math.pi * x) ** 0.9 if nose == "ogive" else x, 1.0)
-        out.append(side_view.revolved(station, radius, fill="page", opacity=1.0))
-    else:
-        out.append(side_view.revolved([stage.front_station_m, stage.rear_station_m], r, fill="page", opacity=1.0))
-    for k, t in enumerate(stage.tank):
+    out += _nozzles(stage.engine)
+    out.append(_hull(stage.front_station_m, stage.rear_station_m, r, nose_m, nose))
+    return [*out, *_propellants(stage)]
+
+
+def _nozzles(e: LayoutThrust, y_m: float = 0.0) -> list[Series]:
+    exit_r = max(math.sqrt(e.exit_area_m2 / math.pi), 0.12 * (e.exit_station_m - e.gimbal_station_m))
+    places = sorted({y for y, _ in e.positions_m})
+    return [side_view.nozzle(e.gimbal_station_m, e.exit_station_m, exit_r, y_m + y) for y in places]
+
+
+def _hull(front_m: float, rear_m: float, r: float, nose_m: float, nose: str, y_m: float = 0.0) -> Series:
+    if not nose_m:
+        return side_view.revolved([front_m, rear_m], r, y_m=y_m, fill="page", opacity=1.0)
+    x = np.linspace(0.0, 1.0, 41)
+    radius = r * np.append(np.sin(0.5 * math.pi * x) ** 0.9 if nose == "ogive" else x, 1.0)
+    return side_view.revolved(np.append(front_m + nose_m * x, rear_m), radius, y_m=y_m, fill="page", opacity=1.0)
+
+
+def _propellants(body: LayoutStage | LayoutBooster, y_m: float = 0.0) -> list[Series]:
+    out = list[Series]()
+    for k, t in enumerate(body.tank):
         profile = t.profile
         depth = float(profile.depth(np.array(t.liquid_mass_kg / (t.density_kgpm3 * t.radius_m**3))))
         for top, full in ((profile.height, False), (depth, True)):
             z = np.linspace(0.0, top, 81)
             place, radius = t.bottom_station_m - t.radius_m * z, t.radius_m * profile.surface_radius(z)
             name = f"{propellant_text(t.name)} at liftoff" if full else ""
-            out.append(side_view.tank(place, radius, name, COLOURS[k % 4], full=full))
-    for grain in stage.grain:
-        ends = [grain.front_station_m, grain.rear_station_m]
-        out.append(side_view.revolved(ends, grain.radius_m or r, "grain", fill="grey", opacity=0.5, bare=True))
+            out.append(side_view.tank(place, radius, name, COLOURS[k % 4], full=full, y_m=y_m))
+    for grain in body.grain:
+        ends, r = [grain.front_station_m, grain.rear_station_m], grain.radius_m or 0.5 * body.diameter_m
+        out.append(side_view.revolved(ends, r, "grain", y_m=y_m, fill="grey", opacity=0.5, bare=True))
     return out
 
 

@@ -38,6 +38,7 @@ DIGITS = ".12g"  # of numbers that a table and vehicle.toml may share
 ROOM_DB, ROOM_DEG = 0.5, 2.0  # added by a case to its suite: points and rounding differ
 ROLL_SHARE = 0.25  # of the gimbals' angle, available to roll
 FASTER = 0.1  # share of its burn by which a part's tables continue if the next part continues the burn
+FAR, LOW_PASS = 100.0, 0.15  # frequency of mode 1 over that of the rigid body; poles over mode 1
 SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
 CsvFile = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
 Tables = dict[str, CsvFile]  # by the file's name
@@ -421,12 +422,16 @@ def _boosters(built: Built, n: int, tables: Tables) -> list[dict[str, Any]]:
 def _filter(built: Built, n: int) -> dict[str, Any]:
     """Return a first filter of a stage: a wide notch at each of its first two modes that the sampling resolves, and
     poles below them.
+
+    If mode 1 is far above the rigid body, the poles are a low pass that attenuates all modes.
     """
     modes, most_hz = built.modes[n][1], SHOWN / built.layout.control.sample_s
     if not modes or not modes[0]:
         return {"structure": "none"}
     means = [float(np.mean([m[k].frequency_hz for m in modes])) for k in range(min(2, len(modes[0])))]
-    sections = [{"zero_hz": f, "zero_zeta": 0.4, "pole_hz": 0.8 * f, "pole_zeta": 0.8} for f in means if f < most_hz]
+    far = means[0] > FAR * max(built.rigid_hz(p) for p in burning(built, n))
+    means, poles = (means[:1], LOW_PASS) if far else (means, 0.8)
+    sections = [{"zero_hz": f, "zero_zeta": 0.4, "pole_hz": poles * f, "pole_zeta": 0.8} for f in means if f < most_hz]
     if not sections:
         return {"structure": "none"}
     return {

@@ -2,10 +2,11 @@
 
 The linear model checks them there, and a search replaces them if the formula fails.
 
-`build` sets frequency and damping of the rigid body, without slosh or the phase of a bending mode. If the sampled loop
-is unstable at an operating point of the flight, or the flight is lost, the case of the vehicle is solved. The solution
-uses few operating points and few starts. Gains, filters and the leads of the pitch programme are those of the result,
-whether it meets the limits of the case or not.
+`build` sets frequency and damping of the rigid body, without the phase of a slosh or bending mode. If the sampled loop
+is unstable at operating points of the flight, the case of the vehicle is solved for the stages concerned. If the flight
+is lost, it is solved for all stages. The solution uses few operating points, few starts and one round along a flight
+that keeps control. Gains, filters and the leads of the pitch programme are those of the result, whether it meets the
+limits of the case or not.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from maxq.design.verify.judging import judge
 from maxq.design.verify.own_flight import CaseDesign, design_case
 from maxq.sim.run.flight import Event
 from maxq.sim.scenario.loader import load_scenario
-from maxq.tools.vehicle.build import Built
+from maxq.tools.vehicle.build import Built, dozen
 from maxq.tools.vehicle.files import write
 
 POINTS = 15  # of each stage, at which first gains are checked
@@ -45,6 +46,7 @@ class FirstGains:
     gain_margin_db: float
     at_s: float
     searched: bool = False
+    unstable_stages: tuple[int, ...] = ()  # from 0
 
     @property
     def hold(self) -> bool:
@@ -74,10 +76,12 @@ def write_with_first_gains(
     found = checked(folder)
     if found.hold:
         return built, files, found
+    some = () if found.loss is not None else (f"stages={[n + 1 for n in found.unstable_stages]}",)
     try:
         made = design_case(
-            read_case(folder / "case.toml", SEARCH),
+            read_case(folder / "case.toml", (*SEARCH, *some)),
             lambda stage, number: lambda done, of, best_db, what: progress("searching first gains", done, of),
+            rounds_most=1,
         )
     except ValueError:  # no operating point: lost immediately
         return built, files, found
@@ -102,12 +106,14 @@ def checked(folder: Path) -> FirstGains:
     stable = [j for j in judged if j.margins.stable]
     least = min(stable, key=lambda j: j.gain_margin_db, default=None)
     gain, at = (math.nan, math.nan) if least is None else (least.gain_margin_db, least.time_s)
-    return FirstGains(len(judged), unstable, loss, gain, at)
+    stages = tuple(sorted({j.node.stage for j in judged if not j.margins.stable}))
+    return FirstGains(len(judged), unstable, loss, gain, at, unstable_stages=stages)
 
 
 def with_design(built: Built, made: CaseDesign) -> Built:
-    """Return the vehicle with the gains and filters of a design, in which every stage flies with its own."""
-    design, rows = made.design, dict[float, tuple[float, float, float]]()
+    """Return the vehicle with the gains and filters of a design. The stages that it omits keep their own."""
+    design, done = made.design, {solution.nodes[0].stage for _, solution in made.results}
+    rows = {row[0]: row for p, row in zip(dozen(built), built.gains, strict=True) if p.number not in done}
     for _, solution in made.results:
         table = design.of_stage(solution.nodes[0].stage).gains.table
         for row in zip(table["time_s"], table["k_p"], table["k_d_s"], strict=True):

@@ -364,7 +364,7 @@ class Control(Section):
     gyro_zeta: Positive = optional("damping ratio", 0.7)
     rigid_hz: Positive | None = optional(
         "rigid-body frequency of the first gains, Hz (default: at each instant an eighth of mode 1 and of the "
-        "actuator, at most 0.4)"
+        "actuator and half of the slowest slosh mode, at most 0.4)"
     )
     rigid_zeta: Positive = optional("rigid-body damping ratio of the first gains", 0.7)
 

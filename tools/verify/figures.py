@@ -63,6 +63,9 @@ def plots(found: Verification, command: str) -> list[Plot]:
 def _vehicle(found: Verification) -> Plot:
     vehicle, bodies = shape_of(found.scenario.vehicle), list[Series]()
     for stage in reversed(vehicle.stages):
+        for booster in stage.boosters:
+            y_m = booster.position_m[0]
+            bodies.append(side_view.revolved(*booster.profile.T, y_m=y_m, fill="page", opacity=1.0))
         if (f := stage.fins) is not None:
             trailing = (f.tip_station_m + f.tip_chord_m, f.root_station_m + f.root_chord_m)
             bodies += side_view.fins((f.root_station_m, f.tip_station_m, *trailing), f.root_radius_m, f.tip_radius_m)
