@@ -259,7 +259,11 @@ def test_describing_function_of_the_backlash(share: float) -> None:
 def test_play_of_a_tvc_load_is_a_gap_of_its_spring() -> None:
     """Moment on the hinge over the deflection: none in the gap, then the spring; the damper never pulls."""
     load = SimpleNamespace(
-        friction_Nm=[0.0], stiffness_Nmprad=[1e5], damping_Nmsprad=[300.0], stop_stiffness_Nmprad=[0.0]
+        friction_Nm=[0.0],
+        stiffness_Nmprad=[1e5],
+        bearing_Nmprad=[0.0],
+        damping_Nmsprad=[300.0],
+        stop_stiffness_Nmprad=[0.0],
     )
     at = getattr(hinge_moment, "py_func", hinge_moment)
 

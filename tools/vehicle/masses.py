@@ -104,8 +104,8 @@ class ThrustCurve:
 
     @property
     def burned_kg(self) -> float | None:
-        """Return the propellant that burns by the given flow, in kg if its unit is kg/s."""
-        return None if self.flow is None else float(self._spent(self.end_s))
+        """Return the propellant that burns by the given flow, linear between its rows, in kg if its unit is kg/s."""
+        return None if self.flow is None else float(np.trapezoid(self.flow, self.times_s))
 
     @property
     def impulse_Ns(self) -> float:
