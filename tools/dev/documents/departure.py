@@ -39,11 +39,6 @@ class Departure:
     sampled_db: Array  # |L| of the sampled loop
     resonances: tuple[Resonance, ...]  # of the sampled loop
 
-    def first_hz(self, db: float, deg: float, part: DeparturePart = "total") -> float:
-        """Lowest frequency from which the departure exceeds `db` or `deg`; infinity if it never does."""
-        beyond = (np.abs(self.db[part]) > db) | (np.abs(self.deg[part]) > deg)
-        return float(self.frequency_hz[np.argmax(beyond)]) if beyond.any() else float("inf")
-
     def at(self, frequency_hz: float) -> dict[DeparturePart, tuple[float, float]]:
         """(dB, deg) of each part at the tabulated frequency nearest to `frequency_hz`."""
         k = int(np.argmin(np.abs(self.frequency_hz - frequency_hz)))

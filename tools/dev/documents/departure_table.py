@@ -8,7 +8,6 @@ docs/flights/nominal-departure.md) and to the terminal.
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from maxq.tools.dev.documents.departure import PARTS, Departure, DeparturePart, 
 
 SCENARIO, DESIGN = "nominal", "designs/ksr3-default.toml"
 DEFAULT_FILE = Path(__file__).resolve().parents[3] / "docs" / "flights" / "nominal-departure.md"
-LIMITS = ((0.1, 1.0), (0.5, 5.0), (3.0, 30.0))  # dB, deg
 MODES = ("bending 2", "bending 3")
 NAMES: dict[DeparturePart, str] = {
     "total": "all",
@@ -45,25 +43,10 @@ def table_text(found: list[Departure], measured: list[tuple[Margins, Margins]]) 
         "(kind `sampled`), for the design `ksr3-default` in pitch. `tools/dev/documents/departure.py` splits it into",
         "four ratios whose decibels and degrees add up. Every second operating point of the paper is listed.",
         "",
-        "## Lowest frequency beyond a limit",
-        "",
-        "All parts, then the fixed path only: Padé approximants and omitted images, with integrator and filter as",
-        "flown.",
-        "",
-        "| time, s | "
-        + " | ".join(f"all: {db:g} dB or {deg:g}°" for db, deg in LIMITS)
-        + " | "
-        + " | ".join(f"fixed path: {db:g} dB or {deg:g}°" for db, deg in LIMITS)
-        + " |",
-        "|---" * (1 + 2 * len(LIMITS)) + "|",
     ]
-    for d in found:
-        whole = [d.first_hz(*limit) for limit in LIMITS]
-        path = [_first_of_path(d, *limit) for limit in LIMITS]
-        lines.append(f"| {d.node.time_s:g} | " + " | ".join(_hz(x) for x in (*whole, *path)) + " |")
     smallest = [value for d in found for value in d.at(_resonance(d, "bending 1")).values()]
     db, deg = (max(abs(value[k]) for value in smallest) for k in (0, 1))
-    lines += ["", f"At mode 1, every part is at most {db:.2f} dB and {deg:.1f}°."]
+    lines += [f"At mode 1, every part is at most {db:.2f} dB and {deg:.1f}°."]
     for label in MODES:
         lines += ["", f"## At {label.replace('bending', 'mode')}", "", "Each part: dB, deg.", ""]
         lines += ["| time, s | Hz | sampled peak, dB | " + " | ".join(NAMES[p] for p in PARTS) + " |"]
@@ -91,15 +74,6 @@ def table_text(found: list[Departure], measured: list[tuple[Margins, Margins]]) 
 def _resonance(d: Departure, label: str) -> float:
     """Return the frequency of a resonance, Hz."""
     return next(r.frequency_hz for r in d.resonances if r.label == label)
-
-
-def _first_of_path(d: Departure, db: float, deg: float) -> float:
-    beyond = (np.abs(d.db["pade"] + d.db["aliasing"]) > db) | (np.abs(d.deg["pade"] + d.deg["aliasing"]) > deg)
-    return float(d.frequency_hz[np.argmax(beyond)]) if beyond.any() else math.inf
-
-
-def _hz(value: float) -> str:
-    return f"{value:.1f}" if math.isfinite(value) else "never"
 
 
 def compare() -> tuple[list[Departure], list[tuple[Margins, Margins]]]:

@@ -1,5 +1,5 @@
-"""Certify the nominal scenario's design at eleven operating points in both planes, and write the table of
-docs/verification.md: `python -m maxq.tools.dev.verification.certificates`.
+"""Certify the nominal scenario's design at eleven operating points in both planes, and write every second one into the
+table of docs/verification.md: `python -m maxq.tools.dev.verification.certificates`.
 The exit code is 1 where a certificate fails.
 """
 
@@ -47,7 +47,7 @@ def main() -> int:
         "| time, s | plane | below 2.7 Hz, dB | above, dB | above, deg | half amplitude, dB | upper gain, dB |"
         " lower gain, dB | delay, % | lower gain margin: held, flown, dB | in flight, dB | |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|",
-        *(row(c, through[c.time_s, c.plane]) for c in found),
+        *(row(c, through[c.time_s, c.plane]) for c in found if c.time_s in TIMES_S[::2] or not c.agrees),
     ]
     rewrite(VERIFICATION, "certificates", "\n".join(table))
     print("\n".join(table))
