@@ -35,16 +35,54 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_file, load_scenario
 from maxq.sim.vehicle import state as layout
-from maxq.tools.vehicle.layout import Layout
+from maxq.tools.vehicle.aerodynamics import aerodynamics
+from maxq.tools.vehicle.layout import Layout, read_layout
 from maxq.tools.vehicle.masses import Stack, stacks
+from maxq.tools.vehicle.trajectory import _Model
 
 G_0 = 9.80665
-GANNET = str(Path(__file__).parent / "data" / "gannet.toml")  # three solid stages and a liquid upper stage
+GANNET = Path(__file__).parent.parent / "scenarios" / "layouts" / "gannet.toml"
 
 
 def stack(number: int, *changes: str) -> Stack:
     """A stage of the layout."""
     return stacks(load_file(Layout, "layout", GANNET, changes)[0])[number]
+
+
+# --- the shipped launcher
+def test_the_shipped_launcher_has_the_masses_and_thrusts_of_its_parts() -> None:
+    """Parts, engines, grains and liquids are added by hand. The thrust is the impulse over the time of the burn."""
+    # structure and engine, propellant that burns, impulse per g_0 and kg, duration
+    motors = [
+        (8200.0, 88000.0, 280.31, 108.0),
+        (2400.0, 24000.0, 287.5, 77.0),
+        (1080.0, 10500.0, 296.0, 119.0),
+        (650.0, 885.0, 320.0, 278.02),
+    ]
+    above = 2200.0 + 15.0 + 480.0  # payload, residuals and fairing
+    for number, (dry, burns, isp_s, burn_s) in reversed(list(enumerate(motors))):
+        found, above = stack(number), above + dry
+        first, last = (found.mass_properties(t).mass_kg for t in (found.burn.start_s, found.burn.end_s))
+        assert (first, last) == pytest.approx((above + burns, above), rel=1e-9)
+        assert found.burn.end_s - found.burn.start_s == pytest.approx(burn_s, abs=0.01)
+        mean = burns * G_0 * isp_s / burn_s
+        t = np.linspace(found.burn.start_s, found.burn.end_s, 40001)
+        assert np.mean([found.burn.thrust_vacuum_N(x) for x in t[::10]]) == pytest.approx(mean, rel=5e-4)
+        above += burns
+
+
+def test_the_ascent_across_a_thrust_table_has_a_derivative() -> None:
+    """The search for an orbit differentiates with steps of 1e-5. Wider steps give the same slope."""
+    read = read_layout(GANNET)
+    whole = stacks(read)
+    model = _Model(read, whole, [aerodynamics(each) for each in whole], kick_rad=0.15)
+
+    def height(tangent: float) -> float:
+        model.tangents = (tangent, -0.1)
+        return model.fly(2)[0][-1].altitude_m
+
+    wide = (height(0.302) - height(0.298)) / 4e-3
+    assert (height(0.30001) - height(0.3)) / 1e-5 == pytest.approx(wide, rel=0.1)
 
 
 # --- the grain

@@ -72,7 +72,8 @@ class MassProperties:
 class ThrustCurve:
     """The thrust in vacuum and the flow of all engines of a stage over its clock.
 
-    PCHIP between the rows defines the thrust and the flow.
+    PCHIP between the rows defines the thrust and the flow. `thrust_vacuum_N` is linear between the rows of a computed
+    curve, which are close enough.
 
     `flow` is in any unit, because all of it is the usable propellant; without it, the flow is proportional to the
     thrust. `used_shares` are those of the usable propellant, burned before and at the end.
@@ -85,6 +86,7 @@ class ThrustCurve:
     full_s: tuple[float, float]  # from, to: full thrust
     used_shares: tuple[float, float] = (0.0, 1.0)
     flow: Array | None = None
+    given: bool = False  # by a table of the layout, whose rows may be far apart
 
     @cached_property
     def _thrust(self) -> PchipInterpolator:
@@ -112,7 +114,9 @@ class ThrustCurve:
         return float(self._impulse(self.end_s))
 
     def thrust_vacuum_N(self, t: float) -> float:
-        return float(np.interp(t, self.times_s, self.thrust_N)) if 0.0 <= t <= self.end_s else 0.0
+        if not 0.0 <= t <= self.end_s:
+            return 0.0
+        return float(self._thrust(t)) if self.given else float(np.interp(t, self.times_s, self.thrust_N))
 
     def used(self, t: float) -> float:
         """Return the share of the usable propellant burned by t, 0 to exactly 1."""
@@ -131,8 +135,8 @@ class ThrustCurve:
             now = float(PchipInterpolator(self.times_s, self.flow)(t))
             flows = np.append(self.flow[early], now), np.insert(self.flow[late], 0, now)
         return (
-            ThrustCurve(*first, self.usable_kg, self.start_s, (begin, t), (before, used), flows[0]),
-            ThrustCurve(*rest, self.usable_kg, 0.0, (0.0, end - t), (used, after), flows[1]),
+            ThrustCurve(*first, self.usable_kg, self.start_s, (begin, t), (before, used), flows[0], self.given),
+            ThrustCurve(*rest, self.usable_kg, 0.0, (0.0, end - t), (used, after), flows[1], self.given),
         )
 
 
@@ -178,7 +182,7 @@ def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: 
     if times[0] > 0.0:
         times, thrust = np.insert(times, 0, 0.0), np.insert(thrust, 0, 0.0)
         flow = None if flow is None else np.insert(flow, 0, 0.0)
-    return ThrustCurve(times, thrust, usable_kg, ignition_s, full, flow=flow)
+    return ThrustCurve(times, thrust, usable_kg, ignition_s, full, flow=flow, given=True)
 
 
 @dataclass(frozen=True)

@@ -240,6 +240,8 @@ class _Model:
             start, lowest = wanted.pitch_over_start_s, stack.number == 0
             kinks = [start, start + 0.5 * wanted.pitch_over_s, start + wanted.pitch_over_s] if lowest else []
             kinks += [x for s in stack.boosters for x in (s.burn.start_s, *s.burn.full_s, s.burn.end_s)]
+            given = [each for each in (burn, *(s.burn for s in stack.boosters)) if each.given]
+            kinks += [float(x) for each in given for x in each.times_s]  # else `_steer_to` differentiates step errors
             inside = [x for x in (0.0, burn.start_s, *burn.full_s, burn.end_s, *kinks) if begin < x < end]
             edges = np.unique([begin, *inside, end])
             at = np.linspace(begin if lowest else burn.start_s, last, points)[:-1]  # and the end, below
