@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 from flight_code import needs_compiler
 
+import maxq
+from maxq.design.case.basis import stated_basis
+from maxq.design.verify.suite import read_suite
+from maxq.sim.input.files import builtin_files
 from maxq.tools.dev.documents import outputs
 from maxq.tools.dev.documents.outputs import ROOT, OutputError, pages, renew, renewed_lines
 
@@ -40,9 +45,11 @@ LONG = {  # seconds of one core
     "docs/tutorial.md": 420,
 }
 FAST = {"docs/start/margins.md"}
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def _page(path: Path) -> object:
+    """Return the name of a page with its marks."""
     name = path.relative_to(ROOT).as_posix()
     marks = [] if name in FAST else [pytest.mark.slow]
     marks += [pytest.mark.long] if name in LONG else []
@@ -53,12 +60,35 @@ def _page(path: Path) -> object:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [_page(path) for path in pages()])
 def test_quoted_outputs_are_up_to_date(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """All but one page takes many seconds: campaigns and verifications are flown.
+    """Run the quoted commands again, except those of minutes on pages that are not long themselves.
 
     To renew the pages: python -m maxq.tools.dev.documents.outputs
     """
-    code = outputs.main(["--check", str(ROOT / name)])
+    code = outputs.main(["--check", "--short", str(ROOT / name)])
     assert code == 0, capsys.readouterr().out
+
+
+def test_the_example_of_a_verdict_is_accepted() -> None:
+    """The README quotes the whole suite for a shipped design on the scenario for which it is designed."""
+    blocks = re.findall(r"^```console\n\$ simverify (\S+) --suite (\S+)\n(.*?)^```\n", README, re.M | re.S)
+    accepted = [(design, suite) for design, suite, shown in blocks if "\nACCEPTED: " in shown]
+    assert [f"simverify {design} --suite {suite}" for design, suite in accepted] == list(outputs.LONG)
+    for design, suite in accepted:
+        basis = stated_basis(maxq.load_design(design))
+        assert basis is not None
+        assert basis.scenario == read_suite(suite).suite.scenario
+        assert "# Again: simdesign " in builtin_files("design")[design].read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("command", outputs.LONG)
+def test_quoted_outputs_of_minutes_are_up_to_date(command: str, tmp_path: Path) -> None:
+    printed = outputs.run(command, tmp_path)
+    every = "".join(page.read_text(encoding="utf-8") for page in pages())
+    quoted = [shown for shown in re.findall(r"^```console\n.*?^```\n", every, re.M | re.S) if f"$ {command}\n" in shown]
+    assert quoted
+    assert [renew(block, tmp_path, lambda *_: printed)[1] for block in quoted] == [[]] * len(quoted)
 
 
 @pytest.mark.parametrize(
@@ -108,6 +138,20 @@ def test_an_output_is_renewed_where_it_says_something_else(tmp_path: Path, old: 
     assert page == (PAGE.replace(old, new) if stale else PAGE)
     assert len(named) == stale
     assert all(name.startswith("9: $ simrun mine.toml") and new in name for name in named)
+
+
+def test_outputs_of_long_commands_are_kept_in_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def run(command: str, _: Path) -> list[str]:
+        asked.append(command)
+        return ["new"]
+
+    monkeypatch.setattr(outputs, "LONG", {"simverify a": "minutes"})
+    page = "```console\n$ simverify a\n...\nACCEPTED\n$ simrun b\nold\n```\n"
+    expected = page.replace("old", "new")
+    assert renew(page, tmp_path, run, short=True)[0] == expected
+    assert asked == ["simrun b"]
 
 
 def test_measures_of_the_machine_are_not_compared(tmp_path: Path) -> None:

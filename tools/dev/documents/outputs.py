@@ -3,7 +3,8 @@
     python -m maxq.tools.dev.documents.outputs              # renew every page that quotes an output
     python -m maxq.tools.dev.documents.outputs --check      # name the outputs that are out of date
 
-The exit code of `--check` is 1 if an output is out of date.
+`--short` leaves the outputs of the commands in `LONG` as they are. The exit code of `--check` is 1 if an output is out
+of date.
 
 A fenced block ```` ```console ```` holds commands (`$ simrun nominal`, continued after a backslash) and below each the
 lines that it prints on stdout and stderr. The commands of a page run in order in one scratch folder. It contains
@@ -35,6 +36,8 @@ ROOT = Path(__file__).resolve().parents[3]
 ELISION = "..."
 WIDTH = 92  # characters of a line, as in the quoted help of the commands
 OUTCOMES = {0, 1, 3}  # exit codes that are verdicts
+LONG = {"simverify ksr3-ringed --suite ksr3-ringed": "the whole suite standard: twenty minutes of one core"}
+"""The quoted commands that `--short` does not run, with the reason."""
 MACHINE = re.compile(
     r"flown in [\d.]+ s|[\d.]+ times real time|[\d.]+ s in all|[\d.]+ flights/s"
     r"|[\d.]+ s, \d+ results reused|[\d.]+ [kM]B|\b[0-9a-f]{16}\b"
@@ -92,8 +95,11 @@ def run(command: str, folder: Path) -> list[str]:
     return [line.rstrip() for line in _stripped(done.stdout.splitlines()) if not PROGRESS.match(line)]
 
 
-def renew(text: str, folder: Path, run: QuotedRun = run) -> tuple[str, list[str]]:
-    """Return a page with its outputs renewed, and a line for each output that was out of date."""
+def renew(text: str, folder: Path, run: QuotedRun = run, short: bool = False) -> tuple[str, list[str]]:
+    """Return a page with its outputs renewed, and a line for each output that was out of date.
+
+    `short`: outputs of the commands in `LONG` stay as they are.
+    """
     stale: list[str] = []
     for name, content in files_of(text).items():
         (folder / name).write_text(content, encoding="utf-8")
@@ -101,6 +107,9 @@ def renew(text: str, folder: Path, run: QuotedRun = run) -> tuple[str, list[str]
     def renewed(block: re.Match[str]) -> str:
         lines = ["```console"]
         for quoted in _quoted(block[1].splitlines(), text.count("\n", 0, block.start()) + 2):
+            if short and quoted.command in LONG:
+                lines += ["$ " + quoted.command, *quoted.shown]
+                continue
             shown = renewed_lines(quoted.shown, run(quoted.command, folder))
             current = _current(quoted.shown, shown)
             if not current:
@@ -217,13 +226,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("page", nargs="*", type=Path, help="pages; all with quoted outputs if none is given")
     parser.add_argument("--check", action="store_true", help="change no page; exit code 1 if an output is out of date")
+    parser.add_argument("--short", action="store_true", help="leave the outputs of commands of minutes as they are")
     given = parser.parse_args(arguments)
     wrong = 0
     for page in given.page or pages():
         with tempfile.TemporaryDirectory() as name:
             (Path(name) / "examples").symlink_to(ROOT / "examples")
             try:
-                text, stale = renew(page.read_text(encoding="utf-8"), Path(name))
+                text, stale = renew(page.read_text(encoding="utf-8"), Path(name), short=given.short)
             except OutputError as error:
                 print(f"{_named(page)}: {error}", flush=True)
                 wrong += 1
