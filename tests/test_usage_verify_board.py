@@ -440,5 +440,5 @@ def test_without_the_section_everything_is_absent_and_deviations_are_told_apart(
     assert len(thirds) == 7
     assert {row["runs that miss a limit"] for row in thirds} == {"0 of 2"}
     page = re.sub(r"\s+", " ", Path("pack/review.html").read_text())
-    assert "those of [board] in the suite, which has none" in page
+    assert "Statements by people come from [board] of the suite, which has none" in page
     assert "Waivers: absent." in page

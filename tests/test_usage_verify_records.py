@@ -338,7 +338,7 @@ def test_packs_are_signed_and_their_signers_checked(here: Path, capsys: pytest.C
         Path(f"{name}.allowed").write_text(f"board@example.org {Path(f'{name}.pub').read_text()}")
     code, said = _run(capsys, "--check", "pack", "--sample", "0", "--allowed", "key.allowed")
     assert (code, _differs(said)) == (1, ["signature: the pack has none"])
-    words = ["ksr3-robust", "--suite", "suite.toml", "--out", "pack"]
+    words = ["ksr3-robust", "--suite", "suite.toml", "--out", "pack", "--sample", "0"]
     assert _run(capsys, *words, "--sign", "missing")[1].startswith("simverify: missing: cannot sign: ")
     assert _run(capsys, *words, "--sign", "key")[0] == 3
     code, said = _run(capsys, "--check", "pack", "--sample", "0", "--allowed", "key.allowed")
@@ -443,8 +443,8 @@ def test_registered_seed_is_on_the_first_page(here: Path, capsys: pytest.Capture
     assert _run(capsys, "ksr3-robust", "--suite", "suite.toml", "--register")[0] == 2
     code, said = _run(capsys, "ksr3-robust", "--suite", "suite.toml", *seed, "--register")
     assert (code, said) == (0, "registered for KSR-III (reconstruction): seed 7 of campaign.0\n")
-    assert f"{by_hand}registered on 20" in _verify(capsys, *seed)[1]
-    said = _verify(capsys)[1]
+    assert f"{by_hand}registered on 20" in _verify(capsys, *seed, "--sample", "0")[1]
+    said = _verify(capsys, "--sample", "0")[1]
     replaced = "seed 20021128 of campaign.0 replaced by the registered seed 7"
     assert f"\n{replaced}\n" in said
     assert "attempt 2 for this vehicle; 1 earlier one: UNDECIDED" in said
