@@ -92,15 +92,15 @@ def slosh_kg(tank: LayoutTank, liquid_kg: float) -> float:
 
 
 def slosh_hz(stack: Stack, p: TrajectoryPoint) -> float:
-    """Return the frequency of the slowest first slosh mode of the burning stage and its boosters, or infinity.
+    """Return the frequency of the slowest first slosh mode of the burning stage and its boosters.
 
-    It is that of a pendulum under the thrust per mass of the vehicle, without drag.
+    It is that of a pendulum under the thrust per mass of the vehicle, without drag; infinity without thrust or liquid.
     """
     load_mps2, t = p.thrust_N / stack.mass_properties(p.clock_s).mass_kg, p.clock_s
     liquids = [(tank, stack.liquid_kg(tank, t)) for tank in stack.stage.tank]
     liquids += [(tank, s.liquid_kg(tank, t)) for s in stack.boosters for tank in s.booster.tank]
     lengths_m = [_slosh(tank, liquid_kg)[1] for tank, liquid_kg in liquids if liquid_kg > 0.0]
-    return math.sqrt(load_mps2 / max(lengths_m)) / (2.0 * math.pi) if lengths_m else math.inf
+    return math.sqrt(load_mps2 / max(lengths_m)) / (2.0 * math.pi) if lengths_m and load_mps2 > 0.0 else math.inf
 
 
 def _modes(stack: Stack) -> TimedModes:
