@@ -116,7 +116,9 @@ class ThrustCurve:
     def thrust_vacuum_N(self, t: float) -> float:
         if not 0.0 <= t <= self.end_s:
             return 0.0
-        return float(self._thrust(t)) if self.given else float(np.interp(t, self.times_s, self.thrust_N))
+        if self.given and t < self.end_s:  # at the end, rounding would leave a thrust of 1e-11 N
+            return float(self._thrust(t))
+        return float(np.interp(t, self.times_s, self.thrust_N))
 
     def used(self, t: float) -> float:
         """Return the share of the usable propellant burned by t, 0 to exactly 1."""
