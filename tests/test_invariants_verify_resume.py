@@ -72,7 +72,7 @@ def _killed(folder: Path, *kills: str) -> dict[str, Any]:
     return told
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_second_time_everything_is_recalled(in_one_go: dict[str, Any]) -> None:
     assert in_one_go["killed"] == [{"code": 3, "parts": PARTS, "runs": 8}]  # 3: too few flights to be sure
     assert in_one_go["code"] == 3

@@ -93,7 +93,7 @@ def test_gravity_along_the_body_follows_it_and_leaves_its_loop() -> None:
     assert abs(seen.response[0] / with_gravity.response(seen.lines_hz)[0] - 1.0) > 0.1
 
 
-@pytest.mark.slow  # 30 s: sensors of its own need kernels of their own
+@pytest.mark.long
 def test_load_relief_is_certified_where_its_held_flight_topples() -> None:
     """Accelerometer and second gyro are in the loop: flight and linear loop agree in the lines and in two margins."""
     loaded = load_scenario("load-relief")

@@ -167,7 +167,7 @@ def test_analyse_judges_the_dispersed_vehicles(
     assert record["dispersed"] == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_vehicles_of_a_shipped_basis_are_the_worst_of_2000() -> None:
     """At two operating points, 1,000 corners and 1,000 vehicles inside the box."""
     scenario = load_scenario("nominal", ["design='designs/ksr3-robust-ascent.toml'"])

@@ -551,7 +551,7 @@ def test_damping_keeps_momenta_and_takes_energy() -> None:
     assert np.all(np.diff(energies) < 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_moving_engine_keeps_momenta_and_adds_the_work_of_its_actuators() -> None:
     vehicle, start = full_system(53)
     vehicle = undamped(vehicle)

@@ -38,7 +38,7 @@ def solved_again(case, start, loaded) -> float:
     ).violation_db
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_multiplier_is_what_relief_of_its_limit_gains(two_nodes: tuple) -> None:
     """A tenth of a dB each: of the gain margin, of the phase margin as the optimiser counts it, of a ratio."""
     loaded, s = two_nodes

@@ -140,7 +140,7 @@ def test_the_corner_of_the_integral_is_judged() -> None:
     assert [found[key].passed for key in ("integral_hz", "most_integral_hz")] == [True, True]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_limits_that_hold_between_operating_points_are_judged_there(capsys: Printed) -> None:
     with_basis("ksr3-sampled", ('between_nodes = "ignore"', 'between_nodes = "hold"'))
     code, lines, record = analysed(capsys, "mine.toml")

@@ -148,7 +148,7 @@ def built_and_flown(document: dict[str, Any], folder: Path, whole: bool) -> str:
     return ""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_fuzzed_layouts_are_refused_in_words_or_fly(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,7 +22,7 @@ from maxq.design.verify.judging import make_design
 from maxq.sim.scenario.loader import to_toml
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_more_freedom_is_never_worse() -> None:
     """With a smaller problem's answer among its starts: from two-phase to free, from F2 to F4."""
     plants, order = kit.all_nodes(), [("F2", "two-phase"), ("F2", "linear"), ("F3", "linear"), ("F4", "linear")]
@@ -114,6 +114,7 @@ HELD = (
 )
 
 
+@pytest.mark.long
 def test_a_design_that_was_not_interrupted_claims_its_instants() -> None:
     whole = solve(kit.case(*HELD))
     assert (whole.certificate.instants > 40, whole.certificate.worst_instant_db < 0.02) == (True, True)

@@ -29,7 +29,7 @@ TIMES_S = (15.0, 55.0)
 CASE = (f"nodes_s={list(TIMES_S)}", "loop=sampled", "filter.structure=F2", "search.starts=1", "search.leaps=0")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_design_keeps_its_limits_with_the_other_axes_closed() -> None:
     """Phase margin on its limit at 55 s: the search is held to more, and the design states the limits of its case."""
     made = design_case(kit.case(*CASE))

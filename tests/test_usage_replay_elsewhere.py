@@ -20,7 +20,7 @@ from maxq.tools.replay import log_layout, viewer
 FOXGLOVE = Path(__file__).parents[1] / "docs" / "viewers" / "maxq.foxglove-layout.json"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rerun_alone_shows_the_events_of_a_log() -> None:
     with headless_viewer() as client:
         viewer.open_whole(client, OLD_LOG)

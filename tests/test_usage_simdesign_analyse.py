@@ -75,7 +75,7 @@ def test_a_design_is_judged_at_every_node(capsys: Printed) -> None:
     assert list(Path().iterdir()) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pictures_and_record_go_into_a_folder(capsys: Printed) -> None:
     assert run("analyse", "ksr3-default", "--at", "40", "--at", "20", "--out", "here", "--kind", "pade", "--plots") == 0
     names = sorted(path.name for path in Path("here").iterdir())

@@ -90,7 +90,7 @@ def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> N
     assert verdicts == {"ksr3-identical": "passed screening", "ksr3-relaxed": "rejected"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("_design_once")
 def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
     assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(20.0), "--out", "out") == 1

@@ -191,7 +191,7 @@ def test_wrong_input_is_one_line(
     assert said in err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_pack_of_another_vehicle_has_no_word_of_the_first(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -382,7 +382,7 @@ def test_a_fitted_suite_names_every_part_of_the_vehicle() -> None:
     assert read_suite("standard").suite.flight  # what is fitted is a copy
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_suite_for_several_stages_and_engines() -> None:
     """The second vehicle: nine engines below, one above; each stage has its faults; none of them KSR-III's."""
     stages = [STAGE_MARKS | {"stage": n, "strongest_s": 10.0 * n + 5.0} for n in range(3)]

@@ -414,7 +414,7 @@ def test_a_forged_part_in_the_cache_is_found_in_the_sample(here: Path, capsys: p
     assert ledger.read_lines(own)[0][-1]["verdict"] == "none: recalled results differ from their computation"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_forged_run_in_the_cache_is_found_in_the_sample(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (part,) = Path("memory").glob("campaign-*/runs/*.parquet")
     table = pq.read_table(part)
@@ -435,7 +435,7 @@ def test_a_sample_of_recalled_parts_is_compared(tmp_path: Path) -> None:
     assert memory.recheck(5) == (("part a",), ("part a",))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_registered_seed_is_on_the_first_page(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.rmtree("ledger")  # in which the declared seed was flown
     seed = ("--set", "campaign.0.seed=7")

@@ -81,7 +81,7 @@ def test_only_the_replay_imports_the_viewer(tmp_path: Path) -> None:
     assert len(done.stdout.splitlines()) > 250
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_all_else_works_without_the_viewer(tmp_path: Path) -> None:
     done = without_viewer(EVERY_USE, tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
