@@ -43,15 +43,13 @@ LONG = {  # seconds of one core
     "docs/start/monte-carlo.md": 20,
     "docs/tutorial.md": 420,
 }
-FAST = {"docs/start/margins.md"}
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def _page(path: Path) -> object:
     """Return the name of a page with its marks."""
     name = path.relative_to(ROOT).as_posix()
-    marks = [] if name in FAST else [pytest.mark.slow]
-    marks += [pytest.mark.long] if name in LONG else []
+    marks = [pytest.mark.long] if name in LONG else []
     marks += [needs_compiler] if "flight-code" in name else []
     return pytest.param(name, marks=marks)
 
@@ -78,7 +76,6 @@ def test_the_example_of_a_verdict_is_accepted() -> None:
         assert "# Again: simdesign " in text
 
 
-@pytest.mark.slow
 @pytest.mark.long
 @pytest.mark.parametrize("command", outputs.LONG)
 def test_quoted_outputs_of_minutes_are_up_to_date(command: str, tmp_path: Path) -> None:
