@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import campaignkit
 import numpy as np
@@ -112,31 +114,26 @@ def test_no_dispersion_is_the_scenario_itself(tmp_path: Path) -> None:
     assert everything.changed({}).scenario == everything.base.scenario
 
 
-def test_a_draw_of_a_scenario_with_wind_flies_in_still_air() -> None:
-    """The worst vehicle of a campaign in wind flies the scenario of its design, which has none."""
-    windy, still = load_scenario("nominal", ["wind.profile=winds/anheung-november.csv"]), load_scenario("nominal")
-    wind = TargetChange(find_target(windy.scenario, "wind.profile.speed_mps"), "scale", "wind")
+GUST = "wind.gust=[{kind='one-minus-cosine',altitude_m=9e3,thickness_m=180.0,edge_m=30.0,speed_mps=7.0,from_deg=0.0}]"
+
+
+@pytest.mark.parametrize(
+    ("override", "key", "how", "value"),
+    [
+        ("wind.profile=winds/anheung-november.csv", "wind.profile.speed_mps", "scale", 0.5),
+        (GUST, "wind.gust.0.altitude_m", "set", 8e3),
+    ],
+)
+def test_a_draw_of_a_scenario_with_wind_flies_in_still_air(override: str, key: str, how: Any, value: float) -> None:
+    """The worst vehicle of a campaign in wind, or with gusts, flies the scenario of its design, which has none."""
+    windy, still = load_scenario("nominal", [override]), load_scenario("nominal")
+    wind = TargetChange(find_target(windy.scenario, key), how, "wind")
     thrust = TargetChange(find_target(windy.scenario, "vehicle.stage.0.engine.thrust_factor"), "set", "thrust")
     dispersed = Dispersed(still.scenario, [wind, thrust])
     expected = load_scenario("nominal", ["vehicle.stage.0.engine.thrust_factor=1.02"])
     assert packed_bytes(LoadedScenario(dispersed({"thrust": 1.02}), "", ())) == packed_bytes(expected)
-    with pytest.raises(Refused, match=r"wind\.profile\.speed_mps: the scenario has no such section"):
-        dispersed({"wind": 0.5})
-
-
-def test_a_draw_of_a_scenario_with_a_gust_flies_without_one() -> None:
-    """The campaigns of KSR-III draw the altitude of a gust that the scenario of its designs does not contain."""
-    gust = (
-        "wind.gust=[{kind='one-minus-cosine',altitude_m=9e3,thickness_m=180.0,edge_m=30.0,speed_mps=7.0,from_deg=0.0}]"
-    )
-    gusty, still = load_scenario("nominal", [gust]), load_scenario("nominal")
-    place = TargetChange(find_target(gusty.scenario, "wind.gust.0.altitude_m"), "set", "gust")
-    thrust = TargetChange(find_target(gusty.scenario, "vehicle.stage.0.engine.thrust_factor"), "set", "thrust")
-    dispersed = Dispersed(still.scenario, [place, thrust])
-    expected = load_scenario("nominal", ["vehicle.stage.0.engine.thrust_factor=1.02"])
-    assert packed_bytes(LoadedScenario(dispersed({"thrust": 1.02}), "", ())) == packed_bytes(expected)
-    with pytest.raises(Refused, match=r"wind\.gust\.0\.altitude_m: the scenario has no such section"):
-        dispersed({"gust": 8e3})
+    with pytest.raises(Refused, match=rf"{re.escape(key)}: the scenario has no such section"):
+        dispersed({"wind": value})
 
 
 def test_integrator_and_noise_settings_reach_every_run(tmp_path: Path) -> None:
