@@ -138,7 +138,7 @@ def test_a_design_that_was_interrupted_claims_no_instants(stop_at: int) -> None:
     assert (len(s.nodes) > 3) == (stop_at > 2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_design() -> None:
     loaded, plants = kit.case("filter.structure=F2", "search.starts=2"), kit.all_nodes()
     first, second = solve(loaded, plants), solve(loaded, plants)
