@@ -32,10 +32,11 @@ settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", derandomize=False, deadline=None, print_blob=True)  # its own default in CI is True
 settings.load_profile(os.environ.get("MAXQ_EXAMPLES") or "same")
 
-os.environ.setdefault("MAXQ_LEDGER", tempfile.mkdtemp(prefix="maxq-ledger-"))  # attempts of tests are none of a user's
 if "MAXQ_TEST_FILES" not in os.environ:  # of made_once.py, for the workers of pytest-xdist, too
     os.environ["MAXQ_TEST_FILES"] = tempfile.mkdtemp(prefix="maxq-tests-")
     atexit.register(shutil.rmtree, os.environ["MAXQ_TEST_FILES"], ignore_errors=True)
+if "MAXQ_LEDGER" not in os.environ:  # attempts of tests are none of a user's
+    os.environ["MAXQ_LEDGER"] = tempfile.mkdtemp(prefix="ledger-", dir=os.environ["MAXQ_TEST_FILES"])
 os.environ.pop("COLUMNS", None)  # pytest-xdist sets 80 for its workers, as if they wrote to a terminal
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import petrelkit
 import pytest
@@ -14,6 +15,7 @@ import pytest
 import maxq
 from maxq import FlightRun
 from maxq.control.kernel import kept_code
+from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import constants_in, pack, with_constants
 from maxq.sim.campaign import runs
 from maxq.sim.campaign.runs import fly_rows
@@ -44,6 +46,7 @@ def test_a_campaign_worth_it_flies_the_same_bits(campaign, monkeypatch):
     assert len({row.state_hash for row in own}) == 3
 
 
+@pytest.mark.long
 def test_every_log_row_is_the_same(campaign):
     loaded = campaign.inputs(0, campaign.plan.draw(0, 1)).loaded
     flights = [FlightRun(loaded, packing(loaded.scenario)) for packing in (pack_flight, pack_for_one_vehicle)]
@@ -126,6 +129,22 @@ def test_uncompiled_source_reads_the_record():
     numbers = tuple(range(1, len(Counts._fields)))
     sizes = with_constants(pack([Sizes(*numbers)]))[0]
     assert getattr(counts, "py_func", counts)(sizes) == (*numbers, 1)  # four modes at most
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="of compiled code")
+def test_compiled_code_has_the_sizes_as_constants():
+    """After a change of the memory, code for one vehicle still computes with the sizes in the type."""
+    numbers = tuple(range(1, len(Counts._fields)))
+    plain = pack([Sizes(*numbers)])
+    own = with_constants(plain)
+    of = from_python(counts)
+    assert of(plain[0]) == of(own[0]) == (*numbers, 1)
+    for name in Sizes.__dataclass_fields__:
+        plain[name] = 0
+    assert of(plain[0]) == (0,) * len(Counts._fields)
+    assert of(own[0]) == (*numbers, 1)
+    other = with_constants(pack([Sizes(*numbers[:-1], 3 * numbers[-1])]))
+    assert of(other[0]) == (*numbers[:-1], 3 * numbers[-1], 1)  # other constants are another type
 
 
 def test_the_cache_follows_the_sources_wherever_they_lie(tmp_path, monkeypatch):

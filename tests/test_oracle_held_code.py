@@ -193,7 +193,7 @@ def test_the_constant_of_an_integral_is_found_and_a_schedule_has_none() -> None:
     assert command_offset(swing[:4], swing[:4]) == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_response_in_flight_is_that_of_the_held_flight(tmp_path: Path) -> None:
     """With the loop of the design as that of the held flight; half its gain there is a difference on most lines."""
     of, design = loaded(library(tmp_path, tested="1")), load_scenario("nominal").design

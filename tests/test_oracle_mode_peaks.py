@@ -123,7 +123,7 @@ def fast_petrel(*overrides: str):
     return part
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_stage_whose_mode_passes_the_sample_rate_is_designed() -> None:
     """By the band alone, 15.2 dB are missing: |L| of the rigid body at 0.06 Hz."""
     s = solve(fast_petrel(f"nodes_s=[163.5, 270.0, 400.0, {PASSES}, 420.0, 463.0]"))

@@ -347,8 +347,8 @@ def test_no_global_search_beats_the_optimum_of_f2() -> None:
     "overrides",
     [
         ("filter.structure=F2", "gains.schedule=linear"),
-        ("filter.structure=F4", "gains.schedule=linear"),
-        ("filter.structure=F4", "gains.schedule=free"),
+        pytest.param(("filter.structure=F4", "gains.schedule=linear"), marks=pytest.mark.long),
+        pytest.param(("filter.structure=F4", "gains.schedule=free"), marks=pytest.mark.long),
         ("filter.structure=F4", "gains.schedule=linear", "loop=sampled"),
     ],
 )

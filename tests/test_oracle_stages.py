@@ -233,7 +233,8 @@ def test_a_suite_finds_its_scenario_beside_itself() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("time_s", "slowest_hz"), [pytest.param(40.0, 0.04, marks=pytest.mark.long), (126.0, 0.004), (240.0, 0.0)]
+    ("time_s", "slowest_hz"),
+    [*(pytest.param(*at, marks=pytest.mark.long) for at in ((40.0, 0.04), (126.0, 0.004))), (240.0, 0.0)],
 )
 def test_gain_that_slow_roots_need_is_found_in_flight(time_s: float, slowest_hz: float) -> None:
     """A fast unstable body in dense air, a slow oscillation in thin air, a drift in none.

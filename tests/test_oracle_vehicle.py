@@ -253,7 +253,7 @@ def test_orbit_has_the_heights_of_the_textbook() -> None:
         ({"stage.0.shell.0.EI_Nm2": 1e7}, "no stiffness, or two"),
         ({"stage.0.engine.thrust_vacuum_N": 9000.0}, "pushes .* and weighs"),
         pytest.param(
-            {"stage.1.part.0.mass_kg": 400.0}, "short of the 775. m/s .inertial. of an orbit", marks=pytest.mark.slow
+            {"stage.1.part.0.mass_kg": 400.0}, "short of the 775. m/s .inertial. of an orbit", marks=pytest.mark.long
         ),
     ],
 )

@@ -90,7 +90,7 @@ def test_reported_bias_is_the_integral_of_what_the_programmes_differ_by() -> Non
     assert np.degrees(np.abs(made.bias_rad[:, 0])).max() < 1e-9  # none at liftoff
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_half_the_share_leaves_half() -> None:
     loads = [biased(share).after for share in (1.0, 0.5)]
     where = np.isin(loads[1].time_s, AT_S)

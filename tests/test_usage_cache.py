@@ -47,6 +47,17 @@ def test_damaged_machine_code_is_compiled_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_kernel_that_python_calls_is_compiled_once(tmp_path: Path) -> None:
+    """Without `from_python`: the second process does not load Numba's compiler."""
+    program = (
+        "import sys\nfrom maxq.control.kernel.vectors import sine_cosine\n"
+        "print(sine_cosine(0.0), 'scipy.linalg' in sys.modules)"
+    )
+    printed = [call(tmp_path, "-c", program).stdout for _ in range(2)]
+    assert printed == ["(0.0, 1.0) True\n", "(0.0, 1.0) False\n"]
+
+
+@pytest.mark.slow
 def test_like_sources_elsewhere_are_compiled_once(tmp_path: Path) -> None:
     """Another checkout, or an installed wheel, loads what has been compiled; whatever differs in a source does not."""
     cache, here = tmp_path / "cache", Path(jit.__file__).parents[2]

@@ -50,7 +50,16 @@ LIMITS = {
     "filter_gain_at_infinity": 2.0,
 }
 QUICK = ("ksr3-linear",)  # designs that take seconds
-LONG = ("ksr3-load-relief", "ksr3-ringed", "petrel-robust")  # analyses of more than seven
+LONG = (
+    "ksr3-default",
+    "ksr3-free",
+    "ksr3-load-relief",
+    "ksr3-ringed",
+    "ksr3-robust-ascent",
+    "ksr3-sampled",
+    "petrel-robust",
+)
+"""The designs whose analysis takes long, or is of the same kind as that of a quicker one."""
 GIVEN = {"greensite-hm3", "ksr3-default", "ksr3-robust"}  # by others, by another search, and with earlier plants
 Printed = pytest.CaptureFixture[str]
 

@@ -59,7 +59,7 @@ def test_a_filter_of_higher_order_can_be_the_same() -> None:
     assert lifted(second, FilterVariables(0, 2), 9.7) is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_infeasible_limits_are_named() -> None:
     """F2 cannot leave both 10 dB and 60 deg: the answer says which limits conflict, where, and by how much."""
     loaded = kit.case("filter.structure=F2", "limits.gain_margin_db=10", "limits.phase_margin_deg=60")
@@ -138,7 +138,7 @@ def test_a_design_that_was_interrupted_claims_no_instants(stop_at: int) -> None:
     assert (len(s.nodes) > 3) == (stop_at > 2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_design() -> None:
     loaded, plants = kit.case("filter.structure=F2", "search.starts=2"), kit.all_nodes()
     first, second = solve(loaded, plants), solve(loaded, plants)

@@ -16,6 +16,8 @@ from replaykit import OLD_LOG, free_port
 from maxq.tools.replay import viewer
 
 PATIENCE_S = 60.0
+QUICK = (("screenshot", signal.SIGKILL), ("screenshot", signal.SIGTERM), ("web", signal.SIGINT))
+"""Each way and each signal once."""
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="only Linux kills a child whose parent was killed"
@@ -46,8 +48,14 @@ def gone(processes: list[psutil.Process]) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], ids=lambda s: s.name)
-@pytest.mark.parametrize("way", ["screenshot", "web"])
+@pytest.mark.parametrize(
+    ("way", "by"),
+    [
+        pytest.param(way, by, id=f"{way}-{by.name}", marks=[] if (way, by) in QUICK else pytest.mark.long)
+        for way in ("screenshot", "web")
+        for by in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+    ],
+)
 def test_a_viewer_ends_with_its_command(way: str, by: signal.Signals, tmp_path: Path) -> None:
     options = {"screenshot": ["--screenshot", str(tmp_path / "a.png"), "--at", "3"], "web": ["--web", "--port"]}[way]
     if way == "web":

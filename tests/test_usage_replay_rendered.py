@@ -89,7 +89,7 @@ def test_the_vehicle_moves_and_the_trajectory_grows(shown: tuple) -> None:
         assert np.abs(earlier[1] - later[1]).max() > 50.0
 
 
-@pytest.mark.parametrize("time_s", TIMES_S)
+@pytest.mark.parametrize("time_s", [pytest.param(t, marks=pytest.mark.long if t < 9.0 else []) for t in TIMES_S])
 def test_the_picture_is_what_it_was(shown: tuple, time_s: float) -> None:
     client, _ = shown
     picture = Image.open(io.BytesIO(at(client, time_s))).convert("L").resize(SMALL, Image.Resampling.BOX)
@@ -102,7 +102,15 @@ def test_the_picture_is_what_it_was(shown: tuple, time_s: float) -> None:
     assert difference.mean() < TOLERANCE
 
 
-@pytest.mark.parametrize("tab", ["Air", "Attitude", "Gimbal", "Bending", "Slosh", "Computer", "Loads", "Vehicle"])
+@pytest.mark.parametrize(
+    "tab",
+    [
+        "Air",
+        "Slosh",
+        *(pytest.param(tab, marks=pytest.mark.long) for tab in ("Attitude", "Gimbal", "Bending", "Computer", "Loads")),
+        "Vehicle",
+    ],
+)
 def test_every_tab_draws_its_plots(shown: tuple, flight, tab: str, tmp_path: Path) -> None:
     client, _ = shown
     path = tmp_path / f"{tab}.rrd"

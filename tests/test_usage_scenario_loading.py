@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from scenario_files import ASCENT, TABLES, write_ascent, write_free
 
 from maxq import LoadedScenario, ScenarioError, builtin_names
+from maxq.sim.input.documents import Source, parse
 from maxq.sim.input.files import builtin_files, scenarios_folder
 from maxq.sim.input.values import is_whole_ns, period_ns, to_ns
 from maxq.sim.scenario.loader import copy_scenario, load_scenario, load_scenario_text
@@ -417,6 +418,27 @@ def test_periods() -> None:
     assert [period_ns(rate) for rate in (1000.0, 100.0, 50.0, 0.5)] == [1_000_000, 10_000_000, 20_000_000, 2 * 10**9]
     with pytest.raises(ValueError, match="whole number of nanoseconds"):
         period_ns(300.0)
+
+
+@pytest.mark.parametrize(("name", "old", "new"), [("mass.csv", "4400", "4500"), ("vehicle.toml", "0.785", "0.795")])
+def test_a_file_that_changes_is_read_again(ascent: Path, name: str, old: str, new: str) -> None:
+    """Also one of the same length, and with the texts of equal files read once."""
+    (path,) = ascent.parent.rglob(name)
+    text = path.read_text()
+    assert old in text
+    before = load_scenario(ascent)
+    path.write_text(text.replace(old, new, 1))
+    assert load_scenario(ascent) != before
+    path.write_text(text)
+    assert same_bits(load_scenario(ascent), before)
+
+
+def test_documents_of_one_text_are_independent() -> None:
+    text = "a = [1]\n[b]\nc = 1\n"
+    document = parse(text, Source("one"))
+    document["a"].append(2)
+    document["b"]["c"] = 2
+    assert parse(text, Source("another")) == {"a": [1], "b": {"c": 1}}
 
 
 def test_loading_is_quick_and_compiles_nothing(ascent: Path) -> None:

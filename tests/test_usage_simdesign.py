@@ -157,7 +157,7 @@ def test_trials_can_be_left_out(capsys: Printed) -> None:
     assert record()["way_out"]["conflict"][0]["gains_db_per_db"] > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ctrl_c_during_the_trials_keeps_the_design(capsys: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
     honest, begun = at_nodes.descend, []
 

@@ -36,7 +36,7 @@ from maxq.design.verify.linear import (
     meet_limits,
 )
 from maxq.design.verify.linear import vehicles as vehicles_of
-from maxq.design.verify.memory import PartsOnDisk
+from maxq.design.verify.memory import PartsOnDisk, content_hash
 from maxq.design.verify.parts import Parts
 from maxq.design.verify.suite import (
     JudgedRequirement,
@@ -96,6 +96,13 @@ def test_campaigns_of_shipped_suites_fly_the_vehicle_that_is_judged(name: str) -
     suite = read_suite(name).suite
     for campaign in suite.campaign:
         assert maxq.load(campaign.file).base.scenario.vehicle == load_scenario(suite.scenario).scenario.vehicle
+
+
+def test_a_hash_is_that_of_the_content_as_json() -> None:
+    """A list of plain numbers is hashed as it stands, and NumPy's numbers in one as arrays with their type."""
+    plain = [1.0, 2, "x", None, True]
+    text = json.dumps({"tuple": [plain, [{"array": ["<f8", [], "AAAAAAAA+D8="]}, 2.0]]})
+    assert content_hash(plain, [np.float64(1.5), 2.0]) == hashlib.sha256(text.encode()).hexdigest()
 
 
 @pytest.mark.slow

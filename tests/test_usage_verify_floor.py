@@ -49,7 +49,7 @@ inertia = 0.0
 centre_of_pressure_m = 0.0
 delay_s = 0.0
 [certificate]
-times_s = [30.0, 30.1]
+times_s = [30.0]
 planes = ["pitch"]
 in_flight = false
 [[campaign]]

@@ -13,11 +13,13 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from made_once import copy_of
 
 from maxq.design.verify import ledger
 from maxq.design.verify.memory import PartsOnDisk
 from maxq.design.verify.results import Results
 from maxq.tools.simverify import main
+from maxq.tools.verify.recomputed import Job, jobs_of
 
 SUITE = """
 schema = 2
@@ -48,17 +50,26 @@ file = "campaigns/ksr3"
 runs = 4
 set = ["run.duration_s=2.0", "campaign.keep=[]"]
 """
+FLIGHT = """
+schema = 2
+[[flight]]
+name = "two seconds"
+set = ["run.duration_s=2.0"]
+"""
+"""A suite of the flight alone, which has a result in the cache."""
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a suite, a cache, a ledger, and the pack that was made by them."""
-    folder = tmp_path_factory.mktemp("made")
+def made() -> Path:
+    """A folder with a suite, a cache, a ledger, and the pack that was made by them, once for all workers."""
+    return copy_of("verified-pack", _make)
+
+
+def _make(folder: Path) -> None:
     (folder / "suite.toml").write_text(SUITE)
     with pytest.MonkeyPatch.context() as patch:
         _at(folder, patch)
         assert main(["ksr3-robust", "--suite", "suite.toml", "--out", "pack"]) == 3
-    return folder
 
 
 def _at(folder: Path, patch: pytest.MonkeyPatch) -> None:
@@ -109,7 +120,7 @@ def test_an_honest_pack_agrees_in_all_that_is_computed_again(here: Path, capsys:
     assert f"verdict and {rows} requirements, derived again from the results in the pack" in said
     assert "ledger of attempts: attempt 1 for this vehicle" in said
     assert said.rstrip().endswith("CHECK PASSED")
-    assert _run(capsys, "--check", "pack/verdict.json", "--sample", "1")[0] == 0
+    assert _run(capsys, "--check", "pack/verdict.json", "--sample", "0")[0] == 0
 
 
 @pytest.mark.slow
@@ -196,8 +207,22 @@ def _forge(change: Callable[[Results], Results]) -> None:
     _verdict(lambda verdict: verdict["files"].update({path.name: hashlib.sha256(path.read_bytes()).hexdigest()}))
 
 
+def _recompute_only(monkeypatch: pytest.MonkeyPatch, *kinds: str) -> None:
+    """Leave only results of these kinds to be computed again, and of operating points no certificate."""
+
+    def jobs(*given: Any) -> dict[str, list[Job]]:
+        every = jobs_of(*given)
+        return {kind: [job for job in every[kind] if not job[0].startswith("certificate")] for kind in kinds}
+
+    monkeypatch.setattr("maxq.tools.verify.check.jobs_of", jobs)
+
+
 @pytest.mark.slow
-def test_edited_results_are_found_in_the_sample(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_edited_results_are_found_in_the_sample(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _recompute_only(monkeypatch, "operating points", "dispersed vehicles", "worst vehicles", "searches")
+
     def better(results: Results) -> Results:
         (study,), (worst,) = results.margins, results.worst
         study.random[1] += 1.0
@@ -279,8 +304,11 @@ def test_other_inputs_are_found_and_nothing_is_computed(here: Path, capsys: pyte
 
 
 @pytest.mark.slow
-def test_runs_that_were_edited_are_found(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_that_were_edited_are_found(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also where the hashes of the files were computed again."""
+    _recompute_only(monkeypatch, "runs")
     (part,) = Path("pack/verdict-runs/1/runs").glob("*.parquet")
     table = pq.read_table(part)
     at = table.schema.get_field_index("max_attitude_error_deg")
@@ -391,12 +419,15 @@ def test_recalled_results_are_named_and_a_sample_is_computed_again(
         "worst pitch",
     ]
     assert len(recalled["computed_again"]) == len(recalled["runs"]["ksr3"]["flown_again"]) == 1
+    Path("suite.toml").write_text(FLIGHT)
+    assert "NOT COMPUTED AFRESH: 1 of 1 parts recalled" in _verify(capsys)[1]
     assert "computed afresh" in _verify(capsys, "--afresh")[1]
 
 
 @pytest.mark.slow
 def test_a_forged_part_in_the_cache_is_found_in_the_sample(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The attack: a metric of a kept flight is edited, and the checksum computed again."""
+    Path("suite.toml").write_text(FLIGHT)
     (part,) = Path("memory").glob("flight-*.json")
     _, _, rest = part.read_bytes().partition(b"\n")
     before = json.loads(Path("pack/verdict.json").read_text())["flights"][0]["metrics"]["max_attitude_error_deg"]

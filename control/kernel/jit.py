@@ -83,8 +83,8 @@ class _Kernel:
     """A kernel as seen by compiled callers and by Python.
 
     It is compiled with its first caller, without the wrappers for calls from Python and C, which take a quarter of the
-    wait for a first flight. It is compiled a second time if Python calls it. A process that only loads kept machine
-    code creates no dispatcher.
+    wait for a first flight. It is compiled a second time if Python calls it, as an entry. A process that only loads
+    kept machine code creates no dispatcher.
     """
 
     def __init__(self, function: Callable[..., object], compiler: type[CompilerBase], options: dict[str, Any]) -> None:
@@ -98,7 +98,7 @@ class _Kernel:
 
     @functools.cached_property
     def _complete(self) -> Any:
-        return numba.njit(self.py_func, pipeline_class=EntryCompiler, **self._options)
+        return _kept(numba.njit(_signed(self.py_func), pipeline_class=EntryCompiler, **self._options))
 
     @property
     def _numba_type_(self) -> Any:
@@ -160,17 +160,21 @@ def entry(function: Function) -> Function:
 
     The machine code is kept on disk, with all callees.
     """
-    compiled = numba.njit(_signed(function), nogil=True, error_model="numpy", pipeline_class=EntryCompiler)
+    return _kept(numba.njit(_signed(function), nogil=True, error_model="numpy", pipeline_class=EntryCompiler))  # type: ignore[no-any-return]  # Numba has no types
+
+
+def _kept(compiled: Any) -> Any:
+    """Return a compiled function whose machine code is kept on disk."""
     if not numba.config.DISABLE_JIT:
         with contextlib.suppress(RuntimeError):  # from Numba, where no cache can be written
             compiled._cache = EntryCache(compiled.py_func)
-    return compiled  # type: ignore[no-any-return]  # Numba has no types
+    return compiled
 
 
 def from_python(function: Function) -> Function:
     """Compile a kernel for callers in Python, as an entry of its own.
 
-    A kernel without an entry is compiled again in every process.
+    Unlike a call of the kernel itself, this leaves its choice of inlining to the compiler.
     """
     return entry(getattr(function, "py_func", function))
 

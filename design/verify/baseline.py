@@ -244,9 +244,10 @@ def differences(before: dict[str, Any], after: dict[str, Any]) -> list[SuiteDiff
         out += _smaller_spreads(old, new)
         old, new = ({p: v for p, v in each.items() if not _of_vehicle(p)} for each in (old, new))
     for mine, other, kind in ((old, new, REMOVED), (new, old, STRICTER)):
-        for head in _parts_of(mine):
+        others = {path[:n] for path in other for n in range(1, len(path) + 1)}
+        for head in (head for head in _parts_of(mine) if head not in others):
             below = [path for path in mine if path[: len(head)] == head]
-            if below and not any(path[: len(head)] == head for path in other):
+            if below:
                 out.append(SuiteDifference(_kind_of_part(head, kind), " ".join(head), "", ""))
                 for path in below:
                     del mine[path]

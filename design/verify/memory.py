@@ -57,6 +57,10 @@ def content_hash(*things: Any) -> str:
     return hashlib.sha256(json.dumps(to_plain(things, records=True)).encode()).hexdigest()
 
 
+_OF_JSON = frozenset({type(None), bool, int, float, str})
+"""The types of single values that JSON has."""
+
+
 def to_plain(thing: Any, records: bool = False) -> Any:
     """Return a result in the form that JSON can represent.
 
@@ -65,16 +69,18 @@ def to_plain(thing: Any, records: bool = False) -> Any:
     Raises TypeError for a type that `from_plain` does not support. With `records`, for a hash, NumPy records and bytes
     are permitted too.
     """
+    if type(thing) in _OF_JSON:
+        return thing
     plain = partial(to_plain, records=records)
     if isinstance(thing, np.ndarray | np.generic) and thing.dtype.kind in ("biufcSUV" if records else "biufc"):
         dtype = thing.dtype.str if thing.dtype.names is None else str(thing.dtype)
         return {"array": [dtype, np.shape(thing), base64.b64encode(thing.tobytes()).decode()]}
     if records and isinstance(thing, bytes):
         return {"bytes": base64.b64encode(thing).decode()}
-    if thing is None or isinstance(thing, bool | int | float | str):
+    if isinstance(thing, bool | int | float | str):
         return thing
-    if isinstance(thing, list):
-        return [plain(item) for item in thing]
+    if isinstance(thing, list):  # a table has thousands of numbers
+        return list(thing) if _OF_JSON.issuperset(map(type, thing)) else [plain(item) for item in thing]
     if isinstance(thing, Mapping):
         return {"mapping": [[plain(key), plain(value)] for key, value in thing.items()]}
     if isinstance(thing, complex):

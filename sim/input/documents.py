@@ -10,6 +10,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -103,11 +104,20 @@ def plain(value: Any) -> Any:
 def parse(text: str, source: Source) -> TomlTable:
     """Return the document in `text`; raise ScenarioError with line and column if it is not TOML."""
     try:
-        table: TomlTable = adopt(tomllib.loads(text), source)
+        table: TomlTable = adopt(_document(text), source)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, or a number with thousands of digits
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
         raise ScenarioError(source.label, f"is not valid TOML: {reason}{_quoted(text, reason)}") from None
     return table
+
+
+@lru_cache(maxsize=64)
+def _document(text: str) -> dict[str, Any]:
+    """Return the document in `text`, which is not to be changed.
+
+    A suite reads the same files for each of its flights, and reading TOML takes most of the time of a small file.
+    """
+    return tomllib.loads(text)
 
 
 def _quoted(text: str, reason: str) -> str:

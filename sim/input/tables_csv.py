@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -351,39 +352,64 @@ def _number(value: Any, key: Path) -> float:
         raise refuse("is too large", "numbers", key, value=value) from None
 
 
-def read_csv(text: str, name: str, shown: str, columns: Columns) -> CsvTable:
-    """Return the table in the `text` of the CSV file `name`, called `shown` in messages."""
-    header: list[str] = []
-    lines: list[int] = []
-    rows: list[list[float]] = []
-    refusals: list[PydanticCustomError] = []
+class _Lines(NamedTuple):
+    """The lines of a CSV text: the column names, the rows of numbers, and the lines that are no such row.
+
+    `header_line` and `lines` are their numbers in the text. `numbers` has one row per line.
+    """
+
+    header: tuple[str, ...]
+    header_line: int
+    lines: tuple[int, ...]
+    numbers: NDArray[np.float64]
+    wrong: tuple[tuple[int, tuple[str, ...]], ...]
+
+
+@lru_cache(maxsize=128)
+def _lines_of(text: str) -> _Lines:
+    """Return the lines of a text. A suite reads the same tables for each of its flights."""
+    header, header_line = tuple[str, ...](), 0
+    lines, rows, wrong = list[int](), list[list[float]](), list[tuple[int, tuple[str, ...]]]()
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         cells = line.split(",")
         if not header:
-            header = [cell.strip() for cell in cells]
-            _check_header(header, shown, number, columns)
-            continue
-        if len(cells) != len(header):
-            problem = f"has {len(cells)} columns, the first line has {len(header)}"
-            refusals.append(refuse(problem, f"{len(header)} numbers", file=shown, place=f"line {number}"))
+            header, header_line = tuple(cell.strip() for cell in cells), number
             continue
         try:
-            rows.append(list(map(float, cells)))
+            row = list(map(float, cells))
         except ValueError:
-            refusals += (
-                refuse("is not a number", "numbers", value=cell.strip(), file=shown, place=f"line {number}, {name}")
-                for cell, name in zip(cells, header, strict=True)
-                if not _is_number(cell)
-            )
-            continue
-        lines.append(number)
-    raise_together(refusals)
-    if not header:
-        raise refuse("the file is empty", f"CSV with {columns.allowed()}", file=shown)
+            row = []
+        if len(row) == len(header):
+            rows.append(row)
+            lines.append(number)
+        else:
+            wrong.append((number, tuple(cells)))
     numbers = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
-    return CsvTable(name, {h: column.copy() for h, column in zip(header, numbers.T, strict=True)}, shown, tuple(lines))
+    return _Lines(header, header_line, tuple(lines), numbers, tuple(wrong))
+
+
+def read_csv(text: str, name: str, shown: str, columns: Columns) -> CsvTable:
+    """Return the table in the `text` of the CSV file `name`, called `shown` in messages."""
+    found = _lines_of(text)
+    if not found.header:
+        raise refuse("the file is empty", f"CSV with {columns.allowed()}", file=shown)
+    _check_header(list(found.header), shown, found.header_line, columns)
+    refusals: list[PydanticCustomError] = []
+    for number, cells in found.wrong:
+        if len(cells) != len(found.header):
+            problem = f"has {len(cells)} columns, the first line has {len(found.header)}"
+            refusals.append(refuse(problem, f"{len(found.header)} numbers", file=shown, place=f"line {number}"))
+            continue
+        refusals += (
+            refuse("is not a number", "numbers", value=cell.strip(), file=shown, place=f"line {number}, {name}")
+            for cell, name in zip(cells, found.header, strict=True)
+            if not _is_number(cell)
+        )
+    raise_together(refusals)
+    columns_of = {h: column.copy() for h, column in zip(found.header, found.numbers.T, strict=True)}
+    return CsvTable(name, columns_of, shown, found.lines)
 
 
 def _check_header(header: list[str], shown: str, number: int, columns: Columns) -> None:

@@ -82,7 +82,15 @@ def _attitude() -> tuple[sp.Matrix, sp.Matrix]:
     for angle, rate in zip(_E, _ED, strict=True):
         c_dot += c.diff(angle) * rate
     skew = c.T * c_dot
-    return c, sp.Matrix([skew[2, 1], skew[0, 2], skew[1, 0]]).applyfunc(sp.trigsimp)
+    return c, sp.Matrix([skew[2, 1], skew[0, 2], skew[1, 0]]).applyfunc(_without_squares_of_cosines)
+
+
+def _without_squares_of_cosines(expression: sp.Expr) -> sp.Expr:
+    """Return a polynomial of degree two in sines and cosines of the Euler angles, simplified.
+
+    Equal polynomials have the same form with cos^2 = 1 - sin^2 put in. `sp.trigsimp` needs a quarter of a minute.
+    """
+    return sp.expand(sp.expand(expression).subs({sp.cos(angle) ** 2: 1 - sp.sin(angle) ** 2 for angle in _E}))
 
 
 @dataclass(frozen=True)

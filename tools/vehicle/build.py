@@ -8,12 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle.modes.tables import ModeTable
+from maxq.sim.vehicle.slosh.section import Profile
 from maxq.sim.vehicle.slosh.shapes import modes_over
 from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.aerodynamics import Aerodynamics, aerodynamics
@@ -81,9 +83,19 @@ def build(layout: Layout) -> Built:
 def _slosh(tank: LayoutTank, liquid_kg: float) -> tuple[float, float]:
     """Return the mass (kg) and the pendulum length (m) of the first slosh mode of a tank's liquid."""
     scale = tank.density_kgpm3 * tank.radius_m**3
-    depth = tank.profile.depth(np.array([liquid_kg / scale]))
-    mode = modes_over(tank.profile, depth, 1)[0]
-    return float(scale * mode.mass[0]), float(tank.radius_m * mode.length[0])
+    mass, length = _first_slosh_mode(tank.profile, liquid_kg / scale)
+    return scale * mass, tank.radius_m * length
+
+
+@lru_cache(maxsize=4096)
+def _first_slosh_mode(profile: Profile, volume: float) -> tuple[float, float]:
+    """Return the mass and the pendulum length of the first slosh mode of a liquid with this volume.
+
+    All are in units of the tank's radius and the liquid's density. Filters, gains and their checks ask for the same
+    points of the ascent.
+    """
+    mode = modes_over(profile, profile.depth(np.array([volume])), 1)[0]
+    return float(mode.mass[0]), float(mode.length[0])
 
 
 def slosh_kg(tank: LayoutTank, liquid_kg: float) -> float:

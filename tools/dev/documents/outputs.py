@@ -36,7 +36,10 @@ ROOT = Path(__file__).resolve().parents[3]
 ELISION = "..."
 WIDTH = 92  # characters of a line, as in the quoted help of the commands
 OUTCOMES = {0, 1, 3}  # exit codes that are verdicts
-LONG = {"simverify ksr3-ringed --suite ksr3-ringed": "the whole suite standard: twenty minutes of one core"}
+LONG = {
+    "simdesign analyse ksr3-robust-ascent --at 10 --at 50 --no-pictures": "dispersed vehicles: half a minute",
+    "simverify ksr3-ringed --suite ksr3-ringed": "the whole suite standard: twenty minutes of one core",
+}
 """The quoted commands that `--short` does not run, with the reason."""
 MACHINE = re.compile(
     r"flown in [\d.]+ s|[\d.]+ times real time|[\d.]+ s in all|[\d.]+ flights/s"
