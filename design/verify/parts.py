@@ -195,7 +195,7 @@ class Parts:
                 description_of(part.described),
                 told(part.worst),
                 part.wanted.between_nodes,
-                part.flights,
+                [[(node.condition, node.trim) for node in flight] for flight in part.flights],  # the rest is `nodes`
             )
             search = partial(
                 search_plane,
