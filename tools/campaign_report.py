@@ -96,7 +96,7 @@ def meanings_of(success: float, confidence: float) -> dict[str, dict[str, str]]:
         "requirements": {
             "verdict": f"met: {part} of all flights meet the requirement, shown with {level} confidence (one-sided); "
             f"missed: fewer do, with the same confidence; undecided: more runs are needed",
-            "worst": "largest value of all runs, or smallest where a least value is required; the bar is the used share",
+            "worst": "largest value of the runs, or smallest if a least value is required; the bar is the used share",
             "used": "worst value as a share of the limit",
             "run": "number of the worst run",
             "failed": "runs that miss the requirement",

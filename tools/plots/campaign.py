@@ -79,8 +79,8 @@ def plots(
             "histograms",
             "Metrics of all runs",
             [panel for v in verdicts if v.metric and (panel := _histogram(data, v)) is not None],
-            f"Red: the limit, and runs beyond it; a distant limit is in the panel's title.{dashed} Metrics with one value "
-            "in all runs are omitted.",
+            f"Red: the limit, and runs beyond it; a distant limit is in the panel's title.{dashed} Metrics with one "
+            "value in all runs are omitted.",
             columns=3,
             height=150,
         ),
@@ -97,7 +97,7 @@ def plots(
             "envelopes",
             "Over time",
             [_envelope(each, units.get(each.channel, "1"), verdicts) for each in over_time],
-            f"Percentiles at each time of the runs still in flight, of at most the first {campaign.envelope.runs} runs. "
+            f"Percentiles at each time of the runs in flight, of at most the first {campaign.envelope.runs} runs. "
             "Red: limit of the channel's largest value; a distant limit is in the panel's title.",
             columns=2,
         ),
@@ -114,8 +114,8 @@ def plots(
             "scatter",
             "Strongest inputs",
             [_scatter(sample, v, d, inputs[d.name], labels) for v, d in strongest],
-            "The strongest inputs of the metrics nearest to their limits, with their rank correlation r. Red: runs that "
-            "miss the limit.",
+            "The strongest inputs of the metrics nearest to their limits, with their rank correlation r. Red: runs "
+            "that miss the limit.",
             columns=3,
             height=170,
         ),

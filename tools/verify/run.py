@@ -94,7 +94,7 @@ def execute(
                     raise
                 raise ScenarioError(loaded.label, str(error)) from None  # the suite's times are invalid
             found.append(one)
-            progress.show(f"writing {name}", 0, 1)
+            progress.show(f"writing the review pack of {name}", 0, 0)
             signed = report.Signed(author, revision, date)
             files = report.write_pack(one, folder, loaded.command(name, vehicle, *words), not no_pack, signed)
             if sign is not None:
