@@ -28,16 +28,7 @@ from maxq.sim.run.fly import logged_channels
 from maxq.tools import simreplay
 from maxq.tools.replay import flight as flight_module
 from maxq.tools.replay import stream, viewer
-from maxq.tools.replay.convert import (
-    Options,
-    colours_of,
-    free_corner,
-    legend_of,
-    part_with,
-    parts_of,
-    save,
-    with_scale,
-)
+from maxq.tools.replay.convert import Options, colours_of, free_corner, legend_of, part_with, parts_of, save, with_scale
 from maxq.tools.replay.flight import Moment, open_flight
 from maxq.tools.replay.plots import PlotAxis, PlotLine, ReplayPlot, tabs_of
 from maxq.tools.replay.sheets import write_sheets
