@@ -226,9 +226,7 @@ def _tables(groups: Sequence[Group]) -> list[tuple[str, str, Sequence[PageTable]
             if found:
                 budgets.append((titled(f"Budget of the {crossing}, {unit}", g.stage), found))
         if rows := lobes_rows(g.judged):
-            lobes.append(
-                (titled("Lobes", g.stage), [tuple(head.replace("bending", "mode") for head in rows[0]), *rows[1:]])
-            )
+            lobes.append((titled("Lobes", g.stage), rows))
     parts = (
         ("Margins", "Over all crossings, unless a column states the rigid body.", margins),
         ("Error budgets", "Contribution of each part to gain or phase at the crossing that sets the margin.", budgets),
