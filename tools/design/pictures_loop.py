@@ -113,7 +113,7 @@ def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> N
     bottom, top = max(float(seen.min()), -40.0), min(max(float(seen.max()), 10.0) + 6.0, TOP_DB)
     for name, phase, db in contours():
         place.plot(phase, np.clip(db, bottom - 20.0, top + 20.0), color=PALE, linewidth=0.5, zorder=0.5)
-        inside = np.flatnonzero((db > bottom) & (db < top) & (phase > -340.0) & (phase < -2.0))
+        inside = np.flatnonzero((db > bottom + 1.0) & (db < top - 1.0) & (phase > -340.0) & (phase < -2.0))
         low = name.startswith("-")  # a contour of attenuation crosses the plane, others enclose -1
         whole = low or db.max() < top - 1.0
         if name and name != f"{_M_DB[-1]:g} dB" and whole and len(inside) and not small:
