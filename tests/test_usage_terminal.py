@@ -243,6 +243,20 @@ def test_a_stage_is_named_before_its_bar_is_due_and_a_single_step_has_no_number(
     assert "0 of 1" not in shown
 
 
+def test_a_number_is_never_cut_and_the_clock_of_a_complete_bar_runs_on() -> None:
+    shown = on_a_terminal(
+        "from maxq.tools.cli import terminal\n"
+        "with terminal.Progress(at_once=True) as progress:\n"
+        "    progress.show('optimising (round 2): starts', 2, 2, 'best so far -10.93 dB')\n"
+        "    progress._bar.refresh()\n"
+        "    assert not progress._bar.finished\n"
+        "print('END')\n"
+    )
+    assert "2 of 2" in shown
+    assert "best" not in shown  # it does not fit 80 columns
+    assert shown.rstrip().endswith("END")
+
+
 def test_a_bar_after_its_block_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(terminal, "_PATIENCE_S", 0.0)
     with terminal.Progress(0.0) as progress:

@@ -21,7 +21,6 @@ from typing import Any, Self, TextIO
 
 _PATIENCE_S = 1.0  # faster work shows no progress
 _BAR, _CLOCK, _EDGE = 12, 7, 3  # columns of a progress bar, of its clock, and after the line
-_SHORTEST = 12  # columns: a shorter note is omitted
 _GOOD = "met|MET|BUILT|PASSED|ACCEPTED|accepted|DESIGNED|SAME|pass"
 _BAD = "MISSED|missed|FAILED|FAIL|REJECTED|rejected|TOO WEAK|INFEASIBLE|UNSTABLE|DIFFERENT|NONE ACCEPTED|NO RUNS"
 _OPEN = "ACCEPTED WITH WAIVERS|UNDECIDED|undecided|INTERRUPTED|warning"
@@ -246,18 +245,17 @@ class Progress:
                 self._begin()
             elif another:
                 self._bar.reset(self._task)  # the clock next to it is that of this part
+            done = min(done, 0.999 * of) if of else done  # a complete bar would stop the clock
             self._bar.update(self._task, **shown, completed=done, note=self._fitting(what, count, note))
 
     def _fitting(self, what: str, count: str, note: str) -> str:
-        """Return the parts of a note, between semicolons, for which the line has space, as they follow the count. A
-        single part is cut to fit.
-        """
+        """Return the parts of a note, between semicolons, for which the line has space, as they follow the count."""
         before = "; " if count and note else ""
         space = self._bar.console.width - _EDGE - len(what) - len(count) - len(before) - _BAR - _CLOCK - 3
         parts = printable(note).split("; ")
-        while len(parts) > 1 and len("; ".join(parts)) > space:
+        while parts and len("; ".join(parts)) > space:
             parts.pop()
-        return before + "; ".join(parts) if space >= _SHORTEST or len(parts[0]) <= space else ""
+        return before + "; ".join(parts) if parts else ""
 
     def compiling(self, name: str, share: float) -> None:
         """Show the finished share, 0 to 1, of the compilation for a vehicle or scenario `name`. 1 ends the display.
