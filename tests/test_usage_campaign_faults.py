@@ -72,6 +72,7 @@ def test_ctrl_c_and_what_a_batch_system_sends(tmp_path: Path) -> None:
         assert process.returncode == 130, errors
         assert "INTERRUPTED" in out
         assert "same command resumes the campaign" in out
+        assert "next: " not in out  # such as more runs than are wanted
     runs = campaignkit.data_set(tmp_path / "out")["run"].to_pylist()
     assert len(set(runs)) == len(runs) > 16
 

@@ -12,6 +12,7 @@ import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import petrelkit as petrel
@@ -27,7 +28,7 @@ from maxq.sim.run.fly import logged_channels
 from maxq.tools import simreplay
 from maxq.tools.replay import flight as flight_module
 from maxq.tools.replay import stream, viewer
-from maxq.tools.replay.convert import Options, colours_of, free_corner, part_with, parts_of, save, with_scale
+from maxq.tools.replay.convert import Options, colours_of, free_corner, legend_of, part_with, parts_of, save, with_scale
 from maxq.tools.replay.flight import Moment, open_flight
 from maxq.tools.replay.plots import PlotAxis, PlotLine, ReplayPlot, tabs_of
 from maxq.tools.replay.sheets import write_sheets
@@ -218,6 +219,31 @@ def test_plots_are_parted_by_stages_and_legends_stand_aside_of_curves() -> None:
     assert corner([1.0, 0.0]) == "RightTop"
     assert corner([0.4, 0.62]) == "RightTop", "above the curve"
     assert corner([0.4, 0.62], "a curve with a long name", 5) == "RightBottom", "27 % of it, at the top 36 % and more"
+
+
+def test_a_legend_too_large_for_a_plot_names_the_flights_whose_curves_differ_in_width(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The aerodynamic panels of three flights, with nine curves each, had no legend."""
+    tab = next(tab for tab in tabs_of(open_flight(OLD_LOG).log.table, None) if tab.name == "Loads")
+    plots = {plot.key.removeprefix("loads/"): plot for plot in tab.plots}
+    legends = [{key: legend_of(tab, plot, n) for key, plot in plots.items()} for n in (1, 3, 6, 7)]
+    assert set(legends[0].values()) == {"curves"}
+    assert (legends[1]["q_alpha"], legends[1]["force"], legends[2]["moment"]) == ("curves", "flights", "flights")
+    assert set(legends[3].values()) == {""}
+
+    sent: dict[str, tuple[str, float]] = {}
+
+    def log(_: object, entity: str, style: Any, *, static: bool) -> None:
+        first = [style.names.as_arrow_array()[0].as_py(), style.widths.as_arrow_array()[0].as_py()]
+        sent[entity.rpartition("loads/")[2]] = first[0], round(first[1], 3)
+
+    monkeypatch.setattr(stream.rr.RecordingStream, "log", log)
+    recording, keys = stream.rr.RecordingStream("test"), {plots["force"].key}
+    stream.send_styles(recording, "flights/windy", [tab], "#d55e00", "windy, FAILED: ", by_width=keys)
+    assert [sent[f"force/curve_{i}"] for i in (1, 2, 3)] == [("windy, FAILED", w) for w in (3.2, 1.8, 1.0)]
+    assert sent["moment/curve_1"] == ("windy, FAILED: x", 1.4)
+    assert stream.width_text(plots["force"]) == "thick to thin: x, y, z"
 
 
 def test_pictures_show_the_plots_of_the_part_with_their_times() -> None:

@@ -226,6 +226,37 @@ def test_a_bar_is_never_without_a_name() -> None:
     assert all(re.match(r"(preparing|compiling|drawing) ", bar) for bar in bars), bars
 
 
+def test_a_stage_is_named_before_its_bar_is_due_and_a_single_step_has_no_number() -> None:
+    shown = on_a_terminal(
+        "from maxq.tools.cli import terminal\n"
+        "with terminal.Progress() as progress:\n"
+        "    progress.show('linearising', 0, 7)\n"
+        "    progress.show('linearising', 1, 7)\n"
+        "    progress._last_s = 0.0\n"
+        "    progress.show('writing the page', 0, 1)\n"
+        "    progress._bar.refresh()\n"
+        "terminal.tell('END')\n"
+    )
+    assert shown.startswith("linearising\r\x1b[2K")  # once, and wiped by the bar
+    assert shown.count("linearising") == 1
+    assert "writing the page" in shown
+    assert "0 of 1" not in shown
+
+
+def test_a_number_is_never_cut_and_the_clock_of_a_complete_bar_runs_on() -> None:
+    shown = on_a_terminal(
+        "from maxq.tools.cli import terminal\n"
+        "with terminal.Progress(at_once=True) as progress:\n"
+        "    progress.show('optimising (round 2): starts', 2, 2, 'best so far -10.93 dB')\n"
+        "    progress._bar.refresh()\n"
+        "    assert not progress._bar.finished\n"
+        "print('END')\n"
+    )
+    assert "2 of 2" in shown
+    assert "best" not in shown  # it does not fit 80 columns
+    assert shown.rstrip().endswith("END")
+
+
 def test_a_bar_after_its_block_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(terminal, "_PATIENCE_S", 0.0)
     with terminal.Progress(0.0) as progress:

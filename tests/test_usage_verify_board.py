@@ -25,14 +25,18 @@ from maxq.design.verify.board_findings import (
     second_tool_requirements,
     worst_third,
 )
-from maxq.design.verify.flown import load_wanted
+from maxq.design.verify.flown import FlownResult, load_wanted
 from maxq.design.verify.shared_code import imported_names, modules_apart, shared_code
 from maxq.design.verify.suite import JudgedRequirement, LoadedSuite, overall, read_suite
 from maxq.design.verify.waivers import apply_waivers, waivable
 from maxq.sim.input.errors import ScenarioError
+from maxq.sim.run.metrics import Verdict
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.schema_scenario import RequirementSection
 from maxq.tools.simverify import main
+from maxq.tools.verify.board import BoardTable
 from maxq.tools.verify.outcome import headline
+from maxq.tools.verify.report import _matrix
 
 DESIGN = "designs/ksr3-robust.toml"
 ROOT = Path(__file__).resolve().parents[1]
@@ -423,6 +427,25 @@ def test_the_tables_are_in_the_pack_and_a_check_applies_the_waivers_again(
     assert "DIFFERS: input: suite: board" in _run(capsys, "--check", "pack", "--sample", "0")[1]
 
 
+def test_a_table_in_which_nothing_is_stated_is_known() -> None:
+    rows = [("mass.csv", "absent", ""), ("thrust.csv", "absent", "")]
+    assert BoardTable("data pedigree", ("input", "obtained", "source"), rows).all_absent
+    assert not BoardTable("data pedigree", ("input", "obtained", "source"), [*rows, ("a", "measured", "")]).all_absent
+
+
+def test_scenarios_stand_against_their_limits_in_engineering_units() -> None:
+    def flown(name: str, value_Padeg: float) -> FlownResult:
+        section = RequirementSection(metric="max_q_alpha_Padeg", limit=1e5, name="q alpha")
+        verdict, none = Verdict(section, value_Padeg, 1.0, value_Padeg <= 1e5), np.zeros(0)
+        return FlownResult(name, "", "impact", (), (verdict,), {}, "", True, "", none, {})
+
+    table = _matrix([flown("calm", 4.98e4), flown("windy", 1.2e5)])
+    assert table["heads"] == [{"name": "q alpha", "unit": "kPa deg", "bound": "<= 100"}]
+    cells = [row["cells"][0] for row in table["rows"]]
+    assert [cell["value"] for cell in cells] == pytest.approx([49.8, 120.0])
+    assert [(round(cell["used"], 9), cell["met"]) for cell in cells] == [(49.8, True), (100.0, False)]
+
+
 @pytest.mark.slow
 def test_without_the_section_everything_is_absent_and_deviations_are_told_apart(
     capsys: pytest.CaptureFixture[str],
@@ -441,4 +464,6 @@ def test_without_the_section_everything_is_absent_and_deviations_are_told_apart(
     assert {row["runs that miss a limit"] for row in thirds} == {"0 of 2"}
     page = re.sub(r"\s+", " ", Path("pack/review.html").read_text())
     assert "Statements by people come from [board] of the suite, which has none" in page
+    assert "Data pedigree: absent (" in page
+    assert "</b> Data pedigree.</caption>" not in page  # a table without a statement is one sentence
     assert "Waivers: absent." in page

@@ -86,6 +86,50 @@ def requirement_rows(data: DataSet, verdicts: Sequence[Judged]) -> ReportRows:
     return [tuple(heads), *(tuple(row[head] for head in heads) for row in rows)]
 
 
+def meanings_of(success: float, confidence: float) -> dict[str, dict[str, str]]:
+    """Return the meanings of the columns of the report's tables, by table and head.
+
+    `success` and `confidence` are those of the campaign, 0 to 1.
+    """
+    part, level = f"{100 * success:g} %", f"{100 * confidence:g} %"
+    return {
+        "requirements": {
+            "verdict": f"met: {part} of all flights meet the requirement, shown with {level} confidence (one-sided); "
+            f"missed: fewer do, with the same confidence; undecided: more runs are needed",
+            "worst": "largest value of the runs, or smallest if a least value is required; the bar is the used share",
+            "used": "worst value as a share of the limit",
+            "run": "number of the worst run",
+            "failed": "runs that miss the requirement",
+            "allowed": "largest number of failures with which these runs still show that the requirement is met",
+            "to go": "further runs that decide the verdict if none of them fails",
+            f"{part} quantile": "from the runs alone, where it is not between the two worst ones",
+            f"{level} bound": f"bound of the {part} quantile of all flights, with {level} confidence (order statistic)",
+            "success": "share of the runs that meet the requirement",
+            "at least": f"lower bound of the success of all flights, with {level} confidence",
+        },
+        "months": {
+            "all limits met": "share of the flights in this month's winds that meet all requirements",
+            "at least": f"lower bound of the share; with the upper one at {level} confidence (Clopper-Pearson)",
+            "at most": "upper bound of the share",
+        },
+        "tails": {
+            "threshold": "value beyond which a run belongs to the tail",
+            "runs beyond": "number of runs in the tail",
+            "shape": "below 0, the tail ends; above 0, it is heavier than an exponential one",
+            "quantile": f"estimate of the value that {part} of all flights do not exceed",
+            "quantile bound": f"bound of the quantile with {level} confidence",
+            "P(limit missed)": "estimated probability that a flight misses the limit",
+            "P bound": f"bound of the probability with {level} confidence",
+            "fit": "share of samples of the fitted distribution that fit worse; 0.05 is poor",
+        },
+        "drivers": {
+            "rank correlation": "Spearman's; sign and strength of a monotone influence",
+            "Sobol' index": "of first order; share of the metric's variance that the input explains on its own",
+            "Borgonovo delta": "mean shift of the metric's distribution when the input is known, 0 to 1",
+        },
+    }
+
+
 def number_columns(rows: ReportRows) -> list[int]:
     """Return the columns of a table of verdicts that hold numbers."""
     return [i for i, head in enumerate(rows[0]) if head not in _TEXTS]
@@ -227,7 +271,18 @@ def tails_shown(tails: Tails) -> bool:
 def tail_rows(tails: Tails) -> ReportRows:
     """Return the table of tails, with values in the unit of the limit."""
     rows: ReportRows = [
-        ("tail", "limit", "threshold", "runs beyond", "shape", "quantile", "bound", "P(limit missed)", "bound", "fit")
+        (
+            "tail",
+            "limit",
+            "threshold",
+            "runs beyond",
+            "shape",
+            "quantile",
+            "quantile bound",
+            "P(limit missed)",
+            "P bound",
+            "fit",
+        )
     ]
     for v, tail in tails:
         (_, limit, unit), (_, factor) = v.worst_text, v.unit_factor
@@ -349,7 +404,7 @@ def write_report(
         distribution=distribution,
         requirements=rows,
         tails=tail_rows(tails) if tails_shown(tails) else [],
-        tail_note=TAIL_NOTE,
+        meanings=meanings_of(data.campaign.campaign.success, data.campaign.campaign.confidence),
         months=month_rows(availability(data)),
         replay=replay,
         simulator=read_manifest(data.folder)["simulator"],
@@ -365,7 +420,8 @@ def write_report(
 
 
 def nearest_limits(verdicts: Sequence[Judged]) -> list[Judged]:
-    """Return the requirements whose worst run comes nearest to the limit, or exceeds it most.
+    """Return the requirements whose worst run, measured by the spread of the runs, comes nearest to the limit or
+    exceeds it most. They are in the order of the report, those with the least margin first.
 
     Requirements with equal runs are omitted.
     """
@@ -378,7 +434,7 @@ def nearest_limits(verdicts: Sequence[Judged]) -> list[Judged]:
         return (worst - v.bound) / spread if v.kind == "limit" else (v.bound - worst) / spread
 
     varied = [v for v in verdicts if v.metric and _varies(v)]
-    return sorted(varied, key=lambda v: (-v.shown.failures, -excess(v)))[:_DRIVEN]
+    return tightest_first(sorted(varied, key=lambda v: (-v.shown.failures, -excess(v)))[:_DRIVEN])
 
 
 def _numbers(band: Band) -> dict[str, Any]:

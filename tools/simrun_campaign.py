@@ -86,22 +86,27 @@ def fly_campaign(
         flown = f"{outcome.flown} runs flown in {text.duration(outcome.wall_s)} ({rate})"
         if outcome.flown == 0 and not outcome.stopped:
             flown = f"all {outcome.total} runs were flown before; --runs N with a larger number flies more"
-        code = _tell(DataSet(folder, loaded), outcome.total, flown, not no_report, start_s, outcome.settled)
+        data = DataSet(folder, loaded)
+        code = _tell(data, outcome.total, flown, not no_report, start_s, outcome.settled, not outcome.stopped)
         if outcome.stopped:
             tell(f"INTERRUPTED: the data set in {folder / RUNS} is whole; the same command resumes the campaign")
             return Exit.INTERRUPTED
         return code
 
 
-def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float, settled: bool) -> int:
-    """Write summary, pictures and report, print the results, and return the exit code."""
+def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float, settled: bool, complete: bool) -> int:
+    """Write summary, pictures and report, print the results, and return the exit code.
+
+    If the campaign is not `complete`, the next step is to resume it, which its last line says.
+    """
     announce("writing the report")
     verdicts, losses = judged(data), lost(data)
     tails = text.tails_of(data, verdicts)
     files = text.write_report(data, verdicts, losses, total, tails, settled=settled, pictures=pictures)
     tell(*text.report(data, verdicts, losses, tails))
     tell(f"\n{flown}; {text.duration(time.perf_counter() - start_s)} in all", *files)
-    tell(text.next_step(data, verdicts))
+    if complete:
+        tell(text.next_step(data, verdicts))
     if settled:
         tell("\nstopped early: every verdict was settled")
     tell("\n" + text.headline(data, verdicts))
@@ -119,7 +124,7 @@ def report_again(folder: str, *, keep: tuple[str, ...] = (), no_report: bool = F
     total = len(data.runs)
     with Interruption() as stop:
         _keep(data.campaign, place, keep, stop)
-        return _tell(data, total, f"{total} runs in {place}", not no_report, start_s, False)
+        return _tell(data, total, f"{total} runs in {place}", not no_report, start_s, False, True)
 
 
 def _keep(campaign: LoadedCampaign, folder: Path, keep: tuple[str, ...], stop: Stop) -> None:

@@ -53,13 +53,12 @@ def _build(name: str, *, out: str | None = None, compare: str | None = None) -> 
     folder = Path(out or Path("runs") / plain_name(layout.name, "vehicle"))
     check_writable(folder)
     with Progress(at_once=True) as progress:
-        progress.show("computing the vehicle", 0, 0)
         try:
-            built = build(layout)
+            built = build(layout, progress.show)
         except ValueError as error:
             raise ScenarioError(name, str(error)) from None
         built, files, gains = write_with_first_gains(built, folder, progress.show)
-        progress.show("drawing", 0, 0)
+        progress.show("drawing the page", 0, 0)
         files.append(write_whole(folder / "vehicle.html", page(built)))
     tell(report(built))
     if compare is not None:

@@ -165,6 +165,7 @@ def design_case(
     more: dict[int, dict[str, float]] = {}  # dB or deg beyond the limits of the case, of each stage
     in_vain: set[int] = set()  # stages without a design that meets limits raised by `more`
     rounds: list[Round] = []
+    watch: SearchProgress = lambda *_: None  # noqa: E731  # replaced by that of a search
     while True:
         number = len(rounds) + 1
         interrupted = False
@@ -174,13 +175,15 @@ def design_case(
                 if again is None or n in again:
                     before = [found[n].law] if n in found else []
                     tight = _tightened(_searched(stage, loss, again), more.get(n, {}))
-                    solution = solve(tight, mine, before, progress(n, number))
+                    watch = progress(n, number)
+                    solution = solve(tight, mine, before, watch)
                     if more.get(n) and solution.status == "infeasible":
                         in_vain.add(n)
                     else:
                         found[n] = _with_limits(solution, stage)
                     if interrupted := solution.status == "interrupted":
                         break
+            watch(0, 0, math.nan, "flight of the design")
             judged = _judged(loaded, stages, plants, found)
         except KeyboardInterrupt:
             if not found:

@@ -120,7 +120,7 @@ class Parts:
         wanted, design = self.suite.margins, self.design
         if wanted is None or design is None:
             return []
-        self.watch("operating points of the linear model", 0, 0)
+        self.watch("linearising at the operating points", 0, 0)
         out, parts = [], list(self.by_stage("margins", wanted))
         flights = self.trajectories if wanted.cases else []
         for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):
@@ -281,7 +281,7 @@ class Parts:
         tanks = any(stage.tank for stage in vehicle.stage)
         if wanted is None or design is None or not tanks or not self.scenario.scenario.switches.slosh:
             return []
-        self.watch("slosh", 0, 0)
+        self.watch("slosh damping", 0, 0)
         nodes = self.nodes("pitch")
         depends = (self.scenario.as_flown, tuple(node.time_s for node in nodes))
         found = self.memory.recall("slosh", depends, lambda: advise(nodes, design))

@@ -20,8 +20,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any, Self, TextIO
 
 _PATIENCE_S = 1.0  # faster work shows no progress
-_BAR, _CLOCK, _EDGE = 12, 7, 3  # columns of a progress bar, of its clock, and after both
-_SHORTEST = 12  # columns: a shorter note is omitted
+_BAR, _CLOCK, _EDGE = 12, 7, 3  # columns of a progress bar, of its clock, and after the line
 _GOOD = "met|MET|BUILT|PASSED|ACCEPTED|accepted|DESIGNED|SAME|pass"
 _BAD = "MISSED|missed|FAILED|FAIL|REJECTED|rejected|TOO WEAK|INFEASIBLE|UNSTABLE|DIFFERENT|NONE ACCEPTED|NO RUNS"
 _OPEN = "ACCEPTED WITH WAIVERS|UNDECIDED|undecided|INTERRUPTED|warning"
@@ -189,8 +188,9 @@ def tell(*texts: object) -> None:
 class Progress:
     """A progress bar on stderr that disappears at the end of its block. Any thread may advance it.
 
-    It appears after a second, with `at_once` immediately, and shows compilations too. If stderr is not a terminal, no
-    bar is shown. `log_every_s` then prints a line at this interval, for the logs of batch systems.
+    The name of a stage appears immediately, the bar after a second or with `at_once`; it shows compilations too. If
+    stderr is not a terminal, no bar is shown. `log_every_s` then prints a line at this interval, for the logs of batch
+    systems.
     """
 
     def __init__(self, log_every_s: float | None = None, *, at_once: bool = False) -> None:
@@ -222,30 +222,40 @@ class Progress:
     def show(self, what: str, done: float, of: float, note: str = "", count: str | None = None) -> None:
         """Show `done` of `of` steps of `what`, followed by `note`.
 
-        `count` replaces the text "done of of". An `of` of 0 means an unknown number of steps.
+        `count` replaces the text "done of of". An `of` of 0 means an unknown number of steps. A single step has no
+        number either.
         """
         with self._lock:
-            if not self._open or (self._bar is None and not self._due()):
+            if not self._open:
                 return
+            of = 0.0 if of == 1.0 and done in (0.0, 1.0) else of
             count = count if count is not None else f"{done:g} of {of:g}" if of else ""
+            another, shown = what != self._shown["what"], {"what": what, "total": of or None, "count": count}
+            if self._bar is None and not self._due():
+                if another and self._terminal:
+                    self._shown = shown
+                    announce(what)
+                return
             wipe()
             if not self._terminal:
                 print(f"{what}: {count}{'; ' if note else ''}{printable(note)}", file=sys.stderr, flush=True)
                 return
-            another, self._shown = what != self._shown["what"], {"what": what, "total": of or None, "count": count}
+            self._shown = shown
             if self._bar is None:
                 self._begin()
             elif another:
                 self._bar.reset(self._task)  # the clock next to it is that of this part
-            self._bar.update(self._task, **self._shown, completed=done, note=self._fitting(what, count, note))
+            done = min(done, 0.999 * of) if of else done  # a complete bar would stop the clock
+            self._bar.update(self._task, **shown, completed=done, note=self._fitting(what, count, note))
 
     def _fitting(self, what: str, count: str, note: str) -> str:
-        """Return the parts of a note, between semicolons, for which the line has space. A single part is cut to fit."""
-        space = self._bar.console.width - _EDGE - len(what) - len(count) - _BAR - _CLOCK - 4
+        """Return the parts of a note, between semicolons, for which the line has space, as they follow the count."""
+        before = "; " if count and note else ""
+        space = self._bar.console.width - _EDGE - len(what) - len(count) - len(before) - _BAR - _CLOCK - 3
         parts = printable(note).split("; ")
-        while len(parts) > 1 and len("; ".join(parts)) > space:
+        while parts and len("; ".join(parts)) > space:
             parts.pop()
-        return "; ".join(parts) if space >= _SHORTEST or len(parts[0]) <= space else ""
+        return before + "; ".join(parts) if parts else ""
 
     def compiling(self, name: str, share: float) -> None:
         """Show the finished share, 0 to 1, of the compilation for a vehicle or scenario `name`. 1 ends the display.
@@ -294,11 +304,12 @@ class Progress:
             def get_renderable(self) -> RenderableType:
                 return Constrain(super().get_renderable(), max(console.width - _EDGE, 20))
 
-        def text(field: str, ratio: int | None = None) -> TextColumn:
+        def text(form: str, ratio: int | None = None) -> TextColumn:
             column = Column(no_wrap=True, overflow="ellipsis", ratio=ratio)
-            return TextColumn(f"{{task.fields[{field}]}}", markup=False, table_column=column)
+            return TextColumn(form, markup=False, table_column=column)
 
-        shown = (text("what"), BarColumn(_BAR), text("count"), TimeElapsedColumn(), text("note", 1))
+        numbers = text("{task.fields[count]}{task.fields[note]}", 1)
+        shown = (text("{task.fields[what]}"), BarColumn(_BAR), TimeElapsedColumn(), numbers)
         self._bar = Narrow(*shown, console=console, transient=True, expand=True)
         self._task = self._bar.add_task("", completed=0, **self._shown, note="")
         self._bar.start()

@@ -94,6 +94,7 @@ def execute(order: AnalysisOrder) -> int:
     bases = bases_of(scenario, design, path.name)
     order = by_basis(order, bases)
     with Progress() as progress:
+        progress.show("linearising at the operating points", 0, 0)
         points_s = operating_points_s(scenario, design, order, bases)
         between_s = instants_between(points_s, scenario, order, bases)
         nodes, loss = (

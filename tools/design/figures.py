@@ -217,9 +217,8 @@ def limits_over_flight(checks: Sequence[Check]) -> list[Plot]:
         panel = Panel(
             "Margin to each limit", [*relative, limit(0.0, "the limit")], "time, s", "% of the limit", y_range=reach
         )
-        out.append(
-            Plot("utilisation", "Margin to each limit over the flight", [panel], "A limit is missed below 0.", 1, 260)
-        )
+        said = "A limit is missed below 0. The axis ends at 100 %."
+        out.append(Plot("utilisation", "Margin to each limit over the flight", [panel], said, 1, 260))
     panels = [_limit_panel(some) for some in apart.values()]
     caption = "Each limited quantity at the operating points. Red: its limit"
     dispersed = any(c.key.startswith("dispersed_") for c in found)

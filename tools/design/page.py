@@ -32,13 +32,24 @@ _MARGINS = (
     "lower gain margin, dB",
     "phase margin, deg",
     "delay margin, ms",
-    "least |1 + L|",
+    "least |1\u00a0+\u00a0L|",
     "clearance of the zone",
     "lower gain margin of the rigid body, dB",
     "upper gain margin of the rigid body, dB",
     "phase margin of the rigid body, deg",
     "crossover, Hz",
 )
+_MEANINGS = {
+    "upper gain margin, dB": "smallest rise of the gain that makes the loop neutrally stable",
+    "lower gain margin, dB": "smallest fall of the gain that makes the loop neutrally stable",
+    "phase margin, deg": "smallest change of the phase, lag or lead, that makes the loop neutrally stable",
+    "delay margin, ms": "smallest additional delay that makes the loop neutrally stable",
+    "least |1\u00a0+\u00a0L|": "smallest distance of L from -1; its reciprocal is the peak sensitivity",
+    "clearance of the zone": "clearance of L from the diamond of 6 dB and 30 deg: negative inside, 0 on its border, "
+    "1 a diamond's width away",
+    "crossover, Hz": "last gain crossover outside lobes, the bandwidth",
+}
+"""The meanings of columns of the table of margins, by head."""
 _TRIED_HZ = np.geomspace(0.02, 20.0, 40)
 PageTable = tuple[str, Sequence[tuple[str, ...]]]
 """The caption and the rows, the head first."""
@@ -127,6 +138,7 @@ def write_page(path: Path, shown: DesignPage) -> Path:
             *((caption, [_row(c) for c in checks]) for caption, checks in shown.flown if checks),
         ],
         tables=[*_tables(shown.groups), *shown.more],
+        meanings=_MEANINGS,
         gain_heads=GAIN_HEADS,
     )
     return write_whole(path, page)
@@ -214,9 +226,7 @@ def _tables(groups: Sequence[Group]) -> list[tuple[str, str, Sequence[PageTable]
             if found:
                 budgets.append((titled(f"Budget of the {crossing}, {unit}", g.stage), found))
         if rows := lobes_rows(g.judged):
-            lobes.append(
-                (titled("Lobes", g.stage), [tuple(head.replace("bending", "mode") for head in rows[0]), *rows[1:]])
-            )
+            lobes.append((titled("Lobes", g.stage), rows))
     parts = (
         ("Margins", "Over all crossings, unless a column states the rigid body.", margins),
         ("Error budgets", "Contribution of each part to gain or phase at the crossing that sets the margin.", budgets),

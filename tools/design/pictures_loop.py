@@ -113,10 +113,12 @@ def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> N
     bottom, top = max(float(seen.min()), -40.0), min(max(float(seen.max()), 10.0) + 6.0, TOP_DB)
     for name, phase, db in contours():
         place.plot(phase, np.clip(db, bottom - 20.0, top + 20.0), color=PALE, linewidth=0.5, zorder=0.5)
-        inside = np.flatnonzero((db > bottom) & (db < top) & (phase > -340.0))
-        if name and len(inside) and not small:
-            k = int(inside[np.argmax(phase[inside] if float(name.split()[0]) < 0.0 else db[inside])])
-            name_point(place, float(phase[k]), float(db[k]), name, must=False, fontsize=5.0, color=GREY)
+        inside = np.flatnonzero((db > bottom + 1.0) & (db < top - 1.0) & (phase > -340.0) & (phase < -2.0))
+        low = name.startswith("-")  # a contour of attenuation crosses the plane, others enclose -1
+        whole = low or db.max() < top - 1.0
+        if name and name != f"{_M_DB[-1]:g} dB" and whole and len(inside) and not small:
+            k = int(inside[np.argmax(phase[inside] if low else db[inside])])
+            _name_contour(place, float(phase[k]), float(db[k]), name, ha="right" if low else "center")
     for zone in picture.zones:
         _draw_zone(zone, place)
     place.grid(visible=False)
@@ -134,6 +136,12 @@ def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> N
     if not small:
         _name_frequencies(place, picture, np.stack([turn, level]))
     label(place, "phase of L, deg (mod 360)", "|L|, dB", "Nichols (grey: |T| in dB, phase of T)")
+
+
+def _name_contour(place: Axes, x: float, y: float, name: str, **look: Any) -> None:
+    """Write the name of a contour on it, below the curves."""
+    gap = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+    place.text(x, y, name, fontsize=5.0, color=GREY, va="center", zorder=0.6, clip_on=True, bbox=gap, **look)
 
 
 def _name_frequencies(place: Axes, picture: LoopPicture, curve: Array) -> None:
@@ -161,8 +169,8 @@ def _nyquist(picture: LoopPicture, place: Axes) -> None:
         radius = float(np.abs(_drawn_in(np.array([10.0 ** (level_db / 20.0) + 0j])))[0])
         if radius < reach:
             style: dict[str, Any] = {"color": GREY, "linewidth": 0.9 if level_db == 0.0 else 0.5, "alpha": 0.8}
-            place.plot(radius * around.real, radius * around.imag, **style)
-            name_point(place, 0.0, radius, f"{level_db:g} dB", must=False, color=GREY, fontsize=5.5)
+            place.plot(radius * around.real, radius * around.imag, zorder=0.5, **style)
+            _name_contour(place, 0.0, radius, f"{level_db:g} dB", ha="center")
     place.plot(curve.real, curve.imag, color=BLUE)
     _cross(place, -1.0)
     place.set_xlim(-reach, reach)

@@ -337,7 +337,8 @@ def lobes_table(judged: Sequence[JudgedLoop]) -> list[str]:
 def lobes_rows(judged: Sequence[JudgedLoop]) -> list[tuple[str, ...]]:
     """Return the cells of `lobes_table`, its head first, or none without lobes."""
     labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
-    rows: list[tuple[str, ...]] = [("time, s", *labels)] * bool(labels)
+    heads = (label.replace("bending", "mode") for label in labels)
+    rows: list[tuple[str, ...]] = [("time, s", *heads)] * bool(labels)
     for j in judged if labels else ():
         by_label = {lobe.label: lobe for lobe in j.lobes}
         rows.append((f"{j.time_s:g}", *(_lobe(by_label.get(label), j.margins.stable) for label in labels)))

@@ -79,7 +79,8 @@ def plots(
             "histograms",
             "Metrics of all runs",
             [panel for v in verdicts if v.metric and (panel := _histogram(data, v)) is not None],
-            f"Red: the limit, and runs beyond it.{dashed} Metrics with one value in all runs are omitted.",
+            f"Red: the limit, and runs beyond it; a distant limit is in the panel's title.{dashed} Metrics with one "
+            "value in all runs are omitted.",
             columns=3,
             height=150,
         ),
@@ -96,16 +97,16 @@ def plots(
             "envelopes",
             "Over time",
             [_envelope(each, units.get(each.channel, "1"), verdicts) for each in over_time],
-            f"Percentiles of at most the first {campaign.envelope.runs} runs, at each time of those that still fly. "
-            "Red: limits of the metric that is the channel's largest value; those far away in the panel's title.",
+            f"Percentiles at each time of the runs in flight, of at most the first {campaign.envelope.runs} runs. "
+            "Red: limit of the channel's largest value; a distant limit is in the panel's title.",
             columns=2,
         ),
         Plot(
             "drivers",
             "Drivers of each metric",
             [_tornado(v, drivers[:8], labels) for v, drivers in driven],
-            "Rank correlation of the inputs with the metric. Grey: 95 % of inputs without influence stay within the "
-            "band.",
+            "Rank correlation of the inputs with the metric. 95 % of inputs without influence stay within the grey "
+            "band. Blue: inputs with an influence.",
             columns=2,
             height=240,
         ),
@@ -113,7 +114,8 @@ def plots(
             "scatter",
             "Strongest inputs",
             [_scatter(sample, v, d, inputs[d.name], labels) for v, d in strongest],
-            "The strongest inputs of the metrics nearest to their limits; red: runs that miss the limit.",
+            "The strongest inputs of the metrics nearest to their limits, with their rank correlation r. Red: runs "
+            "that miss the limit.",
             columns=3,
             height=170,
         ),
@@ -215,7 +217,7 @@ def _envelope(each: Band, unit: str, verdicts: Sequence[Judged]) -> Panel:
         name = f"{shares[k]:g} to {shares[-1 - k]:g} %"
         series.append(band(each.time_s, lines[k], lines[-1 - k], name, opacity=0.22 + 0.2 * k))
     if len(shares) % 2:
-        series.append(line(each.time_s, lines[middle], f"{shares[middle]:g} %"))
+        series.append(line(each.time_s, lines[middle], "median" if shares[middle] == 50.0 else f"{shares[middle]:g} %"))
     low, high = float(np.nanmin(lines)), float(np.nanmax(lines))
     room, beyond = max(high - low, 1e-12), list[str]()
     for v in (v for v in verdicts if v.metric and v.metric == _LIMITED.get(each.channel)):
@@ -268,7 +270,8 @@ def _scatter(data: DataSet, v: Judged, d: Driver, x: Array, labels: dict[str, st
         )
     if y.min() - 0.2 * np.ptp(y) <= v.bound <= y.max() + 0.2 * np.ptp(y):
         series.append(limit(v.bound))
-    return Panel(f"{v.name}: {d.rank:+.2f}", series, _input(d.name, labels), named(v.metric, v.unit))
+    title = f"{v.name}, r = {d.rank:+.2f}"
+    return Panel(title, series, _input(d.name, labels), unit_text(v.unit))
 
 
 _UNITS = {

@@ -27,6 +27,7 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.mathtext import MathTextParser
+from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation, Text
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from matplotlib.transforms import Bbox
@@ -125,9 +126,11 @@ def name_point(place: Axes, x: float, y: float, text: str, *, must: bool = True,
     """Name a point of a curve.
 
     The position of the name is determined when the figure is finished (`settle`): near the point, over no curve and no
-    other text. A name without a free position is omitted, unless `must` is True.
+    other text. Contours, below the curves (`zorder` < 1), do not count. A name without a free position is omitted,
+    unless `must` is True.
     """
-    style: dict[str, Any] = {"fontsize": 6.5, "color": BLACK} | look
+    halo = withStroke(linewidth=1.5, foreground="white")  # over contours
+    style: dict[str, Any] = {"fontsize": 6.5, "color": BLACK, "path_effects": [halo]} | look
     line: Any = {"arrowstyle": "-", "linewidth": 0.4, "color": style["color"], "shrinkA": 0.0, "shrinkB": 1.5}
     place.annotate(
         text,
@@ -171,7 +174,8 @@ def _place_names(place: Axes, renderer: Any) -> None:
     others = [t for t in (*place.texts, place.title) if t not in names and t.get_text()]
     legend = place.get_legend()
     taken = [t.get_window_extent(renderer) for t in (*others, *([legend] if legend is not None else []))]
-    lines = [line.get_transform().transform(np.asarray(line.get_xydata())) for line in place.lines]
+    curves = [line for line in place.lines if line.get_zorder() >= 1.0]
+    lines = [line.get_transform().transform(np.asarray(line.get_xydata())) for line in curves]
     points = np.concatenate([dense(line) for line in lines]) if lines else np.zeros((0, 2))
     points = points[frame.x0 <= points[:, 0]] if len(points) else points
     for name in sorted(names, key=lambda text: "must" not in str(text.get_gid())):

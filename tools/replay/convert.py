@@ -106,6 +106,7 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
     exaggeration = common_exaggeration([flights[i] for i in sorted(near)], options)
     family = stream.Family(span_s, interval_ns) if len(flights) - len(near) >= stream.FAMILY_FROM else None
     roots, colours = _roots(flights), colours_of(flights)
+    by_width = {plot.key for tab in tabs for plot in tab.plots if legend_of(tab, plot, len(flights)) == "flights"}
     plotted = [stream.FAMILY] if family is not None else []
     for i, (root, flight) in enumerate(zip(roots, flights, strict=True)):
         colour = colours[i] if many else None
@@ -114,9 +115,8 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
             family.add(flight.label, colour, own, flight.log)
         else:
             plotted.append(root)
-            stream.send_styles(
-                recording, root, own, colour, prefix_of(flight, many=many), alpha=1.0 if len(flights) <= FEW else 0.55
-            )
+            prefix, alpha = prefix_of(flight, many=many), 1.0 if len(flights) <= FEW else 0.55
+            stream.send_styles(recording, root, own, colour, prefix, alpha, by_width)
             stream.send_curves(recording, root, own, flight.log, interval_ns)
         for plot in (plot for tab in own for plot in tab.plots):
             for name, part_s in parts.items():
@@ -139,7 +139,7 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
         axes = {p.key: axis_of(p, range_of([np.array(r) for r in ranges.get((name, p.key), [])])) for p in every}
         seen_s = seen_of((start_s, end_s), span_s)
         corners = {
-            plot.key: free_corner(plot, axes[plot.key], seen_s, flights, rows_and_columns(tab)[0])
+            plot.key: free_corner(plot, axes[plot.key], seen_s, flights, rows_and_columns(tab)[0], plot.key in by_width)
             for tab in tabs
             for plot in tab.plots
             if len(flights) <= FEW
@@ -148,6 +148,8 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
     for plot in every:
         axis = spans[-1].axes[plot.key]
         stream.send_limits(recording, plot, axis.drawn, (round(span_s[0] * 1e9), round(span_s[1] * 1e9)), axis)
+        if plot.key in by_width:
+            stream.send_widths(recording, plot, round(span_s[0] * 1e9))
     stream.send_now(recording, [(flight.label if many else "", flight.log) for flight in flights[:COLOURED]])
     text = about(flights, drawn_text(exaggeration, None if many else drawn[0].place) if drawn else [])
     recording.log("about", rr.TextDocument(text, media_type="text/markdown"), static=True)
@@ -324,6 +326,19 @@ def prefix_of(flight: ReplayFlight, *, many: bool) -> str:
     return f"{flight.label}{', FAILED' if flight.verdict == 'failed' else ''}: " if many else ""
 
 
+def legend_of(tab: Tab, plot: ReplayPlot, count: int) -> Literal["curves", "flights", ""]:
+    """Return the contents of a plot's legend for a number of flights: "" without a legend.
+
+    A legend of all curves of several flights covers the plot. It then names the flights, whose curves differ in width.
+    """
+    most = max(_LEGEND_LINES, count * min(len(p.curves) for p in tab.plots)) if count > 1 else 99
+    if count > _LEGEND_MOST:
+        return ""
+    if count * len(plot.curves) <= most:
+        return "curves"
+    return "flights" if len(plot.curves) <= len(stream.WIDTHS) else ""
+
+
 def rows_and_columns(tab: Tab) -> tuple[int, int]:
     """Return the arrangement of a tab's plots: side by side, they are high enough for numbers at their axes."""
     columns = 2 if len(tab.plots) > 2 else 1
@@ -331,10 +346,21 @@ def rows_and_columns(tab: Tab) -> tuple[int, int]:
 
 
 def free_corner(
-    plot: ReplayPlot, axis: PlotAxis, span_s: tuple[float, float], flights: Sequence[ReplayFlight], rows: int
+    plot: ReplayPlot,
+    axis: PlotAxis,
+    span_s: tuple[float, float],
+    flights: Sequence[ReplayFlight],
+    rows: int,
+    by_width: bool = False,
 ) -> rrb.Corner2D:
-    """Return the corner where the legend hides least of the curves. `rows` is the number of plots in a column."""
-    names = [prefix_of(f, many=len(flights) > 1) + c.label for f in flights for c in plot.curves]
+    """Return the corner where the legend hides least of the curves. `rows` is the number of plots in a column.
+
+    If the curves differ `by_width`, the legend names each flight once, and the order of the widths.
+    """
+    if by_width:
+        names = [prefix_of(f, many=True) for f in flights] + [stream.width_text(plot)]
+    else:
+        names = [prefix_of(f, many=len(flights) > 1) + c.label for f in flights for c in plot.curves]
     names += [f"limit: {text}" for text in {limit.text for limit in axis.drawn}]
     wide = min((40.0 + 7.5 * max(map(len, names))) / _PLOT_PX[0], 0.9)  # shares of the plot
     tall = min((16.0 + 23.0 * len(names)) * rows / _PLOT_PX[1], 0.9)
@@ -425,9 +451,7 @@ def layout(
         pages = []
         for page in tabs:
             rows, columns = rows_and_columns(page)
-            most = max(_LEGEND_LINES, len(roots) * min(len(p.curves) for p in page.plots)) if len(roots) > 1 else 99
-            named = [len(roots) <= _LEGEND_MOST and len(roots) * len(p.curves) <= most for p in page.plots]
-            views = [plot_view(p, span, plotted, legend, rows) for p, legend in zip(page.plots, named, strict=True)]
+            views = [plot_view(p, span, plotted, legend_of(page, p, len(roots)) != "", rows) for p in page.plots]
             pages.append(rrb.Grid(contents=views, grid_columns=columns, name=page.name))
         return rrb.Tabs(contents=pages, active_tab=_tab_number(tabs, tab), name=span.name or None)
 
@@ -445,7 +469,7 @@ def layout(
     now = rrb.TextDocumentView(name="Now", origin="now")
     about = rrb.TextDocumentView(name="About", origin="about")
     columns = [
-        rrb.Vertical(contents=[plots, phases], row_shares=[9, 0.75 + 0.25 * len(phased)]),
+        rrb.Vertical(contents=[plots, phases], row_shares=[9, 0.6 + 0.45 * len(phased)]),
         rrb.Vertical(contents=[now, events, about], row_shares=[2, 2, 3]),
     ]
     shares = [5.8, 3.0]

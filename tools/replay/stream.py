@@ -8,7 +8,7 @@ in it.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +50,8 @@ _BEGUN_BY = {
 _WORSE = ("control lost", "tumbling")
 _EVENT_WIDTH = 46  # number of letters in a row of the list of events, at 1920 pixels
 _TEETH = 240  # of the hatching over the whole flight
+WIDTHS = (3.2, 1.8, 1.0, 0.5)
+"""The widths of the curves of a flight that have one name in the legend."""
 _MIN_MAX = rr.components.AggregationPolicy.MinMax  # the viewer must not average extremes away when it zooms out
 
 
@@ -91,16 +93,30 @@ def send_styles(
     colour: str | None = None,
     prefix: str = "",
     alpha: float = 1.0,
+    by_width: Collection[str] = (),
 ) -> None:
     """Send the names and colours: one `colour` for all curves of a flight, or one for each (None).
 
-    `prefix` precedes the names.
+    `prefix` precedes the names. In the plots `by_width` (keys), it is the name of all curves, which the viewer's legend
+    lists once; the curves differ in their width (`send_widths`).
     """
-    for entity, i, _, curve in _curves(root, tabs):
-        own = rgba(colour or ON_DARK[i % len(ON_DARK)], alpha)
-        name = prefix + curve.label
-        lines = rr.SeriesLines(names=name, colors=own, widths=1.4, aggregation_policy=_MIN_MAX)
+    for entity, i, plot, curve in _curves(root, tabs):
+        own, merged = rgba(colour or ON_DARK[i % len(ON_DARK)], alpha), plot.key in by_width
+        name, width = (prefix.removesuffix(": "), WIDTHS[i]) if merged else (prefix + curve.label, 1.4)
+        lines = rr.SeriesLines(names=name, colors=own, widths=width, aggregation_policy=_MIN_MAX)
         recording.log(entity, lines, static=True)
+
+
+def width_text(plot: ReplayPlot) -> str:
+    """Return the legend's entry for curves that differ in their width."""
+    return f"thick to thin: {', '.join(curve.label for curve in plot.curves)}"
+
+
+def send_widths(recording: rr.RecordingStream, plot: ReplayPlot, time_ns: int) -> None:
+    """Send a curve without values, whose name in the legend is the order of the widths of a plot's curves."""
+    entity = f"{limits_root(plot)}/widths"
+    recording.log(entity, rr.SeriesLines(names=width_text(plot), colors=rgba(GREY, 1.0), widths=1.0), static=True)
+    send_scalars(recording, entity, np.array([time_ns]), np.array([np.nan]))
 
 
 def send_curves(

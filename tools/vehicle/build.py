@@ -6,7 +6,7 @@ Every number is a first estimate. `Built.assumed` lists the assumptions beyond t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -67,13 +67,22 @@ class Built:
         return self.layout.control.rigid_hz or most_hz
 
 
-def build(layout: Layout) -> Built:
-    """Build a vehicle from a layout. Raises ValueError if it cannot fly."""
+def build(layout: Layout, progress: Callable[[str, int, int], None] = lambda *_: None) -> Built:
+    """Build a vehicle from a layout. Raises ValueError if it cannot fly.
+
+    `progress` receives the name of each stage of the computation, and its steps done and in all (0: unknown).
+    """
+    progress("computing the ascent", 0, 0)
     whole = stacks(layout)
     flight = ascent(layout, whole, [aerodynamics(stack) for stack in whole])
     every = flight.stacks
     aero = [aerodynamics(stack) for stack in every]
-    modes, left_out = _that_count(every, [_modes(stack) for stack in every], 1.0 / layout.control.sample_s)
+    found_modes = []
+    for n, stack in enumerate(every):
+        progress("computing bending modes", n, len(every))
+        found_modes.append(_modes(stack))
+    modes, left_out = _that_count(every, found_modes, 1.0 / layout.control.sample_s)
+    progress("computing first gains", 0, 0)
     found = Built(layout, every, aero, modes, flight, [], left_out)
     found.gains.extend(_gains(found))
     found.assumed.extend(_assumed(found))

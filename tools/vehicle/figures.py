@@ -14,7 +14,7 @@ from maxq.tools.plots import side_view
 from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, at, limit, line, look
 from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad
 from maxq.tools.vehicle.layout import LayoutBooster, LayoutStage, LayoutThrust
-from maxq.tools.vehicle.report import notes, numbers, tables
+from maxq.tools.vehicle.report import MEANINGS, notes, numbers, tables
 from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
 _AIR_Pa = 100.0  # below this dynamic pressure, the centre of pressure is irrelevant
@@ -27,7 +27,13 @@ def page(built: Built) -> str:
     if any(modes[0] for _, modes in built.modes):
         plots.append(_modes(built))
     return render(
-        "vehicle.html.j2", plots, layout=built.layout, tables=tables(built), notes=notes(built), numbers=numbers
+        "vehicle.html.j2",
+        plots,
+        layout=built.layout,
+        tables=tables(built),
+        notes=notes(built),
+        numbers=numbers,
+        meanings=MEANINGS,
     )
 
 

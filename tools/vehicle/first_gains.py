@@ -72,7 +72,7 @@ def write_with_first_gains(
 ) -> tuple[Built, list[Path], FirstGains]:
     """Write a vehicle, check its first gains along their own flight, and search for others if they fail."""
     files = write(built, folder)
-    progress("flying", 0, 0)
+    progress("flying the first gains", 0, 0)
     found = checked(folder)
     if found.hold:
         return built, files, found

@@ -15,17 +15,43 @@ LayoutRows = list[tuple[str, ...]]  # the first is the head
 
 
 class LayoutTable(NamedTuple):
-    """A table of a vehicle; the first row is its head."""
+    """A table of a vehicle; the first row is its head.
+
+    `note` is printed below it. `caption` is that on the page, which explains the columns by `MEANINGS`.
+    """
 
     heading: str
     note: str
     rows: LayoutRows
+    caption: str
+
+
+MEANINGS = {
+    "from, kg": "mass at ignition, with all stages above",
+    "to, kg": "mass at burnout",
+    "burn, s": "duration of the burn",
+    "T/W": "largest thrust in vacuum / weight at ignition",
+    "dv, m/s": "delta-v in vacuum, without losses",
+    "v, m/s": "speed relative to the Earth at burnout",
+    "h, km": "altitude at burnout",
+    "path, deg": "flight-path angle above the local horizon at burnout",
+    "mass, kg": "generalised mass at ignition, for a displacement of 1 at the gimbal",
+    "slope at gyro, 1/m": "slope of the mode shape at the gyro, at ignition",
+    "q, kPa": "dynamic pressure",
+    "CG, m": "station of the centre of gravity, aft of the nose",
+    "CP, m": "station of the centre of pressure, aft of the nose",
+    "M_alpha, 1/s2": "angular acceleration per angle of attack; above 0, the vehicle is unstable",
+    "M_delta, 1/s2": "angular acceleration per gimbal angle",
+    "k_p": "first gain from attitude error to gimbal command",
+    "k_d, s": "first gain from body rate to gimbal command",
+}
+"""The meanings of columns by head."""
 
 
 def report(built: Built) -> str:
     """Return the whole text."""
     parts = [[printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))]]
-    for heading, note, rows in tables(built):
+    for heading, note, rows, _ in tables(built):
         less = [n for n, name in enumerate(rows[0]) if name in ("CG, m", "CP, m")]  # omitted on a narrow terminal
         parts.append([heading.lower(), *aligned(rows, "  ", right=numbers(rows[0]), drop=less), f"  {note}"])
     parts += [[title, *(f"  {line}" for line in lines)] for title, lines in notes(built)]
@@ -70,9 +96,10 @@ def _stages(built: Built) -> LayoutTable:
         )
     orbit = built.flight.orbit
     about = "point mass; thrust-to-weight ratio and delta-v in vacuum; speed, altitude and path angle at burnout"
+    ends = ""
     if orbit.perigee_m >= 0.0:
-        about += f"; orbit after the last burnout: {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km"
-    return LayoutTable("Stages", about, rows)
+        ends = f"; orbit after the last burnout: {orbit.perigee_m / 1e3:.0f} by {orbit.apogee_m / 1e3:.0f} km"
+    return LayoutTable("Stages", about + ends, rows, f"Ascent of a point mass{ends}.")
 
 
 def _modes(built: Built) -> LayoutTable:
@@ -85,7 +112,9 @@ def _modes(built: Built) -> LayoutTable:
             rows.append((stack.name, str(k + 1), *ends, f"{slope:.3f}"))
     held = ", ".join(f"{mode.frequency_hz:.2f}" for mode in on_the_pad(built))
     on_pad = f"; clamped at the tail on the pad: {held} Hz" if held else ""
-    return LayoutTable("Bending modes", f"free-free, displacement of 1 at the gimbal{on_pad}", rows)
+    return LayoutTable(
+        "Bending modes", f"free-free, displacement of 1 at the gimbal{on_pad}", rows, f"Free-free{on_pad}."
+    )
 
 
 def _control(built: Built) -> LayoutTable:
@@ -99,4 +128,4 @@ def _control(built: Built) -> LayoutTable:
             cells = (f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.2f}", f"{cp:.2f}")
             turn = (f"{m_alpha_1ps2(built, p):.3f}", f"{m_delta_1ps2(built, p):.3f}", f"{k_p:.3f}", f"{k_d:.3f}")
             rows.append((f"{p.time_s:.1f}", stack.name, *cells, *turn))
-    return LayoutTable("Control", "unstable where M_alpha > 0", rows)
+    return LayoutTable("Control", "unstable where M_alpha > 0", rows, "Stability, control authority and first gains.")

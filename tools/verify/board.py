@@ -34,6 +34,11 @@ class BoardTable:
     rows: Sequence[tuple[str, ...]]
     note: str = ""
 
+    @property
+    def all_absent(self) -> bool:
+        """Return True if no row states anything about the item in its first cell."""
+        return all(cell in ("", ABSENT) for row in self.rows for cell in row[1:])
+
 
 def board_tables(found: Verification) -> list[BoardTable]:
     """Return the tables of a verification, also of a suite without [board]."""

@@ -27,6 +27,7 @@ from maxq.sim.campaign.statistics import MET
 from maxq.sim.files import plain_name, write_whole
 from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.run.metrics import Verdict
+from maxq.sim.run.quantities import engineering_unit, unit_text
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.report import GAIN_HEADS, uncovered_lines, uncovered_record, uncovered_table, write_record
 from maxq.tools.pages.render import render
@@ -154,26 +155,34 @@ def _limiting(found: Verification) -> list[JudgedRequirement]:
 
 
 def _matrix(flights: Sequence[FlownResult]) -> dict[str, Any]:
-    """Return the values of all flights, with a column for each requirement.
+    """Return the values of all flights in engineering units, with a column for each requirement.
 
     `used` is the share of the limit in percent.
     """
+    units = dict[str, tuple[str, float]]()
 
     def bound_text(v: Verdict) -> str:
-        return f"{'<=' if v.bound[0] == 'limit' else '>='} {v.bound[1]:g}"
+        return f"{'<=' if v.bound[0] == 'limit' else '>='} {units[v.name][1] * v.bound[1]:g}"
 
     def cell(f: FlownResult, v: Verdict) -> dict[str, Any]:
         (kind, bound), text = v.bound, bound_text(v)
         share = (v.value / bound if kind == "limit" else bound / v.value) if bound and v.value else float(not v.met)
         used, own = min(max(100.0 * share, 0.0), 100.0), text if text != common[v.name] else ""
-        return {"value": v.value, "met": v.met, "used": used, "tightest": v is f.tightest, "bound": own}
+        return {
+            "value": units[v.name][1] * v.value,
+            "met": v.met,
+            "used": used,
+            "tightest": v is f.tightest,
+            "bound": own,
+        }
 
     heads, common = [], dict[str, str]()
     for name in dict.fromkeys(v.name for f in flights for v in f.verdicts):
         every = [v for f in flights for v in f.verdicts if v.name == name]
+        ends = (abs(x) for v in every for x in (v.value, v.bound[1]) if math.isfinite(x))
+        units[name] = engineering_unit(unit_of(every[0].requirement.metric), max(ends, default=0.0))
         common[name] = Counter(map(bound_text, every)).most_common(1)[0][0]
-        unit = unit_of(every[0].requirement.metric)
-        heads.append({"name": name, "unit": "" if unit == "1" else unit, "bound": common[name]})
+        heads.append({"name": name, "unit": unit_text(units[name][0]), "bound": common[name]})
     rows = []
     for f in flights:
         of = {v.name: cell(f, v) for v in f.verdicts}

@@ -94,15 +94,16 @@ def execute(
                     raise
                 raise ScenarioError(loaded.label, str(error)) from None  # the suite's times are invalid
             found.append(one)
-            progress.show(f"writing {name}", 0, 1)
+            progress.show(f"writing the review pack of {name}", 0, 0)
             signed = report.Signed(author, revision, date)
             files = report.write_pack(one, folder, loaded.command(name, vehicle, *words), not no_pack, signed)
             if sign is not None:
                 files.append(signing.sign(files[0], Path(sign)))
+            missed = report.reasons(one)
             tell(
                 *against_basis(one.suite, one.scenario),
                 *report.report(one, f"{name} by the suite {one.suite.name}"),
-                *report.reasons(one),
+                *(("", "requirements not shown to be met", *missed) if missed else ()),
             )
             for left in one.left_out:
                 tell(f"left out: {printable(left)}")

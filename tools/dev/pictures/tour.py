@@ -113,8 +113,9 @@ def _photograph(page: Path, shown: str, target: Path) -> None:
 
 
 def save_small(image: Image.Image, target: Path) -> None:
-    """Save a picture with few colours, which halves its file."""
-    image.quantize(128).save(target, optimize=True)
+    """Save a picture with few colours, which halves its file. The method keeps the colours of small marks."""
+    few = image.quantize(128, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few.save(target, optimize=True)
 
 
 def _draw_overview() -> None:
