@@ -81,7 +81,9 @@ def design_text(design: Design, comments: Sequence[str] = ()) -> str:
     laws: list[Design | StageLaw] = [design, *design.stage]
     for mine, law in zip((content, *content.get("stage", ())), laws, strict=True):
         if law.filter is not None:
-            mine["filter"] = {key: value for key, value in mine["filter"].items() if value != ()}
+            form = {key: value for key, value in mine["filter"].items() if value != ()}
+            points = [{key: x for key, x in point.items() if x != ()} for point in form.get("schedule", ())]
+            mine["filter"] = form | ({"schedule": points} if points else {})
         if law.gains is None:
             continue
         names = (law.gains.over, *design.gain_names)

@@ -13,6 +13,7 @@ from dataclasses import fields, replace
 import numpy as np
 from scipy.stats import qmc
 
+from maxq.control.filter_schedule import FilterSchedule
 from maxq.control.filters import BendingFilter
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.laws.pd import GainSchedule
@@ -384,15 +385,15 @@ class PdVariables:
         of_key |= dict(zip(AIR, self.air.tolist(), strict=True)) if self.by_incidence else {}
         gains = GainSchedule(self.gains.nodes.tolist(), over=self.task.case.gains.over, **of_key)
         blend, relief_hz = self._blend(variables), None if self.lag is None else self.lag.corner_hz
-        form, case = self.filter.filter(y), self.task.case
+        form, case = FilterSchedule.constant(self.filter.filter(y)), self.task.case
         loops = self._loop_filters(variables)
         return PdDesign(gains, gains, form, "prewarped", self.prewarp_hz, case.law, (blend, blend), relief_hz, loops)
 
     def variables_of(self, law: DesignedLaw) -> Array | None:
         if not isinstance(law, PdDesign):
             return None
-        filter_ = lifted(law.filter, self.filter, self.task.first_mode_hz)
-        if filter_ is None:
+        filter_ = lifted(law.filter.filters[0], self.filter, self.task.first_mode_hz)
+        if filter_ is None or law.filter.moves:
             return None
         if law.pitch.columns[: len(self.keys)] != self.keys or law.over != self.task.case.gains.over:
             return None

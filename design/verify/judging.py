@@ -186,9 +186,12 @@ def checks(judged: Sequence[JudgedLoop], design: Design, wanted: Wanted) -> list
     most = wanted.constant("filter_gain_at_infinity")
     if most is not None:
         gains, about = [], QUANTITIES["filter_gain_at_infinity"]
-        for flt in (bending_filter(design.of_stage(stage)) for stage in sorted({j.node.stage for j in judged})):
-            gain = math.prod((q.pole_hz / q.zero_hz) ** 2 for q in flt.quadratic)
-            gains.append(gain * math.prod(f.pole_hz / abs(f.zero_hz) for f in flt.first_order))
+        for stage in sorted({j.node.stage for j in judged}):
+            own = design.of_stage(stage)
+            flown, mine = bending_filter(own), [j.node for j in judged if j.node.stage == stage]
+            gains.append(
+                max(flown(node.scheduled(own.gains.over) if flown.moves else 0.0).gain_at_infinity for node in mine)
+            )
         never = np.full(len(gains), np.nan)
         out.append(Check("filter_gain_at_infinity", about.label, "", about.sense, most, np.array(gains, float), never))
     return out
