@@ -7,6 +7,7 @@
 | constant input, any change | the input, to the last bit |
 | no input, any change | the energy of the integrators does not grow |
 | law at an instant, held design, certificate's loop | python-control, with parameters by `numpy.interp` |
+| variables of the optimiser, with their derivatives | numpy in complex arithmetic; differences |
 | separation: the moving filter fades out, frozen | `lfilter` on the response so far |
 """
 
@@ -18,6 +19,7 @@ from typing import Any
 
 import control
 import numpy as np
+import optimise_kit as kit
 import pytest
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
@@ -38,8 +40,13 @@ from maxq.control.kernel.records import Array, blank, pack
 from maxq.control.kernel.tables import Pool
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.loop_filters import make_loop_filters
+from maxq.design.case.schema import read_case
 from maxq.design.laws.design_file import design_text
 from maxq.design.laws.pd import PdDesign
+from maxq.design.laws.pd_variables import PdVariables
+from maxq.design.optimise.at_nodes import make_problem
+from maxq.design.optimise.solve import solve
+from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design, FilterSection
@@ -332,3 +339,102 @@ def test_a_schedule_of_equal_filters_flies_like_the_constant_one() -> None:
     for channel in ("filtered_pitch_deg", "filtered_yaw_deg"):
         np.testing.assert_allclose(moving[channel], constant[channel], rtol=0, atol=0.005)
         assert np.abs(constant[channel]).max() > 0.1
+
+
+# --- variables of the optimiser
+NODES_S = (10.0, 35.0, 58.0)
+SCHEDULED = ("filter.structure=F3", f"filter.nodes_s={list(NODES_S)}", "gains.schedule=linear", "loop=sampled")
+
+
+def test_variables_are_the_filter_at_each_node_and_linear_in_between() -> None:
+    plants = kit.plants(*SCHEDULED)
+    problem = make_problem(kit.case(*SCHEDULED).case, plants)
+    law: Any = problem.law
+    assert isinstance(law, PdVariables)
+    assert law.names[:3] == (
+        "quadratic[0].zero_hz at 10 s",
+        "quadratic[0].zero_zeta at 10 s",
+        "quadratic[0].pole_hz at 10 s",
+    )
+    times = np.array([plant.node.time_s for plant in plants.each])
+    rng, n = np.random.default_rng(1), law.filter.size
+    first = law.starts(1, 1)[0]
+    x = first + np.concatenate([0.1 * rng.standard_normal(3 * n), np.zeros(len(first) - 3 * n)])
+    x = np.clip(x, law.lower, law.upper)
+    logarithmic = np.array([True, False, True, False, True, True])
+    i = np.clip(np.searchsorted(NODES_S, times) - 1, 0, 1)
+    share = np.clip((times - np.take(NODES_S, i)) / np.diff(NODES_S)[i], 0.0, 1.0)[:, None]
+
+    def own(y: Any) -> Any:
+        """(plants, n), in complex arithmetic."""
+        rows = y.reshape(3, n)
+        value = np.where(logarithmic, np.exp(rows), rows)
+        mixed = value[i] * (1.0 - share) + value[i + 1] * share
+        return np.where(logarithmic, np.log(mixed), mixed)
+
+    np.testing.assert_allclose(law.own(x)[:, :n], own(x[: 3 * n]), rtol=1e-12)
+    jacobian = law.jacobian(x)
+    for j in range(3 * n):
+        stepped = x[: 3 * n].astype(complex)
+        stepped[j] += 1e-30j
+        np.testing.assert_allclose(jacobian[:, :n, j], own(stepped).imag * 1e30, rtol=1e-9, atol=1e-12)
+    slopes = rng.standard_normal((len(times), law.own_size))
+    bend, step = law.bend(x, slopes), 1e-5
+    for j in range(3 * n):
+        moved = [law.jacobian(x + sign * step * np.eye(len(x))[j]) for sign in (1.0, -1.0)]
+        by = np.einsum("po,pov->v", slopes, moved[0] - moved[1]) / (2.0 * step)
+        np.testing.assert_allclose(bend[j], by, rtol=1e-5, atol=1e-7)
+    # the law at each plant, as written to the file and read back
+    made = law.designed(x)
+    again = PdDesign.of(Design.model_validate({"schema": 2, **made.tables()}))
+    hz = np.geomspace(0.5, 40.0, 7)
+    for k, (found, time_s) in enumerate(zip(law.controllers(x), times, strict=True)):
+        wanted = again.at(float(time_s), "pitch", law.task.sample_s)
+        np.testing.assert_allclose(found.filter_response(hz), wanted.filter_response(hz), rtol=1e-9)
+        mesh = law.response(x, np.full(7, k), law.axis(np.log(hz)))[0]
+        np.testing.assert_allclose(mesh, wanted.filter_response(hz), rtol=1e-9)
+    np.testing.assert_allclose(law.variables_of(made), x, rtol=1e-9, atol=1e-12)
+    # gradient of all rows by differences
+    at = problem.evaluate(x, complete=True)
+    for j in rng.choice(3 * n, 4, replace=False):
+        rows = [problem.evaluate(x + sign * 1e-6 * np.eye(len(x))[j], complete=True).rows for sign in (1.0, -1.0)]
+        assert rows[0].keys == rows[1].keys == at.rows.keys
+        slope = (rows[0].excess_db - rows[1].excess_db) / 2e-6
+        np.testing.assert_allclose(at.gradient[:, j], slope, rtol=2e-4, atol=2e-4)
+
+
+def test_a_constant_filter_starts_a_schedule_and_the_reverse_does_not_fit() -> None:
+    plants = kit.plants(*SCHEDULED)
+    law: Any = make_problem(kit.case(*SCHEDULED).case, plants).law
+    small, wider = law.simpler()
+    assert (small.filter_nodes.size, law.filter_nodes.size) == (6, 18)
+    x = small.starts(1, 1)[0]
+    wide = wider(x)
+    assert (wide[:18] == np.tile(x[:6], 3)).all()
+    np.testing.assert_allclose(law.variables_of(small.designed(x)), wide, rtol=1e-12)
+    assert small.variables_of(law.designed(wide)) is None
+
+
+@pytest.mark.slow  # two searches
+def test_a_schedule_is_at_least_as_good_as_the_constant_filter() -> None:
+    few = ("nodes_s=[10.0, 35.0, 58.0]", "filter.structure=F2", "gains.schedule=linear", "search.starts=4")
+    moving = (*few, f"filter.nodes_s={list(NODES_S)}")
+    plants = kit.plants(*few)
+    constant = solve(kit.case(*few), plants)
+    scheduled = solve(kit.case(*moving), plants, (constant.law,))
+    assert scheduled.objective_db < constant.objective_db - 0.5
+    assert kit.designed(scheduled).filter.at == NODES_S
+    assert not kit.designed(constant).filter.moves
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (("filter.nodes_s=[30.0, 10.0]",), "does not rise"),
+        (("filter.nodes=[30.0, 40.0]",), "gains are over time_s.*nodes_s"),
+        (("gains.over=speed_mps", "filter.nodes_s=[30.0, 40.0]"), "gains are over speed_mps.*nodes, over speed_mps"),
+    ],
+)
+def test_wrong_nodes(changes: tuple[str, ...], words: str) -> None:
+    with pytest.raises(ScenarioError, match=words):
+        read_case("ksr3-identical", changes)
