@@ -34,6 +34,7 @@ from maxq.control.attitude import (
 )
 from maxq.control.converter import Converter, ConverterState, convert, make_converter, round_half_away, start_converter
 from maxq.control.external import HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS, ExternalState, step_external
+from maxq.control.filter_schedule import MovingFilter, freeze_moving, move_filter
 from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance, unroll
 from maxq.control.kernel.jit import kernel, routine
@@ -173,6 +174,7 @@ def build_computer(
     unrolled: bool = False,
     pitch_filter: DiscreteFilter | None = None,
     yaw_filter: DiscreteFilter | None = None,
+    moving_filter: MovingFilter | None = None,
     roll: Roll | None = None,
     control_on: bool = True,
     guidance_on: bool = True,
@@ -190,8 +192,8 @@ def build_computer(
     Without it the commanded rates are 0.
 
     Filters are those of `BendingFilter.discretize`. Without `yaw_filter` yaw uses the filter of pitch; without either,
-    the law's output is not filtered. A filter without sections leaves a single axis unfiltered. `roll` comes from
-    `roll.make_roll`. Without it no thruster fires.
+    the law's output is not filtered. A filter without sections leaves a single axis unfiltered. `moving_filter` comes
+    from `filter_schedule.make_moving_filter`. `roll` comes from `roll.make_roll`. Without it no thruster fires.
 
     `count_rad` = 0 is an ideal converter, `dac_step_rad` = 0 an ideal DAC, and an infinite limit is no limit.
     `relief_hz` is the corner frequency of the accelerometer lag of a load-relief law. `sensors` comes from
@@ -222,7 +224,11 @@ def build_computer(
         angle_error_limit_rad=angle_error_limit_rad,
         flown_law=LAWS.index(law),
         law=make_pd(
-            _placed(pool, "gains", gains, 2 * len(GAINS[law])), sample_ns, pitch_filter, yaw_filter or pitch_filter
+            _placed(pool, "gains", gains, 2 * len(GAINS[law])),
+            sample_ns,
+            pitch_filter,
+            yaw_filter or pitch_filter,
+            moving=moving_filter,
         ),
         pid=Pid(integral_limit_rad),
         command_limit_rad=command_limit_rad,
@@ -284,6 +290,14 @@ def take_over(before: Computer, computer: Computer, state: ComputerState) -> Non
         loop_filters.keep_filter(
             loops, loop_filters.OUTPUT, gimbal, before.law.sections[gimbal], before.law.n_sections[gimbal], memory
         )
+        moving = before.law.moving
+        if moving.table.n_breaks != 0:
+            kept, kept_memory = (
+                loops.old_sections[loop_filters.OUTPUT, gimbal],
+                loops.old_memory[loop_filters.OUTPUT, gimbal],
+            )
+            freeze_moving(moving, state.law.moving, gimbal, kept, kept_memory)
+            loops.old_n_sections[loop_filters.OUTPUT, gimbal] = moving.n_quadratic + moving.n_first_order
         loop_filters.take_over_filter(old, new, loops, loop_filters.ATTITUDE, gimbal, attitude.theta_e_rad[gimbal + 1])
         loop_filters.take_over_filter(old, new, loops, loop_filters.RATE, gimbal, attitude.rate_radps[gimbal + 1])
         if computer.sensors.accelerometer >= 0:
@@ -367,6 +381,8 @@ def computer_tick(
     if computer.external != 0:
         call_external(computer, state, time_s)
     at = time_s if computer.over == 0 else state.navigation[computer.over - 1]
+    if computer.law.moving.table.n_breaks != 0:
+        move_filter(computer.law.moving, pool, state.law.moving, at)
     for gimbal in range(2):
         injected_rad = gimbal_injection_rad[gimbal]
         if not abs(injected_rad) <= INCREMENT_LIMIT_RAD:

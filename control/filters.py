@@ -77,6 +77,17 @@ class BendingFilter:
         n = len(self.quadratic) + len(self.first_order)
         _refuse_unless(n <= MAX_SECTIONS, "number of filter sections", n, f"at most {MAX_SECTIONS}")
 
+    @property
+    def structure(self) -> tuple[int, int]:
+        """Return the numbers of quadratic and of first-order sections."""
+        return len(self.quadratic), len(self.first_order)
+
+    @property
+    def gain_at_infinity(self) -> float:
+        """Return |F(j inf)|."""
+        gain = math.prod((q.pole_hz / q.zero_hz) ** 2 for q in self.quadratic)
+        return float(gain * math.prod(f.pole_hz / abs(f.zero_hz) for f in self.first_order))
+
     def polynomials(self) -> Array:
         """Return (sections, 2, 3): numerator and denominator in rising powers of s, quadratic sections first."""
         rows = [q.polynomials() for q in self.quadratic] + [f.polynomials() for f in self.first_order]

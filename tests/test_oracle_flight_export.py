@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -147,6 +148,12 @@ def built(folder: Path, design: str, *more: str, single: bool = False) -> Path:
     return folder / "lib"
 
 
+def moving(constant: re.Match[str]) -> str:
+    """The sections of a filter as a schedule: each zero is at 1.3 times its frequency when the stage burns out."""
+    later = re.sub(r"zero_hz = ([\d.]+)", lambda zero: f"zero_hz = {1.3 * float(zero[1])}", constant[1])
+    return f"schedule = [{{ time_s = 5.0, quadratic = {constant[1]} }}, {{ time_s = 121.0, quadratic = {later} }}]"
+
+
 def assert_same_commands(own: Flight, built_in: Flight) -> None:
     """Each command and the state to the last bit; the C code's own output converter gives what the simulator's does."""
     for command, monitor in zip(COMMANDS, ("monitor_1", "monitor_2"), strict=True):
@@ -238,7 +245,7 @@ def test_a_vehicle_of_several_stages_and_groups(tmp_path: Path) -> None:
     """Fly an exported law of three stages across both separations.
 
     Each stage has its own gains and filters, and the previous filters fade out. The first and third stage have a
-    filter of the rate; the total gain adapts.
+    filter of the rate; the total gain adapts. The bending filter of the first stage changes over the flight.
     """
     folder = tmp_path / "petrel"
     shutil.copytree(petrelkit.folder(), folder)
@@ -247,11 +254,14 @@ def test_a_vehicle_of_several_stages_and_groups(tmp_path: Path) -> None:
     text = design.read_text()
     assert text.count("[[stage]]\n") == 3
     first, second, third, fourth = text.split("[[stage]]\n")
+    first, changed = re.subn(r"quadratic = (\[.*?\n\])", moving, first, flags=re.DOTALL)
+    assert changed == 1
     fading = (
         f"[[stage]]\n{second}[[stage]]\nfade_s = 0.3\nloop_filters = {{}}\n{third}[[stage]]\nfade_s = 2.0\n{fourth}"
     )
     design.write_text(f"{first}{fading}\n[adaptive]\n{adaptive}{LOOPS}")
     library = built(tmp_path, str(design), "--scenario", str(scenario))
+    assert "#define LAW_MOVING_FILTER 1" in (tmp_path / "law" / "flight_law_tables.h").read_text()
     built_in, own = (
         fly(load_scenario(scenario, ["run.duration_s=190", "requirement=", *changes]), log=False)
         for changes in ([], flies(library=library))

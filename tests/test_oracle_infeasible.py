@@ -83,7 +83,7 @@ def test_no_design_of_a_global_search_misses_less(gain_db: float, phase_deg: flo
     assert s.status == "infeasible"
     missed = violation(loaded, plants)
     law = kit.designed(s)
-    (section,) = law.filter.quadratic
+    (section,) = law.filter.filters[0].quadratic
     gains = [np.interp([10.0, 50.0], law.pitch.at, values) for values in (law.pitch.k_p, law.pitch.k_d_s)]
     ours = np.array(
         [

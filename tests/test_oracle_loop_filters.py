@@ -286,7 +286,7 @@ def test_limits_have_the_gradient_of_differences() -> None:
     designed = law.designed(VARIABLES)
     texts = [limit.text for limit in law.limits]
     for loop, bank in zip(designed.loops, ("attitude", "rate", "acceleration"), strict=True):
-        far = abs(designed.filter.frequency_response(1e9) * loop[0].frequency_response(1e9))
+        far = abs(designed.filter.filters[0].frequency_response(1e9) * loop[0].frequency_response(1e9))
         number = texts.index(f"|F(j inf)| with that of {bank}")
         assert next(v for v in law.limit_values(own) if v.number == number).value[0] == pytest.approx(far, rel=1e-6)
 

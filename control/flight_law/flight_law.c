@@ -37,30 +37,37 @@ static law_real scheduled(const law_stage *of, const law_inputs *in)
     return at;
 }
 
-/* Gains: k_p, k_d_s and a third, k_i_ps, k_a_s2pm or k_alpha (with what the incidence is estimated with), in pitch, then
- * in yaw. Cubics, end values outside. */
-static void look_up(const law_stage *of, law_real at, law_real gains[2 * LAW_GAINS])
+/* The place among rising breakpoints, clamped: the interval, and the distance from its start. */
+static int32_t interval(const law_real *breaks, int32_t count, law_real at, law_real *distance)
 {
     law_real inside = at;
-    law_real s;
     int32_t low = 0;
-    int32_t high = of->gain_breaks - 1;
-    int32_t column;
-    if (inside < of->gain_at[0]) {
-        inside = of->gain_at[0];
+    int32_t high = count - 1;
+    if (inside < breaks[0]) {
+        inside = breaks[0];
     }
-    if (inside > of->gain_at[high]) {
-        inside = of->gain_at[high];
+    if (inside > breaks[high]) {
+        inside = breaks[high];
     }
     while (high - low > 1) {
         const int32_t middle = (low + high) / 2;
-        if (of->gain_at[middle] <= at) {
+        if (breaks[middle] <= at) {
             low = middle;
         } else {
             high = middle;
         }
     }
-    s = inside - of->gain_at[low];
+    *distance = inside - breaks[low];
+    return low;
+}
+
+/* Gains: k_p, k_d_s and a third, k_i_ps, k_a_s2pm or k_alpha (with what the incidence is estimated with), in pitch, then
+ * in yaw. Cubics, end values outside. */
+static void look_up(const law_stage *of, law_real at, law_real gains[2 * LAW_GAINS])
+{
+    law_real s;
+    const int32_t low = interval(of->gain_at, of->gain_breaks, at, &s);
+    int32_t column;
     for (column = 0; column < (2 * LAW_GAINS); ++column) {
         const law_real c0 = of->gain[low][0][column];
         const law_real c1 = of->gain[low][1][column];
@@ -101,6 +108,113 @@ static void settled(
     }
 }
 
+#if LAW_MOVING_FILTER == 1
+/* The frequencies (Hz) and damping ratios of a bending filter that changes, linear between the points. */
+static void move_filter(const law_stage *of, law_state *state, law_real at)
+{
+    law_real s;
+    const int32_t low = interval(of->filter_at, of->filter_breaks, at, &s);
+    int32_t k;
+    for (k = 0; k < LAW_FILTER_PARAMETERS; ++k) {
+        state->filter_parameter[k] = of->filter_table[low][0][k] + s * of->filter_table[low][1][k];
+    }
+}
+
+/* State-variable section: zero_hz, zero_zeta, pole_hz, pole_zeta. */
+static law_real quadratic(const law_real *p, law_real g_per_hz, law_real memory[2], law_real value)
+{
+    const law_real g = p[2] * g_per_hz;
+    const law_real r = p[2] / p[0];
+    const law_real damping = REAL(2.0) * p[3];
+    const law_real x1 = (memory[0] + g * (value - memory[1])) / (REAL(1.0) + g * (damping + g));
+    const law_real x2 = memory[1] + g * x1;
+    const law_real e = value - damping * x1 - x2;
+    memory[0] = REAL(2.0) * x1 - memory[0];
+    memory[1] = REAL(2.0) * x2 - memory[1];
+    return r * r * e + REAL(2.0) * p[1] * r * x1 + x2;
+}
+
+/* zero_hz, pole_hz. */
+static law_real first_order(const law_real *p, law_real g_per_hz, law_real memory[2], law_real value)
+{
+    const law_real g = p[1] * g_per_hz;
+    const law_real r = p[1] / p[0];
+    const law_real x = memory[0] + g * (value - memory[0]) / (REAL(1.0) + g);
+    memory[0] = REAL(2.0) * x - memory[0];
+    return x + r * (value - x);
+}
+
+static law_real moved(const law_stage *of, law_state *state, int32_t axis, law_real input)
+{
+    const law_real *p = state->filter_parameter;
+    law_real value = input;
+    int32_t i;
+    for (i = 0; i < of->filter_quadratic; ++i) {
+        value = quadratic(p, of->filter_g_per_hz, state->moving[axis][i], value);
+        p += 4;
+    }
+    for (i = of->filter_quadratic; i < of->filter_quadratic + of->filter_first_order; ++i) {
+        value = first_order(p, of->filter_g_per_hz, state->moving[axis][i], value);
+        p += 2;
+    }
+    return value;
+}
+
+/* The integrators as they are after a long time at one input. */
+static void settle_moved(const law_stage *of, law_state *state, int32_t axis, law_real input)
+{
+    int32_t i;
+    for (i = 0; i < of->filter_quadratic + of->filter_first_order; ++i) {
+        const int32_t is_quadratic = (i < of->filter_quadratic) ? 1 : 0;
+        state->moving[axis][i][0] = (is_quadratic != 0) ? REAL(0.0) : input;
+        state->moving[axis][i][1] = (is_quadratic != 0) ? input : REAL(0.0);
+    }
+}
+#endif
+
+#if (LAW_MOVING_FILTER == 1) && (LAW_LOOP_FILTERS == 1)
+/* The present filter as second-order sections with their memory, which go on with the same output. */
+static void freeze(const law_stage *of, law_state *state, int32_t axis)
+{
+    const law_real *p = state->filter_parameter;
+    int32_t i;
+    for (i = 0; i < of->filter_quadratic + of->filter_first_order; ++i) {
+        law_real *const own = state->moving[axis][i];
+        law_real *const row = state->frozen[axis][i];
+        law_real y0;
+        law_real y1;
+        if (i < of->filter_quadratic) {
+            const law_real g = p[2] * of->filter_g_per_hz;
+            const law_real r = p[2] / p[0];
+            const law_real zero = REAL(2.0) * p[1] * r * g;
+            const law_real pole = REAL(2.0) * p[3] * g;
+            const law_real a0 = REAL(1.0) + pole + g * g;
+            row[0] = (r * r + zero + g * g) / a0;
+            row[1] = REAL(2.0) * (g * g - r * r) / a0;
+            row[2] = (r * r - zero + g * g) / a0;
+            row[3] = REAL(2.0) * (g * g - REAL(1.0)) / a0;
+            row[4] = (REAL(1.0) - pole + g * g) / a0;
+            y0 = quadratic(p, of->filter_g_per_hz, own, REAL(0.0));
+            y1 = quadratic(p, of->filter_g_per_hz, own, REAL(0.0));
+            p += 4;
+        } else {
+            const law_real g = p[1] * of->filter_g_per_hz;
+            const law_real r = p[1] / p[0];
+            row[0] = (g + r) / (REAL(1.0) + g);
+            row[1] = (g - r) / (REAL(1.0) + g);
+            row[2] = REAL(0.0);
+            row[3] = (g - REAL(1.0)) / (REAL(1.0) + g);
+            row[4] = REAL(0.0);
+            y0 = first_order(p, of->filter_g_per_hz, own, REAL(0.0));
+            y1 = first_order(p, of->filter_g_per_hz, own, REAL(0.0));
+            p += 2;
+        }
+        state->old_filter[3][axis][i][0] = y0;
+        state->old_filter[3][axis][i][1] = y1 + row[3] * y0;
+    }
+}
+#endif
+
 #if LAW_LOOP_FILTERS == 1
 /* What filter `bank` (0 to 2: attitude error, rate, acceleration; 3: the bending filter) of the stage before gives for the
  * same input, fading out beside that of the new one. */
@@ -109,9 +223,16 @@ static law_real faded(const law_stage *of, law_state *state, int32_t bank, int32
     const law_stage *const before = &law_stages[state->old_stage];
     law_real mixed = out;
     if (state->fading > 0) {
-        const int32_t sections = (bank == 3) ? before->sections[axis] : before->loop_sections[bank];
-        const law_real (*const old_filter)[5] = (bank == 3) ? before->section[axis] : before->loop_section[bank];
-        const law_real old = filtered(sections, old_filter, state->old_filter[bank][axis], input);
+        int32_t sections = (bank == 3) ? before->sections[axis] : before->loop_sections[bank];
+        const law_real (*old_filter)[5] = (bank == 3) ? before->section[axis] : before->loop_section[bank];
+        law_real old;
+#if LAW_MOVING_FILTER == 1
+        if ((bank == 3) && (before->filter_breaks != 0)) {
+            sections = before->filter_quadratic + before->filter_first_order;
+            old_filter = (const law_real (*)[5])state->frozen[axis];
+        }
+#endif
+        old = filtered(sections, old_filter, state->old_filter[bank][axis], input);
         mixed = out + (law_real)state->fading / ((law_real)of->fade_ticks + REAL(1.0)) * (old - out);
     }
     return mixed;
@@ -142,6 +263,11 @@ static void fade(const law_stage *of, law_state *state, int32_t axis)
             state->old_filter[bank][axis][i][1] = memory[1];
         }
     }
+#if LAW_MOVING_FILTER == 1
+    if (law_stages[state->old_stage].filter_breaks != 0) {
+        freeze(&law_stages[state->old_stage], state, axis);
+    }
+#endif
     for (bank = 0; bank < 3; ++bank) {
         settled(
             of->loop_sections[bank], of->loop_section[bank], state->loop_filter[bank][axis],
@@ -275,6 +401,9 @@ static const law_stage *flying(law_state *state, int32_t stage)
                 fade(of, state, axis);
 #endif
                 settled(of->sections[axis], of->section[axis], state->filter[axis], state->law_rad[axis]);
+#if LAW_MOVING_FILTER == 1
+                settle_moved(of, state, axis, state->law_rad[axis]);
+#endif
             }
             state->roll_thruster = 0;
             state->ticks_on = 0;
@@ -304,6 +433,8 @@ void law_start(law_state *state)
         state->drift_mps[axis] = REAL(0.0);
         state->drift_m[axis] = REAL(0.0);
         for (i = 0; i < LAW_MOST_SECTIONS; ++i) {
+            state->moving[axis][i][0] = REAL(0.0);
+            state->moving[axis][i][1] = REAL(0.0);
             state->filter[axis][i][0] = REAL(0.0);
             state->filter[axis][i][1] = REAL(0.0);
             for (bank = 0; bank < 3; ++bank) {
@@ -314,6 +445,9 @@ void law_start(law_state *state)
         for (bank = 0; bank < 3; ++bank) {
             state->loop_input[bank][axis] = REAL(0.0);
         }
+    }
+    for (i = 0; i < 4 * LAW_MOST_SECTIONS; ++i) {
+        state->filter_parameter[i] = REAL(1.0);
     }
     state->stage = 0;
     state->fading = 0;
@@ -364,6 +498,11 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
     }
 #endif
     look_up(of, scheduled(of, in), gains);
+#if LAW_MOVING_FILTER == 1
+    if (of->filter_breaks != 0) {
+        move_filter(of, state, scheduled(of, in));
+    }
+#endif
     for (axis = 0; axis < 2; ++axis) {
         const law_real k_p = gains[LAW_GAINS * axis];
         const law_real k_d_s = gains[LAW_GAINS * axis + 1];
@@ -417,6 +556,11 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
         state->law_rad[axis] = wanted_rad;
         state->requested_rad[axis] =
             filtered(of->sections[axis], of->section[axis], state->filter[axis], wanted_rad);
+#if LAW_MOVING_FILTER == 1
+        if (of->filter_breaks != 0) {
+            state->requested_rad[axis] = moved(of, state, axis, wanted_rad);
+        }
+#endif
 #if LAW_LOOP_FILTERS == 1
         state->requested_rad[axis] = faded(of, state, 3, axis, wanted_rad, state->requested_rad[axis]);
 #endif

@@ -57,6 +57,9 @@ typedef struct {
     law_real damper_rad2[2];   /* spectral damper */
     law_real high_pass[2][2];
     law_real filter[2][LAW_MOST_SECTIONS][2];
+    law_real filter_parameter[4 * LAW_MOST_SECTIONS]; /* of a bending filter that changes: at the last sample */
+    law_real moving[2][LAW_MOST_SECTIONS][2];         /* its integrators */
+    law_real frozen[2][LAW_MOST_SECTIONS][5];         /* its sections at a separation, where it fades out */
     law_real loop_filter[3][2][LAW_MOST_SECTIONS][2]; /* of attitude error, rate, acceleration */
     law_real loop_input[3][2];                        /* last one of each */
     int32_t fading;            /* samples over which the filters of the stage before still fade out */

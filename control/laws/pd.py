@@ -9,11 +9,18 @@ is design/laws/pd.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from maxq.control.filter_schedule import (
+    MovingFilter,
+    MovingFilterState,
+    moving_sample,
+    settle_moving,
+    start_moving_filter,
+)
 from maxq.control.filters import DiscreteFilter, filter_sample, settle_filter
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array, IntArray
@@ -60,11 +67,13 @@ class PdRecord:
 
     `gains`: table of k_p, k_d in pitch, then in yaw (`gains_table`); none means a law that gives 0.
     `sections` (2, MAX_SECTIONS, 5): b0, b1, b2, a1, a2 of each section of the bending filters; `n_sections` (2,).
+    `moving`: bending filter that changes over the flight, ahead of these sections.
     """
 
     gains: TableRef
     sections: Annotated[Array, (2, MAX_SECTIONS, 5)]
     n_sections: Annotated[IntArray, (2,)]
+    moving: MovingFilter = field(default_factory=MovingFilter)
 
 
 @dataclass
@@ -75,6 +84,7 @@ class PdState:
     - `pd_rad`: delta_pd.
     - `filtered_rad`: delta_pd after the bending filter.
     - `filter_memory`: memory of each section.
+    - `moving`: state of a bending filter that changes.
     """
 
     k_p: Annotated[Array, (2,)]
@@ -82,6 +92,7 @@ class PdState:
     pd_rad: Annotated[Array, (2,)]
     filtered_rad: Annotated[Array, (2,)]
     filter_memory: Annotated[Array, (2, MAX_SECTIONS, 2)]
+    moving: MovingFilterState
 
 
 def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
@@ -103,7 +114,9 @@ def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
     return merge(tables)
 
 
-def make_pd(gains: TableRef, sample_ns: int, *filters: DiscreteFilter | None) -> PdRecord:
+def make_pd(
+    gains: TableRef, sample_ns: int, *filters: DiscreteFilter | None, moving: MovingFilter | None = None
+) -> PdRecord:
     """Return the PD parameters with `filters` in pitch and yaw, where None passes the input unchanged.
 
     Raises ValueError for a filter with another sample period.
@@ -115,7 +128,7 @@ def make_pd(gains: TableRef, sample_ns: int, *filters: DiscreteFilter | None) ->
         if round(discrete.sample_s * 1e9) != sample_ns:
             raise ValueError(f"filter's sample_s = {discrete.sample_s}: allowed is {sample_ns / 1e9}, the computer's")
         sections[gimbal], n_sections[gimbal] = discrete.padded(), discrete.n_sections
-    return PdRecord(gains, sections, n_sections)
+    return PdRecord(gains, sections, n_sections, moving or MovingFilter())
 
 
 @kernel
@@ -127,12 +140,14 @@ def start_pd(law: PdRecord, state: PdState) -> None:
         state.pd_rad[gimbal] = 0.0
         state.filtered_rad[gimbal] = 0.0
         settle_filter(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], 0.0)
+    start_moving_filter(state.moving)
 
 
 @kernel
 def settle_pd(law: PdRecord, state: PdState, gimbal: int) -> None:
     """Settle the filters at the law's last output, so that they cause no transient."""
     settle_filter(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], state.pd_rad[gimbal])
+    settle_moving(law.moving, state.moving, gimbal, state.pd_rad[gimbal])
 
 
 class LawInputs(NamedTuple):
@@ -176,6 +191,8 @@ def proportional_derivative(law: PdRecord, pool: Array, state: PdState, given: L
 def filtered(law: PdRecord, state: PdState, gimbal: int, law_rad: float) -> float:
     """Return the bending filter's output for a law's command, rad."""
     state.pd_rad[gimbal] = law_rad
+    if law.moving.table.n_breaks != 0:
+        law_rad = moving_sample(law.moving, state.moving, gimbal, law_rad)
     filtered_rad = filter_sample(law.sections[gimbal], law.n_sections[gimbal], state.filter_memory[gimbal], law_rad)
     state.filtered_rad[gimbal] = filtered_rad
     return filtered_rad

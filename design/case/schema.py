@@ -123,7 +123,17 @@ class CaseFilter(FilterSections):
     prewarp_hz: Positive | None = optional(
         "frequency at which the discrete filter equals the continuous one, Hz (default: mean frequency of mode 1)"
     )
+    nodes_s: tuple[float, ...] | None = optional(
+        "vehicle times of the points of a filter schedule, s; with gains over time (default: a constant filter)"
+    )
+    nodes: tuple[float, ...] | None = optional("points of a filter schedule over gains.over, in its unit; else")
     bounds: FilterBounds = FilterBounds()
+
+    def _check(self) -> None:
+        super()._check()
+        for key in ("nodes_s", "nodes"):
+            if getattr(self, key) is not None:
+                check_rising(getattr(self, key), key)
 
 
 class CaseLoopFilters(Section):
@@ -258,6 +268,10 @@ class Case(Basis, CaseHead):
         if self.loop_filters.acceleration is not None and self.law not in RELIEF:
             allowed = f"law = {' or '.join(map(repr, RELIEF))}"
             raise refuse(f"the law {self.law} takes no acceleration", allowed, ("loop_filters", "acceleration"))
+        absent = "nodes" if self.gains.over == "time_s" else "nodes_s"
+        if getattr(self.filter, absent) is not None:
+            allowed = "nodes_s" if absent == "nodes" else f"nodes, over {self.gains.over}"
+            raise refuse(f"the gains are over {self.gains.over}", allowed, ("filter", absent))
         if self.law != "pd" and self.gains.schedule == "two-phase":
             raise refuse("finds gains of the law pd only", "linear, free, nodes", ("gains", "schedule"))
         for name in ("integral_hz", "most_integral_hz"):

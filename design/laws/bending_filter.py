@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from maxq.control.filter_schedule import FilterSchedule
 from maxq.control.filters import BendingFilter, DiscreteFilter, FirstOrderSection, QuadraticSection
 from maxq.control.kernel.records import Array
 from maxq.control.laws.load_relief import lag_share
@@ -131,11 +132,12 @@ class FilterVariables:
         return np.array([1.0, -1.0] * (self.quadratic + self.first_order))
 
     def response(self, y: Array, s: ComplexArray) -> ComplexArray:
-        """Return F in the shape of `s`. `y` has the shape (size,)."""
+        """Return F in the shape of `s`. `y` has the shape (size,), or (points, size) for `s` of shape (points,)."""
         first, second, sign = self._coefficients(y)
         above, below = np.ones_like(s), np.ones_like(s)
-        for a, b, side in zip(first, second, sign, strict=True):
-            polynomial = 1.0 + s * (a + s * b) if b != 0.0 else 1.0 + s * a
+        for k, side in enumerate(sign):
+            a, b = first[..., k], second[..., k]
+            polynomial = 1.0 + s * (a + s * b) if k < 2 * self.quadratic else 1.0 + s * a
             if side > 0:
                 above *= polynomial
             else:
@@ -197,6 +199,88 @@ class FilterVariables:
                 raise ValueError(f"first_order[{i}].zero_hz = {f.zero_hz}: allowed is a number above 0")
             parts.append([np.log(f.zero_hz), np.log(f.pole_hz)])
         return np.array([value for part in parts for value in part])
+
+
+@dataclass(frozen=True)
+class FilterNodes:
+    """The variables of a filter at each of `nodes` (m,), node by node in the order of `layout`; one node: constant.
+
+    Frequencies and damping ratios are linear between the nodes. `weights` (plants, m) are those of the interpolation.
+    """
+
+    layout: FilterVariables
+    nodes: Array
+    weights: Array
+    unit: str = " s"
+
+    @property
+    def moves(self) -> bool:
+        return len(self.nodes) > 1
+
+    @property
+    def size(self) -> int:
+        return len(self.nodes) * self.layout.size
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        if not self.moves:
+            return self.layout.names
+        return tuple(f"{name} at {at:g}{self.unit}" for at in self.nodes for name in self.layout.names)
+
+    @cached_property
+    def _logarithmic(self) -> NDArray[np.bool_]:
+        return np.array([name.endswith("_hz") for name in self.layout.names], bool)
+
+    def at_nodes(self, y: Array) -> Array:
+        """Return the variables of the filter at each node, (m, layout.size)."""
+        return y.reshape(len(self.nodes), -1)
+
+    def at_plants(self, y: Array) -> Array:
+        """Return the variables of the filter of each plant, (plants, layout.size)."""
+        if not self.moves:
+            return np.broadcast_to(y, (len(self.weights), len(y)))
+        rows = self.at_nodes(y)
+        value = self.weights @ np.where(self._logarithmic, np.exp(rows), rows)
+        return np.where(self._logarithmic, np.log(np.where(self._logarithmic, value, 1.0)), value)
+
+    def _shares(self, y: Array) -> Array:
+        """Return d (variable of the filter of a plant) / d (that variable at a node), (plants, m, layout.size)."""
+        rows = self.at_nodes(y)
+        part = self.weights[:, :, None] * np.where(self._logarithmic, np.exp(rows), 1.0)
+        return np.where(self._logarithmic, part / part.sum(axis=1, keepdims=True), part)
+
+    def gradients(self, y: Array) -> Array:
+        """Return d (variables of the filter of each plant) / d y, (plants, layout.size, size)."""
+        n, m = self.layout.size, len(self.nodes)
+        out = np.zeros((len(self.weights), n, m, n))
+        every = np.arange(n)
+        out[:, every, :, every] = self._shares(y).transpose(2, 0, 1) if self.moves else 1.0
+        return out.reshape(len(self.weights), n, m * n)
+
+    def curvature(self, y: Array, slopes: Array) -> Array:
+        """Return the sum of the second derivatives, weighted with `slopes` (plants, layout.size): (size, size).
+
+        That of a logarithm of a weighted sum of exponentials is diag(share) - share share'.
+        """
+        n, m = self.layout.size, len(self.nodes)
+        out = np.zeros((m, n, m, n))
+        if self.moves:
+            shares = self._shares(y)
+            for k in np.flatnonzero(self._logarithmic):
+                mine = shares[:, :, k]
+                out[:, k, :, k] = np.diag(slopes[:, k] @ mine) - (mine.T * slopes[:, k]) @ mine
+        return out.reshape(m * n, m * n)
+
+    def schedule(self, y: Array) -> FilterSchedule:
+        """Return the filter over the flight that these variables represent."""
+        return FilterSchedule(tuple(self.nodes.tolist()), tuple(map(self.layout.filter, self.at_nodes(y))))
+
+    def variables_of(self, schedule: FilterSchedule, mode_hz: float) -> Array | None:
+        """Return the variables of a filter with at most the same freedom (`lifted`), or None if it has more."""
+        if schedule.moves and not (self.moves and np.isin(schedule.at, self.nodes).all()):
+            return None
+        each = [lifted(schedule(at), self.layout, mode_hz) for at in self.nodes]
+        return np.concatenate([self.layout.variables(one) for one in each if one is not None]) if all(each) else None
 
 
 def _complex(values: NDArray[Any]) -> ComplexArray:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
+from maxq.control.filter_schedule import FilterSchedule
 from maxq.control.filters import BendingFilter, DiscreteFilter, Discretization
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics
@@ -30,7 +31,7 @@ from maxq.design.model.instruments import ACCELERATION, Plane, further_rate
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.packing.computer import bending_filter, gain_schedules
-from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_design import Design, FilterSection
 
 LoopFilter = tuple[BendingFilter, Discretization, float | None]
 """A loop's own continuous filter, its discretisation, and its prewarping frequency."""
@@ -158,11 +159,14 @@ def _on_axis(filter_: AnyFilter, frequencies_hz: Array) -> ComplexArray:
 
 @dataclass(frozen=True)
 class PdDesign:
-    """The law of a design file (`law.DesignedLaw`): gain schedules in pitch and yaw, and a continuous filter."""
+    """The law of a design file (`law.DesignedLaw`): schedules of the gains in pitch and yaw, and of the filter.
+
+    The filter is continuous, and over the same variable as the gains.
+    """
 
     pitch: GainSchedule
     yaw: GainSchedule
-    filter: BendingFilter
+    filter: FilterSchedule
     discretization: Discretization = "prewarped"
     prewarp_hz: float | None = None
     name: str = "pd"
@@ -192,11 +196,6 @@ class PdDesign:
     def over(self) -> Over:
         return self.pitch.over
 
-    @property
-    def whole(self) -> LoopFilter:
-        """Return the filter and its discretisation method."""
-        return self.filter, self.discretization, self.prewarp_hz
-
     @cached_property
     def _table(self) -> Cubics:
         """Return the gain table as the flight computer interpolates it."""
@@ -204,7 +203,7 @@ class PdDesign:
 
     @staticmethod
     def frozen(design: Design, at: float) -> Design:
-        """Return the design with the gains of one instant at all times and a total gain of 1.
+        """Return the design with the gains and the filter of one instant at all times and a total gain of 1.
 
         `at` is as in `law.DesignedLaw`.
         """
@@ -216,7 +215,9 @@ class PdDesign:
             for x in laws
         )
         gains = design.gains.model_copy(update={"table": pitch, "yaw": None, "yaw_table": yaw})
-        return design.model_copy(update={"gains": gains, "adaptive": None})
+        held = _section((law.filter(at), law.discretization, law.prewarp_hz))
+        filter_ = FilterSection.model_validate(held) if law.filter.moves else design.filter
+        return design.model_copy(update={"gains": gains, "filter": filter_, "adaptive": None})
 
     def at(self, at: float, plane: Plane, sample_s: float | None) -> Pd:
         names = self.pitch.columns
@@ -224,7 +225,8 @@ class PdDesign:
         gains = self._table(at)[first : first + len(names)].tolist()
         lag = None if self.relief_hz is None else Lag(self.relief_hz, sample_s)
         blend = self.blend[0 if plane == "pitch" else 1]
-        filter_, *loops = (own and as_flown(own, sample_s) for own in (self.whole, *self.loops))
+        held = self.filter(at), self.discretization, self.prewarp_hz
+        filter_, *loops = (own and as_flown(own, sample_s) for own in (held, *self.loops))
         return Pd(**dict(zip(names, gains, strict=True)), filter=filter_, blend=blend, lag=lag, loops=tuple(loops))
 
     def tables(self) -> dict[str, Any]:
@@ -240,7 +242,7 @@ class PdDesign:
             more["blend"] = {"pitch": pitch} if yaw == pitch else {"pitch": pitch, "yaw": yaw}
         loops = {name: _section(own) for name, own in zip(BANKS, self.loops, strict=True) if own is not None}
         more |= {"loop_filters": loops} if loops else {}
-        return {"law": self.name, "gains": gains, "filter": _section(self.whole), **more}
+        return {"law": self.name, "gains": gains, "filter": self._filter_section(), **more}
 
     def record(self) -> dict[str, Any]:
         gains = {name: [float(x) for x in column] for name, column in self.pitch.table.items()}
@@ -248,7 +250,22 @@ class PdDesign:
         more |= {"blend": [list(weights) for weights in self.blend]} if len(self.blend[0]) > 1 else {}
         loops = {name: asdict(own[0]) for name, own in zip(BANKS, self.loops, strict=True) if own is not None}
         more |= {"loop_filters": loops} if loops else {}
-        return {"gains": gains, "filter": asdict(self.filter) | {"prewarp_hz": self.prewarp_hz}, **more}
+        points = [asdict(one) for one in self.filter.filters]
+        form = points[0]
+        if self.filter.moves:
+            form = {"schedule": [{self.over: at, **one} for at, one in zip(self.filter.at, points, strict=True)]}
+        return {"gains": gains, "filter": form | {"prewarp_hz": self.prewarp_hz}, **more}
+
+    def _filter_section(self) -> dict[str, Any]:
+        """Return the bending filter as a table of a design file."""
+        each = [_section((one, self.discretization, self.prewarp_hz)) for one in self.filter.filters]
+        if not self.filter.moves:
+            return each[0]
+        points = tuple(
+            {self.over: float(at)} | {key: one[key] for key in ("quadratic", "first_order") if one[key]}
+            for at, one in zip(self.filter.at, each, strict=True)
+        )
+        return {key: x for key, x in each[0].items() if key not in ("quadratic", "first_order")} | {"schedule": points}
 
 
 def as_flown(own: LoopFilter, sample_s: float | None) -> BendingFilter | DiscreteFilter:

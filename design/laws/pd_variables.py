@@ -18,7 +18,7 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.control.laws.pd import GainSchedule
 from maxq.control.structures import Over
 from maxq.design.laws import bending_filter
-from maxq.design.laws.bending_filter import AnyFilter, FilterVariables, Lag, lifted
+from maxq.design.laws.bending_filter import AnyFilter, FilterNodes, FilterVariables, Lag, lifted
 from maxq.design.laws.law import (
     ANGLES,
     DRIFTS,
@@ -63,9 +63,10 @@ class PdVariables:
     """The variables of the law PD (`law.LawVariables`): those of the filter, then ln k_p and ln k_d at the gain nodes.
 
     The filter is in bending_filter.py. If the rate is blended, the weights of the further gyros follow, equal for
-    all plants; the first weight makes the sum 1. The variables of the loops' own filters are last. The parameters
-    of one plant are the filter's variables, ln k_p, ln k_d, the weights and the loops' filters. Load relief by angle of
-    attack adds two parameters that no variable changes: 1 / b and -p / b (control/laws/load_relief.py).
+    all plants; the first weight makes the sum 1. The variables of the loops' own filters are last. A scheduled filter
+    has variables at each of its nodes. The parameters of one plant are the variables of its filter, ln k_p, ln k_d, the
+    weights and the loops' filters. Load relief by angle of attack adds two parameters that no variable changes: 1 / b
+    and -p / b (control/laws/load_relief.py).
     """
 
     inputs: tuple[str, ...] = MEASUREMENTS[:2]
@@ -103,6 +104,9 @@ class PdVariables:
         )
         nodes = _gain_nodes(task, self.schedule)
         weights = interpolation_weights(task.at, nodes)
+        points = case.filter.nodes_s if case.gains.over == "time_s" else case.filter.nodes
+        at = np.array(points or (0.0,), float)
+        self.filter_nodes = FilterNodes(self.filter, at, interpolation_weights(task.at, at), UNIT_OF[case.gains.over])
         self.rigid_hz, self.rigid_zeta = task.limits["rigid_hz"], task.limits["rigid_zeta"]
         fixed: Array | None = None
         if self.schedule == "two-phase":
@@ -146,6 +150,7 @@ class PdVariables:
         gains = [math.log(BOUNDS_OF.get(key, GAIN_BOUNDS)[end]) for key in self.keys]
         per_key = self.gains.size // len(self.keys)  # 0 where the gains are no variables
         filter_ = quadratic * self.filter.quadratic + first_order * self.filter.first_order
+        filter_ *= len(self.filter_nodes.nodes)
         weight = (self.task.case.blend or (0.0, 0.0))[end]
         of_loops = [x for loop in self.loops for x in quadratic * loop.quadratic + first_order * loop.first_order]
         return np.array(filter_ + [gain for gain in gains for _ in range(per_key)] + [weight] * self.further + of_loops)
@@ -154,39 +159,42 @@ class PdVariables:
     def names(self) -> tuple[str, ...]:
         weights = (f"weight of gyro {k + 2}" for k in range(self.further))
         loops = (f"{bank}.{name}" for bank, loop in zip(BANKS, self.loops, strict=True) for name in loop.names)
-        return (*self.filter.names, *self.gains.names, *weights, *loops)
+        return (*self.filter_nodes.names, *self.gains.names, *weights, *loops)
 
     def split(self, variables: Array) -> list[Array]:
         """Return the variables of the filter, of the gains, of the weights of further rate gyros, and of the loops'
         filters.
         """
-        return np.split(variables, np.cumsum([self.filter.size, self.gains.size, self.further]))
+        return np.split(variables, np.cumsum([self.filter_nodes.size, self.gains.size, self.further]))
 
     # --- own parameters
     def own(self, variables: Array) -> Array:
         y, u, *more = self.split(variables)
         gains = np.log(self.gains.at_plants(u)).T
-        first, *last = (np.broadcast_to(part, (len(gains), len(part))) for part in (y, *more))
-        parts = [first, gains, *last]
+        last = [np.broadcast_to(part, (len(gains), len(part))) for part in more]
+        parts = [self.filter_nodes.at_plants(y), gains, *last]
         if self.by_incidence:
             percussion_m, slope = self.air @ self.gains.weights.T
             parts.append(np.column_stack([1.0 / slope, -percussion_m / slope]))
         return np.concatenate(parts, axis=1)
 
     def jacobian(self, variables: Array) -> Array:
-        n, by = self.filter.size, self.gains.log_gradients(self.split(variables)[1])
+        y, u, *_ = self.split(variables)
+        n, m, by = self.filter.size, self.filter_nodes.size, self.gains.log_gradients(u)
         out = np.zeros((by.shape[1], self.own_size, len(variables)))
-        out[:, :n, :n] = np.eye(n)
-        k, g = n + len(self.keys), n + self.gains.size
-        out[:, n:k, n:g] = by.transpose(1, 0, 2)
+        out[:, :n, :m] = self.filter_nodes.gradients(y)
+        k, g = n + len(self.keys), m + self.gains.size
+        out[:, n:k, m:g] = by.transpose(1, 0, 2)
         rest = self.further + self.in_loops
         out[:, k : k + rest, g:] = np.eye(rest)
         return out
 
     def bend(self, variables: Array, slopes: Array) -> Array:
-        n, out = self.filter.size, np.zeros((len(variables), len(variables)))
-        k, g = n + len(self.keys), n + self.gains.size
-        out[n:g, n:g] = self.gains.log_curvature(self.split(variables)[1], slopes[:, n:k].T)
+        n, m, out = self.filter.size, self.filter_nodes.size, np.zeros((len(variables), len(variables)))
+        k, g = n + len(self.keys), m + self.gains.size
+        y, u, *_ = self.split(variables)
+        out[:m, :m] = self.filter_nodes.curvature(y, slopes[:, :n])
+        out[m:g, m:g] = self.gains.log_curvature(u, slopes[:, n:k].T)
         return out
 
     # --- response
@@ -206,9 +214,10 @@ class PdVariables:
 
     def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
         y, u, *_ = self.split(variables)
+        form = self.filter_nodes.at_plants(y)[plant] if self.filter_nodes.moves else y
         if self._plain:
-            return self.filter.response(y, axis[0]), self.gains.at_plants(u).T[plant]
-        return self.filter.response(y, axis[0]), self._on_measurements(self.own(variables)[plant], axis)[0][0]
+            return self.filter.response(form, axis[0]), self.gains.at_plants(u).T[plant]
+        return self.filter.response(form, axis[0]), self._on_measurements(self.own(variables)[plant], axis)[0][0]
 
     def log_response(self, own: Array, axis: Axis) -> LogResponse:
         n = self.filter.size
@@ -327,16 +336,18 @@ class PdVariables:
         limits = self.task.case.limits
         if "filter_gain_at_infinity" not in limits.without and n > 0:
             most, slope = limits.filter_gain_at_infinity, self.filter.log_gain_at_infinity()
-            gain = np.array([math.exp(float(slope @ own[0, :n]))])
-            excess, by = DB * np.log(gain / most), np.concatenate([DB * slope, np.zeros(self.own_size - n)])[None]
-            out.append(LimitValues(AT_INFINITY, np.array([-1]), gain, np.array([most]), excess, by))
+            plants = np.arange(len(own)) if self.filter_nodes.moves else np.array([-1])
+            gain = np.exp(own[plants, :n] @ slope)
+            by = np.tile(np.concatenate([DB * slope, np.zeros(self.own_size - n)]), (len(plants), 1))
+            bound = np.full(len(plants), most)
+            out.append(LimitValues(AT_INFINITY, plants, gain, bound, DB * np.log(gain / most), by))
             at = n + len(self.keys) + self.further
             for number, (_, loop) in enumerate(self._in_use, AT_INFINITY + 1):
                 both, mine = by.copy(), slice(at, at + loop.size)
-                both[0, mine] = DB * loop.log_gain_at_infinity()
-                with_loop = gain * math.exp(float(both[0, mine] @ own[0, mine]) / DB)
+                both[:, mine] = DB * loop.log_gain_at_infinity()
+                with_loop = gain * np.exp(own[plants, mine] @ loop.log_gain_at_infinity())
                 missed = DB * np.log(with_loop / most)
-                out.append(LimitValues(number, np.array([-1]), with_loop, np.array([most]), missed, both))
+                out.append(LimitValues(number, plants, with_loop, bound, missed, both))
                 at += loop.size
         return [*out, *self._in_wind(own)]
 
@@ -359,15 +370,21 @@ class PdVariables:
     # --- laws
     def controllers(self, variables: Array) -> list[Controller]:
         y, u, *_ = self.split(variables)
-        flown: AnyFilter = self.filter.filter(y)
-        if self.task.sample_s is not None:
-            flown = self.filter.filter(y).discretize(self.task.sample_s, "prewarped", self.prewarp_hz)
+        rows = self.filter_nodes.at_plants(y) if self.filter_nodes.moves else y[None]
+        flown: list[AnyFilter] = [
+            as_flown((self.filter.filter(row), "prewarped", self.prewarp_hz), self.task.sample_s) for row in rows
+        ]
         named = [dict(zip(self.keys, gains, strict=True)) for gains in self.gains.at_plants(u).T.tolist()]
         if self.by_incidence:
             for gains, air in zip(named, (self.air @ self.gains.weights.T).T.tolist(), strict=True):
                 gains |= dict(zip(AIR, air, strict=True))
         loops = tuple(own and as_flown(own, self.task.sample_s) for own in self._loop_filters(variables))
-        return [Pd(**gains, filter=flown, blend=self._blend(variables), lag=self.lag, loops=loops) for gains in named]
+        blend = self._blend(variables)
+        each = flown if self.filter_nodes.moves else flown * len(named)
+        return [
+            Pd(**gains, filter=filter_, blend=blend, lag=self.lag, loops=loops)
+            for gains, filter_ in zip(named, each, strict=True)
+        ]
 
     def _loop_filters(self, variables: Array) -> tuple[LoopFilter | None, ...]:
         ends = np.cumsum([loop.size for loop in self.loops])
@@ -384,15 +401,15 @@ class PdVariables:
         of_key |= dict(zip(AIR, self.air.tolist(), strict=True)) if self.by_incidence else {}
         gains = GainSchedule(self.gains.nodes.tolist(), over=self.task.case.gains.over, **of_key)
         blend, relief_hz = self._blend(variables), None if self.lag is None else self.lag.corner_hz
-        form, case = self.filter.filter(y), self.task.case
+        form, case = self.filter_nodes.schedule(y), self.task.case
         loops = self._loop_filters(variables)
         return PdDesign(gains, gains, form, "prewarped", self.prewarp_hz, case.law, (blend, blend), relief_hz, loops)
 
     def variables_of(self, law: DesignedLaw) -> Array | None:
         if not isinstance(law, PdDesign):
             return None
-        filter_ = lifted(law.filter, self.filter, self.task.first_mode_hz)
-        if filter_ is None:
+        form = self.filter_nodes.variables_of(law.filter, self.task.first_mode_hz)
+        if form is None:
             return None
         if law.pitch.columns[: len(self.keys)] != self.keys or law.over != self.task.case.gains.over:
             return None
@@ -405,7 +422,7 @@ class PdVariables:
         loops = self._lifted_loops([own and own[0] for own in law.loops])
         if loops is None:
             return None
-        return self._clipped(np.concatenate([self.filter.variables(filter_), known, weights, loops]))
+        return self._clipped(np.concatenate([form, known, weights, loops]))
 
     def _lifted_loops(self, filters: Sequence[BendingFilter | None]) -> Array | None:
         """Return the variables of the loops' filters from these, where None means a filter of 1.
@@ -442,7 +459,8 @@ class PdVariables:
             filters += list(low + points * (high - low))
         loops = self._lifted_loops([None] * len(self.loops))
         assert loops is not None
-        return [self._clipped(np.concatenate([y, gains, np.zeros(self.further), loops])) for y in filters]
+        count, rest = len(self.filter_nodes.nodes), (gains, np.zeros(self.further), loops)
+        return [self._clipped(np.concatenate([np.tile(y, count), *rest])) for y in filters]
 
     def _start_gains(self) -> Array:
         """Return gain variables slightly above the least that meet the limits (47) and (48) as printed.
@@ -473,18 +491,24 @@ class PdVariables:
 
     def leap_size(self, number: int) -> Array:
         by_filter, by_gains = LEAPS[number % len(LEAPS)]
-        sizes = (self.filter.size, by_filter), (self.gains.size + self.further, by_gains), (self.in_loops, by_filter)
+        rest = (self.gains.size + self.further, by_gains), (self.in_loops, by_filter)
+        sizes = (self.filter_nodes.size, by_filter), *rest
         return np.concatenate([np.full(count, size) for count, size in sizes])
 
     def simpler(self) -> tuple[PdVariables, Callable[[Array], Array]] | None:
-        """Return linear gains that replace many nodes."""
-        if self.schedule not in ("free", "nodes") or len(self.gains.nodes) <= 2:
+        """Return linear gains that replace many nodes, and a constant filter that replaces a schedule."""
+        many = self.schedule in ("free", "nodes") and len(self.gains.nodes) > 2
+        if not many and not self.filter_nodes.moves:
             return None
-        small = type(self)(self.task, schedule="linear")
+        form = self.task.case.filter.model_copy(update={"nodes_s": None, "nodes": None})
+        task = replace(self.task, case=self.task.case.model_copy(update={"filter": form}))
+        small = type(self)(task, self, schedule="linear" if many else self.schedule)
+        points = len(self.filter_nodes.nodes)
 
         def wider(x: Array) -> Array:
             y, u, *more = small.split(x)
-            return np.concatenate([y, self.gains.from_nodes(small.gains.nodes, small.gains.at_nodes(u)), *more])
+            gains = self.gains.from_nodes(small.gains.nodes, small.gains.at_nodes(u))
+            return np.concatenate([np.tile(y, points), gains, *more])
 
         return small, wider
 

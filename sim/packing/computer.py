@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from maxq.control.computer import Computer, build_computer
-from maxq.control.filters import BendingFilter, DiscreteFilter
+from maxq.control.filter_schedule import FilterSchedule, MovingFilter, make_moving_filter
+from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import rate_programme
 from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit
@@ -74,6 +75,7 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
         coarse = scenario.run.accuracy is not None and not scenario.injection
         return build_computer(pool, sample_ns=to_ns(LONGEST_S if coarse else scenario.run.step_s), control_on=False)
     sample_ns, external = to_ns(computer.sample_s), computer.law == "external"
+    flown = design.filter if design and not external else None
     return build_computer(
         pool,
         sample_ns=sample_ns,
@@ -89,7 +91,8 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
         integral_limit_rad=math.radians(design.gains.integral_limit_deg or math.inf) if design else math.inf,
         programme=_programme(scenario.guidance.programme, scenario.guidance.method),
         unrolled=scenario.guidance.axes == "unrolled",
-        pitch_filter=_filter(design.filter, computer.sample_s) if design and not external else None,
+        pitch_filter=_filter(flown, computer.sample_s) if flown and not flown.schedule else None,
+        moving_filter=_moving_filter(flown, computer.sample_s, pool) if flown and flown.schedule else None,
         roll=_roll(design, sample_ns) if design else None,
         control_on=switches.control,
         guidance_on=switches.guidance,
@@ -155,9 +158,13 @@ def _filter(given: FilterSection, sample_s: float) -> DiscreteFilter:
     return given.continuous().discretize(sample_s, given.discretization, given.prewarp_hz)
 
 
-def bending_filter(design: Design) -> BendingFilter:
-    """Return the design's continuous filter."""
-    return design.filter.continuous()
+def _moving_filter(given: FilterSection, sample_s: float, pool: Pool) -> MovingFilter:
+    return make_moving_filter(pool, given.scheduled(), sample_s, given.discretization, given.prewarp_hz)
+
+
+def bending_filter(design: Design) -> FilterSchedule:
+    """Return the design's continuous filter over the flight."""
+    return design.filter.scheduled()
 
 
 def _roll(design: Design, sample_ns: int) -> Roll | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -21,10 +22,11 @@ from maxq.control.structures import (
     Structure,
 )
 from maxq.sim.input.errors import refuse
-from maxq.sim.input.tables_csv import Columns, CsvTable
+from maxq.sim.input.tables_csv import LEAST_STEP, Columns, CsvTable
 from maxq.sim.input.values import NotNegative, Positive, Section, optional
 
 if TYPE_CHECKING:
+    from maxq.control.filter_schedule import FilterSchedule
     from maxq.control.filters import BendingFilter
 
 GAIN_COLUMNS = Columns(
@@ -93,40 +95,123 @@ class FirstOrder(Section):
             raise refuse("the section would divide by zero", "any number but 0", "zero_hz")
 
 
+class FilterPoint(Section):
+    """The sections of a filter at a value of the variable of the gain table."""
+
+    time_s: float | None = optional("vehicle clock, s; one of these four, that of the gain table")
+    speed_mps: float | None = optional("speed relative to the rotating Earth, m/s")
+    mass_kg: float | None = optional("mass, kg")
+    dynamic_pressure_Pa: float | None = optional("dynamic pressure, Pa")
+    quadratic: tuple[Quadratic, ...] = optional("second-order sections, of the structure", ())
+    first_order: tuple[FirstOrder, ...] = optional("first-order sections, of the structure", ())
+
+    def _check(self) -> None:
+        given = [name for name in OVER if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise refuse(f"has {' and '.join(given) or 'no variable'}", f"one of {', '.join(OVER)}", value={})
+
+    @property
+    def over(self) -> Over:
+        return next(name for name in OVER if getattr(self, name) is not None)
+
+    @property
+    def at(self) -> float:
+        """Return the value of the variable."""
+        return float(getattr(self, self.over))
+
+    def continuous(self) -> BendingFilter:
+        """Return the filter at this point."""
+        return _continuous(self.quadratic, self.first_order)
+
+
+def _continuous(quadratic: tuple[Quadratic, ...], first_order: tuple[FirstOrder, ...]) -> BendingFilter:
+    from maxq.control import filters  # noqa: PLC0415  # lazy: imports Numba, which reading a file does not need
+
+    return filters.BendingFilter(
+        tuple(filters.QuadraticSection(q.zero_hz, q.zero_zeta, q.pole_hz, q.pole_zeta) for q in quadratic),
+        tuple(filters.FirstOrderSection(f.zero_hz, f.pole_hz) for f in first_order),
+    )
+
+
 class FilterSection(Section):
-    """The bending filter."""
+    """The bending filter, constant or with a schedule over the flight."""
 
     structure: Structure = optional(f"F2 to F6: of the paper; sections: 1 to {MAX_SECTIONS} of any kind; none", "none")
     quadratic: tuple[Quadratic, ...] = optional("second-order sections: F2, F3: 1; F4, F5, F6: 2", ())
     first_order: tuple[FirstOrder, ...] = optional("first-order sections: F3, F5: 1; F6: 2", ())
+    schedule: tuple[FilterPoint, ...] = optional(
+        "sections over the variable of the gain table, in place of quadratic and first_order: frequencies and damping "
+        "ratios are linear between the points, and hold outside",
+        (),
+    )
     discretization: Literal["prewarped", "bilinear", "matched", "zoh"] = optional(
         "prewarped: bilinear, and exact at prewarp_hz", "prewarped"
     )
     prewarp_hz: Positive | None = optional("frequency at which prewarped is exact, Hz: mode 1")
 
     def _check(self) -> None:
+        if self.schedule:
+            self._check_schedule()
+        quadratic, first_order = self.counts
         if self.structure == "sections":
-            given = len(self.quadratic) + len(self.first_order)
+            given = quadratic + first_order
             if not 1 <= given <= MAX_SECTIONS:
                 problem = f"has {given} sections, quadratic and first_order together"
                 raise refuse(problem, f"1 .. {MAX_SECTIONS} sections", "structure", value="sections")
         else:
-            for key, count in zip(("quadratic", "first_order"), STRUCTURES[self.structure], strict=True):
-                given = len(getattr(self, key))
+            at = ("schedule", 0) if self.schedule else ()
+            for key, given, count in zip(
+                ("quadratic", "first_order"), self.counts, STRUCTURES[self.structure], strict=True
+            ):
                 if given != count:
                     problem = f"{given} sections do not make {self.structure}"
-                    raise refuse(problem, f"{count} sections", key)
+                    raise refuse(problem, f"{count} sections", (*at, key))
         if self.structure != "none" and self.discretization == "prewarped":
             self.needs("prewarp_hz", "discretization is prewarped", "a number > 0, Hz")
 
-    def continuous(self) -> BendingFilter:
-        """Return the filter before discretisation."""
-        from maxq.control import filters  # noqa: PLC0415  # lazy: imports Numba, which reading a file does not need
+    def _check_schedule(self) -> None:
+        for key in ("quadratic", "first_order"):
+            if getattr(self, key):
+                raise refuse("cannot be combined with schedule", "the sections of each point", key)
+        first = self.schedule[0]
+        for n, (before, point) in enumerate(pairwise(self.schedule), 1):
+            at = ("schedule", n)
+            if point.over != first.over:
+                raise refuse(f"the first point is over {first.over}", f"{first.over} at every point", (*at, point.over))
+            if point.at - before.at < LEAST_STEP:
+                allowed = f"rising values, by {LEAST_STEP:g} or more"
+                raise refuse("does not rise", allowed, (*at, point.over), value=point.at)
+            for key in ("quadratic", "first_order"):
+                given, wanted = len(getattr(point, key)), len(getattr(first, key))
+                if given != wanted:
+                    raise refuse(f"has {given} sections, the first point {wanted}", f"{wanted} sections", (*at, key))
+            for i, (a, b) in enumerate(zip(first.first_order, point.first_order, strict=True)):
+                if (a.zero_hz > 0.0) != (b.zero_hz > 0.0):
+                    sign = "above" if a.zero_hz > 0.0 else "below"
+                    where = (*at, "first_order", i, "zero_hz")
+                    raise refuse("changes the half plane of the zero", f"numbers {sign} 0, as at first", where)
+        if self.discretization not in ("prewarped", "bilinear"):
+            raise refuse("is not available for a schedule", "prewarped, bilinear", "discretization")
 
-        return filters.BendingFilter(
-            tuple(filters.QuadraticSection(q.zero_hz, q.zero_zeta, q.pole_hz, q.pole_zeta) for q in self.quadratic),
-            tuple(filters.FirstOrderSection(f.zero_hz, f.pole_hz) for f in self.first_order),
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Return the numbers of quadratic and of first-order sections."""
+        form = self.schedule[0] if self.schedule else self
+        return len(form.quadratic), len(form.first_order)
+
+    def scheduled(self) -> FilterSchedule:
+        """Return the filter over the flight, before discretisation."""
+        from maxq.control.filter_schedule import FilterSchedule  # noqa: PLC0415  # lazy, as in `_continuous`
+
+        if not self.schedule:
+            return FilterSchedule.constant(self.continuous())
+        return FilterSchedule(
+            tuple(point.at for point in self.schedule), tuple(point.continuous() for point in self.schedule)
         )
+
+    def continuous(self) -> BendingFilter:
+        """Return the constant filter before discretisation."""
+        return _continuous(self.quadratic, self.first_order)
 
     @lru_cache(maxsize=64)  # a campaign asks for every flight  # noqa: B019  # frozen, and few at a time
     def unfit(self, sample_s: float) -> str:
@@ -134,7 +219,8 @@ class FilterSection(Section):
         if self.structure == "none":
             return ""
         try:
-            self.continuous().discretize(sample_s, self.discretization, self.prewarp_hz)
+            for filter_ in self.scheduled().filters:
+                filter_.discretize(sample_s, self.discretization, self.prewarp_hz)
         except ValueError as error:
             return str(error)
         return ""
@@ -189,6 +275,13 @@ class LoopFiltersSection(Section):
     acceleration: FilterSection | None = optional(
         "filter of the lateral acceleration, before its lag; with load relief"
     )
+
+    def _check(self) -> None:
+        for name in type(self).model_fields:
+            given = getattr(self, name)
+            if given is not None and given.schedule:
+                problem = "the filter of a loop is constant"
+                raise refuse(problem, "quadratic, first_order; a schedule in [filter] only", (name, "schedule"))
 
     @property
     def each(self) -> tuple[FilterSection | None, ...]:
@@ -303,6 +396,12 @@ class Design(Section):
         if self.law not in RELIEF and any(given.acceleration is not None for given in loops):
             allowed = f"law = {' or '.join(map(repr, RELIEF))}"
             raise refuse(f"the law {self.law} takes no acceleration", allowed, ("loop_filters", "acceleration"))
+        for n in range(len(self.stage) + 1):  # the last one: of a stage without keys
+            own = self.of_stage(n)
+            if own.filter.schedule and own.filter.schedule[0].over != own.gains.over:
+                mine = n < len(self.stage) and self.stage[n].filter is not None
+                at = (*(("stage", n) if mine else ()), "filter", "schedule", 0, own.filter.schedule[0].over)
+                raise refuse(f"the gains are over {own.gains.over}", f"{own.gains.over}, as the gain table", at)
 
     @property
     def gain_names(self) -> tuple[str, ...]:

@@ -127,6 +127,7 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
     law = LAWS[int(each[0].flown_law)]
     relief = RELIEF.index(law) + 1 if law in RELIEF else 0
     first, filters = each[0], int(any(int(one.loops.on) or int(one.loops.fade_ticks) for one in each))
+    moving = max(int(one.law.moving.table.n_columns) for one in each)
     numbers = (
         ("STAGES", len(packed.parameters), ""),
         ("COUNT_RAD", float(first.converter.count_rad), "angle per gyro pulse; 0: angles are given"),
@@ -136,6 +137,8 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
         ("INTEGRAL", int(law in INTEGRAL), "1: the third gain is of the integral"),
         ("DRIFT", int(law in DRIFT), "1: the last two gains are of drift velocity and displacement"),
         ("LOOP_FILTERS", filters, "1: loops have filters of their own, or filters fade out behind a separation"),
+        ("MOVING_FILTER", int(moving > 0), "1: a bending filter changes over the flight"),
+        ("FILTER_PARAMETERS", max(moving, 1), "of such a filter: frequencies, Hz, and damping ratios"),
         ("ADAPTIVE", int(any(int(one.adaptive.on) for one in each)), "1: a total gain adapts"),
         ("FURTHER_GYROS", max(map(further_gyros, each)), "rate gyros beyond the first in the rate"),
     )
@@ -180,6 +183,12 @@ _STAGE_FIELDS = (
     "law_real adaptive_high_pass[5];    /* as a section of the bending filter */",
     "int32_t sections[2];          /* of the bending filter, in pitch and yaw */",
     "law_real section[2][LAW_MOST_SECTIONS][5]; /* b0, b1, b2, a1, a2 with a0 = 1 */",
+    "int32_t filter_breaks;        /* points of a bending filter that changes, over what the gains are; 0: none */",
+    "int32_t filter_quadratic;     /* its sections */",
+    "int32_t filter_first_order;",
+    "law_real filter_g_per_hz;     /* 2 pi / c of s = c (z - 1)/(z + 1) */",
+    "const law_real *filter_at;    /* [filter_breaks] */",
+    "const law_real (*filter_table)[2][LAW_FILTER_PARAMETERS]; /* per interval: values and slopes */",
     "int32_t loop_filters;         /* 1: filters of attitude error, rate or acceleration */",
     "int32_t fade_ticks;           /* samples over which the filters of the stage before fade out */",
     "int32_t loop_sections[3];",
@@ -192,6 +201,7 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
     """Return flight_law_tables.c."""
     yield from (f"/* {said} */", '#include "flight_law_tables.h"', "")
     gyros = max(further_gyros(row.computer) for row in packed.parameters)
+    parameters = max(1, *(int(row.computer.law.moving.table.n_columns) for row in packed.parameters))
     stages = []
     for n, row in enumerate(packed.parameters):
         computer, roll, allocation = row.computer, row.computer.roll, row.computer.allocation
@@ -201,6 +211,14 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
         yield from _array(
             f"static const law_real gain_{n}[{breaks - 1}][4][2 * LAW_GAINS]", np.asarray(gains.coefficients)
         )
+        moving = computer.law.moving
+        points, names = int(moving.table.n_breaks), ("0", "0")
+        if points > 0:
+            schedule, names = table_in(packed.pool, moving.table), (f"filter_at_{n}", f"filter_{n}")
+            lines = np.zeros((points - 1, 2, parameters))
+            lines[:, :, : schedule.n_columns] = schedule.coefficients[:, :2]
+            yield from _array(f"static const law_real {names[0]}[{points}]", np.asarray(schedule.breaks))
+            yield from _array(f"static const law_real {names[1]}[{points - 1}][2][LAW_FILTER_PARAMETERS]", lines)
         by_gimbals, adaptive = int(allocation.groups) > 1, computer.adaptive
         adapts = ("least", "span", "error_gain", "damper_gain", "leakage_ps", "low_pass_share")
         assert computer.law.sections.shape == (2, MAX_SECTIONS, 5)
@@ -229,6 +247,11 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
             adaptive.high_pass[0].tolist(),
             computer.law.n_sections.tolist(),
             computer.law.sections.tolist(),
+            points,
+            int(moving.n_quadratic),
+            int(moving.n_first_order),
+            float(moving.g_per_hz),
+            *names,
             int(computer.loops.on),
             int(computer.loops.fade_ticks),
             computer.loops.n_sections.tolist(),

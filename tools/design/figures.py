@@ -308,12 +308,16 @@ def filter_plot(vehicle: Vehicle, design: Design, nodes: Sequence[Node] = ()) ->
     for number in range(len(design.stage) or 1):
         own, computer = design.of_stage(number), vehicle.computer_of(number) or vehicle.computer
         assert computer is not None
-        flt = bending_filter(own).discretize(computer.sample_s, own.filter.discretization, own.filter.prewarp_hz)
         hz = np.geomspace(0.1, 0.5 / computer.sample_s * (1.0 - 1e-6), 500)
-        response = flt.frequency_response(2.0 * np.pi * hz)
-        name = f"stage {number + 1}" if design.stage else "filter"
-        gain.append(line(*thinned(hz, 20.0 * np.log10(np.maximum(np.abs(response), 1e-3))), name, **look(number)))
-        phase.append(line(*thinned(hz, np.degrees(np.unwrap(np.angle(response)))), name, **look(number)))
+        flown = bending_filter(own)
+        for n in range(0, len(flown.filters), max(1, len(flown.filters) - 1)):  # of a schedule, both ends
+            flt = flown.filters[n].discretize(computer.sample_s, own.filter.discretization, own.filter.prewarp_hz)
+            response = flt.frequency_response(2.0 * np.pi * hz)
+            name = f"stage {number + 1}" if design.stage else "filter"
+            name += f", {own.gains.over} {flown.at[n]:g}" if flown.moves else ""
+            style = look(len(gain))
+            gain.append(line(*thinned(hz, 20.0 * np.log10(np.maximum(np.abs(response), 1e-3))), name, **style))
+            phase.append(line(*thinned(hz, np.degrees(np.unwrap(np.angle(response)))), name, **style))
     panels = []
     for title, series, unit in (("gain", gain, "dB"), ("phase", phase, "deg")):
         every = np.concatenate([np.asarray(s["y"], float) for s in series])

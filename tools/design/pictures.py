@@ -132,7 +132,7 @@ def gains(designs: Mapping[str, Design], title: str = "") -> Figure:
 
 def filters(designs: Mapping[str, Design], nodes: Sequence[Node], title: str = "") -> Figure:
     """Draw Figs 8, 12, 14: Bode plot of the bending filters, thick for the discrete filter that flies, thin for the
-    continuous one.
+    continuous one. Of a schedule, the last filter is paler than the first.
 
     Shaded areas are bands of the bending frequencies over the operating points.
     """
@@ -143,10 +143,11 @@ def filters(designs: Mapping[str, Design], nodes: Sequence[Node], title: str = "
         for place in places:
             place.axvspan(low_hz, high_hz, color=GREY, alpha=0.18, linewidth=0)
     for k, (name, design) in enumerate(designs.items()):
-        continuous = bending_filter(design)
-        discrete = continuous.discretize(sample_s, design.filter.discretization, design.filter.prewarp_hz)
-        _bode(places, continuous, HIGHEST_HZ, curve(k) | {"linewidth": 0.6, "alpha": 0.8})
-        _bode(places, discrete, nyquist_hz, curve(k) | {"label": name})
+        flown = bending_filter(design)
+        for n, continuous in enumerate(flown.filters if not flown.moves else (flown.filters[0], flown.filters[-1])):
+            discrete = continuous.discretize(sample_s, design.filter.discretization, design.filter.prewarp_hz)
+            _bode(places, continuous, HIGHEST_HZ, curve(k) | {"linewidth": 0.6, "alpha": 0.8})
+            _bode(places, discrete, nyquist_hz, curve(k) | ({"label": name} if n == 0 else {"alpha": 0.5}))
     for n, (low_hz, high_hz) in enumerate(bands_hz, 1):
         middle_hz = np.sqrt(low_hz * high_hz)
         places[0].annotate(

@@ -28,6 +28,7 @@ from maxq.design.verify.names import stage_name
 from maxq.design.verify.own_flight import CaseDesign
 from maxq.design.verify.uncovered import Uncovered
 from maxq.sim.files import write_whole
+from maxq.sim.packing.computer import bending_filter
 from maxq.sim.run.flight import Event
 from maxq.sim.run.quantities import number_text
 from maxq.sim.scenario.schema_design import Design
@@ -381,14 +382,20 @@ def design_table(design: Design) -> list[str]:
     for at, *gains in zip(*(design.gains.table[name] for name in names), strict=True):
         named = zip(names[1:], gains, strict=True)
         rows.append((f"{at:g}", *(f"{g:.3g}" if name in DRIFT_GAINS else f"{g:.4f}" for name, g in named)))
-    sections = [("section", "zero Hz", "zeta", "pole Hz", "zeta")]
-    for q in design.filter.quadratic:
-        cells = (f"{q.zero_hz:.3f}", f"{q.zero_zeta:.4f}", f"{q.pole_hz:.3f}", f"{q.pole_zeta:.4f}")
-        sections.append(("quadratic", *cells))
-    for f in design.filter.first_order:
-        sections.append(("first order", f"{f.zero_hz:.3f}", "", f"{f.pole_hz:.3f}", ""))
+    flown = bending_filter(design)
+    sections = [
+        (*([GAIN_HEADS[design.gains.over]] if flown.moves else []), "section", "zero Hz", "zeta", "pole Hz", "zeta")
+    ]
+    for at, form in zip(flown.at, flown.filters, strict=True):
+        first = [f"{at:g}"] if flown.moves else []
+        for q in form.quadratic:
+            cells = (f"{q.zero_hz:.3f}", f"{q.zero_zeta:.4f}", f"{q.pole_hz:.3f}", f"{q.pole_zeta:.4f}")
+            sections.append((*first, "quadratic", *cells))
+        for f in form.first_order:
+            sections.append((*first, "first order", f"{f.zero_hz:.3f}", "", f"{f.pole_hz:.3f}", ""))
     head = ["gains", *aligned(rows, "  ", right=tuple(range(len(names)))), f"filter {design.filter.structure}"]
-    return [*head, *aligned(sections, "  ", right=(1, 2, 3, 4))]
+    numbers = (0, 2, 3, 4, 5) if flown.moves else (1, 2, 3, 4)
+    return [*head, *aligned(sections, "  ", right=numbers)]
 
 
 def search_table(solution: Solution) -> list[str]:

@@ -197,7 +197,8 @@ def _loop(found: Verification) -> dict[str, Any]:
     if computer is None:
         return {}
     own = design.of_stage(0) if design is not None else None
-    sections = len(own.filter.quadratic) * 2 + len(own.filter.first_order) if own is not None else 0
+    quadratic, first_order = own.filter.counts if own is not None else (0, 0)
+    sections = 2 * quadratic + first_order
     actuators = stage.actuators
     first = actuators[0] if actuators else None
     modes = len(stage.bending.damping_ratio) if stage.bending is not None else 0
