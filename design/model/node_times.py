@@ -1,9 +1,11 @@
 """Times of operating points that suit a flight: under full thrust, and in a long tail-off while the gimbals have
 authority.
 
-At an instant of a tail-off, the gimbals have authority under three conditions: the thrust of the gimballed engines is at
-least `LEAST_SHARE` of its largest value, the axial load is positive, and the gimbals trim `TRIMMED_DEG` of angle of
-attack (`trims`).
+At an instant of a tail-off, the gimbals have authority under three conditions:
+
+- the thrust of the gimballed engines is at least `LEAST_SHARE` of its largest value;
+- the axial load is positive;
+- the gimbals trim `TRIMMED_DEG` of angle of attack (`trims`).
 """
 
 from __future__ import annotations
@@ -38,8 +40,8 @@ def node_times(
     """Return times of operating points that suit a flight: `count` in each stage (or one of them), evenly spaced under
     full thrust, and those of `tail_off_times`.
 
-    A single point is in the middle. The first and the last one are at the distance `edges` from the ends of full thrust,
-    as shares of its duration. They are closer, `JOINT`, to a separation through which the stage burns on.
+    A single point is in the middle. The first and the last one are at the distance `edges` from the ends of full
+    thrust, as shares of its duration. They are closer, `JOINT`, to a separation through which the stage burns on.
 
     Stages with fixed engines have none. Raises ValueError if no stage remains.
     """
