@@ -8,7 +8,7 @@ from typing import Literal
 
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, nodes_along
-from maxq.design.model.powered import node_times
+from maxq.design.model.node_times import node_times
 from maxq.design.paper.errata import CORRECTED, PRESETS, Errata
 from maxq.design.paper.nodes import PaperNode, paper_nodes
 from maxq.design.paper.table2 import imposed, read_derivatives

@@ -39,6 +39,7 @@ from test_oracle_dynamics import random_parts, random_state, worst
 from maxq import ScenarioError
 from maxq.control.kernel.records import Array
 from maxq.design import operating_points
+from maxq.design.model.node_times import node_times
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario_text
 from maxq.sim.vehicle import state as layout
@@ -131,6 +132,22 @@ def test_bodies_with_their_own_propellant_obey_the_rocket_equation() -> None:
         kg = 4000.0 - 40.0 * 16.5 if at == 16.5 else kilograms[at]  # the row of that instant is behind the separation
         assert mass[k] == pytest.approx(kg, rel=1e-12)
         assert speed[k] == pytest.approx(speeds[at], rel=1e-9)
+
+
+def test_operating_points_are_on_both_sides_of_the_separation() -> None:
+    """Boosters leave at 12.5 s, the core burns to 60 s.
+
+    The points are 0.2 % of a stage from the separation, and 5 and 2 % from the other ends.
+    """
+    stages = core({"separation_after_burnout_s": 0.5}, PAIR), core(AFTER, [])
+    for each in stages:
+        each["engine"] = engine(110e3, 60.0, 11.0, gimbal="both")
+    times_s = node_times(load(launcher(*stages, run={"duration_s": 70.0})))
+    assert len(times_s) == 22
+    assert (times_s[0], times_s[10], times_s[11], times_s[21]) == pytest.approx(
+        (0.625, 12.475, 12.595, 59.05), abs=2e-3
+    )
+    assert np.diff(times_s[:11]) == pytest.approx(1.185, abs=2e-3)
 
 
 def test_core_that_ignites_in_flight() -> None:

@@ -111,3 +111,18 @@ def test_no_crossing_is_missed_or_invented_and_both_counts_of_poles_agree(seeds:
             stable += 1
             assert m.modulus <= np.abs(1.0 + values).min() + 1e-9, seed
     assert stable > len(seeds) // 40
+
+
+@pytest.mark.parametrize("slow", np.linspace(6.9e-5, 9.6e-5, 7))
+def test_a_chain_of_slow_roots_does_not_make_a_loop_unstable(slow: float) -> None:
+    """Attitude control in thin air: roots of the path between 1e-5 and 1e-3 Hz, with gaps below the factor 16.
+
+    The other roots of the closed loop are those of the polynomial.
+    """
+    poles, zeros, gain = np.array([0.0, slow, 1.12e-3, -3.84e-3]), np.array([0.0, 0.0, -1.0]), 4.0
+    found = margins(ZpkLoop(zeros.astype(complex), poles.astype(complex), gain, None))
+    closed = np.roots(np.polyadd(np.poly(poles), gain * np.poly(zeros)))
+    fast = closed[np.abs(closed) > 2.0 * np.pi * 1e-3]
+    assert len(fast) == 2
+    assert (fast.real < 0.0).all()
+    assert (found.stable, found.unstable_poles, found.encircled_poles) == (True, 0, 0)

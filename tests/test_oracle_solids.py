@@ -29,7 +29,7 @@ from test_oracle_spatial_modes import spatial_section
 import maxq
 from maxq import ScenarioError
 from maxq.design.model.deviations import deviations_of
-from maxq.design.model.powered import node_times
+from maxq.design.model.node_times import node_times
 from maxq.design.verify.uncovered import uncovered
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
@@ -278,7 +278,8 @@ def test_a_long_tail_off_names_the_end_of_the_authority() -> None:
     table = "{time_s=[0.0,0.5,50.0,54.0,58.0],thrust_vacuum_N=[0.0,1.4e5,1.4e5,7e4,0.0]}"
     changes = [f"vehicle.stage.0.engine.table={table}", "vehicle.stage.0.aero.centre_shift_m=-2.75"]
     scenario = load_scenario("nominal", changes)
-    tail = uncovered(scenario, {0: list(node_times(scenario))})[-1]
+    times_s = node_times(scenario)
+    tail = uncovered(scenario, {0: [t for t in times_s if t < 54.0]})[-1]
     assert (tail.begin_s, tail.end_s) == pytest.approx((54.0, 58.0), abs=0.01)
     said = re.fullmatch(
         r"tail-off, with less than half of the largest thrust; the gimbals trim 5 deg of angle of attack "
@@ -295,6 +296,31 @@ def test_a_long_tail_off_names_the_end_of_the_authority() -> None:
     assert needed[0] <= limit < needed[1]
     assert abs(first.derivatives.m_delta_1ps2) == pytest.approx(most, rel=5e-3)
     assert least < abs(held.derivatives.m_delta_1ps2) < most
+
+
+@pytest.mark.parametrize(("limit_deg", "lost_by"), [(4.0, "drag"), (3.0, "trim")])
+def test_operating_points_in_a_tail_off_end_with_the_authority(limit_deg: float, lost_by: str) -> None:
+    """The same tail-off: the thrust falls by equal factors from half of the largest to a tenth, linearly in time.
+
+    The operating points end where drag exceeds the thrust, or where 5 deg of angle of attack take more than the limit.
+    """
+    table = "{time_s=[0.0,0.5,50.0,54.0,58.0],thrust_vacuum_N=[0.0,1.4e5,1.4e5,7e4,0.0]}"
+    changes = [f"vehicle.stage.0.engine.table={table}", "vehicle.stage.0.aero.centre_shift_m=-2.75"]
+    scenario = load_scenario("nominal", [*changes, f"vehicle.stage.0.actuator.angle_limit_deg={limit_deg}"])
+    times_s = node_times(scenario)
+    shares = 0.5 * 0.2 ** (np.arange(1, 5) / 4.0)
+    wanted = np.round(58.0 - 8.0 * shares, 3)
+    points = maxq.nodes(scenario, wanted)
+    derivatives = [point.derivatives for point in points]
+    trims = [abs(d.m_delta_1ps2) * limit_deg >= d.m_alpha_1ps2 * 5.0 for d in derivatives]
+    pushed = [point.axial_load_mps2 > 0.0 for point in points]
+    count = {"drag": 3, "trim": 2}[lost_by]
+    assert (trims, pushed)[lost_by == "drag"][: count + 1] == [True] * count + [False]
+    assert list(times_s[11:]) == wanted[:count].tolist()
+    assert node_times(scenario, 2)[2:] == ()  # its only point would be at a tenth
+    rest = uncovered(scenario, {0: list(times_s)})[-1]
+    assert (rest.begin_s, rest.end_s) == pytest.approx((wanted[count - 1], 58.0), abs=0.01)
+    assert rest.why.startswith(f"tail-off, with less than {100.0 * shares[count - 1]:.0f} % of the largest thrust")
 
 
 # --- deviations

@@ -21,7 +21,8 @@ from maxq.design.certificate.measured_margins import alter, altered, build_up_ra
 from maxq.design.certificate.response import BANDS
 from maxq.design.laws.design_file import design_text
 from maxq.design.model.node import at_same_propellant_s, node_of, nodes_along
-from maxq.design.model.powered import Span, flown_run, flown_to, node_times, powered_spans, spans_of
+from maxq.design.model.node_times import node_times
+from maxq.design.model.powered import Span, flown_run, flown_to, powered_spans, spans_of
 from maxq.design.optimise.solve import each_stage, solve
 from maxq.design.verify.judging import judge_solution, make_design
 from maxq.design.verify.suite import read_suite

@@ -12,7 +12,8 @@ import pytest
 
 from maxq import LoadedScenario
 from maxq.design.model.node import node_of
-from maxq.design.model.powered import flown_run, node_times, powered_flight
+from maxq.design.model.node_times import node_times
+from maxq.design.model.powered import flown_run, powered_flight
 from maxq.design.verify.uncovered import uncovered
 from maxq.sim.scenario.loader import load_scenario
 

@@ -4,6 +4,7 @@
 |---|---|
 | margins of a design of `simdesign` at every operating point | d'Alembert's equations, sampled by matrix exponentials |
 | a stage after a coast of an unstable airframe | its response is measured in flight |
+| shipped launchers with boosters and with solid stages | their limits hold over each burn, tail-off included |
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from maxq import margins
 from maxq.design.certificate.in_flight import in_flight_response
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import close_loop
+from maxq.design.model.powered import powered_flight
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign, simvehicle, simverify
 
@@ -82,3 +84,22 @@ def test_from_layout_to_verdict(name: str, tmp_path: Path, monkeypatch: pytest.M
     assert verdict["verdict"] == {0: "passed screening", 1: "rejected"}[code]
     parts = {requirement["part"] for requirement in verdict["requirements"]}
     assert {"margins", "certificate", "campaign"} <= parts
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "stages"), [("heron", 4), ("gannet", 5)])
+def test_shipped_launchers_are_designed_through_separations_and_tail_offs(
+    name: str, stages: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The parts of a burn without operating points are short, 8 % at most of a stage's thrust."""
+    monkeypatch.chdir(tmp_path)
+    assert simvehicle.main([name, "--out", name]) == 0
+    assert simdesign.main([f"{name}/case.toml", "--out", "made", "--no-pictures"]) == 0
+    found = json.loads(Path("made/design.json").read_text(encoding="utf-8"))
+    assert found["feasible"]
+    spans, loss = powered_flight(load_scenario(f"{name}/scenario.toml", ['design="made/design.toml"']))
+    assert loss is None
+    burns_s = {span.stage + 1: span.end_s - span.begin_s for span in spans}
+    assert len(burns_s) == stages
+    for part in found["not_covered"]:
+        assert part["end_s"] - part["begin_s"] < 0.08 * burns_s[part["stage"]], part

@@ -12,7 +12,8 @@ import pytest
 
 import maxq
 from maxq.design.model.node import nodes_along
-from maxq.design.model.powered import loss_of, loss_text, node_times, powered_flight, spans_of
+from maxq.design.model.node_times import node_times
+from maxq.design.model.powered import loss_of, loss_text, powered_flight, spans_of
 from maxq.design.verify.judging import judge
 from maxq.design.verify.suite import read_suite
 from maxq.design.verify.verify import flight_of, flight_requirement

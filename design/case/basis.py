@@ -181,7 +181,7 @@ class Basis(Section):
     )
     plane: Literal["pitch", "yaw"] = optional("plane of the model", "pitch")
     nodes_s: tuple[float, ...] | None = optional(
-        "vehicle times of the operating points, s (default: chosen from the flight, in every stage under full thrust)"
+        "vehicle times of the operating points, s (default: chosen from the flight, in every stage)"
     )
     between_nodes: BetweenNodes = optional(BETWEEN, "ignore")
     wind: CaseWind | None = optional("absent: no limits of load and drift")

@@ -22,7 +22,7 @@ from maxq.design.loop.loop import loops
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
-from maxq.design.model.powered import node_times
+from maxq.design.model.node_times import node_times
 from maxq.sim.scenario.loader import LoadedScenario
 
 PLANES: tuple[Plane, ...] = ("pitch", "yaw")

@@ -11,6 +11,7 @@ distances, and near misses between two points of the grid.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -107,13 +108,22 @@ def lowest_hz_of(open_poles: ComplexArray) -> float:
     drift.
 
     In thin air, path and attitude have slow roots of a few hours. Near these roots, L has no asymptote from which the
-    curve could begin.
+    curve could begin. If they follow each other up to DRIFT_UP_TO_HZ without a gap of twice the factor ASYMPTOTIC, the
+    curve begins in the middle of their widest gap.
     """
-    low = LOWEST_HZ
-    for hz in np.sort(np.abs(open_poles)) / TWO_PI:
+    low, every = LOWEST_HZ, np.sort(np.abs(open_poles)) / TWO_PI
+    for hz in every:
         if low / ASYMPTOTIC < hz < ASYMPTOTIC * low:
             low = ASYMPTOTIC * hz
-    return low if low <= DRIFT_UP_TO_HZ else LOWEST_HZ
+    if low <= DRIFT_UP_TO_HZ:
+        return low
+    low, widest = LOWEST_HZ, 1.0
+    for k in range(len(every) - 1):
+        a, b = max(every[k], LOWEST_HZ / ASYMPTOTIC), every[k + 1]
+        middle = math.sqrt(a * b)
+        if LOWEST_HZ <= middle <= DRIFT_UP_TO_HZ and b > widest * a:
+            low, widest = middle, b / a
+    return low
 
 
 def finite(poles: ComplexArray, kind: str) -> ComplexArray:

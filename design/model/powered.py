@@ -1,6 +1,4 @@
-"""Flights that give operating points: their powered spans, their loss, the times of the points, and the flight up to
-them.
-"""
+"""Flights that give operating points: their powered spans, their loss, and the flight up to the points."""
 
 from __future__ import annotations
 
@@ -10,15 +8,11 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
-
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, TUMBLE
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.flight import Event
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, IGNITION_NAME, FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.vehicle.engine.burn import Burn, stage_burns, when_spent_s
 
 
 @dataclass(frozen=True)
@@ -102,52 +96,6 @@ def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, 
         if max(begin_s, lift_off_s) < end_s:
             out.append(Span(n, max(begin_s, lift_off_s), end_s))
     return tuple(out)
-
-
-NODES_PER_STAGE = 11
-_FULL = 0.5  # share of a stage's largest thrust that operating points need
-EDGES = 0.05, 0.02  # shares of a span at its ends without operating points
-
-
-def node_times(
-    scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None, edges: tuple[float, float] = EDGES
-) -> tuple[float, ...]:
-    """Return times of operating points that suit a flight: `count` in each stage (or one of them), evenly spaced under
-    full thrust.
-
-    A single point is in the middle.
-
-    Stages with fixed engines have none. Raises ValueError if no stage remains.
-    """
-    times: list[float] = []
-    stages = scenario.vehicle.stage
-    burns = stage_burns(stages, scenario.scenario.fault)
-    for span in powered_spans(scenario):
-        mine = stages[span.stage]
-        if stage in (None, span.stage) and any(engine.gimbal != "fixed" for engine in mine.engines):
-            full = full_thrust(mine, burns[span.stage])
-            begin, end = max(span.begin_s, full[0]), min(span.end_s, full[1])
-            first, last = begin + edges[0] * (end - begin), end - edges[1] * (end - begin)
-            chosen = np.linspace(first, last, count) if count > 1 else [0.5 * (first + last)]
-            times += [round(float(t), 3) for t in chosen]
-    if not times:
-        which = "no stage" if stage is None else f"stage {stage + 1} not"
-        raise ValueError(f"{scenario.label}: {which} under thrust by movable engines; there is no operating point")
-    return tuple(times)
-
-
-def full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
-    """Return the first and last instant on the vehicle clock at which the thrust by the tables is half the largest.
-
-    Boosters do not count, because they have burned out before they leave.
-    """
-    tables = [engine.table for engine in stage.own_engines or stage.engines]
-    if any(len(table) == 1 for table in tables):
-        return -math.inf, math.inf
-    times = np.unique(np.concatenate([table["time_s"] for table in tables]))
-    thrust = sum(np.interp(times, table["time_s"], table["thrust_vacuum_N"], right=0.0) for table in tables)
-    begin, end = times[thrust >= _FULL * np.max(thrust)][[0, -1]].tolist()
-    return burn.start_s + when_spent_s(stage, burn, begin), burn.start_s + when_spent_s(stage, burn, end)
 
 
 def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> FlightRun:

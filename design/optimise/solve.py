@@ -11,7 +11,8 @@ from threadpoolctl import threadpool_limits
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.law import DesignedLaw
 from maxq.design.laws.registry import designed_law
-from maxq.design.model.powered import node_times, powered_spans
+from maxq.design.model.node_times import node_times
+from maxq.design.model.powered import powered_spans
 from maxq.design.optimise.at_nodes import make_problem, solve_at_nodes
 from maxq.design.optimise.over_time import solve_over_time
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of

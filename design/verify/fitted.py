@@ -36,7 +36,7 @@ NAMES = (
     *(f"{at}_{what}" for at in _PLACES for what in ("s", "altitude_m", *(f"{x}_gust_m" for x in _TUNED))),
     "limit_wind",  # the suite's key: a wind profile
     "stage",  # its number, from 0; only with each_stage, as ignition and the marks after it
-    "outer_engine",  # number of the engine farthest from the axis, of several; only with each_stage
+    "outer_engine",  # number of the engine of the core farthest from the axis, of several; only with each_stage
     "burnout_s",  # of the last stage
     "sample_s",  # of the first stage's computer
     "longer_s",  # half of that, or the remainder that the computer's delay permits
@@ -231,7 +231,7 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
         }
         moment = abs(node.derivatives.m_delta_1ps2) * node.vehicle.total_inertia_kgm2
         mine["gimbal_moment_Nm"] = float(f"{math.radians(1.0) * moment:.3g}")
-        engines = base.vehicle.stage[span.stage].engines
+        engines = base.vehicle.stage[span.stage].own_engines  # a lost booster is no engine-out of the core
         if len(engines) > 1:
             off = [math.hypot(*engine.offset_m) for engine in engines]
             mine["outer_engine"] = int(np.argmax(off))

@@ -21,7 +21,8 @@ from maxq.design.certificate.measured_only import MeasuredNode, measure_node
 from maxq.design.loop.loop import law_at
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
-from maxq.design.model.powered import EDGES, node_times, powered_spans
+from maxq.design.model.node_times import EDGES, node_times
+from maxq.design.model.powered import powered_spans
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify import linear
 from maxq.design.verify.described import DescribedVehicles

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from maxq.design.model.powered import EDGES, NODES_PER_STAGE
+from maxq.design.model.node_times import EDGES, NODES_PER_STAGE
 from maxq.design.model.spread import RelativeDeviation, Spread
 from maxq.design.quantities import MEASURED, SWEPT, LoopLimits, violation
 from maxq.design.verify.board import BoardSection
@@ -171,7 +171,7 @@ class SuiteFlight(Section):
         return out
 
 
-TIMES = "vehicle times, s (default: chosen from the flight, in every stage under full thrust)"
+TIMES = "vehicle times, s (default: chosen from the flight, in every stage)"
 
 
 class WorstWanted(Section):

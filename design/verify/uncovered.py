@@ -1,10 +1,11 @@
 """The intervals of a flight without operating points, which the report of a design lists.
 
-Under thrust, these are the times before the first operating point of a stage and after its last. They include the
-tail-off, in which the thrust decays, and stages without any points. The authority of the gimbals is reported for a
-tail-off of `LONG_TAIL_S` and more. Without thrust, they are the coasts in which the
-airframe is unstable. No gimbal can control it there, and a disturbance grows by exp(integral of sqrt(M_alpha) dt), with
-M_alpha the restoring derivative of the rigid body along the flight. Aerodynamic damping is neglected.
+Under thrust, these are the times before the first operating point of a stage and after its last, and stages without any
+points. The authority of the gimbals is reported if `LONG_TAIL_S` or more of a tail-off is not covered.
+
+Without thrust, these are the coasts in which the airframe is unstable. No gimbal can control it there, and a
+disturbance grows by exp(integral of sqrt(M_alpha) dt), with M_alpha the restoring derivative of the rigid body along
+the flight. Aerodynamic damping is neglected.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ import numpy as np
 
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import node_of
-from maxq.design.model.powered import Span, flown_run, full_thrust, loss_of, powered_flight
-from maxq.sim.run.fly import FlightRun
+from maxq.design.model.node_times import FULL, LONG_TAIL_S, TRIMMED_DEG, flies_to, full_thrust, thrust_share, trims
+from maxq.design.model.powered import Span, flown_run, powered_flight
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.vehicle.engine.burn import stage_burns
 
@@ -29,11 +30,8 @@ COAST_STEP_S = 0.1  # between the instants at which a coast to the next burn is 
 LAST_STEP_S = 1.0  # likewise of the coast after the last burnout
 MOST_INSTANTS = 300  # of a coast
 GROWS = 2.0  # least growth factor of a disturbance in a coast that is listed
-LONG_TAIL_S = 1.0  # from this duration on, the authority in a tail-off is examined
-TAIL_INSTANTS = 41  # of it
-TRIMMED_DEG = 5.0  # angle of attack to be trimmed there
-TAIL_OFF = "tail-off, with less than half of the largest thrust"
-ENDS = ("apogee", "impact")  # events after which a coast is not examined
+TAIL_INSTANTS = 41  # of a long tail-off
+TAIL_OFF = "tail-off, with less than"
 
 
 @dataclass(frozen=True)
@@ -63,12 +61,14 @@ def uncovered(
     were not checked between these.
     """
     spans, loss = powered_flight(flight)
-    burns = stage_burns(flight.vehicle.stage, ())
+    stages = flight.vehicle.stage
+    burns = stage_burns(stages, ())
     found: list[Uncovered] = []
     for span in spans:
-        full_end_s = full_thrust(flight.vehicle.stage[span.stage], burns[span.stage])[1]
-        mine = sorted(points_s.get(span.stage, ()))
-        found += _of_span(span, mine, full_end_s)
+        stage, burn = stages[span.stage], burns[span.stage]
+        mine, full_end_s = sorted(points_s.get(span.stage, ())), full_thrust(stage, burn)[1]
+        share = thrust_share(stage, burn, mine[-1]) if mine and mine[-1] > full_end_s else FULL
+        found += _of_span(span, mine, full_end_s, share)
         if span.stage in at_points_only and len(mine) > 1:
             found.append(Uncovered(span.stage, mine[0], mine[-1], BETWEEN))
     if loss is None:
@@ -77,46 +77,43 @@ def uncovered(
     return tuple(sorted(found, key=lambda each: each.begin_s))
 
 
-def _of_span(span: Span, points_s: Sequence[float], full_end_s: float) -> list[Uncovered]:
+def _of_span(span: Span, points_s: Sequence[float], full_end_s: float, share: float) -> list[Uncovered]:
     if not points_s:
         return [Uncovered(span.stage, span.begin_s, span.end_s, "under thrust, no operating point")]
+    less = "half" if share == FULL else f"{100.0 * share:.0f} %"
     last_s, tail_s = points_s[-1], min(max(full_end_s, points_s[-1]), span.end_s)
     parts = (
         (span.begin_s, points_s[0], "under thrust, before the first operating point"),
         (last_s, tail_s, "under thrust, after the last operating point"),
-        (tail_s, span.end_s, TAIL_OFF),
+        (tail_s, span.end_s, f"{TAIL_OFF} {less} of the largest thrust"),
     )
     return [Uncovered(span.stage, *part) for part in parts if part[1] - part[0] > BRIEF_S]
 
 
 def _with_authority(flight: LoadedScenario, found: Sequence[Uncovered], plane: Plane) -> list[Uncovered]:
-    """Return the intervals, those of a long tail-off with the authority of the gimbals.
-
-    In trim, the moment of the deflected engines balances that of the angle of attack, M_delta delta = -M_alpha alpha.
-    """
+    """Return the intervals, those of a long tail-off with the authority of the gimbals."""
     out, run = list(found), None
     for n, part in sorted(enumerate(found), key=lambda each: each[1].begin_s):
         gimballed = any(engine.gimbal != "fixed" for engine in flight.vehicle.stage[part.stage].engines)
-        if part.why != TAIL_OFF or not gimballed or part.end_s - part.begin_s < LONG_TAIL_S:
+        if not part.why.startswith(TAIL_OFF) or not gimballed or part.end_s - part.begin_s < LONG_TAIL_S:
             continue
         run = flown_run(flight, faults=False) if run is None else run
         held_s, m_delta = part.begin_s, list[float]()
         for time_s in np.linspace(part.begin_s, part.end_s, TAIL_INSTANTS)[:-1].tolist():
-            if not _flies_to(run, time_s):
+            if not flies_to(run, time_s):
                 break
             node = node_of(run.packed, run.now_s, part.stage, plane)
-            d = node.derivatives
-            m_delta.append(abs(d.m_delta_1ps2))
-            if m_delta[-1] * node.angle_limit_rad < d.m_alpha_1ps2 * math.radians(TRIMMED_DEG):
+            m_delta.append(abs(node.derivatives.m_delta_1ps2))
+            if not trims(node):
                 break
             held_s = run.now_s
         else:
             held_s = part.end_s
         if m_delta:
             until = "to its end" if held_s == part.end_s else f"to {held_s:.4g} s"
-            trims = f"the gimbals trim {TRIMMED_DEG:g} deg of angle of attack {until}"
+            trimmed = f"the gimbals trim {TRIMMED_DEG:g} deg of angle of attack {until}"
             falls = f"M_delta falls from {m_delta[0]:.3g} to {m_delta[-1]:.3g} 1/s2"
-            out[n] = replace(part, why=f"{TAIL_OFF}; {trims} ({falls})")
+            out[n] = replace(part, why=f"{part.why}; {trimmed} ({falls})")
     return out
 
 
@@ -131,7 +128,7 @@ def _unstable_coasts(flight: LoadedScenario, spans: Sequence[Span], plane: Plane
         times_s, m_alpha, stage = list[float](), list[float](), 0
         step_s = LAST_STEP_S if math.isinf(end_s) else max(COAST_STEP_S, (end_s - begin_s) / (MOST_INSTANTS - 1))
         for time_s in (min(begin_s + k * step_s, end_s - BRIEF_S) for k in range(MOST_INSTANTS)):
-            if (times_s and time_s <= times_s[-1]) or not _flies_to(run, time_s):
+            if (times_s and time_s <= times_s[-1]) or not flies_to(run, time_s):
                 break
             stage = int(run.memory.clock.stage)
             node = node_of(run.packed, run.now_s, stage, plane)
@@ -139,19 +136,6 @@ def _unstable_coasts(flight: LoadedScenario, spans: Sequence[Span], plane: Plane
             m_alpha.append(node.derivatives.m_alpha_1ps2 if node.condition.airspeed_mps > 0.0 else 0.0)
         out += _unstable_parts(np.array(times_s), np.array(m_alpha), stage)
     return out
-
-
-def _flies_to(run: FlightRun, time_s: float) -> bool:
-    """Continue the flight to the step nearest to a time.
-
-    Return False if the flight, or its examined part, has ended.
-    """
-    step_ns = int(run.packed.parameters[0].timeline.step_ns)
-    at_ns = round(time_s * 1e9 / step_ns) * step_ns
-    while not run.finished and round(run.now_s * 1e9) < at_ns:
-        run.fly_segment(at_ns)
-    over = run.finished or loss_of(run.events) is not None
-    return not over and not any(event.name in ENDS for event in run.events)
 
 
 def _unstable_parts(times_s: np.ndarray, m_alpha: np.ndarray, stage: int) -> list[Uncovered]:

@@ -25,7 +25,8 @@ from maxq.design.margins.measure import margins
 from maxq.design.model.deviations import acting_at
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, with_cuts
-from maxq.design.model.powered import node_times, powered_flight
+from maxq.design.model.node_times import node_times
+from maxq.design.model.powered import powered_flight
 from maxq.design.model.spread import campaign_of
 from maxq.design.operating_points import published_nodes
 from maxq.design.optimise.over_time import instants_beside

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.design.model.node_times import LEAST_SHARE
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle.modes.tables import ModeTable
 from maxq.sim.vehicle.slosh.section import Profile
@@ -27,6 +28,7 @@ from maxq.tools.vehicle.trajectory import Ascent, TrajectoryPoint, ascent
 MODE_ROWS = 13
 MOST_RIGID_HZ = 0.4
 SHARE = 0.8  # of the first gains' frequency that a design must keep
+IN_TAIL = 6  # rows of gains in a long tail-off
 BELOW = 8.0  # the rigid body's frequency is at most this share of those of mode 1 and of the actuator
 BELOW_SLOSH = 2.0  # and at most this share of that of the slowest slosh mode
 _PROPELLANT_kgpm3 = 1400.0, 2000.0  # solid propellants
@@ -57,14 +59,15 @@ class Built:
         """Return the rigid-body frequency of the first gains: that of the layout.
 
         Its default is an eighth of mode 1 and of the actuator and half of the slowest slosh mode at that time, at most
-        0.4 Hz.
+        0.4 Hz. In a tail-off it falls with the thrust, so that the rate gain stays: the inertia of the engine excites
+        the modes in proportion to this gain, whatever the thrust.
         """
         times, modes = self.modes[p.number]
         own = [of[0].frequency_hz for of in modes if of]
         first_hz = float(np.interp(p.clock_s, times, own)) if len(own) == len(times) else math.inf
         slowest_hz = min(first_hz, *self.stacks[p.number].stage.engine.servo_hz)
         most_hz = min(MOST_RIGID_HZ, slowest_hz / BELOW, slosh_hz(self.stacks[p.number], p) / BELOW_SLOSH)
-        return self.layout.control.rigid_hz or most_hz
+        return (self.layout.control.rigid_hz or most_hz) * self.stacks[p.number].tail_share(p.clock_s)
 
 
 def build(layout: Layout, progress: Callable[[str, int, int], None] = lambda *_: None) -> Built:
@@ -242,12 +245,23 @@ def burning(built: Built, number: int | None = None) -> list[TrajectoryPoint]:
 
 def spread(points: Sequence[TrajectoryPoint], count: int) -> list[TrajectoryPoint]:
     """Return this number of points, evenly spaced from the first to the last."""
-    return [points[k] for k in np.unique(np.linspace(0, len(points) - 1, count).astype(int))]
+    return [points[k] for k in np.unique(np.linspace(0, len(points) - 1, count).astype(int))] if points else []
+
+
+def tail_off(built: Built, number: int) -> list[TrajectoryPoint]:
+    """Return the points of a stack in a long tail-off, as long as its thrust is at least `LEAST_SHARE`."""
+    stack = built.stacks[number]
+    if not stack.has_long_tail:
+        return []
+    least_N = LEAST_SHARE * float(stack.burn.thrust_N.max())
+    points = [p for p in built.flight.points if p.number == number and p.clock_s > stack.full_s[1]]
+    return [p for p in points if stack.burn.thrust_vacuum_N(p.clock_s) >= least_N]
 
 
 def dozen(built: Built) -> list[TrajectoryPoint]:
-    """Return points at full thrust, a dozen per stage."""
-    return [p for n in range(len(built.stacks)) for p in spread(burning(built, n), 12)]
+    """Return points of each stage: a dozen at full thrust, and some in a long tail-off."""
+    every = range(len(built.stacks))
+    return [p for n in every for p in (*spread(burning(built, n), 12), *spread(tail_off(built, n), IN_TAIL))]
 
 
 def _gains(built: Built) -> list[tuple[float, float, float]]:
@@ -281,7 +295,7 @@ def least_rigid_hz(built: Built, aero_gain_db: float) -> tuple[list[float], list
 def _assumed(built: Built) -> list[str]:
     layout = built.layout
     lines = []
-    each_hz = [built.rigid_hz(p) for p in dozen(built)]
+    each_hz = [built.rigid_hz(p) for p in burning(built)]
     first_hz = " to ".join(dict.fromkeys(f"{end(each_hz):.3g}" for end in (min, max)))
     if any(stage.aero is None for stage in layout.stage):
         factor = f", times {layout.axial_factor:g}" if layout.axial_factor != 1.0 else ""

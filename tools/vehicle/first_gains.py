@@ -18,7 +18,8 @@ from pathlib import Path
 
 from maxq.design import operating_points
 from maxq.design.case.schema import read_case
-from maxq.design.model.powered import loss_text, node_times, powered_flight
+from maxq.design.model.node_times import node_times
+from maxq.design.model.powered import loss_text, powered_flight
 from maxq.design.verify.judging import judge
 from maxq.design.verify.own_flight import CaseDesign, design_case
 from maxq.sim.run.flight import Event

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from maxq.control.kernel.records import Array
+from maxq.design.model.node_times import LONG_TAIL_S
 from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.layout import (
@@ -247,6 +248,16 @@ class Stack:
         """Return the times between which the core has full thrust in this part, before boosters leave."""
         begin, end = self.burn.full_s
         return max(begin, self.begins_s), end if self.leave_s is None else min(end, self.leave_s - _BEFORE_S)
+
+    def tail_share(self, t: float) -> float:
+        """Return the core's thrust in a tail-off as a share of that at its beginning, or 1 before it."""
+        end_s = self.full_s[1]
+        return min(self.burn.thrust_vacuum_N(t) / self.burn.thrust_vacuum_N(end_s), 1.0) if t > end_s else 1.0
+
+    @property
+    def has_long_tail(self) -> bool:
+        """Return True if the tail-off in this part is long enough for operating points."""
+        return self.leave_s is None and self.burn.end_s - self.full_s[1] >= LONG_TAIL_S
 
     def thrusts_N(self, t: float, pressure_Pa: float) -> tuple[float, float]:
         """Return the thrust of all engines at ambient pressure, and that of the core's, which are gimballed."""

@@ -19,7 +19,7 @@ from typing import Any
 
 from maxq.design import operating_points
 from maxq.design.certificate.certificate import PLANES, certify_node
-from maxq.design.model.powered import node_times
+from maxq.design.model.node_times import node_times
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.tools import simvehicle

@@ -1,0 +1,175 @@
+"""Times of operating points that suit a flight: under full thrust, and in a long tail-off while the gimbals have
+authority.
+
+At an instant of a tail-off, the gimbals have authority under three conditions:
+
+- the thrust of the gimballed engines is at least `LEAST_SHARE` of its largest value;
+- the axial load is positive;
+- the gimbals trim `TRIMMED_DEG` of angle of attack (`trims`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.design.model.node import Node, node_of
+from maxq.design.model.powered import flown_run, loss_of, powered_spans
+from maxq.sim.run.fly import FlightRun
+from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.vehicle.engine.burn import Burn, stage_burns, when_spent_s
+
+NODES_PER_STAGE = 11
+FULL = 0.5  # share of a stage's largest thrust at the ends of full thrust
+EDGES = 0.05, 0.02  # shares of a span at its ends without operating points
+JOINT = 0.002  # likewise at a separation (of boosters, of a fairing) through which the stage burns on, at most
+LONG_TAIL_S = 1.0  # a tail-off of this duration and more has operating points
+LEAST_SHARE = 0.1  # of the largest thrust, at the last of them
+TAIL_POINTS = 3  # operating points under full thrust for each one in the tail-off
+TRIMMED_DEG = 5.0  # angle of attack to be trimmed there
+ENDS = ("apogee", "impact")  # events after which a flight is not examined
+
+
+def node_times(
+    scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None, edges: tuple[float, float] = EDGES
+) -> tuple[float, ...]:
+    """Return times of operating points that suit a flight: `count` in each stage (or one of them), evenly spaced under
+    full thrust, and those of `tail_off_times`.
+
+    A single point is in the middle. The first and the last one are at the distance `edges` from the ends of full
+    thrust, as shares of its duration. They are closer, `JOINT`, to a separation through which the stage burns on.
+
+    Stages with fixed engines have none. Raises ValueError if no stage remains.
+    """
+    times, tails = list[float](), dict[int, list[float]]()
+    stages = scenario.vehicle.stage
+    burns = stage_burns(stages, scenario.scenario.fault)
+    for span in powered_spans(scenario):
+        mine, burn = stages[span.stage], burns[span.stage]
+        if stage in (None, span.stage) and any(engine.gimbal != "fixed" for engine in mine.engines):
+            full = full_thrust(mine, burn)
+            begin, end = max(span.begin_s, full[0]), min(span.end_s, full[1])
+            early, late = edges
+            if mine.continues:
+                early = min(early, JOINT)
+            if span.stage + 1 < len(stages) and stages[span.stage + 1].continues:
+                late = min(late, JOINT)
+            first, last = begin + early * (end - begin), end - late * (end - begin)
+            chosen = np.linspace(first, last, count) if count > 1 else [0.5 * (first + last)]
+            times += [round(float(t), 3) for t in chosen]
+            if count > 1:
+                tails[span.stage] = tail_off_times(mine, burn, span.end_s, count)
+    if not times:
+        which = "no stage" if stage is None else f"stage {stage + 1} not"
+        raise ValueError(f"{scenario.label}: {which} under thrust by movable engines; there is no operating point")
+    return tuple(sorted(times + with_authority(scenario, tails)))
+
+
+def full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
+    """Return the first and last instant on the vehicle clock at which the thrust by the tables is half the largest.
+
+    The rows of the tables are examined (`_gimballed_thrust`).
+    """
+    times, thrust = _gimballed_thrust(stage)
+    if len(times) == 1:
+        return -math.inf, math.inf
+    begin, end = times[thrust >= FULL * np.max(thrust)][[0, -1]].tolist()
+    return _vehicle_time_s(stage, burn, begin), _vehicle_time_s(stage, burn, end)
+
+
+def tail_off_times(stage: Stage, burn: Burn, end_s: float, count: int) -> list[float]:
+    """Return the times of operating points in a tail-off of `LONG_TAIL_S` or more that ends at `end_s`.
+
+    There is one for each `TAIL_POINTS` of `count`, rounded up. The thrust falls by the same factor from half of the
+    largest to the first point, and from each point to the next. It is `LEAST_SHARE` of the largest at the last point.
+    Times are vehicle times, s.
+    """
+    full_end_s = full_thrust(stage, burn)[1]
+    if not end_s - full_end_s >= LONG_TAIL_S:
+        return []
+    times, thrust = _gimballed_thrust(stage)
+    points = math.ceil(count / TAIL_POINTS)
+    out = []
+    for n in range(1, points + 1):
+        least = FULL * (LEAST_SHARE / FULL) ** (n / points) * float(np.max(thrust))
+        k = int(np.flatnonzero(thrust >= least)[-1])
+        if k + 1 < len(times):
+            spent_s = times[k] + (times[k + 1] - times[k]) * (thrust[k] - least) / (thrust[k] - thrust[k + 1])
+            out.append(round(_vehicle_time_s(stage, burn, float(spent_s)), 3))
+    return [t for t in sorted(set(out)) if full_end_s < t < end_s]
+
+
+def with_authority(scenario: LoadedScenario, times_s: Mapping[int, Sequence[float]]) -> list[float]:
+    """Return the times, by stage from 0, of each stage up to the first one at which its gimbals lack authority.
+
+    The flight has no faults.
+    """
+    out, lost = list[float](), set[int]()
+    if not any(times_s.values()):
+        return out
+    run = flown_run(scenario, faults=False)
+    for time_s, stage in sorted((t, n) for n, mine in times_s.items() for t in mine):
+        if stage in lost:
+            continue
+        if not flies_to(run, time_s):
+            break
+        node = node_of(run.packed, run.now_s, stage)
+        if node.axial_load_mps2 > 0.0 and trims(node):
+            out.append(time_s)
+        else:
+            lost.add(stage)
+    return out
+
+
+def trims(node: Node) -> bool:
+    """Return True if the gimbals trim `TRIMMED_DEG` of angle of attack.
+
+    In trim, the moment of the deflected engines balances that of the angle of attack, M_delta delta = -M_alpha alpha.
+    """
+    d = node.derivatives
+    return abs(d.m_delta_1ps2) * node.angle_limit_rad >= d.m_alpha_1ps2 * math.radians(TRIMMED_DEG)
+
+
+def flies_to(run: FlightRun, time_s: float) -> bool:
+    """Continue the flight to the step nearest to a time.
+
+    Return False if the flight, or its examined part, has ended.
+    """
+    step_ns = int(run.packed.parameters[0].timeline.step_ns)
+    at_ns = round(time_s * 1e9 / step_ns) * step_ns
+    while not run.finished and round(run.now_s * 1e9) < at_ns:
+        run.fly_segment(at_ns)
+    over = run.finished or loss_of(run.events) is not None
+    return not over and not any(event.name in ENDS for event in run.events)
+
+
+def thrust_share(stage: Stage, burn: Burn, time_s: float) -> float:
+    """Return the thrust of the gimballed engines at a vehicle time, as a share of its largest value."""
+    times, thrust = _gimballed_thrust(stage)
+    if len(times) == 1:
+        return 1.0
+    at = [_vehicle_time_s(stage, burn, float(t)) for t in times]
+    return float(np.interp(time_s, at, thrust) / np.max(thrust))
+
+
+def _gimballed_thrust(stage: Stage) -> tuple[Array, Array]:
+    """Return times, on the clock of the tables, and the thrust in vacuum of the gimballed engines there.
+
+    Gimballed engines of boosters count if the core has none, since boosters have burned out before they leave. There
+    is a single time if a table has one row, a constant thrust.
+    """
+    moved = [engine for engine in stage.own_engines if engine.gimbal != "fixed"]
+    tables = [engine.table for engine in moved or [e for e in stage.engines if e.gimbal != "fixed"] or stage.engines]
+    if any(len(table) == 1 for table in tables):
+        return np.zeros(1), np.ones(1)
+    times = np.unique(np.concatenate([table["time_s"] for table in tables]))
+    thrust = sum(np.interp(times, table["time_s"], table["thrust_vacuum_N"], right=0.0) for table in tables)
+    return times, np.asarray(thrust)
+
+
+def _vehicle_time_s(stage: Stage, burn: Burn, table_s: float) -> float:
+    return burn.start_s + when_spent_s(stage, burn, table_s)
