@@ -24,6 +24,7 @@ from maxq import Flight, ScenarioError
 from maxq.control.burns import to_apogee_s
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array
+from maxq.design.verify.uncovered import uncovered
 from maxq.sim.run.fly import fly
 
 MU, RADIUS_m = 3.986004418e14, 6378137.0
@@ -218,6 +219,14 @@ def test_settling_thrust_brings_the_liquid_aft() -> None:
     """0.2 m/s2 on a pendulum of 0.4 m: a period of 9 s, and 80 s of it damp by exp(-0.1 0.71 80) = 0.003."""
     assert settled_deg(80.0) < 1.0
     assert settled_deg(0.0) > 5.0
+
+
+@pytest.mark.slow
+def test_burns_after_a_restart_are_listed_as_not_covered() -> None:
+    found = uncovered(load(TREE), {0: [2.0, 23.0]})
+    assert found[-1].begin_s == pytest.approx(flight().event_s("cutoff"), abs=1e-9)
+    assert (found[-1].end_s, found[-1].why) == (3000.0, "burns after a restart, no operating point")
+    assert found[-2].end_s == found[-1].begin_s  # the first burn ends there
 
 
 @pytest.mark.parametrize(

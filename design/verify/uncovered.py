@@ -33,6 +33,7 @@ LONG_TAIL_S = 1.0  # from this duration on, the authority in a tail-off is exami
 TAIL_INSTANTS = 41  # of it
 TRIMMED_DEG = 5.0  # angle of attack to be trimmed there
 TAIL_OFF = "tail-off, with less than half of the largest thrust"
+RESTARTED = "burns after a restart, no operating point"
 ENDS = ("apogee", "impact")  # events after which a coast is not examined
 
 
@@ -71,6 +72,9 @@ def uncovered(
         found += _of_span(span, mine, full_end_s)
         if span.stage in at_points_only and len(mine) > 1:
             found.append(Uncovered(span.stage, mine[0], mine[-1], BETWEEN))
+    if flight.scenario.guidance.restart and spans and loss is None:
+        run = flight.scenario.run
+        found.append(Uncovered(spans[-1].stage, spans[-1].end_s, run.start_s + run.duration_s, RESTARTED))
     if loss is None:
         found = _with_authority(flight, found, plane)
         found += _unstable_coasts(flight, spans, plane)
